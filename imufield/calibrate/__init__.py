@@ -1,0 +1,1 @@
+"""Error models, observations, solvers, uncertainty."""

@@ -1,0 +1,158 @@
+"""What a calibration returns, and what the parameter file, report and exports are written from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from imufield.earth import Gravity
+from imufield.samples import FloatArray
+
+Gauge = Literal["preset", "lower", "upper", "symmetric"]
+QuadraticAxes = Literal["sensing", "body"]
+ModelChoice = Literal["linear", "quadratic", "auto"]
+
+ACCELEROMETER_NAMES = (
+    *(f"accelerometer.scale.{axis}" for axis in "xyz"),
+    *(f"accelerometer.bias_m_s2.{axis}" for axis in "xyz"),
+    *(f"accelerometer.misalignment_rad.{pair}" for pair in ("xy", "xz", "yx", "yz", "zx", "zy")),
+    *(f"accelerometer.quadratic.{axis}" for axis in "xyz"),
+)
+"""The 15 accelerometer parameters in the order of every vector and covariance matrix.
+
+``misalignment_rad.xy`` is row x, column y of T - I.
+"""
+GRAVITY_NAME = "gravity_m_s2"
+
+
+@dataclass(frozen=True, slots=True)
+class AccelerometerParameters:
+    """N - raw_zero = K (T a + b) + K2 (T a)**2, or with a**2 where ``quadratic_axes`` is "body"."""
+
+    scale: FloatArray
+    """K, shape (3,), raw unit per m/s^2."""
+    bias_m_s2: FloatArray
+    misalignment_rad: FloatArray
+    """T - I, shape (3, 3), zero diagonal."""
+    quadratic: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """K2, shape (3,), raw unit per (m/s^2)^2."""
+    raw_zero: FloatArray = field(default_factory=lambda: np.zeros(3))
+    quadratic_axes: QuadraticAxes = "sensing"
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsic:
+    """Gauge-free accelerometer parameters with 1 sigma: row lengths of K T, K b, angles between the sensing axes, K2."""
+
+    scale: FloatArray
+    """Row lengths of K T, shape (3,), raw unit per m/s^2."""
+    bias_raw: FloatArray
+    """K b, shape (3,), raw unit."""
+    angle_rad: FloatArray
+    """Angles between sensing axes x-y, x-z, y-z minus a right angle, shape (3,)."""
+    quadratic: FloatArray
+    scale_sigma: FloatArray
+    bias_raw_sigma: FloatArray
+    angle_sigma_rad: FloatArray
+    quadratic_sigma: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class GyroscopeParameters:
+    """N = K E w + e + G a."""
+
+    scale: FloatArray
+    """K, shape (3,), raw unit per rad/s."""
+    misalignment_rad: FloatArray
+    """E - I, shape (3, 3), zero diagonal."""
+    bias: FloatArray
+    """e, shape (3,), raw unit."""
+    g_sensitivity: FloatArray
+    """G, shape (3, 3), raw unit per m/s^2."""
+
+
+@dataclass(frozen=True, slots=True)
+class GyroscopeCalibration:
+    """Gyroscope parameters, their 1 sigma (same shapes; NaN where not estimated) and the path taken."""
+
+    parameters: GyroscopeParameters
+    sigma: GyroscopeParameters
+    path: str
+    """In words, e.g. "static bias, Earth rate accounted for"."""
+    raw_unit: str = "rad/s"
+
+
+@dataclass(frozen=True, slots=True)
+class PositionResult:
+    """Residuals of m positions, arrays of shape (m,), in the order of the observations."""
+
+    residual_m_s2: FloatArray
+    """norm(a) - g with the final parameters."""
+    leave_one_out_m_s2: FloatArray
+    """The same with parameters fitted without this position; NaN where it cannot be left out."""
+    leverage: FloatArray
+    """Diagonal of the hat matrix; 1 means nothing checks this position."""
+    used: np.ndarray[tuple[int], np.dtype[np.bool_]]
+
+
+@dataclass(frozen=True, slots=True)
+class SolverSummary:
+    """How the solver ended."""
+
+    method: str
+    status: int
+    message: str
+    cost: float
+    evaluations: int
+    seed: int | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether the result may be believed."""
+        return self.status > 0
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """Figures by which the calibration is judged."""
+
+    residual_rms_m_s2: float
+    residual_max_m_s2: float
+    leave_one_out_rms_m_s2: float
+    between_position_sigma_m_s2: float
+    """tau: scatter between positions beyond what the holds themselves show."""
+    degrees_of_freedom: int
+    student_factor_95: float
+    rank: int
+    parameters_fitted: int
+    condition: float
+    verdict: str
+    """"good", "usable" or "poor"."""
+    reasons: tuple[str, ...]
+    """Sentences: what the verdict rests on, and every warning."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """The result of ``imufield solve``: parameters, uncertainty, and what they rest on."""
+
+    accelerometer: AccelerometerParameters
+    accelerometer_sigma: AccelerometerParameters
+    """1 sigma in the same shapes; NaN where a parameter was not fitted and is not fixed by the gauge, 0 where it is fixed."""
+    accelerometer_raw_unit: str
+    equation: str
+    gauge: Gauge
+    intrinsic: Intrinsic
+    covariance_names: tuple[str, ...]
+    covariance: FloatArray
+    """Joint covariance in the order of ``covariance_names`` (accelerometer, gyroscope, gravity_m_s2)."""
+    gravity: Gravity
+    positions: PositionResult
+    solver: SolverSummary
+    quality: Quality
+    quadratic_fitted: bool
+    gyroscope: GyroscopeCalibration | None = None
+    unobservable: tuple[str, ...] = ()
+    """Names of parameters left at the preset because these positions cannot show them."""

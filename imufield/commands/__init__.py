@@ -1,0 +1,1 @@
+"""What each command does, without the terminal's argument parsing (that is cli.py)."""

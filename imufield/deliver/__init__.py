@@ -1,0 +1,1 @@
+"""The result: parameter file, exports, report, verification."""

@@ -1,0 +1,101 @@
+"""The Earth as a calibration reference: normal gravity (WGS-84) and rotation.
+
+References
+----------
+.. [1] NIMA TR8350.2, "Department of Defense World Geodetic System 1984", 3rd edition, 2000: equations 4-1 (Somigliana)
+   and 4-3 (height), table 3.1 and 3.4 (constants).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from imufield.errors import CalibrationError, Reason, UsageError
+
+EARTH_RATE_RAD_S = 7.292115e-5
+STANDARD_GRAVITY_M_S2 = 9.80665
+
+_GRAVITY_EQUATOR_M_S2 = 9.7803253359
+_SOMIGLIANA_K = 0.00193185265241
+_ECCENTRICITY_SQUARED = 0.00669437999014
+_SEMI_MAJOR_AXIS_M = 6378137.0
+_FLATTENING = 1 / 298.257223563
+_M = 0.00344978650684  # centrifugal over gravitational acceleration at the equator
+
+NORMAL_GRAVITY_SIGMA_M_S2 = 5e-4
+"""1 sigma of true minus normal gravity: anomalies reach 1e-3 m/s^2 (100 ppm of scale)."""
+MEASURED_GRAVITY_SIGMA_M_S2 = 1e-5
+"""1 sigma of a value the user typed: a gravimeter or a geodetic survey, 1 mGal."""
+ASSUMED_GRAVITY_SIGMA_M_S2 = 0.018
+"""1 sigma where nothing is known: gravity runs from 9.764 to 9.834 m/s^2 over the Earth's surface."""
+
+GRAVITY_RANGE_M_S2 = (9.76, 9.84)
+"""Surface gravity from Huascaran (9.7639) to the Arctic Ocean (9.8337), with a margin."""
+HEIGHT_RANGE_M = (-500.0, 9000.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Gravity:
+    """Local gravity and how it is known.
+
+    ``source`` is "typed", "normal" (WGS-84 at latitude and height), "measured" or "assumed".
+    """
+
+    gravity_m_s2: float
+    sigma_m_s2: float
+    source: str
+    latitude_deg: float | None = None
+    height_m: float | None = None
+
+
+def normal_gravity(latitude_deg: float, height_m: float = 0.0) -> float:
+    """Return WGS-84 normal gravity in m/s^2 ([1]_ eq. 4-1 and 4-3)."""
+    sin2 = math.sin(math.radians(latitude_deg)) ** 2
+    surface = _GRAVITY_EQUATOR_M_S2 * (1 + _SOMIGLIANA_K * sin2) / math.sqrt(1 - _ECCENTRICITY_SQUARED * sin2)
+    ratio = height_m / _SEMI_MAJOR_AXIS_M
+    return surface * (1 - 2 * ratio * (1 + _FLATTENING + _M - 2 * _FLATTENING * sin2) + 3 * ratio**2)
+
+
+def choose_gravity(
+    gravity_m_s2: float | None = None,
+    latitude_deg: float | None = None,
+    height_m: float | None = None,
+    sigma_m_s2: float | None = None,
+) -> Gravity:
+    """Return gravity from the best of what the user gave: a value, a latitude, or nothing.
+
+    Raises
+    ------
+    CalibrationError
+        If a value is outside what the Earth's surface has.
+    UsageError
+        If the latitude or height is outside its range.
+    """
+    if latitude_deg is not None and not -90 <= latitude_deg <= 90:
+        raise UsageError(
+            f"latitude {latitude_deg:g} deg is outside -90 to 90 deg; give it in decimal degrees", latitude_deg=latitude_deg
+        )
+    if height_m is not None and not HEIGHT_RANGE_M[0] <= height_m <= HEIGHT_RANGE_M[1]:
+        raise UsageError(
+            f"height {height_m:g} m is outside {HEIGHT_RANGE_M[0]:g} to {HEIGHT_RANGE_M[1]:g} m; give it in metres",
+            height_m=height_m,
+        )
+    if gravity_m_s2 is not None:
+        low, high = GRAVITY_RANGE_M_S2
+        if not low <= gravity_m_s2 <= high:
+            raise CalibrationError(
+                f"gravity {gravity_m_s2:g} m/s^2 is outside {low} to {high} m/s^2, the range on the Earth's surface; "
+                "check the value, or give --latitude and --height instead",
+                Reason.GRAVITY,
+                gravity_m_s2=gravity_m_s2,
+            )
+        return Gravity(
+            gravity_m_s2, MEASURED_GRAVITY_SIGMA_M_S2 if sigma_m_s2 is None else sigma_m_s2, "typed", latitude_deg, height_m
+        )
+    if latitude_deg is not None:
+        value = normal_gravity(latitude_deg, height_m or 0.0)
+        return Gravity(
+            value, NORMAL_GRAVITY_SIGMA_M_S2 if sigma_m_s2 is None else sigma_m_s2, "normal", latitude_deg, height_m or 0.0
+        )
+    return Gravity(STANDARD_GRAVITY_M_S2, ASSUMED_GRAVITY_SIGMA_M_S2 if sigma_m_s2 is None else sigma_m_s2, "assumed")

@@ -1,0 +1,132 @@
+"""The errors a user can cause. One sentence each: what, where, the limit, the measured value, the remedy.
+
+::
+
+    ImufieldError (exit code 1 is never used by these: it marks a defect of ours)
+    +-- UsageError            2  an option, a file name or a value typed by the user
+    +-- LinkError             3  port, bus, permission, silence, disconnection
+    +-- RecordingError        4  a recording or session that cannot be read or written
+    +-- ProtocolError         4  wire data or a protocol file that cannot be understood
+    +-- ParameterFileError    5  a parameter file that is damaged, newer or foreign
+    +-- CalibrationError      6  a calibration that is impossible or refused
+    +-- VerificationError     7  ``verify`` says FAIL
+
+Bad input raises one of these and nothing else; any other exception is a defect and keeps its traceback.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Any, ClassVar
+
+
+class Reason(Enum):
+    """Why an error was raised, for programs; people read the message."""
+
+    USAGE = "usage"
+    PORT_NOT_FOUND = "port_not_found"
+    PORT_BUSY = "port_busy"
+    NO_PERMISSION = "no_permission"
+    SILENCE = "silence"
+    NO_FRAMES = "no_frames"
+    DISCONNECTED = "disconnected"
+    UNKNOWN_DRIVER = "unknown_driver"
+    DRIVER_FAILED = "driver_failed"
+    BAD_PROTOCOL = "bad_protocol"
+    BAD_DATA = "bad_data"
+    DISK_FULL = "disk_full"
+    NOT_A_RECORDING = "not_a_recording"
+    DAMAGED = "damaged"
+    NEWER = "newer"
+    UNFINISHED = "unfinished"
+    UNKNOWN_KEY = "unknown_key"
+    FOREIGN = "foreign"
+    TOO_FEW = "too_few"
+    UNOBSERVABLE = "unobservable"
+    HANDEDNESS = "handedness"
+    SATURATED = "saturated"
+    GRAVITY = "gravity"
+    NOT_FINITE = "not_finite"
+    NOT_CONVERGED = "not_converged"
+    BOUNDS = "bounds"
+    UNITS = "units"
+    MISSING_PACKAGE = "missing_package"
+    FAILED_REQUIREMENT = "failed_requirement"
+
+
+class ImufieldError(Exception):
+    """Base of every error a user can cause.
+
+    Parameters
+    ----------
+    message : str
+        One sentence: what, where, limit, measured value, remedy.
+    reason : Reason
+        The same for programs.
+    **values : object
+        The values named in the message, kept as ``error.values``.
+    """
+
+    exit_code: ClassVar[int] = 2
+    default_reason: ClassVar[Reason] = Reason.USAGE
+
+    def __init__(self, message: str, reason: Reason | None = None, **values: Any) -> None:
+        super().__init__(message)
+        self.message = message
+        self.reason = reason or self.default_reason
+        self.values = values
+
+
+class UsageError(ImufieldError, ValueError):
+    """An option, a file name or a value typed by the user makes no sense."""
+
+    exit_code = 2
+    default_reason = Reason.USAGE
+
+
+class LinkError(ImufieldError, ConnectionError):
+    """The port, bus or network link does not do what was asked."""
+
+    exit_code = 3
+    default_reason = Reason.DISCONNECTED
+
+
+class LinkTimeoutError(LinkError, TimeoutError):
+    """Nothing, or nothing usable, arrived in time."""
+
+    default_reason = Reason.SILENCE
+
+
+class RecordingError(ImufieldError, ValueError):
+    """A recording or session cannot be read or written."""
+
+    exit_code = 4
+    default_reason = Reason.DAMAGED
+
+
+class ProtocolError(ImufieldError, ValueError):
+    """Wire data, a protocol file or a driver cannot be understood."""
+
+    exit_code = 4
+    default_reason = Reason.BAD_PROTOCOL
+
+
+class ParameterFileError(ImufieldError, ValueError):
+    """A parameter file is damaged, newer, foreign or inconsistent."""
+
+    exit_code = 5
+    default_reason = Reason.DAMAGED
+
+
+class CalibrationError(ImufieldError, ValueError):
+    """A calibration is impossible from these data, or refused."""
+
+    exit_code = 6
+    default_reason = Reason.TOO_FEW
+
+
+class VerificationError(ImufieldError):
+    """``verify`` finds a requirement not met."""
+
+    exit_code = 7
+    default_reason = Reason.FAILED_REQUIREMENT

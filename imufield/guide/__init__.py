@@ -1,0 +1,1 @@
+"""Positions, stillness and the state table that leads the operator; views of its events."""

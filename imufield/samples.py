@@ -1,0 +1,197 @@
+"""Blocks of IMU samples: what every room after the link works on.
+
+A block holds n samples as arrays of one length; nothing here knows where they came from. Raw values are kept as the
+instrument sent them (``SampleUnits`` says in what unit, and whether a value is an increment over one sample interval).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+AXES = ("x", "y", "z")
+ACCELEROMETER_COLUMNS = ("ax", "ay", "az")
+GYROSCOPE_COLUMNS = ("gx", "gy", "gz")
+SAMPLE_COLUMNS = ("time_s", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS, "temperature_degc", "counter", "status")
+"""Columns of exported samples, in this order (DESIGN section 6)."""
+
+NO_COUNTER = -1
+"""Value of ``Samples.counter`` where the instrument sends none."""
+
+
+class Status(IntFlag):
+    """Flags of one sample. The upper 16 bits hold the instrument's own status bits, as its protocol packs them."""
+
+    GOOD = 0
+    ACCELEROMETER_INVALID = 1
+    GYROSCOPE_INVALID = 2
+    ACCELEROMETER_SATURATED = 4
+    GYROSCOPE_SATURATED = 8
+    START_UP = 16
+    AFTER_GAP = 32
+    """Samples before this one were lost; the count is exact."""
+    GAP_ESTIMATED = 64
+    """Samples before this one were lost; the count comes from host time."""
+    TIME_ESTIMATED = 128
+    """``time_s`` comes from host arrival time, the instrument sends none."""
+    INSTRUMENT_FAULT = 256
+    """The instrument reports a fault that concerns the inertial values."""
+
+
+INSTRUMENT_STATUS_SHIFT = 16
+UNUSABLE = (
+    Status.ACCELEROMETER_INVALID
+    | Status.GYROSCOPE_INVALID
+    | Status.ACCELEROMETER_SATURATED
+    | Status.GYROSCOPE_SATURATED
+    | Status.START_UP
+    | Status.INSTRUMENT_FAULT
+)
+"""A sample with any of these never enters a mean."""
+
+
+@dataclass(frozen=True, slots=True)
+class SampleUnits:
+    """Raw units of a block.
+
+    ``accelerometer`` is "m/s^2", "g", "count" or "pulse" for rates, "m/s", "count" or "pulse" for increments;
+    ``gyroscope`` is "rad/s", "count" or "pulse" for rates, "rad", "count" or "pulse" for increments.
+    """
+
+    accelerometer: str = "m/s^2"
+    gyroscope: str = "rad/s"
+    accelerometer_is_increment: bool = False
+    gyroscope_is_increment: bool = False
+    interval_s: float | None = None
+    """Nominal sample interval; required where a triad sends increments."""
+
+    @property
+    def is_si(self) -> bool:
+        """Whether the instrument scales both triads itself."""
+        return self.accelerometer in ("m/s^2", "m/s") and self.gyroscope in ("rad/s", "rad")
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """A block of n IMU samples.
+
+    Attributes
+    ----------
+    time_s : ndarray, shape (n,)
+        Sample clock: device counter or time stamp, unwrapped; host arrival time where the device sends none.
+    accelerometer, gyroscope : ndarray, shape (n, 3)
+        Raw values in ``units``; NaN where not available.
+    temperature_degc : ndarray, shape (n,)
+        NaN where not available.
+    counter : ndarray of int64, shape (n,)
+        As sent (not unwrapped); ``NO_COUNTER`` where the instrument sends none.
+    status : ndarray of uint32, shape (n,)
+        ``Status`` flags.
+    units : SampleUnits
+    """
+
+    time_s: FloatArray
+    accelerometer: FloatArray
+    gyroscope: FloatArray
+    temperature_degc: FloatArray
+    counter: IntArray
+    status: NDArray[np.uint32]
+    units: SampleUnits
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def __getitem__(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Samples:
+        return Samples(
+            self.time_s[rows],
+            self.accelerometer[rows],
+            self.gyroscope[rows],
+            self.temperature_degc[rows],
+            self.counter[rows],
+            self.status[rows],
+            self.units,
+        )
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """Which samples may enter a mean, shape (n,)."""
+        usable: NDArray[np.bool_] = (self.status & np.uint32(UNUSABLE)) == 0
+        return usable
+
+    def accelerometer_rate(self) -> FloatArray:
+        """Accelerometer as rates: raw unit, per second for increments. Shape (n, 3)."""
+        return _as_rate(self.accelerometer, self.units.accelerometer_is_increment, self.units.interval_s)
+
+    def gyroscope_rate(self) -> FloatArray:
+        """Gyroscope as rates: raw unit, per second for increments. Shape (n, 3)."""
+        return _as_rate(self.gyroscope, self.units.gyroscope_is_increment, self.units.interval_s)
+
+
+def _as_rate(values: FloatArray, is_increment: bool, interval_s: float | None) -> FloatArray:
+    if not is_increment:
+        return values
+    if interval_s is None:
+        raise ValueError("increments need `interval_s` in SampleUnits")
+    return values / interval_s
+
+
+def make_samples(
+    time_s: FloatArray,
+    accelerometer: FloatArray,
+    gyroscope: FloatArray | None = None,
+    *,
+    units: SampleUnits,
+    temperature_degc: FloatArray | None = None,
+    counter: IntArray | None = None,
+    status: NDArray[np.uint32] | None = None,
+) -> Samples:
+    """Build a block, filling what is not there with "not available"."""
+    n = len(time_s)
+    return Samples(
+        np.asarray(time_s, dtype=np.float64),
+        np.asarray(accelerometer, dtype=np.float64),
+        np.full((n, 3), np.nan) if gyroscope is None else np.asarray(gyroscope, dtype=np.float64),
+        np.full(n, np.nan) if temperature_degc is None else np.asarray(temperature_degc, dtype=np.float64),
+        np.full(n, NO_COUNTER, dtype=np.int64) if counter is None else counter,
+        np.zeros(n, dtype=np.uint32) if status is None else status,
+        units,
+    )
+
+
+def no_samples(units: SampleUnits) -> Samples:
+    """Return a block of zero samples."""
+    return make_samples(np.empty(0), np.empty((0, 3)), np.empty((0, 3)), units=units)
+
+
+def concatenate(blocks: Iterable[Samples]) -> Samples:
+    """Join blocks of the same units in time order.
+
+    Raises
+    ------
+    ValueError
+        If there is no block, or the units differ.
+    """
+    parts = list(blocks)
+    if not parts:
+        raise ValueError("`blocks` is empty: the units are not known")
+    units = parts[0].units
+    if any(part.units != units for part in parts):
+        raise ValueError("`blocks` have different units")
+    if len(parts) == 1:
+        return parts[0]
+    return Samples(
+        np.concatenate([part.time_s for part in parts]),
+        np.concatenate([part.accelerometer for part in parts]),
+        np.concatenate([part.gyroscope for part in parts]),
+        np.concatenate([part.temperature_degc for part in parts]),
+        np.concatenate([part.counter for part in parts]),
+        np.concatenate([part.status for part in parts]),
+        units,
+    )

@@ -1,0 +1,1 @@
+"""Wire formats as data: TOML for byte streams, DBC for CAN."""
