@@ -1,0 +1,27 @@
+"""Fixtures that every room's tests use."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def shared_folder() -> Path:
+    """Return the folder of real recordings and test vectors beside the project; skip where it is absent."""
+    folder = PROJECT.parent / "shared"
+    if not folder.is_dir():
+        pytest.skip(f"needs the real recordings and vectors in {folder.name}/ beside the project")
+    return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_copy_of_each_driver() -> Iterator[None]:
+    """Fail the run if something imported ``drivers`` instead of ``imufield.drivers``."""
+    yield
+    assert "drivers" not in sys.modules
