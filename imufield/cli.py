@@ -1,0 +1,321 @@
+"""The command line: arguments in, exit codes out. What each command does is in ``imufield.commands``.
+
+Nothing heavy is imported here: each command imports its own room, so that a prompt comes back at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Any
+
+import typer
+
+from imufield import __version__
+from imufield.errors import ImufieldError
+
+EXIT_INTERRUPTED = 130
+"""What typer leaves with after Ctrl-C; SIGTERM and SIGHUP take the same way."""
+
+app = typer.Typer(
+    name="imufield",
+    help="Calibrate an IMU in the field: no turntable, 24 hand-held positions, a parameter file for your INS.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+
+Port = Annotated[
+    str | None,
+    typer.Option(help="Serial port or pyserial URL, e.g. /dev/ttyUSB0, COM3, socket://host:4001.", envvar="IMUFIELD_PORT"),
+]
+DriverName = Annotated[
+    str | None, typer.Option("--driver", help="Instrument family, see `imufield devices`.", envvar="IMUFIELD_DRIVER")
+]
+Baud = Annotated[int | None, typer.Option(help="Bit rate of the port.", min=50, envvar="IMUFIELD_BAUD")]
+ProtocolFile = Annotated[Path | None, typer.Option("--protocol", help="Your own wire format, a TOML file.")]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", help="What the wire does not tell, e.g. accelerometer_range_g=30.")
+]
+SessionFolder = Annotated[Path | None, typer.Option("--session", help="Folder of the session (default: a new one).")]
+AsJson = Annotated[bool, typer.Option("--json", help="JSON on standard output and nothing else.")]
+GravityValue = Annotated[
+    float | None, typer.Option("--gravity", help="Local gravity, m/s^2, measured.", envvar="IMUFIELD_GRAVITY_M_S2")
+]
+Latitude = Annotated[
+    float | None, typer.Option(help="Latitude, decimal degrees: gravity by WGS-84.", envvar="IMUFIELD_LATITUDE_DEG")
+]
+Height = Annotated[float | None, typer.Option(help="Height above the ellipsoid, m.", envvar="IMUFIELD_HEIGHT_M")]
+
+
+@app.callback()
+def root(
+    context: typer.Context, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
+) -> None:
+    """Calibrate an IMU in the field: no turntable, 24 hand-held positions, a parameter file for your INS."""
+    if version:
+        typer.echo(f"imufield {__version__}")
+        raise typer.Exit
+    from imufield.commands.configuration import default_map
+
+    context.default_map = default_map()
+
+
+@app.command()
+def demo(
+    seed: Annotated[int, typer.Option(help="Seed of the simulated instrument and operator.")] = 1,
+    speed: Annotated[float, typer.Option(help="Times real time.", min=1)] = 8.0,
+    plain: Annotated[bool, typer.Option("--plain", help="Plain lines instead of pictures.")] = False,
+) -> None:
+    """Run the whole chain with no hardware: virtual IMU and operator, capture, solve.
+
+    Example: imufield demo
+    """
+    from imufield.commands.demo import run_demo
+
+    run_demo(seed=seed, speed=speed, plain=plain)
+
+
+@app.command()
+def devices(as_json: AsJson = False) -> None:
+    """List serial ports and the instruments that have a driver.
+
+    Example: imufield devices
+    """
+    from imufield.commands.devices import list_devices
+
+    list_devices(as_json=as_json)
+
+
+@app.command()
+def capture(
+    port: Port = None,
+    driver: DriverName = None,
+    baud: Baud = None,
+    protocol: ProtocolFile = None,
+    settings: Settings = None,
+    positions: Annotated[str | None, typer.Option(help="Scheme: paper24, paper36, corners24, faces6 or a TOML list.")] = None,
+    hold_s: Annotated[float | None, typer.Option(help="Seconds to hold each position.", min=1, max=600)] = None,
+    session: SessionFolder = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an unfinished session.")] = False,
+    gravity: GravityValue = None,
+    latitude: Latitude = None,
+    height: Height = None,
+    plain: Annotated[bool, typer.Option("--plain", help="Plain lines instead of pictures.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Events as JSON lines on standard output.")] = False,
+) -> None:
+    """Record a guided session: the screen leads you through 24 positions, hands-free.
+
+    Example: imufield capture --port /dev/ttyUSB0 --latitude 48.1 --height 520
+    """
+    from imufield.commands.capture import CaptureOptions, run_capture
+    from imufield.commands.configuration import parse_settings
+    from imufield.commands.site import SiteOptions
+
+    options = CaptureOptions(
+        port=port,
+        driver=driver,
+        baud=baud,
+        protocol=protocol,
+        settings=parse_settings(settings),
+        positions=positions,
+        hold_s=hold_s,
+        session=session,
+        resume=resume,
+        site=SiteOptions(gravity, latitude, height),
+        view="json" if as_json else "plain" if plain else "auto",
+    )
+    run_capture(options)
+
+
+@app.command()
+def record(
+    port: Port = None,
+    driver: DriverName = None,
+    baud: Baud = None,
+    protocol: ProtocolFile = None,
+    settings: Settings = None,
+    session: SessionFolder = None,
+    duration_s: Annotated[float | None, typer.Option(help="Stop after so many seconds (default: Ctrl-C).", min=0.1)] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Record without a guide, e.g. hours of standstill.
+
+    Example: imufield record --port /dev/ttyUSB0 --duration-s 3600
+    """
+    from imufield.commands.configuration import parse_settings
+    from imufield.commands.record import RecordOptions, run_record
+
+    options = RecordOptions(port, driver, baud, protocol, parse_settings(settings), session, duration_s, as_json)
+    run_record(options)
+
+
+@app.command(name="import")
+def import_files(
+    files: Annotated[list[Path], typer.Argument(help="Files of one recording; several are joined by time.")],
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder of the new session.")] = None,
+    driver: DriverName = None,
+    protocol: Annotated[str | None, typer.Option(help="For a raw byte dump: protocol name or TOML file.")] = None,
+    settings: Settings = None,
+    columns: Annotated[str | None, typer.Option(help="Columns of a table, e.g. time,ax,ay,az,gx,gy,gz.")] = None,
+    rate_hz: Annotated[float | None, typer.Option(help="Sample rate of a table without a time column.", min=1e-3)] = None,
+    zero: Annotated[str | None, typer.Option(help="Raw output at zero input, one or three numbers (mid-scale).")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Turn files of another program into a session.
+
+    Example: imufield import acc.txt.gz gyro.txt.gz --zero 32768 -o my-session
+    """
+    from imufield.commands.configuration import parse_settings
+    from imufield.commands.import_files import ImportOptions, run_import
+
+    options = ImportOptions(files, output, protocol or driver, parse_settings(settings), columns, rate_hz, zero, as_json)
+    run_import(options)
+
+
+@app.command()
+def replay(
+    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
+    to_pty: Annotated[bool, typer.Option("--to-pty", help="Replay the bytes to a virtual serial port.")] = False,
+    speed: Annotated[float, typer.Option(help="Times real time for --to-pty; 0 is as fast as possible.", min=0)] = 1.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Events as JSON lines on standard output.")] = False,
+) -> None:
+    """Run a recorded session through the same chain again, or to a port for other programs.
+
+    Example: imufield replay imufield-sessions/20260301T101500Z-stim300
+    """
+    from imufield.commands.replay import run_replay
+
+    run_replay(session, to_pty=to_pty, speed=speed, as_json=as_json)
+
+
+@app.command()
+def solve(
+    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
+    observations: Annotated[Path | None, typer.Option(help="CSV of position means instead of a session.")] = None,
+    gravity: GravityValue = None,
+    latitude: Latitude = None,
+    height: Height = None,
+    model: Annotated[str, typer.Option(help="auto, linear or quadratic.")] = "auto",
+    gauge: Annotated[str | None, typer.Option(help="preset, lower, upper or symmetric.")] = None,
+    preset: Annotated[Path | None, typer.Option(help="Parameter file in force before.")] = None,
+    zero: Annotated[str | None, typer.Option(help="Raw output at zero input, one or three numbers.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Where to write the parameter file.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Solve a session: parameters with uncertainty, and a verdict in words.
+
+    Example: imufield solve --latitude 48.1 --height 520
+    """
+    from imufield.commands.site import SiteOptions
+    from imufield.commands.solve import SolveOptions, run_solve
+
+    options = SolveOptions(
+        session=session,
+        observations=observations,
+        site=SiteOptions(gravity, latitude, height),
+        model=model,
+        gauge=gauge,
+        preset=preset,
+        zero=zero,
+        seed=seed,
+        output=output,
+        as_json=as_json,
+    )
+    run_solve(options)
+
+
+@app.command(name="export-data")
+def export_data(
+    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
+    to: Annotated[str, typer.Option(help="csv.")] = "csv",
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="File to write (default: SESSION/samples.csv).")] = None,
+) -> None:
+    """Write the decoded samples of a session for other programs.
+
+    Example: imufield export-data my-session --to csv -o samples.csv
+    """
+    from imufield.commands.export_data import run_export_data
+
+    run_export_data(session, to, output)
+
+
+@app.command()
+def emulate(
+    driver: Annotated[str, typer.Argument(help="Instrument family, see `imufield devices`.")],
+    rate_hz: Annotated[float, typer.Option(help="Sample rate.", min=1)] = 500.0,
+    speed: Annotated[float, typer.Option(help="Times real time.", min=0.1)] = 1.0,
+    grade: Annotated[str, typer.Option(help="navigation, tactical, industrial or mems.")] = "tactical",
+    seed: Annotated[int, typer.Option(help="Seed of instrument, operator and faults.")] = 1,
+    positions: Annotated[
+        str, typer.Option(help="Scheme the virtual operator works through; `none`: stands still.")
+    ] = "paper24",
+    hold_s: Annotated[float, typer.Option(help="Seconds the virtual operator holds each position.", min=1)] = 14.0,
+    link: Annotated[Path | None, typer.Option(help="Make a symbolic link to the port here.")] = None,
+    truth: Annotated[Path | None, typer.Option(help="Write the true parameters and stills to this JSON file.")] = None,
+    duration_s: Annotated[float | None, typer.Option(help="Stop after so many seconds of sample time.", min=0.1)] = None,
+    fault: Annotated[list[str] | None, typer.Option(help="Fault, e.g. bit_flips=1e-4; may be repeated.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Pretend to be an instrument on a virtual serial port.
+
+    Example: imufield emulate stim300 --link /tmp/imu
+    """
+    from imufield.commands.emulate import EmulateOptions, run_emulate
+
+    options = EmulateOptions(
+        driver, rate_hz, speed, grade, seed, positions, hold_s, link, truth, duration_s, fault or [], as_json
+    )
+    run_emulate(options)
+
+
+class Interrupted(KeyboardInterrupt):
+    """SIGTERM or SIGHUP, handled as Ctrl-C is."""
+
+
+def _raise_interrupted(signal_number: int, frame: FrameType | None) -> None:  # noqa: ARG001  (signature of a handler)
+    raise Interrupted(signal.Signals(signal_number).name)
+
+
+@contextlib.contextmanager
+def _signals_as_interrupts() -> Iterator[None]:
+    """Turn SIGTERM and SIGHUP into the exception of Ctrl-C, so that every path closes its files."""
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    previous: list[tuple[int, Any]] = [(number, signal.signal(number, _raise_interrupted)) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in previous:
+            signal.signal(number, handler)
+
+
+def main() -> None:
+    """Run the command line and leave with the exit code of DESIGN section 6."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command and return its exit code; a defect of ours leaves its traceback (code 1)."""
+    try:
+        with _signals_as_interrupts():
+            app(arguments, prog_name="imufield")
+    except ImufieldError as error:
+        typer.secho(f"imufield: {error.message}", fg="red", err=True)
+        return error.exit_code
+    except BrokenPipeError:
+        # The reader of our output went away (`imufield ... | head`): nothing is left to say, and nobody to say it to.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except SystemExit as leave:
+        code = leave.code if isinstance(leave.code, int) else 0
+        if code == EXIT_INTERRUPTED:
+            typer.secho("imufield: interrupted; what was recorded is on disk.", err=True)
+        return code
+    return 0

@@ -1,0 +1,106 @@
+"""Defaults from ``imufield.toml`` and options of the form NAME=VALUE.
+
+The file in the working folder goes before the one in the user's configuration folder; ``IMUFIELD_*`` variables go
+before both, options before everything.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from imufield.errors import Reason, UsageError
+
+FILE_NAME = "imufield.toml"
+KEYS: dict[str, tuple[str, ...]] = {
+    "port": ("capture", "record"),
+    "driver": ("capture", "record"),
+    "baud": ("capture", "record"),
+    "positions": ("capture",),
+    "hold_s": ("capture",),
+    "gravity": ("capture", "solve"),
+    "latitude": ("capture", "solve"),
+    "height": ("capture", "solve"),
+    "settings": ("capture", "record"),
+}
+"""Keys of the file, and the commands each is a default of."""
+
+
+def default_map() -> dict[str, dict[str, Any]]:
+    """Return the file's defaults per command.
+
+    Raises
+    ------
+    UsageError
+        If the file is not TOML, or has an unknown key.
+    """
+    commands: dict[str, dict[str, Any]] = {}
+    for path in (_user_file(), Path(FILE_NAME)):
+        if path.is_file():
+            for key, value in _read(path).items():
+                for command in KEYS[key]:
+                    commands.setdefault(command, {})[key] = _settings_list(value) if key == "settings" else value
+    return commands
+
+
+def parse_settings(options: list[str] | None) -> dict[str, str]:
+    """Split options of the form NAME=VALUE.
+
+    Raises
+    ------
+    UsageError
+        If one has no equals sign or no name.
+    """
+    parsed: dict[str, str] = {}
+    for option in options or []:
+        name, equals, value = option.partition("=")
+        if not equals or not name.strip():
+            raise UsageError(
+                f"--set {option!r} is not of the form NAME=VALUE; write e.g. --set accelerometer_range_g=30", option=option
+            )
+        parsed[name.strip()] = value.strip()
+    return parsed
+
+
+def parse_zero(text: str | None) -> list[float] | None:
+    """Read the mid-scale option: one number for all axes, or three.
+
+    Raises
+    ------
+    UsageError
+        If it is anything else.
+    """
+    if text is None:
+        return None
+    try:
+        values = [float(part) for part in text.replace(",", " ").split()]
+    except ValueError:
+        values = []
+    if len(values) not in (1, 3):
+        raise UsageError(f"--zero {text!r} is neither one number nor three; write e.g. --zero 32768", zero=text)
+    return values * 3 if len(values) == 1 else values
+
+
+def _user_file() -> Path:
+    import platformdirs
+
+    return platformdirs.user_config_path("imufield") / FILE_NAME
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise UsageError(f"{path} cannot be read as TOML ({error}); mend or remove it", path=str(path)) from error
+    unknown = sorted(set(content) - set(KEYS))
+    if unknown:
+        message = f"{path} has the unknown key {unknown[0]!r}; known are {', '.join(KEYS)}"
+        raise UsageError(message, Reason.UNKNOWN_KEY, path=str(path), key=unknown[0])
+    return content
+
+
+def _settings_list(table: object) -> list[str]:
+    if not isinstance(table, dict):
+        raise UsageError(f"`settings` in {FILE_NAME} must be a table, e.g. [settings] accelerometer_range_g = 30")
+    return [f"{name}={value}" for name, value in table.items()]
