@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 
 class Keyboard:
@@ -18,7 +18,7 @@ class Keyboard:
         self._descriptor: int | None = None
         self._before: list[Any] | None = None
 
-    def __enter__(self) -> Keyboard:
+    def __enter__(self) -> Self:
         if os.name == "posix" and sys.stdin is not None and sys.stdin.isatty():
             import termios
             import tty
