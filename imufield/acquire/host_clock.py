@@ -1,0 +1,73 @@
+"""The clocks of the host: when did bytes arrive. Only links, the recorder and commands read them.
+
+Monotonic time orders and measures, UTC names the moment. A ``ScaledClock`` lets an emulated instrument that runs 8 times
+faster than real be read as if an hour had passed in seven and a half minutes.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+NANOSECONDS = 1_000_000_000
+
+
+class HostClock(Protocol):
+    """What links and commands need to know of time."""
+
+    def monotonic_s(self) -> float:
+        """Return seconds since some fixed moment; never steps back."""
+        ...
+
+    def utc_ns(self) -> int:
+        """Return nanoseconds since 1970-01-01 UTC; steps when the operator or NTP sets the clock."""
+        ...
+
+    def sleep(self, duration_s: float) -> None:
+        """Wait ``duration_s`` seconds of this clock."""
+        ...
+
+
+class SystemClock:
+    """The machine's own clocks."""
+
+    def monotonic_s(self) -> float:
+        """Return the monotonic clock of the system in seconds."""
+        return time.monotonic()
+
+    def utc_ns(self) -> int:
+        """Return nanoseconds since 1970-01-01 UTC."""
+        return time.time_ns()
+
+    def sleep(self, duration_s: float) -> None:
+        """Wait."""
+        time.sleep(duration_s)
+
+
+class ScaledClock:
+    """A clock that runs ``speed`` times faster than the system's, from the moment it is made.
+
+    Parameters
+    ----------
+    speed : float
+        Larger than 0.
+    """
+
+    def __init__(self, speed: float) -> None:
+        if not speed > 0.0:
+            raise ValueError("`speed` must be larger than 0")
+        self.speed = speed
+        self._start_s = time.monotonic()
+        self._start_utc_ns = time.time_ns()
+
+    def monotonic_s(self) -> float:
+        """Return seconds that pass ``speed`` times faster."""
+        return self._start_s + (time.monotonic() - self._start_s) * self.speed
+
+    def utc_ns(self) -> int:
+        """Return UTC at the start plus the time that passed on this clock."""
+        return self._start_utc_ns + round((self.monotonic_s() - self._start_s) * NANOSECONDS)
+
+    def sleep(self, duration_s: float) -> None:
+        """Wait ``duration_s`` seconds of this clock, which is less in reality."""
+        time.sleep(duration_s / self.speed)

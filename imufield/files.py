@@ -1,0 +1,76 @@
+"""Small files that are either the old or the new one, never half of each.
+
+``write_atomically`` guarantees, on a local file system: after a crash at any moment the path holds the whole old or the
+whole new content; after it returns, the new content survives a power cut. It does not guard against a file system that
+ignores fsync (some network and FUSE file systems do); the hash inside the file is what finds that out.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+
+def sync_folder(folder: Path) -> None:
+    """Make a creation or renaming inside ``folder`` durable; without effect where a folder cannot be opened (Windows)."""
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except PermissionError:
+        return
+    try:
+        os.fsync(descriptor)
+    except OSError:
+        # Some file systems refuse fsync on a folder; their renames are ordered by the journal.
+        return
+    finally:
+        os.close(descriptor)
+
+
+def write_atomically(path: str | Path, data: bytes) -> None:
+    """Replace the content of ``path`` in one step.
+
+    Raises
+    ------
+    OSError
+        As the system reports it (disk full, no permission); ``path`` is untouched then.
+    """
+    path = Path(path)
+    # The same folder, because a rename is only atomic inside one file system.
+    descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".new", dir=path.parent)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(name).chmod(_usual_mode(path))
+        Path(name).replace(path)
+    except BaseException:
+        with suppress(OSError):
+            Path(name).unlink()
+        raise
+    sync_folder(path.parent)
+
+
+def _usual_mode(path: Path) -> int:
+    """Return the permissions of the file replaced, or what the umask gives a new one (mkstemp gives 0600)."""
+    try:
+        return path.stat().st_mode & 0o777
+    except FileNotFoundError:
+        mask = os.umask(0)
+        os.umask(mask)
+        return 0o666 & ~mask
+
+
+def keep_previous(path: str | Path) -> Path | None:
+    """Rename an existing ``parameters.toml`` to the next free ``parameters-<n>.toml``; return the new name, or None."""
+    path = Path(path)
+    if not path.exists():
+        return None
+    number = 1
+    while (kept := path.with_name(f"{path.stem}-{number}{path.suffix}")).exists():
+        number += 1
+    path.rename(kept)
+    sync_folder(path.parent)
+    return kept
