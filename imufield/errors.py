@@ -39,6 +39,7 @@ class Reason(Enum):
     DAMAGED = "damaged"
     NEWER = "newer"
     UNFINISHED = "unfinished"
+    LOCKED = "locked"
     UNKNOWN_KEY = "unknown_key"
     FOREIGN = "foreign"
     TOO_FEW = "too_few"
