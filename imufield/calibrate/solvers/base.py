@@ -1,0 +1,81 @@
+"""One interface for every solver: a problem in, a result out.
+
+A solver is a function ``solve(problem, *, rng, callback, **options) -> SolverResult``. It sees coordinates ``z`` only, never
+parameters, positions or gauges. Not converging is a status of the result, not an exception, and nothing is printed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from imufield.samples import FloatArray
+
+Callback = Callable[[int, FloatArray, float], bool]
+"""Called as ``callback(iteration, best z, best cost)``; a solver stops with status STOPPED when it returns True."""
+
+FAILED = -1
+STOPPED = -2
+ITERATION_LIMIT = 0
+CONVERGED = 1
+"""Statuses as scipy.optimize has them: positive means converged."""
+
+
+class Problem(Protocol):
+    """What a solver may ask. All methods work in n coordinates."""
+
+    @property
+    def start(self) -> FloatArray:
+        """Coordinates to start from, shape (n,)."""
+        ...
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper limits, shape (n,) each; infinite where there are none."""
+        ...
+
+    def cost(self, candidates: FloatArray) -> FloatArray:
+        """Cost of a whole population, shape (c, n) -> (c,); inf where the model cannot be inverted."""
+        ...
+
+    def residuals(self, z: FloatArray) -> FloatArray:
+        """Weighted residuals, shape (n,) -> (m,)."""
+        ...
+
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        """Return the derivative of ``residuals``, shape (n,) -> (m, n)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class SolverResult:
+    """How a solver ended."""
+
+    x: FloatArray
+    """Best coordinates ever seen, shape (n,)."""
+    cost: float
+    status: int
+    """Positive: converged; 0: iteration limit; negative: failed or stopped."""
+    message: str
+    evaluations: int
+    """Candidates whose cost or residuals were computed."""
+    history: FloatArray = field(default_factory=lambda: np.empty(0))
+    """Best cost after each iteration; empty where the method does not tell."""
+
+    @property
+    def converged(self) -> bool:
+        """Whether the result may be believed."""
+        return self.status > 0
+
+
+class Solver(Protocol):
+    """The signature every solver has."""
+
+    def __call__(
+        self, problem: Problem, *, rng: np.random.Generator | None = None, callback: Callback | None = None
+    ) -> SolverResult:
+        """Solve the problem."""
+        ...

@@ -1,0 +1,68 @@
+"""Least squares: Levenberg-Marquardt on the analytic Jacobian, or a trust region where the loss is robust."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from imufield.calibrate.solvers.base import FAILED, Callback, Problem, SolverResult
+from imufield.samples import FloatArray
+
+Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
+
+_TOLERANCE = 1e-14
+"""Relative change of cost and coordinates at which it stops: a few ulp above what double precision can resolve."""
+
+
+def solve_least_squares(
+    problem: Problem,
+    *,
+    rng: np.random.Generator | None = None,  # noqa: ARG001 (one signature for all solvers)
+    callback: Callback | None = None,
+    loss: Loss = "linear",
+    max_evaluations: int = 200,
+) -> SolverResult:
+    """Minimise the sum of squared residuals from the problem's start.
+
+    Parameters
+    ----------
+    problem : Problem
+    rng : Generator, optional
+        Not used: the method is deterministic.
+    callback : callable, optional
+        Told the end result once.
+    loss : {"linear", "soft_l1", "huber", "cauchy"}
+        As scipy.optimize.least_squares has them, on residuals in units of sigma.
+    max_evaluations : int
+
+    Returns
+    -------
+    SolverResult
+        ``cost`` is the plain sum of squared residuals (chi squared), whatever the loss.
+    """
+    import scipy.optimize  # here, because it takes longer to load than the fit to run
+
+    start = problem.start
+    plain = loss == "linear" and len(problem.residuals(start)) >= len(start)
+    try:
+        fit = scipy.optimize.least_squares(
+            problem.residuals,
+            start,
+            jac=problem.jacobian,
+            method="lm" if plain else "trf",
+            loss=loss,
+            ftol=_TOLERANCE,
+            xtol=_TOLERANCE,
+            gtol=_TOLERANCE,
+            max_nfev=max_evaluations,
+        )
+    except (ValueError, np.linalg.LinAlgError) as error:
+        # A candidate outside the model's domain has NaN residuals; scipy and LAPACK refuse those.
+        return SolverResult(start, np.inf, FAILED, f"least squares left the domain of the model: {error}", 0)
+    x: FloatArray = fit.x
+    cost = float(np.sum(problem.residuals(x) ** 2))
+    if callback is not None:
+        callback(int(fit.nfev), x, cost)
+    status = int(fit.status) if np.isfinite(cost) else FAILED
+    return SolverResult(x, cost, status, str(fit.message), int(fit.nfev) + int(fit.njev or 0), np.array([cost]))

@@ -1,0 +1,142 @@
+"""How sure the parameters are: weights, scatter between positions, leave-one-out, jackknife.
+
+The variance of position i is ``s_i^2 = within_i^2 + tau^2``. ``within`` is the covariance of the mean output carried to the
+norm; it cannot see flicker noise and drift between holds. ``tau`` is estimated by Mandel and Paule's rule [1]_: the smallest
+``tau >= 0`` for which ``sum (r_i / s_i)^2`` of the refitted residuals is not above the degrees of freedom (so it is zero where
+the Birge ratio is below one). Without known covariances ``within`` is zero and ``tau`` is the residual's standard deviation.
+
+With weighted residuals ``r``, weighted Jacobian ``J = Q R`` and leverage ``h_i = norm(Q_i)^2``, the fit without position i
+has the residual ``r_i / (1 - h_i)`` there and moves by ``R^-1 Q_i^T r_i / (1 - h_i)`` (exact for a linear model).
+
+References
+----------
+.. [1] R. C. Paule and J. Mandel, "Consensus values and weighting factors", J. Res. NBS 87 (1982).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.models import BIAS, PARAMETERS, QUADRATIC, SCALE
+from imufield.samples import FloatArray
+
+NOT_LEFT_OUT = 1 - 1e-6
+"""Leverage above which nothing else determines what this position determines."""
+
+_NEWTON_STEPS = 100
+
+
+def known_covariance(covariance_raw: FloatArray) -> bool:
+    """Whether every position has a usable covariance of its mean, shape (m, 3, 3): finite, positive definite."""
+    if not np.isfinite(covariance_raw).all():
+        return False
+    eigenvalues = np.linalg.eigvalsh((covariance_raw + np.swapaxes(covariance_raw, 1, 2)) / 2)
+    return bool(np.all(eigenvalues[:, 0] > 0))
+
+
+def within_variance(raw_gradient: FloatArray, covariance_raw: FloatArray) -> FloatArray:
+    """Return the variance of each norm from the covariance of its mean output, shape (m,), (m/s^2)^2."""
+    variance: FloatArray = np.einsum("mi,mij,mj->m", raw_gradient, covariance_raw, raw_gradient)
+    return variance
+
+
+def between_position_sigma(residual: FloatArray, jacobian: FloatArray, within: FloatArray) -> float:
+    """Return tau in the unit of the residual.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (m,)
+        Residuals at any parameters near the solution.
+    jacobian : ndarray, shape (m, n)
+        Their derivatives, n < m.
+    within : ndarray, shape (m,)
+        Variance of each position; all zero where it is not known.
+    """
+    freedom = len(residual) - jacobian.shape[1]
+    if freedom < 1:
+        return 0.0
+    square = float(np.sum(_refitted(residual, jacobian, np.ones(len(residual))) ** 2)) / freedom
+    if not np.any(within):
+        return float(np.sqrt(square))
+    # The excess over the degrees of freedom falls and is convex in tau^2: Newton from below never overshoots.
+    tau2 = 0.0
+    for _ in range(_NEWTON_STEPS):
+        weight = 1 / (within + tau2)
+        weighted = _refitted(residual, jacobian, np.sqrt(weight))
+        excess = float(np.sum(weighted**2)) - freedom
+        if excess <= 1e-9 * freedom:
+            break
+        tau2 += excess / float(np.sum(weighted**2 * weight))
+    return float(np.sqrt(tau2))
+
+
+def _refitted(residual: FloatArray, jacobian: FloatArray, root_weight: FloatArray) -> FloatArray:
+    Q = np.linalg.qr(jacobian * root_weight[:, None])[0]
+    weighted = residual * root_weight
+    refitted: FloatArray = weighted - Q @ (Q.T @ weighted)
+    return refitted
+
+
+@dataclass(frozen=True, slots=True)
+class Influence:
+    """What each of m positions does to n coordinates."""
+
+    covariance: FloatArray
+    """(J^T J)^-1 of the weighted Jacobian, shape (n, n)."""
+    leverage: FloatArray
+    """Shape (m,), 0 to 1."""
+    leave_one_out: FloatArray
+    """Residual of each position, in sigma, from a fit without it, shape (m,); NaN where it cannot be left out."""
+    shift: FloatArray
+    """Change of the coordinates when a position is left out, shape (m, n); NaN likewise."""
+
+
+def influence(residual: FloatArray, jacobian: FloatArray) -> Influence:
+    """Return covariance, leverage and leave-one-out figures of a weighted linearised fit.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (m,)
+        In units of sigma.
+    jacobian : ndarray, shape (m, n)
+        In sigma per coordinate.
+    """
+    Q, R = np.linalg.qr(jacobian)
+    inverse = np.linalg.inv(R)
+    leverage = np.sum(Q**2, axis=1)
+    rest = np.where(leverage < NOT_LEFT_OUT, 1 - leverage, np.nan)
+    without = residual / rest
+    return Influence(inverse @ inverse.T, leverage, without, (Q * without[:, None]) @ inverse.T)
+
+
+def jackknife_sigma(shift: FloatArray) -> FloatArray:
+    """Return the jackknife sigma of n coordinates from the shifts of m fits without one position, shape (n,)."""
+    m = len(shift)
+    centred = shift - np.nanmean(shift, axis=0)
+    sigma: FloatArray = np.sqrt((m - 1) / m * np.nansum(centred**2, axis=0))
+    return sigma
+
+
+def gravity_sensitivity(vector: FloatArray, gravity_m_s2: float) -> FloatArray:
+    """Return d parameters / d g, shape (15,): for the same outputs K goes with 1/g, b with g, K2 with 1/g^2."""
+    sensitivity = np.zeros(PARAMETERS)
+    sensitivity[SCALE] = -vector[SCALE] / gravity_m_s2
+    sensitivity[BIAS] = vector[BIAS] / gravity_m_s2
+    sensitivity[QUADRATIC] = -2 * vector[QUADRATIC] / gravity_m_s2
+    return sensitivity
+
+
+def student_factor_95(degrees_of_freedom: int) -> float:
+    """Return the factor of a two-sided 95 % interval; NaN without degrees of freedom."""
+    from scipy.special import stdtrit  # the module is slow to load, and only a finished fit needs it
+
+    return float(stdtrit(degrees_of_freedom, 0.975)) if degrees_of_freedom > 0 else float("nan")
+
+
+def f_limit_95(numerator: int, denominator: int) -> float:
+    """Return the 95 % point of the F distribution; infinite without degrees of freedom."""
+    from scipy.special import fdtri  # slow to load, as above
+
+    return float(fdtri(numerator, denominator, 0.95)) if denominator > 0 else float("inf")
