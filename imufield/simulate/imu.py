@@ -231,7 +231,7 @@ def _check(settings: ImuSettings, instrument: Instrument) -> None:
         raise UsageError(f"loss probability {settings.loss_probability:g} is outside 0 to 1; give a fraction")
     if not 0 <= instrument.triad_delay_s <= MAXIMUM_TRIAD_DELAY_S:
         raise UsageError(
-            f"delay {instrument.triad_delay_s:g} s of the gyroscope is outside 0 to {MAXIMUM_TRIAD_DELAY_S:g} s; choose a smaller one"
+            f"delay {instrument.triad_delay_s:g} s of the gyroscope is outside 0 to {MAXIMUM_TRIAD_DELAY_S:g} s; choose less"
         )
 
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from imufield.earth import EARTH_RATE_RAD_S, normal_gravity
 from imufield.samples import FloatArray
@@ -66,8 +66,7 @@ class Site:
     def earth_rate_n(self) -> FloatArray:
         """Rotation of the Earth in the local level frame, shape (3,), rad/s."""
         latitude = math.radians(self.latitude_deg)
-        rate: FloatArray = EARTH_RATE_RAD_S * np.array([math.cos(latitude), 0.0, -math.sin(latitude)])
-        return rate
+        return np.array([math.cos(latitude), 0.0, -math.sin(latitude)]) * EARTH_RATE_RAD_S
 
 
 class Path(Protocol):
@@ -114,7 +113,7 @@ def logarithm(quaternion: FloatArray) -> FloatArray:
     short = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
     vector = short[..., 1:]
     sine = np.sqrt(np.sum(vector * vector, axis=-1, keepdims=True))
-    tiny = sine < 1e-150
+    tiny: NDArray[np.bool_] = sine < 1e-150
     factor = 2 * np.arctan2(sine, short[..., :1]) / np.where(tiny, 1.0, sine)
     rotation: FloatArray = np.where(tiny, 2.0, factor) * vector
     return rotation

@@ -1,0 +1,318 @@
+"""Bytes of the wire from samples, for whole blocks at once: STIM300 normal datagrams and lines of text.
+
+Written from the facts of the wire alone and independently of the decoder, so that each can test the other.
+
+STIM300 normal datagram (datasheet TS1524, section "Normal Mode"), all numbers big-endian: id; clusters of three 24-bit
+values and a status byte (gyroscope, accelerometer, inclinometer); clusters of 16-bit temperatures and a status byte; AUX or
+PPS of 24 bits and a status byte; counter u8; latency u16; CRC-32/MPEG-2 over all of it, filled up with zero bytes to a
+multiple of four that are not sent; CR LF if configured.
+
+A CRC is an affine function of its message over GF(2): the CRC of a message is the CRC of the zero message of that length, XOR
+one word for each byte, found in a table of that byte's place. So n frames cost one table look-up of n x length.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from crccheck.crc import Crc32Mpeg2
+from numpy.typing import ArrayLike, NDArray
+
+from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.errors import UsageError
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, IntArray, Samples, Status
+
+Bytes = NDArray[np.uint8]
+
+INTERNAL_RATE_HZ = 2000
+"""The datagram counter counts samples of this rate, modulo 256."""
+CRLF = b"\r\n"
+ACCELEROMETER_BITS = {2: 21, 5: 20, 10: 19, 30: 18, 80: 16}
+"""Range in g -> binary places of acceleration in g; velocity increments in m/s have three more."""
+GYROSCOPE_RANGE_DEG_S = 400.0
+INCLINOMETER_RANGE_G = 1.7
+
+Auxiliary = Literal["none", "aux", "pps"]
+OutputUnit = Literal["rate", "increment", "average"]
+
+_PLAIN_IDS = {
+    (False, False, False): 0x90,
+    (True, False, False): 0x91,
+    (False, True, False): 0x92,
+    (True, True, False): 0x93,
+    (False, False, True): 0x94,
+    (True, False, True): 0xA5,
+    (False, True, True): 0xA6,
+    (True, True, True): 0xA7,
+}
+"""(accelerometer, inclinometer, temperatures) -> id without AUX or PPS; with AUX it is 8 more."""
+_PPS_IDS = {plain: 0xF0 + number for number, plain in enumerate((0x90, 0x91, 0x92, 0x93, 0x94, 0xA5, 0xA6, 0xA7))}
+
+_STATUS_INTEGRITY, _STATUS_START_UP, _STATUS_OVERLOAD, _STATUS_CHANNEL = 0x80, 0x40, 0x10, 0x08
+_INT24 = (-(2**23), 2**23 - 1)
+_INT16 = (-(2**15), 2**15 - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Stim300Format:
+    """What a STIM300 is configured to send."""
+
+    rate_hz: float = 2000.0
+    accelerometer: bool = True
+    inclinometer: bool = True
+    temperature: bool = False
+    auxiliary: Auxiliary = "none"
+    crlf: bool = True
+    accelerometer_range_g: int = 10
+    gyroscope_unit: OutputUnit = "rate"
+    accelerometer_unit: OutputUnit = "rate"
+    latency_us: int = 506
+
+    @property
+    def datagram_id(self) -> int:
+        """First byte of the datagram, which tells its content."""
+        plain = _PLAIN_IDS[self.accelerometer, self.inclinometer, self.temperature]
+        return {"none": plain, "aux": plain + 8, "pps": _PPS_IDS[plain]}[self.auxiliary]
+
+    @property
+    def counter_step(self) -> int:
+        """Increase of the counter from datagram to datagram."""
+        return round(INTERNAL_RATE_HZ / self.rate_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class Stim300Raw:
+    """Integers of n datagrams as they go on the wire; None where the datagram has no such cluster.
+
+    Values and temperatures have shape (n, 3), ``auxiliary`` (n,); each status has
+    shape (n,) or is one number.
+    """
+
+    counter: IntArray
+    latency_us: ArrayLike
+    gyroscope: IntArray
+    gyroscope_status: ArrayLike = 0
+    accelerometer: IntArray | None = None
+    accelerometer_status: ArrayLike = 0
+    inclinometer: IntArray | None = None
+    inclinometer_status: ArrayLike = 0
+    gyroscope_temperature: IntArray | None = None
+    gyroscope_temperature_status: ArrayLike = 0
+    accelerometer_temperature: IntArray | None = None
+    accelerometer_temperature_status: ArrayLike = 0
+    inclinometer_temperature: IntArray | None = None
+    inclinometer_temperature_status: ArrayLike = 0
+    auxiliary: IntArray | None = None
+    auxiliary_status: ArrayLike = 0
+
+
+def stim300_frames(datagram_id: int, raw: Stim300Raw, *, crlf: bool) -> Bytes:
+    """Return n datagrams, shape (n, length)."""
+    columns = [np.full((len(raw.counter), 1), datagram_id, dtype=np.uint8)]
+    for values, status, width in (
+        (raw.gyroscope, raw.gyroscope_status, 3),
+        (raw.accelerometer, raw.accelerometer_status, 3),
+        (raw.inclinometer, raw.inclinometer_status, 3),
+        (raw.gyroscope_temperature, raw.gyroscope_temperature_status, 2),
+        (raw.accelerometer_temperature, raw.accelerometer_temperature_status, 2),
+        (raw.inclinometer_temperature, raw.inclinometer_temperature_status, 2),
+        (None if raw.auxiliary is None else raw.auxiliary[:, np.newaxis], raw.auxiliary_status, 3),
+    ):
+        if values is not None:
+            columns += [big_endian(values, width), _column(status, len(values))]
+    columns += [_column(raw.counter & 0xFF, len(raw.counter)), big_endian(_whole(raw.latency_us, len(raw.counter)), 2)]
+    return _close(columns, crlf=crlf)
+
+
+def close_datagrams(body: Bytes, *, crlf: bool) -> Bytes:
+    """Append CRC (and CR LF) to n datagram bodies, shape (n, length)."""
+    return _close([body], crlf=crlf)
+
+
+def _close(columns: list[Bytes], *, crlf: bool) -> Bytes:
+    body = np.concatenate(columns, axis=1)
+    end = [np.broadcast_to(np.frombuffer(CRLF, dtype=np.uint8), (len(body), 2))] if crlf else []
+    return np.concatenate([body, big_endian(crc32_mpeg2(body)[:, np.newaxis].astype(np.int64), 4), *end], axis=1)
+
+
+def crc32_mpeg2(messages: Bytes) -> NDArray[np.uint32]:
+    """Return the CRC-32/MPEG-2 of n messages of one length, dummy zero bytes included. Shape (n, length) to (n,)."""
+    tables, offset = _place_tables(messages.shape[1])
+    places = np.arange(messages.shape[1])
+    words: NDArray[np.uint32] = np.bitwise_xor.reduce(tables[places, messages], axis=1)
+    return words ^ offset
+
+
+@lru_cache(maxsize=64)
+def _place_tables(length: int) -> tuple[NDArray[np.uint32], np.uint32]:
+    """Return a table of 256 words for each place of a message, and the CRC of the zero message."""
+    dummy = -length % 4
+    zero = Crc32Mpeg2.calc(bytes(length + dummy))
+    tables = np.zeros((length, 256), dtype=np.uint32)
+    for place in range(length):
+        for bit in range(8):
+            message = bytearray(length + dummy)
+            message[place] = 1 << bit
+            with_bit = (np.arange(256) >> bit) & 1 == 1
+            tables[place, with_bit] ^= np.uint32(Crc32Mpeg2.calc(message) ^ zero)
+    return tables, np.uint32(zero)
+
+
+def big_endian(values: IntArray, width: int) -> Bytes:
+    """Return the low ``width`` bytes of integers, two's complement, shape (n, k) to (n, k * width)."""
+    wide = np.ascontiguousarray(values, dtype=">i8").view(np.uint8).reshape(len(values), -1, 8)
+    return wide[:, :, 8 - width :].reshape(len(values), -1)
+
+
+class Stim300Encoder:
+    """Samples to bytes as a STIM300 of a given configuration sends them.
+
+    The inclinometer, a second accelerometer of 1.7 g, shows what the accelerometer does. Samples are in m/s^2 and rad/s
+    (increments: m/s and rad); the counter is taken from ``Samples.counter``, the number of the sample.
+
+    Raises
+    ------
+    UsageError
+        If the range is not one of the instrument's.
+    """
+
+    def __init__(self, settings: Stim300Format) -> None:
+        if settings.accelerometer_range_g not in ACCELEROMETER_BITS:
+            raise UsageError(
+                f"accelerometer range {settings.accelerometer_range_g} g is not one of a STIM300's; "
+                f"choose one of {', '.join(map(str, ACCELEROMETER_BITS))} g",
+                accelerometer_range_g=settings.accelerometer_range_g,
+            )
+        self.format = settings
+        self.counter_offset = 0
+        """Added to the counter: where it stood at the first sample, and jumps of a faulty unit."""
+
+    def encode(self, samples: Samples) -> Bytes:
+        """Return the datagrams of a block, shape (n, length)."""
+        use, count = self.format, len(samples)
+        acceleration_g = samples.accelerometer_rate() / STANDARD_GRAVITY_M_S2
+        three_degc = np.repeat(samples.temperature_degc[:, np.newaxis], 3, axis=1)
+        temperature = _to_integer(three_degc, 8, _INT16) if use.temperature else None
+        acceleration = self._accelerometer(samples) if use.accelerometer else None
+        inclinometer = self._inclinometer(acceleration_g) if use.inclinometer else None
+        raw = Stim300Raw(
+            samples.counter * use.counter_step + self.counter_offset,
+            use.latency_us,
+            self._gyroscope(samples),
+            gyroscope_status(samples),
+            acceleration,
+            accelerometer_status(samples, use.accelerometer_range_g),
+            inclinometer,
+            _start_up(samples),
+            temperature,
+            accelerometer_temperature=temperature if use.accelerometer else None,
+            inclinometer_temperature=temperature if use.inclinometer else None,
+            auxiliary=None if use.auxiliary == "none" else np.zeros(count, dtype=np.int64),
+        )
+        return stim300_frames(use.datagram_id, raw, crlf=use.crlf)
+
+    def _gyroscope(self, samples: Samples) -> IntArray:
+        rate = np.degrees(samples.gyroscope_rate())
+        if self.format.gyroscope_unit == "increment":
+            return _to_integer(rate / self.format.rate_hz, 21, _INT24)
+        return _to_integer(rate, 14, _INT24)
+
+    def _accelerometer(self, samples: Samples) -> IntArray:
+        bits = ACCELEROMETER_BITS[self.format.accelerometer_range_g]
+        rate = samples.accelerometer_rate()
+        if self.format.accelerometer_unit == "increment":
+            return _to_integer(rate / self.format.rate_hz, bits + 3, _INT24)
+        return _to_integer(rate / STANDARD_GRAVITY_M_S2, bits, _INT24)
+
+    def _inclinometer(self, acceleration_g: FloatArray) -> IntArray:
+        return _to_integer(np.clip(acceleration_g, -INCLINOMETER_RANGE_G, INCLINOMETER_RANGE_G), 22, _INT24)
+
+
+def gyroscope_status(samples: Samples) -> Bytes:
+    """Return the gyroscope's status byte of each sample."""
+    axes = np.abs(np.degrees(samples.gyroscope_rate())) >= 0.999 * GYROSCOPE_RANGE_DEG_S
+    return _status(samples, Status.GYROSCOPE_SATURATED, Status.GYROSCOPE_INVALID, axes)
+
+
+def accelerometer_status(samples: Samples, range_g: float) -> Bytes:
+    """Return the accelerometer's status byte of each sample."""
+    axes = np.abs(samples.accelerometer_rate()) >= 0.999 * range_g * STANDARD_GRAVITY_M_S2
+    return _status(samples, Status.ACCELEROMETER_SATURATED, Status.ACCELEROMETER_INVALID, axes)
+
+
+def _status(samples: Samples, saturated: Status, invalid: Status, at_limit: NDArray[np.bool_]) -> Bytes:
+    """Return status bytes; where no axis is at the limit all three are named."""
+    status = _start_up(samples)
+    if not np.any(samples.status):
+        return status
+    axes = (at_limit @ np.array([1, 2, 4])).astype(np.uint8)
+    axes[axes == 0] = 7
+    status |= np.where(_has(samples, saturated), _STATUS_OVERLOAD | axes, 0).astype(np.uint8)
+    status |= np.where(_has(samples, invalid), np.uint8(_STATUS_CHANNEL | 7), np.uint8(0))
+    return status | np.where(_has(samples, Status.INSTRUMENT_FAULT), np.uint8(_STATUS_INTEGRITY), np.uint8(0))
+
+
+def _start_up(samples: Samples) -> Bytes:
+    return np.where(_has(samples, Status.START_UP), np.uint8(_STATUS_START_UP), np.uint8(0))
+
+
+def _has(samples: Samples, flag: Status) -> NDArray[np.bool_]:
+    flagged: NDArray[np.bool_] = (samples.status & np.uint32(flag)) != 0
+    return flagged
+
+
+def _to_integer(values: FloatArray, binary_places: int, limits: tuple[int, int]) -> IntArray:
+    return np.clip(np.rint(np.ldexp(values, binary_places)), *limits).astype(np.int64)
+
+
+def _whole(values: ArrayLike, count: int) -> IntArray:
+    return np.broadcast_to(np.asarray(values, dtype=np.int64), (count,))[:, np.newaxis]
+
+
+def _column(values: ArrayLike, count: int) -> Bytes:
+    return np.broadcast_to(np.asarray(values).astype(np.uint8), (count,))[:, np.newaxis]
+
+
+TEXT_COLUMNS = ("time_s", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS, "temperature_degc")
+
+
+@dataclass(frozen=True, slots=True)
+class TextFormat:
+    """Lines of numbers as home-made systems print them."""
+
+    columns: tuple[str, ...] = TEXT_COLUMNS
+    """Names of ``SAMPLE_COLUMNS``."""
+    separator: str = ","
+    line_end: str = "\r\n"
+    decimals: int = 9
+    """Places after the point; 0 for counts and pulses."""
+
+    def __post_init__(self) -> None:
+        unknown = set(self.columns) - {*TEXT_COLUMNS, "counter", "status"}
+        if unknown:
+            raise UsageError(f"there are no columns {', '.join(sorted(unknown))}; choose among {', '.join(TEXT_COLUMNS)}")
+
+
+def encode_text(samples: Samples, settings: TextFormat) -> list[bytes]:
+    """Return the lines of a block; what is not available is left empty."""
+    values = {
+        "time_s": samples.time_s,
+        **dict(zip(ACCELEROMETER_COLUMNS, samples.accelerometer.T, strict=True)),
+        **dict(zip(GYROSCOPE_COLUMNS, samples.gyroscope.T, strict=True)),
+        "temperature_degc": samples.temperature_degc,
+        "counter": samples.counter,
+        "status": samples.status,
+    }
+    columns = [_print_column(name, values[name], settings.decimals) for name in settings.columns]
+    return [(settings.separator.join(row) + settings.line_end).encode("ascii") for row in zip(*columns, strict=True)]
+
+
+def _print_column(name: str, values: NDArray[np.generic], decimals: int) -> list[str]:
+    if name in ("counter", "status"):
+        return [str(value) for value in values.tolist()]
+    places = {"time_s": 6, "temperature_degc": 2}.get(name, decimals)
+    return ["" if math.isnan(value) else f"{value:.{places}f}" for value in values.tolist()]
