@@ -1,0 +1,222 @@
+"""Cells: fixed slots of 0.1 s of the sample clock, and the statistics of the samples in each.
+
+Stillness, observations and the guide work on cells, never on single samples. A cell's slot is floor(time / length), so
+what it holds does not depend on how the samples were cut into blocks; the unfinished cell at the end of a block waits for
+the next one. All sums of a block are taken at once (``numpy.add.reduceat``), so Python's own work is per cell: a
+40-minute recording at 2000 Hz has 24 000 cells and 5 million samples.
+
+Deviations are summed from the first sample of the cell, not from zero: the variance of a navigation-grade accelerometer
+(1e-8 of its reading squared) would drown in the rounding of plain sums.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.samples import UNUSABLE, FloatArray, IntArray, Samples, concatenate
+
+CELL_S = 0.1
+"""Ten cells a second: short against a turn (0.5 s and more), long against the tremor of a hand (8 to 12 Hz)."""
+
+_SLOT_MARGIN = 1e-6
+"""Of a slot: times such as 0.3 s, a hair below their slot in binary, belong to the slot they mean."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Statistics of m finished cells; all arrays have m rows, in the order of arrival.
+
+    Attributes
+    ----------
+    slot : ndarray of int64, shape (m,)
+        floor(time / length); the next cell of an unbroken stream has the next number.
+    start_s, end_s : ndarray, shape (m,)
+        Sample clock of the first and the last sample.
+    count : ndarray of int64, shape (m,)
+        Samples that arrived.
+    usable, gyroscope_usable : ndarray of int64, shape (m,)
+        Samples that entered the statistics: status good, accelerometer finite; and the gyroscope finite too.
+    flags : ndarray of uint32, shape (m,)
+        All ``Status`` flags seen.
+    mean : ndarray, shape (m, 6)
+        Accelerometer and gyroscope as rates, raw unit; NaN without usable samples.
+    variance : ndarray, shape (m, 6)
+        Of single samples, raw unit squared; 0 with fewer than two samples.
+    step : ndarray, shape (m, 6)
+        Smallest distance of a value from the cell's first value, zero apart: bounds one step of the output from above;
+        inf where nothing changed.
+    low, high : ndarray, shape (m, 6)
+        Extremes of all samples, unusable ones included; NaN where no value is finite.
+    temperature_degc : ndarray, shape (m,)
+    """
+
+    slot: IntArray
+    start_s: FloatArray
+    end_s: FloatArray
+    count: IntArray
+    usable: IntArray
+    gyroscope_usable: IntArray
+    flags: NDArray[np.uint32]
+    mean: FloatArray
+    variance: FloatArray
+    step: FloatArray
+    low: FloatArray
+    high: FloatArray
+    temperature_degc: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.slot)
+
+    def __getitem__(self, rows: slice | IntArray) -> Cells:
+        return Cells(*(getattr(self, name)[rows] for name in _FIELDS))
+
+
+_FIELDS = tuple(field.name for field in fields(Cells))
+
+
+def join_cells(parts: Sequence[Cells]) -> Cells:
+    """Join cells in order; at least one part is needed."""
+    if len(parts) == 1:
+        return parts[0]
+    return Cells(*(np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS))
+
+
+class CellBuilder:
+    """Cuts samples into cells.
+
+    Parameters
+    ----------
+    cell_s : float
+        Length of a cell.
+    """
+
+    def __init__(self, cell_s: float = CELL_S) -> None:
+        self.cell_s = cell_s
+        self._pending: list[Samples] = []
+        self._pending_slot: int | None = None
+
+    def feed(self, samples: Samples) -> Cells | None:
+        """Return the cells finished by these samples, None when there are none."""
+        if not len(samples):
+            return None
+        slot = self.slots(samples.time_s)
+        first, last = int(slot[0]), int(slot[-1])
+        if first == last == self._pending_slot and bool((slot == first).all()):
+            self._pending.append(samples)
+            return None
+        if self._pending:
+            samples = concatenate([*self._pending, samples])
+            slot = self.slots(samples.time_s)
+        changes = np.flatnonzero(np.diff(slot)) + 1
+        cut = int(changes[-1]) if len(changes) else 0
+        self._pending, self._pending_slot = [samples[cut:]], last
+        return measure_cells(samples[:cut], slot[:cut]) if cut else None
+
+    def flush(self) -> Cells | None:
+        """Return the unfinished cell as if it had ended here; for the end of a recording or of a link."""
+        if not self._pending:
+            return None
+        samples = concatenate(self._pending)
+        self._pending, self._pending_slot = [], None
+        return measure_cells(samples, self.slots(samples.time_s))
+
+    def slots(self, time_s: FloatArray) -> IntArray:
+        """Return the slot of each time, shape (n,)."""
+        slots: IntArray = np.floor(time_s * (1 / self.cell_s) + _SLOT_MARGIN).astype(np.int64)
+        return slots
+
+
+def measure_cells(samples: Samples, slot: IntArray) -> Cells:
+    """Return the statistics of each run of equal slots; ``slot`` has shape (n,), n at least 1."""
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(slot)) + 1))
+    count = np.diff(np.append(starts, len(slot)))
+    values = np.concatenate((samples.accelerometer_rate().T, samples.gyroscope_rate().T))
+    usable, gyroscope_usable = _usable_masks(samples, values)
+    if usable is None or gyroscope_usable is None:
+        counts = np.tile(count, (6, 1))
+        deviation = values - np.repeat(values[:, starts], count, axis=1)
+        first = values[:, starts]
+    else:
+        mask = np.repeat(np.stack((usable, gyroscope_usable)), 3, axis=0)
+        counts = np.add.reduceat(mask, starts, axis=1, dtype=np.int64)
+        first, deviation = _masked_deviation(values, mask, starts, count)
+    mean, variance = _moments(first, deviation, counts, starts)
+    return Cells(
+        slot=slot[starts],
+        start_s=samples.time_s[starts],
+        end_s=samples.time_s[starts + count - 1],
+        count=count,
+        usable=counts[0],
+        gyroscope_usable=counts[3],
+        flags=np.bitwise_or.reduceat(samples.status, starts),
+        mean=mean,
+        variance=variance,
+        step=_smallest_step(deviation, starts),
+        low=np.ascontiguousarray(np.fmin.reduceat(values, starts, axis=1).T),
+        high=np.ascontiguousarray(np.fmax.reduceat(values, starts, axis=1).T),
+        temperature_degc=_temperature(samples.temperature_degc, starts, count),
+    )
+
+
+def _usable_masks(samples: Samples, values: FloatArray) -> tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None]:
+    """Return which samples count for each triad; (None, None) when all do, the usual case."""
+    flagged = bool((samples.status & np.uint32(UNUSABLE)).any())
+    # A sum is finite only if every term is: one pass instead of a mask.
+    if not flagged and np.isfinite(values.sum()):
+        return None, None
+    usable = samples.usable & np.isfinite(values[:3]).all(axis=0)
+    return usable, usable & np.isfinite(values[3:]).all(axis=0)
+
+
+def _masked_deviation(
+    values: FloatArray, mask: NDArray[np.bool_], starts: IntArray, count: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the reference of each cell, its first usable value, and the deviations from it, 0 where not usable."""
+    index = np.where(mask, np.arange(values.shape[1]), values.shape[1])
+    first_usable = np.minimum.reduceat(index, starts, axis=1)
+    padded = np.concatenate((np.where(mask, values, 0.0), np.zeros((6, 1))), axis=1)
+    first = np.take_along_axis(padded, first_usable, axis=1)
+    return first, np.where(mask, padded[:, :-1] - np.repeat(first, count, axis=1), 0.0)
+
+
+def _moments(first: FloatArray, deviation: FloatArray, counts: IntArray, starts: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean and sample variance, both of shape (m, 6)."""
+    total = np.add.reduceat(deviation, starts, axis=1)
+    squares = np.add.reduceat(deviation * deviation, starts, axis=1)
+    some = np.maximum(counts, 1)
+    mean = np.where(counts > 0, first + total / some, np.nan)
+    scatter = np.maximum(squares - total * total / some, 0.0)
+    return np.ascontiguousarray(mean.T), np.ascontiguousarray((scatter / np.maximum(counts - 1, 1)).T)
+
+
+def _smallest_step(deviation: FloatArray, starts: IntArray) -> FloatArray:
+    distance = np.abs(deviation)
+    distance[distance == 0] = np.inf
+    return np.ascontiguousarray(np.minimum.reduceat(distance, starts, axis=1).T)
+
+
+def _temperature(temperature: FloatArray, starts: IntArray, count: IntArray) -> FloatArray:
+    """Return the mean of the temperatures that are there, NaN where there are none."""
+    sums = np.add.reduceat(temperature, starts)
+    if np.isfinite(sums).all():
+        return np.asarray(sums / count)
+    known = np.isfinite(temperature)
+    n = np.add.reduceat(known, starts, dtype=np.int64)
+    sums = np.add.reduceat(np.where(known, temperature, 0.0), starts)
+    return np.where(n > 0, sums / np.maximum(n, 1), np.nan)
+
+
+def cells_of(blocks: Iterable[Samples], cell_s: float = CELL_S) -> Iterable[Cells]:
+    """Yield the cells of a whole recording, the last unfinished one included."""
+    builder = CellBuilder(cell_s)
+    for block in blocks:
+        cells = builder.feed(block)
+        if cells is not None:
+            yield cells
+    cells = builder.flush()
+    if cells is not None:
+        yield cells

@@ -1,0 +1,153 @@
+"""The noise floor: what the instrument shows when nothing moves. Every stillness limit is measured against it.
+
+Which stretch is quiet is not known beforehand, and the unit of an instrument may be unknown too. A window of N
+consecutive cells is taken as quiet when it agrees with itself: no cell is much noisier than the typical one, and no cell
+mean strays from the window's mean by more than the noise of single samples (hands do far more) or a small absolute
+amount, for instruments limited by quantisation whose variance can be 0. The first such window sets the floor, so a live
+session starts after N cells; a clearly quieter stretch found later lowers it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.guide.cells import Cells
+from imufield.guide.scale import RoughScale
+from imufield.samples import FloatArray
+
+_NOISIEST_CELL = 3.0
+"""Largest variance of a cell over the window's median; 30 cells of 10 samples of white noise stay below 2.3."""
+_NOISIEST_CELL_FEW = 12.0
+"""The same for cells of few samples (below 8), whose variances scatter much more."""
+_STRAY_SIGMAS = 1.5
+"""Of the noise of single samples: with 10 samples a cell that is 4.7 sigma of a cell mean."""
+_QUIETER = 0.5
+"""A later stretch replaces the floor when its variances are below this share of it."""
+
+MAX_FLOOR_M_S2 = 0.35
+MAX_FLOOR_RAD_S = 0.035
+"""Rms of single samples above which a stretch is no noise floor: consumer MEMS show 0.12 m/s^2 and 0.01 rad/s (mikoff's
+MPU-9150, 2000 Hz unfiltered parts), a unit in the hand 0.2 m/s^2 and 0.05 rad/s (tremor of 0.05 degree at 10 Hz)."""
+STRAY_M_S2 = 0.02
+STRAY_RAD_S = 0.01
+"""Absolute straying of a cell mean always allowed: below what a hand can do in 3 s."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFloor:
+    """What a quiet stretch showed; arrays hold accelerometer x, y, z, gyroscope x, y, z in raw rates, NaN where absent.
+
+    Attributes
+    ----------
+    sigma : ndarray, shape (6,)
+        Of single samples.
+    cell_sigma : ndarray, shape (6,)
+        Of cell means.
+    step : ndarray, shape (6,)
+        Smallest change of the output seen: one step at most; inf where it never changed.
+    mean : ndarray, shape (6,)
+    samples_per_cell : float
+    start_s, duration_s : float
+    """
+
+    sigma: FloatArray
+    cell_sigma: FloatArray
+    step: FloatArray
+    mean: FloatArray
+    samples_per_cell: float
+    start_s: float
+    duration_s: float
+
+    @property
+    def has_gyroscope(self) -> bool:
+        """Whether the gyroscope delivered values."""
+        return bool(np.isfinite(self.sigma[3:]).all())
+
+
+def measure_floor(cells: Cells) -> NoiseFloor:
+    """Return the floor shown by cells that are taken as quiet; at least two."""
+    variance = np.asarray(np.median(cells.variance, axis=0))
+    # The median of chi-squared lies below its mean; the mean is right, but one bump would spoil it.
+    variance = np.maximum(variance, np.minimum(cells.variance.mean(axis=0), 1.5 * variance))
+    per_cell = max(float(np.median(cells.usable)), 1.0)
+    means = cells.mean
+    # Half the squared successive difference: the same as the variance for noise, and blind to a slow drift.
+    successive = np.sqrt(np.mean(np.diff(means, axis=0) ** 2, axis=0) / 2)
+    cell_sigma = np.maximum(successive, np.sqrt(variance / per_cell))
+    absent = np.isnan(means).any(axis=0)
+    return NoiseFloor(
+        sigma=np.where(absent, np.nan, np.sqrt(variance)),
+        cell_sigma=np.where(absent, np.nan, cell_sigma),
+        step=cells.step.min(axis=0),
+        mean=means.mean(axis=0),
+        samples_per_cell=per_cell,
+        start_s=float(cells.start_s[0]),
+        duration_s=float(cells.end_s[-1] - cells.start_s[0]),
+    )
+
+
+def is_quiet(cells: Cells, scale: RoughScale) -> bool:
+    """Whether a window of cells agrees with itself and can be a noise floor."""
+    unbroken = bool((np.diff(cells.slot) == 1).all()) and bool((2 * cells.usable >= np.median(cells.count)).all())
+    if not unbroken or np.isnan(cells.mean[:, :3]).any() or not cells.usable.all():
+        return False
+    columns = 6 if np.isfinite(cells.mean[:, 3:]).all() else 3
+    floor = measure_floor(cells)
+    return (
+        _is_plausible(floor, scale.learn(floor.mean[:3]), columns)
+        and _is_steady(cells, floor, columns)
+        and _does_not_stray(cells, floor, scale.learn(floor.mean[:3]), columns)
+    )
+
+
+def _is_plausible(floor: NoiseFloor, scale: RoughScale, columns: int) -> bool:
+    limits = _per_axis(scale, MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)
+    return bool((floor.sigma[:columns] <= limits[:columns]).all())
+
+
+def _is_steady(cells: Cells, floor: NoiseFloor, columns: int) -> bool:
+    """Whether no cell is much noisier than the typical one; one step of the output is always allowed."""
+    factor = _NOISIEST_CELL if floor.samples_per_cell >= 8 else _NOISIEST_CELL_FEW
+    step = np.where(np.isfinite(floor.step), floor.step, 0.0)
+    allowed = np.maximum(floor.sigma**2, step**2)[:columns]
+    ratio = cells.variance[:, :columns] / np.where(allowed > 0, allowed, np.inf)
+    # The sum over the axes of a triad scatters less than each, and a motion shows in it all the same.
+    return all(float(ratio[:, triad].mean(axis=1).max()) <= factor for triad in _triads(columns))
+
+
+def _does_not_stray(cells: Cells, floor: NoiseFloor, scale: RoughScale, columns: int) -> bool:
+    step = np.where(np.isfinite(floor.step), floor.step, 0.0)
+    allowed = np.maximum(_STRAY_SIGMAS * np.maximum(floor.sigma, step), _per_axis(scale, STRAY_M_S2, STRAY_RAD_S, missing=0.0))
+    stray = np.abs(cells.mean - floor.mean)[:, :columns]
+    return bool((stray <= allowed[:columns]).all())
+
+
+def _triads(columns: int) -> list[slice]:
+    return [slice(0, 3), slice(3, 6)][: columns // 3]
+
+
+def _per_axis(scale: RoughScale, accelerometer_m_s2: float, gyroscope_rad_s: float, *, missing: float) -> FloatArray:
+    """Return SI amounts in raw units, shape (6,), ``missing`` where the scale is not known."""
+    accelerometer = missing if scale.accelerometer is None else accelerometer_m_s2 * scale.accelerometer
+    gyroscope = missing if scale.gyroscope is None else gyroscope_rad_s * scale.gyroscope
+    return np.repeat([accelerometer, gyroscope], 3)
+
+
+def find_floor(cells: Cells, scale: RoughScale, window: int) -> NoiseFloor | None:
+    """Return the floor of the first quiet window of that many cells, None while there is none."""
+    for start in range(len(cells) - window + 1):
+        if is_quiet(cells[start : start + window], scale):
+            return measure_floor(cells[start : start + window])
+    return None
+
+
+def is_quieter(floor: NoiseFloor, than: NoiseFloor) -> bool:
+    """Whether one floor lies clearly below another, for one triad at least and above it for none."""
+    shares = []
+    for triad in (slice(0, 3), slice(3, 6)):
+        old, new = float((than.sigma[triad] ** 2).sum()), float((floor.sigma[triad] ** 2).sum())
+        if np.isfinite(old) and np.isfinite(new) and old > 0:
+            shares.append(new / old)
+    return bool(shares) and min(shares) < _QUIETER and max(shares) < 1.2

@@ -1,0 +1,410 @@
+"""When the unit lies still: cells in, judgements out.
+
+Each cell is compared with limits that come from the measured noise floor, in two ways for each triad:
+
+vibration   the scatter inside the cell against the floor's, r = sqrt(mean over axes of (variance / limit^2));
+change      the cell's mean against the running mean of the still stretch, r = sqrt(sum over axes of (difference / limit)^2).
+
+Together they are the generalised likelihood ratio of Skog et al. [1]_ (is the force of constant size and direction, is the
+rate that of a unit at rest?), kept apart so that a refusal can name triad, axis, value and limit. The largest r is the
+*activity*: a stretch begins when it stays at or below 1 for the dwell time and ends when it exceeds the leave factor (2):
+without this hysteresis a unit at the limit would flicker between still and moving.
+
+A limit is a multiple of the noise floor, or an absolute allowance where that is larger: a table that trembles by 5 mg under
+a navigation-grade instrument is still a table. The allowances are wide enough for a unit held against an edge. What they
+let through is judged afterwards by the stretch's own standard: see ``trim_stretch``.
+
+References
+----------
+.. [1] I. Skog, P. Handel, J.-O. Nilsson, J. Rantakokko, "Zero-velocity detection: an algorithm evaluation",
+   IEEE Trans. Biomed. Eng. 57(11), 2010: equation 15.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from imufield.guide.cells import CELL_S, CellBuilder, Cells, join_cells
+from imufield.guide.noise_floor import NoiseFloor, is_quiet, is_quieter, measure_floor
+from imufield.guide.scale import RoughScale
+from imufield.samples import AXES, FloatArray, Samples
+
+
+@dataclass(frozen=True, slots=True)
+class StillnessSettings:
+    """Settings of the detector; the defaults need no tuning for any recording known to us."""
+
+    cell_s: float = CELL_S
+    floor_s: float = 3.0
+    """Length of the quiet stretch that sets the noise floor."""
+    dwell_s: float = 0.5
+    """The activity stays at or below 1 for this long before a stretch counts as still; it counts from its first cell."""
+    guard_s: float = 0.3
+    """Cut off at both ends of a stretch: the hand that leaves, the hand that comes."""
+    leave_factor: float = 2.0
+    vibration_sigmas: float = 2.0
+    change_sigmas: float = 5.0
+    vibration_m_s2: float = 0.05
+    change_m_s2: float = 0.03
+    vibration_rad_s: float = math.radians(1.5)
+    change_rad_s: float = math.radians(1.0)
+    """The four absolute allowances, rms per axis for vibration, largest for change."""
+    usable_fraction: float = 0.5
+    """A cell with fewer usable samples than this share of the usual number counts as lost."""
+    longest_s: float = 60.0
+    """No more than this of a stretch is kept: beyond the minimum of the Allan deviation a hold gains nothing."""
+
+    def cells(self, duration_s: float) -> int:
+        """Return a duration as a whole number of cells."""
+        return round(duration_s / self.cell_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Where the activity is 1, in raw rates; arrays of shape (6,), accelerometer first."""
+
+    vibration: FloatArray
+    change: FloatArray
+    gyroscope_offset: float
+    """Largest change ratio of the gyroscope against its last known bias; g-sensitivity and temperature are in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Activity:
+    """The largest of the ratios of a cell, with what it was measured on."""
+
+    ratio: float
+    kind: str
+    """"vibration" or "change"."""
+    triad: str
+    """"accelerometer" or "gyroscope"."""
+    axis: str
+    """The axis that contributes most."""
+    measured: float
+    """Ratio times limit, in ``unit``: the rms over the axes (vibration) or the size of the vector (change)."""
+    limit: float
+    unit: str
+
+
+class Phase(Enum):
+    """What the detector thinks of the latest cell."""
+
+    MOVING = "moving"
+    SETTLING = "settling"
+    STILL = "still"
+
+
+class Stretch:
+    """The cells of a still stretch, oldest first, at most ``longest`` of them."""
+
+    def __init__(self, longest: int) -> None:
+        self._longest = longest
+        self._parts: list[tuple[Cells, int, int]] = []
+        self.mean: list[float] = []
+        self.judged = 0
+        """Cells that belong to the stretch, kept or not."""
+
+    def add(self, cells: Cells, row: int, mean: list[float]) -> None:
+        """Append one cell and follow the running mean: of all cells at first, of the last 50 or so later."""
+        if self.judged < self._longest:
+            if self._parts and self._parts[-1][0] is cells and self._parts[-1][2] == row:
+                self._parts[-1] = (cells, self._parts[-1][1], row + 1)
+            else:
+                self._parts.append((cells, row, row + 1))
+        self.judged += 1
+        if not self.mean:
+            self.mean = list(mean)
+            return
+        share = 1 / min(self.judged, 50)
+        self.mean = [old if math.isnan(new) else old + share * (new - old) for old, new in zip(self.mean, mean, strict=True)]
+
+    def cells(self) -> Cells:
+        """Return the kept cells; at least one was added."""
+        return join_cells([cells[start:stop] for cells, start, stop in self._parts])
+
+    def __len__(self) -> int:
+        return min(self.judged, self._longest)
+
+
+class Judgement(NamedTuple):
+    """What one cell meant."""
+
+    phase: Phase
+    activity: float
+    cells: Cells
+    row: int
+    reference: list[float]
+    """Running mean of the stretch before this cell, raw rates (6); empty outside a stretch."""
+    began: bool = False
+    """A stretch counts as still with this cell."""
+    ended: Stretch | None = None
+    """The stretch that this cell ended."""
+
+
+def noise_limits(floor: NoiseFloor, scale: RoughScale, settings: StillnessSettings) -> Limits:
+    """Return the limits for a noise floor."""
+    allowances = (
+        (settings.vibration_m_s2, settings.vibration_rad_s),
+        (settings.change_m_s2, settings.change_rad_s),
+    )
+    vibration, change = (
+        np.repeat([accelerometer * (scale.accelerometer or 0.0), gyroscope * (scale.gyroscope or 0.0)], 3)
+        for accelerometer, gyroscope in allowances
+    )
+    step = np.where(np.isfinite(floor.step), floor.step, 0.0)
+    sigmas = max(settings.vibration_sigmas, scatter_of_variance(3 * (floor.samples_per_cell - 1)))
+    vibration = np.maximum(vibration, sigmas * np.maximum(floor.sigma, step / 2))
+    change = np.maximum(change, settings.change_sigmas * np.maximum(floor.cell_sigma, step / 2))
+    return Limits(
+        # An axis that shows no noise and has no known scale (a dead one) sets no limit.
+        np.where(vibration > 0, vibration, np.inf),
+        np.where(change > 0, change, np.inf),
+        1.5 if scale.gyroscope else 6.0,
+    )
+
+
+def scatter_of_variance(freedom: float) -> float:
+    """Return the factor on sigma that a sample variance exceeds once in a million cells.
+
+    Laurent and Massart, Ann. Statist. 28(5), 2000, lemma 1: P(chi2_k >= k + 2 sqrt(k x) + 2 x) <= exp(-x).
+    """
+    if freedom <= 0:
+        return 0.0
+    x = 14.0
+    return math.sqrt(1 + 2 * math.sqrt(x / freedom) + 2 * x / freedom)
+
+
+class _Standard(NamedTuple):
+    """What a cell is held against, with the limits in the form that the loop over cells needs."""
+
+    limits: Limits
+    change_weight: list[float]
+    """1 / change, 0 where there is no gyroscope."""
+    usual_samples: float
+
+    @classmethod
+    def of(cls, floor: NoiseFloor, limits: Limits) -> _Standard:
+        weight = np.where(np.isnan(limits.change), 0.0, 1 / limits.change)
+        return cls(limits, weight.tolist(), floor.samples_per_cell)
+
+
+_NO_STANDARD = _Standard(Limits(np.full(6, np.inf), np.full(6, np.inf), 1.0), [0.0] * 6, 0.0)
+
+
+class StillnessDetector:
+    """Judges cells as they come.
+
+    The result does not depend on how the samples are cut into blocks. Cells that arrive before the noise floor is known
+    are judged as soon as it is, none is lost.
+
+    Parameters
+    ----------
+    settings : StillnessSettings
+    scale : RoughScale
+        What is known of the raw units.
+    """
+
+    LONGEST_WAIT_S = 600.0
+    """Cells kept while no quiet stretch has been seen; older ones are let go."""
+    LEARN_FROM_S = 2.0
+    """Shortest stretch that may lower the noise floor or tell the gyroscope's bias."""
+
+    def __init__(self, scale: RoughScale, settings: StillnessSettings | None = None) -> None:
+        self.settings = settings or StillnessSettings()
+        self.scale = scale
+        self.floor: NoiseFloor | None = None
+        """None until a quiet stretch was seen."""
+        self._standard = _NO_STANDARD
+        self.phase = Phase.MOVING
+        self.stretch = self._new_stretch()
+        self.bias: list[float] = []
+        """Gyroscope at rest, raw rate, from the last still stretch; empty without a gyroscope."""
+        self._builder = CellBuilder(self.settings.cell_s)
+        self._waiting: list[Cells] = []
+        self._slot: int | None = None
+
+    @property
+    def limits(self) -> Limits:
+        """Limits in force; infinite until there is a noise floor."""
+        return self._standard.limits
+
+    def feed(self, samples: Samples) -> list[Judgement]:
+        """Judge the cells that these samples finish."""
+        cells = self._builder.feed(samples)
+        return [] if cells is None else self.judge(cells)
+
+    def flush(self) -> list[Judgement]:
+        """Judge the unfinished cell; for the end of a recording or of a link."""
+        cells = self._builder.flush()
+        return [] if cells is None else self.judge(cells)
+
+    def restart(self) -> None:
+        """Forget the current stretch: the next one begins with the next cell at the earliest."""
+        self.stretch = self._new_stretch()
+        self.phase = Phase.MOVING
+
+    def judge(self, cells: Cells) -> list[Judgement]:
+        """Judge finished cells."""
+        if self.floor is None:
+            return self._learn(cells)
+        judgements: list[Judgement] = []
+        while len(judgements) < len(cells):
+            # A floor lowered by one cell holds from the next on, wherever the block was cut.
+            judgements += self._judge_under_one_floor(cells, len(judgements))
+        return judgements
+
+    def explain(self, judgement: Judgement) -> Activity:
+        """Return what the activity of a cell comes from, with value and limit in SI where the scale is known."""
+        limits = self._standard.limits
+        mean = judgement.cells.mean[judgement.row]
+        reference = np.array(judgement.reference) if judgement.reference else mean
+        vibration = np.sqrt(judgement.cells.variance[judgement.row]) / limits.vibration
+        return largest_activity(vibration, np.abs(mean - reference) / limits.change, limits, self.scale)
+
+    def _learn(self, cells: Cells) -> list[Judgement]:
+        window = self.settings.cells(self.settings.floor_s)
+        before = sum(len(part) for part in self._waiting)
+        self._waiting.append(cells)
+        waiting = join_cells(self._waiting)
+        for end in range(max(before + 1, window), len(waiting) + 1):
+            candidate = waiting[end - window : end]
+            if is_quiet(candidate, self.scale):
+                self._waiting = []
+                self._set_floor(measure_floor(candidate))
+                return self.judge(waiting)
+        longest = self.settings.cells(self.LONGEST_WAIT_S)
+        self._waiting = [waiting[-longest:]]
+        return []
+
+    def _set_floor(self, floor: NoiseFloor) -> None:
+        self.scale = self.scale.learn(floor.mean[:3])
+        self.floor = floor
+        self._standard = _Standard.of(floor, noise_limits(floor, self.scale, self.settings))
+        if not self.bias and floor.has_gyroscope:
+            self.bias = floor.mean[3:].tolist()
+
+    def _judge_under_one_floor(self, cells: Cells, start: int) -> list[Judgement]:
+        standard, judgements = self._standard, []
+        vibration = vibration_ratio(cells[start:], standard.limits).tolist()
+        means = cells.mean[start:].tolist()
+        slots = cells.slot[start:].tolist()
+        full = (cells.usable[start:] >= self.settings.usable_fraction * standard.usual_samples).tolist()
+        for offset, mean in enumerate(means):
+            gap = 1 if self._slot is None else slots[offset] - self._slot
+            if full[offset]:
+                self._slot = slots[offset]
+                judgements.append(self._judge_cell(cells, start + offset, vibration[offset], mean, gap))
+            else:
+                judgements.append(self._judge_lost(cells, start + offset, gap))
+            if self._standard is not standard:
+                break
+        return judgements
+
+    def _judge_cell(self, cells: Cells, row: int, vibration: float, mean: list[float], gap: int) -> Judgement:
+        """Judge one cell; ``gap`` is its distance from the last good one: one lost cell between is bridged."""
+        unbroken = gap in (1, 2)
+        activity = max(vibration, self._change_ratio(mean))
+        reference = self.stretch.mean
+        if self.phase is Phase.STILL:
+            if unbroken and activity <= self.settings.leave_factor:
+                self.stretch.add(cells, row, mean)
+                return Judgement(Phase.STILL, activity, cells, row, reference)
+            ended = self._end()
+            self._begin(cells, row, vibration, mean)
+            return Judgement(self.phase, activity, cells, row, reference, ended=ended)
+        if unbroken and activity <= 1 and self.stretch.judged:
+            self.stretch.add(cells, row, mean)
+            began = self.stretch.judged >= self.settings.cells(self.settings.dwell_s)
+            self.phase = Phase.STILL if began else Phase.SETTLING
+            return Judgement(self.phase, activity, cells, row, reference, began=began)
+        self._begin(cells, row, vibration, mean)
+        return Judgement(self.phase, activity, cells, row, reference)
+
+    def _judge_lost(self, cells: Cells, row: int, gap: int) -> Judgement:
+        """Judge a cell that is nearly empty: the first is passed over, the second in a row ends a stretch."""
+        if gap == 1:
+            return Judgement(self.phase, 0.0, cells, row, self.stretch.mean)
+        ended = self._end() if self.phase is Phase.STILL else None
+        self.restart()
+        return Judgement(self.phase, 0.0, cells, row, [], ended=ended)
+
+    def _begin(self, cells: Cells, row: int, vibration: float, mean: list[float]) -> None:
+        """Begin a candidate with this cell if it could be the first of a stretch."""
+        self.restart()
+        if vibration <= 1 and self._offset_ratio(mean) <= 1:
+            self.stretch.add(cells, row, mean)
+            self.phase = Phase.SETTLING
+
+    def _end(self) -> Stretch:
+        """Take the stretch out, and learn from it: the gyroscope's bias, and the noise floor if it was quieter."""
+        stretch, self.stretch = self.stretch, self._new_stretch()
+        if self.floor is not None and stretch.judged >= self.settings.cells(self.LEARN_FROM_S):
+            cells = stretch.cells()
+            inner = cells[len(cells) // 4 : len(cells) - len(cells) // 4]
+            if self.bias:
+                self.bias = np.where(np.isnan(mean := np.nanmean(inner.mean[:, 3:], axis=0)), self.bias, mean).tolist()
+            quieter = measure_floor(inner)
+            if is_quieter(quieter, self.floor) and is_quiet(inner, self.scale):
+                self._set_floor(quieter)
+        return stretch
+
+    def _change_ratio(self, mean: list[float]) -> float:
+        """Return the larger change ratio of the two triads against the stretch's running mean, 0 without one."""
+        before = self.stretch.mean
+        if not before:
+            return 0.0
+        weight = self._standard.change_weight
+        accelerometer = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3)))
+        gyroscope = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3, 6)))
+        return max(accelerometer, gyroscope)
+
+    def _offset_ratio(self, mean: list[float]) -> float:
+        """Return the gyroscope's distance from its last known bias over what is allowed, 0 without a gyroscope."""
+        if not self.bias:
+            return 0.0
+        weight = self._standard.change_weight
+        distance = math.hypot(*((mean[i] - self.bias[i - 3]) * weight[i] for i in range(3, 6)))
+        return 0.0 if math.isnan(distance) else distance / self._standard.limits.gyroscope_offset
+
+    def _new_stretch(self) -> Stretch:
+        return Stretch(self.settings.cells(self.settings.longest_s))
+
+
+def vibration_ratio(cells: Cells, limits: Limits) -> FloatArray:
+    """Return the larger vibration ratio of the two triads for each cell, shape (m,)."""
+    share = cells.variance / limits.vibration**2
+    # A missing gyroscope has no limit (NaN) and no share.
+    share = np.where(np.isnan(share), 0.0, share)
+    ratio: FloatArray = np.sqrt(np.maximum(share[:, :3].mean(axis=1), share[:, 3:].mean(axis=1)))
+    return ratio
+
+
+def largest_activity(vibration: FloatArray, change: FloatArray, limits: Limits, scale: RoughScale) -> Activity:
+    """Return the largest of the four ratios and what it was measured on.
+
+    Parameters
+    ----------
+    vibration, change : ndarray, shape (6,)
+        Ratios of each axis.
+    limits : Limits
+    scale : RoughScale
+    """
+    found: list[Activity] = []
+    for first, triad, factor, unit in (
+        (0, "accelerometer", scale.accelerometer, "m/s^2"),
+        (3, "gyroscope", scale.gyroscope, "rad/s"),
+    ):
+        axes = slice(first, first + 3)
+        for kind, ratios, limit in (("vibration", vibration, limits.vibration), ("change", change, limits.change)):
+            parts = np.nan_to_num(ratios[axes])
+            ratio = float(np.sqrt((parts**2).mean() if kind == "vibration" else (parts**2).sum()))
+            finite = limit[axes][np.isfinite(limit[axes])]
+            in_unit = float(np.sqrt((finite**2).mean())) / (factor or 1.0) if len(finite) else math.inf
+            axis = AXES[int(np.argmax(parts))]
+            found.append(Activity(ratio, kind, triad, axis, ratio * in_unit, in_unit, unit if factor else "raw unit"))
+    return max(found, key=lambda activity: activity.ratio)
