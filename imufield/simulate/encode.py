@@ -68,8 +68,8 @@ class Stim300Format:
     auxiliary: Auxiliary = "none"
     crlf: bool = True
     accelerometer_range_g: int = 10
-    gyroscope_unit: OutputUnit = "rate"
-    accelerometer_unit: OutputUnit = "rate"
+    gyroscope_output: OutputUnit = "rate"
+    accelerometer_output: OutputUnit = "rate"
     latency_us: int = 506
 
     @property
@@ -217,14 +217,14 @@ class Stim300Encoder:
 
     def _gyroscope(self, samples: Samples) -> IntArray:
         rate = np.degrees(samples.gyroscope_rate())
-        if self.format.gyroscope_unit == "increment":
+        if self.format.gyroscope_output == "increment":
             return _to_integer(rate / self.format.rate_hz, 21, _INT24)
         return _to_integer(rate, 14, _INT24)
 
     def _accelerometer(self, samples: Samples) -> IntArray:
         bits = ACCELEROMETER_BITS[self.format.accelerometer_range_g]
         rate = samples.accelerometer_rate()
-        if self.format.accelerometer_unit == "increment":
+        if self.format.accelerometer_output == "increment":
             return _to_integer(rate / self.format.rate_hz, bits + 3, _INT24)
         return _to_integer(rate / STANDARD_GRAVITY_M_S2, bits, _INT24)
 
@@ -277,42 +277,48 @@ def _column(values: ArrayLike, count: int) -> Bytes:
     return np.broadcast_to(np.asarray(values).astype(np.uint8), (count,))[:, np.newaxis]
 
 
-TEXT_COLUMNS = ("time_s", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS, "temperature_degc")
+TEXT_COLUMNS = ("time", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS)
+"""What a line of text holds unless told otherwise; ``counter`` and ``temperature`` may be added."""
 
 
 @dataclass(frozen=True, slots=True)
 class TextFormat:
-    """Lines of numbers as home-made systems print them."""
+    """Lines of numbers as home-made systems print them.
+
+    Raises
+    ------
+    UsageError
+        If a column has no such name.
+    """
 
     columns: tuple[str, ...] = TEXT_COLUMNS
-    """Names of ``SAMPLE_COLUMNS``."""
     separator: str = ","
+    prefix: str = ""
     line_end: str = "\r\n"
     decimals: int = 9
     """Places after the point; 0 for counts and pulses."""
 
     def __post_init__(self) -> None:
-        unknown = set(self.columns) - {*TEXT_COLUMNS, "counter", "status"}
+        known = (*TEXT_COLUMNS, "counter", "temperature")
+        unknown = [name for name in self.columns if name not in known]
         if unknown:
-            raise UsageError(f"there are no columns {', '.join(sorted(unknown))}; choose among {', '.join(TEXT_COLUMNS)}")
+            raise UsageError(f"there is no column {unknown[0]!r} of text; choose among {', '.join(known)}", column=unknown[0])
 
 
 def encode_text(samples: Samples, settings: TextFormat) -> list[bytes]:
-    """Return the lines of a block; what is not available is left empty."""
+    """Return the lines of a block, values in the unit of the samples; what is not available is left empty."""
     values = {
-        "time_s": samples.time_s,
+        "time": samples.time_s,
+        "counter": samples.counter,
         **dict(zip(ACCELEROMETER_COLUMNS, samples.accelerometer.T, strict=True)),
         **dict(zip(GYROSCOPE_COLUMNS, samples.gyroscope.T, strict=True)),
-        "temperature_degc": samples.temperature_degc,
-        "counter": samples.counter,
-        "status": samples.status,
+        "temperature": samples.temperature_degc,
     }
     columns = [_print_column(name, values[name], settings.decimals) for name in settings.columns]
-    return [(settings.separator.join(row) + settings.line_end).encode("ascii") for row in zip(*columns, strict=True)]
+    rows = zip(*columns, strict=True)
+    return [(settings.prefix + settings.separator.join(row) + settings.line_end).encode("ascii") for row in rows]
 
 
-def _print_column(name: str, values: NDArray[np.generic], decimals: int) -> list[str]:
-    if name in ("counter", "status"):
-        return [str(value) for value in values.tolist()]
-    places = {"time_s": 6, "temperature_degc": 2}.get(name, decimals)
+def _print_column(name: str, values: FloatArray | IntArray, decimals: int) -> list[str]:
+    places = {"time": 6, "counter": 0, "temperature": 2}.get(name, decimals)
     return ["" if math.isnan(value) else f"{value:.{places}f}" for value in values.tolist()]

@@ -98,7 +98,8 @@ def multiply(left: FloatArray, right: FloatArray) -> FloatArray:
 
 def conjugate(quaternion: FloatArray) -> FloatArray:
     """Return the inverse of unit quaternions."""
-    return quaternion * np.array([1.0, -1.0, -1.0, -1.0])
+    inverse: FloatArray = quaternion * np.array([1.0, -1.0, -1.0, -1.0])
+    return inverse
 
 
 def exponential(rotation_rad: FloatArray) -> FloatArray:
@@ -137,14 +138,16 @@ def shortest_turn(from_direction: ArrayLike, to_direction: ArrayLike) -> FloatAr
     For opposite vectors every axis at right angles is as short; one of them is taken.
     """
     a, b = np.asarray(from_direction, dtype=float), np.asarray(to_direction, dtype=float)
-    axis = np.cross(a, b)
+    axis: FloatArray = np.cross(a, b)
     sine, cosine = float(np.linalg.norm(axis)), float(a @ b)
     if sine > 1e-9:
-        return axis * (math.atan2(sine, cosine) / sine)
+        axis *= math.atan2(sine, cosine) / sine
+        return axis
     if cosine > 0:
         return np.zeros(3)
-    sideways = np.cross(a, np.eye(3)[np.argmin(np.abs(a))])
-    return sideways * (math.pi / np.linalg.norm(sideways))
+    sideways: FloatArray = np.cross(a, np.eye(3)[np.argmin(np.abs(a))])
+    sideways *= math.pi / np.linalg.norm(sideways)
+    return sideways
 
 
 def sample_motion(path: Path, first: int, count: int, interval_s: float, site: Site) -> TrueMotion:

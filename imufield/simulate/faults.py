@@ -1,0 +1,114 @@
+"""What goes wrong on a wire, with given rates and a seed.
+
+Faults of bytes and frames are applied to the encoded stream here; stalls, disconnections and jumps of the counter are
+only drawn here and carried out by the emulator, which owns the port and the clock.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from imufield.errors import UsageError
+from imufield.simulate.encode import Bytes
+
+GARBAGE_BYTES = (1, 64)
+"""Length of a burst of garbage."""
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """Chances and rates of faults; rates are per second of the instrument's time."""
+
+    bit_flip_probability: float = 0.0
+    """Of each byte to have one bit flipped."""
+    lost_byte_probability: float = 0.0
+    doubled_byte_probability: float = 0.0
+    wrong_checksum_probability: float = 0.0
+    """Of each frame."""
+    garbage_per_s: float = 0.0
+    stalls_per_s: float = 0.0
+    stall_s: float = 0.5
+    """While it stalls nothing comes; then what was held back comes at once."""
+    counter_jumps_per_s: float = 0.0
+    disconnects_per_s: float = 0.0
+    disconnect_at_s: tuple[float, ...] = ()
+    disconnect_s: float = 1.0
+    """Time until the port is back; what is sent meanwhile is lost."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            limit = 1.0 if field.name.endswith("_probability") else np.inf
+            if not np.all((np.asarray(value) >= 0) & (np.asarray(value) <= limit)):
+                raise UsageError(
+                    f"fault {field.name} = {value} is outside 0 to {limit:g}; give a value inside", fault=field.name
+                )
+
+
+class FaultInjector:
+    """Draws faults and damages bytes; ``counts`` holds how often each happened."""
+
+    def __init__(self, faults: Faults, seed: int) -> None:
+        self.faults = faults
+        self.counts: Counter[str] = Counter()
+        self._rng = np.random.default_rng([seed, 301])
+        self._disconnects = sorted(faults.disconnect_at_s)
+
+    def happens(self, name: str, rate_per_s: float, duration_s: float) -> bool:
+        """Draw whether a fault of a rate happens in a time that is short against its interval, and count it."""
+        if rate_per_s == 0 or self._rng.random() >= rate_per_s * duration_s:
+            return False
+        self.counts[name] += 1
+        return True
+
+    def disconnects(self, time_s: float, duration_s: float) -> bool:
+        """Return whether the port goes away in the ``duration_s`` before ``time_s``."""
+        if self._disconnects and self._disconnects[0] <= time_s:
+            self._disconnects.pop(0)
+            self.counts["disconnects"] += 1
+            return True
+        return self.happens("disconnects", self.faults.disconnects_per_s, duration_s)
+
+    def counter_jump(self, duration_s: float) -> int:
+        """Return by how much the counter jumps; mostly 0."""
+        jumps = self.happens("counter_jumps", self.faults.counter_jumps_per_s, duration_s)
+        return int(self._rng.integers(1, 256)) if jumps else 0
+
+    def damage(self, data: Bytes, checksum_at: np.ndarray[tuple[int], np.dtype[np.int64]], duration_s: float) -> bytes:
+        """Return the stream as it arrives.
+
+        Parameters
+        ----------
+        data : ndarray of uint8, shape (n,)
+            Whole frames.
+        checksum_at : ndarray, shape (m,)
+            Place in ``data`` of a byte of the checksum of each frame.
+        duration_s : float
+            Time that these frames take.
+        """
+        faults = self.faults
+        data = data.copy()
+        hit = self._draw("wrong_checksums", faults.wrong_checksum_probability, len(checksum_at))
+        data[checksum_at[hit]] ^= np.uint8(0x01)
+        hit = self._draw("bit_flips", faults.bit_flip_probability, len(data))
+        data[hit] ^= np.uint8(1) << self._rng.integers(0, 8, len(hit), dtype=np.uint8)
+        repeats = np.ones(len(data), dtype=np.int64)
+        repeats[self._draw("doubled_bytes", faults.doubled_byte_probability, len(data))] = 2
+        repeats[self._draw("lost_bytes", faults.lost_byte_probability, len(data))] = 0
+        return self._add_garbage(np.repeat(data, repeats).tobytes(), duration_s)
+
+    def _draw(self, name: str, probability: float, count: int) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+        if probability == 0:
+            return np.empty(0, dtype=np.intp)
+        hit = np.flatnonzero(self._rng.random(count) < probability)
+        self.counts[name] += len(hit)
+        return hit
+
+    def _add_garbage(self, data: bytes, duration_s: float) -> bytes:
+        if not self.happens("garbage", self.faults.garbage_per_s, duration_s):
+            return data
+        at = int(self._rng.integers(len(data) + 1))
+        return data[:at] + self._rng.bytes(int(self._rng.integers(*GARBAGE_BYTES, endpoint=True))) + data[at:]
