@@ -1,0 +1,111 @@
+"""The far end of a pseudo-terminal, with the manners of a UART: what nobody takes is lost."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import sys
+from pathlib import Path
+
+from imufield.errors import LinkError, UsageError
+
+
+class PseudoTerminal:
+    """A pseudo-terminal in raw mode that can go away and come back.
+
+    Reading and writing never block. Not for Windows, which has none.
+
+    Parameters
+    ----------
+    link : Path, optional
+        A symbolic link that points to the port as long as it is there; an existing link is replaced, a file is not.
+
+    Raises
+    ------
+    LinkError
+        If the system has no pseudo-terminals.
+    UsageError
+        If something that is no symbolic link stands where the link should.
+    """
+
+    def __init__(self, link: Path | None = None) -> None:
+        if link is not None and link.exists() and not link.is_symlink():
+            raise UsageError(f"{link} exists and is not a symbolic link; choose another name for the port", path=str(link))
+        self._link = link
+        self._master = -1
+        self.bytes_dropped = 0
+        self.device = ""
+        """Path of the port at present."""
+        self.open()
+
+    @property
+    def port(self) -> str:
+        """What a host opens: the link where there is one, otherwise the device."""
+        return str(self._link) if self._link is not None else self.device
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is there."""
+        return self._master >= 0
+
+    def open(self) -> None:
+        """Bring the port into being, under a new device path."""
+        if sys.platform == "win32":
+            raise LinkError("this system has no pseudo-terminals; run the emulator on Linux or macOS")
+        import tty
+
+        master, slave = os.openpty()
+        # Raw mode: no echo, no translation of CR, every byte value passes. It outlives the closing of this end.
+        tty.setraw(slave)
+        os.set_blocking(master, False)
+        self.device = os.ttyname(slave)
+        # With this end closed the master can tell whether a host holds the port.
+        os.close(slave)
+        self._master = master
+        if self._link is not None:
+            _point(self._link, self.device)
+
+    def close(self) -> None:
+        """Take the port away; a host that holds it sees a disconnection."""
+        if self._master < 0:
+            return
+        os.close(self._master)
+        self._master = -1
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+
+    def has_reader(self) -> bool:
+        """Return whether a host holds the port open (always, where the system does not tell)."""
+        if self._master < 0:
+            return False
+        poll = select.poll()
+        poll.register(self._master, select.POLLIN)
+        return not any(event & select.POLLHUP for _, event in poll.poll(0))
+
+    def write(self, data: bytes) -> None:
+        """Send what fits into the buffer of the system and drop the rest, counted in ``bytes_dropped``."""
+        sent = 0
+        if self._master >= 0:
+            # EAGAIN: the buffer is full. EIO: no host holds the port.
+            with contextlib.suppress(BlockingIOError, OSError):
+                while sent < len(data):
+                    sent += os.write(self._master, data[sent:])
+        self.bytes_dropped += len(data) - sent
+
+    def read(self) -> bytes:
+        """Return what the host has sent, empty for nothing."""
+        if self._master < 0:
+            return b""
+        try:
+            return os.read(self._master, 4096)
+        except OSError:
+            return b""
+
+
+def _point(link: Path, device: str) -> None:
+    # Rename over the old link: at no moment does the name lead nowhere.
+    temporary = link.with_name(f".{link.name}.{os.getpid()}")
+    temporary.unlink(missing_ok=True)
+    temporary.symlink_to(device)
+    temporary.replace(link)
