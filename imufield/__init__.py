@@ -26,11 +26,27 @@ Words
 Names carry their unit: ``rate_hz``, ``time_s``, ``bias_m_s2``, ``temperature_degc``.
 """
 
-from pathlib import Path
+from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from imufield.deliver.parameters import load
+
+__all__ = ["__version__", "load"]
 __version__ = "0.1.0"
 
 # A wheel has drivers/ and protocols/ inside this package, a checkout has them beside it.
 _checkout = Path(__file__).resolve().parent.parent
 if (_checkout / "pyproject.toml").is_file():
     __path__.append(str(_checkout))
+
+
+def __getattr__(name: str) -> Any:
+    """Import ``load`` on first use: NumPy and the rooms take longer than a prompt should wait."""
+    if name == "load":
+        from imufield.deliver.parameters import load
+
+        return load
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

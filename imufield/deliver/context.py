@@ -1,0 +1,75 @@
+"""Where a calibration comes from: the facts a parameter file holds beside the numbers themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+import numpy as np
+
+import imufield
+from imufield.samples import FloatArray
+
+
+def _now() -> str:
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def _software() -> str:
+    return f"imufield {imufield.__version__}"
+
+
+def _unknown() -> FloatArray:
+    return np.full(3, np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Instrument:
+    """Which instrument; an empty string where not known."""
+
+    driver: str = ""
+    model: str = ""
+    serial_number: str = ""
+    firmware: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SessionFacts:
+    """Which recording.
+
+    ``sha256`` is the hash of what was solved (the session's parts in order, or the observation file); ``sample_rate_hz``
+    is the true rate, device counter against host time; NaN where not known.
+    """
+
+    name: str = ""
+    sha256: str = ""
+    sample_rate_hz: float = float("nan")
+    temperature_degc: tuple[float, float] = (float("nan"), float("nan"))
+    """Lowest and highest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """Noise figures per axis, shape (3,), NaN where not known.
+
+    A density is the white noise of a rate output: the standard deviation of one sample times the square root of the
+    sample interval.
+    """
+
+    source: str
+    accelerometer_density_m_s2_per_sqrt_hz: FloatArray = field(default_factory=_unknown)
+    gyroscope_density_rad_s_per_sqrt_hz: FloatArray = field(default_factory=_unknown)
+    accelerometer_bias_instability_m_s2: FloatArray = field(default_factory=_unknown)
+    gyroscope_bias_instability_rad_s: FloatArray = field(default_factory=_unknown)
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """Everything in a parameter file that the solver does not know."""
+
+    instrument: Instrument = field(default_factory=Instrument)
+    session: SessionFacts = field(default_factory=SessionFacts)
+    noise: Noise | None = None
+    created: str = field(default_factory=_now)
+    """UTC, ISO 8601."""
+    software: str = field(default_factory=_software)

@@ -1,0 +1,173 @@
+"""The parameter file for programs: ``imufield.load(path).apply(samples)``.
+
+The format is DESIGN section 5; ``parameters.schema.json`` beside this file is its JSON Schema.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple, overload
+
+import numpy as np
+
+from imufield.calibrate.result import Calibration
+from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
+from imufield.deliver.context import Context, Instrument, Noise, SessionFacts
+from imufield.deliver.document import Document, calibration_from_document, context_from_document, to_document
+from imufield.deliver.parameters_read import read_document
+from imufield.deliver.parameters_write import EDITED, to_toml, write_document, write_parameters
+from imufield.deliver.schema import json_ready, parameter_schema
+from imufield.errors import ParameterFileError, Reason
+from imufield.samples import FloatArray, Samples
+
+__all__ = [
+    "Context",
+    "Corrected",
+    "Instrument",
+    "Noise",
+    "Parameters",
+    "SessionFacts",
+    "from_document",
+    "json_ready",
+    "load",
+    "parameter_schema",
+    "rate_unit",
+    "to_document",
+    "to_toml",
+    "write_document",
+    "write_parameters",
+]
+
+
+class Corrected(NamedTuple):
+    """What ``Parameters.apply`` returns for a block of n samples."""
+
+    time_s: FloatArray
+    """Shape (n,), the sample clock."""
+    specific_force_m_s2: FloatArray
+    """Shape (n, 3), body frame."""
+    angular_rate_rad_s: FloatArray
+    """Shape (n, 3), body frame; NaN where the file has no gyroscope."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """A loaded parameter file."""
+
+    calibration: Calibration
+    context: Context
+    document: Document = field(repr=False)
+    """The file's content; keys as in DESIGN section 5."""
+    edited: bool = False
+    """Whether somebody changed the file by hand and said so."""
+    path: Path | None = None
+
+    def apply_accelerometer(self, raw: FloatArray) -> FloatArray:
+        """Return specific force in m/s^2 for raw outputs, both of shape (..., 3); raises as ``correct_accelerometer``."""
+        return correct_accelerometer(self.calibration.accelerometer, raw)
+
+    def apply_gyroscope(self, raw: FloatArray, specific_force: FloatArray | None = None) -> FloatArray:
+        """Return angular rate in rad/s for raw outputs, both of shape (..., 3); raises as ``correct_gyroscope``.
+
+        Raises
+        ------
+        ParameterFileError
+            If the file has no gyroscope.
+        """
+        if self.calibration.gyroscope is None:
+            raise ParameterFileError(
+                f"{self._name} has no gyroscope parameters; calibrate from a session whose instrument sends its gyroscope",
+                Reason.UNITS,
+            )
+        return correct_gyroscope(self.calibration.gyroscope.parameters, raw, specific_force)
+
+    @overload
+    def apply(self, raw: Samples) -> Corrected: ...
+
+    @overload
+    def apply(self, raw: FloatArray) -> FloatArray: ...
+
+    def apply(self, raw: Samples | FloatArray) -> Corrected | FloatArray:
+        """Correct raw values.
+
+        Parameters
+        ----------
+        raw : Samples or ndarray
+            Samples, or an array of shape (..., 3), ax ay az, or of shape (..., 6), ax ay az gx gy gz; raw units,
+            increments divided by their interval.
+
+        Returns
+        -------
+        Corrected or ndarray
+            ``Corrected`` for samples; for an array one of the same shape, in m/s^2 and rad/s.
+
+        Raises
+        ------
+        ParameterFileError
+            If the samples are in other raw units than the parameters, the shape is wrong, or gyroscope values are given
+            and the file has no gyroscope.
+        CalibrationError
+            If no specific force gives such an output with these parameters.
+        """
+        return self._apply_samples(raw) if isinstance(raw, Samples) else self._apply_array(raw)
+
+    @property
+    def _name(self) -> str:
+        return "the parameter file" if self.path is None else str(self.path)
+
+    def _apply_samples(self, samples: Samples) -> Corrected:
+        units = samples.units
+        self._check_unit("accelerometer", units.accelerometer, units.accelerometer_is_increment)
+        force = self.apply_accelerometer(samples.accelerometer_rate())
+        if self.calibration.gyroscope is None:
+            return Corrected(samples.time_s, force, np.full_like(force, np.nan))
+        self._check_unit("gyroscope", units.gyroscope, units.gyroscope_is_increment)
+        return Corrected(samples.time_s, force, self.apply_gyroscope(samples.gyroscope_rate(), force))
+
+    def _apply_array(self, raw: FloatArray) -> FloatArray:
+        raw = np.asarray(raw, dtype=np.float64)
+        if raw.shape[-1:] != (6,):
+            return self.apply_accelerometer(raw)
+        corrected = np.empty_like(raw)
+        corrected[..., :3] = self.apply_accelerometer(raw[..., :3])
+        corrected[..., 3:] = self.apply_gyroscope(raw[..., 3:], corrected[..., :3])
+        return corrected
+
+    def _check_unit(self, triad: str, unit: str, is_increment: bool) -> None:
+        wanted = self.document[triad]["raw_unit"]
+        if wanted not in (unit, rate_unit(unit, is_increment)):
+            raise ParameterFileError(
+                f"{self._name} is for {triad} values in {wanted}, these samples are in {unit}; take the parameters of this "
+                "instrument and setting, or solve again",
+                Reason.UNITS,
+                wanted=wanted,
+                unit=unit,
+            )
+
+
+def rate_unit(unit: str, is_increment: bool) -> str:
+    """Return the unit of a raw value as a rate: "m/s" becomes "m/s^2", "count" "count/s"; a rate stays what it is."""
+    if not is_increment:
+        return unit
+    return {"m/s": "m/s^2", "rad": "rad/s"}.get(unit, f"{unit}/s")
+
+
+def from_document(document: Document, *, path: Path | None = None) -> Parameters:
+    """Return the parameters of a document that passed the checks of ``read_document``."""
+    edited = document.get("integrity", {}).get("sha256") == EDITED
+    return Parameters(calibration_from_document(document), context_from_document(document), document, edited, path)
+
+
+def load(path: str | Path) -> Parameters:
+    """Load a parameter file.
+
+    ``.apply(samples)`` of what is returned corrects raw values; ``.calibration`` has every number with its uncertainty.
+
+    Raises
+    ------
+    ParameterFileError
+        If the file is not there, cut, damaged, newer than this program, not a parameter file, or edited by hand without
+        saying so.
+    """
+    return from_document(read_document(path), path=Path(path))

@@ -1,0 +1,132 @@
+"""Read a parameter file, and refuse every one that cannot be trusted, in one sentence."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+
+from imufield.deliver.document import FORMAT, VERSION, Document
+from imufield.deliver.parameters_write import EDITED, content_sha256
+from imufield.deliver.schema import first_fault, shown
+from imufield.errors import ParameterFileError, Reason
+
+LARGEST_FILE_BYTES = 16 * 2**20
+"""A thousand positions take half a mebibyte."""
+
+_REMEDY = "solve the session again, or take a kept parameters-<n>.toml"
+
+
+def read_document(path: Path | str) -> Document:
+    """Return the content of a parameter file that passed every check.
+
+    Raises
+    ------
+    ParameterFileError
+        If the file is not there, cut, damaged, newer than this program, not a parameter file, or edited by hand without
+        saying so.
+    """
+    path = Path(path)
+    return parse_document(_text(path), str(path))
+
+
+def parse_document(text: str, where: str = "parameter file") -> Document:
+    """Return the content of a parameter file's text; ``where`` names it in errors, which are those of ``read_document``."""
+    try:
+        document: Document = tomllib.loads(text)
+        _check(document, where)
+    except ParameterFileError:
+        raise
+    except (ValueError, RecursionError) as error:
+        # Besides bad TOML: nesting and whole numbers so large that Python gives up on them.
+        raise ParameterFileError(f"{where} is damaged or no TOML ({_line(error)}); {_REMEDY}", where=where) from error
+    return document
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _check(document: Document, where: str) -> None:
+    _check_format(document, where)
+    _check_integrity(document, where)
+    fault = first_fault(document)
+    if fault is not None:
+        raise ParameterFileError(f"{where}: {fault.key} {fault.what}; {_REMEDY}", fault.reason, where=where, key=fault.key)
+    _check_consistency(document, where)
+
+
+def _text(path: Path) -> str:
+    try:
+        size = path.stat().st_size
+        if size > LARGEST_FILE_BYTES:
+            raise ParameterFileError(
+                f"{path} has {size} bytes where a parameter file has at most {LARGEST_FILE_BYTES}; check the file name",
+                Reason.FOREIGN,
+                size=size,
+            )
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ParameterFileError(f"{path} is no text file; check the file name, or {_REMEDY}", where=str(path)) from error
+    except OSError as error:
+        raise ParameterFileError(
+            f"{path} cannot be read ({error.strerror}); check the file name", Reason.FOREIGN, where=str(path)
+        ) from error
+
+
+def _check_format(document: Document, where: str) -> None:
+    if document.get("format") != FORMAT:
+        raise ParameterFileError(
+            f'{where} has no line format = "{FORMAT}"; give a parameter file written by imufield solve', Reason.FOREIGN
+        )
+    version = document.get("version")
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise ParameterFileError(f"{where}: version is {shown(version)} instead of {VERSION}; {_REMEDY}", where=where)
+    if version > VERSION:
+        raise ParameterFileError(
+            f"{where} has version {version} and this imufield reads up to version {VERSION}; update imufield",
+            Reason.NEWER,
+            version=version,
+        )
+
+
+def _check_integrity(document: Document, where: str) -> None:
+    integrity = document.get("integrity")
+    noted = integrity.get("sha256") if isinstance(integrity, dict) else None
+    if noted is None:
+        raise ParameterFileError(f"{where} is cut short: the table [integrity] at its end is missing; {_REMEDY}", where=where)
+    if noted not in (EDITED, content_sha256(document)):
+        raise ParameterFileError(
+            f"{where} was changed after it was written (its values do not give the hash in [integrity]); {_REMEDY}, or, "
+            f'where the change is meant, write sha256 = "{EDITED}" there',
+            where=where,
+        )
+
+
+def _check_consistency(document: Document, where: str) -> None:
+    """Check what a schema cannot say."""
+    names, matrix = document["covariance"]["names"], document["covariance"]["matrix"]
+    positions, tables = document["session"]["positions"], len(document["position"])
+    what = ""
+    if positions != tables:
+        what = f"session.positions is {positions}, but there are {tables} [[position]] tables"
+    elif any(len(row) != len(names) for row in [matrix, *matrix]):
+        what = f"covariance.matrix is not {len(names)} by {len(names)} as covariance.names asks"
+    for triad in ("accelerometer", "gyroscope"):
+        what = what or _triad_fault(document.get(triad), triad)
+    if what:
+        raise ParameterFileError(f"{where}: {what}; {_REMEDY}", where=where)
+
+
+def _triad_fault(table: Document | None, triad: str) -> str:
+    if table is None:
+        return ""
+    if 0 in table["scale"]:
+        return f"{triad}.scale has a zero, with which nothing can be corrected"
+    misalignment = np.array(table["misalignment_rad"], dtype=np.float64)
+    if np.any(np.diagonal(misalignment) != 0):
+        return f"{triad}.misalignment_rad has a diagonal other than zero, which belongs into scale"
+    if abs(np.linalg.det(np.eye(3) + misalignment)) < 1e-3:  # axes this close to one plane measure no third direction
+        return f"{triad}.misalignment_rad puts the three axes into one plane"
+    return ""

@@ -1,0 +1,136 @@
+"""A calibration made by hand: every kind of value a parameter file can hold, none of them round."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.observations import Observations
+from imufield.calibrate.result import (
+    ACCELEROMETER_NAMES,
+    GRAVITY_NAME,
+    AccelerometerParameters,
+    Calibration,
+    GyroscopeCalibration,
+    GyroscopeParameters,
+    Intrinsic,
+    PositionResult,
+    Quality,
+    SolverSummary,
+)
+from imufield.deliver.context import Context, Instrument, Noise, SessionFacts
+from imufield.earth import Gravity
+from imufield.samples import SampleUnits
+
+LOWER = np.array([[0, 0, 0], [1.31e-3, 0, 0], [-7.7e-4, 2.22e-3, 0]])
+POSITIONS = 24
+
+
+@pytest.fixture
+def parameters() -> AccelerometerParameters:
+    return AccelerometerParameters(
+        scale=np.array([1.000123456789, 0.99987654321, 1.00031]),
+        bias_m_s2=np.array([0.0312, -0.0147, 1 / 300]),
+        misalignment_rad=LOWER,
+        quadratic=np.array([1.1e-6, -2.3e-6, 4e-7]),
+    )
+
+
+@pytest.fixture
+def gyroscope() -> GyroscopeCalibration:
+    not_estimated = GyroscopeParameters(
+        np.full(3, np.nan), np.full((3, 3), np.nan), np.array([2.1e-6, 2.2e-6, 2.3e-6]), np.full((3, 3), np.nan)
+    )
+    values = GyroscopeParameters(np.ones(3), np.zeros((3, 3)), np.array([1e-4, -2e-5, 3.3e-5]), np.zeros((3, 3)))
+    return GyroscopeCalibration(values, not_estimated, "static bias, Earth rate accounted for")
+
+
+@pytest.fixture
+def observations() -> Observations:
+    rng = np.random.default_rng(5)
+    up = rng.normal(size=(POSITIONS, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    unknown = np.full((POSITIONS, 3), np.nan)
+    return Observations(
+        name=tuple(f"{i // 8 + 1}-{i % 8 + 1}" for i in range(POSITIONS)),
+        mean_raw=9.81 * up + rng.normal(scale=0.01, size=(POSITIONS, 3)),
+        covariance_raw=np.broadcast_to(np.diag([1e-8, 2e-8, 3e-8]), (POSITIONS, 3, 3)),
+        gyroscope_mean_raw=unknown,
+        gyroscope_covariance_raw=np.full((POSITIONS, 3, 3), np.nan),
+        direction=up,
+        start_s=60 + 14 * np.arange(POSITIONS, dtype=np.float64),
+        duration_s=np.full(POSITIONS, 9.7),
+        temperature_degc=np.linspace(31, 33.3, POSITIONS),
+        units=SampleUnits(),
+    )
+
+
+@pytest.fixture
+def calibration(parameters: AccelerometerParameters, gyroscope: GyroscopeCalibration) -> Calibration:
+    rng = np.random.default_rng(6)
+    residual = rng.normal(scale=2e-4, size=POSITIONS)
+    residual[17] = -9.1e-4
+    leave_one_out = 1.4 * residual
+    leave_one_out[3] = np.nan
+    names = (*ACCELEROMETER_NAMES, *(f"gyroscope.bias.{axis}" for axis in "xyz"), GRAVITY_NAME)
+    root = rng.normal(scale=1e-4, size=(len(names), len(names)))
+    return Calibration(
+        accelerometer=parameters,
+        accelerometer_sigma=AccelerometerParameters(
+            np.array([5.2e-5, 5.3e-5, 5.4e-5]), np.array([1.1e-4, 1.2e-4, 1.3e-4]), np.abs(LOWER) * 0.02, np.full(3, 3e-7)
+        ),
+        accelerometer_raw_unit="m/s^2",
+        equation="N - raw_zero = K (s + b) + K2 s**2, s = T a",
+        gauge="lower",
+        intrinsic=Intrinsic(
+            np.array([1.000123456789, 0.999877, 1.000313]),
+            parameters.scale * parameters.bias_m_s2,
+            np.array([-1.31e-3, 7.7e-4, -2.22e-3]),
+            parameters.quadratic,
+            np.full(3, 5.2e-5),
+            np.full(3, 1.1e-4),
+            np.full(3, 2e-5),
+            np.full(3, 3e-7),
+        ),
+        covariance_names=names,
+        covariance=root @ root.T,
+        gravity=Gravity(9.8071, 5e-4, "normal", 48.1, 520.0),
+        positions=PositionResult(residual, leave_one_out, np.full(POSITIONS, 0.5), np.ones(POSITIONS, dtype=np.bool_)),
+        solver=SolverSummary("least-squares", 1, "converged: the step is below 1e-12", 11.3, 9),
+        quality=Quality(
+            residual_rms_m_s2=float(np.sqrt(np.mean(residual**2))),
+            residual_max_m_s2=9.1e-4,
+            leave_one_out_rms_m_s2=3.7e-4,
+            between_position_sigma_m_s2=1.9e-4,
+            degrees_of_freedom=12,
+            student_factor_95=2.178812829663418,
+            rank=12,
+            parameters_fitted=12,
+            condition=41.7,
+            verdict="good",
+            reasons=("24 positions determine 12 parameters", "position 3-2 has the largest residual, 4.1 times the RMS"),
+        ),
+        quadratic_fitted=True,
+        gyroscope=gyroscope,
+    )
+
+
+@pytest.fixture
+def six_faces(calibration: Calibration) -> Calibration:
+    """Return the same with nothing but scale and bias estimated."""
+    unknown = replace(calibration.accelerometer_sigma, misalignment_rad=np.full((3, 3), np.nan), quadratic=np.full(3, np.nan))
+    names = tuple(name for name in ACCELEROMETER_NAMES if "misalignment" in name)
+    return replace(calibration, accelerometer_sigma=unknown, unobservable=names, gyroscope=None, quadratic_fitted=False)
+
+
+@pytest.fixture
+def context() -> Context:
+    return Context(
+        instrument=Instrument("stim300", "STIM300", "N25581234567890", "3.1"),
+        session=SessionFacts("2025-03-01T101500Z-stim300", 64 * "a", 1999.987, (30.9, 33.4)),
+        noise=Noise("still at the start", np.full(3, 7e-4), np.full(3, 4e-5)),
+        created="2025-03-01T10:55:00Z",
+        software="imufield 0.1.0",
+    )
