@@ -32,6 +32,8 @@ RECORD_LIMIT_BYTES = CHUNK_LIMIT_BYTES + (1 << 20)
 _SEARCH_BYTES = 1 << 20
 _START_BYTES = 64
 """Enough for the magic and the Header record up to its profile."""
+_HEAD_LIMIT_BYTES = 64
+"""Header and Channel records have about 35: with a damaged length they must not swallow a chunk."""
 _BYTES_MAY_DIFFER = 2
 """Damaged bytes at which the start of a file is still taken for ours; foreign files differ in nearly all."""
 
@@ -152,7 +154,7 @@ class PartFile:
             self.finished = self._file.tell() == self._size - END_SIZE + RECORD.size + 4
             if not self.finished:
                 raise DamageError("an end stands in the middle")
-        elif not self._in_head or opcode not in (Opcode.HEADER, Opcode.CHANNEL):
+        elif not self._in_head or opcode not in (Opcode.HEADER, Opcode.CHANNEL) or len(body) > _HEAD_LIMIT_BYTES:
             raise DamageError("its kind is unknown")
         return None
 

@@ -164,9 +164,10 @@ def read_blocks(
             content, channel, utc_ns, start, end = item
             if channel == LINK_CHANNEL:
                 (monotonic_s,) = ARRIVAL.unpack_from(content, start)
-                if joiner.must_end_before(monotonic_s, end - start):
+                data = content[start + ARRIVAL.size : end]
+                if joiner.must_end_before(monotonic_s, len(data)):
                     yield joiner.take()
-                joiner.add(content[start + ARRIVAL.size : end], monotonic_s, utc_ns)
+                joiner.add(data, monotonic_s, utc_ns)
                 continue
             if joiner.pieces:
                 yield joiner.take()
