@@ -194,7 +194,7 @@ def _symmetric_frame(vector: FloatArray) -> FloatArray:
         constraint = C @ turned
         if np.abs(constraint).max() < 1e-15:
             break
-        w: FloatArray = -np.linalg.solve(C @ generators(turned), constraint)
+        w = np.asarray(-np.linalg.solve(C @ generators(turned), constraint), dtype=np.float64)
         rotation = _small_rotation(w) @ rotation
     return rotation
 
@@ -203,7 +203,8 @@ def _small_rotation(w: FloatArray) -> FloatArray:
     """Return a proper rotation by about ``w`` rad (Cayley form: orthogonal to rounding)."""
     x, y, z = w / 2
     half = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.linalg.solve(np.eye(3) - half, np.eye(3) + half)
+    rotation: FloatArray = np.linalg.solve(np.eye(3) - half, np.eye(3) + half)
+    return rotation
 
 
 def intrinsic(vector: FloatArray, quadratic_axes: QuadraticAxes = "sensing") -> tuple[FloatArray, FloatArray]:

@@ -48,7 +48,7 @@ def closed_form_start(raw: FloatArray, gravity_m_s2: float, sign: FloatArray, *,
     sign : ndarray, shape (3,)
         Signs of the scales.
     misalignment : bool
-        Whether to try the full ellipsoid; else, or where it is none, the one along the axes.
+        Whether to try the full ellipsoid first (needs nine positions), or the one along the axes.
 
     Raises
     ------
@@ -56,9 +56,9 @@ def closed_form_start(raw: FloatArray, gravity_m_s2: float, sign: FloatArray, *,
         If no ellipsoid fits.
     """
     signed = raw * sign
-    fit = _ellipsoid(signed, full=True) if misalignment and len(raw) >= FEWEST_FOR_MISALIGNMENT else None
-    if fit is None:
-        fit = _ellipsoid(signed, full=False)
+    order = (misalignment, not misalignment)
+    fits = (_ellipsoid(signed, full=full) for full in order if not full or len(raw) >= FEWEST_FOR_MISALIGNMENT)
+    fit = next((fit for fit in fits if fit is not None), None)
     if fit is None:
         raise CalibrationError(
             f"the outputs of the {len(raw)} positions do not lie on an ellipsoid, as those of a still accelerometer do; check "
@@ -147,8 +147,8 @@ def _signs_of_directions(raw: FloatArray, direction: FloatArray) -> FloatArray:
     for axis in range(3):
         if follows[axis] != axis:
             raise CalibrationError(
-                f"output {AXES[axis]} follows body axis {AXES[int(follows[axis])]} of the planned positions: axes are swapped; put "
-                "the columns of the protocol or file into the order x, y, z",
+                f"output {AXES[axis]} follows body axis {AXES[int(follows[axis])]} of the planned positions: axes are swapped; "
+                "put the columns of the protocol or file into the order x, y, z",
                 Reason.HANDEDNESS,
                 axis=AXES[axis],
                 follows=AXES[int(follows[axis])],
@@ -158,8 +158,8 @@ def _signs_of_directions(raw: FloatArray, direction: FloatArray) -> FloatArray:
     if np.prod(sign) < 0 and np.any(sign > 0):
         odd = int(np.argmax(sign < 0))
         raise CalibrationError(
-            f"the triad is left-handed: output {AXES[odd]} falls when body axis {AXES[odd]} of the planned positions points up and "
-            f"the others rise; reverse the sign of {AXES[odd]} in the protocol or file",
+            f"the triad is left-handed: output {AXES[odd]} falls when body axis {AXES[odd]} of the planned positions points up "
+            f"and the others rise; reverse the sign of {AXES[odd]} in the protocol or file",
             Reason.HANDEDNESS,
             axis=AXES[odd],
         )

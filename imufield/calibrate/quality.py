@@ -1,0 +1,247 @@
+"""The verdict on a calibration, in words: good, usable or poor, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.fit import Fit
+from imufield.calibrate.models import BIAS, SCALE
+from imufield.calibrate.observability import Observability
+from imufield.calibrate.result import ACCELEROMETER_NAMES, PositionResult, Quality
+from imufield.calibrate.uncertainty import Influence, SinglePosition, student_factor_95
+from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
+from imufield.errors import CalibrationError, Reason
+from imufield.samples import AXES, FloatArray
+
+MG = STANDARD_GRAVITY_M_S2 * 1e-3
+"""One milli-g in m/s^2."""
+
+POOR_RESIDUAL_M_S2 = 5 * MG
+"""Leave-one-out RMS above this: a hold that was touched or a wrong column, not a consumer-grade sensor's noise."""
+USABLE_SCALE_SIGMA = 1e-3
+USABLE_BIAS_SIGMA_M_S2 = 2 * MG
+"""Above these, 1 sigma, a consumer-grade factory calibration is as good."""
+SPARE_POSITIONS = 4
+"""Degrees of freedom below this give Student factors of 3.2 and more."""
+HIGH_CONDITION = 30.0
+"""The schemes with 24 positions have 3 (linear) and 7 (quadratic)."""
+SCALE_CHANGE = 0.01
+SCALE_REFUSED = 0.2
+"""A common scale further from the preset's than aging explains, and further than any instrument of that kind."""
+SATURATION_RESIDUAL_M_S2 = 50 * MG
+_SATURATED_POSITIONS = 3
+_OUTLIER_LEVEL = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What the verdict rests on."""
+
+    name: tuple[str, ...]
+    gravity: Gravity
+    fitted: Fit
+    free: tuple[int, ...]
+    spread: Influence
+    singles: tuple[SinglePosition, ...]
+    factors: FloatArray
+    positions: PositionResult
+    seen: Observability
+    unobservable: tuple[str, ...]
+    sign_source: str
+    model_sentence: str
+    covariance_known: bool
+    scale_ratio: float | None
+    """Common scale over the preset's; None without a preset."""
+    sigma: FloatArray
+    """1 sigma of the 15 parameters."""
+
+
+def judge(evidence: Evidence) -> Quality:
+    """Return figures, verdict and reasons."""
+    poor, caution, note = _poor(evidence), _cautions(evidence), _notes(evidence)
+    verdict = "poor" if poor else "usable" if caution else "good"
+    fitted, positions = evidence.fitted, evidence.positions
+    freedom = fitted.degrees_of_freedom
+    return Quality(
+        _rms(positions.residual_m_s2),
+        float(np.abs(positions.residual_m_s2).max()),
+        _rms(positions.leave_one_out_m_s2),
+        fitted.tau_m_s2,
+        freedom,
+        student_factor_95(freedom),
+        evidence.seen.rank,
+        len(evidence.free),
+        evidence.seen.condition,
+        verdict,
+        (_summary(evidence), *poor, *caution, *note),
+    )
+
+
+def common_scale_ratio(scale: FloatArray, preset_scale: FloatArray) -> float:
+    """Return the common scale over the preset's.
+
+    Raises
+    ------
+    CalibrationError
+        If they differ so much that unit, gravity or preset must be wrong.
+    """
+    ratio = float(np.exp(np.mean(np.log(np.abs(scale / preset_scale)))))
+    if not 1 / (1 + SCALE_REFUSED) <= ratio <= 1 + SCALE_REFUSED:
+        raise CalibrationError(
+            f"the common scale is {ratio:.4g} times the preset's (at most {SCALE_REFUSED:.0%} off is accepted); check raw unit, "
+            "range setting and preset",
+            Reason.UNITS,
+            ratio=ratio,
+        )
+    return ratio
+
+
+def refuse_saturation(raw: FloatArray, residual_m_s2: FloatArray) -> None:
+    """Refuse outputs that stop at one value where the fit says they should not.
+
+    Raises
+    ------
+    CalibrationError
+    """
+    if np.abs(residual_m_s2).max() < SATURATION_RESIDUAL_M_S2:
+        return
+    for axis in range(3):
+        ordered = np.sort(raw[:, axis])
+        reach = ordered[-1] - ordered[0]
+        for end, limit in ((ordered[:_SATURATED_POSITIONS], ordered[0]), (ordered[-_SATURATED_POSITIONS:], ordered[-1])):
+            if np.ptp(end) <= 1e-6 * reach:
+                raise CalibrationError(
+                    f"axis {AXES[axis]} stops at {limit:g} in {_SATURATED_POSITIONS} or more positions while the norm is wrong by "
+                    f"up to {np.abs(residual_m_s2).max() / MG:.0f} mg: it is saturated; choose a larger range",
+                    Reason.SATURATED,
+                    axis=AXES[axis],
+                    limit=float(limit),
+                )
+
+
+def _rms(values: FloatArray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
+
+
+def _summary(evidence: Evidence) -> str:
+    positions = evidence.positions
+    return (
+        f"{len(evidence.name)} positions, {len(evidence.free)} parameters, {evidence.fitted.degrees_of_freedom} to spare: "
+        f"residual {_rms(positions.residual_m_s2) / MG:.3f} mg RMS, {_rms(positions.leave_one_out_m_s2) / MG:.3f} mg with each "
+        "position left out"
+    )
+
+
+def _poor(evidence: Evidence) -> list[str]:
+    reasons = []
+    fitted = evidence.fitted
+    if not fitted.solved.converged:
+        reasons.append(f"the solver did not converge: {fitted.solved.message}")
+    if fitted.degrees_of_freedom < 1:
+        reasons.append("no position is left over to check the others: the uncertainty leaves out the scatter between positions")
+    without = _rms(evidence.positions.leave_one_out_m_s2)
+    if without > POOR_RESIDUAL_M_S2:
+        reasons.append(
+            f"positions disagree by {without / MG:.1f} mg RMS (limit {POOR_RESIDUAL_M_S2 / MG:.0f} mg): retake the worst, and hold "
+            "still"
+        )
+    return reasons
+
+
+def _cautions(evidence: Evidence) -> list[str]:
+    reasons = [*_single_sentences(evidence), *_outlier_sentences(evidence)]
+    if evidence.unobservable:
+        reasons.append(
+            f"these positions cannot show {', '.join(_words(name) for name in evidence.unobservable)}; left at the preset's value, "
+            "or zero without a preset"
+        )
+    freedom = evidence.fitted.degrees_of_freedom
+    if 0 < freedom < SPARE_POSITIONS:
+        reasons.append(f"only {freedom} positions to spare: a 95 % interval is {student_factor_95(freedom):.1f} sigma")
+    if evidence.seen.condition > HIGH_CONDITION:
+        reasons.append(f"the positions are one-sided (condition {evidence.seen.condition:.0f}, limit {HIGH_CONDITION:.0f})")
+    if evidence.gravity.source == "assumed":
+        share = evidence.gravity.sigma_m_s2 / evidence.gravity.gravity_m_s2
+        reasons.append(
+            f"gravity is not known and {evidence.gravity.gravity_m_s2:g} m/s^2 was assumed: the common scale is uncertain by "
+            f"{share * 1e6:.0f} ppm; give the latitude or gravity"
+        )
+    ratio = evidence.scale_ratio
+    if ratio is not None and abs(ratio - 1) > SCALE_CHANGE:
+        reasons.append(
+            f"the common scale is {ratio - 1:+.1%} off the preset's (limit {SCALE_CHANGE:.0%}): check gravity and preset"
+        )
+    return reasons + _sigma_sentences(evidence)
+
+
+def _sigma_sentences(evidence: Evidence) -> list[str]:
+    relative = evidence.sigma[SCALE] / np.abs(evidence.fitted.vector[SCALE])
+    bias = evidence.sigma[BIAS]
+    reasons = []
+    # Written so that NaN (no uncertainty at all) counts as too large.
+    if not np.all(relative <= USABLE_SCALE_SIGMA) and evidence.gravity.source != "assumed":
+        reasons.append(f"scale is known to {relative.max() * 1e6:.0f} ppm only (limit {USABLE_SCALE_SIGMA * 1e6:.0f} ppm)")
+    if not np.all(bias <= USABLE_BIAS_SIGMA_M_S2):
+        reasons.append(f"bias is known to {bias.max() / MG:.2f} mg only (limit {USABLE_BIAS_SIGMA_M_S2 / MG:.0f} mg)")
+    return reasons
+
+
+def _single_sentences(evidence: Evidence) -> list[str]:
+    if evidence.fitted.degrees_of_freedom < 1:
+        return []
+    sentences = []
+    for single in evidence.singles:
+        names = ", ".join(_words(ACCELEROMETER_NAMES[evidence.free[k]]) for k in single.coordinates)
+        raised = float(evidence.factors[list(single.coordinates)].max())
+        effect = f"; uncertainty there is raised up to {raised:.1f} times (jackknife)" if raised > 1.05 else ""
+        sentences.append(
+            f"position {evidence.name[single.position]} carries {names} nearly alone (leverage {single.leverage:.2f}){effect}; "
+            "repeat it"
+        )
+    return sentences
+
+
+def _outlier_sentences(evidence: Evidence) -> list[str]:
+    """Name positions whose externally studentised residual is too large for the best of m."""
+    freedom = evidence.fitted.degrees_of_freedom
+    if freedom < 3:
+        return []
+    from scipy.special import stdtrit  # slow to load
+
+    residual = evidence.positions.residual_m_s2 / evidence.fitted.sigma_m_s2
+    rest = np.maximum(1 - evidence.spread.leverage, 1e-6)
+    student = residual / np.sqrt(rest)
+    without = np.maximum((np.sum(residual**2) - student**2) / (freedom - 1), 1e-12)
+    if evidence.covariance_known and evidence.fitted.tau_m_s2 == 0:
+        without = np.maximum(without, 1.0)
+    student = student / np.sqrt(without)
+    limit = float(stdtrit(freedom - 1, 1 - _OUTLIER_LEVEL / (2 * len(student))))
+    return [
+        f"position {evidence.name[i]} does not fit the others (off by {evidence.positions.leave_one_out_m_s2[i] / MG:+.2f} mg, "
+        f"{abs(student[i]):.1f} sigma, limit {limit:.1f}): retake or remove it"
+        for i in np.flatnonzero(np.abs(student) > limit)
+    ]
+
+
+def _notes(evidence: Evidence) -> list[str]:
+    notes = [evidence.model_sentence]
+    if not evidence.covariance_known:
+        notes.append("no uncertainty came with the positions: all weigh the same, and sigma is from the residuals")
+    if evidence.sign_source == "assumed":
+        notes.append("the signs of the axes are assumed positive: neither planned positions nor a preset tell them")
+    gravity = evidence.gravity
+    if gravity.source != "assumed":
+        notes.append(
+            f"the residual cannot check gravity: its sigma of {gravity.sigma_m_s2:g} m/s^2 is "
+            f"{gravity.sigma_m_s2 / gravity.gravity_m_s2 * 1e6:.0f} ppm of common scale"
+        )
+    return notes
+
+
+def _words(name: str) -> str:
+    """Return "bias x" for "accelerometer.bias_m_s2.x"."""
+    _, quantity, axis = name.split(".")
+    return f"{quantity.removesuffix('_m_s2').removesuffix('_rad')} {axis}"
