@@ -203,8 +203,7 @@ def _small_rotation(w: FloatArray) -> FloatArray:
     """Return a proper rotation by about ``w`` rad (Cayley form: orthogonal to rounding)."""
     x, y, z = w / 2
     half = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    rotation: FloatArray = np.linalg.solve(np.eye(3) - half, np.eye(3) + half)
-    return rotation
+    return np.asarray(np.linalg.solve(np.eye(3) - half, np.eye(3) + half), dtype=np.float64)
 
 
 def intrinsic(vector: FloatArray, quadratic_axes: QuadraticAxes = "sensing") -> tuple[FloatArray, FloatArray]:

@@ -105,8 +105,8 @@ def choose_model(data: FitData, origin: FloatArray, seen: Observability, model: 
     if model == "quadratic" and len(quadratic_free) < 3:
         hidden = tuple(name for name in seen.unobservable if "quadratic" in name)
         raise CalibrationError(
-            f"{len(data.raw)} positions cannot show {', '.join(hidden)}: that takes at least {FEWEST_FOR_QUADRATIC} with faces and "
-            "edges or corners; add such positions, or use the linear model",
+            f"{len(data.raw)} positions cannot show {', '.join(hidden)}: that takes at least {FEWEST_FOR_QUADRATIC} with faces "
+            "and edges or corners; add such positions, or use the linear model",
             Reason.UNOBSERVABLE,
             unobservable=hidden,
         )

@@ -44,6 +44,7 @@ MISALIGNMENT_COLUMNS = np.array([1, 2, 0, 2, 0, 1])
 
 _CONTRACTION_TOLERANCE = 1e-14
 """Relative change at which the iteration stops: navigation grade gets there in four or five passes."""
+_CONTRACTION_ACCEPTED = 1e-12
 _CONTRACTION_PASSES = 60
 """A contraction by 0.6 a pass reaches the tolerance in 60; what is slower is no instrument."""
 
@@ -112,7 +113,7 @@ def recover_vectors(vector: FloatArray, raw: FloatArray, quadratic_axes: Quadrat
     -------
     ndarray, shape (..., m, 3)
     """
-    inverse = np.swapaxes(np.linalg.inv(alignment_matrix(vector)), -1, -2)
+    inverse = np.asarray(np.swapaxes(np.linalg.inv(alignment_matrix(vector)), -1, -2), dtype=np.float64)
     if quadratic_axes == "sensing":
         recovered: FloatArray = _sensing_input(vector, raw) @ inverse
         return recovered
@@ -134,14 +135,14 @@ def _body_input(vector: FloatArray, raw: FloatArray, inverse_transposed: FloatAr
     if not np.any(K2):
         return a
     with np.errstate(over="ignore", invalid="ignore"):
+        change = np.inf
         for _ in range(_CONTRACTION_PASSES):
-            previous = a
-            a = ((raw - K2 * a**2) / K - b) @ inverse_transposed
-            moving = np.abs(a - previous).max(axis=-1) > _CONTRACTION_TOLERANCE * np.abs(a).max(axis=-1)
-            if not np.any(moving):
-                return np.where(np.isfinite(a), a, np.nan)
+            previous, a = a, ((raw - K2 * a**2) / K - b) @ inverse_transposed
+            change = np.abs(a - previous).max(axis=-1) / np.abs(a).max(axis=-1)
+            if not np.any(change > _CONTRACTION_TOLERANCE):
+                break
     # Rounding can keep the last bit moving for ever; a real failure moves by far more.
-    stuck = ~(np.abs(a - previous).max(axis=-1) <= 1e-12 * np.abs(a).max(axis=-1))
+    stuck = np.asarray(~(change <= _CONTRACTION_ACCEPTED))
     return np.where(stuck[..., None], np.nan, a)
 
 

@@ -110,7 +110,7 @@ def observe(derivatives: NormDerivatives, vector: FloatArray, gravity_m_s2: floa
     scaled = (derivatives.jacobian * scale)[:, columns]
     turns = (generators(vector) / scale[:, None])[columns]
     complement = np.linalg.qr(turns, mode="complete")[0][:, 3:]
-    values = np.linalg.svd(scaled @ complement, compute_uv=False)
+    values = np.asarray(np.linalg.svd(scaled @ complement, compute_uv=False), dtype=np.float64)
     faces_only = bool(np.all(np.abs(derivatives.a).max(axis=1) > FACE_COSINE * derivatives.norm))
     free = _visible(scaled, gauge_free[:6] if faces_only else gauge_free)
     hidden = tuple(ACCELEROMETER_NAMES[column] for column in gauge_free if column not in free)

@@ -90,8 +90,8 @@ def common_scale_ratio(scale: FloatArray, preset_scale: FloatArray) -> float:
     ratio = float(np.exp(np.mean(np.log(np.abs(scale / preset_scale)))))
     if not 1 / (1 + SCALE_REFUSED) <= ratio <= 1 + SCALE_REFUSED:
         raise CalibrationError(
-            f"the common scale is {ratio:.4g} times the preset's (at most {SCALE_REFUSED:.0%} off is accepted); check raw unit, "
-            "range setting and preset",
+            f"the common scale is {ratio:.4g} times the preset's (at most {SCALE_REFUSED:.0%} off is accepted); check raw "
+            "unit, range setting and preset",
             Reason.UNITS,
             ratio=ratio,
         )
@@ -113,8 +113,8 @@ def refuse_saturation(raw: FloatArray, residual_m_s2: FloatArray) -> None:
         for end, limit in ((ordered[:_SATURATED_POSITIONS], ordered[0]), (ordered[-_SATURATED_POSITIONS:], ordered[-1])):
             if np.ptp(end) <= 1e-6 * reach:
                 raise CalibrationError(
-                    f"axis {AXES[axis]} stops at {limit:g} in {_SATURATED_POSITIONS} or more positions while the norm is wrong by "
-                    f"up to {np.abs(residual_m_s2).max() / MG:.0f} mg: it is saturated; choose a larger range",
+                    f"axis {AXES[axis]} stops at {limit:g} in {_SATURATED_POSITIONS} or more positions while the norm is wrong "
+                    f"by up to {np.abs(residual_m_s2).max() / MG:.0f} mg: it is saturated; choose a larger range",
                     Reason.SATURATED,
                     axis=AXES[axis],
                     limit=float(limit),
@@ -145,8 +145,8 @@ def _poor(evidence: Evidence) -> list[str]:
     without = _rms(evidence.positions.leave_one_out_m_s2)
     if without > POOR_RESIDUAL_M_S2:
         reasons.append(
-            f"positions disagree by {without / MG:.1f} mg RMS (limit {POOR_RESIDUAL_M_S2 / MG:.0f} mg): retake the worst, and hold "
-            "still"
+            f"positions disagree by {without / MG:.1f} mg RMS (limit {POOR_RESIDUAL_M_S2 / MG:.0f} mg): retake the "
+            "worst, and hold it still"
         )
     return reasons
 
@@ -155,8 +155,8 @@ def _cautions(evidence: Evidence) -> list[str]:
     reasons = [*_single_sentences(evidence), *_outlier_sentences(evidence)]
     if evidence.unobservable:
         reasons.append(
-            f"these positions cannot show {', '.join(_words(name) for name in evidence.unobservable)}; left at the preset's value, "
-            "or zero without a preset"
+            f"these positions cannot show {', '.join(_words(name) for name in evidence.unobservable)}; left at the preset's "
+            "value, or zero without a preset"
         )
     freedom = evidence.fitted.degrees_of_freedom
     if 0 < freedom < SPARE_POSITIONS:

@@ -43,13 +43,16 @@ def solve_least_squares(
     """
     import scipy.optimize  # here, because it takes longer to load than the fit to run
 
+    def jacobian(z: FloatArray, *_: object) -> FloatArray:
+        return problem.jacobian(z)
+
     start = problem.start
     plain = loss == "linear" and len(problem.residuals(start)) >= len(start)
     try:
         fit = scipy.optimize.least_squares(
             problem.residuals,
             start,
-            jac=problem.jacobian,
+            jac=jacobian,
             method="lm" if plain else "trf",
             loss=loss,
             ftol=_TOLERANCE,
@@ -62,7 +65,8 @@ def solve_least_squares(
         return SolverResult(start, np.inf, FAILED, f"least squares left the domain of the model: {error}", 0)
     x: FloatArray = fit.x
     cost = float(np.sum(problem.residuals(x) ** 2))
+    if not np.isfinite(cost):
+        return SolverResult(start, np.inf, FAILED, "least squares left the domain of the model", int(fit.nfev))
     if callback is not None:
         callback(int(fit.nfev), x, cost)
-    status = int(fit.status) if np.isfinite(cost) else FAILED
-    return SolverResult(x, cost, status, str(fit.message), int(fit.nfev) + int(fit.njev or 0), np.array([cost]))
+    return SolverResult(x, cost, int(fit.status), str(fit.message), int(fit.nfev) + int(fit.njev or 0), np.array([cost]))
