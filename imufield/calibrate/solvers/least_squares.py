@@ -43,16 +43,13 @@ def solve_least_squares(
     """
     import scipy.optimize  # here, because it takes longer to load than the fit to run
 
-    def jacobian(z: FloatArray, *_: object) -> FloatArray:
-        return problem.jacobian(z)
-
     start = problem.start
     plain = loss == "linear" and len(problem.residuals(start)) >= len(start)
     try:
         fit = scipy.optimize.least_squares(
             problem.residuals,
             start,
-            jac=jacobian,
+            jac=problem.jacobian,
             method="lm" if plain else "trf",
             loss=loss,
             ftol=_TOLERANCE,
