@@ -250,28 +250,28 @@ def export_data(
 @app.command()
 def emulate(
     driver: Annotated[str, typer.Argument(help="Instrument family, see `imufield devices`.")],
-    rate_hz: Annotated[float, typer.Option(help="Sample rate.", min=1)] = 500.0,
+    rate_hz: Annotated[float | None, typer.Option(help="Sample rate (default: the instrument's usual one).", min=1)] = None,
     speed: Annotated[float, typer.Option(help="Times real time.", min=0.1)] = 1.0,
     grade: Annotated[str, typer.Option(help="navigation, tactical, industrial or mems.")] = "tactical",
     seed: Annotated[int, typer.Option(help="Seed of instrument, operator and faults.")] = 1,
-    positions: Annotated[
-        str, typer.Option(help="Scheme the virtual operator works through; `none`: stands still.")
-    ] = "paper24",
+    positions: Annotated[str, typer.Option(help="Scheme the operator works through; `none`: it lies still.")] = "paper24",
+    style: Annotated[str, typer.Option(help="placed (on a surface) or held (in the hand).")] = "placed",
     hold_s: Annotated[float, typer.Option(help="Seconds the virtual operator holds each position.", min=1)] = 14.0,
+    wait: Annotated[bool, typer.Option("--wait", help="Power on when a program opens the port.")] = False,
     link: Annotated[Path | None, typer.Option(help="Make a symbolic link to the port here.")] = None,
-    truth: Annotated[Path | None, typer.Option(help="Write the true parameters and stills to this JSON file.")] = None,
+    truth: Annotated[Path | None, typer.Option(help="Write the true parameters and stills to this file.")] = None,
     duration_s: Annotated[float | None, typer.Option(help="Stop after so many seconds of sample time.", min=0.1)] = None,
-    fault: Annotated[list[str] | None, typer.Option(help="Fault, e.g. bit_flips=1e-4; may be repeated.")] = None,
+    fault: Annotated[list[str] | None, typer.Option(help="E.g. bit_flip_probability=1e-4; may be repeated.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Pretend to be an instrument on a virtual serial port.
 
-    Example: imufield emulate stim300 --link /tmp/imu
+    Example: imufield emulate stim300 --wait --link /tmp/imu
     """
     from imufield.commands.emulate import EmulateOptions, run_emulate
 
     options = EmulateOptions(
-        driver, rate_hz, speed, grade, seed, positions, hold_s, link, truth, duration_s, fault or [], as_json
+        driver, rate_hz, speed, grade, seed, positions, hold_s, link, truth, duration_s, fault or [], wait, style, as_json
     )
     run_emulate(options)
 

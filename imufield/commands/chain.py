@@ -1,0 +1,221 @@
+"""The way of the data from bytes to observations: the same for a live capture, a replay and a test (DESIGN section 2).
+
+A chain has one decoder per part and one guide (or, for sessions that nobody guided, one finder of still intervals) per
+session. It reads no clock: arrival times come with the bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.protocol import Protocol, parse_protocol
+from imufield.acquire.recording import Damage, PartStart, RecordedEvent, read_blocks
+from imufield.acquire.session import Session
+from imufield.acquire.statistics import DecoderStatistics
+from imufield.calibrate.observations import Observations
+from imufield.errors import ProtocolError, Reason, RecordingError
+from imufield.guide.events import Event
+from imufield.guide.free import StillIntervalFinder, StillIntervals
+from imufield.guide.guide import Guide, GuideSettings
+from imufield.guide.positions import scheme
+from imufield.guide.scale import RoughScale
+from imufield.samples import FloatArray, Samples
+
+MARK = "mark"
+"""Name of a recorded event: what the operator said, to be said again on replay."""
+PART_GAP_S = 1.0
+"""Least time between the samples of two parts, whatever the clocks of the host say of them."""
+
+SamplesListener = Callable[[Samples], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How a session is read: guided through a scheme, or every still interval for itself (``scheme`` is None)."""
+
+    scheme: str | None
+    hold_s: float | None = None
+
+    @classmethod
+    def of(cls, session: Session) -> Plan:
+        """Return the plan written in ``session.toml``."""
+        hold_s = session.metadata.get("guide", {}).get("hold_s")
+        return cls(session.metadata.get("scheme") or None, None if hold_s is None else float(hold_s))
+
+
+class Chain:
+    """Bytes in, events out.
+
+    Parameters
+    ----------
+    plan : Plan
+    listeners : sequence of callable
+        Each is given every block of samples, in order.
+    """
+
+    def __init__(self, plan: Plan, listeners: tuple[SamplesListener, ...] = ()) -> None:
+        self.plan = plan
+        self.guide: Guide | None = None
+        self.finder: StillIntervalFinder | None = None
+        self.protocol: Protocol | None = None
+        self.decoder: Decoder | None = None
+        self.statistics: list[DecoderStatistics] = []
+        """One per part."""
+        self.temperature_degc = (float("nan"), float("nan"))
+        """Lowest and highest so far."""
+        self._listeners = listeners
+        self._offset_s: float | None = 0.0
+        self._last_s: float | None = None
+        self._last_utc_ns = 0
+
+    def start_part(self, protocol: Protocol) -> list[Event]:
+        """Begin a part: clocks, counters and half frames do not carry over.
+
+        Raises
+        ------
+        ProtocolError
+            If its samples have other units than those of the parts before.
+        """
+        if self.protocol is not None and protocol.units != self.protocol.units:
+            raise ProtocolError(
+                f"the parts of this session have different units ({self.protocol.units.accelerometer} and "
+                f"{protocol.units.accelerometer}); import or solve them one by one",
+                Reason.UNITS,
+            )
+        events = self.link_lost() if self._last_s is not None else []
+        self.protocol, self.decoder = protocol, Decoder(protocol)
+        self.statistics.append(self.decoder.statistics)
+        self._offset_s = None if self._last_s is not None else 0.0
+        if self.guide is None and self.finder is None:
+            self._make_judge(protocol)
+        return events
+
+    def feed(self, data: bytes, arrival_s: float, utc_ns: int) -> list[Event]:
+        """Take the bytes of one read and return what the guide has to say."""
+        if self.decoder is None:
+            raise RecordingError("bytes stand before the start of a part; the recording is damaged", Reason.DAMAGED)
+        samples = self._on_session_clock(self.decoder.feed(data, arrival_s), utc_ns)
+        if not len(samples):
+            return []
+        self._last_s, self._last_utc_ns = float(samples.time_s[-1]), utc_ns
+        self._note_temperature(samples.temperature_degc)
+        for listener in self._listeners:
+            listener(samples)
+        if self.finder is not None:
+            self.finder.feed(samples)
+        return self.guide.feed(samples) if self.guide is not None else []
+
+    def mark(self, action: str, time_s: float | None = None, position: str | None = None) -> list[Event]:
+        """Take what the operator says, now or at a time of the sample clock."""
+        if self.guide is None:
+            return []
+        return self.guide.mark(action, self.guide.time_s if time_s is None else time_s, position)
+
+    def link_lost(self) -> list[Event]:
+        """Say that nothing arrives any more."""
+        return self.guide.link_lost() if self.guide is not None else []
+
+    def observations(self) -> Observations:
+        """Return the accepted positions of a guided session."""
+        if self.guide is None:
+            raise ValueError("the session is not guided: ask `still_intervals`")
+        return self.guide.observations()
+
+    def still_intervals(self) -> StillIntervals:
+        """Return what an unguided session holds; nothing can be fed afterwards.
+
+        Raises
+        ------
+        CalibrationError
+            If no stretch is quiet enough.
+        """
+        if self.finder is None:
+            raise ValueError("the session is guided: ask `observations`")
+        return self.finder.finish()
+
+    def _make_judge(self, protocol: Protocol) -> None:
+        nominal = protocol.nominal
+        scale = RoughScale(nominal.accelerometer_scale, nominal.gyroscope_scale, nominal.raw_zero)
+        if self.plan.scheme is None:
+            self.finder = StillIntervalFinder(protocol.units, scale)
+            return
+        settings = GuideSettings() if self.plan.hold_s is None else GuideSettings(hold_s=self.plan.hold_s)
+        self.guide = Guide(scheme(self.plan.scheme), protocol.units, scale=scale, settings=settings)
+
+    def _on_session_clock(self, samples: Samples, utc_ns: int) -> Samples:
+        """Shift the samples of a later part behind those of the parts before, as far as the host's clock says."""
+        if not len(samples):
+            return samples
+        if self._offset_s is None and self._last_s is not None:
+            pause_s = max((utc_ns - self._last_utc_ns) / 1e9, PART_GAP_S)
+            self._offset_s = self._last_s + pause_s - float(samples.time_s[-1])
+        return replace(samples, time_s=samples.time_s + self._offset_s) if self._offset_s else samples
+
+    def _note_temperature(self, temperature_degc: FloatArray) -> None:
+        known = temperature_degc[np.isfinite(temperature_degc)]
+        if len(known):
+            low, high = self.temperature_degc
+            self.temperature_degc = (float(np.fmin(low, known.min())), float(np.fmax(high, known.max())))
+
+
+def part_metadata(protocol: Protocol, extra: Mapping[str, object]) -> dict[str, object]:
+    """Return what a part must hold to be decoded without the outside."""
+    return {
+        **extra,
+        "protocol": protocol.name,
+        "protocol_text": protocol.text,
+        "protocol_sha256": protocol.sha256,
+        "settings": {name: setting.value for name, setting in protocol.settings.items()},
+    }
+
+
+def recorded_protocol(metadata: Mapping[str, Any], session: Session) -> Protocol:
+    """Return the protocol a part was recorded with; the session's own where the part's start is damaged.
+
+    Raises
+    ------
+    RecordingError
+        If neither holds one.
+    """
+    text = metadata.get("protocol_text") or session.metadata.get("protocol", {}).get("text")
+    if not text:
+        raise RecordingError(f"{session.folder} does not hold the protocol it was recorded with; restore session.toml")
+    recorded = {name: entry["value"] for name, entry in session.metadata.get("settings", {}).items()}
+    return parse_protocol(text, metadata.get("settings") or recorded, label=f"protocol of {session.name}")
+
+
+def replay_into(
+    chain: Chain, session: Session, damage: list[Damage], listener: Callable[[list[Event]], None] | None = None
+) -> None:
+    """Run a recorded session through a chain, with the operator's marks at their places.
+
+    Parameters
+    ----------
+    chain : Chain
+    session : Session
+    damage : list of Damage
+        Receives what could not be read.
+    listener : callable, optional
+        Given the events of each step.
+    """
+    for item in read_blocks(session, damage):
+        if isinstance(item, PartStart):
+            events = chain.start_part(recorded_protocol(item.metadata, session))
+        elif isinstance(item, RecordedEvent):
+            events = _say_again(chain, item.event)
+        else:
+            events = chain.feed(item.data, item.arrival_s, item.utc_ns)
+        if events and listener is not None:
+            listener(events)
+
+
+def _say_again(chain: Chain, event: Mapping[str, Any]) -> list[Event]:
+    kind = event.get("event")
+    if kind == MARK:
+        return chain.mark(str(event.get("action")), event.get("time_s"), event.get("position"))
+    return chain.link_lost() if kind == "link_lost" else []

@@ -1,0 +1,246 @@
+"""``imufield solve``: a session or a file of position means in, a parameter file and a verdict out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, cast, get_args
+
+import numpy as np
+import typer
+
+from imufield.acquire.recording import Damage
+from imufield.acquire.session import Session
+from imufield.calibrate.accelerometer import calibrate_accelerometer
+from imufield.calibrate.gyroscope import static_bias, with_gyroscope
+from imufield.calibrate.observation_files import read_observations
+from imufield.calibrate.observations import Observations
+from imufield.calibrate.result import Calibration, Gauge, ModelChoice
+from imufield.commands.chain import Chain, Plan, replay_into
+from imufield.commands.configuration import parse_zero
+from imufield.commands.site import SiteOptions
+from imufield.deliver.parameters import (
+    Context,
+    Instrument,
+    Parameters,
+    SessionFacts,
+    from_document,
+    json_ready,
+    load,
+    to_document,
+    write_document,
+)
+from imufield.deliver.summary import Outcome, print_summary
+from imufield.earth import Gravity
+from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError
+from imufield.guide.axes_check import MoveRecorder, check_axes
+from imufield.samples import FloatArray
+
+PARAMETER_FILE = "parameters.toml"
+HASH_BLOCK_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class SolveOptions:
+    """Options of the command."""
+
+    session: Path | None = None
+    observations: Path | None = None
+    site: SiteOptions = field(default_factory=SiteOptions)
+    model: str = "auto"
+    gauge: str | None = None
+    preset: Path | None = None
+    zero: str | None = None
+    seed: int = 0
+    output: Path | None = None
+    as_json: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """What a solve found, before it is written."""
+
+    parameters: Parameters
+    notes: tuple[str, ...]
+    """Sentences about the recording that are not about the numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Input:
+    """What is solved, wherever it came from."""
+
+    observations: Observations
+    gravity: Gravity
+    raw_zero: FloatArray | None
+    gyroscope_scale: float | None
+    context: Context
+    reasons: tuple[str, ...]
+
+
+def run_solve(options: SolveOptions) -> None:
+    """Solve, write the parameter file, and print the summary or the document."""
+    if options.observations is not None:
+        if options.session is not None:
+            raise UsageError("give a session or --observations, not both")
+        session = None
+        solved = solve_observations(options.observations, options)
+    else:
+        session = Session.newest() if options.session is None else Session.open(options.session)
+        solved = solve_session(session, options)
+    path = options.output or (Path(PARAMETER_FILE) if session is None else session.folder / PARAMETER_FILE)
+    kept = write_document(path, solved.parameters.document)
+    if options.as_json:
+        typer.echo(json.dumps(json_ready(solved.parameters.document)))
+        return
+    print_summary(solved.parameters, Outcome(path, kept, None if session is None else session.folder))
+    for note in solved.notes:
+        typer.echo(note)
+
+
+def solve_session(session: Session, options: SolveOptions) -> Solved:
+    """Replay a session and solve it.
+
+    Raises
+    ------
+    ImufieldError
+        Recording unreadable, calibration impossible or refused.
+    """
+    damage: list[Damage] = []
+    moves = MoveRecorder()
+    chain = Chain(Plan.of(session), listeners=(moves.feed,))
+    replay_into(chain, session, damage)
+    observations, refused = _observations(chain)
+    metadata = session.metadata
+    instrument = Instrument(**{key: str(value) for key, value in metadata.get("instrument", {}).items()})
+    facts = SessionFacts(session.name, session_sha256(session), _true_rate_hz(chain), chain.temperature_degc)
+    nominal = chain.protocol.nominal if chain.protocol is not None else None
+    found = _Input(
+        observations,
+        options.site.gravity(metadata.get("site")),
+        None if nominal is None else nominal.raw_zero,
+        None if nominal is None else nominal.gyroscope_scale,
+        Context(instrument, facts),
+        (*check_axes(moves, observations), *_loss_sentences(chain, damage)),
+    )
+    return Solved(_solve(found, options), refused)
+
+
+def solve_observations(path: Path, options: SolveOptions) -> Solved:
+    """Solve position means from a file."""
+    observations = read_observations(path)
+    facts = SessionFacts(path.name, _sha256([path]))
+    found = _Input(observations, options.site.gravity(), None, None, Context(session=facts), ())
+    return Solved(_solve(found, options), ())
+
+
+def _observations(chain: Chain) -> tuple[Observations, tuple[str, ...]]:
+    if chain.guide is not None:
+        return chain.observations(), ()
+    if chain.finder is None:
+        raise CalibrationError("the session holds no data at all; record or import it again", Reason.TOO_FEW)
+    found = chain.still_intervals()
+    sentences = tuple(
+        f"The still interval at {start_s:.1f} s is left out: {refusal.words}." for start_s, refusal in found.refused
+    )
+    return found.observations, sentences
+
+
+def _solve(found: _Input, options: SolveOptions) -> Parameters:
+    preset = None if options.preset is None else load(options.preset)
+    if preset is not None:
+        _check_preset(preset, found)
+    zero = parse_zero(options.zero)
+    calibration = calibrate_accelerometer(
+        found.observations,
+        found.gravity,
+        model=_one_of("model", options.model, get_args(ModelChoice)),
+        gauge=None if options.gauge is None else cast(Gauge, _one_of("gauge", options.gauge, get_args(Gauge))),
+        preset=None if preset is None else preset.calibration.accelerometer,
+        raw_zero=found.raw_zero if zero is None else np.array(zero),
+        seed=options.seed,
+    )
+    calibration = _add_gyroscope(calibration, found, preset)
+    if found.reasons:
+        quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *found.reasons))
+        calibration = replace(calibration, quality=quality)
+    return from_document(to_document(calibration, found.observations, found.context))
+
+
+def _add_gyroscope(calibration: Calibration, found: _Input, preset: Parameters | None) -> Calibration:
+    """Join the gyroscope's static bias, where the session holds its output."""
+    observations = found.observations
+    if int(np.isfinite(observations.gyroscope_mean_raw).all(axis=1).sum()) < 2:
+        return calibration
+    before = None if preset is None or preset.calibration.gyroscope is None else preset.calibration.gyroscope.parameters
+    gyroscope = static_bias(
+        observations,
+        found.gyroscope_scale if before is None else before.scale,
+        misalignment_rad=None if before is None else before.misalignment_rad,
+        up=observations.mean_raw - calibration.accelerometer.raw_zero,
+        latitude_deg=found.gravity.latitude_deg,
+    )
+    return with_gyroscope(calibration, gyroscope)
+
+
+def _check_preset(preset: Parameters, found: _Input) -> None:
+    serial = preset.context.instrument.serial_number
+    own = found.context.instrument.serial_number
+    if serial and own and serial != own:
+        raise ParameterFileError(
+            f"the preset is for serial number {serial}, the session for {own}; give the parameter file of this instrument",
+            Reason.FOREIGN,
+            preset=serial,
+            session=own,
+        )
+
+
+def _one_of(name: str, value: str, choices: tuple[str, ...]) -> Any:
+    if value not in choices:
+        raise UsageError(f"--{name} {value!r} is unknown; choose one of {', '.join(choices)}")
+    return value
+
+
+def _true_rate_hz(chain: Chain) -> float:
+    rates = [statistics.rate_hz for statistics in chain.statistics if statistics.rate_hz]
+    return float(np.median(rates)) if rates else math.nan
+
+
+def _loss_sentences(chain: Chain, damage: list[Damage]) -> tuple[str, ...]:
+    sentences = [f"{part.what}" for part in damage]
+    lost = sum(statistics.samples_lost for statistics in chain.statistics)
+    estimated = sum(statistics.losses_estimated for statistics in chain.statistics)
+    total = sum(statistics.samples for statistics in chain.statistics)
+    if lost:
+        sentences.append(f"{lost} of {total + lost} samples were lost on the wire.")
+    if estimated:
+        sentences.append(f"About {estimated} more were lost in longer gaps, by the clock of the host.")
+    return tuple(sentences)
+
+
+def session_sha256(session: Session) -> str:
+    """Return the hash of the session's parts, in their order."""
+    return _sha256(session.parts)
+
+
+def _sha256(paths: list[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in paths:
+        with path.open("rb") as file:
+            while block := file.read(HASH_BLOCK_BYTES):
+                digest.update(block)
+    return digest.hexdigest()
+
+
+def instrument_table(driver: str, model: str, identity: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return the session's ``instrument`` table."""
+    known = identity or {}
+    return {
+        "driver": driver,
+        "model": known.get("model", model),
+        "serial_number": known.get("serial_number", ""),
+        "firmware": known.get("firmware", ""),
+    }
