@@ -1,0 +1,232 @@
+"""What the columns of a table mean: by their header, by the user's word, or by how many there are.
+
+Nothing is guessed in silence: whatever a header does not say itself is returned as a sentence.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from imufield.errors import UsageError
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS
+
+TIME = "time"
+TEMPERATURE = "temperature"
+FIELDS = (TIME, *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS, TEMPERATURE)
+"""The columns of a row of protocol ``rows_f64``, in its order."""
+SKIPPED = ("-", "_", "skip")
+
+
+def _spellings(**names: str) -> dict[str, str]:
+    """Return spelling -> unit; units that are no Python names are given as keys with words for their signs."""
+    signs = {"m_s2": "m/s^2", "m_s": "m/s", "rad_s": "rad/s", "deg_s": "deg/s"}
+    return {spelling: signs.get(unit, unit) for unit, spellings in names.items() for spelling in spellings.split()}
+
+
+# Spellings are compared in small letters without blanks, hats, stars, dots and minus signs.
+_RAW_UNITS = _spellings(count="count counts lsb raw adc", pulse="pulse pulses")
+_TIME_UNITS = _spellings(
+    s="s sec secs second seconds", ms="ms msec millis", us="us µs usec micros", ns="ns nsec nanos nanosec nanoseconds"
+)
+_ACCELEROMETER_UNITS = _spellings(m_s2="m/s2 m/s/s ms2 mps2 mss", m_s="m/s ms", g="g", mg="mg")
+_GYROSCOPE_UNITS = _spellings(rad_s="rad/s rads radps rps", deg_s="deg/s °/s dps degps degs", rad="rad", deg="deg")
+_TEMPERATURE_UNITS = _spellings(degC="degc °c c celsius")
+
+UNITS_OF = {
+    TIME: _TIME_UNITS,
+    "accelerometer": _ACCELEROMETER_UNITS | _RAW_UNITS,
+    "gyroscope": _GYROSCOPE_UNITS | _RAW_UNITS,
+    TEMPERATURE: _TEMPERATURE_UNITS,
+}
+
+_TIME_NAMES = frozenset(
+    {"t", "time", "times", "timestamp", "ts", "stamp", "epoch", "unixtime", "elapsed", "elapsedtime", "systemtime"}
+)
+_TEMPERATURE_NAMES = frozenset({"temp", "temperature"})
+_ACCELEROMETER_NAMES = frozenset(
+    {"a", "acc", "accel", "accelerometer", "acceleration", "linearacceleration", "specificforce", "f"}
+)
+_GYROSCOPE_NAMES = frozenset(
+    {"g", "w", "gyr", "gyro", "gyroscope", "omega", "rate", "rot", "angularrate", "angularvelocity", "angvel", "turnrate"}
+)
+_NOISE_WORDS = frozenset({"imu", "sensor", "data", "field", "msg", "calibrated"})
+_HEADERLESS = {
+    3: ACCELEROMETER_COLUMNS,
+    6: (*ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS),
+    7: (TIME, *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS),
+    8: FIELDS,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column that is used: where it stands, what it is, and the unit its header names (None if it names none)."""
+
+    index: int
+    field: str
+    unit: str | None = None
+
+    @property
+    def quantity(self) -> str:
+        """``time``, ``accelerometer``, ``gyroscope`` or ``temperature``."""
+        return quantity_of(self.field)
+
+
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """The used columns of one file, and what was assumed about them, in sentences."""
+
+    columns: tuple[Column, ...]
+    assumptions: tuple[str, ...] = ()
+
+
+def quantity_of(field: str) -> str:
+    """Return what a field measures."""
+    if field in ACCELEROMETER_COLUMNS:
+        return "accelerometer"
+    return "gyroscope" if field in GYROSCOPE_COLUMNS else field
+
+
+def named_column(text: str, index: int, unit_below: str | None = None) -> Column | None:
+    """Understand one column name such as ``Acc X (m/s^2)``, ``gyro_z_dps``, ``linear_acceleration.x`` or ``time_ms``.
+
+    Returns
+    -------
+    Column or None
+        None for a name that is none of ours.
+    """
+    bracket = re.search(r"[\[(]([^\])]*)[\])]", text)
+    words = _words(text[: bracket.start()] + text[bracket.end() :] if bracket else text)
+    stated = bracket.group(1) if bracket else unit_below
+    field, tail = _field_of(words)
+    if field is None:
+        return None
+    return Column(index, field, UNITS_OF[quantity_of(field)].get(_spelling(stated or "".join(tail))))
+
+
+def _spelling(unit: str) -> str:
+    return re.sub(r"[\s^*.-]", "", unit.lower().replace("²", "2"))
+
+
+def _words(text: str) -> list[str]:
+    """Split at anything but letters and digits, and between small and capital letters."""
+    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
+    return [word for word in re.split(r"[^0-9a-z°µ]+", parted.lower()) if word and word not in _NOISE_WORDS]
+
+
+def _field_of(words: Sequence[str]) -> tuple[str | None, Sequence[str]]:
+    """Find the field, and the words behind it, which may be a unit."""
+    for end in range(len(words), 0, -1):
+        field = _field_of_name("".join(words[:end]))
+        tail = words[end:]
+        if field is not None and (not tail or "".join(tail) in UNITS_OF[quantity_of(field)]):
+            return field, tail
+    return None, ()
+
+
+def _field_of_name(name: str) -> str | None:
+    if name in _TIME_NAMES:
+        return TIME
+    if name in _TEMPERATURE_NAMES:
+        return TEMPERATURE
+    # Both "acc x" and "x acc" are in use.
+    for axis, rest in ((name[-1:], name[:-1]), (name[:1], name[1:])):
+        if axis in ("x", "y", "z"):
+            if rest in _ACCELEROMETER_NAMES:
+                return f"a{axis}"
+            if rest in _GYROSCOPE_NAMES:
+                return f"g{axis}"
+    return None
+
+
+def columns_by_user(path: Path, columns: str, width: int) -> Meaning:
+    """Take the user's word, e.g. ``time,ax,ay,az,gx,gy,gz,temperature``; ``-`` skips a column.
+
+    Raises
+    ------
+    UsageError
+        A name is unknown or used twice, or there are not as many names as columns.
+    """
+    names = [name.strip() for name in columns.split(",")]
+    if len(names) != width:
+        raise UsageError(
+            f"--columns names {len(names)} columns, {path} has {width}: name each, `-` skips one.", path=str(path), width=width
+        )
+    found = []
+    for index, name in enumerate(names):
+        if name in SKIPPED:
+            continue
+        column = named_column(name, index)
+        if column is None:
+            raise UsageError(f"--columns names {name!r}: use {', '.join(FIELDS)}, or `-` to skip a column.", name=name)
+        found.append(column)
+    return _checked(path, found, ())
+
+
+def columns_by_header(path: Path, header: Sequence[str], units: Sequence[str] | None) -> Meaning:
+    """Understand a header line.
+
+    Raises
+    ------
+    UsageError
+        No accelerometer or gyroscope triad is found, or two columns mean the same.
+    """
+    below = units if units is not None and len(units) == len(header) else [None] * len(header)
+    named = [named_column(name, index, unit) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
+    found = [column for column in named if column is not None]
+    ignored = [name for name, column in zip(header, named, strict=True) if column is None and name]
+    return _checked(path, found, (f"{path.name}: ignored the columns {', '.join(ignored)}.",) if ignored else ())
+
+
+def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning:
+    """Assume the usual order of a file without header; ``number`` is its place among ``files``, from 0.
+
+    Raises
+    ------
+    UsageError
+        That many columns have no usual order.
+    """
+    triad = (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS)[min(number, 1)]
+    if number > 1:
+        raise UsageError(f"{path} has no header and is file {number + 1}: name its columns with --columns.", path=str(path))
+    if width == 4:
+        fields: Sequence[str] | None = (TIME, *triad)
+    elif width == 3 and files > 1:
+        fields = triad
+    else:
+        fields = _HEADERLESS.get(width) if number == 0 else None
+    if fields is None:
+        raise UsageError(
+            f"{path} has no header and {width} columns of unknown meaning: name them, e.g. --columns {','.join(FIELDS)}.",
+            path=str(path),
+            width=width,
+        )
+    said = f"{path.name}: no header, its {width} columns are taken as {', '.join(fields)}."
+    return Meaning(tuple(Column(index, field) for index, field in enumerate(fields)), (said,))
+
+
+def _checked(path: Path, found: Sequence[Column], assumptions: tuple[str, ...]) -> Meaning:
+    """Refuse doubled columns and incomplete triads."""
+    fields = [column.field for column in found]
+    doubled = next((field for field in fields if fields.count(field) > 1), None)
+    if doubled is not None:
+        raise UsageError(
+            f"{path} has two columns that mean {doubled}: say which with --columns.", path=str(path), field=doubled
+        )
+    for triad in (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS):
+        missing = [field for field in triad if field not in fields]
+        if 0 < len(missing) < 3:
+            raise UsageError(
+                f"{path} has no column for {', '.join(missing)}: name the columns with --columns.",
+                path=str(path),
+                missing=missing,
+            )
+    if not set(fields) - {TIME, TEMPERATURE}:
+        raise UsageError(
+            f"no column of {path} is known as accelerometer or gyroscope: name them with --columns {','.join(FIELDS)}.",
+            path=str(path),
+        )
+    return Meaning(tuple(found), assumptions)

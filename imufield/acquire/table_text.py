@@ -1,0 +1,277 @@
+"""Numbers from text: CSV or columns separated by blanks, packed by gzip or not, with or without a header.
+
+A file is read in blocks of whole lines, each of which NumPy's C parser turns into numbers (4 million a second); the lines are
+looked at one by one only to say which of them is wrong.
+"""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, cast
+
+import numpy as np
+
+from imufield.errors import Reason, RecordingError
+from imufield.samples import FloatArray
+
+BLOCK_BYTES = 8 << 20
+"""Text parsed at a time: bounds the memory beside the numbers themselves."""
+HEAD_BYTES = 64 << 10
+"""A header stands within this."""
+LINE_LIMIT_BYTES = 1 << 20
+"""No table has longer lines; a file without line ends is not one."""
+_GZIP_MAGIC = b"\x1f\x8b"
+_COMMENT_MARKS = ("#", "%", "//")
+_TEXT_SHOWN = 40
+
+
+@dataclass(frozen=True, slots=True)
+class TextTable:
+    """A table whose shape is known and whose numbers are not read yet.
+
+    Attributes
+    ----------
+    path : Path
+    delimiter : str or None
+        None for blanks and tabs.
+    header : tuple of str or None
+        Names of the columns.
+    units : tuple of str or None
+        A second header line, where there is one.
+    width : int
+        Number of columns.
+    lines_before : int
+        Lines before the first row.
+    decimal_comma : bool
+        Numbers are written 1,5 and cells separated by semicolons.
+    """
+
+    path: Path
+    delimiter: str | None
+    header: tuple[str, ...] | None
+    units: tuple[str, ...] | None
+    width: int
+    lines_before: int
+    decimal_comma: bool
+
+    def blocks(self, columns: Sequence[int]) -> Iterator[FloatArray]:
+        """Yield arrays of shape (n, len(columns)); NaN for empty cells.
+
+        Raises
+        ------
+        RecordingError
+            A row is too short, a cell is no number, or the file ends early; names file, line and text.
+        """
+        line = 0
+        for block in _line_blocks(self.path):
+            text = self._clean(block)
+            lines = text.split("\n")
+            rows = lines[max(self.lines_before - line, 0) :]
+            if any(_is_row(row) for row in rows):
+                yield self._parse(rows, columns, line + len(lines) - len(rows))
+            line += len(lines) - 1
+
+    def read(self, columns: Sequence[int]) -> FloatArray:
+        """Return all rows, shape (n, len(columns)).
+
+        Raises
+        ------
+        RecordingError
+            As ``blocks``.
+        """
+        found = list(self.blocks(columns))
+        if not found:
+            raise _bad(self.path, "holds no rows of numbers: check that it is the right file")
+        return found[0] if len(found) == 1 else np.concatenate(found)
+
+    def line_of_row(self, row: int) -> tuple[int, str]:
+        """Return line number and text of a row, for messages."""
+        line, left = 0, row
+        for block in _line_blocks(self.path):
+            for text in block.decode("latin-1").split("\n")[: block.count(b"\n") + (not block.endswith(b"\n"))]:
+                line += 1
+                if line <= self.lines_before or not _is_row(text):
+                    continue
+                if left == 0:
+                    return line, text.strip()
+                left -= 1
+        raise IndexError(f"{self.path} has no row {row}")
+
+    def split(self, line: str) -> list[str]:
+        """Return the cells of one line."""
+        return _split(line, self.delimiter)
+
+    def _clean(self, block: bytes) -> str:
+        """Bring what C parsers do not know into a form they do: quotes, decimal commas, empty cells."""
+        if b'"' in block:
+            block = block.replace(b'"', b"")
+        if self.decimal_comma:
+            block = block.replace(b",", b".")
+        if self.delimiter is not None:
+            block = _fill_empty_cells(block.replace(b"\r\n", b"\n"), self.delimiter.encode())
+        return block.decode("latin-1")
+
+    def _parse(self, rows: list[str], columns: Sequence[int], lines_before: int) -> FloatArray:
+        use = None if list(columns) == list(range(self.width)) else tuple(columns)
+        try:
+            values = np.loadtxt(rows, delimiter=self.delimiter, ndmin=2, usecols=use)
+        except ValueError as error:
+            raise self._find_fault(rows, columns, lines_before) from error
+        if values.shape[1] != len(columns):
+            raise self._find_fault(rows, columns, lines_before)
+        return values
+
+    def _find_fault(self, rows: list[str], columns: Sequence[int], lines_before: int) -> RecordingError:
+        """Name the first line that is not a row of the table."""
+        for number, row in enumerate(rows, start=lines_before + 1):
+            text = row.split("#")[0].strip()
+            if not text:
+                continue
+            cells = self.split(text)
+            if len(cells) != self.width:
+                return _bad(
+                    self.path, f"has {len(cells)} instead of {self.width} columns in line {number}, {_shown(text)}", number
+                )
+            wrong = next((cells[column] for column in columns if not _is_number(cells[column])), None)
+            if wrong is not None:
+                return _bad(self.path, f"has {_shown(wrong)} where a number should stand in line {number}", number)
+        return _bad(self.path, f"has a row that cannot be read behind line {lines_before}", lines_before)
+
+
+def open_table(path: str | Path) -> TextTable:
+    """Find delimiter, header and number of columns of a file.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, is not text, or holds no numbers.
+    """
+    path = Path(path)
+    head = _head_lines(path)
+    marked: list[str] = []
+    names: list[list[str]] = []
+    for number, line in enumerate(head):
+        text = line.strip()
+        mark = next((mark for mark in _COMMENT_MARKS if text.startswith(mark)), None)
+        if mark is not None:
+            marked.append(text.lstrip(mark).strip())
+        elif text:
+            delimiter, decimal_comma = _delimiter(text)
+            cells = _split(text, delimiter)
+            if any(_is_number(cell.replace(",", ".") if decimal_comma else cell) and cell for cell in cells):
+                header, units = _header(path, names, marked, len(cells))
+                return TextTable(path, delimiter, header, units, len(cells), number, decimal_comma)
+            names.append([cell.strip('" ') for cell in cells])
+    raise _bad(path, "holds no rows of numbers: check that it is the right file")
+
+
+def _header(
+    path: Path, names: list[list[str]], marked: list[str], width: int
+) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None]:
+    """Return names and units: the lines before the numbers, or the last commented line that has a name for each column."""
+    if len(names) > 2:
+        raise _bad(path, f"starts with {len(names)} lines that are no numbers, {_shown(' '.join(names[0]))}: remove them")
+    if names:
+        return tuple(names[0]), tuple(names[1]) if len(names) > 1 else None
+    for line in reversed(marked):
+        for delimiter in (_delimiter(line)[0], None):
+            cells = _split(line, delimiter)
+            if len(cells) == width and not any(map(_is_number, cells)):
+                return tuple(cells), None
+    return None, None
+
+
+def _delimiter(line: str) -> tuple[str | None, bool]:
+    """Return what separates cells, and whether commas are decimal ones."""
+    if ";" in line:
+        return ";", "," in line
+    if "," in line:
+        return ",", False
+    # A tab separates even where cells are empty, but files padded with blanks and tabs are common: take both as blanks.
+    return None, False
+
+
+def _split(line: str, delimiter: str | None) -> list[str]:
+    return [cell.strip() for cell in line.split(delimiter)]
+
+
+def _is_row(line: str) -> bool:
+    text = line.strip()
+    return bool(text) and not text.startswith("#")
+
+
+def _is_number(text: str) -> bool:
+    """Tell whether NumPy reads a cell as a number; an empty cell counts as one."""
+    if "_" in text:
+        return False
+    try:
+        float(text or "nan")
+    except ValueError:
+        return False
+    return True
+
+
+def _fill_empty_cells(block: bytes, delimiter: bytes) -> bytes:
+    """Write ``nan`` into empty cells, which the C parser refuses."""
+    twice = delimiter * 2
+    while twice in block:
+        block = block.replace(twice, delimiter + b"nan" + delimiter)
+    block = block.replace(delimiter + b"\n", delimiter + b"nan\n").replace(b"\n" + delimiter, b"\nnan" + delimiter)
+    if block.startswith(delimiter):
+        block = b"nan" + block
+    return block + b"nan" if block.endswith(delimiter) else block
+
+
+def _head_lines(path: Path) -> list[str]:
+    head = next(_pieces(path, HEAD_BYTES), b"")
+    if b"\0" in head:
+        raise _bad(path, "is not text: give CSV or columns of numbers, or `--protocol` for the bytes of an instrument")
+    return head.removeprefix(b"\xef\xbb\xbf").decode("utf-8", errors="replace").split("\n")
+
+
+def _line_blocks(path: Path) -> Iterator[bytes]:
+    """Yield blocks of whole lines; the last one may lack its line end."""
+    rest = b""
+    for piece in _pieces(path, BLOCK_BYTES):
+        end = piece.rfind(b"\n") + 1
+        if end:
+            yield rest + piece[:end]
+            rest = piece[end:]
+        else:
+            rest += piece
+        if len(rest) > LINE_LIMIT_BYTES:
+            raise _bad(path, f"has a line of more than {LINE_LIMIT_BYTES} characters: it is no table")
+    if rest:
+        yield rest
+
+
+def _pieces(path: Path, size: int) -> Iterator[bytes]:
+    """Yield the unpacked content; what the content starts with decides, not the name."""
+    try:
+        with path.open("rb") as raw:
+            packed = raw.read(len(_GZIP_MAGIC)) == _GZIP_MAGIC
+            raw.seek(0)
+            file = cast("BinaryIO", gzip.GzipFile(fileobj=raw)) if packed else raw
+            while piece := file.read(size):
+                yield piece
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise RecordingError(
+            f"{path} is a damaged gzip file ({error}): fetch or pack it again.", Reason.DAMAGED, path=str(path)
+        ) from error
+    except OSError as error:
+        raise RecordingError(
+            f"{path} cannot be read ({error.strerror}): check the name and its permissions.", Reason.BAD_DATA, path=str(path)
+        ) from error
+
+
+def _shown(text: str) -> str:
+    return f'"{text}"' if len(text) <= _TEXT_SHOWN else f'"{text[:_TEXT_SHOWN]}..."'
+
+
+def _bad(path: Path, what: str, line: int | None = None) -> RecordingError:
+    remedy = "" if ":" in what else ": correct or remove it"
+    return RecordingError(f"{path} {what}{remedy}.", Reason.BAD_DATA, path=str(path), line=line)
