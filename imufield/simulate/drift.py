@@ -55,8 +55,9 @@ class Drift:
         """Return the drift at rising times, shape (n,) to (n, c); what lies before ``time_s[0]`` is forgotten."""
         position = time_s / ANCHOR_S
         lower = np.floor(position).astype(np.int64)
-        while self._first + len(self._anchors) < lower[-1] + 2:
-            self._anchors = np.concatenate([self._anchors, self._next_block()])
+        missing = int(lower[-1]) + 2 - self._first - len(self._anchors)
+        blocks = [self._next_block() for _ in range(math.ceil(missing / ANCHORS_PER_BLOCK))]
+        self._anchors = np.concatenate([self._anchors, *blocks])
         forget = max(0, int(lower[0]) - self._first)
         self._anchors, self._first = self._anchors[forget:], self._first + forget
         row = lower - self._first

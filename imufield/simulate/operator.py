@@ -10,6 +10,7 @@ Left alone, he stays ``hold_s`` in each position and goes on. With ``waits=True`
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -142,6 +143,7 @@ class Operator:
         self._seed = seed
         self._agenda = [_Visit(index, row) for index, row in enumerate(self.directions)]
         self._visit_number = 0
+        self._heard: deque[int | None] = deque()
         self._generated_s = 0.0
         self._finished_s: float | None = None
         self._stills: list[StillInterval] = []
@@ -184,18 +186,14 @@ class Operator:
     def accepted(self, next_position: int | None = None) -> None:
         """Hear that the position is accepted: leave it soon, for ``next_position`` if given.
 
-        Does nothing where the operator is not waiting.
+        Takes effect in the next ``block``, so another thread may call it. Does nothing unless the operator waits then.
         """
-        if not math.isinf(self._pieces[-1].end_s) or not self._agenda:
-            return
-        if next_position is not None:
-            self._move_to_front(next_position)
-        end_s = self._generated_s + self._rng().uniform(*self.settings.reaction_s)
-        self._pieces[-1] = replace(self._pieces[-1], end_s=end_s)
-        self._stills[-1] = replace(self._stills[-1], end_s=end_s)
+        self._heard.append(next_position)
 
     def block(self, first: int, count: int, interval_s: float) -> TrueMotion:
         """Return the true motion at samples ``first`` to ``first + count - 1``."""
+        while self._heard:
+            self._leave(self._heard.popleft())
         # Two samples more than asked: differences reach over the end of the block.
         self._generated_s = max(self._generated_s, (first + count + 2) * interval_s)
         self.plan(self._generated_s)
@@ -348,6 +346,20 @@ class Operator:
         piece = replace(last, start_s=last.end_s, end_s=shock.end_s, quaternion_nb=last.final_quaternion, turn_rad=turn)
         self._pieces.append(replace(piece, shocks=(shock,)))
         self._moves.append(Move(piece.start_s, piece.end_s, kind))
+
+    def _leave(self, next_position: int | None) -> None:
+        """End the hold after a reaction time, if waiting; the last one only comes to be known as finished."""
+        last = self._pieces[-1]
+        if math.isfinite(last.end_s) or self._generated_s < last.start_s:
+            return
+        if not self._agenda:
+            self._finished_s = self._finished_s or self._generated_s
+            return
+        if next_position is not None:
+            self._move_to_front(next_position)
+        end_s = self._generated_s + self._rng().uniform(*self.settings.reaction_s)
+        self._pieces[-1] = replace(last, end_s=end_s)
+        self._stills[-1] = replace(self._stills[-1], end_s=end_s)
 
     def _move_to_front(self, position: int) -> None:
         for index, visit in enumerate(self._agenda):

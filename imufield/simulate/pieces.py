@@ -83,9 +83,9 @@ def draw_hand(
 
     Sway lies at 0.1 to 2 Hz (rotation) and 0.1 to 1 Hz (shift), amplitudes falling as 1/f.
     """
-    tremor_hz = rng.uniform(*tremor_band_hz, (6, 3))
-    sway_hz = rng.uniform(0.1, 2.0, (5, 3))
-    shift_hz = rng.uniform(0.1, 1.0, (5, 3))
+    tremor_hz = _spread(rng, *tremor_band_hz, 6)
+    sway_hz = _spread(rng, 0.1, 2.0, 5)
+    shift_hz = _spread(rng, 0.1, 1.0, 5)
     rotation = np.concatenate([np.full((6, 3), tremor_rad * math.sqrt(2 / 6)), _falling(sway_hz, sway_rad)])
     hz = np.concatenate([tremor_hz, sway_hz])
     phase = rng.uniform(0, 2 * math.pi, (16, 3))
@@ -186,6 +186,13 @@ def _bell_curvature(u: FloatArray) -> FloatArray:
     product = u * (1 - u)
     curvature: FloatArray = 64 * product * (6 * (1 - 2 * u) ** 2 - 6 * product)
     return curvature
+
+
+def _spread(rng: np.random.Generator, low_hz: float, high_hz: float, count: int) -> FloatArray:
+    """Draw one frequency from each of ``count`` equal parts of a band: two nearly equal ones would beat for minutes."""
+    part = (np.arange(count)[:, np.newaxis] + rng.random((count, 3))) / count
+    frequencies: FloatArray = low_hz + (high_hz - low_hz) * part
+    return frequencies
 
 
 def _falling(hz: FloatArray, rms: float) -> FloatArray:
