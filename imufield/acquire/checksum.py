@@ -168,7 +168,8 @@ class Crc(Checksum):
             shifted: Values = (register >> eight) ^ self._first[register & np.uint64(0xFF)]
             return shifted
         mask = np.uint64((1 << self._width) - 1)
-        return ((register << eight) & mask) ^ self._first[register >> np.uint64(self._width - 8)]
+        moved: Values = ((register << eight) & mask) ^ self._first[register >> np.uint64(self._width - 8)]
+        return moved
 
     def _start_register(self) -> int:
         # A reflected register holds its bits mirrored; crccheck gives the start value as the catalogue prints it.
@@ -217,7 +218,7 @@ class Xor(Checksum):
     size = 1
 
     def _rows(self, rows: Bytes) -> Values:
-        return np.bitwise_xor.reduce(rows, axis=1).astype(np.uint64)
+        return np.asarray(np.bitwise_xor.reduce(rows, axis=1), dtype=np.uint64)
 
     def _spans(self, span: _Ragged, lengths: Positions) -> Values:  # noqa: ARG002  an XOR needs no length
         found: Values = np.bitwise_xor.reduceat(span.values, span.first).astype(np.uint64)

@@ -1,0 +1,29 @@
+"""Instruments that print numbers: home-made units, loggers, evaluation boards."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from imufield.acquire.driver import Driver, Evidence
+
+
+class Text(Driver):
+    """Anything that sends one line of numbers for each sample.
+
+    A line is ``[prefix] number delimiter number ... [*XX] LF``, CR before LF allowed. Which number is what, their units
+    and the sample rate are settings; with pulse counts per sample, as frequency-output accelerometers give, that is::
+
+        --set columns=counter,ax,ay,az,gx,gy,gz --set accelerometer_unit=pulse --set gyroscope_unit=pulse
+        --set increments=true --set rate_hz=100
+    """
+
+    name: ClassVar[str] = "text"
+    title: ClassVar[str] = "any instrument that prints lines of numbers"
+    protocol: ClassVar[str] = "text"
+    default_baud: ClassVar[int] = 115200
+    bauds: ClassVar[tuple[int, ...]] = (115200, 9600, 57600, 230400, 460800, 921600, 38400, 19200)
+    status: ClassVar[Evidence] = "verified on real bytes"
+    manual: ClassVar[str] = "imufield, docs/protocols.md: lines of numbers; NMEA 0183 for the optional checksum"
+
+
+DRIVER = Text

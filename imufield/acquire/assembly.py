@@ -1,0 +1,163 @@
+"""From frames to samples without a time: values in the units of the sample, flags, counter and time stamp as sent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.acquire.layout import Field, Layout, Rows
+from imufield.acquire.protocol import Protocol
+from imufield.acquire.protocol_schema import FlagRule
+from imufield.samples import INSTRUMENT_STATUS_SHIFT, NO_COUNTER, FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class RawBlock:
+    """n samples that have no time yet. NaN where a value is not available."""
+
+    accelerometer: FloatArray
+    gyroscope: FloatArray
+    temperature_degc: FloatArray
+    counter: IntArray
+    """As sent; ``NO_COUNTER`` where there is none."""
+    ticks: NDArray[Any]
+    """Time stamp as sent, int64 or float64, shape (n,); shape (0,) where there is none."""
+    status: NDArray[np.uint32]
+    lost_before: IntArray
+    """Samples known to be lost just before this one, whatever the counter says (bad lines). Shape (n,)."""
+    after_skip: NDArray[np.bool_]
+    """Whether bytes were passed over just before this sample. Shape (n,)."""
+
+    def __len__(self) -> int:
+        return len(self.temperature_degc)
+
+    def __getitem__(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp]) -> RawBlock:
+        return RawBlock(
+            self.accelerometer[rows],
+            self.gyroscope[rows],
+            self.temperature_degc[rows],
+            self.counter[rows],
+            self.ticks[rows] if len(self.ticks) else self.ticks,
+            self.status[rows],
+            self.lost_before[rows],
+            self.after_skip[rows],
+        )
+
+
+def join(blocks: list[RawBlock]) -> RawBlock:
+    """Join at least one block."""
+    if len(blocks) == 1:
+        return blocks[0]
+    return RawBlock(
+        np.concatenate([block.accelerometer for block in blocks]),
+        np.concatenate([block.gyroscope for block in blocks]),
+        np.concatenate([block.temperature_degc for block in blocks]),
+        np.concatenate([block.counter for block in blocks]),
+        np.concatenate([block.ticks for block in blocks]),
+        np.concatenate([block.status for block in blocks]),
+        np.concatenate([block.lost_before for block in blocks]),
+        np.concatenate([block.after_skip for block in blocks]),
+    )
+
+
+class FrameReader:
+    """Reads the samples out of frames of one kind. Made once for each kind.
+
+    Parameters
+    ----------
+    protocol : Protocol
+    layout : Layout
+    """
+
+    def __init__(self, protocol: Protocol, layout: Layout) -> None:
+        rule = protocol.samples
+        self.length = layout.length
+        self._factors = protocol.factors
+        self._accelerometer = _fields(layout, rule.accelerometer.fields)
+        self._gyroscope = _fields(layout, rule.gyroscope.fields)
+        self._temperature = _fields(layout, rule.temperature.fields)[:1]
+        self._counter = layout.field(protocol.clock.counter_field)
+        self._ticks = layout.field(protocol.clock.time_field)
+        names = dict.fromkeys([flag.field for flag in rule.flags] + [name for name, _ in rule.instrument_status])
+        self._status = [
+            _StatusReader(field, [flag for flag in rule.flags if flag.field == name], dict(rule.instrument_status).get(name))
+            for name in names
+            if (field := layout.field(name)) is not None
+        ]
+
+    def read(self, rows: Rows, after_skip: NDArray[np.bool_]) -> RawBlock:
+        """Return the samples of n frames."""
+        n = len(rows)
+        return RawBlock(
+            _triad(rows, self._accelerometer, self._factors["accelerometer"]),
+            _triad(rows, self._gyroscope, self._factors["gyroscope"]),
+            self._read_temperature(rows),
+            np.full(n, NO_COUNTER) if self._counter is None else self._counter.raw(rows).astype(np.int64),
+            np.empty(0) if self._ticks is None else _ticks(self._ticks.raw(rows)),
+            self._read_status(rows),
+            np.zeros(n, dtype=np.int64),
+            after_skip,
+        )
+
+    def _read_temperature(self, rows: Rows) -> FloatArray:
+        if not self._temperature:
+            return np.full(len(rows), np.nan)
+        field = self._temperature[0]
+        raw = field.raw(rows)
+        total: FloatArray = raw.astype(np.float64) if raw.ndim == 1 else raw.sum(axis=1, dtype=np.float64)
+        return total * (field.factor / field.count) + field.offset
+
+    def _read_status(self, rows: Rows) -> NDArray[np.uint32]:
+        status = np.zeros(len(rows), dtype=np.uint32)
+        for reader in self._status:
+            status |= reader.read(rows)
+        return status
+
+
+class _StatusReader:
+    """Turns one status field into flags and instrument bits; by table where the field is a byte."""
+
+    def __init__(self, field: Field, flags: list[FlagRule], shift: int | None) -> None:
+        self._field = field
+        self._flags = flags
+        self._shift = shift
+        self._table = self._translate(np.arange(256)) if field.size == 1 else None
+
+    def read(self, rows: Rows) -> NDArray[np.uint32]:
+        raw = self._field.raw(rows)
+        return self._translate(raw.astype(np.int64)) if self._table is None else self._table[raw]
+
+    def _translate(self, raw: IntArray) -> NDArray[np.uint32]:
+        status = np.zeros(len(raw), dtype=np.uint32)
+        for flag in self._flags:
+            is_set = (raw & flag.mask) != 0
+            status |= np.where(is_set ^ flag.when_clear, np.uint32(flag.flag), np.uint32(0))
+        if self._shift is not None:
+            upper = (raw << (INSTRUMENT_STATUS_SHIFT + self._shift)) & 0xFFFF0000
+            status |= upper.astype(np.uint32)
+        return status
+
+
+def _fields(layout: Layout, names: tuple[str, ...]) -> list[Field]:
+    return [field for name in names if (field := layout.field(name)) is not None]
+
+
+def _triad(rows: Rows, fields: list[Field], factor: float) -> FloatArray:
+    """Return three axes from one field of three values or from three fields of one. Shape (n, 3)."""
+    if not fields or sum(field.count for field in fields[:3]) < 3:
+        return np.full((len(rows), 3), np.nan)
+    if fields[0].count == 3:
+        return _scaled(rows, fields[0], factor)
+    return np.column_stack([_scaled(rows, field, factor) for field in fields])
+
+
+def _scaled(rows: Rows, field: Field, factor: float) -> FloatArray:
+    values: FloatArray = np.multiply(field.raw(rows), field.factor * factor, dtype=np.float64)
+    return values + field.offset * factor if field.offset else values
+
+
+def _ticks(raw: NDArray[Any]) -> NDArray[Any]:
+    return raw.astype(np.float64 if raw.dtype.kind == "f" else np.int64)

@@ -1,0 +1,77 @@
+"""Find drivers by name: the files of ``imufield.drivers``, then the entry-point group of that name.
+
+Listing imports no driver; loading imports one.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from importlib.metadata import EntryPoint, entry_points
+
+from imufield.acquire.driver import Driver
+from imufield.acquire.protocol_toml import near
+from imufield.errors import ProtocolError, Reason
+
+GROUP = "imufield.drivers"
+
+
+def driver_names() -> list[str]:
+    """Return the names of the drivers there are, sorted. One of another distribution may still fail to load."""
+    return sorted(_shipped() | {point.name for point in entry_points(group=GROUP)})
+
+
+def load_driver(name: str) -> type[Driver]:
+    """Import the driver called ``name`` and return its class.
+
+    Raises
+    ------
+    ProtocolError
+        If there is no such driver, two distributions have one of that name, or its import fails.
+    """
+    points = tuple(entry_points(group=GROUP, name=name))
+    shipped = name in _shipped()
+    if shipped + len(points) > 1:
+        owners = ", ".join([*(["imufield"] if shipped else []), *(_owner(point) for point in points)])
+        raise ProtocolError(
+            f"there are {shipped + len(points)} drivers called {name!r}, from {owners}; remove one of them",
+            Reason.UNKNOWN_DRIVER,
+            name=name,
+        )
+    if shipped:
+        return _load(EntryPoint(name, f"{GROUP}.{name}:DRIVER", GROUP))
+    if points:
+        return _load(points[0])
+    names = driver_names()
+    raise ProtocolError(
+        f"there is no driver {name!r}{near(name, names)}; there are: {', '.join(names)}",
+        Reason.UNKNOWN_DRIVER,
+        name=name,
+    )
+
+
+def _shipped() -> set[str]:
+    folder = importlib.import_module(GROUP).__path__
+    return {module.name for module in pkgutil.iter_modules(folder) if not module.name.startswith("_")}
+
+
+def _owner(point: EntryPoint) -> str:
+    return point.dist.name if point.dist else point.value
+
+
+def _load(point: EntryPoint) -> type[Driver]:
+    try:
+        found = point.load()
+    except (ImportError, AttributeError, SyntaxError) as error:
+        raise ProtocolError(
+            f"driver {point.name!r} cannot be loaded from {point.value}: {error}; repair or reinstall it",
+            Reason.DRIVER_FAILED,
+            name=point.name,
+        ) from error
+    if not (isinstance(found, type) and issubclass(found, Driver)):
+        raise ProtocolError(
+            f"driver {point.name!r} from {point.value} is a {type(found).__name__}, not a class derived from Driver",
+            Reason.DRIVER_FAILED,
+            name=point.name,
+        )
+    return found

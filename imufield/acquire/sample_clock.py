@@ -1,0 +1,300 @@
+"""The sample clock: when each sample was taken, and how many are missing before it.
+
+Three sources, in this order of trust:
+
+* a *time stamp* of the instrument, unwrapped;
+* a *counter* of known rate, unwrapped: fewer losses than one wrap of it are counted exactly. More cannot be seen in it
+  (256 counts at 2000 Hz are 128 ms). They show as a lag against the host clock that does not go away; samples are held
+  back until it is clear whether the lag is a burst of late data (nothing is missing) or whole wraps are;
+* the *host clock*: samples in even steps at the measured rate, kept to the line of earliest arrivals.
+
+Time never runs backwards. A time stamp that does (the instrument restarted, or set its clock) becomes a gap.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.acquire.assembly import RawBlock, join
+from imufield.acquire.host_baseline import HostBaseline
+from imufield.acquire.protocol_schema import ClockRule
+from imufield.acquire.sample_steps import LEARN_FROM, StepRule
+from imufield.acquire.statistics import DecoderStatistics
+from imufield.samples import FloatArray, Samples, SampleUnits, Status
+
+_LONGEST_PAUSE_S = 3600.0
+"""A time stamp further ahead than this is a clock being set, e.g. by GNSS, not an hour without samples."""
+_DECIDE_AFTER_S, _DECIDE_LATE_S = 0.25, 0.5
+"""How long a lag must last to count as loss: with a visible fault in the stream, and without."""
+_FREE_LAG_S = 0.25
+"""Lag that counts as loss where there is no counter: above the usual delays of a busy host."""
+_MEASURE_RATE_S = 0.5
+"""Host time over which the rate is first measured where the instrument sends neither counter nor time."""
+_SLEW = 0.1
+"""Largest part by which steps are stretched to follow the host clock."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Timed:
+    """A block with its time, and how its last sample relates to the host clock."""
+
+    block: RawBlock
+    time_s: FloatArray
+    flags: NDArray[np.uint32]
+    arrival_s: float
+    lag_s: float = 0.0
+
+
+class SampleClock:
+    """Gives samples their time, block by block.
+
+    Parameters
+    ----------
+    rule : ClockRule
+        With the moduli filled in; fields that the stream does not have are empty.
+    units : SampleUnits
+    statistics : DecoderStatistics
+        Counts of samples and losses are kept there.
+    """
+
+    def __init__(self, rule: ClockRule, units: SampleUnits, statistics: DecoderStatistics) -> None:
+        self._rule = rule
+        self._units = units
+        self._statistics = statistics
+        self._has_time = bool(rule.time_field)
+        self._has_counter = bool(rule.counter_field)
+        self._steps = StepRule(() if self._has_time and not self._has_counter else rule.counter_steps)
+        self._baseline = HostBaseline()
+        self._early: list[tuple[RawBlock, float]] = []
+        self._held: list[_Timed] = []
+        self._started = False
+        self._time_s = 0.0
+        self._tick_s = 0.0
+        self._last_counter = 0
+        self._last_stamp: int | float = 0
+        self._shift_s = 0.0
+        """Added to even steps to follow the host clock, where there is neither time nor counter."""
+
+    def push(self, block: RawBlock, arrival_s: float) -> Samples | None:
+        """Return the samples whose time is settled now, None if there are none.
+
+        Parameters
+        ----------
+        block : RawBlock
+        arrival_s : float
+            Host time when the last byte of the block arrived, s; NaN where not known.
+        """
+        if len(block) == 0:
+            return None
+        if not self._started:
+            self._early.append((block, arrival_s))
+            return self._start() if self._enough_to_start() else None
+        return self._emit(self._watch(self._time(block, arrival_s)))
+
+    def flush(self) -> Samples | None:
+        """Return what is still held back; nothing will follow."""
+        done = [] if self._started or not self._early else self._start_blocks()
+        if self._held:
+            done += self._decide()
+        return self._emit(done)
+
+    def _enough_to_start(self) -> bool:
+        count = sum(len(block) for block, _ in self._early)
+        if self._has_counter or self._has_time:
+            return count > LEARN_FROM
+        span_s = self._early[-1][1] - self._early[0][1]
+        return count > LEARN_FROM and (not math.isfinite(span_s) or span_s >= _MEASURE_RATE_S or count > 1 << 16)
+
+    def _start(self) -> Samples | None:
+        return self._emit(self._start_blocks())
+
+    def _start_blocks(self) -> list[_Timed]:
+        """Learn the regular step from the first samples, then time them like all others."""
+        self._started = True
+        first = join([block for block, _ in self._early])[: LEARN_FROM + 1]
+        if self._has_counter:
+            self._last_counter = int(first.counter[0])
+            self._steps.learn(self._counter_steps(first)[1:])
+        if self._has_time:
+            self._last_stamp = first.ticks[0].item()
+            if not self._has_counter:
+                self._steps.learn(np.diff(first.ticks.astype(np.float64)) / self._rule.time_ticks_per_s)
+        self._set_tick()
+        self._set_origin(first)
+        early, self._early = self._early, []
+        return [timed for block, arrival_s in early for timed in self._watch(self._time(block, arrival_s))]
+
+    def _set_tick(self) -> None:
+        rule = self._rule
+        if self._has_counter:
+            self._tick_s = 1 / (rule.counter_ticks_per_s or rule.rate_hz or 1.0)
+            return
+        if not self._has_time:
+            self._steps.step = 1.0
+            self._tick_s = 1 / self._rate_at_host()
+
+    def _rate_at_host(self) -> float:
+        """Return the sample rate over the first blocks; the nominal one where the host clock says nothing."""
+        (first, begin_s), (_, end_s) = self._early[0], self._early[-1]
+        count = sum(len(block) for block, _ in self._early) - len(first)
+        nominal = self._rule.rate_hz or 1.0
+        if not end_s - begin_s >= _MEASURE_RATE_S or count == 0:
+            return nominal
+        measured = count / (end_s - begin_s)
+        return nominal if abs(measured / nominal - 1) < 2 * _SLEW else measured
+
+    def _set_origin(self, first: RawBlock) -> None:
+        """Make the first sample come out right when one regular step is added to the origin."""
+        if self._has_counter:
+            self._last_counter = int(first.counter[0]) - int(self._steps.step)
+        if self._has_time:
+            self._time_s = float(first.ticks[0]) / self._rule.time_ticks_per_s
+            return
+        self._time_s = -self._steps.step * self._tick_s
+        if not self._has_counter:
+            block, arrival_s = self._early[0]
+            self._time_s = (arrival_s if math.isfinite(arrival_s) else 0.0) - len(block) * self._tick_s
+
+    def _time(self, block: RawBlock, arrival_s: float) -> _Timed:
+        """Put one block on the clock."""
+        flags = np.zeros(len(block), dtype=np.uint32)
+        steps: FloatArray = self._counter_steps(block) if self._has_counter else block.lost_before + 1.0
+        if self._has_time:
+            advance_s, reset = self._stamp_steps(block)
+            flags[reset] |= np.uint32(Status.GAP_ESTIMATED)
+            self._statistics.clock_resets += int(np.count_nonzero(reset))
+            if not self._has_counter:
+                steps = np.where(reset, self._steps.step, advance_s)
+        else:
+            advance_s = np.multiply(steps, self._tick_s, dtype=np.float64)
+        found = self._steps.examine(steps)
+        gap = found.irregular & ~found.inexact
+        flags[gap] |= np.uint32(Status.AFTER_GAP)
+        flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
+        self._statistics.gaps += int(np.count_nonzero(flags))
+        self._statistics.samples_lost += int(found.lost.sum())
+        time_s = self._time_s + np.cumsum(advance_s)
+        self._time_s = float(time_s[-1])
+        if not (self._has_time or self._has_counter):
+            flags |= np.uint32(Status.TIME_ESTIMATED)
+        return _Timed(block, time_s, flags, arrival_s)
+
+    def _counter_steps(self, block: RawBlock) -> FloatArray:
+        """Return how far the counter went to each sample; a standing one went round once. Shape (n,)."""
+        steps = np.diff(block.counter, prepend=self._last_counter) % self._rule.counter_modulus
+        self._last_counter = int(block.counter[-1])
+        steps[steps == 0] = self._rule.counter_modulus
+        return steps.astype(np.float64)
+
+    def _stamp_steps(self, block: RawBlock) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return the time to each sample from the one before, s, and where the time stamp was set anew."""
+        steps = np.diff(block.ticks, prepend=np.asarray(self._last_stamp, dtype=block.ticks.dtype))
+        self._last_stamp = block.ticks[-1].item()
+        modulus = self._rule.time_modulus
+        if modulus:
+            steps = (steps + modulus // 2) % modulus - modulus // 2
+        advance_s: FloatArray = steps / self._rule.time_ticks_per_s
+        reset = (advance_s < 0) | (advance_s > _LONGEST_PAUSE_S)
+        regular_s = self._steps.step if not self._has_counter else self._steps.step * self._tick_s
+        advance_s[reset] = regular_s
+        return advance_s, reset
+
+    def _watch(self, timed: _Timed) -> list[_Timed]:
+        """Compare with the host clock; return the blocks whose time is settled."""
+        if not math.isfinite(timed.arrival_s):
+            return [*self._release(), timed]
+        last_s = float(timed.time_s[-1])
+        if self._has_time:
+            self._baseline.add(timed.arrival_s, last_s)
+            return [timed]
+        lag_s = self._baseline.lag_s(timed.arrival_s, last_s)
+        if lag_s <= self._smallest_loss_s / 2:
+            self._baseline.add(timed.arrival_s, last_s)
+            return [*self._release(), timed]
+        self._held.append(replace(timed, lag_s=lag_s))
+        waited_s = timed.arrival_s - self._held[0].arrival_s
+        fault = any(held.block.after_skip.any() or held.flags.any() for held in self._held)
+        return self._decide() if waited_s >= (_DECIDE_AFTER_S if fault else _DECIDE_LATE_S) else []
+
+    @property
+    def _smallest_loss_s(self) -> float:
+        """The smallest loss that only the host clock shows."""
+        return self._rule.counter_modulus * self._tick_s if self._has_counter else 2 * _FREE_LAG_S
+
+    def _release(self) -> list[_Timed]:
+        held, self._held = self._held, []
+        return held
+
+    def _decide(self) -> list[_Timed]:
+        """Take the lag of the held blocks for lost samples, whole wraps of them where there is a counter."""
+        lag_s = min(held.lag_s for held in self._held)
+        if self._has_counter:
+            lost_s = round(lag_s / self._smallest_loss_s) * self._smallest_loss_s
+        else:
+            lost_s = round(lag_s / self._tick_s) * self._tick_s
+        lost = round(lost_s / (self._tick_s * self._steps.step))
+        held = self._release()
+        number, place = self._fault(held)
+        for index, each in enumerate(held[number:]):
+            each.time_s[place if index == 0 else 0 :] += lost_s
+        known = held[number].flags[place] & np.uint32(Status.AFTER_GAP | Status.GAP_ESTIMATED)
+        held[number].flags[place] &= ~np.uint32(Status.AFTER_GAP)
+        held[number].flags[place] |= np.uint32(Status.GAP_ESTIMATED)
+        self._statistics.gaps += int(known == 0)
+        self._statistics.losses_estimated += lost
+        self._time_s += lost_s
+        for each in held:
+            self._baseline.add(each.arrival_s, float(each.time_s[-1]))
+        return held
+
+    @staticmethod
+    def _fault(held: list[_Timed]) -> tuple[int, int]:
+        """Return block and sample before which samples are missing: the first visible fault, else the first held sample."""
+        for number, each in enumerate(held):
+            gaps = (each.flags & np.uint32(Status.AFTER_GAP | Status.GAP_ESTIMATED)) != 0
+            faults = np.flatnonzero(gaps | each.block.after_skip)
+            if len(faults):
+                return number, int(faults[0])
+        return 0, 0
+
+    def _emit(self, done: list[_Timed]) -> Samples | None:
+        if not done:
+            return None
+        time_s = np.concatenate([self._follow_host(each) for each in done]) if len(done) > 1 else self._follow_host(done[0])
+        block = join([each.block for each in done])
+        flags = np.concatenate([each.flags for each in done]) if len(done) > 1 else done[0].flags
+        self._statistics.samples += len(block)
+        self._measure()
+        return Samples(
+            time_s,
+            block.accelerometer,
+            block.gyroscope,
+            block.temperature_degc,
+            block.counter,
+            block.status | flags,
+            self._units,
+        )
+
+    def _follow_host(self, timed: _Timed) -> FloatArray:
+        """Bend even steps towards the line of earliest arrivals; device time is left as it is."""
+        if self._has_time or self._has_counter or not math.isfinite(timed.arrival_s):
+            return timed.time_s
+        wanted_s = self._baseline.offset_at(timed.arrival_s) or 0.0
+        span_s = len(timed.time_s) * self._tick_s
+        step_s = min(max(wanted_s - self._shift_s, -_SLEW * span_s), _SLEW * span_s)
+        bent = timed.time_s + self._shift_s + np.linspace(step_s / len(timed.time_s), step_s, len(timed.time_s))
+        self._shift_s += step_s
+        return bent
+
+    def _measure(self) -> None:
+        """Write the sample rate by the instrument's clock and by the host's into the statistics."""
+        step_s = self._steps.step if self._has_time and not self._has_counter else self._steps.step * self._tick_s
+        if step_s <= 0:
+            return
+        self._statistics.nominal_rate_hz = 1 / step_s
+        slope = self._baseline.slope
+        self._statistics.rate_hz = None if slope is None else (1 - slope) / step_s

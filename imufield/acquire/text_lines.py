@@ -1,0 +1,172 @@
+"""Lines of numbers to samples without a time.
+
+A line is taken when it has the right number of columns, every number that a sample cannot do without is finite, and its
+checksum fits where it has one (``*XX``, the XOR of the characters before it, as in NMEA 0183). Empty lines, comments and
+headers are passed over; every other line is counted as bad and becomes a gap.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import reduce
+from operator import xor
+
+import numpy as np
+
+from imufield.acquire.assembly import RawBlock
+from imufield.acquire.protocol import Protocol
+from imufield.acquire.statistics import DecoderStatistics
+from imufield.errors import ProtocolError
+from imufield.samples import NO_COUNTER, FloatArray
+
+LONGEST_LINE = 4096
+"""Forty columns of 100 characters; a longer line is no line but noise and is passed over up to its end."""
+
+_DELIMITERS = {"comma": b",", "semicolon": b";", "whitespace": None}
+
+
+class LineReader:
+    """Reads samples out of a stream of text.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        With ``lines``.
+    statistics : DecoderStatistics
+    """
+
+    def __init__(self, protocol: Protocol, statistics: DecoderStatistics) -> None:
+        if protocol.lines is None:
+            raise ProtocolError(f"protocol {protocol.name} has no lines of numbers", name=protocol.name)
+        rule = protocol.lines
+        self._rule = rule
+        self._prefix = rule.prefix.encode()
+        self._comments = tuple(comment.encode() for comment in rule.comments)
+        self._statistics = statistics
+        self._factors = protocol.factors
+        self._column = {name: index for index, name in enumerate(rule.columns) if name != "-"}
+        self._needed = [index for name, index in self._column.items() if name != "temperature"]
+        self._delimiter = _DELIMITERS.get(rule.delimiter)
+        self._delimiter_known = rule.delimiter != "auto"
+        self._rest = b""
+        self._too_long = False
+        self._lost = 0
+        """Bad lines since the last good one."""
+        self._seen_line = False
+        """Numbers were seen, so a line of words is no header any more."""
+
+    def feed(self, data: bytes) -> RawBlock | None:
+        """Return the samples of the lines that are complete now."""
+        if self._too_long:
+            data = self._behind_long_line(data)
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        if len(self._rest) > LONGEST_LINE:
+            self._too_long = True
+            self._lost += 1
+            self._statistics.bytes_skipped += len(self._rest)
+            self._rest = b""
+        return self._read(lines)
+
+    def finish(self) -> RawBlock | None:
+        """Take what stands there without an end of line; nothing will follow."""
+        rest, self._rest = self._rest, b""
+        return self._read([rest] if rest else [])
+
+    def _behind_long_line(self, data: bytes) -> bytes:
+        end = data.find(b"\n")
+        self._too_long = end < 0
+        self._statistics.bytes_skipped += len(data) if end < 0 else end + 1
+        return b"" if end < 0 else data[end + 1 :]
+
+    def _read(self, lines: list[bytes]) -> RawBlock | None:
+        rows: list[list[float]] = []
+        lost: list[int] = []
+        for line in lines:
+            text = line.strip()
+            row = None if not text or text.startswith(self._comments) else self._numbers(text)
+            if row is None:
+                self._statistics.bytes_skipped += len(line) + 1
+                continue
+            rows.append(row)
+            lost.append(self._lost)
+            self._lost = 0
+        if not rows:
+            return None
+        self._statistics.frames += len(rows)
+        self._statistics.by_kind["line"] = self._statistics.by_kind.get("line", 0) + len(rows)
+        return self._block(np.array(rows), np.array(lost, dtype=np.int64))
+
+    def _numbers(self, text: bytes) -> list[float] | None:
+        """Return the numbers of one line, None for a line to pass over, which is counted as lost unless it is a header."""
+        body = self._body(text)
+        parts = [] if body is None else self._split(body)
+        try:
+            row = [float(part) if part.strip() else math.nan for part in parts]
+        except ValueError:
+            is_header = not self._seen_line and not _has_number(parts)
+            self._lost += not is_header
+            return None
+        self._seen_line = True
+        # Python would read 1_000 as a number; no instrument writes that.
+        if len(row) == len(self._rule.columns) and all(math.isfinite(row[i]) for i in self._needed) and b"_" not in text:
+            return row
+        self._lost += 1
+        return None
+
+    def _body(self, text: bytes) -> bytes | None:
+        """Return the line without prefix and checksum; None if either is wrong."""
+        body, star, sent = text.rpartition(b"*")
+        if star:
+            covered = body.removeprefix(b"$")
+            try:
+                good = int(sent, 16) == reduce(xor, covered, 0) and len(sent) == 2
+            except ValueError:
+                good = False
+            if not good:
+                self._statistics.frames_bad_checksum += 1
+                return None
+        else:
+            body = text
+        if not self._prefix:
+            return body
+        if not body.startswith(self._prefix):
+            return None
+        return body[len(self._prefix) :].lstrip(b" \t,;")
+
+    def _split(self, body: bytes) -> list[bytes]:
+        if not self._delimiter_known:
+            self._delimiter = next((mark for mark in (b";", b",") if mark in body), None)
+            self._delimiter_known = _has_number(body.split(self._delimiter))
+        parts = body.split(self._delimiter)
+        # Where semicolons separate, a comma can only be the decimal sign.
+        return [part.replace(b",", b".") for part in parts] if self._delimiter == b";" else parts
+
+    def _block(self, rows: FloatArray, lost: np.ndarray[tuple[int], np.dtype[np.int64]]) -> RawBlock:
+        column = self._column
+        counter = column.get("counter")
+        time = column.get("time")
+        return RawBlock(
+            self._triad(rows, "accelerometer", ("ax", "ay", "az")),
+            self._triad(rows, "gyroscope", ("gx", "gy", "gz")),
+            rows[:, column["temperature"]].copy() if "temperature" in column else np.full(len(rows), np.nan),
+            np.full(len(rows), NO_COUNTER) if counter is None else rows[:, counter].clip(-(2.0**62), 2.0**62).astype(np.int64),
+            np.empty(0) if time is None else rows[:, time].copy(),
+            np.zeros(len(rows), dtype=np.uint32),
+            lost,
+            lost > 0,
+        )
+
+    def _triad(self, rows: FloatArray, part: str, names: tuple[str, ...]) -> FloatArray:
+        if not all(name in self._column for name in names):
+            return np.full((len(rows), 3), np.nan)
+        return rows[:, [self._column[name] for name in names]] * self._factors[part]
+
+
+def _has_number(parts: list[bytes]) -> bool:
+    for part in parts:
+        try:
+            float(part)
+        except ValueError:
+            continue
+        return True
+    return False
