@@ -139,12 +139,18 @@ def _accelerometer(calibration: Calibration) -> Document:
     }
 
 
-def _gyroscope(gyroscope: GyroscopeCalibration, gauge: str) -> Document:
+def gyroscope_bias_rad_s(gyroscope: GyroscopeCalibration) -> tuple[FloatArray, FloatArray]:
+    """Return the bias as a rate, ``K^-1 e``, and its 1 sigma, both of shape (3,); NaN where the scale is not known."""
     parameters, sigma = gyroscope.parameters, gyroscope.sigma
     bias_rad_s = parameters.bias / parameters.scale
     # A scale that was not estimated is taken as exact here: what is not known about it stands in its own sigma.
     relative = np.nan_to_num(sigma.scale / parameters.scale)
-    bias_sigma_rad_s = np.hypot(sigma.bias / parameters.scale, bias_rad_s * relative)
+    return bias_rad_s, np.hypot(sigma.bias / parameters.scale, bias_rad_s * relative)
+
+
+def _gyroscope(gyroscope: GyroscopeCalibration, gauge: str) -> Document:
+    parameters, sigma = gyroscope.parameters, gyroscope.sigma
+    bias_rad_s, bias_sigma_rad_s = gyroscope_bias_rad_s(gyroscope)
     return {
         "equation": GYROSCOPE_EQUATION,
         "raw_unit": gyroscope.raw_unit,

@@ -48,7 +48,7 @@ class Corrected(NamedTuple):
     specific_force_m_s2: FloatArray
     """Shape (n, 3), body frame."""
     angular_rate_rad_s: FloatArray
-    """Shape (n, 3), body frame; NaN where the file has no gyroscope."""
+    """Shape (n, 3), body frame; NaN where the file has no gyroscope or not its scale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +73,17 @@ class Parameters:
         Raises
         ------
         ParameterFileError
-            If the file has no gyroscope.
+            If the file has no gyroscope, or not its scale.
         """
         if self.calibration.gyroscope is None:
             raise ParameterFileError(
                 f"{self._name} has no gyroscope parameters; calibrate from a session whose instrument sends its gyroscope",
+                Reason.UNITS,
+            )
+        if not self.gyroscope_is_complete:
+            raise ParameterFileError(
+                f"the gyroscope scale is not known in {self._name}, only its bias; solve again with a preset or a driver that "
+                "gives the scale",
                 Reason.UNITS,
             )
         return correct_gyroscope(self.calibration.gyroscope.parameters, raw, specific_force)
@@ -113,6 +119,12 @@ class Parameters:
         return self._apply_samples(raw) if isinstance(raw, Samples) else self._apply_array(raw)
 
     @property
+    def gyroscope_is_complete(self) -> bool:
+        """Whether the file can turn gyroscope output into rad/s."""
+        gyroscope = self.calibration.gyroscope
+        return gyroscope is not None and bool(np.isfinite(gyroscope.parameters.scale).all())
+
+    @property
     def _name(self) -> str:
         return "the parameter file" if self.path is None else str(self.path)
 
@@ -120,7 +132,7 @@ class Parameters:
         units = samples.units
         self._check_unit("accelerometer", units.accelerometer, units.accelerometer_is_increment)
         force = self.apply_accelerometer(samples.accelerometer_rate())
-        if self.calibration.gyroscope is None:
+        if not self.gyroscope_is_complete:
             return Corrected(samples.time_s, force, np.full_like(force, np.nan))
         self._check_unit("gyroscope", units.gyroscope, units.gyroscope_is_increment)
         return Corrected(samples.time_s, force, self.apply_gyroscope(samples.gyroscope_rate(), force))
@@ -135,14 +147,14 @@ class Parameters:
         return corrected
 
     def _check_unit(self, triad: str, unit: str, is_increment: bool) -> None:
-        wanted = self.document[triad]["raw_unit"]
-        if wanted not in (unit, rate_unit(unit, is_increment)):
+        wanted, found = self.document[triad]["raw_unit"], rate_unit(unit, is_increment)
+        if wanted != found:
             raise ParameterFileError(
-                f"{self._name} is for {triad} values in {wanted}, these samples are in {unit}; take the parameters of this "
+                f"{self._name} is for {triad} values in {wanted}, these samples are in {found}; take the parameters of this "
                 "instrument and setting, or solve again",
                 Reason.UNITS,
                 wanted=wanted,
-                unit=unit,
+                unit=found,
             )
 
 

@@ -16,6 +16,7 @@ from imufield.calibrate.result import (
 from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.context import Context
 from imufield.deliver.parameters import Parameters, from_document, to_document
+from imufield.deliver.schema import first_fault
 from imufield.errors import CalibrationError, ParameterFileError, Reason
 from imufield.samples import SampleUnits, make_samples
 
@@ -102,7 +103,7 @@ def test_samples_and_arrays_give_the_same(made: Parameters) -> None:
 
 def test_increments_are_divided_by_their_interval(made: Parameters) -> None:
     accelerometer = raw_accelerometer(made.calibration.accelerometer, FORCE)
-    units = SampleUnits("m/s", "count", accelerometer_is_increment=True, interval_s=0.005)
+    units = SampleUnits("m/s", "count", accelerometer_is_increment=True, interval_s=0.005)  # gyroscope: rates
     samples = make_samples(np.arange(50) / 200, accelerometer * 0.005, 0 * RATE, units=units)
     np.testing.assert_allclose(made.apply(samples).specific_force_m_s2, FORCE, atol=1e-10)
 
@@ -122,3 +123,16 @@ def test_without_gyroscope(made: Parameters, six_faces: Calibration) -> None:
     assert np.isnan(bare.apply(samples).angular_rate_rad_s).all()
     with pytest.raises(ParameterFileError, match="has no gyroscope parameters"):
         bare.apply_gyroscope(RATE)
+
+
+def test_gyroscope_scale_not_known(made: Parameters, observations: Observations, context: Context) -> None:
+    gyroscope = made.calibration.gyroscope
+    assert gyroscope is not None
+    unknown = replace(gyroscope, parameters=replace(gyroscope.parameters, scale=np.full(3, np.nan)))
+    document = to_document(replace(made.calibration, gyroscope=unknown), observations, context)
+    assert first_fault(document) is None
+    bare = from_document(document)
+    with pytest.raises(ParameterFileError, match="scale is not known"):
+        bare.apply_gyroscope(RATE)
+    samples = make_samples(np.arange(50) / 200, FORCE, RATE, units=SampleUnits(gyroscope="count"))
+    assert np.isnan(bare.apply(samples).angular_rate_rad_s).all()

@@ -1,0 +1,75 @@
+"""Numbers for people: a value with its uncertainty in digits that mean something, and units of the trade."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+
+from imufield.earth import STANDARD_GRAVITY_M_S2
+
+MILLI_G = STANDARD_GRAVITY_M_S2 * 1e-3
+MICRO_G = STANDARD_GRAVITY_M_S2 * 1e-6
+ARC_MINUTE_RAD = math.pi / (180 * 60)
+DEG_PER_HOUR_RAD_S = math.pi / 180 / 3600
+MOST_DECIMALS = 9
+
+
+def decimals(sigma: float, digits: int = 2) -> int:
+    """Return how many decimals show ``digits`` significant digits of ``sigma``; negative for tens and hundreds."""
+    if not sigma > 0 or not math.isfinite(sigma):
+        return 0
+    # The exponent of the rounded number: 0.0996 to two digits is 0.10.
+    exponent = int(f"{sigma:.{digits - 1}e}".partition("e")[2])
+    return min(digits - 1 - exponent, MOST_DECIMALS)
+
+
+def with_sigma(value: float, sigma: float, *, sign: bool = False, digits: int = 2) -> str:
+    """Return "1.234 ± 0.056"; "fixed" where the gauge leaves no uncertainty, "not estimated" where nothing is known."""
+    plus = "+" if sign else ""
+    if math.isnan(sigma):
+        return f"{value:{plus}.5g} (no sigma)" if value else "not estimated"
+    if sigma == 0:
+        return f"{value:{plus}.5g} fixed" if value else "0 fixed"
+    places = decimals(sigma, digits)
+    shown = max(places, 0)
+    return f"{round(value, places):{plus}.{shown}f} ± {round(sigma, places):.{shown}f}"
+
+
+def with_sigma_within(width: int, value: float, sigma: float, *, sign: bool = False) -> str:
+    """Return ``with_sigma`` in at most ``width`` characters where there is a way: fewer digits, a power of ten taken out."""
+    texts = [with_sigma(value, sigma, sign=sign, digits=digits) for digits in (2, 1)]
+    largest = max(abs(value), sigma)
+    if 0 < largest < math.inf:
+        exponent = 3 * math.floor(math.log10(largest) / 3)
+        size = 10.0**exponent
+        texts += [f"({with_sigma(value / size, sigma / size, sign=sign, digits=digits)})e{exponent}" for digits in (2, 1)]
+    return next((text for text in texts if len(text) <= width), min(texts, key=len))
+
+
+def bar(share: float, width: int) -> str:
+    """Return a bar of ``share`` of ``width`` characters, in eighths."""
+    eighths = round(min(max(share, 0.0), 1.0) * width * 8)
+    part = " ▏▎▍▌▋▊▉"[eighths % 8].strip()
+    return ("█" * (eighths // 8) + part).ljust(width)
+
+
+def acceleration_unit(largest_m_s2: float) -> tuple[str, float]:
+    """Return the unit in which ``largest_m_s2`` has few digits, and its size in m/s^2."""
+    return ("µg", MICRO_G) if not largest_m_s2 >= 9999.5 * MICRO_G else ("mg", MILLI_G)
+
+
+def nominal_scale(raw_unit: str) -> float | None:
+    """Return the scale of an instrument that sends this unit and is perfect; None where only the maker knows it."""
+    return {"m/s^2": 1.0, "g": 1 / STANDARD_GRAVITY_M_S2, "rad/s": 1.0, "deg/s": float(np.degrees(1.0))}.get(raw_unit)
+
+
+_ASCII = str.maketrans(
+    {"±": "+-", "µ": "u", "²": "^2", "°": "deg", "·": "-", "◄": "<"} | dict.fromkeys("█▉▊▋▌", "#") | dict.fromkeys("▍▎▏", ".")
+)
+
+
+def to_ascii(text: str) -> str:
+    """Return the text for terminals and files that know ASCII only; columns of numbers stay in line."""
+    return re.sub(r"(?<=\d) ± ", " +-", text).translate(_ASCII)
