@@ -61,6 +61,8 @@ class Outcome:
     """The file written."""
     kept: Path | None = None
     """Where the file that stood there before is kept."""
+    session: Path | None = None
+    """The session they come from."""
 
 
 def print_summary(parameters: Parameters, outcome: Outcome | None = None, console: Console | None = None) -> None:
@@ -277,7 +279,8 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
     steps = []
     calibration = parameters.calibration
     if calibration.gravity.source == "assumed":
-        steps.append("tell where this was: imufield solve --latitude DEGREES --height METRES")
+        again = "imufield solve" if outcome.session is None else f"imufield solve {outcome.session}"
+        steps.append(f"tell where this was: {again} --latitude DEGREES --height METRES")
     if calibration.quality.degrees_of_freedom < 1:
         steps.append("take a session of 24 positions, in which each is checked by the others: imufield capture")
     elif calibration.quality.verdict == "poor":
