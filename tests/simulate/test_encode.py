@@ -10,9 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.protocol import load_protocol
 from imufield.errors import UsageError
 from imufield.samples import Samples, SampleUnits, Status, make_samples
 from imufield.simulate.encode import (
+    Auxiliary,
+    OutputUnit,
     Stim300Encoder,
     Stim300Format,
     Stim300Raw,
@@ -183,3 +187,32 @@ def test_text_lines() -> None:
 def test_text_column_must_be_known() -> None:
     with pytest.raises(UsageError, match="'altitude'"):
         TextFormat(columns=("ax", "altitude"))
+
+
+@pytest.mark.parametrize("temperature", [False, True])
+@pytest.mark.parametrize("auxiliary", ["none", "aux", "pps"])
+@pytest.mark.parametrize("output", ["rate", "increment"])
+@pytest.mark.parametrize("range_g", [5, 80])
+def test_decoder_reads_back_what_was_encoded(temperature: bool, auxiliary: Auxiliary, output: OutputUnit, range_g: int) -> None:
+    rng = np.random.default_rng(range_g)
+    sent = block(300, accelerometer=4 * rng.standard_normal((300, 3)), gyroscope=rng.standard_normal((300, 3)))
+    settings = Stim300Format(500.0, True, True, temperature, auxiliary, True, range_g, output, output)
+    names = {"accelerometer_range_g": range_g, "accelerometer_output": output, "gyroscope_output": output, "rate_hz": 500}
+    got = Decoder(load_protocol("stim300", names)).feed(Stim300Encoder(settings).encode(sent).tobytes(), 0.0)
+    # One step of the wire, as a rate; increments have 8 times finer steps in m/s, 128 times finer ones in degrees.
+    step_m_s2 = 2.0 ** -{5: 20, 80: 16}[range_g] * (G if output == "rate" else 500 / 8)
+    step_rad_s = np.radians(2.0**-14 if output == "rate" else 500 * 2.0**-21)
+    assert np.abs(got.accelerometer_rate() - sent.accelerometer).max() <= 0.51 * step_m_s2
+    assert np.abs(got.gyroscope_rate() - sent.gyroscope).max() <= 0.51 * step_rad_s
+    assert np.array_equal(got.counter, 4 * np.arange(300) % 256)
+    if temperature:
+        assert got.temperature_degc.tolist() == [25.0] * 300
+
+
+def test_decoder_reads_back_lines() -> None:
+    rng = np.random.default_rng(1)
+    sent = block(50, accelerometer=4 * rng.standard_normal((50, 3)), gyroscope=rng.standard_normal((50, 3)))
+    got = Decoder(load_protocol("text", {})).feed(b"".join(encode_text(sent, TextFormat())), 0.0)
+    np.testing.assert_allclose(got.accelerometer, sent.accelerometer, atol=5.1e-10)
+    np.testing.assert_allclose(got.gyroscope, sent.gyroscope, atol=5.1e-10)
+    np.testing.assert_allclose(got.time_s, sent.time_s, atol=1e-9)
