@@ -23,6 +23,7 @@ References
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
@@ -236,27 +237,34 @@ class StillnessDetector:
     def feed(self, samples: Samples) -> list[Judgement]:
         """Judge the cells that these samples finish."""
         cells = self._builder.feed(samples)
-        return [] if cells is None else self.judge(cells)
+        return [] if cells is None else list(self.judge(cells))
 
     def flush(self) -> list[Judgement]:
         """Judge the unfinished cell; for the end of a recording or of a link."""
         cells = self._builder.flush()
-        return [] if cells is None else self.judge(cells)
+        return [] if cells is None else list(self.judge(cells))
 
     def restart(self) -> None:
         """Forget the current stretch: the next one begins with the next cell at the earliest."""
         self.stretch = self._new_stretch()
         self.phase = Phase.MOVING
 
-    def judge(self, cells: Cells) -> list[Judgement]:
-        """Judge finished cells."""
-        if self.floor is None:
-            return self._learn(cells)
-        judgements: list[Judgement] = []
-        while len(judgements) < len(cells):
+    def interrupt(self) -> None:
+        """Forget the current stretch and where the clock was: the link is gone, or comes from another start."""
+        self.restart()
+        self._builder = CellBuilder(self.settings.cell_s)
+        self._slot = None
+
+    def judge(self, cells: Cells) -> Iterator[Judgement]:
+        """Judge finished cells one by one; between two of them ``stretch`` and ``phase`` are as the last one left them."""
+        if self.floor is None and len(cells):
+            cells = self._learn(cells)
+        judged = 0
+        while self.floor is not None and judged < len(cells):
             # A floor lowered by one cell holds from the next on, wherever the block was cut.
-            judgements += self._judge_under_one_floor(cells, len(judgements))
-        return judgements
+            for judgement in self._judge_under_one_floor(cells, judged):
+                judged += 1
+                yield judgement
 
     def explain(self, judgement: Judgement) -> Activity:
         """Return what the activity of a cell comes from, with value and limit in SI where the scale is known."""
@@ -266,20 +274,20 @@ class StillnessDetector:
         vibration = np.sqrt(judgement.cells.variance[judgement.row]) / limits.vibration
         return largest_activity(vibration, np.abs(mean - reference) / limits.change, limits, self.scale)
 
-    def _learn(self, cells: Cells) -> list[Judgement]:
+    def _learn(self, cells: Cells) -> Cells:
+        """Look for a quiet window that ends in these cells; return what can be judged now: all cells so far, or none."""
         window = self.settings.cells(self.settings.floor_s)
-        before = sum(len(part) for part in self._waiting)
         self._waiting.append(cells)
-        waiting = join_cells(self._waiting)
-        for end in range(max(before + 1, window), len(waiting) + 1):
-            candidate = waiting[end - window : end]
-            if is_quiet(candidate, self.scale):
-                self._waiting = []
-                self._set_floor(measure_floor(candidate))
-                return self.judge(waiting)
-        longest = self.settings.cells(self.LONGEST_WAIT_S)
-        self._waiting = [waiting[-longest:]]
-        return []
+        tail = join_cells([*self._waiting[-window:-1], cells])
+        for end in range(max(len(tail) - len(cells) + 1, window), len(tail) + 1):
+            if is_quiet(tail[end - window : end], self.scale):
+                self._set_floor(measure_floor(tail[end - window : end]))
+                waiting, self._waiting = join_cells(self._waiting), []
+                return waiting
+        kept = sum(len(part) for part in self._waiting)
+        while kept > self.settings.cells(self.LONGEST_WAIT_S):
+            kept -= len(self._waiting.pop(0))
+        return cells[:0]
 
     def _set_floor(self, floor: NoiseFloor) -> None:
         self.scale = self.scale.learn(floor.mean[:3])
@@ -288,8 +296,8 @@ class StillnessDetector:
         if not self.bias and floor.has_gyroscope:
             self.bias = floor.mean[3:].tolist()
 
-    def _judge_under_one_floor(self, cells: Cells, start: int) -> list[Judgement]:
-        standard, judgements = self._standard, []
+    def _judge_under_one_floor(self, cells: Cells, start: int) -> Iterator[Judgement]:
+        standard = self._standard
         vibration = vibration_ratio(cells[start:], standard.limits).tolist()
         means = cells.mean[start:].tolist()
         slots = cells.slot[start:].tolist()
@@ -298,12 +306,11 @@ class StillnessDetector:
             gap = 1 if self._slot is None else slots[offset] - self._slot
             if full[offset]:
                 self._slot = slots[offset]
-                judgements.append(self._judge_cell(cells, start + offset, vibration[offset], mean, gap))
+                yield self._judge_cell(cells, start + offset, vibration[offset], mean, gap)
             else:
-                judgements.append(self._judge_lost(cells, start + offset, gap))
+                yield self._judge_lost(cells, start + offset, gap)
             if self._standard is not standard:
-                break
-        return judgements
+                return
 
     def _judge_cell(self, cells: Cells, row: int, vibration: float, mean: list[float], gap: int) -> Judgement:
         """Judge one cell; ``gap`` is its distance from the last good one: one lost cell between is bridged."""

@@ -1,0 +1,241 @@
+"""Events of the guide: what it has to say, to every front end alike (DESIGN section 7).
+
+An event is a value; ``to_dict`` gives it for JSON lines, with ``version`` and ``event``. Within one version keys are only
+added. Times are of the sample clock. Terminal, plain lines, JSON lines and sound render these and nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from enum import Enum
+from typing import Any, ClassVar
+
+EVENT_VERSION = 1
+
+Vector = tuple[float, float, float]
+
+
+class RefusalCode(Enum):
+    """Why a hold was refused."""
+
+    MOVED = "moved"
+    KNOCKED = "knocked"
+    DRIFTING = "drifting"
+    NOT_NEAR = "not_near"
+    ALREADY_DONE = "already_done"
+    GRAVITY = "gravity"
+    SATURATED = "saturated"
+    STUCK = "stuck"
+    START_UP = "start_up"
+    INVALID = "invalid"
+    SAMPLE_LOSS = "sample_loss"
+    NOT_QUIET = "not_quiet"
+    AXES = "axes"
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Base of all events."""
+
+    kind: ClassVar[str] = ""
+
+    time_s: float
+    """Sample clock."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the event as plain values for JSON; what is not finite becomes None."""
+        values = {field.name: _plain(getattr(self, field.name)) for field in fields(self)}
+        return {"version": EVENT_VERSION, "event": self.kind, **values}
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFloorMeasured(Event):
+    """The noise floor is known; stillness is judged from here on."""
+
+    kind: ClassVar[str] = "noise_floor"
+
+    accelerometer_sigma: float
+    """Rms of single samples over the axes, in ``accelerometer_unit``."""
+    accelerometer_unit: str
+    gyroscope_sigma: float
+    """NaN without a gyroscope."""
+    gyroscope_unit: str
+    vibration_limit: float
+    """Rms vibration of the accelerometer at which a stretch cannot begin, ``accelerometer_unit``."""
+    rate_hz: float
+    scale_learned: bool
+    """The rough scale comes from this still: its norm was taken as g."""
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Move(Event):
+    """Bring the unit to the next position."""
+
+    kind: ClassVar[str] = "move"
+
+    position: str
+    direction: Vector
+    """Of up, in the body frame."""
+    words: str
+    why: str
+    accepted: int
+    planned: int
+
+
+@dataclass(frozen=True, slots=True)
+class Turning(Event):
+    """The unit moves; where it points now. At most a few a second."""
+
+    kind: ClassVar[str] = "turning"
+
+    direction: Vector
+    """Of the specific force, in the body frame: up, as long as the motion is slow."""
+    position: str
+    """Nearest pending position."""
+    angle_deg: float
+    """From there."""
+    target: str
+    """Proposed position."""
+    target_angle_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Hold(Event):
+    """The unit lies still at a pending position: leave it."""
+
+    kind: ClassVar[str] = "hold"
+
+    position: str
+    words: str
+    angle_deg: float
+    """Off the planned direction."""
+    hold_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Holding(Event):
+    """Part of the hold is done. At most a few a second."""
+
+    kind: ClassVar[str] = "holding"
+
+    position: str
+    fraction: float
+    remaining_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted(Event):
+    """The position is measured."""
+
+    kind: ClassVar[str] = "accepted"
+
+    position: str
+    direction: Vector
+    """As measured."""
+    angle_deg: float
+    start_s: float
+    duration_s: float
+    sigma_m_s2: float
+    """1 sigma of the mean, largest axis; NaN where the scale is not known."""
+    temperature_degc: float
+    accepted: int
+    planned: int
+    replaces: bool = False
+    """An older observation of this position was replaced (it stays in the recording)."""
+    residual_m_s2: float | None = None
+    """None until a running fit exists."""
+    forecast: dict[str, float] | None = None
+    """Forecast uncertainty of the parameters; None until a running fit exists."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected(Event):
+    """A hold was refused, or cannot begin: why, by how much, and what to do."""
+
+    kind: ClassVar[str] = "rejected"
+
+    position: str | None
+    reason: RefusalCode
+    words: str
+    """What was found, one sentence."""
+    remedy: str
+    """What to do, one sentence."""
+    measured: float
+    limit: float
+    unit: str
+    axis: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Marked(Event):
+    """The operator said something and it was done (or could not be)."""
+
+    kind: ClassVar[str] = "marked"
+
+    action: str
+    position: str | None
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class LinkLost(Event):
+    """No more samples arrive."""
+
+    kind: ClassVar[str] = "link_lost"
+
+    accepted: int
+    planned: int
+    words: str = "the link is gone; everything measured so far is kept"
+
+
+@dataclass(frozen=True, slots=True)
+class LinkBack(Event):
+    """Samples arrive again."""
+
+    kind: ClassVar[str] = "link_back"
+
+    words: str = "the link is back; a hold that was under way begins anew"
+
+
+@dataclass(frozen=True, slots=True)
+class Done(Event):
+    """Nothing is left to do."""
+
+    kind: ClassVar[str] = "done"
+
+    accepted: int
+    planned: int
+    skipped: tuple[str, ...]
+    """Positions without an observation."""
+    words: str
+
+
+EVENTS: dict[str, type[Event]] = {
+    event.kind: event
+    for event in (
+        NoiseFloorMeasured,
+        Move,
+        Turning,
+        Hold,
+        Holding,
+        Accepted,
+        Rejected,
+        Marked,
+        LinkLost,
+        LinkBack,
+        Done,
+    )
+}
+"""All events by their name on the wire."""

@@ -1,0 +1,94 @@
+"""Plain lines: one for each event worth a line, no colour, no cursor; for logs and where there is no terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from imufield.guide.events import (
+    Accepted,
+    Done,
+    Event,
+    Hold,
+    Holding,
+    LinkBack,
+    LinkLost,
+    Marked,
+    Move,
+    NoiseFloorMeasured,
+    Rejected,
+    Turning,
+)
+
+
+class PlainView:
+    """Writes events as lines.
+
+    Parameters
+    ----------
+    write : callable
+        Takes one line without its end.
+    every_s : float
+        Least time between two lines that only tell progress.
+    """
+
+    def __init__(self, write: Callable[[str], object], every_s: float = 5.0) -> None:
+        self._write = write
+        self._every_s = every_s
+        self._last_s = -math.inf
+
+    def show(self, events: list[Event]) -> None:
+        """Write what there is to say."""
+        for event in events:
+            if isinstance(event, (Turning, Holding)):
+                if 0 <= event.time_s - self._last_s < self._every_s:
+                    continue
+                self._last_s = event.time_s
+            elif not math.isnan(event.time_s):
+                # A line of its own starts the wait for the next line of progress.
+                self._last_s = event.time_s
+            self._write(line(event))
+
+
+def line(event: Event) -> str:
+    """Return the line for an event: time, then words."""
+    time = f"{event.time_s:9.1f} s" if math.isfinite(event.time_s) else " " * 9 + "- s"
+    return f"{time}  {words(event)}"
+
+
+def words(event: Event) -> str:
+    """Return the words for an event."""
+    match event:
+        case NoiseFloorMeasured() | LinkBack():
+            return event.words
+        case Move():
+            return f"next ({event.accepted} of {event.planned} done): {event.position}, {event.words}; {event.why}"
+        case Turning():
+            return f"turning: {event.target_angle_deg:.0f} deg from {event.target}; nearest {event.position} at {event.angle_deg:.0f} deg"
+        case Hold():
+            return f"hold still: {event.position}, {event.words} ({event.angle_deg:.0f} deg off), {event.hold_s:g} s"
+        case Holding():
+            return f"holding {event.position}: {100 * event.fraction:.0f} %, {event.remaining_s:.0f} s left"
+        case Accepted():
+            return _accepted(event)
+        case Rejected():
+            where = f"{event.position}: " if event.position else ""
+            return f"refused: {where}{event.words}; {event.remedy}"
+        case Marked():
+            return f"{event.action}: {event.words}"
+        case LinkLost():
+            return f"{event.words} ({event.accepted} of {event.planned} done)"
+        case Done():
+            missing = f"; without {', '.join(event.skipped)}" if event.skipped else ""
+            return f"done: {event.words}{missing}"
+        case _:
+            return event.kind
+
+
+def _accepted(event: Accepted) -> str:
+    sigma = f", mean known to {1e3 * event.sigma_m_s2:.2g} mm/s^2" if math.isfinite(event.sigma_m_s2) else ""
+    warmth = f", {event.temperature_degc:.1f} degC" if math.isfinite(event.temperature_degc) else ""
+    again = " (replaces the older one)" if event.replaces else ""
+    return (
+        f"accepted {event.position}{again}: {event.duration_s:.1f} s{sigma}{warmth}; {event.accepted} of {event.planned} done"
+    )

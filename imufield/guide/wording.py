@@ -1,0 +1,108 @@
+"""Sentences of the guide: what was found and what to do, with value, limit and axis."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imufield.guide.cells import Cells
+from imufield.guide.checks import Refusal
+from imufield.guide.events import NoiseFloorMeasured, RefusalCode, Vector
+from imufield.guide.noise_floor import MAX_FLOOR_M_S2
+from imufield.guide.plan import Found, Plan
+from imufield.guide.scale import RoughScale
+from imufield.guide.stillness import Activity, StillnessDetector
+from imufield.samples import FloatArray
+
+
+def vector(values: FloatArray) -> Vector:
+    """Return an array (3,) as plain numbers."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def quantity(value: float, unit: str) -> str:
+    """Return a value in the unit people use for its size: mm/s^2, deg/s."""
+    if unit == "m/s^2":
+        return f"{1e3 * value:.3g} mm/s^2" if abs(value) < 1 else f"{value:.2f} m/s^2"
+    if unit == "rad/s":
+        return f"{math.degrees(value):.2g} deg/s"
+    return f"{value:.3g} {unit}"
+
+
+def floor_event(now_s: float, detector: StillnessDetector) -> NoiseFloorMeasured:
+    """Return the event for a noise floor just measured."""
+    floor, scale = detector.floor, detector.scale
+    if floor is None:
+        raise RuntimeError("the noise floor is not known yet")
+    force_unit, force_factor = ("m/s^2", scale.accelerometer) if scale.accelerometer else ("raw unit", 1.0)
+    rate_unit, rate_factor = ("rad/s", scale.gyroscope) if scale.gyroscope else ("raw unit", 1.0)
+    force = float(np.sqrt(np.mean(floor.sigma[:3] ** 2))) / force_factor
+    rate = float(np.sqrt(np.mean(floor.sigma[3:] ** 2))) / rate_factor
+    limit = float(np.sqrt(np.mean(detector.limits.vibration[:3] ** 2))) / force_factor
+    gyroscope = f"gyroscope {quantity(rate, rate_unit)}" if floor.has_gyroscope else "no gyroscope"
+    learned = "; the scale is not known, so the norm of this still is taken as g" if scale.learned else ""
+    return NoiseFloorMeasured(
+        now_s,
+        force,
+        force_unit,
+        rate,
+        rate_unit,
+        limit,
+        floor.samples_per_cell / detector.settings.cell_s,
+        scale.learned,
+        f"noise floor: accelerometer {quantity(force, force_unit)} rms per axis, {gyroscope}; "
+        f"still means below {quantity(limit, force_unit)}{learned}",
+    )
+
+
+def moved_refusal(activity: Activity, leave_factor: float, held_s: float, hold_s: float) -> Refusal:
+    """Return the refusal of a hold that ended by motion."""
+    limit = leave_factor * activity.limit
+    what = {"vibration": "shook", "change": "moved"}[activity.kind]
+    return Refusal(
+        RefusalCode.MOVED,
+        f"it {what} after {held_s:.1f} of {hold_s:g} s: {activity.triad} {activity.axis} "
+        f"{quantity(activity.measured, activity.unit)} (limit {quantity(limit, activity.unit)})",
+        "hold again; only this hold is repeated",
+        activity.measured,
+        limit,
+        activity.unit,
+        activity.axis,
+    )
+
+
+def place_refusal(plan: Plan, nearest: Found, pending: Found | None) -> Refusal:
+    """Return the refusal of a still unit that is in no pending position."""
+    limit = plan.tolerance_deg
+    if nearest.angle_deg <= limit:
+        name = plan.position(nearest.index).name
+        found, remedy = f"{name} is already done", "bring another side up"
+        return Refusal(RefusalCode.ALREADY_DONE, found, remedy, nearest.angle_deg, limit, "deg")
+    closest = pending or nearest
+    position = plan.position(closest.index)
+    return Refusal(
+        RefusalCode.NOT_NEAR,
+        f"not near any pending position: nearest is {position.name} at {closest.angle_deg:.0f} deg (limit {limit:.0f} deg)",
+        f"bring it to {position.name}: {position.words}",
+        closest.angle_deg,
+        limit,
+        "deg",
+    )
+
+
+def not_quiet_refusal(cells: Cells, scale: RoughScale, floor_s: float) -> Refusal:
+    """Return what to say while no quiet stretch has been seen."""
+    known = scale.accelerometer is not None
+    rms = float(np.sqrt(np.median(cells.variance[:, :3].mean(axis=1)))) / (scale.accelerometer or 1.0)
+    unit = "m/s^2" if known else "raw unit"
+    limit = f" (limit {quantity(MAX_FLOOR_M_S2, unit)})" if known else ""
+    return Refusal(
+        RefusalCode.NOT_QUIET,
+        f"waiting for {floor_s:g} s without motion to measure the noise floor: accelerometer {quantity(rms, unit)} rms{limit}",
+        "lay the unit on a firm surface and take the hands off",
+        rms,
+        MAX_FLOOR_M_S2 if known else math.nan,
+        unit,
+    )
