@@ -26,6 +26,10 @@ def _spellings(**names: str) -> dict[str, str]:
     return {spelling: signs.get(unit, unit) for unit, spellings in names.items() for spelling in spellings.split()}
 
 
+def _names(spellings: str) -> frozenset[str]:
+    return frozenset(spellings.split())
+
+
 # Spellings are compared in small letters without blanks, hats, stars, dots and minus signs.
 _RAW_UNITS = _spellings(count="count counts lsb raw adc", pulse="pulse pulses")
 _TIME_UNITS = _spellings(
@@ -42,17 +46,11 @@ UNITS_OF = {
     TEMPERATURE: _TEMPERATURE_UNITS,
 }
 
-_TIME_NAMES = frozenset(
-    {"t", "time", "times", "timestamp", "ts", "stamp", "epoch", "unixtime", "elapsed", "elapsedtime", "systemtime"}
-)
-_TEMPERATURE_NAMES = frozenset({"temp", "temperature"})
-_ACCELEROMETER_NAMES = frozenset(
-    {"a", "acc", "accel", "accelerometer", "acceleration", "linearacceleration", "specificforce", "f"}
-)
-_GYROSCOPE_NAMES = frozenset(
-    {"g", "w", "gyr", "gyro", "gyroscope", "omega", "rate", "rot", "angularrate", "angularvelocity", "angvel", "turnrate"}
-)
-_NOISE_WORDS = frozenset({"imu", "sensor", "data", "field", "msg", "calibrated"})
+_TIME_NAMES = _names("t time timestamp ts stamp epoch unixtime elapsed elapsedtime systemtime")
+_TEMPERATURE_NAMES = _names("temp temperature")
+_ACCELEROMETER_NAMES = _names("a acc accel accelerometer acceleration linearacceleration specificforce f")
+_GYROSCOPE_NAMES = _names("g w gyr gyro gyroscope omega rate rot angularrate angularvelocity angvel turnrate")
+_NOISE_WORDS = _names("imu sensor data field msg calibrated")
 _HEADERLESS = {
     3: ACCELEROMETER_COLUMNS,
     6: (*ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS),
@@ -108,7 +106,7 @@ def named_column(text: str, index: int, unit_below: str | None = None) -> Column
 
 
 def _spelling(unit: str) -> str:
-    return re.sub(r"[\s^*.-]", "", unit.lower().replace("²", "2"))
+    return re.sub(r"[\s^*.()\[\]-]", "", unit.lower().replace("²", "2"))
 
 
 def _words(text: str) -> list[str]:
@@ -118,8 +116,8 @@ def _words(text: str) -> list[str]:
 
 
 def _field_of(words: Sequence[str]) -> tuple[str | None, Sequence[str]]:
-    """Find the field, and the words behind it, which may be a unit."""
-    for end in range(len(words), 0, -1):
+    """Find the field, and the words behind it, which may be a unit: "time s" is a time in seconds and not "times"."""
+    for end in range(1, len(words) + 1):
         field = _field_of_name("".join(words[:end]))
         tail = words[end:]
         if field is not None and (not tail or "".join(tail) in UNITS_OF[quantity_of(field)]):

@@ -123,7 +123,7 @@ def read_tables(
     joined, units, joining = _join(files, rate_hz)
     said += joining
     rows = _rows(joined)
-    _check_accelerometer(rows, [file.path for file in files])
+    _check_values(rows, [file.path for file in files])
     found: dict[str, str | float] = {}
     for quantity in ("accelerometer", "gyroscope"):
         place = 1 if quantity == "accelerometer" else 4
@@ -190,6 +190,8 @@ def _read_file(path: Path, columns: str | None, number: int, files: int) -> _Fil
     text = open_table(path)
     meaning = _meaning(text, columns, number, files)
     values = text.read([column.index for column in meaning.columns])
+    if len(values) < 2:
+        raise RecordingError(f"{path}: 1 row is no recording: check the file.", Reason.BAD_DATA, path=str(path))
     fields = {column.field: values[:, place] for place, column in enumerate(meaning.columns)}
     units = _units(path, meaning)
     kept = {field: column for field, column in fields.items() if not _is_empty(column)}
@@ -287,9 +289,7 @@ def _rows(fields: Mapping[str, FloatArray]) -> FloatArray:
     return rows
 
 
-def _check_accelerometer(rows: FloatArray, paths: Sequence[Path]) -> None:
+def _check_values(rows: FloatArray, paths: Sequence[Path]) -> None:
     names = ", ".join(map(str, paths))
-    if len(rows) < 2:
-        raise RecordingError(f"{names}: {len(rows)} rows are no recording: check the file.", Reason.BAD_DATA, rows=len(rows))
     if np.isnan(rows[0, _COLUMN[ACCELEROMETER_COLUMNS[0]]]) and np.isnan(rows[0, _COLUMN[GYROSCOPE_COLUMNS[0]]]):
         raise UsageError(f"{names}: neither accelerometer nor gyroscope has values: name the columns with --columns.")

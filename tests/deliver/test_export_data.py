@@ -62,7 +62,8 @@ def test_no_samples_give_a_header(tmp_path: Path) -> None:
 def test_an_export_can_be_imported_again(tmp_path: Path) -> None:
     samples = block(200)
     export_csv([samples], tmp_path / "out.csv")
-    rows = read_tables([tmp_path / "out.csv"]).rows
+    table = read_tables([tmp_path / "out.csv"])
+    rows = table.rows
     assert np.array_equal(rows[:, 0], samples.time_s)
     assert np.array_equal(rows[:, 1:4], samples.accelerometer)
     assert np.array_equal(rows[:, 7], samples.temperature_degc, equal_nan=True)
