@@ -10,6 +10,9 @@ from pathlib import Path
 
 from imufield.errors import LinkError, UsageError
 
+BUFFER_BYTES = 65536
+"""Kept for a reader who is late, as the driver of a USB adapter does; beyond it bytes are lost."""
+
 
 class PseudoTerminal:
     """A pseudo-terminal in raw mode that can go away and come back.
@@ -34,6 +37,7 @@ class PseudoTerminal:
             raise UsageError(f"{link} exists and is not a symbolic link; choose another name for the port", path=str(link))
         self._link = link
         self._master = -1
+        self._waiting = b""
         self.bytes_dropped = 0
         self.device = ""
         """Path of the port at present."""
@@ -72,6 +76,8 @@ class PseudoTerminal:
             return
         os.close(self._master)
         self._master = -1
+        self.bytes_dropped += len(self._waiting)
+        self._waiting = b""
         if self._link is not None:
             self._link.unlink(missing_ok=True)
 
@@ -84,14 +90,22 @@ class PseudoTerminal:
         return not any(event & select.POLLHUP for _, event in poll.poll(0))
 
     def write(self, data: bytes) -> None:
-        """Send what fits into the buffer of the system and drop the rest, counted in ``bytes_dropped``."""
-        sent = 0
-        if self._master >= 0:
-            # EAGAIN: the buffer is full. EIO: no host holds the port.
-            with contextlib.suppress(BlockingIOError, OSError):
-                while sent < len(data):
-                    sent += os.write(self._master, data[sent:])
-        self.bytes_dropped += len(data) - sent
+        """Send what the system takes, keep a little for later, drop the rest; counted in ``bytes_dropped``.
+
+        While no host holds the port everything is dropped, so that nobody finds old bytes when opening it.
+        """
+        waiting = self._waiting + data
+        kept = 0
+        if self.has_reader():
+            sent = 0
+            # EAGAIN: the buffer of the system is full. EIO: the host has just gone.
+            with contextlib.suppress(OSError):
+                while sent < len(waiting):
+                    sent += os.write(self._master, waiting[sent:])
+            waiting = waiting[sent:]
+            kept = BUFFER_BYTES
+        self._waiting = waiting[:kept]
+        self.bytes_dropped += len(waiting) - len(self._waiting)
 
     def read(self) -> bytes:
         """Return what the host has sent, empty for nothing."""

@@ -91,12 +91,26 @@ def test_stream_begins_with_identity_and_start_up_then_runs_without_a_gap() -> N
     assert emulator.bytes_dropped == 0
 
 
-def test_nobody_reading_blocks_nothing_and_drops_are_counted() -> None:
+@pytest.mark.parametrize("held", [False, True], ids=["closed", "open but not read"])
+def test_nobody_reading_blocks_nothing_and_drops_are_counted(held: bool) -> None:
     with Emulator(stim300(), source(), EmulatorSettings(speed=50.0)) as emulator:
+        descriptor = open_port(emulator.port) if held else -1
         until(lambda: emulator.bytes_dropped > 100000)
         before_s = emulator.time_s
         until(lambda: emulator.time_s > before_s + 1.0)
+        if held:
+            os.close(descriptor)
     assert emulator.failure is None
+
+
+def test_late_opener_finds_no_old_bytes() -> None:
+    with Emulator(stim300(), source(), EmulatorSettings(speed=4.0)) as emulator:
+        until(lambda: emulator.time_s > 1.0)
+        descriptor = open_port(emulator.port)
+        frames = normal_frames(read_until(descriptor, lambda got: len(got) > 1000))
+        os.close(descriptor)
+    # Start-up, with which the stream began, is long over.
+    assert frames[0][10] == 0
 
 
 def test_commands_are_answered_within_the_stream() -> None:
