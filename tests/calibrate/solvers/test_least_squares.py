@@ -1,0 +1,87 @@
+"""Least squares through the interface that every solver has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.solvers.base import CONVERGED, FAILED, Solver
+from imufield.calibrate.solvers.least_squares import solve_least_squares
+from imufield.samples import FloatArray
+
+
+@dataclass
+class Line:
+    """y = z0 + z1 x: the exact answer is the normal equations'."""
+
+    x: FloatArray
+    y: FloatArray
+
+    start = property(lambda self: np.zeros(2))
+    bounds = property(lambda self: (np.full(2, -np.inf), np.full(2, np.inf)))
+
+    def residuals(self, z: FloatArray) -> FloatArray:
+        return z[0] + z[1] * self.x - self.y
+
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        return np.column_stack([np.ones_like(self.x), self.x])
+
+    def cost(self, candidates: FloatArray) -> FloatArray:
+        return np.array([np.sum(self.residuals(z) ** 2) for z in candidates])
+
+
+@dataclass
+class Nowhere(Line):
+    def residuals(self, z: FloatArray) -> FloatArray:
+        return np.full(len(self.x), np.nan)
+
+
+@pytest.fixture
+def line() -> Line:
+    return Line(np.arange(6.0), np.array([1.0, 3.0, 5.0, 7.0, 9.0, 60.0]))
+
+
+def test_the_signature_is_that_of_every_solver() -> None:
+    solver: Solver = solve_least_squares
+    assert callable(solver)
+
+
+def test_minimum_is_that_of_the_normal_equations(line: Line) -> None:
+    result = solve_least_squares(line)
+    expected = np.linalg.lstsq(line.jacobian(line.start), line.y, rcond=None)[0]
+    assert result.x == pytest.approx(expected, rel=1e-9)
+    assert result.cost == pytest.approx(float(line.cost(expected[None])[0]))
+    assert result.converged
+    assert result.status >= CONVERGED
+    assert result.evaluations > 0
+    assert result.history[-1] == result.cost
+
+
+def test_a_robust_loss_ignores_the_outlier(line: Line) -> None:
+    assert solve_least_squares(line, loss="cauchy").x == pytest.approx([1.0, 2.0], abs=0.05)
+
+
+def test_the_callback_hears_the_end(line: Line) -> None:
+    heard: list[float] = []
+
+    def callback(iteration: int, best: FloatArray, cost: float) -> bool:
+        heard.append(cost)
+        return False
+
+    result = solve_least_squares(line, callback=callback)
+    assert heard == [result.cost]
+
+
+def test_too_few_evaluations_is_a_status(line: Line) -> None:
+    result = solve_least_squares(line, loss="cauchy", max_evaluations=1)
+    assert not result.converged
+    assert result.message
+
+
+def test_outside_the_model_is_a_status() -> None:
+    result = solve_least_squares(Nowhere(np.arange(3.0), np.zeros(3)))
+    assert result.status == FAILED
+    assert result.x.tolist() == [0.0, 0.0]
+    assert "domain" in result.message
