@@ -104,7 +104,7 @@ def _read_table(path: Path) -> _Table:
 
 def _cells(path: Path, number: int, line: str) -> list[str]:
     try:
-        return next(csv.reader([line]))
+        return next(csv.reader([line], strict=True))
     except csv.Error as error:
         raise UsageError(f"{path}, line {number}: not CSV ({error}); save it as CSV", path=str(path), line=number) from error
 

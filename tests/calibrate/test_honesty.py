@@ -1,4 +1,4 @@
-"""Statistical honesty: over 240 simulated sessions, error over claimed sigma has an RMS near one for every gauge-free number."""
+"""Statistical honesty: over 240 simulated sessions error over sigma has an RMS near one for every gauge-free number."""
 
 from __future__ import annotations
 

@@ -35,11 +35,11 @@ def parameters(request: pytest.FixtureRequest) -> AccelerometerParameters:
 
 def test_vector_has_the_order_of_the_names() -> None:
     misalignment = np.array([[0, 7, 8], [9, 0, 10], [11, 12, 0]], dtype=float)
-    parameters = AccelerometerParameters(
-        np.array([1.0, 2, 3]), np.array([4.0, 5, 6]), misalignment, np.array([13.0, 14, 15])
-    )
+    parameters = AccelerometerParameters(np.array([1.0, 2, 3]), np.array([4.0, 5, 6]), misalignment, np.array([13.0, 14, 15]))
     assert to_vector(parameters).tolist() == list(range(1, 16))
-    assert ACCELEROMETER_NAMES[6:12] == tuple(f"accelerometer.misalignment_rad.{p}" for p in ("xy", "xz", "yx", "yz", "zx", "zy"))
+    assert ACCELEROMETER_NAMES[6:12] == tuple(
+        f"accelerometer.misalignment_rad.{p}" for p in ("xy", "xz", "yx", "yz", "zx", "zy")
+    )
     back = from_vector(to_vector(parameters))
     assert np.array_equal(back.misalignment_rad, misalignment)
 
