@@ -1,0 +1,76 @@
+"""The documentation names what exists: links, commands, reasons, keys, code that compiles."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from imufield.deliver.parameters import parameter_schema
+from imufield.errors import ImufieldError, Reason
+
+PROJECT = Path(__file__).resolve().parent.parent
+PAGES = sorted([*PROJECT.glob("*.md"), *(PROJECT / "docs").rglob("*.md")])
+page = pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(PROJECT).as_posix())
+
+
+def fenced(text: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+
+
+@page
+def test_links_lead_somewhere(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
+        assert target.startswith("https://") or (path.parent / target).exists(), f"{target} does not exist"
+
+
+@page
+def test_code_is_code(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    for block in fenced(text, "python"):
+        ast.parse(block)
+    for block in fenced(text, "toml"):
+        tomllib.loads(block)
+
+
+@page
+def test_commands_and_options_exist(path: Path) -> None:
+    source = (PROJECT / "imufield" / "cli.py").read_text(encoding="utf-8")
+    commands = {(named or function).replace("_", "-") for named, function in _commands(source)}
+    assert {"capture", "import", "export-data"} <= commands
+    text = path.read_text(encoding="utf-8")
+    for command in re.findall(r"(?:^\s{4,}|`)imufield ([a-z][a-z-]*)", text, flags=re.MULTILINE):
+        assert command in commands, f"imufield {command}"
+
+
+def _commands(source: str) -> list[tuple[str, str]]:
+    return re.findall(r'^@app\.command\((?:name="([a-z-]+)")?\)\ndef (\w+)\(', source, flags=re.MULTILINE)
+
+
+def test_every_reason_and_exit_code_has_a_row() -> None:
+    text = (PROJECT / "docs" / "errors.md").read_text(encoding="utf-8")
+    assert re.findall(r"^\| `(\w+)` \|", text, flags=re.MULTILINE) == [reason.value for reason in Reason]
+    classes = ImufieldError.__subclasses__()
+    for one in classes:
+        assert f"`{one.__name__}`" in text
+        assert re.search(rf"^\| {one.exit_code} \|.*`{one.__name__}`", text, flags=re.MULTILINE)
+
+
+def _keys(rule: dict[str, Any], above: str = "") -> Iterator[str]:
+    for name, inner in rule.get("properties", {}).items():
+        yield name
+        yield from _keys(inner, name)
+    yield from _keys(rule["items"], above) if "items" in rule else ()
+
+
+def test_every_key_of_the_parameter_file_is_described() -> None:
+    text = (PROJECT / "docs" / "parameter-file.md").read_text(encoding="utf-8")
+    known = set(re.findall(r"`([a-z0-9_]+)`", text)) | set(re.findall(r"`\[+([a-z.]+)\]+`", text))
+    known |= {name.partition(".")[2] for name in known if "." in name}
+    assert set(_keys(parameter_schema())) <= known
