@@ -107,8 +107,12 @@ def emulate(options: EmulateOptions, on_start: Callable[[Emulator], None] | None
 
 
 def truth_document(options: EmulateOptions, source: VirtualImu) -> dict[str, Any]:
-    """Return the truth as plain values; times are on the sample clock, which is 0 at the first sample."""
+    """Return the truth as plain values; times are on the sample clock, which is 0 at the first sample.
+
+    ``mean_drift`` is what the slow drift added to the bias on average so far; a calibration sees the sum.
+    """
     instrument, settings = source.imu.instrument, source.imu.settings
+    drift = source.imu.mean_drift.tolist()
     return {
         "format": TRUTH_FORMAT,
         "version": TRUTH_VERSION,
@@ -121,8 +125,16 @@ def truth_document(options: EmulateOptions, source: VirtualImu) -> dict[str, Any
         "clock_error_ppm": instrument.clock_error_ppm,
         "triad_delay_s": instrument.triad_delay_s,
         "site": asdict(options.site),
-        "accelerometer": {"raw_unit": instrument.grade.units.accelerometer, **_plain(instrument.accelerometer)},
-        "gyroscope": {"raw_unit": instrument.grade.units.gyroscope, **_plain(instrument.gyroscope)},
+        "accelerometer": {
+            "raw_unit": instrument.grade.units.accelerometer,
+            **_plain(instrument.accelerometer),
+            "mean_drift_m_s2": drift[:3],
+        },
+        "gyroscope": {
+            "raw_unit": instrument.grade.units.gyroscope,
+            **_plain(instrument.gyroscope),
+            "mean_drift_rad_s": drift[3:],
+        },
         "still": [_timed(still, source.imu) for still in source.operator.stills],
         "move": [_timed(move, source.imu) for move in source.operator.moves],
     }

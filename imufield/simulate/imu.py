@@ -75,6 +75,7 @@ class Imu:
         self._units = replace(grade.units, interval_s=1 / rate) if _increments(instrument) else grade.units
         self._delay = _Delay(instrument.triad_delay_s / self.interval_s)
         self._carry = np.zeros(6)
+        self._drift_sum = np.zeros(6)
         self._next = 0
         self._gap = False
 
@@ -86,6 +87,14 @@ class Imu:
     def to_sample_clock(self, true_time_s: float) -> float:
         """Return what the sample clock shows at a true time."""
         return true_time_s * (1 + 1e-6 * self.instrument.clock_error_ppm)
+
+    @property
+    def mean_drift(self) -> FloatArray:
+        """Mean so far of the drift on top of the parameters, shape (6,): m/s^2 of three axes, then rad/s.
+
+        What a calibration of this session sees as bias is the bias of the parameters plus this.
+        """
+        return self._drift_sum / max(self._next, 1)
 
     def feed(self, motion: TrueMotion) -> Samples:
         """Return the raw samples of the next block of motion, lost ones left out."""
@@ -133,7 +142,9 @@ class Imu:
         if self.settings.noise:
             disturbance += self._sigma * self._noise_rng.standard_normal((len(time_s), 6))
         if self.settings.drift:
-            disturbance += self._drift.at(time_s)
+            drift = self._drift.at(time_s)
+            self._drift_sum += drift.sum(axis=0)
+            disturbance += drift
         scaled: FloatArray = disturbance * self._raw_per_si
         return scaled
 

@@ -191,6 +191,14 @@ def test_blocks_of_any_size_give_the_same_samples() -> None:
         np.testing.assert_allclose(joined, getattr(whole, name), rtol=1e-12, atol=1e-12)
 
 
+def test_mean_drift_is_what_a_calibration_sees_on_top_of_the_bias() -> None:
+    imu = Imu(perfect_instrument(TACTICAL), 1, replace(QUIET, drift=True))
+    samples = [imu.feed(motion_of(np.full((1000, 3), 1.0))) for _ in range(3)]
+    mean = np.concatenate([np.hstack([block.accelerometer - 1.0, block.gyroscope]) for block in samples]).mean(axis=0)
+    np.testing.assert_allclose(imu.mean_drift, mean, rtol=1e-9)
+    assert np.all(np.abs(mean) > 0)
+
+
 def test_seed_decides() -> None:
     force = np.zeros((100, 3))
     first, again, other = (Imu(drawn(), seed, ImuSettings()).feed(motion_of(force)) for seed in (1, 1, 2))
