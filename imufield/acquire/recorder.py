@@ -34,8 +34,8 @@ from imufield.files import sync_folder
 SYNC_INTERVAL_S = 0.5
 BLOCK_BYTES = 1 << 20
 """A block is packed early when this much waits: bounds the memory, and what one damaged byte can cost."""
-BACKLOG_LIMIT_BYTES = 64 << 20
-"""Ten minutes of a 1 Mbit/s wire: longer than a disk stalls. Beyond it the caller waits."""
+BACKLOG_LIMIT_BYTES = 16 << 20
+"""Two minutes of a 1 Mbit/s wire: longer than a disk stalls. Beyond it the caller waits."""
 MESSAGE_LIMIT_BYTES = CHUNK_LIMIT_BYTES - BLOCK_BYTES
 """One message more must not lift a block over what the reader accepts."""
 
@@ -121,12 +121,12 @@ class Recorder:
         if len(message) > MESSAGE_LIMIT_BYTES:
             raise ValueError(f"a message of {len(message)} bytes is too long to be read again: write it in pieces")
         with self._changed:
-            if self._closing:
-                raise ValueError("the recorder is closed")
             while self._waiting_bytes > BACKLOG_LIMIT_BYTES and self._failure is None:
                 self._changed.wait()
             if self._failure is not None:
                 self._tell()
+            if self._closing:
+                raise ValueError("the recorder is closed")
             self._waiting.append(message)
             self._waiting_bytes += len(message)
             if self._waiting_bytes >= BLOCK_BYTES:
