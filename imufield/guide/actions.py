@@ -114,8 +114,15 @@ class GuideActions:
 
     def announce_floor(self) -> None:
         """Say the noise floor, and what comes first."""
+        floor = self.detector.floor
+        if floor is None:
+            return
         self.announced = True
-        self.events.append(floor_event(self.now_s, self.detector))
+        self.now_s = floor.start_s + floor.duration_s
+        self.events.append(floor_event(self.now_s, floor, self.detector))
+        lying = self.plan.nearest(self._direction(floor.mean[:3]), pending=True)
+        if lying is not None and lying.angle_deg <= self.plan.tolerance_deg:
+            self.plan.first = lying.index
         self.propose()
 
     def propose(self) -> None:
@@ -126,6 +133,8 @@ class GuideActions:
         position = self.plan.position(index)
         if index in self.plan.wanted_again:
             why = "to be measured again; the older measurement counts until then"
+        elif index == self.plan.first and not self.plan.accepted:
+            why = "it lies there already"
         elif not self.plan.accepted:
             why = "the first of the list; any other order is fine"
         else:

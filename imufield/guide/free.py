@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 from imufield.calibrate.observations import Observations
 from imufield.errors import CalibrationError, Reason
+from imufield.guide.axes_check import AxesCheck, MoveLog, check_axes
+from imufield.guide.cells import CellBuilder, Cells
 from imufield.guide.checks import CheckSettings, HoldUnderTest, Refusal, examine
 from imufield.guide.noise_floor import MAX_FLOOR_M_S2, NoiseFloor
 from imufield.guide.observe import Observation, gather, observe, trim_stretch
 from imufield.guide.positions import nearest_cube_direction
 from imufield.guide.scale import RoughScale
-from imufield.guide.stillness import Judgement, Phase, StillnessDetector, StillnessSettings, Stretch
+from imufield.guide.stillness import Phase, StillnessDetector, StillnessSettings, Stretch
 from imufield.samples import Samples, SampleUnits
 
 SHORTEST_S = 1.0
@@ -28,6 +30,8 @@ class StillIntervals:
     """Start time and reason of still intervals that were not believed."""
     noise_floor: NoiseFloor
     scale: RoughScale
+    axes: AxesCheck
+    """Whether the gyroscope's axes belong to the accelerometer's."""
 
 
 class StillIntervalFinder:
@@ -57,10 +61,12 @@ class StillIntervalFinder:
         self._shortest_s = shortest_s
         self._found: list[Observation] = []
         self._refused: list[tuple[float, Refusal]] = []
+        self._moves = MoveLog(self.detector.settings.cell_s)
+        self._builder = CellBuilder(self.detector.settings.cell_s)
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
-        self._take_ended(self.detector.feed(samples))
+        self._take_ended(self._builder.feed(samples))
 
     def finish(self) -> StillIntervals:
         """Return what was found; the last interval ends here.
@@ -70,7 +76,7 @@ class StillIntervalFinder:
         CalibrationError
             If no stretch was quiet enough to be a noise floor.
         """
-        self._take_ended(self.detector.flush())
+        self._take_ended(self._builder.flush())
         if self.detector.phase is Phase.STILL:
             self._take(self.detector.stretch)
             self.detector.restart()
@@ -80,10 +86,13 @@ class StillIntervalFinder:
                 f"{MAX_FLOOR_M_S2} m/s^2 rms), so stillness cannot be judged; lay the unit down for some seconds each time",
                 Reason.TOO_FEW,
             )
-        return StillIntervals(gather(self._found, self.units), tuple(self._refused), self.detector.floor, self.detector.scale)
+        scale = self.detector.scale
+        axes = check_axes(self._moves.moves(scale), scale.gyroscope)
+        return StillIntervals(gather(self._found, self.units), tuple(self._refused), self.detector.floor, scale, axes)
 
-    def _take_ended(self, judgements: list[Judgement]) -> None:
-        for judgement in judgements:
+    def _take_ended(self, cells: Cells | None) -> None:
+        for judgement in () if cells is None else self.detector.judge(cells):
+            self._moves.follow(judgement, self.detector.stretch.mean)
             if judgement.ended is not None:
                 self._take(judgement.ended)
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from imufield.calibrate.observations import Observations
 from imufield.guide.actions import GuideActions
+from imufield.guide.axes_check import ENOUGH_MOVES, AxesCheck, MoveLog, check_axes
 from imufield.guide.cells import CellBuilder, Cells, join_cells
 from imufield.guide.checks import explain_flags
 from imufield.guide.events import Event, Marked
@@ -24,7 +25,7 @@ from imufield.guide.scale import RoughScale
 from imufield.guide.settings import GuideSettings
 from imufield.guide.state_table import TABLE, Input, State
 from imufield.guide.stillness import Activity, Judgement, Phase, StillnessDetector
-from imufield.guide.wording import not_quiet_refusal
+from imufield.guide.wording import axes_refusal, not_quiet_refusal
 from imufield.samples import Samples, SampleUnits
 
 _BAD_IN_A_ROW = 3
@@ -82,6 +83,8 @@ class Guide:
         self._do = GuideActions(self.plan, self.detector, self.settings)
         self._builder = CellBuilder(stillness.cell_s)
         self._marks: list[tuple[int, str, str | None]] = []
+        self._moves = MoveLog(stillness.cell_s)
+        self._axes_checked = False
         self._recent: Cells | None = None
         self._bad_cells = 0
         self._bad_in_a_row = 0
@@ -145,9 +148,13 @@ class Guide:
         """Return what was accepted, in order of acceptance."""
         return gather(list(self.plan.accepted.values()), self.units)
 
+    def check_axes(self) -> AxesCheck:
+        """Compare the turns that accelerometer and gyroscope saw between the stills so far."""
+        return check_axes(self._moves.moves(self.detector.scale), self.detector.scale.gyroscope)
+
     def snapshot(self) -> Snapshot:
         """Return what a live view shows."""
-        target = self.plan.proposed()
+        target = self.plan.proposed() if self._do.announced else None
         recent = self._recent
         span = float(recent.slot[-1] - recent.slot[0] + 1) * self._builder.cell_s if recent is not None else math.nan
         return Snapshot(
@@ -209,6 +216,16 @@ class Guide:
         else:
             self._do.note_motion(judgement)
             self._handle(Input.MOVING)
+        self._moves.follow(judgement, self.detector.stretch.mean)
+        if not self._axes_checked and len(self.plan.accepted) > ENOUGH_MOVES:
+            self._warn_of_axes()
+
+    def _warn_of_axes(self) -> None:
+        """Say once, early in the session, that the axes do not agree."""
+        self._axes_checked = True
+        axes = self.check_axes()
+        if axes.agrees is False:
+            self._do.reject(axes_refusal(axes))
 
     def _set_time(self, cells: Cells, row: int) -> None:
         """Advance the time of what is said; cells kept until the noise floor was known do not turn it back."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 from imufield.guide.events import (
     Accepted,
@@ -58,31 +59,42 @@ def line(event: Event) -> str:
 
 def words(event: Event) -> str:
     """Return the words for an event."""
-    match event:
-        case NoiseFloorMeasured() | LinkBack():
-            return event.words
-        case Move():
-            return f"next ({event.accepted} of {event.planned} done): {event.position}, {event.words}; {event.why}"
-        case Turning():
-            return f"turning: {event.target_angle_deg:.0f} deg from {event.target}; nearest {event.position} at {event.angle_deg:.0f} deg"
-        case Hold():
-            return f"hold still: {event.position}, {event.words} ({event.angle_deg:.0f} deg off), {event.hold_s:g} s"
-        case Holding():
-            return f"holding {event.position}: {100 * event.fraction:.0f} %, {event.remaining_s:.0f} s left"
-        case Accepted():
-            return _accepted(event)
-        case Rejected():
-            where = f"{event.position}: " if event.position else ""
-            return f"refused: {where}{event.words}; {event.remedy}"
-        case Marked():
-            return f"{event.action}: {event.words}"
-        case LinkLost():
-            return f"{event.words} ({event.accepted} of {event.planned} done)"
-        case Done():
-            missing = f"; without {', '.join(event.skipped)}" if event.skipped else ""
-            return f"done: {event.words}{missing}"
-        case _:
-            return event.kind
+    return _WORDS[type(event)](event)
+
+
+def _move(event: Move) -> str:
+    return f"next ({event.accepted} of {event.planned} done): {event.position}, {event.words}; {event.why}"
+
+
+def _turning(event: Turning) -> str:
+    nearest = f"; nearest pending {event.position} at {event.angle_deg:.0f} deg" if event.position != event.target else ""
+    return f"turning: {event.target_angle_deg:.0f} deg from {event.target}{nearest}"
+
+
+def _hold(event: Hold) -> str:
+    return f"hold still: {event.position}, {event.words} ({event.angle_deg:.0f} deg off), {event.hold_s:g} s"
+
+
+def _holding(event: Holding) -> str:
+    return f"holding {event.position}: {100 * event.fraction:.0f} %, {event.remaining_s:.0f} s left"
+
+
+def _rejected(event: Rejected) -> str:
+    where = f"{event.position}: " if event.position else ""
+    return f"refused: {where}{event.words}; {event.remedy}"
+
+
+def _marked(event: Marked) -> str:
+    return f"{event.action}: {event.words}"
+
+
+def _link_lost(event: LinkLost) -> str:
+    return f"{event.words} ({event.accepted} of {event.planned} done)"
+
+
+def _done(event: Done) -> str:
+    missing = f"; without {', '.join(event.skipped)}" if event.skipped else ""
+    return f"done: {event.words}{missing}"
 
 
 def _accepted(event: Accepted) -> str:
@@ -92,3 +104,19 @@ def _accepted(event: Accepted) -> str:
     return (
         f"accepted {event.position}{again}: {event.duration_s:.1f} s{sigma}{warmth}; {event.accepted} of {event.planned} done"
     )
+
+
+# One entry for each event; the tests walk ``EVENTS`` against it.
+_WORDS: dict[type[Event], Callable[[Any], str]] = {
+    NoiseFloorMeasured: lambda event: event.words,
+    Move: _move,
+    Turning: _turning,
+    Hold: _hold,
+    Holding: _holding,
+    Accepted: _accepted,
+    Rejected: _rejected,
+    Marked: _marked,
+    LinkLost: _link_lost,
+    LinkBack: lambda event: event.words,
+    Done: _done,
+}

@@ -42,6 +42,8 @@ class Plan:
         self.wanted_again: set[int] = set()
         self.withdrawn: list[Observation] = []
         """Replaced or undone; kept, not used."""
+        self.first: int | None = None
+        """Asked for before all others: where the unit lies when the session begins."""
         self._accepted: dict[int, Observation] = {}
         self._directions = scheme.directions()
         self._history: list[tuple[str, int]] = []
@@ -66,10 +68,8 @@ class Plan:
 
     def proposed(self) -> int | None:
         """Return the next position in the proposed order, None when nothing is left to ask for."""
-        for index in range(len(self.scheme)):
-            if self.is_pending(index) and index not in self.skipped:
-                return index
-        return None
+        order = range(len(self.scheme)) if self.first is None else (self.first, *range(len(self.scheme)))
+        return next((index for index in order if self.is_pending(index) and index not in self.skipped), None)
 
     def missing(self) -> tuple[str, ...]:
         """Return the names of positions without an observation."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from imufield.acquire.protocol import Nominal
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray, SampleUnits
 
@@ -31,6 +32,18 @@ class RoughScale:
     gyroscope: float | None = None
     raw_zero: FloatArray = field(default_factory=lambda: np.zeros(3))
     learned: bool = False
+
+    @classmethod
+    def of(cls, units: SampleUnits, nominal: Nominal) -> RoughScale:
+        """Return what the instrument's protocol says, and the names of the units where it says nothing."""
+        named = cls.of_units(units)
+        per_second = 1 / units.interval_s if units.accelerometer_is_increment and units.interval_s else 1.0
+        # Raw per m/s in an increment is raw per second per m/s^2 in its rate: only the mid-scale changes.
+        return cls(
+            nominal.accelerometer_scale or named.accelerometer,
+            nominal.gyroscope_scale or named.gyroscope,
+            np.asarray(nominal.raw_zero, dtype=np.float64) * per_second,
+        )
 
     @classmethod
     def of_units(cls, units: SampleUnits, raw_zero: FloatArray | None = None) -> RoughScale:

@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
+from imufield.guide.axes_check import GOOD_DEG, AxesCheck
 from imufield.guide.cells import Cells
 from imufield.guide.checks import Refusal
 from imufield.guide.events import NoiseFloorMeasured, RefusalCode, Vector
-from imufield.guide.noise_floor import MAX_FLOOR_M_S2
+from imufield.guide.noise_floor import MAX_FLOOR_M_S2, NoiseFloor
 from imufield.guide.plan import Found, Plan
 from imufield.guide.scale import RoughScale
 from imufield.guide.stillness import Activity, StillnessDetector
@@ -31,11 +32,9 @@ def quantity(value: float, unit: str) -> str:
     return f"{value:.3g} {unit}"
 
 
-def floor_event(now_s: float, detector: StillnessDetector) -> NoiseFloorMeasured:
+def floor_event(now_s: float, floor: NoiseFloor, detector: StillnessDetector) -> NoiseFloorMeasured:
     """Return the event for a noise floor just measured."""
-    floor, scale = detector.floor, detector.scale
-    if floor is None:
-        raise RuntimeError("the noise floor is not known yet")
+    scale = detector.scale
     force_unit, force_factor = ("m/s^2", scale.accelerometer) if scale.accelerometer else ("raw unit", 1.0)
     rate_unit, rate_factor = ("rad/s", scale.gyroscope) if scale.gyroscope else ("raw unit", 1.0)
     force = float(np.sqrt(np.mean(floor.sigma[:3] ** 2))) / force_factor
@@ -105,4 +104,16 @@ def not_quiet_refusal(cells: Cells, scale: RoughScale, floor_s: float) -> Refusa
         rms,
         MAX_FLOOR_M_S2 if known else math.nan,
         unit,
+    )
+
+
+def axes_refusal(axes: AxesCheck) -> Refusal:
+    """Return the warning that gyroscope and accelerometer do not belong together."""
+    return Refusal(
+        RefusalCode.AXES,
+        axes.words,
+        "the accelerometer positions stay valid; nothing of the gyroscope will be until this is corrected",
+        axes.misfit_deg,
+        GOOD_DEG,
+        "deg",
     )

@@ -1,0 +1,50 @@
+"""The live view in a terminal: thin, it only hands ``screen`` to rich."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from imufield.guide.events import Event
+from imufield.guide.guide import Snapshot
+from imufield.guide.positions import Scheme
+from imufield.guide.screen import Screen, draw
+
+
+class TerminalView:
+    """Shows a session at up to 10 frames a second; use as a context manager.
+
+    Parameters
+    ----------
+    scheme : Scheme
+    console : rich.console.Console, optional
+    """
+
+    FRAMES_PER_SECOND = 10
+
+    def __init__(self, scheme: Scheme, console: Console | None = None) -> None:
+        self._scheme = scheme
+        self._screen = Screen()
+        self._live = Live(
+            Text(),
+            console=console,
+            auto_refresh=False,
+            screen=True,
+            vertical_overflow="crop",
+        )
+
+    def __enter__(self) -> Self:
+        self._live.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._live.stop()
+
+    def show(self, events: list[Event], snapshot: Snapshot, lost_samples: int | None = None) -> None:
+        """Draw the state after these events; call it at most ``FRAMES_PER_SECOND`` times a second."""
+        self._screen.follow(events)
+        self._live.update(draw(self._screen, snapshot, self._scheme, lost_samples), refresh=True)
