@@ -116,14 +116,11 @@ def capture(
     """
     from imufield.commands.capture import CaptureOptions, run_capture
     from imufield.commands.configuration import parse_settings
+    from imufield.commands.connect import ConnectOptions
     from imufield.commands.site import SiteOptions
 
     options = CaptureOptions(
-        port=port,
-        driver=driver,
-        baud=baud,
-        protocol=protocol,
-        settings=parse_settings(settings),
+        connect=ConnectOptions(port, driver, baud, protocol, parse_settings(settings)),
         positions=positions,
         hold_s=hold_s,
         session=session,
@@ -150,10 +147,11 @@ def record(
     Example: imufield record --port /dev/ttyUSB0 --duration-s 3600
     """
     from imufield.commands.configuration import parse_settings
+    from imufield.commands.connect import ConnectOptions
     from imufield.commands.record import RecordOptions, run_record
 
-    options = RecordOptions(port, driver, baud, protocol, parse_settings(settings), session, duration_s, as_json)
-    run_record(options)
+    connect = ConnectOptions(port, driver, baud, protocol, parse_settings(settings))
+    run_record(RecordOptions(connect, session, duration_s, as_json))
 
 
 @app.command(name="import")

@@ -6,7 +6,7 @@ session. It reads no clock: arrival times come with the bytes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,9 +21,10 @@ from imufield.calibrate.observations import Observations
 from imufield.errors import ProtocolError, Reason, RecordingError
 from imufield.guide.events import Event
 from imufield.guide.free import StillIntervalFinder, StillIntervals
-from imufield.guide.guide import Guide, GuideSettings
+from imufield.guide.guide import Guide
 from imufield.guide.positions import scheme
 from imufield.guide.scale import RoughScale
+from imufield.guide.settings import GuideSettings
 from imufield.samples import FloatArray, Samples
 
 MARK = "mark"
@@ -40,12 +41,19 @@ class Plan:
 
     scheme: str | None
     hold_s: float | None = None
+    raw_zero: tuple[float, ...] | None = None
+    """Mid-scale of the accelerometer, where the protocol does not tell it."""
 
     @classmethod
     def of(cls, session: Session) -> Plan:
         """Return the plan written in ``session.toml``."""
         hold_s = session.metadata.get("guide", {}).get("hold_s")
-        return cls(session.metadata.get("scheme") or None, None if hold_s is None else float(hold_s))
+        raw_zero = session.metadata.get("nominal", {}).get("raw_zero")
+        return cls(
+            session.metadata.get("scheme") or None,
+            None if hold_s is None else float(hold_s),
+            None if raw_zero is None else tuple(raw_zero),
+        )
 
 
 class Chain:
@@ -56,10 +64,13 @@ class Chain:
     plan : Plan
     listeners : sequence of callable
         Each is given every block of samples, in order.
+    judging : bool
+        False where only the samples are wanted.
     """
 
-    def __init__(self, plan: Plan, listeners: tuple[SamplesListener, ...] = ()) -> None:
+    def __init__(self, plan: Plan, listeners: tuple[SamplesListener, ...] = (), *, judging: bool = True) -> None:
         self.plan = plan
+        self._judging = judging
         self.guide: Guide | None = None
         self.finder: StillIntervalFinder | None = None
         self.protocol: Protocol | None = None
@@ -87,21 +98,21 @@ class Chain:
                 f"{protocol.units.accelerometer}); import or solve them one by one",
                 Reason.UNITS,
             )
-        events = self.link_lost() if self._last_s is not None else []
-        self.protocol, self.decoder = protocol, Decoder(protocol)
-        self.statistics.append(self.decoder.statistics)
-        self._offset_s = None if self._last_s is not None else 0.0
-        if self.guide is None and self.finder is None:
+        self.protocol = protocol
+        if self._judging and self.guide is None and self.finder is None:
             self._make_judge(protocol)
-        return events
+        return self._start_decoder(protocol)
 
     def feed(self, data: bytes, arrival_s: float, utc_ns: int) -> list[Event]:
         """Take the bytes of one read and return what the guide has to say."""
         if self.decoder is None:
             raise RecordingError("bytes stand before the start of a part; the recording is damaged", Reason.DAMAGED)
-        samples = self._on_session_clock(self.decoder.feed(data, arrival_s), utc_ns)
+        return self._take(self.decoder.feed(data, arrival_s), utc_ns)
+
+    def _take(self, samples: Samples, utc_ns: int) -> list[Event]:
         if not len(samples):
             return []
+        samples = self._on_session_clock(samples, utc_ns)
         self._last_s, self._last_utc_ns = float(samples.time_s[-1]), utc_ns
         self._note_temperature(samples.temperature_degc)
         for listener in self._listeners:
@@ -117,8 +128,13 @@ class Chain:
         return self.guide.mark(action, self.guide.time_s if time_s is None else time_s, position)
 
     def link_lost(self) -> list[Event]:
-        """Say that nothing arrives any more."""
-        return self.guide.link_lost() if self.guide is not None else []
+        """Say that nothing arrives any more; what comes later is read anew."""
+        return [] if self.protocol is None else self._start_decoder(self.protocol)
+
+    def finish(self) -> list[Event]:
+        """Take what the decoder held back; nothing will follow."""
+        events = self._flush_decoder()
+        return events + self.guide.flush() if self.guide is not None else events
 
     def observations(self) -> Observations:
         """Return the accepted positions of a guided session."""
@@ -138,9 +154,26 @@ class Chain:
             raise ValueError("the session is guided: ask `observations`")
         return self.finder.finish()
 
+    def raw_zero(self, protocol: Protocol) -> FloatArray:
+        """Return the raw accelerometer output at no input, shape (3,)."""
+        return protocol.nominal.raw_zero if self.plan.raw_zero is None else np.array(self.plan.raw_zero)
+
+    def _start_decoder(self, protocol: Protocol) -> list[Event]:
+        """Begin with fresh clocks, behind what was read before."""
+        events = self._flush_decoder()
+        self.decoder = Decoder(protocol)
+        self.statistics.append(self.decoder.statistics)
+        if self._last_s is None:
+            return events
+        self._offset_s = None
+        return events + self.guide.link_lost() if self.guide is not None else events
+
+    def _flush_decoder(self) -> list[Event]:
+        return [] if self.decoder is None else self._take(self.decoder.flush(), self._last_utc_ns)
+
     def _make_judge(self, protocol: Protocol) -> None:
         nominal = protocol.nominal
-        scale = RoughScale(nominal.accelerometer_scale, nominal.gyroscope_scale, nominal.raw_zero)
+        scale = RoughScale(nominal.accelerometer_scale, nominal.gyroscope_scale, self.raw_zero(protocol))
         if self.plan.scheme is None:
             self.finder = StillIntervalFinder(protocol.units, scale)
             return
@@ -190,7 +223,12 @@ def recorded_protocol(metadata: Mapping[str, Any], session: Session) -> Protocol
 
 
 def replay_into(
-    chain: Chain, session: Session, damage: list[Damage], listener: Callable[[list[Event]], None] | None = None
+    chain: Chain,
+    session: Session,
+    damage: list[Damage],
+    listener: Callable[[list[Event]], None] | None = None,
+    *,
+    ended: bool = True,
 ) -> None:
     """Run a recorded session through a chain, with the operator's marks at their places.
 
@@ -202,6 +240,8 @@ def replay_into(
         Receives what could not be read.
     listener : callable, optional
         Given the events of each step.
+    ended : bool
+        Nothing will follow; False where a capture goes on.
     """
     for item in read_blocks(session, damage):
         if isinstance(item, PartStart):
@@ -212,6 +252,26 @@ def replay_into(
             events = chain.feed(item.data, item.arrival_s, item.utc_ns)
         if events and listener is not None:
             listener(events)
+    last = chain.finish() if ended else []
+    if last and listener is not None:
+        listener(last)
+
+
+def session_samples(session: Session, damage: list[Damage]) -> Iterator[Samples]:
+    """Decode a session, block by block, on one sample clock."""
+    blocks: list[Samples] = []
+    chain = Chain(Plan(None), listeners=(blocks.append,), judging=False)
+    for item in read_blocks(session, damage):
+        if isinstance(item, PartStart):
+            chain.start_part(recorded_protocol(item.metadata, session))
+        elif isinstance(item, RecordedEvent):
+            _say_again(chain, item.event)
+        else:
+            chain.feed(item.data, item.arrival_s, item.utc_ns)
+        yield from blocks
+        blocks.clear()
+    chain.finish()
+    yield from blocks
 
 
 def _say_again(chain: Chain, event: Mapping[str, Any]) -> list[Event]:

@@ -61,7 +61,7 @@ def make_emulation(options: EmulateOptions) -> Emulation:
         raise UsageError(f"there is no emulator for {options.driver!r}; choose one of {', '.join(get_args(DeviceName))}")
     if options.style not in ("placed", "held"):
         raise UsageError(f"--style {options.style!r} is neither placed nor held")
-    directions = () if options.positions == STANDS_STILL else scheme(options.positions).directions
+    directions = () if options.positions == STANDS_STILL else scheme(options.positions).directions()
     return Emulation(
         device=options.driver,  # type: ignore[arg-type]  # checked above
         rate_hz=options.rate_hz,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -37,7 +36,7 @@ from imufield.deliver.parameters import (
 from imufield.deliver.summary import Outcome, print_summary
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError
-from imufield.guide.axes_check import MoveRecorder, check_axes
+from imufield.guide.axes_check import AxesCheck
 from imufield.samples import FloatArray
 
 PARAMETER_FILE = "parameters.toml"
@@ -110,10 +109,11 @@ def solve_session(session: Session, options: SolveOptions) -> Solved:
         Recording unreadable, calibration impossible or refused.
     """
     damage: list[Damage] = []
-    moves = MoveRecorder()
-    chain = Chain(Plan.of(session), listeners=(moves.feed,))
+    chain = Chain(Plan.of(session))
     replay_into(chain, session, damage)
-    observations, refused = _observations(chain)
+    observations, axes, refused = _observations(chain)
+    if axes.error is not None:
+        raise axes.error
     metadata = session.metadata
     instrument = Instrument(**{key: str(value) for key, value in metadata.get("instrument", {}).items()})
     facts = SessionFacts(session.name, session_sha256(session), _true_rate_hz(chain), chain.temperature_degc)
@@ -121,10 +121,10 @@ def solve_session(session: Session, options: SolveOptions) -> Solved:
     found = _Input(
         observations,
         options.site.gravity(metadata.get("site")),
-        None if nominal is None else nominal.raw_zero,
+        None if chain.protocol is None else chain.raw_zero(chain.protocol),
         None if nominal is None else nominal.gyroscope_scale,
         Context(instrument, facts),
-        (*check_axes(moves, observations), *_loss_sentences(chain, damage)),
+        (axes.words, *_loss_sentences(chain, damage)),
     )
     return Solved(_solve(found, options), refused)
 
@@ -137,16 +137,16 @@ def solve_observations(path: Path, options: SolveOptions) -> Solved:
     return Solved(_solve(found, options), ())
 
 
-def _observations(chain: Chain) -> tuple[Observations, tuple[str, ...]]:
+def _observations(chain: Chain) -> tuple[Observations, AxesCheck, tuple[str, ...]]:
     if chain.guide is not None:
-        return chain.observations(), ()
+        return chain.observations(), chain.guide.check_axes(), ()
     if chain.finder is None:
         raise CalibrationError("the session holds no data at all; record or import it again", Reason.TOO_FEW)
     found = chain.still_intervals()
     sentences = tuple(
         f"The still interval at {start_s:.1f} s is left out: {refusal.words}." for start_s, refusal in found.refused
     )
-    return found.observations, sentences
+    return found.observations, found.axes, sentences
 
 
 def _solve(found: _Input, options: SolveOptions) -> Parameters:
@@ -158,7 +158,7 @@ def _solve(found: _Input, options: SolveOptions) -> Parameters:
         found.observations,
         found.gravity,
         model=_one_of("model", options.model, get_args(ModelChoice)),
-        gauge=None if options.gauge is None else cast(Gauge, _one_of("gauge", options.gauge, get_args(Gauge))),
+        gauge=None if options.gauge is None else cast("Gauge", _one_of("gauge", options.gauge, get_args(Gauge))),
         preset=None if preset is None else preset.calibration.accelerometer,
         raw_zero=found.raw_zero if zero is None else np.array(zero),
         seed=options.seed,
@@ -233,14 +233,3 @@ def _sha256(paths: list[Path]) -> str:
             while block := file.read(HASH_BLOCK_BYTES):
                 digest.update(block)
     return digest.hexdigest()
-
-
-def instrument_table(driver: str, model: str, identity: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the session's ``instrument`` table."""
-    known = identity or {}
-    return {
-        "driver": driver,
-        "model": known.get("model", model),
-        "serial_number": known.get("serial_number", ""),
-        "firmware": known.get("firmware", ""),
-    }

@@ -53,6 +53,11 @@ class PseudoTerminal:
         """Whether the port is there."""
         return self._master >= 0
 
+    @property
+    def bytes_waiting(self) -> int:
+        """Bytes kept for a reader who is late."""
+        return len(self._waiting)
+
     def open(self) -> None:
         """Bring the port into being, under a new device path."""
         if sys.platform == "win32":

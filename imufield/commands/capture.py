@@ -1,0 +1,272 @@
+"""``imufield capture``: a guided session, from the port to the last position."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import typer
+
+from imufield.acquire.host_clock import HostClock, SystemClock
+from imufield.acquire.link import Chunk
+from imufield.acquire.recorder import Recorder
+from imufield.acquire.recording import Damage
+from imufield.acquire.session import DEFAULT_ROOT, Session
+from imufield.commands.chain import MARK, Chain, Plan, part_metadata, replay_into
+from imufield.commands.connect import Connected, ConnectOptions, connect
+from imufield.commands.site import SiteOptions
+from imufield.commands.views import LinkState, LiveStatus, View, ViewName, make_view
+from imufield.errors import LinkError, Reason, RecordingError, UsageError
+from imufield.guide.events import Event
+from imufield.guide.keys import Keyboard
+from imufield.guide.positions import scheme
+
+DEFAULT_SCHEME = "paper24"
+SILENCE_S = 2.0
+"""Host time without a byte after which the screen says so: the slowest instruments send ten times a second."""
+RECONNECT_EVERY_S = 0.5
+REFRESH_EVERY_S = 0.1
+KEYS = {"r": "retake", "s": "skip", "u": "undo", "p": "pause", "f": "finish"}
+QUIT = "q"
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureOptions:
+    """Options of the command."""
+
+    connect: ConnectOptions
+    positions: str | None = None
+    hold_s: float | None = None
+    session: Path | None = None
+    resume: bool = False
+    site: SiteOptions = field(default_factory=SiteOptions)
+    view: ViewName = "auto"
+    root: Path = DEFAULT_ROOT
+
+
+@dataclass(frozen=True, slots=True)
+class Captured:
+    """How a capture ended."""
+
+    session: Session
+    accepted: int
+    planned: int
+    finished: bool
+
+
+def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Captured:
+    """Capture until every position is measured or the operator quits.
+
+    Raises
+    ------
+    ImufieldError
+        Link, recording or usage errors; what was recorded stays.
+    """
+    interactive = options.view == "auto" and sys.stdout.isatty()
+    clock = clock or SystemClock()
+    scheme_name = options.positions or DEFAULT_SCHEME
+    scheme(scheme_name)
+    earlier = find_unfinished(options, interactive)
+    site = options.site if earlier is not None else ask_site(options.site, interactive)
+    connected = connect(options.connect, clock)
+    with ExitStack() as stack:
+        stack.callback(connected.link.close)
+        session = earlier or new_session(options, connected, scheme_name, site)
+        stack.enter_context(session.lock())
+        loop = stack.enter_context(open_loop(session, connected, clock, options.view))
+        captured = loop.run()
+    _farewell(captured, options.view)
+    return captured
+
+
+def find_unfinished(options: CaptureOptions, interactive: bool) -> Session | None:
+    """Return the session to go on with, or None for a new one.
+
+    Raises
+    ------
+    RecordingError
+        If ``--session`` names an unfinished session and nobody said that it should go on.
+    UsageError
+        If there is nothing to resume.
+    """
+    folder = options.session
+    if folder is None:
+        if not options.resume:
+            return None
+        session = Session.newest(options.root)
+    elif (folder / "session.toml").exists():
+        session = Session.open(folder)
+    elif options.resume:
+        raise UsageError(f"there is no session in {folder} to resume; leave out --resume for a new one")
+    else:
+        return None
+    if session.finished:
+        raise UsageError(f"{session.folder} is finished; name a new folder, or solve it with: imufield solve {session.folder}")
+    if not session.metadata.get("scheme"):
+        raise UsageError(f"{session.folder} is a plain recording without a guide; name a new folder")
+    if not options.resume and not (interactive and typer.confirm(f"Go on with the unfinished session {session.folder}?", True)):
+        raise RecordingError(
+            f"{session.folder} holds an unfinished session; go on with --resume, or name a new folder",
+            Reason.UNFINISHED,
+            folder=str(session.folder),
+        )
+    return session
+
+
+def ask_site(site: SiteOptions, interactive: bool) -> SiteOptions:
+    """Return the site, asking once where nothing is known and somebody is there to answer."""
+    if site.is_known or not interactive:
+        return site
+    typer.echo("Gravity at this place sets the scale of the accelerometer (a latitude to 0.1 degree is good to 10 ppm).")
+    answer = typer.prompt("Latitude in degrees, e.g. 48.1 (Enter: not known)", default="", show_default=False).strip()
+    if not answer:
+        return site
+    try:
+        return SiteOptions(latitude_deg=float(answer), height_m=site.height_m)
+    except ValueError as error:
+        raise UsageError(f"latitude {answer!r} is no number; write decimal degrees, e.g. 48.1") from error
+
+
+def new_session(options: CaptureOptions, connected: Connected, scheme_name: str, site: SiteOptions) -> Session:
+    """Create the session's folder with everything that is known before the first byte."""
+    site.gravity()
+    metadata = {
+        **connected.session_tables(),
+        "kind": "capture",
+        "scheme": scheme_name,
+        "guide": {} if options.hold_s is None else {"hold_s": options.hold_s},
+        "site": site.table(),
+    }
+    if options.session is not None:
+        return Session.create_in(options.session, connected.model, metadata)
+    return Session.create(options.root, connected.model, metadata)
+
+
+@contextmanager
+def open_loop(session: Session, connected: Connected, clock: HostClock, view_name: ViewName) -> Iterator[CaptureLoop]:
+    """Open recorder, view and keyboard, and close them whatever happens."""
+    chain = Chain(Plan.of(session))
+    damage: list[Damage] = []
+    replay_into(chain, session, damage, ended=False)
+    metadata = part_metadata(connected.protocol, connected.session_tables())
+    with ExitStack() as stack:
+        recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
+        keyboard = stack.enter_context(Keyboard())
+        view = stack.enter_context(make_view(view_name, session.folder))
+        yield CaptureLoop(session, connected, chain, recorder, view, keyboard, clock)
+
+
+class CaptureLoop:
+    """One run of a session: chunks to the disk first, then through the chain, events to the view."""
+
+    def __init__(
+        self,
+        session: Session,
+        connected: Connected,
+        chain: Chain,
+        recorder: Recorder,
+        view: View,
+        keyboard: Keyboard,
+        clock: HostClock,
+    ) -> None:
+        self.session = session
+        self.connected = connected
+        self.chain = chain
+        self.recorder = recorder
+        self.view = view
+        self.keyboard = keyboard
+        self.clock = clock
+        self._last_byte_s = clock.monotonic_s()
+        self._last_refresh_s = float("-inf")
+        self._next_try_s: float | None = None
+        """When to try the port again; None while it is there."""
+
+    def run(self) -> Captured:
+        """Go on until all is done or the operator quits."""
+        self._publish(self.chain.start_part(self.connected.protocol))
+        for heard in self.connected.chunks:
+            self._take(heard)
+        quitting = False
+        while not (quitting or self._done):
+            chunk = self._next_chunk()
+            if chunk is not None:
+                self._take(chunk)
+            quitting = self._follow_keys()
+            self._refresh()
+        self._publish(self.chain.finish())
+        guide = self.chain.guide
+        snapshot = guide.snapshot() if guide is not None else None
+        if self._done:
+            self.session.update(finished=True)
+        accepted, planned = (len(snapshot.accepted), snapshot.planned) if snapshot is not None else (0, 0)
+        return Captured(self.session, accepted, planned, self._done)
+
+    @property
+    def _done(self) -> bool:
+        return self.chain.guide is not None and self.chain.guide.done
+
+    def _next_chunk(self) -> Chunk | None:
+        if self._next_try_s is not None:
+            self._try_again()
+            return None
+        try:
+            return self.connected.link.read()
+        except LinkError:
+            self._next_try_s = self.clock.monotonic_s()
+            self._publish(self.chain.link_lost())
+            return None
+
+    def _try_again(self) -> None:
+        now_s = self.clock.monotonic_s()
+        if self._next_try_s is not None and now_s >= self._next_try_s:
+            self._next_try_s = None if self.connected.link.reopen() else now_s + RECONNECT_EVERY_S
+            self._last_byte_s = now_s
+        else:
+            self.clock.sleep(REFRESH_EVERY_S)
+
+    def _take(self, chunk: Chunk) -> None:
+        self._last_byte_s = self.clock.monotonic_s()
+        self.recorder.write_chunk(chunk)
+        self._publish(self.chain.feed(chunk.data, chunk.monotonic_s, chunk.utc_ns))
+
+    def _follow_keys(self) -> bool:
+        for key in self.keyboard.read():
+            if key == QUIT:
+                return True
+            if key in KEYS and self.chain.guide is not None:
+                time_s = self.chain.guide.time_s
+                self.recorder.write_event({"event": MARK, "action": KEYS[key], "time_s": time_s})
+                self._publish(self.chain.mark(KEYS[key], time_s))
+        return False
+
+    def _publish(self, events: list[Event]) -> None:
+        for event in events:
+            self.recorder.write_event(event.to_dict())
+        if events:
+            self.view.show(events)
+
+    def _refresh(self) -> None:
+        now_s = self.clock.monotonic_s()
+        if now_s - self._last_refresh_s < REFRESH_EVERY_S or self.chain.guide is None:
+            return
+        self._last_refresh_s = now_s
+        silent_s = now_s - self._last_byte_s
+        state: LinkState = "lost" if self._next_try_s is not None else "silent" if silent_s > SILENCE_S else "ok"
+        statistics = self.chain.statistics
+        lost = sum(part.samples_lost + part.losses_estimated for part in statistics)
+        self.view.refresh(LiveStatus(self.chain.guide.snapshot(), self.connected.link.name, state, lost))
+
+
+def _farewell(captured: Captured, view: ViewName) -> None:
+    if view == "json":
+        return
+    folder = captured.session.folder
+    if captured.finished:
+        typer.echo(f"{captured.accepted} of {captured.planned} positions measured, session {folder}")
+        typer.echo(f"next:  imufield solve {folder}")
+    else:
+        typer.echo(f"{captured.accepted} of {captured.planned} positions measured so far, all on disk in {folder}")
+        typer.echo(f"go on: imufield capture --port {captured.session.metadata['link']['port']} --session {folder} --resume")

@@ -1,0 +1,46 @@
+"""``imufield devices``: ports of this machine, and the instruments that have a driver."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import Any
+
+import typer
+
+from imufield.acquire.ports import serial_ports
+from imufield.acquire.registry import driver_names, load_driver
+from imufield.errors import ProtocolError
+
+
+def list_devices(*, as_json: bool) -> None:
+    """Print ports and drivers; a driver that cannot be loaded is listed with its error."""
+    ports = [asdict(port) for port in serial_ports()]
+    drivers = [_describe(name) for name in driver_names()]
+    if as_json:
+        typer.echo(json.dumps({"ports": ports, "drivers": drivers}))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    table = Table(title="serial ports", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    table.add_column("port")
+    table.add_column("what the system says of it")
+    for port in ports:
+        table.add_row(port["device"], port["description"])
+    console.print(table if ports else "no serial ports found: plug the instrument in, or give --port socket://host:port")
+    table = Table(title="\ninstruments", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    for heading in ("driver", "instrument", "bit rate", "tried"):
+        table.add_column(heading)
+    for driver in drivers:
+        table.add_row(driver["name"], driver["title"], str(driver["default_baud"]), driver["status"])
+    console.print(table)
+
+
+def _describe(name: str) -> dict[str, Any]:
+    try:
+        driver = load_driver(name)
+    except ProtocolError as error:
+        return {"name": name, "title": error.message, "default_baud": "", "status": "cannot be loaded"}
+    return {"name": name, "title": driver.title, "default_baud": driver.default_baud, "status": driver.status}

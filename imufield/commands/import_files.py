@@ -1,0 +1,118 @@
+"""``imufield import``: files of other programs become a session."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from imufield.acquire.host_clock import SystemClock
+from imufield.acquire.link import Chunk
+from imufield.acquire.protocol import Protocol, load_protocol
+from imufield.acquire.recorder import Recorder
+from imufield.acquire.session import DEFAULT_ROOT, Session
+from imufield.acquire.tables import ROWS_PROTOCOL, Table, read_tables, write_rows
+from imufield.commands.chain import part_metadata
+from imufield.errors import Reason, RecordingError, UsageError
+
+DUMP_CHUNK_BYTES = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class ImportOptions:
+    """Options of the command."""
+
+    files: list[Path]
+    output: Path | None = None
+    protocol: str | None = None
+    settings: Mapping[str, str] | None = None
+    columns: str | None = None
+    rate_hz: float | None = None
+    zero: str | None = None
+    as_json: bool = False
+    root: Path = DEFAULT_ROOT
+
+
+def run_import(options: ImportOptions) -> Session:
+    """Import and tell what was assumed.
+
+    Raises
+    ------
+    ImufieldError
+        A file cannot be read or understood.
+    """
+    session, sentences = import_session(options)
+    if options.as_json:
+        typer.echo(json.dumps({"event": "imported", "session": str(session.folder), "assumptions": sentences}))
+        return session
+    for sentence in sentences:
+        typer.echo(sentence, err=True)
+    typer.echo(f"session {session.folder}")
+    typer.echo(f"next:  imufield solve {session.folder}")
+    return session
+
+
+def import_session(options: ImportOptions) -> tuple[Session, list[str]]:
+    """Return the new session and what was assumed, in sentences; raises as ``run_import``."""
+    if options.protocol is not None:
+        return _import_dump(options, load_protocol(options.protocol, options.settings))
+    return _import_tables(options)
+
+
+def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
+    table = read_tables(
+        options.files,
+        columns=options.columns,
+        rate_hz=options.rate_hz,
+        zero=options.zero,
+        settings=options.settings,
+    )
+    protocol = load_protocol(ROWS_PROTOCOL, {**(options.settings or {}), **table.settings})
+    session = _new_session(options, protocol, table)
+    with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
+        write_rows(recorder, table.rows)
+    session.update(finished=True)
+    return session, list(table.assumptions)
+
+
+def _import_dump(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:
+    """Put the bytes of a dump into a recording as they are; there is no arrival time but the order."""
+    if options.columns or options.rate_hz:
+        raise UsageError("--columns and --rate-hz are for tables; a byte dump has its --protocol and --set")
+    session = _new_session(options, protocol, None)
+    utc_ns = SystemClock().utc_ns()
+    with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
+        for path in options.files:
+            try:
+                with path.open("rb") as file:
+                    while data := file.read(DUMP_CHUNK_BYTES):
+                        recorder.write_chunk(Chunk(data, math.nan, utc_ns))
+            except OSError as error:
+                raise RecordingError(
+                    f"{path} cannot be read: {error.strerror}; check the name", Reason.NOT_A_RECORDING, path=str(path)
+                ) from error
+    session.update(finished=True)
+    return session, []
+
+
+def _new_session(options: ImportOptions, protocol: Protocol, table: Table | None) -> Session:
+    metadata: dict[str, Any] = {
+        "kind": "import",
+        "instrument": {"driver": protocol.name, "model": options.files[0].name.split(".")[0]},
+        "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
+        "settings": {name: {"value": one.value, "origin": one.origin} for name, one in protocol.settings.items()},
+        "units": {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope},
+        "import": {"files": [str(path) for path in options.files]},
+    }
+    if table is not None:
+        metadata["nominal"] = {"raw_zero": list(table.raw_zero)}
+        metadata["notes"] = list(table.assumptions)
+    model = options.files[0].name.split(".")[0]
+    if options.output is not None:
+        return Session.create_in(options.output, model, metadata)
+    return Session.create(options.root, model, metadata)

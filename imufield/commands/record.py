@@ -1,0 +1,99 @@
+"""``imufield record``: plain recording, e.g. hours of standstill."""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import typer
+
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.host_clock import HostClock, SystemClock
+from imufield.acquire.recorder import Recorder
+from imufield.acquire.session import DEFAULT_ROOT, Session
+from imufield.commands.chain import part_metadata
+from imufield.commands.connect import Connected, ConnectOptions, connect
+
+TELL_EVERY_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class RecordOptions:
+    """Options of the command."""
+
+    connect: ConnectOptions
+    session: Path | None = None
+    duration_s: float | None = None
+    as_json: bool = False
+    root: Path = DEFAULT_ROOT
+
+
+def run_record(options: RecordOptions, clock: HostClock | None = None) -> Session:
+    """Record until the time is over or the user interrupts; a lost link ends it with its error, all kept.
+
+    Raises
+    ------
+    ImufieldError
+        Link or recording errors; what was recorded stays.
+    """
+    clock = clock or SystemClock()
+    connected = connect(options.connect, clock)
+    with ExitStack() as stack:
+        stack.callback(connected.link.close)
+        session = _new_session(options, connected)
+        stack.enter_context(session.lock())
+        metadata = part_metadata(connected.protocol, connected.session_tables())
+        recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
+        try:
+            decoder = _record(connected, recorder, clock, options)
+        finally:
+            session.update(finished=True)
+    _tell_end(session, decoder, options.as_json)
+    return session
+
+
+def _new_session(options: RecordOptions, connected: Connected) -> Session:
+    metadata = {**connected.session_tables(), "kind": "record"}
+    if options.session is not None:
+        return Session.create_in(options.session, connected.model, metadata)
+    return Session.create(options.root, connected.model, metadata)
+
+
+def _record(connected: Connected, recorder: Recorder, clock: HostClock, options: RecordOptions) -> Decoder:
+    decoder = Decoder(connected.protocol)
+    start_s = clock.monotonic_s()
+    told_s = start_s
+    chunks = iter(connected.chunks)
+    while options.duration_s is None or clock.monotonic_s() - start_s < options.duration_s:
+        chunk = next(chunks, None) or connected.link.read()
+        if chunk is not None:
+            recorder.write_chunk(chunk)
+            decoder.feed(chunk.data, chunk.monotonic_s)
+        now_s = clock.monotonic_s()
+        if now_s - told_s >= TELL_EVERY_S:
+            told_s = now_s
+            _tell_progress(decoder, now_s - start_s, options.as_json)
+    return decoder
+
+
+def _tell_progress(decoder: Decoder, elapsed_s: float, as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps({"event": "recording", "elapsed_s": round(elapsed_s, 3), **decoder.statistics.to_dict()}))
+    elif sys.stdout.isatty():
+        counts = decoder.statistics
+        lost = counts.samples_lost + counts.losses_estimated
+        typer.echo(f"\r{elapsed_s:8.0f} s  {counts.samples} samples  {lost} lost  (Ctrl-C ends)", nl=False)
+
+
+def _tell_end(session: Session, decoder: Decoder, as_json: bool) -> None:
+    counts = decoder.statistics
+    if as_json:
+        typer.echo(json.dumps({"event": "recorded", "session": str(session.folder), **counts.to_dict()}))
+        return
+    lost = counts.samples_lost + counts.losses_estimated
+    if sys.stdout.isatty():
+        typer.echo()
+    typer.echo(f"{counts.samples} samples, {lost} lost, session {session.folder}")

@@ -1,0 +1,71 @@
+"""Which front end draws the events of a capture: terminal, plain lines or JSON lines."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+import typer
+
+from imufield.guide.events import Event
+from imufield.guide.guide import Snapshot
+from imufield.guide.jsonlines import JsonLinesView
+from imufield.guide.plain import PlainView
+
+ViewName = Literal["auto", "plain", "json"]
+LinkState = Literal["ok", "silent", "lost"]
+
+
+@dataclass(frozen=True, slots=True)
+class LiveStatus:
+    """What a live view shows beside the events."""
+
+    snapshot: Snapshot
+    port: str
+    link: LinkState
+    samples_lost: int
+
+
+class View(Protocol):
+    """A front end."""
+
+    def show(self, events: list[Event]) -> None:
+        """Render events."""
+        ...
+
+    def refresh(self, status: LiveStatus) -> None:
+        """Draw the state between events."""
+        ...
+
+
+class _Lines:
+    """A view that has nothing to draw between events, but says when the wire falls silent."""
+
+    def __init__(self, inner: PlainView | JsonLinesView, *, says_silence: bool) -> None:
+        self._inner = inner
+        self._says_silence = says_silence
+        self._link: LinkState = "ok"
+
+    def show(self, events: list[Event]) -> None:
+        self._inner.show(events)
+
+    def refresh(self, status: LiveStatus) -> None:
+        if self._says_silence and status.link != self._link and status.link == "silent":
+            typer.echo(f"nothing arrives on {status.port}: check power and cable; waiting")
+        self._link = status.link
+
+
+@contextmanager
+def make_view(name: ViewName, session: Path) -> Iterator[View]:
+    """Yield the view asked for; "auto" is the terminal view where there is a terminal, else plain lines."""
+    if name == "json":
+        yield _Lines(JsonLinesView(typer.echo), says_silence=False)
+    elif name == "plain" or not sys.stdout.isatty():
+        typer.echo(f"session {session}")
+        yield _Lines(PlainView(typer.echo), says_silence=True)
+    else:
+        yield _Lines(PlainView(typer.echo), says_silence=True)

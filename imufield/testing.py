@@ -1,0 +1,141 @@
+"""pytest plugin: recorded captures replayed in tests, and emulated instruments on ports (DESIGN section 9).
+
+Installed with imufield; nothing heavy is imported before a fixture is used. Fixtures:
+
+``imufield_replay(path)``
+    Replay a session, or a raw byte dump with ``protocol=``; returns ``Replayed`` with samples, events, parameters.
+``imufield_pty(driver, faults=...)``
+    An emulated instrument on a pseudo-terminal; returns the running emulator, whose ``port`` can be opened.
+``imufield_golden(name, values)``
+    Compare numbers with a file beside the test; ``--imufield-update`` rewrites it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from imufield.acquire.session import Session
+    from imufield.deliver.parameters import Parameters
+    from imufield.samples import Samples
+    from imufield.simulate.emulate import DeviceName
+    from imufield.simulate.emulator import Emulator
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """A session replayed."""
+
+    session: Session
+
+    @cached_property
+    def samples(self) -> Samples:
+        """All samples, in one block on one sample clock."""
+        from imufield.commands.chain import session_samples
+        from imufield.samples import concatenate
+
+        return concatenate(session_samples(self.session, []))
+
+    @cached_property
+    def events(self) -> list[dict[str, Any]]:
+        """What the guide says, as in JSON lines; empty for a session that nobody guided."""
+        from imufield.commands.chain import Chain, Plan, replay_into
+
+        events: list[dict[str, Any]] = []
+        chain = Chain(Plan.of(self.session))
+        replay_into(chain, self.session, [], lambda new: events.extend(event.to_dict() for event in new))
+        return events
+
+    @cached_property
+    def parameters(self) -> Parameters:
+        """The calibration with default options; see ``solve`` for others."""
+        return self.solve()
+
+    def solve(self, **options: Any) -> Parameters:
+        """Solve with options of ``imufield.commands.solve.SolveOptions``; ``gravity_m_s2`` and ``latitude_deg`` too."""
+        from imufield.commands.site import SiteOptions
+        from imufield.commands.solve import SolveOptions, solve_session
+
+        site = SiteOptions(options.pop("gravity_m_s2", None), options.pop("latitude_deg", None), options.pop("height_m", None))
+        return solve_session(self.session, SolveOptions(site=site, **options)).parameters
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that rewrites golden results."""
+    parser.addoption("--imufield-update", action="store_true", help="rewrite the golden results of imufield_golden")
+
+
+@pytest.fixture
+def imufield_replay(tmp_path: Path) -> Callable[..., Replayed]:
+    """Return a function that replays a session folder, or a raw byte dump with ``protocol`` and ``settings``."""
+
+    def replay(path: str | Path, protocol: str | None = None, settings: Mapping[str, str] | None = None) -> Replayed:
+        from imufield.acquire.session import Session
+        from imufield.commands.import_files import ImportOptions, import_session
+
+        if protocol is None:
+            return Replayed(Session.open(path))
+        options = ImportOptions([Path(path)], tmp_path / f"session-{Path(path).stem}", protocol, dict(settings or {}))
+        return Replayed(import_session(options)[0])
+
+    return replay
+
+
+@pytest.fixture
+def imufield_pty() -> Iterator[Callable[..., Emulator]]:
+    """Return a function that starts an emulated instrument on a pseudo-terminal; all are stopped after the test."""
+    with ExitStack() as stack:
+
+        def start(driver: DeviceName = "stim300", *, faults: Mapping[str, Any] | None = None, **options: Any) -> Emulator:
+            from imufield.simulate.emulate import EmulateOptions, make_emulator
+            from imufield.simulate.emulator import EmulatorSettings
+            from imufield.simulate.faults import Faults
+
+            run = EmulatorSettings(speed=options.pop("speed", 1.0), wait_for_reader=options.pop("wait_for_reader", True))
+            emulation = EmulateOptions(driver, faults=Faults(**(faults or {})), run=run, **options)
+            return stack.enter_context(make_emulator(emulation))
+
+        yield start
+
+
+@pytest.fixture
+def imufield_golden(request: pytest.FixtureRequest) -> Callable[..., None]:
+    """Return a function that compares numbers with ``golden/<name>.json`` beside the test file."""
+
+    def check(name: str, values: Mapping[str, Any], *, relative: float = 1e-9, absolute: float = 0.0) -> None:
+        path = request.path.parent / "golden" / f"{name}.json"
+        if request.config.getoption("--imufield-update"):
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(json.dumps(values, indent=1, sort_keys=True) + "\n")
+            return
+        if not path.is_file():
+            pytest.fail(f"there is no {path}; make it with: pytest --imufield-update")
+        expected = json.loads(path.read_text())
+        differing = [
+            key for key in sorted({*expected, *values}) if not _agree(expected.get(key), values.get(key), relative, absolute)
+        ]
+        if differing:
+            key = differing[0]
+            pytest.fail(f"{name}: {key} is {values.get(key)!r}, golden is {expected.get(key)!r} ({len(differing)} differ)")
+
+    return check
+
+
+def _agree(expected: Any, value: Any, relative: float, absolute: float) -> bool:
+    if isinstance(expected, list) and isinstance(value, list | tuple):
+        return len(expected) == len(value) and all(
+            _agree(one, other, relative, absolute) for one, other in zip(expected, value, strict=True)
+        )
+    if isinstance(expected, float) and isinstance(value, float | int):
+        both_nan = math.isnan(expected) and math.isnan(value)
+        return both_nan or math.isclose(expected, value, rel_tol=relative, abs_tol=absolute)
+    return bool(expected == value)
