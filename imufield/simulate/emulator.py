@@ -11,6 +11,8 @@ fit into the buffer of the system is dropped and counted, as a UART does.
 
 from __future__ import annotations
 
+import math
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -32,6 +34,8 @@ from imufield.simulate.port import PseudoTerminal
 SLICE_S = 0.008
 """Wall time between writes: short against the 20 ms a reader gathers, long against the cost of a wake-up."""
 MAXIMUM_SPEED = 1000.0
+LINGER_S = 0.5
+"""The port outlives the last sample by this."""
 _LARGEST_BLOCK_S = 1.0
 """Instrument's time made at once after a delay; keeps stop() prompt when the machine cannot keep up."""
 _LONGEST_COMMAND = 256
@@ -196,20 +200,35 @@ class Emulator:
         started_s = time.monotonic()
         while not self._stopping.wait(SLICE_S):
             self._listen()
-            due_s = (time.monotonic() - started_s) * self.settings.speed
-            while self.time_s < due_s and not self._stopping.is_set():
-                if not self._advance(due_s):
+            elapsed_s = (time.monotonic() - started_s) * self.settings.speed
+            while self._advance(elapsed_s):
+                if self._stopping.is_set():
                     return
+            if self._samples_made == self._last_sample:
+                self._linger()
+                return
 
-    def _advance(self, due_s: float) -> bool:
-        """Make and send the samples due; return whether there is more to come."""
-        end_s = self.settings.duration_s
-        until_s = due_s if end_s is None else min(due_s, end_s)
-        block_s = min(until_s - self.time_s, _LARGEST_BLOCK_S)
-        count = int(np.ceil(block_s / self.source.interval_s))
-        if count > 0:
-            self._send(self.source.next_block(count), count)
-        return end_s is None or self.time_s < end_s
+    def _linger(self) -> None:
+        """Leave the port open for a moment: who reads late still gets the end."""
+        end_s = time.monotonic() + LINGER_S
+        while self._pty.has_reader() and time.monotonic() < end_s and not self._stopping.wait(SLICE_S):
+            self._put(b"", 0.0)
+
+    def _advance(self, until_s: float) -> bool:
+        """Make and send samples that are due; return whether there were any."""
+        due = min(int(until_s / self.source.interval_s) + 1, self._last_sample)
+        largest = math.ceil(_LARGEST_BLOCK_S / self.source.interval_s)
+        count = min(due - self._samples_made, largest)
+        if count <= 0:
+            return False
+        self._send(self.source.next_block(count), count)
+        return True
+
+    @property
+    def _last_sample(self) -> int:
+        """Number of samples after which the time is over."""
+        duration_s = self.settings.duration_s
+        return sys.maxsize if duration_s is None else round(duration_s / self.source.interval_s)
 
     def _send(self, samples: Samples, count: int) -> None:
         """Send a block of which ``count`` samples were made and some perhaps lost."""
