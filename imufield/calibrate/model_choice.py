@@ -1,10 +1,11 @@
 """Which of the 15 parameters are fitted: what the positions can show, and what the data need.
 
-The model choice "auto" keeps the quadratic term where an F test on its entries together says 95 %. Where it does not, the term
-may still be there, hidden in scale and bias, so the change ``d = p_quadratic - p_linear`` enters the covariance as
+The model choice "auto" keeps the quadratic term where an F test on its entries together says 95 %. Where it does not, the
+term may still be there, hidden in scale and bias, so the change ``d = p_quadratic - p_linear`` enters the covariance as
 ``F / (1 + F) d d^T``: little where the estimate is mere noise, nearly all where it just failed the test. Simulated with 24
-positions, error over sigma of the bias then has an RMS of 0.83 where there is no such term, 1.7 at worst (a term the size of its
-own uncertainty); with all of ``d`` 0.72 and 1.5, with none of it 1.2 and 3.2. Only the quadratic model is honest for every size.
+positions, error over sigma of the bias then has an RMS of 0.83 where there is no such term and 1.7 at worst, for a term the
+size of its own uncertainty (0.72 and 1.5 with all of ``d``, 1.2 and 3.2 with none). Only the quadratic model is honest for
+every size.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from imufield.calibrate.fit import Fit, FitData, column_basis, fit
 from imufield.calibrate.gauge import change_gauge
-from imufield.calibrate.models import MISALIGNMENT, PARAMETERS, QUADRATIC, norm_derivatives
+from imufield.calibrate.models import MISALIGNMENT, PARAMETERS, QUADRATIC, NormDerivatives, norm_derivatives
 from imufield.calibrate.observability import Observability, observe, require_scale_and_bias
 from imufield.calibrate.result import ACCELEROMETER_NAMES, ModelChoice
 from imufield.calibrate.start import FEWEST_FOR_MISALIGNMENT, FEWEST_FOR_QUADRATIC, closed_form_start
@@ -63,6 +64,7 @@ def find_origin(
     """
     origin = _rough_origin(data, sign, preset, model)
     derivatives = norm_derivatives(origin, data.raw, data.quadratic_axes)
+    _require_forces(derivatives, data)
     seen = observe(derivatives, origin, data.gravity_m_s2, quadratic=model != "linear")
     require_scale_and_bias(seen)
     seen = _enough_positions(seen, len(data.raw))
@@ -80,6 +82,17 @@ def _rough_origin(data: FitData, sign: FloatArray, preset: FloatArray | None, mo
         if model != "linear":
             origin[QUADRATIC] = lower[QUADRATIC]
     return origin
+
+
+def _require_forces(derivatives: NormDerivatives, data: FitData) -> None:
+    """Refuse outputs that are far from what a still accelerometer gives, so far that the model has no inverse there."""
+    for row in np.flatnonzero(~np.isfinite(derivatives.jacobian).all(axis=1)):
+        raise CalibrationError(
+            f"position {row + 1} of {len(data.raw)} has the output {data.raw[row].tolist()}, which no specific force near "
+            f"{data.gravity_m_s2:g} m/s^2 explains beside the others; retake it, or check columns, raw unit and preset",
+            Reason.BOUNDS,
+            position=int(row) + 1,
+        )
 
 
 def _enough_positions(seen: Observability, positions: int) -> Observability:

@@ -194,7 +194,9 @@ def norm_derivatives(vector: FloatArray, raw: FloatArray, quadratic_axes: Quadra
     dN_da = slope[:, :, None] * T
     if not sensing:
         dN_da[:, range(3), range(3)] += 2 * K2 * a
-    v = np.linalg.solve(np.swapaxes(dN_da, 1, 2), (a / norm[:, None])[:, :, None])[:, :, 0]
+    with np.errstate(invalid="ignore"):  # a position without any specific force has no direction: NaN
+        u = a / norm[:, None]
+    v = np.linalg.solve(np.swapaxes(dN_da, 1, 2), u[:, :, None])[:, :, 0]
     misalignment = (v * slope)[:, MISALIGNMENT_ROWS] * a[:, MISALIGNMENT_COLUMNS]
     squared = s**2 if sensing else a**2
     jacobian = -np.hstack([v * (s + b), v * K, misalignment, v * squared])

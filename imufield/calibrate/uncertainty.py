@@ -121,10 +121,15 @@ def influence(residual: FloatArray, jacobian: FloatArray) -> Influence:
 
 
 def jackknife_sigma(shift: FloatArray) -> FloatArray:
-    """Return the jackknife sigma of n coordinates from the shifts of m fits without one position, shape (n,)."""
+    """Return the jackknife sigma of n coordinates from the shifts of m fits without one position, shape (n,).
+
+    Positions that cannot be left out (NaN) are passed over; NaN where there is no other.
+    """
+    possible = shift[np.isfinite(shift).all(axis=1)]
+    if not len(possible):
+        return np.full(shift.shape[1], np.nan)
     m = len(shift)
-    centred = shift - np.nanmean(shift, axis=0)
-    sigma: FloatArray = np.sqrt((m - 1) / m * np.nansum(centred**2, axis=0))
+    sigma: FloatArray = np.sqrt((m - 1) / m * np.sum((possible - possible.mean(axis=0)) ** 2, axis=0))
     return sigma
 
 

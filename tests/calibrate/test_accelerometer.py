@@ -23,7 +23,7 @@ from calibration_truth import (
 
 from imufield.calibrate.accelerometer import calibrate_accelerometer, rate_unit
 from imufield.calibrate.gauge import change_gauge, intrinsic
-from imufield.calibrate.models import recover, to_vector
+from imufield.calibrate.models import to_vector
 from imufield.calibrate.result import Calibration, Gauge, QuadraticAxes
 from imufield.earth import Gravity, choose_gravity
 from imufield.errors import CalibrationError, Reason, UsageError
@@ -313,6 +313,33 @@ def test_raw_zero_is_taken_off_first() -> None:
     assert moved.accelerometer.raw_zero.tolist() == [32768.0] * 3
     from_preset = calibrate_accelerometer(shifted, EXACT, preset=moved.accelerometer)
     assert from_preset.accelerometer.raw_zero.tolist() == [32768.0] * 3
+
+
+def test_an_output_nothing_explains_is_named() -> None:
+    mean = 400 * GRAVITY * paper24()
+    mean[6] = 0.0  # free fall, or a row of zeros
+    with pytest.raises(CalibrationError, match="position 7 of 24 has the output"):
+        calibrate_accelerometer(observe(mean), EXACT)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_any_outputs_give_a_calibration_or_a_calibration_error(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    m = int(rng.integers(6, 30))
+    around = 400 * GRAVITY * tilted(rng.normal(0, 1, (m, 3)), rng, 0.1)
+    mean = (
+        around + rng.normal(0, 10 ** rng.uniform(-1, 3.5), (m, 3)),
+        rng.normal(0, 10 ** rng.uniform(-3, 6), (m, 3)),
+        np.round(rng.normal(0, 2, (m, 3))),
+        np.repeat(around[: m // 6], 6, axis=0),
+    )[seed % 4]
+    covariance = np.einsum("m,ij->mij", rng.uniform(1e-4, 10, len(mean)), np.eye(3)) if seed % 3 else None
+    try:
+        calibration = calibrate_accelerometer(observe(mean, covariance), EXACT, quadratic_axes=("sensing", "body")[seed % 2])
+    except CalibrationError:
+        return
+    assert np.isfinite(to_vector(calibration.accelerometer)).all()
+    assert calibration.quality.verdict in ("good", "usable", "poor")
 
 
 def test_units_of_increments() -> None:

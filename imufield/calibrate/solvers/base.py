@@ -19,6 +19,7 @@ Callback = Callable[[int, FloatArray, float], bool]
 
 FAILED = -1
 STOPPED = -2
+STALLED = -3
 ITERATION_LIMIT = 0
 CONVERGED = 1
 """Statuses as scipy.optimize has them: positive means converged."""
@@ -75,7 +76,7 @@ class Solver(Protocol):
     """The signature every solver has."""
 
     def __call__(
-        self, problem: Problem, *, rng: np.random.Generator | None = None, callback: Callback | None = None
+        self, problem: Problem, /, *, rng: np.random.Generator | None = None, callback: Callback | None = None
     ) -> SolverResult:
         """Solve the problem."""
         ...
