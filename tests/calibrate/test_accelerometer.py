@@ -315,11 +315,21 @@ def test_raw_zero_is_taken_off_first() -> None:
     assert from_preset.accelerometer.raw_zero.tolist() == [32768.0] * 3
 
 
-def test_an_output_nothing_explains_is_named() -> None:
-    mean = 400 * GRAVITY * paper24()
-    mean[6] = 0.0  # free fall, or a row of zeros
-    with pytest.raises(CalibrationError, match="position 7 of 24 has the output"):
-        calibrate_accelerometer(observe(mean), EXACT)
+def test_a_row_of_zeros_does_not_pass() -> None:
+    mean = 400 * GRAVITY * tilted(paper24(), np.random.default_rng(1), 0.03)
+    mean[6] = 0.0
+    calibration = calibrate_accelerometer(observe(mean), EXACT)
+    assert calibration.quality.verdict == "poor"
+    assert any("position p07 does not fit the others" in reason for reason in calibration.quality.reasons)
+
+
+def test_a_preset_that_bends_too_much_is_named() -> None:
+    rng = np.random.default_rng(11)
+    truth = random_parameters(rng)
+    preset = replace(truth, quadratic=np.full(3, -12.0))
+    with pytest.raises(CalibrationError, match=r"which no specific force near 9\.81 m/s\^2 explains") as caught:
+        calibrate_accelerometer(campaign(truth, rng), EXACT, preset=preset)
+    assert caught.value.reason is Reason.BOUNDS
 
 
 @pytest.mark.parametrize("seed", range(60))
