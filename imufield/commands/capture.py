@@ -155,7 +155,7 @@ def open_loop(session: Session, connected: Connected, clock: HostClock, view_nam
     with ExitStack() as stack:
         recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
         keyboard = stack.enter_context(Keyboard())
-        view = stack.enter_context(make_view(view_name, session.folder))
+        view = stack.enter_context(make_view(view_name, session.folder, scheme(chain.plan.scheme or DEFAULT_SCHEME)))
         yield CaptureLoop(session, connected, chain, recorder, view, keyboard, clock)
 
 

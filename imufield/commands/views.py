@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import typer
 
@@ -15,6 +15,10 @@ from imufield.guide.events import Event
 from imufield.guide.guide import Snapshot
 from imufield.guide.jsonlines import JsonLinesView
 from imufield.guide.plain import PlainView
+from imufield.guide.positions import Scheme
+
+if TYPE_CHECKING:
+    from imufield.guide.terminal import TerminalView
 
 ViewName = Literal["auto", "plain", "json"]
 LinkState = Literal["ok", "silent", "lost"]
@@ -59,8 +63,23 @@ class _Lines:
         self._link = status.link
 
 
+class _Pictures:
+    """The terminal view: events are kept until the next frame."""
+
+    def __init__(self, inner: TerminalView) -> None:
+        self._inner = inner
+        self._events: list[Event] = []
+
+    def show(self, events: list[Event]) -> None:
+        self._events += events
+
+    def refresh(self, status: LiveStatus) -> None:
+        events, self._events = self._events, []
+        self._inner.show(events, status.snapshot, status.samples_lost)
+
+
 @contextmanager
-def make_view(name: ViewName, session: Path) -> Iterator[View]:
+def make_view(name: ViewName, session: Path, positions: Scheme) -> Iterator[View]:
     """Yield the view asked for; "auto" is the terminal view where there is a terminal, else plain lines."""
     if name == "json":
         yield _Lines(JsonLinesView(typer.echo), says_silence=False)
@@ -68,4 +87,7 @@ def make_view(name: ViewName, session: Path) -> Iterator[View]:
         typer.echo(f"session {session}")
         yield _Lines(PlainView(typer.echo), says_silence=True)
     else:
-        yield _Lines(PlainView(typer.echo), says_silence=True)
+        from imufield.guide.terminal import TerminalView
+
+        with TerminalView(positions) as view:
+            yield _Pictures(view)
