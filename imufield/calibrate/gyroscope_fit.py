@@ -192,7 +192,7 @@ def _gauss_newton(
     scatter: Scatter | None,
 ) -> JointFit:
     now = evaluate(p, data)
-    scatter = scatter or _first_scatter(now, data)
+    scatter = scatter or _first_scatter(now)
     status, count = ITERATION_LIMIT, 1
     for _ in range(_ITERATIONS):
         parts = covariances(now, p[:PARAMETERS], data, errors)
@@ -215,7 +215,7 @@ def _same(before: Scatter, after: Scatter) -> bool:
     return all(abs(old - new) <= _SCATTER_SETTLED * max(old, 1e-9) for old, new in pairs)
 
 
-def _first_scatter(evaluation: Evaluation, data: GyroscopeData) -> Scatter:
+def _first_scatter(evaluation: Evaluation) -> Scatter:
     """Return generous sizes to start from."""
     m = evaluation.moves
     moves, stills = evaluation.residual[: 2 * m], evaluation.residual[2 * m :]

@@ -1,15 +1,16 @@
 """What stills and moves say about the gyroscope: residuals and their derivatives.
 
 With ``u`` the direction of the specific force in the body frame (from the calibrated accelerometer), ``R`` the turn of a move
-from gyroscope integration (end frame to start frame, inertial), ``T`` its duration and ``w_e`` the Earth's rate in the body frame at
-its start::
+from gyroscope integration (end frame to start frame, inertial), ``T`` its duration and ``w_e`` the Earth's rate in the body
+frame at its start::
 
     move    u_after - R^T exp([w_e T]) u_before       two components at right angles to u
     still   A n - b - H a - w_e                       three components, rad/s
 
-The Earth's rate at a still is ``v u + Q h``: ``v = rate sin(latitude)`` along up, and a horizontal vector ``h`` (2) in axes ``Q`` that
-are carried from still to still through the moves, so that one unknown ``h`` serves a whole chain of moves. A move that had to be
-dropped begins a new chain. Where the latitude is known, ``h`` has a known length and only its direction, one azimuth, is unknown.
+The Earth's rate at a still is ``v u + Q h``: ``v = rate sin(latitude)`` along up, and a horizontal vector ``h`` (2) in axes
+``Q`` that are carried from still to still through the moves, so that one unknown ``h`` serves a whole chain of moves. A move
+that had to be dropped begins a new chain. Where the latitude is known, ``h`` has a known length and only its direction, one
+azimuth, is unknown.
 
 Parameters ``p`` of a fit: the 21 of ``move_integration``, then ``v``, then ``h`` of each chain.
 """
@@ -102,7 +103,8 @@ class Evaluation:
     def angle_error_rad(self, up_after: FloatArray) -> FloatArray:
         """Return the angle between measured and predicted direction of each move, shape (m,)."""
         sine = np.linalg.norm(cross(self.predicted, up_after), axis=1)
-        return np.arctan2(sine, np.sum(self.predicted * up_after, axis=1))
+        error: FloatArray = np.arctan2(sine, np.sum(self.predicted * up_after, axis=1))
+        return error
 
 
 def chains_of(stills: int, before: IntArray, after: IntArray) -> IntArray:

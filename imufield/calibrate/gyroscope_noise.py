@@ -8,8 +8,8 @@ drift    the bias of each still differs from the fitted one (flicker, temperatur
          a move has the mean of the drifts of its two stills
 turn     every turn is wrong by a little more than its noise says (non-linearity, sampling, vibration)
 
-With ``S = S0 + drift^2 V1 + turn^2 V2`` their sizes are estimated by restricted maximum likelihood, by Fisher scoring [1]_: with
-``P = S^-1 - S^-1 J (J^T S^-1 J)^-1 J^T S^-1``, score and information are
+With ``S = S0 + drift^2 V1 + turn^2 V2`` their sizes are estimated by restricted maximum likelihood, by Fisher scoring [1]_:
+with ``P = S^-1 - S^-1 J (J^T S^-1 J)^-1 J^T S^-1``, score and information are
 
     2 s_k = r^T P V_k P r - tr(P V_k),    2 F_kl = tr(P V_k P V_l)
 
@@ -52,6 +52,8 @@ class ForceErrors:
         d accelerometer parameters / d raw mean of each still: the calibration used them.
     rest : ndarray, shape (15, 15)
         Covariance of the parameters that does not come from those means (gravity, doubt about the model).
+    with_gravity : ndarray, shape (15,)
+        Covariance of the parameters with gravity.
     """
 
     by_noise: FloatArray
@@ -59,6 +61,7 @@ class ForceErrors:
     by_parameters: FloatArray
     gain: FloatArray
     rest: FloatArray
+    with_gravity: FloatArray
 
 
 def force_errors(observations: Observations, calibration: Calibration) -> ForceErrors:
@@ -71,12 +74,12 @@ def force_errors(observations: Observations, calibration: Calibration) -> ForceE
     )
     steps = _DIFFERENCE * np.maximum(np.abs(p), [*np.abs(p[:3]), *[1.0] * 9, *np.abs(p[:3]) / 10])
     by_parameters = np.stack([_difference(p, raw, axes, step=np.eye(15)[k] * steps[k]) for k in range(15)], axis=2)
-    covariance, by_gravity = _accelerometer_covariance(calibration)
+    covariance, by_gravity, with_gravity = _accelerometer_covariance(calibration)
     tau = calibration.quality.between_position_sigma_m_s2
     within = np.nan_to_num(observations.covariance_raw)
     noise = within + np.diag((tau * parameters.scale) ** 2)
     gain, rest = _gain(p, raw, calibration, covariance - by_gravity, noise)
-    return ForceErrors(by_noise, noise, by_parameters, gain, rest + by_gravity)
+    return ForceErrors(by_noise, noise, by_parameters, gain, rest + by_gravity, with_gravity)
 
 
 def _difference(
@@ -91,19 +94,19 @@ def _difference(
     return (upper - lower) / (2 * size)
 
 
-def _accelerometer_covariance(calibration: Calibration) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance of the 15 parameters, and the part of it that comes from gravity."""
+def _accelerometer_covariance(calibration: Calibration) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the covariance of the 15 parameters, the part of it that comes from gravity, and that with gravity."""
     places = {name: k for k, name in enumerate(calibration.covariance_names)}
     known = [name for name in ACCELEROMETER_NAMES if name in places]
     rows = [ACCELEROMETER_NAMES.index(name) for name in known]
     columns = [places[name] for name in known]
-    covariance, by_gravity = np.zeros((15, 15)), np.zeros((15, 15))
+    covariance, by_gravity, with_gravity = np.zeros((15, 15)), np.zeros((15, 15)), np.zeros(15)
     covariance[np.ix_(rows, rows)] = calibration.covariance[np.ix_(columns, columns)]
     g = places.get(GRAVITY_NAME)
     if g is not None and calibration.covariance[g, g] > 0:
-        cross = calibration.covariance[columns, g]
-        by_gravity[np.ix_(rows, rows)] = np.outer(cross, cross) / calibration.covariance[g, g]
-    return covariance, by_gravity
+        with_gravity[rows] = calibration.covariance[columns, g]
+        by_gravity = np.outer(with_gravity, with_gravity) / calibration.covariance[g, g]
+    return covariance, by_gravity, with_gravity
 
 
 def _gain(
@@ -130,7 +133,7 @@ class Covariances:
     drift: FloatArray
     turn: FloatArray
     with_accelerometer: FloatArray
-    """Covariance of the residuals with the 15 accelerometer parameters, shape (2 m + 3 s, 15)."""
+    """Covariance of the residuals with the 15 accelerometer parameters and gravity, shape (2 m + 3 s, 16)."""
 
     def total(self, drift_rad_s: float, turn_rad: float) -> FloatArray:
         """Return S."""
@@ -148,7 +151,9 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData, erro
     by_raw = np.einsum("rsi,sij->rsj", by_force, errors.by_noise) + np.einsum("rp,spj->rsj", by_parameters, errors.gain)
     noisy = np.einsum("rsi,sij->rsj", by_raw, errors.noise).reshape(rows, -1)
     fixed = noisy @ by_raw.reshape(rows, -1).T + by_parameters @ errors.rest @ by_parameters.T
-    with_accelerometer = noisy @ np.swapaxes(errors.gain, 1, 2).reshape(-1, 15) + by_parameters @ errors.rest
+    from_means = noisy @ np.swapaxes(errors.gain, 1, 2).reshape(-1, 15)
+    from_rest = by_parameters @ np.column_stack([errors.rest, errors.with_gravity])
+    with_accelerometer = from_rest + np.pad(from_means, ((0, 0), (0, 1)))
     to_tangent = -evaluation.tangent @ skew(evaluation.predicted)
     _add_blocks(fixed, to_tangent @ evaluation.turns.spread @ np.swapaxes(to_tangent, 1, 2), 0)
     _add_blocks(fixed, A @ data.rate_covariance @ A.T, 2 * m)

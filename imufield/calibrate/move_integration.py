@@ -4,8 +4,8 @@ The gyroscope's inverse model is linear in its parameters: with ``n = N - N0`` (
 
     w = A n - b - H a,        A = (K E)^-1,  b = A (e - N0),  H = A G
 
-so the rotation vector of a slot is linear in ``A``, ``b`` and ``H`` but for the small coning term (see ``moves``), and with ``W_k`` the
-matrix that takes a change of the rotation vector of slot k to the frame at the end of the move,
+so the rotation vector of a slot is linear in ``A``, ``b`` and ``H`` but for the small coning term (see ``moves``), and with
+``W_k`` the matrix that takes a change of the rotation vector of slot k to the frame at the end of the move,
 
     d turn = sum_k W_k (dA turn_k - db T_k - dH force_k)
 
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imufield.calibrate.moves import Moves, Slots
-from imufield.calibrate.rotation import cross, exponential, logarithm, matrix, right_jacobian, running_turns
+from imufield.calibrate.rotation import cross, exponential, matrix, right_jacobian, running_turns
 from imufield.samples import FloatArray, IntArray
 
 PARAMETERS = 21
@@ -182,8 +182,3 @@ def _windows(slots: CentredSlots, window_s: float) -> IntArray:
     window = np.floor((elapsed - elapsed[slots.first][chain]) / window_s).astype(np.int64)
     changes = np.flatnonzero((np.diff(window) != 0) | (np.diff(chain) != 0)) + 1
     return np.concatenate(([0], changes)).astype(np.int64)
-
-
-def angle(quaternion: FloatArray) -> FloatArray:
-    """Return rotation vectors of turns, shape (m, 3)."""
-    return logarithm(quaternion)

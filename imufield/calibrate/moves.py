@@ -160,7 +160,7 @@ class SlotBuilder:
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
         finite = np.isfinite(samples.gyroscope).all(axis=1)
-        samples = samples if finite.all() else samples[finite]
+        samples = samples if finite.all() else samples[np.flatnonzero(finite)]
         if not len(samples):
             return
         if self._pending is not None:
