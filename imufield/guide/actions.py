@@ -26,7 +26,7 @@ from imufield.guide.events import (
     Rejected,
     Turning,
 )
-from imufield.guide.observe import observe, trim_stretch
+from imufield.guide.observe import guard_cells, observe, trim_stretch
 from imufield.guide.plan import Plan
 from imufield.guide.positions import Position, angle_deg
 from imufield.guide.settings import GuideSettings
@@ -185,7 +185,7 @@ class GuideActions:
         """Count the cells of a hold; when there are enough, see whether enough remain after trimming."""
         settings = self.detector.settings
         wanted = settings.cells(self.settings.hold_s)
-        needed = wanted + 2 * settings.cells(settings.guard_s)
+        needed = wanted + 2 * guard_cells(self.detector.limits, settings)
         stretch = self.detector.stretch
         self.fraction = min(stretch.judged / needed, 1.0)
         if stretch.judged >= needed:

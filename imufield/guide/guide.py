@@ -261,6 +261,7 @@ class Guide:
     def _explain_waiting(self, cells: Cells) -> None:
         """Say what is waited for while there is no noise floor."""
         self._waited += len(cells)
+        self._set_time(cells, -1)
         waited_s = self._waited * self.detector.settings.cell_s
         floor_s = self.detector.settings.floor_s
         if waited_s > 2 * floor_s and cells.usable.any() and self._do.due("not quiet", self.settings.remind_s):

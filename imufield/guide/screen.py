@@ -181,7 +181,7 @@ def _map(snapshot: Snapshot, scheme: Scheme) -> RenderableType:
 def _natural(name: str) -> tuple[int, str, int]:
     """Sort key: x+45 before x+135, faces before corners, +x (2) after +x."""
     turn = re.fullmatch(r"([xyz])\+(\d+)", name)
-    return (0, turn[1], int(turn[2])) if turn else (len(name.split()[0]), name, 0)
+    return (0, turn[1], int(turn[2])) if turn else (len(name.split(maxsplit=1)[0]), name, 0)
 
 
 def _cell(name: str, snapshot: Snapshot, width: int) -> Text:

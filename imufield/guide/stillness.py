@@ -47,6 +47,8 @@ class StillnessSettings:
     """The activity stays at or below 1 for this long before a stretch counts as still; it counts from its first cell."""
     guard_s: float = 0.3
     """Cut off at both ends of a stretch: the hand that leaves, the hand that comes."""
+    guard_without_gyroscope_s: float = 0.8
+    """The same where only the accelerometer tells: a slow turn begins below its noise."""
     leave_factor: float = 2.0
     vibration_sigmas: float = 2.0
     change_sigmas: float = 5.0

@@ -1,0 +1,125 @@
+import numpy as np
+import pytest
+
+from imufield.errors import UsageError
+from imufield.guide.positions import (
+    SCHEMES,
+    angle_deg,
+    cube_directions,
+    describe,
+    interleave,
+    nearest_cube_direction,
+    scheme,
+)
+
+# Seen how often: positions of a direction, directions.
+COUNTS = {"paper24": {1: 12, 2: 6}, "paper36": {1: 24, 2: 6}, "corners24": {1: 4, 2: 10}, "faces6": {1: 6}}
+
+
+@pytest.mark.parametrize("name", SCHEMES)
+def test_names_are_unique_and_directions_are_as_described(name):
+    found = scheme(name)
+    assert len({position.name for position in found.positions}) == len(found)
+    np.testing.assert_allclose(np.linalg.norm(found.directions(), axis=1), 1)
+    _, times = np.unique(np.round(found.directions(), 6) + 0.0, axis=0, return_counts=True)
+    assert dict(zip(*np.unique(times, return_counts=True), strict=True)) == COUNTS[name]
+
+
+@pytest.mark.parametrize("name", ["paper24", "paper36", "corners24"])
+def test_repeats_are_far_apart(name):
+    directions = scheme(name).directions()
+    for i, first in enumerate(directions):
+        for j in range(i):
+            if angle_deg(first, directions[j]) < 1:
+                assert i - j >= len(directions) // 5
+
+
+@pytest.mark.parametrize("name", ["paper24", "paper36", "corners24"])
+def test_a_linear_drift_looks_like_no_bias(name):
+    directions = scheme(name).directions()
+    time = np.linspace(-1, 1, len(directions))
+    correlation = directions.T @ time / np.linalg.norm(directions, axis=0) / np.linalg.norm(time)
+    assert np.abs(correlation).max() < 0.06
+
+
+def test_order_is_always_the_same():
+    directions = scheme("paper24").directions()
+    assert interleave(directions) == interleave(directions.copy())
+
+
+def test_a_direction_as_the_papers_give_it():
+    by_name = {position.name: position for position in scheme("paper24").positions}
+    np.testing.assert_allclose(by_name["x+0"].direction, [0, 0, 1])
+    np.testing.assert_allclose(by_name["x+45"].direction, [0, np.sqrt(0.5), np.sqrt(0.5)])
+    np.testing.assert_allclose(by_name["z+90"].direction, [1, 0, 0])
+    assert by_name["x+45"].words == "edge between +y and +z up"
+
+
+def test_words():
+    assert describe(np.array([0.0, 0.0, -1.0])) == "-z up, standing on the +z face"
+    assert describe(np.array([1, -1, 1]) / np.sqrt(3)) == "corner +x -y +z up"
+    assert describe(np.array([0.0, 0.5, np.sqrt(0.75)])) == "+z up, leaning 30 deg towards +y"
+    assert describe(np.array([0.9, 0.1, 0.3])) == "+x up, leaning 26 deg towards +z and +y"
+
+
+def test_nearest_of_26():
+    assert len(cube_directions()) == 26
+    assert nearest_cube_direction(np.array([5.0, 4.5, -0.3])) == "+x+y"
+    assert nearest_cube_direction(np.array([0.1, -9.8, 0.3])) == "-y"
+
+
+def test_first_again():
+    found = scheme("faces6", revisit_first=True)
+    assert len(found) == 7
+    assert found.positions[-1].name == f"{found.positions[0].name} again"
+
+
+GOOD = """name = "mine"
+[[position]]
+name = "top"
+up = [0, 0, 2]
+[[position]]
+up = [1, 1, 0]
+words = "on the long edge"
+"""
+
+
+def test_own_positions(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD)
+    found = scheme(path)
+    assert found.name == "mine"
+    assert [position.name for position in found.positions] == ["top", "+x+y"]
+    assert found.positions[1].words == "on the long edge"
+    np.testing.assert_allclose(found.positions[0].direction, [0, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "lists no"),
+        ("position = 3", "lists no"),
+        ("colour = 1\n" + GOOD, "unknown key 'colour'"),
+        (GOOD + "[[position]]\nup = [0, 0, 0]\n", "line 8: up = [0, 0, 0] is no direction"),
+        (GOOD + "[[position]]\nup = [0, 0]\n", "line 8"),
+        (GOOD + "[[position]]\nup = 'z'\n", "no direction"),
+        (GOOD + "[[position]]\nup = [0, nan, 1]\n", "no direction"),
+        (GOOD + "[[position]]\nup = [0, 0, 1]\nname = 'top'\n", "line 8: the name 'top' is used twice"),
+        (GOOD + "[[position]]\nup = [0, 0, 1]\nheading = 3\n", "line 8: unknown key 'heading'"),
+        (GOOD + "[[position]]\nup = [0, 0, 1]\nname = 3\n", "must be text"),
+        ("position = [3]", "is a table"),
+        ("name = \n[[position]]\n", "line 1"),
+    ],
+)
+def test_own_positions_that_make_no_sense(tmp_path, text, told):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(UsageError) as caught:
+        scheme(path)
+    assert told in caught.value.message
+    assert "mine.toml" in caught.value.message
+
+
+def test_no_such_scheme():
+    with pytest.raises(UsageError, match="paper24, paper36, corners24, faces6"):
+        scheme("paper25")
