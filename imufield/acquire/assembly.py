@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from imufield.acquire.layout import Field, Layout, Rows
 from imufield.acquire.protocol import Protocol
 from imufield.acquire.protocol_schema import FlagRule
-from imufield.samples import INSTRUMENT_STATUS_SHIFT, NO_COUNTER, FloatArray, IntArray
+from imufield.samples import INSTRUMENT_STATUS_SHIFT, NO_COUNTER, FloatArray, IntArray, Status
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +81,9 @@ class FrameReader:
         self._temperature = _fields(layout, rule.temperature.fields)[:1]
         self._counter = layout.field(protocol.clock.counter_field)
         self._ticks = layout.field(protocol.clock.time_field)
+        self._may_be_garbage = any(field.type[0] == "f" for field in (*self._accelerometer, *self._gyroscope))
+        self.has_samples = bool(self._accelerometer or self._gyroscope)
+        """False for frames that carry other things, e.g. a magnetometer alone."""
         names = dict.fromkeys([flag.field for flag in rule.flags] + [name for name, _ in rule.instrument_status])
         self._status = [
             _StatusReader(field, [flag for flag in rule.flags if flag.field == name], dict(rule.instrument_status).get(name))
@@ -91,13 +94,18 @@ class FrameReader:
     def read(self, rows: Rows, after_skip: NDArray[np.bool_]) -> RawBlock:
         """Return the samples of n frames."""
         n = len(rows)
+        accelerometer = _triad(rows, self._accelerometer, self._factors["accelerometer"])
+        gyroscope = _triad(rows, self._gyroscope, self._factors["gyroscope"])
+        status = self._read_status(rows)
+        if self._may_be_garbage:
+            status |= _not_numbers(accelerometer, gyroscope)
         return RawBlock(
-            _triad(rows, self._accelerometer, self._factors["accelerometer"]),
-            _triad(rows, self._gyroscope, self._factors["gyroscope"]),
+            accelerometer,
+            gyroscope,
             self._read_temperature(rows),
             np.full(n, NO_COUNTER) if self._counter is None else self._counter.raw(rows).astype(np.int64),
             np.empty(0) if self._ticks is None else _ticks(self._ticks.raw(rows)),
-            self._read_status(rows),
+            status,
             np.zeros(n, dtype=np.int64),
             after_skip,
         )
@@ -154,8 +162,24 @@ def _triad(rows: Rows, fields: list[Field], factor: float) -> FloatArray:
     return np.column_stack([_scaled(rows, field, factor) for field in fields])
 
 
+def _not_numbers(accelerometer: FloatArray, gyroscope: FloatArray) -> NDArray[np.uint32]:
+    """Return the flags of samples that hold infinity or NaN, shape (n,). Three NaN of a gyroscope mean there is none."""
+    bad = ~np.isfinite(accelerometer).all(axis=1)
+    bad_gyroscope = ~np.isfinite(gyroscope).all(axis=1) & ~np.isnan(gyroscope).all(axis=1)
+    flags = np.zeros(len(accelerometer), dtype=np.uint32)
+    flags[bad] |= np.uint32(Status.ACCELEROMETER_INVALID)
+    flags[bad_gyroscope] |= np.uint32(Status.GYROSCOPE_INVALID)
+    return flags
+
+
 def _scaled(rows: Rows, field: Field, factor: float) -> FloatArray:
-    values: FloatArray = np.multiply(field.raw(rows), field.factor * factor, dtype=np.float64)
+    raw = field.raw(rows)
+    if field.type[0] != "f":
+        values: FloatArray = np.multiply(raw, field.factor * factor, dtype=np.float64)
+    else:
+        with np.errstate(over="ignore", invalid="ignore"):
+            # Without a checksum any bits arrive as numbers; what is none is flagged.
+            values = np.multiply(raw, field.factor * factor, dtype=np.float64)
     return values + field.offset * factor if field.offset else values
 
 

@@ -13,10 +13,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.acquire.assembly import FrameReader, RawBlock, join
 from imufield.acquire.framing import FrameBlock, Framer
-from imufield.acquire.layout import Layout
 from imufield.acquire.protocol import Protocol
 from imufield.acquire.protocol_schema import ClockRule, FrameRule
 from imufield.acquire.sample_clock import SampleClock
@@ -118,7 +118,8 @@ class _FrameSource:
     def __init__(self, protocol: Protocol, rule: FrameRule, statistics: DecoderStatistics, keep: Any) -> None:
         self._rule = rule
         self._framer = Framer(rule)
-        self._readers = {key: FrameReader(protocol, layout) for key, layout in rule.layouts.items()}
+        readers = {key: FrameReader(protocol, layout) for key, layout in rule.layouts.items() if not layout.is_message}
+        self._readers = {key: reader for key, reader in readers.items() if reader.has_samples}
         self._statistics = statistics
         self._keep = keep
 
@@ -135,30 +136,36 @@ class _FrameSource:
             return None
         self._statistics.frames += len(block)
         first = int(block.keys[0])
-        if (block.keys == first).all():
+        if first in self._readers and (block.keys == first).all():
             return self._read_kind(block, first, None)
+        self._read_others(block)
         parts: list[RawBlock] = []
-        places = []
+        places: list[NDArray[np.intp]] = []
         for key in np.unique(block.keys).tolist():
-            which = block.keys == key
-            part = self._read_kind(block, key, which)
-            if part is not None:
-                parts.append(part)
-                places.append(np.flatnonzero(which))
+            if key in self._readers:
+                places.append(np.flatnonzero(block.keys == key))
+                parts.append(self._read_kind(block, key, places[-1]))
         if not parts:
             return None
         return join(parts)[np.argsort(np.concatenate(places), kind="stable")]
 
-    def _read_kind(self, block: FrameBlock, key: int, which: Any) -> RawBlock | None:
-        layout: Layout = self._rule.layouts[key]
-        rows = block.rows(which, layout.length)
-        by_kind = self._statistics.by_kind
-        by_kind[layout.kind] = by_kind.get(layout.kind, 0) + len(rows)
-        if layout.is_message:
-            for row in rows:
-                self._keep({"kind": layout.kind, **layout.describe(row.tobytes())})
-            return None
+    def _read_kind(self, block: FrameBlock, key: int, which: NDArray[np.intp] | None) -> RawBlock:
+        rows = block.rows(which, self._readers[key].length)
+        self._count(self._rule.layouts[key].kind, len(rows))
         return self._readers[key].read(rows, block.after_skip if which is None else block.after_skip[which])
+
+    def _read_others(self, block: FrameBlock) -> None:
+        """Keep messages; count frames that are neither message nor sample."""
+        other = ~np.isin(block.keys, list(self._readers))
+        for start, key in zip(block.starts[other].tolist(), block.keys[other].tolist(), strict=True):
+            layout = self._rule.layouts[key]
+            self._count(layout.kind, 1)
+            if layout.is_message:
+                self._keep({"kind": layout.kind, **layout.describe(block.data[start : start + layout.length].tobytes())})
+
+    def _count(self, kind: str, number: int) -> None:
+        by_kind = self._statistics.by_kind
+        by_kind[kind] = by_kind.get(kind, 0) + number
 
 
 def _clock_rule(protocol: Protocol) -> ClockRule:

@@ -54,7 +54,7 @@ class FrameBlock:
     def __len__(self) -> int:
         return len(self.starts)
 
-    def rows(self, which: NDArray[np.bool_] | None, length: int) -> Rows:
+    def rows(self, which: Positions | None, length: int) -> Rows:
         """Return frames of one length as an array, shape (m, length): a view where they are evenly spaced."""
         starts = self.starts if which is None else self.starts[which]
         if len(starts) == 0:

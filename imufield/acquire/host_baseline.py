@@ -13,8 +13,10 @@ from collections import deque
 _BUCKET_S = 0.25
 _WINDOW_BUCKETS = 16
 """4 s: crystals of 100 ppm drift 0.4 ms in it even before the slope is known."""
-_SLOPE_AFTER_S = 2.0
-"""Before this, a late first arrival would pass for a wrong rate."""
+_SLOPE_AFTER_S = 1.0
+"""A 4 % slow unit is 40 ms behind by then, below what counts as a lag; before, minima are too close together."""
+_RESTART_S = 1.0
+"""Arrival that runs back by more than this is another host clock, not the order of threads."""
 _LARGEST_SLOPE = 0.05
 """The worst unit on record ran 3.8 % slow; more is not a clock error."""
 
@@ -29,7 +31,7 @@ class HostBaseline:
     def add(self, arrival_s: float, sample_s: float) -> None:
         """Take note of a block that arrived at ``arrival_s`` and whose last sample is of ``sample_s``."""
         offset = arrival_s - sample_s
-        if self._buckets and arrival_s < self._buckets[-1][0]:
+        if self._buckets and arrival_s < self._buckets[-1][0] - _RESTART_S:
             self._buckets.clear()
             self._first = None
         if not self._buckets or arrival_s >= self._buckets[-1][0] + _BUCKET_S:
@@ -54,7 +56,8 @@ class HostBaseline:
         """Return the lowest offset to expect at ``arrival_s``; None before anything arrived."""
         if not self._buckets:
             return None
-        slope = self.slope or 0.0
+        # A fast unit needs no slope, its minima fall by themselves; and a late start looks like one.
+        slope = max(0.0, self.slope or 0.0)
         return min(offset + slope * (arrival_s - at) for at, offset in self._buckets)
 
     def lag_s(self, arrival_s: float, sample_s: float) -> float:

@@ -115,9 +115,19 @@ def read_frames(top: Table) -> FrameRule:
     trailer = _read_trailer(frame)
     frame.finish()
     header = max(len(sync), key_at + key_size)
+    if key_size and key_at < len(sync):
+        raise frame.error("key", f"the key begins at byte {key_at}, inside the {len(sync)} sync bytes")
     tail = checksum.size if checksum else 0
     layouts = _read_layouts(top, header, tail, key_size, big_endian)
+    if trailer and trailer[0] in _first_bytes(sync, key_at, key_size, layouts):
+        raise frame.error("trailer", "the trailer begins like a frame, so the two cannot be told apart")
     return FrameRule(sync, key_at, key_size, key_big_endian, checksum, covered_from, checksum_big_endian, trailer, layouts)
+
+
+def _first_bytes(sync: bytes, key_at: int, key_size: int, layouts: dict[int, Layout]) -> set[int]:
+    if sync:
+        return {sync[0]}
+    return set(layouts) if key_size == 1 and key_at == 0 else set(range(256))
 
 
 def _byte_order(table: Table, default_big: bool) -> bool:

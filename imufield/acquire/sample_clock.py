@@ -23,17 +23,19 @@ from imufield.acquire.assembly import RawBlock, join
 from imufield.acquire.host_baseline import HostBaseline
 from imufield.acquire.protocol_schema import ClockRule
 from imufield.acquire.sample_steps import LEARN_FROM, StepRule
+from imufield.acquire.stamp_clock import StampClock
 from imufield.acquire.statistics import DecoderStatistics
-from imufield.samples import FloatArray, Samples, SampleUnits, Status
+from imufield.errors import ProtocolError, Reason
+from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status
 
-_LONGEST_PAUSE_S = 3600.0
-"""A time stamp further ahead than this is a clock being set, e.g. by GNSS, not an hour without samples."""
 _DECIDE_AFTER_S, _DECIDE_LATE_S = 0.25, 0.5
 """How long a lag must last to count as loss: with a visible fault in the stream, and without."""
 _FREE_LAG_S = 0.25
 """Lag that counts as loss where there is no counter: above the usual delays of a busy host."""
 _MEASURE_RATE_S = 0.5
 """Host time over which the rate is first measured where the instrument sends neither counter nor time."""
+_LARGEST_RATE_ERROR = 0.25
+"""Part by which the stated rate of increments may differ from the learned one: coarse time stamps learn badly."""
 _SLEW = 0.1
 """Largest part by which steps are stretched to follow the host clock."""
 
@@ -72,10 +74,12 @@ class SampleClock:
         self._early: list[tuple[RawBlock, float]] = []
         self._held: list[_Timed] = []
         self._started = False
-        self._time_s = 0.0
-        self._tick_s = 0.0
+        self._stamps = StampClock(rule)
         self._last_counter = 0
-        self._last_stamp: int | float = 0
+        # Without time stamps, time is origin_s + ticks / tick_rate_hz: whole numbers, so that nothing adds up.
+        self._tick_rate_hz = 1.0
+        self._ticks = 0
+        self._origin_s = 0.0
         self._shift_s = 0.0
         """Added to even steps to follow the host clock, where there is neither time nor counter."""
 
@@ -116,26 +120,28 @@ class SampleClock:
         """Learn the regular step from the first samples, then time them like all others."""
         self._started = True
         first = join([block for block, _ in self._early])[: LEARN_FROM + 1]
+        if self._has_time:
+            self._stamps.start(first.ticks[0].item())
         if self._has_counter:
             self._last_counter = int(first.counter[0])
-            self._steps.learn(self._counter_steps(first)[1:])
-        if self._has_time:
-            self._last_stamp = first.ticks[0].item()
-            if not self._has_counter:
-                self._steps.learn(np.diff(first.ticks.astype(np.float64)) / self._rule.time_ticks_per_s)
-        self._set_tick()
-        self._set_origin(first)
+            self._steps.learn(self._counter_steps(first)[1:].astype(np.float64))
+            self._last_counter = int(first.counter[0]) - int(self._steps.step)
+            self._tick_rate_hz = self._rule.counter_ticks_per_s or self._rule.rate_hz or 1.0
+        elif self._has_time:
+            self._steps.learn(np.diff(first.ticks.astype(np.float64)) / self._rule.time_ticks_per_s)
+        else:
+            self._start_without_device_time()
+        self._ticks = -int(self._steps.step)
+        self._check_interval(len(first))
         early, self._early = self._early, []
         return [timed for block, arrival_s in early for timed in self._watch(self._time(block, arrival_s))]
 
-    def _set_tick(self) -> None:
-        rule = self._rule
-        if self._has_counter:
-            self._tick_s = 1 / (rule.counter_ticks_per_s or rule.rate_hz or 1.0)
-            return
-        if not self._has_time:
-            self._steps.step = 1.0
-            self._tick_s = 1 / self._rate_at_host()
+    def _start_without_device_time(self) -> None:
+        self._steps.step = 1.0
+        self._tick_rate_hz = self._rate_at_host()
+        block, arrival_s = self._early[0]
+        if math.isfinite(arrival_s):
+            self._origin_s = arrival_s - (len(block) - 1) / self._tick_rate_hz
 
     def _rate_at_host(self) -> float:
         """Return the sample rate over the first blocks; the nominal one where the host clock says nothing."""
@@ -147,61 +153,54 @@ class SampleClock:
         measured = count / (end_s - begin_s)
         return nominal if abs(measured / nominal - 1) < 2 * _SLEW else measured
 
-    def _set_origin(self, first: RawBlock) -> None:
-        """Make the first sample come out right when one regular step is added to the origin."""
-        if self._has_counter:
-            self._last_counter = int(first.counter[0]) - int(self._steps.step)
-        if self._has_time:
-            self._time_s = float(first.ticks[0]) / self._rule.time_ticks_per_s
+    def _check_interval(self, learned_from: int) -> None:
+        """Refuse a wrong sample interval of increments: every value would be wrong by that factor."""
+        interval_s, step_s = self._units.interval_s, self._step_s
+        if interval_s is None or learned_from <= LEARN_FROM or step_s <= 0 or not (self._has_counter or self._has_time):
             return
-        self._time_s = -self._steps.step * self._tick_s
-        if not self._has_counter:
-            block, arrival_s = self._early[0]
-            self._time_s = (arrival_s if math.isfinite(arrival_s) else 0.0) - len(block) * self._tick_s
+        if abs(step_s / interval_s - 1) > _LARGEST_RATE_ERROR:
+            raise ProtocolError(
+                f"the instrument sends {1 / step_s:.4g} samples/s, but rate_hz is {1 / interval_s:.4g} and increments need "
+                f"the true one; set rate_hz={1 / step_s:.4g}",
+                Reason.UNITS,
+                rate_hz=1 / step_s,
+            )
+
+    @property
+    def _step_s(self) -> float:
+        """The regular step in s; 0 while not known."""
+        return self._steps.step if self._has_time and not self._has_counter else self._steps.step / self._tick_rate_hz
 
     def _time(self, block: RawBlock, arrival_s: float) -> _Timed:
         """Put one block on the clock."""
         flags = np.zeros(len(block), dtype=np.uint32)
-        steps: FloatArray = self._counter_steps(block) if self._has_counter else block.lost_before + 1.0
+        ticks = self._counter_steps(block) if self._has_counter else block.lost_before + 1
+        steps = ticks.astype(np.float64)
         if self._has_time:
-            advance_s, reset = self._stamp_steps(block)
-            flags[reset] |= np.uint32(Status.GAP_ESTIMATED)
-            self._statistics.clock_resets += int(np.count_nonzero(reset))
-            if not self._has_counter:
-                steps = np.where(reset, self._steps.step, advance_s)
+            stamped = self._stamps.time(block.ticks, self._step_s)
+            time_s = stamped.time_s
+            flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
+            self._statistics.clock_resets += int(np.count_nonzero(stamped.reset))
+            steps = steps if self._has_counter else stamped.step_s
         else:
-            advance_s = np.multiply(steps, self._tick_s, dtype=np.float64)
+            total = self._ticks + np.cumsum(ticks)
+            self._ticks = int(total[-1])
+            time_s = total / self._tick_rate_hz + self._origin_s
         found = self._steps.examine(steps)
-        gap = found.irregular & ~found.inexact
-        flags[gap] |= np.uint32(Status.AFTER_GAP)
+        flags[found.irregular & ~found.inexact] |= np.uint32(Status.AFTER_GAP)
         flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
         self._statistics.gaps += int(np.count_nonzero(flags))
         self._statistics.samples_lost += int(found.lost.sum())
-        time_s = self._time_s + np.cumsum(advance_s)
-        self._time_s = float(time_s[-1])
         if not (self._has_time or self._has_counter):
             flags |= np.uint32(Status.TIME_ESTIMATED)
         return _Timed(block, time_s, flags, arrival_s)
 
-    def _counter_steps(self, block: RawBlock) -> FloatArray:
+    def _counter_steps(self, block: RawBlock) -> IntArray:
         """Return how far the counter went to each sample; a standing one went round once. Shape (n,)."""
-        steps = np.diff(block.counter, prepend=self._last_counter) % self._rule.counter_modulus
+        steps: IntArray = np.diff(block.counter, prepend=self._last_counter) % self._rule.counter_modulus
         self._last_counter = int(block.counter[-1])
         steps[steps == 0] = self._rule.counter_modulus
-        return steps.astype(np.float64)
-
-    def _stamp_steps(self, block: RawBlock) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return the time to each sample from the one before, s, and where the time stamp was set anew."""
-        steps = np.diff(block.ticks, prepend=np.asarray(self._last_stamp, dtype=block.ticks.dtype))
-        self._last_stamp = block.ticks[-1].item()
-        modulus = self._rule.time_modulus
-        if modulus:
-            steps = (steps + modulus // 2) % modulus - modulus // 2
-        advance_s: FloatArray = steps / self._rule.time_ticks_per_s
-        reset = (advance_s < 0) | (advance_s > _LONGEST_PAUSE_S)
-        regular_s = self._steps.step if not self._has_counter else self._steps.step * self._tick_s
-        advance_s[reset] = regular_s
-        return advance_s, reset
+        return steps
 
     def _watch(self, timed: _Timed) -> list[_Timed]:
         """Compare with the host clock; return the blocks whose time is settled."""
@@ -223,7 +222,7 @@ class SampleClock:
     @property
     def _smallest_loss_s(self) -> float:
         """The smallest loss that only the host clock shows."""
-        return self._rule.counter_modulus * self._tick_s if self._has_counter else 2 * _FREE_LAG_S
+        return self._rule.counter_modulus / self._tick_rate_hz if self._has_counter else 2 * _FREE_LAG_S
 
     def _release(self) -> list[_Timed]:
         held, self._held = self._held, []
@@ -232,11 +231,10 @@ class SampleClock:
     def _decide(self) -> list[_Timed]:
         """Take the lag of the held blocks for lost samples, whole wraps of them where there is a counter."""
         lag_s = min(held.lag_s for held in self._held)
-        if self._has_counter:
-            lost_s = round(lag_s / self._smallest_loss_s) * self._smallest_loss_s
-        else:
-            lost_s = round(lag_s / self._tick_s) * self._tick_s
-        lost = round(lost_s / (self._tick_s * self._steps.step))
+        unit = self._rule.counter_modulus if self._has_counter else 1
+        ticks = round(lag_s * self._tick_rate_hz / unit) * unit
+        self._ticks += ticks
+        lost_s = ticks / self._tick_rate_hz
         held = self._release()
         number, place = self._fault(held)
         for index, each in enumerate(held[number:]):
@@ -245,8 +243,7 @@ class SampleClock:
         held[number].flags[place] &= ~np.uint32(Status.AFTER_GAP)
         held[number].flags[place] |= np.uint32(Status.GAP_ESTIMATED)
         self._statistics.gaps += int(known == 0)
-        self._statistics.losses_estimated += lost
-        self._time_s += lost_s
+        self._statistics.losses_estimated += round(ticks / self._steps.step)
         for each in held:
             self._baseline.add(each.arrival_s, float(each.time_s[-1]))
         return held
@@ -283,8 +280,11 @@ class SampleClock:
         """Bend even steps towards the line of earliest arrivals; device time is left as it is."""
         if self._has_time or self._has_counter or not math.isfinite(timed.arrival_s):
             return timed.time_s
+        if self._baseline.slope is None:
+            # Everything at once (a dump) or too early to tell: the rate learned at the start is the best there is.
+            return timed.time_s + self._shift_s
         wanted_s = self._baseline.offset_at(timed.arrival_s) or 0.0
-        span_s = len(timed.time_s) * self._tick_s
+        span_s = len(timed.time_s) / self._tick_rate_hz
         step_s = min(max(wanted_s - self._shift_s, -_SLEW * span_s), _SLEW * span_s)
         bent = timed.time_s + self._shift_s + np.linspace(step_s / len(timed.time_s), step_s, len(timed.time_s))
         self._shift_s += step_s
@@ -292,7 +292,7 @@ class SampleClock:
 
     def _measure(self) -> None:
         """Write the sample rate by the instrument's clock and by the host's into the statistics."""
-        step_s = self._steps.step if self._has_time and not self._has_counter else self._steps.step * self._tick_s
+        step_s = self._step_s
         if step_s <= 0:
             return
         self._statistics.nominal_rate_hz = 1 / step_s

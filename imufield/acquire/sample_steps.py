@@ -69,13 +69,13 @@ class StepRule:
             if not odd.any():
                 self._run_length = 0
                 break
-            until = self._relearn(steps, at + np.flatnonzero(odd))
+            until, learned = self._relearn(steps, at + np.flatnonzero(odd))
             part = slice(at, until)
             ratio = steps[part] / self.step
             lost[part] = np.where(odd[: until - at], np.maximum(np.rint(ratio) - 1, 0), 0)
             irregular[part] = odd[: until - at] & ((lost[part] > 0) | bool(self._allowed))
             inexact[part] = irregular[part] & (ratio != np.rint(ratio)) & bool(self._allowed)
-            if until < len(steps) or self._run_length >= _RELEARN_AFTER:
+            if learned:
                 self.step, self._run_length = self._run_value, 0
             at = until
         return Steps(lost, irregular, inexact)
@@ -84,8 +84,8 @@ class StepRule:
         odd: NDArray[np.bool_] = steps != self.step if self._allowed else np.abs(steps - self.step) > 2 * _TOLERANCE * self.step
         return odd
 
-    def _relearn(self, steps: FloatArray, odd_at: IntArray) -> int:
-        """Return behind which of the steps another one is the regular one; the number of steps where none is."""
+    def _relearn(self, steps: FloatArray, odd_at: IntArray) -> tuple[int, bool]:
+        """Return behind which of the steps another one becomes regular, and True; their number and False if none does."""
         previous = -1 if self._run_length else -2
         for place in odd_at.tolist():
             value = float(steps[place])
@@ -94,10 +94,10 @@ class StepRule:
             self._run_value = self._run_value if goes_on else value
             previous = place
             if self._run_length >= _RELEARN_AFTER and self._may_be_step(value):
-                return int(place) + 1
+                return int(place) + 1, True
         if previous != len(steps) - 1:
             self._run_length = 0
-        return len(steps)
+        return len(steps), False
 
     def _equal(self, value: float) -> bool:
         if self._allowed:

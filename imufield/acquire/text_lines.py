@@ -21,6 +21,8 @@ from imufield.samples import NO_COUNTER, FloatArray
 
 LONGEST_LINE = 4096
 """Forty columns of 100 characters; a longer line is no line but noise and is passed over up to its end."""
+LARGEST_NUMBER = 1e17
+"""Above any counter (2**53) and any time stamp in ns of a century ago; larger numbers, infinity and NaN are garbage."""
 
 _DELIMITERS = {"comma": b",", "semicolon": b";", "whitespace": None}
 
@@ -108,7 +110,7 @@ class LineReader:
             return None
         self._seen_line = True
         # Python would read 1_000 as a number; no instrument writes that.
-        if len(row) == len(self._rule.columns) and all(math.isfinite(row[i]) for i in self._needed) and b"_" not in text:
+        if len(row) == len(self._rule.columns) and all(abs(row[i]) < LARGEST_NUMBER for i in self._needed) and b"_" not in text:
             return row
         self._lost += 1
         return None
@@ -149,7 +151,7 @@ class LineReader:
             self._triad(rows, "accelerometer", ("ax", "ay", "az")),
             self._triad(rows, "gyroscope", ("gx", "gy", "gz")),
             rows[:, column["temperature"]].copy() if "temperature" in column else np.full(len(rows), np.nan),
-            np.full(len(rows), NO_COUNTER) if counter is None else rows[:, counter].clip(-(2.0**62), 2.0**62).astype(np.int64),
+            np.full(len(rows), NO_COUNTER) if counter is None else rows[:, counter].astype(np.int64),
             np.empty(0) if time is None else rows[:, time].copy(),
             np.zeros(len(rows), dtype=np.uint32),
             lost,

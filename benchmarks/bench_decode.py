@@ -1,0 +1,156 @@
+"""Bytes to samples of the STIM300, against a careful parser of one frame at a time, both timed in this run.
+
+The stream is made here: datagrams 0x93 with CR LF (40 bytes), counter stepping as at 2000 Hz.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from imufield.acquire.checksum import make_checksum
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.protocol import load_protocol
+
+FRAMES = 200_000
+PEER_FRAMES = 20_000
+BLOCK_BYTES = 1 << 16
+ROUNDS = 5
+
+
+def make_stream(frames: int, seed: int = 1) -> bytes:
+    """Return ``frames`` datagrams 0x93 with CR LF."""
+    rng = np.random.default_rng(seed)
+    rows = np.zeros((frames, 40), dtype=np.uint8)
+    rows[:, 0] = 0x93
+    rows[:, 1:31] = rng.integers(0, 256, (frames, 30), dtype=np.uint8)
+    rows[:, [10, 20, 30]] = 0
+    rows[:, 31] = np.arange(frames) % 256
+    rows[:, 32:34] = (1, 0xFA)
+    crc = make_checksum("CRC-32/MPEG-2", pad_to=4).of_rows(rows[:, :34])
+    rows[:, 34:38] = crc.astype(">u4").view(np.uint8).reshape(frames, 4)
+    rows[:, 38:] = (13, 10)
+    return rows.tobytes()
+
+
+class PerFrameParser:
+    """What a careful engineer writes without NumPy: CRC by a table of 256 entries, one frame at a time."""
+
+    def __init__(self) -> None:
+        crc = make_checksum("CRC-32/MPEG-2")
+        spread = np.zeros((256, 1), dtype=np.uint8)
+        spread[:, 0] = np.arange(256)
+        zero = crc.of_rows(spread[:1])[0]
+        table = crc.of_rows(spread) ^ zero
+        # step(register, byte) = register << 8 ^ table[register >> 24 ^ byte]: the usual table of 256 entries
+        self.table = [int(value) for value in table]
+        self.words = struct.Struct(">BH")
+
+    def crc(self, frame: bytes) -> int:
+        table = self.table
+        register = 0xFFFFFFFF
+        for byte in frame:
+            register = (register << 8 & 0xFFFFFFFF) ^ table[register >> 24 ^ byte]
+        return register
+
+    def parse(self, data: bytes) -> list[tuple[Any, ...]]:
+        """Return (time, counter, status, gyroscope x3, accelerometer x3) of every good frame."""
+        out = []
+        at, end = 0, len(data) - 38
+        integer, words, crc = int.from_bytes, self.words, self.crc
+        gyroscope, accelerometer = np.pi / 180 / 2**14, 9.80665 / 2**19
+        ticks = last = 0
+        while at <= end:
+            if data[at] != 0x93 or crc(data[at : at + 34] + b"\x00\x00") != integer(data[at + 34 : at + 38], "big"):
+                at += 1
+                continue
+            gx = integer(data[at + 1 : at + 4], "big", signed=True) * gyroscope
+            gy = integer(data[at + 4 : at + 7], "big", signed=True) * gyroscope
+            gz = integer(data[at + 7 : at + 10], "big", signed=True) * gyroscope
+            ax = integer(data[at + 11 : at + 14], "big", signed=True) * accelerometer
+            ay = integer(data[at + 14 : at + 17], "big", signed=True) * accelerometer
+            az = integer(data[at + 17 : at + 20], "big", signed=True) * accelerometer
+            counter, _ = words.unpack_from(data, at + 31)
+            ticks += (counter - last) % 256
+            last = counter
+            out.append((ticks / 2000, counter, data[at + 10] << 8 | data[at + 20], gx, gy, gz, ax, ay, az))
+            at += 38
+            if data[at : at + 2] == b"\r\n":
+                at += 2
+        return out
+
+
+def _blocks(data: bytes, size: int) -> Iterator[bytes]:
+    return (data[at : at + size] for at in range(0, len(data), size))
+
+
+def _decode(data: bytes, size: int) -> int:
+    decoder = Decoder(load_protocol("stim300"))
+    count = 0
+    for number, block in enumerate(_blocks(data, size)):
+        count += len(decoder.feed(block, number * size / 80_000))
+    return count + len(decoder.flush())
+
+
+def _best_s(work: Callable[[], object]) -> float:
+    best = float("inf")
+    for _ in range(ROUNDS):
+        begin = time.perf_counter()
+        work()
+        best = min(best, time.perf_counter() - begin)
+    return best
+
+
+def _row(name: str, value: float, unit: str, peer: float | None = None) -> dict[str, Any]:
+    return {"name": name, "value": value, "unit": unit, "peer": peer, "ratio": None if peer is None else value / peer}
+
+
+def run() -> list[dict[str, Any]]:
+    """Return one row for each figure: name, value, unit, peer's value and ratio (None where there is no peer)."""
+    clean = make_stream(FRAMES)
+    short = clean[: 40 * PEER_FRAMES]
+    parser = PerFrameParser()
+    assert len(parser.parse(short)) == PEER_FRAMES
+    peer = PEER_FRAMES / _best_s(lambda: parser.parse(short)) / 1e6
+    assert _decode(clean, BLOCK_BYTES) == FRAMES
+    clean_rate = FRAMES / _best_s(lambda: _decode(clean, BLOCK_BYTES)) / 1e6
+    small_rate = FRAMES / _best_s(lambda: _decode(clean, 80 * 40)) / 1e6
+
+    flipped = np.frombuffer(clean, dtype=np.uint8).copy()
+    rng = np.random.default_rng(2)
+    hits = np.flatnonzero(rng.random(len(flipped)) < 1e-4)
+    flipped[hits] ^= (1 << rng.integers(0, 8, len(hits))).astype(np.uint8)
+    damaged = flipped.tobytes()
+    flip_rate = FRAMES / _best_s(lambda: _decode(damaged, BLOCK_BYTES)) / 1e6
+    dropped = np.delete(np.frombuffer(clean, dtype=np.uint8), hits).tobytes()
+    drop_rate = FRAMES / _best_s(lambda: _decode(dropped, BLOCK_BYTES)) / 1e6
+
+    noise = np.random.default_rng(3).integers(0, 256, 1 << 22, dtype=np.uint8).tobytes()
+    quarter = len(noise) // 4
+    quarter_s = _best_s(lambda: _decode(noise[:quarter], BLOCK_BYTES))
+    noise_s = _best_s(lambda: _decode(noise, BLOCK_BYTES))
+    return [
+        _row("STIM300, 64 KiB blocks", clean_rate, "million frames/s", peer),
+        _row("STIM300, blocks of 80 frames", small_rate, "million frames/s", peer),
+        _row("STIM300, bit flips at 1e-4 per byte (peer: clean rate)", flip_rate, "million frames/s", clean_rate),
+        _row("STIM300, bytes lost at 1e-4 (peer: clean rate)", drop_rate, "million frames/s", clean_rate),
+        _row("noise, 1 MiB", quarter / quarter_s / 1e6, "MB/s"),
+        _row("noise, 4 MiB (peer: 1 MiB)", len(noise) / noise_s / 1e6, "MB/s", quarter / quarter_s / 1e6),
+    ]
+
+
+def main() -> None:
+    """Print the figures as a table."""
+    print(f"{'':58} {'imufield':>10} {'peer':>10} {'ratio':>7}")
+    for row in run():
+        peer = "" if row["peer"] is None else f"{row['peer']:10.3f}"
+        ratio = "" if row["ratio"] is None else f"{row['ratio']:7.2f}"
+        print(f"{row['name']:58} {row['value']:10.3f} {peer:>10} {ratio:>7}  {row['unit']}")
+
+
+if __name__ == "__main__":
+    main()
