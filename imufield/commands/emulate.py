@@ -19,6 +19,8 @@ from imufield.simulate.faults import Faults
 from imufield.simulate.operator import OperatorSettings
 
 STANDS_STILL = "none"
+INITIAL_STILL_S = 6.0
+"""Before the first hold; the guide needs 3 s of it for the noise floor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +70,12 @@ def make_emulation(options: EmulateOptions) -> Emulation:
         grade=options.grade,
         seed=options.seed,
         directions=directions,
-        operator=OperatorSettings(style=options.style, hold_s=options.hold_s),  # type: ignore[arg-type]  # checked above
+        operator=OperatorSettings(
+            style=options.style,  # type: ignore[arg-type]  # checked above
+            hold_s=options.hold_s,
+            initial_still_s=INITIAL_STILL_S,
+            begins_in_first_position=options.style == "placed",
+        ),
         faults=parse_faults(options.faults),
         run=EmulatorSettings(
             speed=options.speed, wait_for_reader=options.wait_for_reader, duration_s=options.duration_s, link=options.link

@@ -50,6 +50,8 @@ class OperatorSettings:
     """Stay in a position, from put-down to pick-up."""
     initial_still_s: float = 12.0
     """On the table before the first move, for the noise floor; in the attitude of the first position."""
+    begins_in_first_position: bool = False
+    """The initial still is the first position as well, as a person does who follows the guide; it lasts ``hold_s`` longer."""
     turn_s: tuple[float, float] = (1.0, 3.0)
     peak_rate_rad_s: float = 250 * DEG
     """A turn takes longer rather than go faster than this."""
@@ -234,10 +236,12 @@ class Operator:
         direction = self.directions[0] if len(self.directions) else np.array([0.0, 0.0, 1.0])
         level = np.array([1.0, 0.0, 0.0, 0.0])
         quaternion = self._target(level, direction, rng)
-        end_s = self.settings.initial_still_s if self._agenda else math.inf
+        end_s, position = self.settings.initial_still_s if self._agenda else math.inf, NO_POSITION
+        if self._agenda and self.settings.begins_in_first_position:
+            end_s, position = end_s + self.settings.hold_s, self._agenda.pop(0).position
         # The first differences reach to before time zero.
         self._pieces.append(_rest(-1.0, end_s, quaternion))
-        self._stills.append(StillInterval(0.0, end_s, up_direction(quaternion), NO_POSITION, "placed", False))
+        self._stills.append(StillInterval(0.0, end_s, up_direction(quaternion), position, "placed", False))
 
     def _stay_for_ever(self) -> None:
         last = self._pieces[-1]
