@@ -291,6 +291,6 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
         if calibration.quality.verdict != "poor":
             steps.append("use it in Python: imufield.load(FILE).apply(samples)")
         yield Text("")
-        yield Text.assemble(("Written to ", "bold"), str(outcome.path))
+        yield Text.assemble(("Written to ", "bold"), str(outcome.path), overflow="fold")
     if steps:
         yield from _bullets(steps)
