@@ -1,0 +1,181 @@
+"""Plain lines, JSON lines and the screen, on the events of one simulated session."""
+
+import json
+import math
+import re
+from io import StringIO
+
+import pytest
+from rich.console import Console
+
+from imufield.guide.events import EVENT_VERSION, EVENTS, LinkLost, Rejected, Turning
+from imufield.guide.guide import Guide
+from imufield.guide.jsonlines import JsonLinesView
+from imufield.guide.plain import PlainView, line
+from imufield.guide.positions import SCHEMES, scheme
+from imufield.guide.screen import HEIGHT, WIDTH, Screen, draw
+from imufield.guide.settings import GuideSettings
+from imufield.guide.terminal import TerminalView
+
+
+@pytest.fixture
+def session(make_path):
+    """A guide fed in 20 ms blocks: yields events and the guide after each."""
+    path = make_path(100.0).hold([0, 0, 1], 6).turn([1, 0, 0], 1.5).hold([1, 0, 0], 2).turn([1, 1, 0], 1).hold([1, 1, 0], 3)
+    samples = path.samples()
+    guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=3.0))
+
+    def play(until_s=math.inf):
+        for start in range(0, len(samples), 2):
+            if samples.time_s[start] >= until_s:
+                return
+            yield guide.feed(samples[start : start + 2]), guide
+
+    return play
+
+
+def picture(screen, guide, **options):
+    console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing(), **options)
+    console.print(draw(screen, guide.snapshot(), guide.plan.scheme, 0))
+    return console.export_text()
+
+
+def open_nothing():
+    return StringIO()
+
+
+def shown(session, until_s):
+    screen = Screen()
+    played = list(session(until_s))
+    for events, _ in played:
+        screen.follow(events)
+    return picture(screen, played[-1][1])
+
+
+def test_every_event_has_a_line_and_a_dictionary(session):
+    events = [event for some, _ in session() for event in some]
+    events.append(LinkLost(1.0, 2, 6))
+    kinds = {event.kind for event in events}
+    assert {"noise_floor", "move", "turning", "hold", "holding", "accepted", "rejected", "link_lost"} <= kinds <= set(EVENTS)
+    for event in events:
+        told = event.to_dict()
+        assert told["version"] == EVENT_VERSION
+        assert told["event"] == event.kind
+        assert len(line(event)) > 15
+        assert "\n" not in line(event)
+
+
+def test_json_lines_are_strict_json(session):
+    lines = []
+    JsonLinesView(lines.append).show([event for some, _ in session() for event in some])
+    told = [json.loads(one, parse_constant=pytest.fail) for one in lines]
+    assert [one["event"] for one in told[:2]] == ["noise_floor", "move"]
+    accepted = next(one for one in told if one["event"] == "accepted")
+    assert accepted["position"] == "+z"
+    assert accepted["residual_m_s2"] is None
+    assert accepted["temperature_degc"] is None
+    assert [one["reason"] for one in told if one["event"] == "rejected"] == ["moved", "not_near"]
+
+
+def test_plain_lines_tell_progress_now_and_then(session):
+    lines = []
+    view = PlainView(lines.append)
+    for events, _ in session():
+        view.show(events)
+    text = "\n".join(lines)
+    assert "accepted +z: 3.0 s" in text
+    assert "refused: not near any pending position" in text
+    assert sum("turning:" in one for one in lines) <= 3
+    assert not re.search(r"\x1b", text)
+
+
+@pytest.mark.parametrize(
+    ("until_s", "big", "told"),
+    [
+        (1.0, "L E A V E   I T   S T I L L", "measuring the noise floor"),
+        (3.35, "H O L D   S T I L L", "+z: +z up, standing on the -z face"),
+        (5.0, "G O O D   -   T U R N", "1 of 6 done"),
+        (6.8, "T U R N", "moving"),
+        (12.5, "N O T   T A K E N", "not near any pending position"),
+    ],
+)
+def test_screen_says_what_to_do(session, until_s, big, told):
+    text = shown(session, until_s)
+    assert big in text
+    assert told in text
+
+
+def test_screen_fits_80_by_24_without_colour_or_cut_words(session):
+    for until_s in (1.0, 3.35, 5.0, 6.8, 9.0, 12.5):
+        lines = shown(session, until_s).rstrip("\n").split("\n")
+        assert len(lines) <= HEIGHT
+        assert max(len(one) for one in lines) <= WIDTH
+
+
+def test_screen_in_full(session):
+    assert shown(session, 5.0) == SNAPSHOT
+
+
+@pytest.mark.parametrize("name", SCHEMES)
+def test_map_shows_every_position(make_path, name):
+    samples = make_path(100.0).hold([0, 0, 1], 1).samples()
+    guide = Guide(scheme(name), samples.units)
+    guide.feed(samples)
+    text = picture(Screen(), guide)
+    for position in guide.plan.scheme.positions:
+        assert f"[ ]{position.name} " in text
+
+
+def test_screen_tells_a_lost_link(session):
+    screen = Screen()
+    guide = list(session(5.0))[-1][1]
+    screen.follow(guide.link_lost())
+    text = picture(screen, guide)
+    assert "N O   L I N K" in text
+    assert "LINK LOST" in text
+
+
+def test_a_refusal_stays_long_enough_to_be_read(session):
+    screen = Screen()
+    refusal = next(event for some, _ in session() for event in some if isinstance(event, Rejected))
+    screen.follow([refusal])
+    turning = Turning(refusal.time_s + 1, (0.0, 0.0, 1.0), "+z", 1.0, "+z", 1.0)
+    screen.follow([turning])
+    assert screen.refused is refusal
+    screen.follow([Turning(refusal.time_s + 5, (0.0, 0.0, 1.0), "+z", 1.0, "+z", 1.0)])
+    assert screen.refused is None
+
+
+def test_live_view_draws_through_rich(session):
+    console = Console(width=WIDTH, height=HEIGHT, file=open_nothing(), force_terminal=True)
+    with TerminalView(scheme("faces6"), console) as view:
+        for events, guide in session(3.5):
+            view.show(events, guide.snapshot())
+    assert "H O L D" in console.file.getvalue()
+
+
+SNAPSHOT = """\
+╭─ faces6: 1 of 6 done ──────────────────────╮╭─ positions ────────────────────╮
+│                                            ││ [ ]+x [x]+z [ ]-y              │
+│ G O O D   -   T U R N                      ││ [>]+y [ ]-x [ ]-z              │
+│                                            ││ [x] done [>] next [@] here     │
+│ +y: +y up, standing on the -y face         ││                                │
+│                                            ││                                │
+│ to target ....................             ││                                │
+│ hold      ....................             ││                                │
+│ stillness ##........|......... still       ││                                │
+│           11 mm/s^2, limit 50 mm/s^2       ││                                │
+│           accelerometer z, vibration       ││                                │
+│                                            ││                                │
+│                                            ││                                │
+╰────────────────────────────────────────────╯╰────────────────────────────────╯
+ link ok   100 Hz   0 samples lost   no temperature
+╭──────────────────────────────────────────────────────────────────────────────╮
+│ noise floor: accelerometer 9.62 mm/s^2 rms per axis, gyroscope 0.057 deg/s;… │
+│ accepted +z: 3.0 s, mean known to 0.85 mm/s^2; 1 of 6 done                   │
+│                                                                              │
+│                                                                              │
+│                                                                              │
+╰──────────────────────────────────────────────────────────────────────────────╯
+r retake   s skip   u undo   p pause   f finish early   q quit (resume later)
+"""
