@@ -192,7 +192,7 @@ def _gauss_newton(
     scatter: Scatter | None,
 ) -> JointFit:
     now = evaluate(p, data)
-    scatter = scatter or _first_scatter(now)
+    scatter = scatter or first_scatter(now)
     status, count = ITERATION_LIMIT, 1
     for _ in range(_ITERATIONS):
         parts = covariances(now, p[:PARAMETERS], data, errors)
@@ -215,10 +215,10 @@ def _same(before: Scatter, after: Scatter) -> bool:
     return all(abs(old - new) <= _SCATTER_SETTLED * max(old, 1e-9) for old, new in pairs)
 
 
-def _first_scatter(evaluation: Evaluation) -> Scatter:
+def first_scatter(evaluation: Evaluation) -> Scatter:
     """Return generous sizes to start from."""
     m = evaluation.moves
-    moves, stills = evaluation.residual[: 2 * m], evaluation.residual[2 * m :]
+    moves, stills = evaluation.residual[: 2 * m], evaluation.residual[2 * m : 2 * m + 3 * evaluation.stills]
     turn = float(np.sqrt(np.mean(moves**2))) if m else 0.0
     return Scatter(float(np.sqrt(np.mean(stills**2))), min(turn, 0.1))
 

@@ -12,21 +12,56 @@ The Earth's rate at a still is ``v u + Q h``: ``v = rate sin(latitude)`` along u
 that had to be dropped begins a new chain. Where the latitude is known, ``h`` has a known length and only its direction, one
 azimuth, is unknown.
 
+Two more kinds of rows, where the session holds them::
+
+    stop    log(R^T exp([w_e T])) . u_after           a whole turn about the vertical, against a stop: one component
+    table   A d - w u                                 d: half the difference of outputs at +w and -w about u; three components
+
 Parameters ``p`` of a fit: the 21 of ``move_integration``, then ``v``, then ``h`` of each chain.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from imufield.calibrate.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY, CentredSlots, Turns, integrate
-from imufield.calibrate.rotation import cross, matrix, rotation_matrix, skew
+from imufield.calibrate.rotation import cross, from_matrix, logarithm, matrix, rotation_matrix, skew
 from imufield.samples import FloatArray, IntArray
 
 VERTICAL = PARAMETERS
 FIRST_HORIZONTAL = PARAMETERS + 1
+
+
+@dataclass(frozen=True, slots=True)
+class TableRows:
+    """t pairs of turntable rates, ready for fitting.
+
+    Attributes
+    ----------
+    half_difference_raw : ndarray, shape (t, 3)
+        (N+ - N-) / 2.
+    covariance_raw : ndarray, shape (t, 3, 3)
+    rate : ndarray, shape (t, 3)
+        Body rate in the positive run, rad/s.
+    covariance : ndarray, shape (t, 3, 3)
+        Of that rate: speed of the table and direction of its axis.
+    """
+
+    half_difference_raw: FloatArray
+    covariance_raw: FloatArray
+    rate: FloatArray
+    covariance: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.rate)
+
+
+def no_table() -> TableRows:
+    """Return zero pairs."""
+    vectors, matrices = np.empty((0, 3)), np.empty((0, 3, 3))
+    return TableRows(vectors, matrices, vectors, matrices)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +83,11 @@ class GyroscopeData:
     noise_density_raw : ndarray, shape (3,)
         Raw unit per sqrt(Hz).
     rest_raw : ndarray, shape (3,)
-    order : ndarray of int, shape (s,)
-        Rows of the stills in time order.
+    stops : ndarray of int, shape (c,)
+        Moves that are whole turns against a stop.
+    stop_sigma_rad : ndarray, shape (c,)
+        Repeatability of the stop.
+    table : TableRows
     """
 
     rate_raw: FloatArray
@@ -61,7 +99,9 @@ class GyroscopeData:
     chain: IntArray
     noise_density_raw: FloatArray
     rest_raw: FloatArray
-    order: IntArray
+    stops: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    stop_sigma_rad: FloatArray = field(default_factory=lambda: np.empty(0))
+    table: TableRows = field(default_factory=no_table)
 
     @property
     def up(self) -> FloatArray:
@@ -82,11 +122,11 @@ class GyroscopeData:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Residuals at one ``p``: 2 m of moves, then 3 s of stills."""
+    """Residuals at one ``p``: 2 m of moves, 3 s of stills, c of stops, 3 t of the turntable."""
 
     residual: FloatArray
     jacobian: FloatArray
-    """Shape (2 m + 3 s, parameters)."""
+    """Shape (2 m + 3 s + c + 3 t, parameters)."""
     turns: Turns
     tangent: FloatArray
     """Two unit vectors at right angles to u_after, shape (m, 2, 3)."""
@@ -94,6 +134,8 @@ class Evaluation:
     """R^T exp([w_e T]) u_before, shape (m, 3)."""
     carry: FloatArray
     """R^T exp([w_e T]), shape (m, 3, 3)."""
+    stills: int
+    """Number of stills."""
 
     @property
     def moves(self) -> int:
@@ -128,10 +170,13 @@ def evaluate(p: FloatArray, data: GyroscopeData) -> Evaluation:
     earth = v * up + (Q @ h[data.chain][:, :, None])[:, :, 0]
     A, H = x[INVERSE].reshape(3, 3), x[SENSITIVITY].reshape(3, 3)
     residual_stills = data.rate_raw @ A.T - x[BIAS] - data.force @ H.T - earth
-    jacobian = np.vstack([_move_rows(data, turns, tangent, predicted, carry, Q), _still_rows(data, Q)])
-    return Evaluation(
-        np.concatenate([residual_moves.ravel(), residual_stills.ravel()]), jacobian, turns, tangent, predicted, carry
+    stops, stop_rows = _stop_rows(data, turns, carry)
+    table = data.table.half_difference_raw @ A.T - data.table.rate
+    jacobian = np.vstack(
+        [_move_rows(data, turns, tangent, predicted, carry, Q), _still_rows(data, Q), stop_rows, _table_rows(data)]
     )
+    residual = np.concatenate([residual_moves.ravel(), residual_stills.ravel(), stops, table.ravel()])
+    return Evaluation(residual, jacobian, turns, tangent, predicted, carry, len(up))
 
 
 def carry_azimuth(data: GyroscopeData, turns: Turns, v: float, h: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -176,7 +221,7 @@ def _move_rows(
     for k in range(m):
         column = FIRST_HORIZONTAL + 2 * data.chain[data.before[k]]
         rows[k, :, column : column + 2] = by_horizontal[k]
-    return rows.reshape(2 * m, -1)
+    return rows.reshape(-1, data.parameters)
 
 
 def _still_rows(data: GyroscopeData, Q: FloatArray) -> FloatArray:
@@ -191,4 +236,21 @@ def _still_rows(data: GyroscopeData, Q: FloatArray) -> FloatArray:
     for k in range(s):
         column = FIRST_HORIZONTAL + 2 * data.chain[k]
         rows[k, :, column : column + 2] = -Q[k]
-    return rows.reshape(3 * s, -1)
+    return rows.reshape(-1, data.parameters)
+
+
+def _stop_rows(data: GyroscopeData, turns: Turns, carry: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return by how much turns about the vertical miss being whole, shape (c,), and the derivatives."""
+    k = data.stops
+    up = data.up[data.after[k]]
+    missed = np.sum(logarithm(from_matrix(carry[k])) * up, axis=1)
+    rows = np.zeros((len(k), data.parameters))
+    rows[:, :PARAMETERS] = -(up[:, None, :] @ turns.jacobian[k])[:, 0, :]
+    return missed, rows
+
+
+def _table_rows(data: GyroscopeData) -> FloatArray:
+    rows = np.zeros((len(data.table), 3, data.parameters))
+    for axis in range(3):
+        rows[:, axis, 3 * axis : 3 * axis + 3] = data.table.half_difference_raw
+    return rows.reshape(-1, data.parameters)

@@ -143,8 +143,7 @@ class Covariances:
 
 def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData, errors: ForceErrors) -> Covariances:
     """Return the parts of S at one evaluation."""
-    m, s = evaluation.moves, len(data.force)
-    rows = 2 * m + 3 * s
+    m, rows = evaluation.moves, len(evaluation.residual)
     A, H = x[INVERSE].reshape(3, 3), x[SENSITIVITY].reshape(3, 3)
     by_force = _by_force(evaluation, data, H)
     by_parameters = np.einsum("rsi,sip->rp", by_force, errors.by_parameters)
@@ -157,9 +156,11 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData, erro
     to_tangent = -evaluation.tangent @ skew(evaluation.predicted)
     _add_blocks(fixed, to_tangent @ evaluation.turns.spread @ np.swapaxes(to_tangent, 1, 2), 0)
     _add_blocks(fixed, A @ data.rate_covariance @ A.T, 2 * m)
+    _add_stops_and_table(fixed, evaluation, data, to_tangent, A)
     drift = _by_drift(evaluation, data, to_tangent)
     turn = np.zeros((rows, rows))
-    turn[range(2 * m), range(2 * m)] = 1.0
+    turning = [*range(2 * m), *_stop_places(data)]
+    turn[turning, turning] = 1.0
     return Covariances(fixed, drift @ drift.T, turn, with_accelerometer)
 
 
@@ -170,12 +171,32 @@ def _add_blocks(target: FloatArray, blocks: FloatArray, start: int) -> None:
         target[place, place] += block
 
 
+def _stop_places(data: GyroscopeData) -> list[int]:
+    start = 2 * len(data.before) + 3 * len(data.force)
+    return list(range(start, start + len(data.stops)))
+
+
+def _add_stops_and_table(
+    fixed: FloatArray, evaluation: Evaluation, data: GyroscopeData, to_tangent: FloatArray, A: FloatArray
+) -> None:
+    """Add the noise of stops, which share the noise of their move, and of the turntable."""
+    for place, k, sigma in zip(_stop_places(data), data.stops, data.stop_sigma_rad, strict=True):
+        to_stop = -data.up[data.after[k]]
+        shared = to_tangent[k] @ evaluation.turns.spread[k] @ to_stop
+        fixed[place, place] += to_stop @ evaluation.turns.spread[k] @ to_stop + sigma**2
+        fixed[place, 2 * k : 2 * k + 2] += shared
+        fixed[2 * k : 2 * k + 2, place] += shared
+    table = data.table
+    start = len(fixed) - 3 * len(table)
+    _add_blocks(fixed, A @ table.covariance_raw @ A.T + table.covariance, start)
+
+
 def _by_force(evaluation: Evaluation, data: GyroscopeData, H: FloatArray) -> FloatArray:
     """Return d residual / d specific force of each still, shape (rows, s, 3)."""
-    m, s = evaluation.moves, len(data.force)
+    m, s, rows = evaluation.moves, len(data.force), len(evaluation.residual)
     up, size = data.up, np.linalg.norm(data.force, axis=1)
     to_up = (np.eye(3) - up[:, :, None] * up[:, None, :]) / size[:, None, None]
-    result = np.zeros((2 * m + 3 * s, s, 3))
+    result = np.zeros((rows, s, 3))
     for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
         place = slice(2 * k, 2 * k + 2)
         result[place, j] += evaluation.tangent[k] @ to_up[j]
@@ -188,12 +209,16 @@ def _by_force(evaluation: Evaluation, data: GyroscopeData, H: FloatArray) -> Flo
 def _by_drift(evaluation: Evaluation, data: GyroscopeData, to_tangent: FloatArray) -> FloatArray:
     """Return d residual / d drift (rad/s) of each still, shape (rows, 3 s)."""
     m, s = evaluation.moves, len(data.force)
-    result = np.zeros((2 * m + 3 * s, 3 * s))
+    result = np.zeros((len(evaluation.residual), 3 * s))
     effect = to_tangent @ evaluation.turns.duration / 2
     for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
         for still in (i, j):
             result[2 * k : 2 * k + 2, 3 * still : 3 * still + 3] += effect[k]
-    result[2 * m :] = np.eye(3 * s)
+    result[2 * m : 2 * m + 3 * s] = np.eye(3 * s)
+    for place, k in zip(_stop_places(data), data.stops, strict=True):
+        half = -data.up[data.after[k]] @ evaluation.turns.duration[k] / 2
+        for still in (data.before[k], data.after[k]):
+            result[place, 3 * still : 3 * still + 3] += half
     return result
 
 

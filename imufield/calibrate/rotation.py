@@ -69,6 +69,23 @@ def matrix(quaternion: FloatArray) -> FloatArray:
     return result
 
 
+def from_matrix(rotation: FloatArray) -> FloatArray:
+    """Return quaternions of rotation matrices, shape (..., 3, 3) -> (..., 4)."""
+    d = np.diagonal(rotation, axis1=-2, axis2=-1)
+    trace = d.sum(axis=-1)
+    # The four squares add up to 1, so the largest is at least 1/4: its row is divided by nothing small.
+    squares = np.concatenate([1 + trace[..., None], 1 + 2 * d - trace[..., None]], axis=-1)
+    R = rotation
+    x, y, z = R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]
+    xy, xz, yz = R[..., 0, 1] + R[..., 1, 0], R[..., 0, 2] + R[..., 2, 0], R[..., 1, 2] + R[..., 2, 1]
+    w2, x2, y2, z2 = (squares[..., k] for k in range(4))
+    table = np.stack([w2, x, y, z, x, x2, xy, xz, y, xy, y2, yz, z, xz, yz, z2], axis=-1).reshape(*trace.shape, 4, 4)
+    best = np.argmax(squares, axis=-1)[..., None, None]
+    row = np.take_along_axis(table, np.broadcast_to(best, (*trace.shape, 1, 4)), axis=-2)[..., 0, :]
+    quaternion: FloatArray = row / np.linalg.norm(row, axis=-1, keepdims=True)
+    return quaternion
+
+
 def rotation_matrix(rotation_rad: FloatArray) -> FloatArray:
     """Return rotation matrices of rotation vectors, shape (..., 3) -> (..., 3, 3)."""
     return matrix(exponential(rotation_rad))

@@ -1,0 +1,266 @@
+"""Calibrate a gyroscope with whatever the session holds: the one call behind the gyroscope half of ``imufield solve``.
+
+Paths, all in one weighted fit with one covariance:
+
+a   static bias: the still means, Earth rate accounted for
+b   static norm: for instruments that see the Earth turn and a session without moves (``gyroscope_static``)
+c   moves between still positions, against gravity
+d   whole turns by hand: rolled ones are moves, those about the vertical close against a stop
+e   turntable rates, both ways
+
+The model "auto" keeps the g-sensitivity G where an F test on its nine entries together says 95 %; where it does not, the
+best guess of what it hides goes into the covariance, as for the accelerometer's quadratic term.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from imufield.calibrate.gyroscope import gyroscope_rate_unit, static_bias
+from imufield.calibrate.gyroscope_fit import EarthKnowledge, JointFit, fit_jointly
+from imufield.calibrate.gyroscope_model import GyroscopeData, chains_of, no_table
+from imufield.calibrate.gyroscope_noise import ForceErrors, accelerometer_force, force_errors
+from imufield.calibrate.gyroscope_report import Described, GyroscopeResult, describe, static_result
+from imufield.calibrate.gyroscope_sight import Sight, look
+from imufield.calibrate.models import recover
+from imufield.calibrate.move_integration import INVERSE, PARAMETERS, SENSITIVITY, centre, rough_inverse
+from imufield.calibrate.moves import Moves
+from imufield.calibrate.observations import Observations
+from imufield.calibrate.result import Calibration, GyroscopeParameters
+from imufield.calibrate.turntable import TurntableRun, pair_runs
+from imufield.calibrate.uncertainty import f_limit_95
+from imufield.calibrate.whole_turns import Stop, find_stops, whole_stops
+from imufield.errors import CalibrationError, Reason
+from imufield.samples import FloatArray
+
+GyroscopeModel = Literal["auto", "basic", "g-sensitive"]
+FEWEST_STILLS = 2
+BASIC = np.arange(12)
+FULL = np.arange(PARAMETERS)
+_WRONG_START = 3.0
+"""The preset's scale is not believed where the rough one differs by more than this factor: the raw unit is another."""
+
+
+@dataclass(frozen=True, slots=True)
+class GyroscopeInput:
+    """What a session knows about its gyroscope.
+
+    Attributes
+    ----------
+    observations : Observations
+        The stills, the same that ``calibration`` came from.
+    moves : Moves
+        Between these stills (``MoveCollector``), rows of ``observations``.
+    calibration : Calibration
+        Of the accelerometer; its body frame and gauge are the gyroscope's.
+    latitude_deg : float, optional
+    preset : GyroscopeParameters, optional
+        In force before, in the body frame of the calibration.
+    nominal_scale : float, optional
+        Raw unit per rad/s, from the driver.
+    stops : sequence of Stop
+        Whole turns about the vertical, against a stop.
+    turntable : sequence of TurntableRun
+    """
+
+    observations: Observations
+    moves: Moves
+    calibration: Calibration
+    latitude_deg: float | None = None
+    preset: GyroscopeParameters | None = None
+    nominal_scale: float | None = None
+    stops: Sequence[Stop] = ()
+    turntable: Sequence[TurntableRun] = ()
+
+
+def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -> GyroscopeResult:
+    """Calibrate the gyroscope by every path the session allows.
+
+    Raises
+    ------
+    CalibrationError
+        If the stills have no gyroscope output, or the moves contradict the accelerometer's handedness.
+    UsageError
+        If a stop belongs to no move.
+    """
+    there = np.isfinite(given.observations.gyroscope_mean_raw).all(axis=1)
+    if there.sum() < FEWEST_STILLS:
+        raise CalibrationError(
+            f"{int(there.sum())} still positions have a gyroscope mean and {FEWEST_STILLS} are needed; record the gyroscope as well",
+            Reason.TOO_FEW,
+            positions=int(there.sum()),
+        )
+    if not there.all():
+        given = _only(given, there)
+    if not len(given.moves) and not given.turntable:
+        return _static(given)
+    data = make_data(given)
+    errors = force_errors(given.observations, given.calibration)
+    earth = EarthKnowledge.at(given.latitude_deg)
+    start, sight = _start(given, data, errors)
+    data, refused = _with_stops(given, data, errors, start, sight, earth)
+    chosen = _choose(data, errors, start, sight, earth, model)
+    return describe(
+        Described(given, data, chosen.fit, start, sight, chosen.fit_g, chosen.doubt, (*chosen.words, *refused), earth)
+    )
+
+
+def make_data(given: GyroscopeInput) -> GyroscopeData:
+    """Return stills and moves with the output at rest taken off."""
+    observations, moves = given.observations, given.moves
+    parameters = given.calibration.accelerometer
+    rest = observations.gyroscope_mean_raw.mean(axis=0)
+    covariance = observations.gyroscope_covariance_raw
+    density = np.sqrt(np.median(np.diagonal(covariance, 0, 1, 2) * observations.duration_s[:, None], axis=0))
+    duration = np.maximum(moves.slots.duration_s, 1e-9)[:, None]
+    return GyroscopeData(
+        observations.gyroscope_mean_raw - rest,
+        covariance,
+        recover(parameters, observations.mean_raw),
+        centre(moves, rest, accelerometer_force(parameters, moves.slots.force / duration)),
+        moves.before,
+        moves.after,
+        chains_of(len(observations), moves.before, moves.after),
+        density,
+        rest,
+        table=pair_runs(given.turntable) if given.turntable else no_table(),
+    )
+
+
+def _only(given: GyroscopeInput, there: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> GyroscopeInput:
+    """Leave out stills without a gyroscope mean, and their moves."""
+    raise CalibrationError(
+        f"position {given.observations.name[int(np.flatnonzero(~there)[0])]} has no gyroscope mean although others have one; "
+        "remove or retake it",
+        Reason.NOT_FINITE,
+        positions=int((~there).sum()),
+    )
+
+
+def _static(given: GyroscopeInput) -> GyroscopeResult:
+    before = given.preset
+    gyroscope = static_bias(
+        given.observations,
+        given.nominal_scale if before is None else before.scale,
+        misalignment_rad=None if before is None else before.misalignment_rad,
+        up=recover(given.calibration.accelerometer, given.observations.mean_raw),
+        latitude_deg=given.latitude_deg,
+    )
+    return static_result(gyroscope, tuple(dropped.sentence for dropped in given.moves.dropped))
+
+
+def _start(given: GyroscopeInput, data: GyroscopeData, errors: ForceErrors) -> tuple[FloatArray, Sight]:
+    """Return where to start, holding the preset's values of what cannot be seen, and what can be seen."""
+    preset = _preset_inverse(given)
+    rough = _rough(data)
+    p = np.zeros(data.parameters)
+    begin = rough if preset is None else preset
+    if begin is None:
+        raise CalibrationError(
+            "nothing says what the scale of the gyroscope is: there are no moves, no preset and no driver; give a preset",
+            Reason.UNOBSERVABLE,
+        )
+    p[INVERSE] = begin.ravel()
+    if preset is not None and rough is not None and not _agree(rough, preset):
+        raise CalibrationError(
+            f"during the moves the gyroscope turns {np.linalg.norm(rough) / np.linalg.norm(preset):.3g} times as fast as the preset or "
+            "the driver's scale says (or about other axes); check unit, range and order of the axes",
+            Reason.UNITS,
+        )
+    if np.linalg.det(p[INVERSE].reshape(3, 3)) <= 0:
+        raise CalibrationError(
+            "gyroscope and accelerometer have different handedness: during the moves the gyroscope turns the other way round; "
+            "reverse one axis of one of them in the protocol",
+            Reason.HANDEDNESS,
+        )
+    sight = look(p, data, errors, known=preset is not None)
+    return p, sight
+
+
+def _preset_inverse(given: GyroscopeInput) -> FloatArray | None:
+    if given.preset is not None and np.isfinite(given.preset.scale).all():
+        return np.linalg.inv(given.preset.scale[:, None] * (np.eye(3) + given.preset.misalignment_rad))
+    if given.nominal_scale is not None:
+        return np.eye(3) / given.nominal_scale
+    unit = gyroscope_rate_unit(given.observations.units)
+    return np.eye(3) if unit == "rad/s" else None
+
+
+def _rough(data: GyroscopeData) -> FloatArray | None:
+    if not len(data.before):
+        return None
+    return rough_inverse(data.slots)
+
+
+def _agree(rough: FloatArray, preset: FloatArray) -> bool:
+    """Whether the two agree in scale and roughly in direction, as far as the moves show it."""
+    ratio = np.linalg.norm(rough) / np.linalg.norm(preset)
+    along = float(np.sum(rough * preset)) / (np.linalg.norm(rough) * np.linalg.norm(preset))
+    return bool(1 / _WRONG_START < ratio < _WRONG_START and along > 0.5)
+
+
+def _with_stops(
+    given: GyroscopeInput, data: GyroscopeData, errors: ForceErrors, start: FloatArray, sight: Sight, earth: EarthKnowledge
+) -> tuple[GyroscopeData, tuple[str, ...]]:
+    """Return the data with the turns against a stop that did close, and sentences about those that did not."""
+    if not given.stops:
+        return data, ()
+    moves, sigma = find_stops(given.stops, given.moves.start_s, given.moves.end_s)
+    first = fit_jointly(data, errors, start, sight.free(FULL if sight.sensitivity else BASIC), earth)
+    whole, missed = whole_stops(first.evaluation, data, moves, sigma)
+    sentences = tuple(
+        f"the turn against a stop at {given.moves.start_s[moves[k]]:.1f} s was not whole: it misses by "
+        f"{np.degrees(missed[k]):+.2f} deg and is used as a move only; repeat it"
+        for k in np.flatnonzero(~whole)
+    )
+    return replace(data, stops=moves[whole], stop_sigma_rad=sigma[whole]), sentences
+
+
+@dataclass(frozen=True, slots=True)
+class _Chosen:
+    fit: JointFit
+    fit_g: bool
+    doubt: FloatArray
+    words: tuple[str, ...]
+
+
+def _choose(
+    data: GyroscopeData, errors: ForceErrors, start: FloatArray, sight: Sight, earth: EarthKnowledge, model: GyroscopeModel
+) -> _Chosen:
+    nothing = np.zeros(data.parameters)
+    if model == "basic" or not sight.sensitivity:
+        if model == "g-sensitive":
+            raise CalibrationError(
+                "these positions cannot show the g-sensitivity of the gyroscope: the stills do not point every way; add "
+                "positions, or use the basic model",
+                Reason.UNOBSERVABLE,
+            )
+        words = (
+            "g-sensitivity is left out, as asked"
+            if model == "basic"
+            else "g-sensitivity is left out: the stills do not show it"
+        )
+        return _Chosen(fit_jointly(data, errors, start, sight.free(BASIC), earth), False, nothing, (words,))
+    full = fit_jointly(data, errors, start, sight.free(FULL), earth)
+    if model == "g-sensitive":
+        return _Chosen(full, True, nothing, ("g-sensitivity is fitted, as asked",))
+    F, limit = _significance(full)
+    if limit < F:
+        return _Chosen(full, True, nothing, (f"g-sensitivity is kept: it is significant (F = {F:.1f}, limit {limit:.1f})",))
+    basic = fit_jointly(data, errors, start, sight.free(BASIC), earth)
+    doubt = np.sqrt(max(0.0, 1 - 1 / F)) * (full.p - basic.p)
+    doubt[SENSITIVITY] = 0.0
+    words = f"g-sensitivity is left out: it is not significant (F = {F:.1f}, limit {limit:.1f})"
+    return _Chosen(basic, False, doubt, (words,))
+
+
+def _significance(full: JointFit) -> tuple[float, float]:
+    """Return the F statistic of the g-sensitivity against zero, and its 95 % limit."""
+    places = np.flatnonzero((full.free >= SENSITIVITY.start) & (full.free < SENSITIVITY.stop))
+    values = full.p[full.free[places]]
+    F = float(values @ np.linalg.solve(full.covariance[np.ix_(places, places)], values)) / len(places)
+    return max(F, np.finfo(float).tiny), f_limit_95(len(places), full.degrees_of_freedom)
