@@ -28,8 +28,8 @@ class RawBlock:
     status: NDArray[np.uint32]
     lost_before: IntArray
     """Samples known to be lost just before this one, whatever the counter says (bad lines). Shape (n,)."""
-    after_skip: NDArray[np.bool_]
-    """Whether bytes were passed over just before this sample. Shape (n,)."""
+    skipped_before: FloatArray
+    """Bytes passed over just before this sample, as a number of samples. Shape (n,)."""
 
     def __len__(self) -> int:
         return len(self.temperature_degc)
@@ -43,7 +43,7 @@ class RawBlock:
             self.ticks[rows] if len(self.ticks) else self.ticks,
             self.status[rows],
             self.lost_before[rows],
-            self.after_skip[rows],
+            self.skipped_before[rows],
         )
 
 
@@ -59,7 +59,7 @@ def join(blocks: list[RawBlock]) -> RawBlock:
         np.concatenate([block.ticks for block in blocks]),
         np.concatenate([block.status for block in blocks]),
         np.concatenate([block.lost_before for block in blocks]),
-        np.concatenate([block.after_skip for block in blocks]),
+        np.concatenate([block.skipped_before for block in blocks]),
     )
 
 
@@ -91,7 +91,7 @@ class FrameReader:
             if (field := layout.field(name)) is not None
         ]
 
-    def read(self, rows: Rows, after_skip: NDArray[np.bool_]) -> RawBlock:
+    def read(self, rows: Rows, skipped_before: IntArray) -> RawBlock:
         """Return the samples of n frames."""
         n = len(rows)
         accelerometer = _triad(rows, self._accelerometer, self._factors["accelerometer"])
@@ -107,7 +107,7 @@ class FrameReader:
             np.empty(0) if self._ticks is None else _ticks(self._ticks.raw(rows)),
             status,
             np.zeros(n, dtype=np.int64),
-            after_skip,
+            skipped_before / self.length,
         )
 
     def _read_temperature(self, rows: Rows) -> FloatArray:

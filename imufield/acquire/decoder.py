@@ -152,7 +152,7 @@ class _FrameSource:
     def _read_kind(self, block: FrameBlock, key: int, which: NDArray[np.intp] | None) -> RawBlock:
         rows = block.rows(which, self._readers[key].length)
         self._count(self._rule.layouts[key].kind, len(rows))
-        return self._readers[key].read(rows, block.after_skip if which is None else block.after_skip[which])
+        return self._readers[key].read(rows, block.skipped_before if which is None else block.skipped_before[which])
 
     def _read_others(self, block: FrameBlock) -> None:
         """Keep messages; count frames that are neither message nor sample."""

@@ -48,8 +48,8 @@ class FrameBlock:
     """Shape (n,), offsets in ``data``."""
     keys: NDArray[np.int64]
     """Shape (n,)."""
-    after_skip: NDArray[np.bool_]
-    """Whether bytes were passed over just before this frame. Shape (n,)."""
+    skipped_before: NDArray[np.int64]
+    """Bytes passed over just before this frame. Shape (n,)."""
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -174,8 +174,8 @@ class _Found:
     """What one feed has found so far."""
 
     starts: list[Positions] = field(default_factory=list)
-    after_skip: list[Positions] = field(default_factory=list)
-    """Offsets of frames that follow skipped bytes."""
+    skipped_before: list[tuple[Positions, NDArray[np.int64]]] = field(default_factory=list)
+    """Offsets of frames that follow skipped bytes, and how many."""
 
 
 class Framer:
@@ -271,12 +271,13 @@ class Framer:
         before, after = taken[:-1], taken[1:]
         bad = np.flatnonzero(~run.good[:count])
         loose = before[~run.joined[before]]
-        self.bytes_skipped += len(bad) * run.step + len(loose) * (run.step - run.length)
+        skipped = (after - before - 1) * run.step + ~run.joined[before] * (run.step - run.length)
+        self.bytes_skipped += int(skipped.sum())
         # Right behind a good frame stands a bad one, or what should have been the trailer.
         suspects = np.concatenate([run.starts[bad[run.joined[bad - 1]]], run.starts[loose] + run.length])
         self.frames_bad_checksum += int(np.count_nonzero(self._check.lengths(buffer, suspects)))
         starts = run.starts[taken]
-        found.after_skip.append(starts[1:][(after - before > 1) | ~run.joined[before]])
+        found.skipped_before.append((starts[1:], skipped))
         return self._accept(found, starts, run.length)
 
     def _end_of_run(self, buffer: Bytes, run: _Run) -> int:
@@ -294,7 +295,7 @@ class Framer:
 
     def _accept(self, found: _Found, starts: Positions, length: int) -> int:
         if self._skipped_here:
-            found.after_skip.append(starts[:1])
+            found.skipped_before.append((starts[:1], np.array([self._skipped_here])))
         self._skipped_here = 0
         self._behind_frame = True
         found.starts.append(starts)
@@ -321,10 +322,10 @@ class Framer:
 
     def _block(self, buffer: Bytes, found: _Found) -> FrameBlock:
         starts = found.starts[0] if len(found.starts) == 1 else np.concatenate([*found.starts, np.empty(0, dtype=np.intp)])
-        after_skip = np.zeros(len(starts), dtype=np.bool_)
-        for offsets in found.after_skip:
-            after_skip[np.searchsorted(starts, offsets)] = True
-        return FrameBlock(buffer, starts, self._check.keys(buffer, starts), after_skip)
+        skipped_before = np.zeros(len(starts), dtype=np.int64)
+        for offsets, skipped in found.skipped_before:
+            skipped_before[np.searchsorted(starts, offsets)] = skipped
+        return FrameBlock(buffer, starts, self._check.keys(buffer, starts), skipped_before)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,13 +14,11 @@ Time never runs backwards. A time stamp that does (the instrument restarted, or 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imufield.acquire.assembly import RawBlock, join
-from imufield.acquire.host_baseline import HostBaseline
+from imufield.acquire.loss_watch import LossWatch, TimedBlock
 from imufield.acquire.protocol_schema import ClockRule
 from imufield.acquire.sample_steps import LEARN_FROM, StepRule
 from imufield.acquire.stamp_clock import StampClock
@@ -28,27 +26,15 @@ from imufield.acquire.statistics import DecoderStatistics
 from imufield.errors import ProtocolError, Reason
 from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status
 
-_DECIDE_AFTER_S, _DECIDE_LATE_S = 0.25, 0.5
-"""How long a lag must last to count as loss: with a visible fault in the stream, and without."""
 _FREE_LAG_S = 0.25
 """Lag that counts as loss where there is no counter: above the usual delays of a busy host."""
+_HALF_A_SAMPLE = 0.5
 _MEASURE_RATE_S = 0.5
 """Host time over which the rate is first measured where the instrument sends neither counter nor time."""
 _LARGEST_RATE_ERROR = 0.25
 """Part by which the stated rate of increments may differ from the learned one: coarse time stamps learn badly."""
 _SLEW = 0.1
 """Largest part by which steps are stretched to follow the host clock."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Timed:
-    """A block with its time, and how its last sample relates to the host clock."""
-
-    block: RawBlock
-    time_s: FloatArray
-    flags: NDArray[np.uint32]
-    arrival_s: float
-    lag_s: float = 0.0
 
 
 class SampleClock:
@@ -70,15 +56,15 @@ class SampleClock:
         self._has_time = bool(rule.time_field)
         self._has_counter = bool(rule.counter_field)
         self._steps = StepRule(() if self._has_time and not self._has_counter else rule.counter_steps)
-        self._baseline = HostBaseline()
+        self._watch = LossWatch(1.0, 1.0)
         self._early: list[tuple[RawBlock, float]] = []
-        self._held: list[_Timed] = []
         self._started = False
         self._stamps = StampClock(rule)
         self._last_counter = 0
         # Without time stamps, time is origin_s + ticks / tick_rate_hz: whole numbers, so that nothing adds up.
         self._tick_rate_hz = 1.0
         self._ticks = 0
+        self._unit_ticks = 1
         self._origin_s = 0.0
         self._shift_s = 0.0
         """Added to even steps to follow the host clock, where there is neither time nor counter."""
@@ -97,14 +83,12 @@ class SampleClock:
         if not self._started:
             self._early.append((block, arrival_s))
             return self._start() if self._enough_to_start() else None
-        return self._emit(self._watch(self._time(block, arrival_s)))
+        return self._emit(self._settle(block, arrival_s))
 
     def flush(self) -> Samples | None:
         """Return what is still held back; nothing will follow."""
         done = [] if self._started or not self._early else self._start_blocks()
-        if self._held:
-            done += self._decide()
-        return self._emit(done)
+        return self._emit([*done, *self._count_losses(self._watch.finish())])
 
     def _enough_to_start(self) -> bool:
         count = sum(len(block) for block, _ in self._early)
@@ -116,7 +100,7 @@ class SampleClock:
     def _start(self) -> Samples | None:
         return self._emit(self._start_blocks())
 
-    def _start_blocks(self) -> list[_Timed]:
+    def _start_blocks(self) -> list[TimedBlock]:
         """Learn the regular step from the first samples, then time them like all others."""
         self._started = True
         first = join([block for block, _ in self._early])[: LEARN_FROM + 1]
@@ -132,9 +116,12 @@ class SampleClock:
         else:
             self._start_without_device_time()
         self._ticks = -int(self._steps.step)
+        self._unit_ticks = self._rule.counter_modulus if self._has_counter else 1
+        unit_s = self._unit_ticks / self._tick_rate_hz
+        self._watch = LossWatch(unit_s, unit_s / 2 if self._has_counter else _FREE_LAG_S)
         self._check_interval(len(first))
         early, self._early = self._early, []
-        return [timed for block, arrival_s in early for timed in self._watch(self._time(block, arrival_s))]
+        return [timed for block, arrival_s in early for timed in self._settle(block, arrival_s)]
 
     def _start_without_device_time(self) -> None:
         self._steps.step = 1.0
@@ -171,7 +158,7 @@ class SampleClock:
         """The regular step in s; 0 while not known."""
         return self._steps.step if self._has_time and not self._has_counter else self._steps.step / self._tick_rate_hz
 
-    def _time(self, block: RawBlock, arrival_s: float) -> _Timed:
+    def _time(self, block: RawBlock, arrival_s: float) -> TimedBlock:
         """Put one block on the clock."""
         flags = np.zeros(len(block), dtype=np.uint32)
         ticks = self._counter_steps(block) if self._has_counter else block.lost_before + 1
@@ -189,11 +176,13 @@ class SampleClock:
         found = self._steps.examine(steps)
         flags[found.irregular & ~found.inexact] |= np.uint32(Status.AFTER_GAP)
         flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
+        unaccounted = np.abs(block.skipped_before - found.lost) > _HALF_A_SAMPLE
+        fault = unaccounted & (found.irregular | (block.skipped_before > 0))
         self._statistics.gaps += int(np.count_nonzero(flags))
         self._statistics.samples_lost += int(found.lost.sum())
         if not (self._has_time or self._has_counter):
             flags |= np.uint32(Status.TIME_ESTIMATED)
-        return _Timed(block, time_s, flags, arrival_s)
+        return TimedBlock(block, time_s, flags, fault, arrival_s)
 
     def _counter_steps(self, block: RawBlock) -> IntArray:
         """Return how far the counter went to each sample; a standing one went round once. Shape (n,)."""
@@ -202,63 +191,26 @@ class SampleClock:
         steps[steps == 0] = self._rule.counter_modulus
         return steps
 
-    def _watch(self, timed: _Timed) -> list[_Timed]:
-        """Compare with the host clock; return the blocks whose time is settled."""
-        if not math.isfinite(timed.arrival_s):
-            return [*self._release(), timed]
-        last_s = float(timed.time_s[-1])
-        if self._has_time:
-            self._baseline.add(timed.arrival_s, last_s)
-            return [timed]
-        lag_s = self._baseline.lag_s(timed.arrival_s, last_s)
-        if lag_s <= self._smallest_loss_s / 2:
-            self._baseline.add(timed.arrival_s, last_s)
-            return [*self._release(), timed]
-        self._held.append(replace(timed, lag_s=lag_s))
-        waited_s = timed.arrival_s - self._held[0].arrival_s
-        fault = any(held.block.after_skip.any() or held.flags.any() for held in self._held)
-        return self._decide() if waited_s >= (_DECIDE_AFTER_S if fault else _DECIDE_LATE_S) else []
+    def _settle(self, block: RawBlock, arrival_s: float) -> list[TimedBlock]:
+        """Return the blocks whose time is settled now that this one is there."""
+        timed = self._time(block, arrival_s)
+        if not self._has_time:
+            return self._count_losses(self._watch.push(timed))
+        if math.isfinite(arrival_s):
+            self._watch.baseline.add(arrival_s, float(timed.time_s[-1]))
+        return [timed]
 
-    @property
-    def _smallest_loss_s(self) -> float:
-        """The smallest loss that only the host clock shows."""
-        return self._rule.counter_modulus / self._tick_rate_hz if self._has_counter else 2 * _FREE_LAG_S
+    def _count_losses(self, settled: list[TimedBlock]) -> list[TimedBlock]:
+        """Move on by what the host clock showed to be missing."""
+        units, self._watch.lost_units = self._watch.lost_units, 0
+        self._statistics.gaps += self._watch.gaps
+        self._watch.gaps = 0
+        if units:
+            self._ticks += units * self._unit_ticks
+            self._statistics.losses_estimated += round(units * self._unit_ticks / self._steps.step)
+        return settled
 
-    def _release(self) -> list[_Timed]:
-        held, self._held = self._held, []
-        return held
-
-    def _decide(self) -> list[_Timed]:
-        """Take the lag of the held blocks for lost samples, whole wraps of them where there is a counter."""
-        lag_s = min(held.lag_s for held in self._held)
-        unit = self._rule.counter_modulus if self._has_counter else 1
-        ticks = round(lag_s * self._tick_rate_hz / unit) * unit
-        self._ticks += ticks
-        lost_s = ticks / self._tick_rate_hz
-        held = self._release()
-        number, place = self._fault(held)
-        for index, each in enumerate(held[number:]):
-            each.time_s[place if index == 0 else 0 :] += lost_s
-        known = held[number].flags[place] & np.uint32(Status.AFTER_GAP | Status.GAP_ESTIMATED)
-        held[number].flags[place] &= ~np.uint32(Status.AFTER_GAP)
-        held[number].flags[place] |= np.uint32(Status.GAP_ESTIMATED)
-        self._statistics.gaps += int(known == 0)
-        self._statistics.losses_estimated += round(ticks / self._steps.step)
-        for each in held:
-            self._baseline.add(each.arrival_s, float(each.time_s[-1]))
-        return held
-
-    @staticmethod
-    def _fault(held: list[_Timed]) -> tuple[int, int]:
-        """Return block and sample before which samples are missing: the first visible fault, else the first held sample."""
-        for number, each in enumerate(held):
-            gaps = (each.flags & np.uint32(Status.AFTER_GAP | Status.GAP_ESTIMATED)) != 0
-            faults = np.flatnonzero(gaps | each.block.after_skip)
-            if len(faults):
-                return number, int(faults[0])
-        return 0, 0
-
-    def _emit(self, done: list[_Timed]) -> Samples | None:
+    def _emit(self, done: list[TimedBlock]) -> Samples | None:
         if not done:
             return None
         time_s = np.concatenate([self._follow_host(each) for each in done]) if len(done) > 1 else self._follow_host(done[0])
@@ -276,14 +228,14 @@ class SampleClock:
             self._units,
         )
 
-    def _follow_host(self, timed: _Timed) -> FloatArray:
+    def _follow_host(self, timed: TimedBlock) -> FloatArray:
         """Bend even steps towards the line of earliest arrivals; device time is left as it is."""
         if self._has_time or self._has_counter or not math.isfinite(timed.arrival_s):
             return timed.time_s
-        if self._baseline.slope is None:
+        if self._watch.baseline.slope is None:
             # Everything at once (a dump) or too early to tell: the rate learned at the start is the best there is.
             return timed.time_s + self._shift_s
-        wanted_s = self._baseline.offset_at(timed.arrival_s) or 0.0
+        wanted_s = self._watch.baseline.offset_at(timed.arrival_s) or 0.0
         span_s = len(timed.time_s) / self._tick_rate_hz
         step_s = min(max(wanted_s - self._shift_s, -_SLEW * span_s), _SLEW * span_s)
         bent = timed.time_s + self._shift_s + np.linspace(step_s / len(timed.time_s), step_s, len(timed.time_s))
@@ -296,5 +248,5 @@ class SampleClock:
         if step_s <= 0:
             return
         self._statistics.nominal_rate_hz = 1 / step_s
-        slope = self._baseline.slope
+        slope = self._watch.baseline.slope
         self._statistics.rate_hz = None if slope is None else (1 - slope) / step_s

@@ -155,7 +155,7 @@ class LineReader:
             np.empty(0) if time is None else rows[:, time].copy(),
             np.zeros(len(rows), dtype=np.uint32),
             lost,
-            lost > 0,
+            lost.astype(np.float64),
         )
 
     def _triad(self, rows: FloatArray, part: str, names: tuple[str, ...]) -> FloatArray:

@@ -25,7 +25,7 @@ def block(counter: np.ndarray | None = None, ticks: np.ndarray | None = None, n:
         np.empty(0) if ticks is None else ticks,
         np.zeros(n, dtype=np.uint32),
         np.zeros(n, dtype=np.int64),
-        np.zeros(n, dtype=np.bool_),
+        np.zeros(n),
     )
 
 
@@ -73,6 +73,44 @@ def test_a_burst_of_late_data_is_no_loss() -> None:
     np.testing.assert_allclose(samples.time_s, numbers / 2000, atol=1e-9)
     assert statistics.losses_estimated == statistics.samples_lost == statistics.gaps == 0
     assert not samples.status.any()
+
+
+@pytest.mark.parametrize("slow", [0.3, 0.7])
+def test_a_slow_emulator_is_no_loss(slow: float) -> None:
+    numbers = np.arange(8000)
+    samples, statistics = run(COUNTER, counter_blocks(numbers, 1, 10 + numbers / 2000 / slow, 40))
+    np.testing.assert_allclose(samples.time_s, numbers / 2000, atol=1e-9)
+    assert statistics.losses_estimated == statistics.gaps == 0
+
+
+def test_damage_whose_bytes_are_accounted_for_is_no_loss_of_wraps() -> None:
+    numbers = np.array([i for i in range(8000) if not 3010 <= i < 3015])
+    blocks = counter_blocks(numbers, 1, 10 + numbers / 2000 / 0.9, 40)
+    blocks[3010 // 40][0].skipped_before[3010 % 40] = 5.0
+    samples, statistics = run(COUNTER, blocks)
+    np.testing.assert_allclose(samples.time_s, numbers / 2000, atol=1e-9)
+    assert statistics.samples_lost == 5
+    assert statistics.losses_estimated == 0
+
+
+def test_wraps_lost_amid_damage_are_put_where_the_damage_is() -> None:
+    # 2000 samples are gone with part of a read: 208 by the counter, and the bytes of 3 passed over.
+    numbers = np.concatenate([np.arange(3010), np.arange(5010, 9000)])
+    blocks = counter_blocks(numbers, 1, 10 + numbers / 2000, 40)
+    blocks[3010 // 40][0].skipped_before[3010 % 40] = 3.0
+    samples, statistics = run(COUNTER, blocks)
+    np.testing.assert_allclose(samples.time_s, numbers / 2000, atol=1e-9)
+    assert statistics.samples_lost + statistics.losses_estimated == 2000
+    assert np.flatnonzero(samples.status & GAP).tolist() == [3010]
+
+
+def test_a_late_last_read_is_no_loss() -> None:
+    numbers = np.arange(4000)
+    arrival_s = 10 + numbers / 2000
+    arrival_s[-40:] += 0.2
+    samples, statistics = run(COUNTER, counter_blocks(numbers, 1, arrival_s, 40))
+    np.testing.assert_allclose(samples.time_s, numbers / 2000, atol=1e-9)
+    assert statistics.losses_estimated == 0
 
 
 def test_without_arrival_times_nothing_is_estimated() -> None:
