@@ -1,0 +1,212 @@
+"""Differential evolution: DE/rand/1, DE/current-to-best/1, their combination, and the improved form (IDE), after [1]_.
+
+All share initialisation within the bounds (eq. 9), crossover (eq. 12) and selection (eq. 13); they differ in how a mutant is
+made. The paper maximises ``f = 1 / L``; here ``L`` itself is minimised, and ``1 / f_min - 1 / f_max`` of eq. 17 is the
+difference between the largest and smallest cost of the population.
+
+What the paper does not print: ``F_max`` and ``F_min`` (1.2 and 0.3 work, with 0.1 the population freezes before it arrives),
+and what becomes of a candidate outside the bounds (its offending entries are drawn anew within them).
+
+References
+----------
+.. [1] Y. Liu et al., "A New Norm-Observed Calibration Method Based on Improved Differential Evolution Algorithm for SINS",
+   2021: section 3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from imufield.calibrate.solvers.base import CONVERGED, ITERATION_LIMIT, Callback, Problem, SolverResult
+from imufield.calibrate.solvers.population import Record, check_finite_bounds
+from imufield.errors import Reason, UsageError
+from imufield.samples import FloatArray
+
+Strategy = Literal["rand", "current-to-best", "combined", "adaptive"]
+_FEWEST = 4
+"""Members a mutant is made from: three distinct ones, and its own parent."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeSettings:
+    """Settings of section 3 of [1]_, under its names."""
+
+    NP: int = 60
+    """Population size."""
+    EG: int = 1200
+    """Generations."""
+    F: float = 1.2
+    """Mutation factor, where it is constant."""
+    CR: float = 0.6
+    """Crossover probability."""
+    F_max: float = 1.2
+    F_min: float = 0.3
+    alpha: float = 0.1
+    beta: float = 0.15
+    tolerance: float = 1e-6
+    """Spread of the population's costs, relative to the lowest, at which it counts as converged. Ours."""
+    interval: float = 1e-13
+    """The same, at which it stops before ``EG`` ("falls within preset convergence interval", section 3.1)."""
+
+
+def solve_de_rand_1(
+    problem: Problem,
+    *,
+    rng: np.random.Generator | None = None,
+    callback: Callback | None = None,
+    settings: DeSettings | None = None,
+) -> SolverResult:
+    """Minimise with DE/rand/1 (eq. 11)."""
+    return evolve(problem, "rand", rng, callback, settings or DeSettings())
+
+
+def solve_de_current_to_best_1(
+    problem: Problem,
+    *,
+    rng: np.random.Generator | None = None,
+    callback: Callback | None = None,
+    settings: DeSettings | None = None,
+) -> SolverResult:
+    """Minimise with DE/current-to-best/1 (eq. 14)."""
+    return evolve(problem, "current-to-best", rng, callback, settings or DeSettings())
+
+
+def solve_de_combined(
+    problem: Problem,
+    *,
+    rng: np.random.Generator | None = None,
+    callback: Callback | None = None,
+    settings: DeSettings | None = None,
+) -> SolverResult:
+    """Minimise with the weighted combination of the two (eq. 15, 16)."""
+    return evolve(problem, "combined", rng, callback, settings or DeSettings())
+
+
+def solve_ide(
+    problem: Problem,
+    *,
+    rng: np.random.Generator | None = None,
+    callback: Callback | None = None,
+    settings: DeSettings | None = None,
+) -> SolverResult:
+    """Minimise with IDE: the combination with an adaptive mutation factor (eq. 17, 18)."""
+    return evolve(problem, "adaptive", rng, callback, settings or DeSettings())
+
+
+def evolve(
+    problem: Problem,
+    strategy: Strategy,
+    rng: np.random.Generator | None,
+    callback: Callback | None,
+    settings: DeSettings,
+) -> SolverResult:
+    """Minimise within the problem's bounds by one of the four strategies.
+
+    Raises
+    ------
+    CalibrationError
+        If a coordinate has no finite bounds, or starts outside them.
+    UsageError
+        If the population is too small.
+    """
+    check_finite_bounds(problem)
+    if settings.NP < _FEWEST:
+        raise UsageError(f"NP = {settings.NP} is too small a population; a mutant takes {_FEWEST} members", Reason.USAGE)
+    rng = rng or np.random.default_rng(0)
+    lower, upper = problem.bounds
+    record = Record(problem, callback)
+    members = lower + rng.random((settings.NP, len(lower))) * (upper - lower)  # eq. 9
+    costs = record.cost(members)
+    _offer_best(record, members, costs)
+    for t in range(settings.EG):
+        best = members[int(np.argmin(costs))]
+        mutants = _mutants(strategy, members, best, _Weights.at(t, costs, strategy, settings), rng)
+        crossed = np.where(rng.random(members.shape) < settings.CR, mutants, members)  # eq. 12
+        trials = _redraw(crossed, lower, upper, rng)
+        trial_costs = record.cost(trials)
+        wins = trial_costs < costs  # eq. 13
+        members[wins], costs[wins] = trials[wins], trial_costs[wins]
+        _offer_best(record, members, costs)
+        if record.end_of_iteration():
+            return record.stopped()
+        if _spread(costs) <= settings.interval:
+            break
+    return record.result(*_ending(_spread(costs), settings), upper - lower, rng)
+
+
+@dataclass(frozen=True, slots=True)
+class _Weights:
+    """The two numbers that change with the generation."""
+
+    b: float
+    F: float
+
+    @classmethod
+    def at(cls, t: int, costs: FloatArray, strategy: Strategy, settings: DeSettings) -> _Weights:
+        b = 2 * t / settings.EG - (t / settings.EG) ** 2  # eq. 16
+        if strategy != "adaptive":
+            return cls(b, settings.F)
+        finite = costs[np.isfinite(costs)]
+        spread = float(finite.max() - finite.min()) if len(finite) == len(costs) else np.inf
+        damping = 1 + settings.alpha * spread + settings.beta * (1 - t / settings.EG)
+        return cls(b, settings.F_max - (settings.F_max - settings.F_min) / damping)  # eq. 17
+
+
+def _mutants(
+    strategy: Strategy, members: FloatArray, best: FloatArray, weights: _Weights, rng: np.random.Generator
+) -> FloatArray:
+    x, y, z = _three_distinct(len(members), rng)
+    b, F = weights.b, weights.F
+    mutants: FloatArray = F * (members[y] - members[z])
+    if strategy == "rand":
+        mutants += members[x]  # eq. 11
+        return mutants
+    to_best = members + F * (best - members)
+    if strategy == "current-to-best":
+        mutants += to_best  # eq. 14
+        return mutants
+    mutants += (1 - b) * members[x] + b * to_best  # eq. 15 and 18
+    return mutants
+
+
+def _three_distinct(size: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return three indices for each member, all distinct, uniformly from the population."""
+    draw = (rng.random((3, size)) * np.array([[size], [size - 1], [size - 2]])).astype(np.intp)
+    x = draw[0]
+    y = draw[1] + (draw[1] >= x)
+    z = draw[2] + (draw[2] >= np.minimum(x, y))
+    z += z >= np.maximum(x, y)
+    return x, y, z
+
+
+def _redraw(trials: FloatArray, lower: FloatArray, upper: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return trials whose entries outside the bounds are drawn anew within them."""
+    outside = (trials < lower) | (trials > upper)
+    if outside.any():
+        trials[outside] = (lower + rng.random(trials.shape) * (upper - lower))[outside]
+    return trials
+
+
+def _offer_best(record: Record, members: FloatArray, costs: FloatArray) -> None:
+    best = int(np.argmin(costs))
+    record.offer(members[best], float(costs[best]))
+
+
+def _spread(costs: FloatArray) -> float:
+    """Return the spread of the costs relative to the lowest; 0 where all are 0, inf where some are infinite."""
+    lowest, highest = float(costs.min()), float(costs.max())
+    if highest == lowest:
+        return 0.0 if np.isfinite(highest) else np.inf
+    return (highest - lowest) / lowest if lowest > 0 else np.inf
+
+
+def _ending(spread: float, settings: DeSettings) -> tuple[int, str]:
+    if spread <= settings.tolerance:
+        return CONVERGED, f"the costs of the population agree to {spread:.1e}"
+    return (
+        ITERATION_LIMIT,
+        f"not converged within {settings.EG} generations: the costs still spread by {spread:.1e} of the lowest",
+    )

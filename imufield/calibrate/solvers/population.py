@@ -1,0 +1,150 @@
+"""What every swarm method shares: the record of the best point ever seen, checks of the start, and the honest ending.
+
+A swarm has no gradient to show that it has arrived, so it is asked twice. First its own sign: the antennae of the beetles
+smell no difference any more, or the costs of the population agree. Then a probe: points around the best one, on rings from the
+first step down to the last, must not be clearly better. A swarm that fails the first stopped at its iteration limit, one that
+fails the second has stalled; neither is "converged".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imufield.calibrate.solvers.base import CONVERGED, STALLED, STOPPED, Callback, Problem, SolverResult
+from imufield.errors import CalibrationError, Reason
+from imufield.samples import FloatArray
+
+_RINGS = 24
+_SMALLEST_RING = 1e-12
+"""Of the largest ring, which is the first step: below that a cost in double precision says nothing."""
+_DIRECTIONS_PER_COORDINATE = 4
+_CLEARLY_BETTER = 0.01
+"""Share of the cost a probe must gain: L1 costs have edges along which a finished swarm is still 1e-4 above the minimum."""
+
+
+class Record:
+    """Counts evaluations and keeps the best point ever apart from where the swarm stands.
+
+    Parameters
+    ----------
+    problem : Problem
+    callback : callable, optional
+    """
+
+    def __init__(self, problem: Problem, callback: Callback | None) -> None:
+        self.evaluations = 0
+        self.best_cost = float("inf")
+        self.best = problem.start
+        self.history: list[float] = []
+        self._problem = problem
+        self._callback = callback
+
+    def cost(self, candidates: FloatArray) -> FloatArray:
+        """Return the cost of a population and count it."""
+        self.evaluations += len(candidates)
+        return self._problem.cost(candidates)
+
+    def offer(self, candidate: FloatArray, cost: float) -> None:
+        """Keep a point if it is the best ever."""
+        if cost < self.best_cost:
+            self.best_cost, self.best = cost, candidate.copy()
+
+    def end_of_iteration(self) -> bool:
+        """Write the history; whether the callback asks to stop."""
+        self.history.append(self.best_cost)
+        return self._callback is not None and bool(self._callback(len(self.history), self.best, self.best_cost))
+
+    def stopped(self) -> SolverResult:
+        """Return the result of a run that the callback ended."""
+        return self._result(STOPPED, f"stopped by the caller after {len(self.history)} iterations")
+
+    def result(self, status: int, message: str, reach: float | FloatArray, rng: np.random.Generator) -> SolverResult:
+        """Return the result, once a probe around the best point has had its say.
+
+        Parameters
+        ----------
+        status : int
+            What the method itself thinks.
+        message : str
+        reach : float or ndarray, shape (n,)
+            Radius of the largest ring, in the coordinates.
+        rng : Generator
+        """
+        if not np.isfinite(self.best_cost):
+            return self._result(STALLED, "no point was found at which the model can be inverted")
+        if status == CONVERGED:
+            found = lowest_nearby(self._problem, self.best, reach, rng)
+            self.evaluations += found.evaluations
+            gain = 1 - found.cost / self.best_cost if self.best_cost > 0 else 0.0
+            if gain > _CLEARLY_BETTER:
+                status = STALLED
+                message = f"stalled: {message}, but a point nearby costs {gain:.0%} less"
+        return self._result(status, message)
+
+    def _result(self, status: int, message: str) -> SolverResult:
+        return SolverResult(self.best, self.best_cost, status, message, self.evaluations, np.array(self.history))
+
+
+def lowest_nearby(problem: Problem, x: FloatArray, reach: float | FloatArray, rng: np.random.Generator) -> SolverResult:
+    """Return the best of a cloud of points around ``x``: along each coordinate and at random, on rings of all sizes."""
+    n = len(x)
+    random = rng.standard_normal((_DIRECTIONS_PER_COORDINATE * n, n))
+    random /= np.linalg.norm(random, axis=1, keepdims=True)
+    directions = np.concatenate([np.eye(n), -np.eye(n), random]) * reach
+    rings = np.geomspace(_SMALLEST_RING, 1.0, _RINGS)
+    cloud = into_bounds(problem, (x + rings[:, None, None] * directions).reshape(-1, n))
+    cost = problem.cost(cloud)
+    best = int(np.argmin(cost))
+    return SolverResult(cloud[best], float(cost[best]), CONVERGED, "", len(cloud))
+
+
+def into_bounds(problem: Problem, candidates: FloatArray) -> FloatArray:
+    """Return candidates moved to the nearest point within the bounds."""
+    lower, upper = problem.bounds
+    return np.clip(candidates, lower, upper)
+
+
+def coordinate_name(problem: Problem, index: int) -> str:
+    """Return the name of a coordinate where the problem has names, else its number."""
+    names = getattr(problem, "names", None)
+    return str(names[index]) if names else f"coordinate {index + 1}"
+
+
+def check_start(problem: Problem) -> None:
+    """Refuse bounds that exclude the start, and a start or bounds that are not numbers.
+
+    Raises
+    ------
+    CalibrationError
+        Naming the parameter.
+    """
+    start, (lower, upper) = problem.start, problem.bounds
+    for index in np.flatnonzero(~((lower <= start) & (start <= upper))):
+        name = coordinate_name(problem, int(index))
+        raise CalibrationError(
+            f"{name} starts at {start[index]:g}, outside its bounds {lower[index]:g} to {upper[index]:g}; widen the bounds or "
+            "change the preset",
+            Reason.NOT_FINITE if np.isnan([start[index], lower[index], upper[index]]).any() else Reason.BOUNDS,
+            parameter=name,
+            start=float(start[index]),
+        )
+
+
+def check_finite_bounds(problem: Problem) -> None:
+    """Refuse bounds within which no population can be drawn.
+
+    Raises
+    ------
+    CalibrationError
+        Naming the parameter.
+    """
+    check_start(problem)
+    lower, upper = problem.bounds
+    for index in np.flatnonzero(~np.isfinite(upper - lower)):
+        name = coordinate_name(problem, int(index))
+        raise CalibrationError(
+            f"{name} has no finite bounds ({lower[index]:g} to {upper[index]:g}), and this method draws its first population "
+            "within them; give bounds, or use bsas or least-squares",
+            Reason.BOUNDS,
+            parameter=name,
+        )

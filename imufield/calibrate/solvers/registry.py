@@ -1,0 +1,73 @@
+"""Every solver by name. Listing imports nothing; loading imports one module."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import cast
+
+from imufield.calibrate.costs import CostName
+from imufield.calibrate.solvers.base import Solver
+from imufield.errors import Reason, UsageError
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """Where a solver is, and what it minimises."""
+
+    name: str
+    title: str
+    module: str
+    function: str
+    cost_name: CostName
+    """The cost its paper gives it: eq. 13 for beetles, eq. 7 for evolution, chi squared for least squares."""
+
+
+_PACKAGE = "imufield.calibrate.solvers"
+_ALL = (
+    Method("least-squares", "Levenberg-Marquardt, weighted", "least_squares", "solve_least_squares", "weighted"),
+    Method("bsas", "beetle swarm, all parameters at once in whitened coordinates", "beetles", "solve_bsas", "absolute"),
+    Method("bsas-staged", "beetle swarm, four categories in turn, as printed", "staged", "solve_bsas_staged", "absolute"),
+    Method("bas", "one beetle", "beetles", "solve_bas", "absolute"),
+    Method("ide", "differential evolution, combined strategy with adaptive factor", "evolution", "solve_ide", "squares"),
+    Method("de-combined", "differential evolution, combined strategy", "evolution", "solve_de_combined", "squares"),
+    Method("de-rand-1", "differential evolution, rand/1", "evolution", "solve_de_rand_1", "squares"),
+    Method(
+        "de-current-to-best-1",
+        "differential evolution, current-to-best/1",
+        "evolution",
+        "solve_de_current_to_best_1",
+        "squares",
+    ),
+    Method("ga", "genetic algorithm (pymoo, for comparison)", "library", "solve_ga", "squares"),
+    Method("pso", "particle swarm (pymoo, for comparison)", "library", "solve_pso", "squares"),
+)
+METHODS: Mapping[str, Method] = MappingProxyType({method.name: method for method in _ALL})
+
+
+def find_method(name: str) -> Method:
+    """Return a method by name.
+
+    Raises
+    ------
+    UsageError
+        If there is none.
+    """
+    if name not in METHODS:
+        raise UsageError(f"there is no method {name!r}; use one of {', '.join(METHODS)}", Reason.USAGE, method=name)
+    return METHODS[name]
+
+
+def load_solver(name: str) -> Solver:
+    """Return the function behind a name.
+
+    Raises
+    ------
+    UsageError
+        If there is no such method.
+    """
+    method = find_method(name)
+    module = importlib.import_module(f"{_PACKAGE}.{method.module}")
+    return cast("Solver", getattr(module, method.function))

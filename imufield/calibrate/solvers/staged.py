@@ -1,0 +1,159 @@
+"""BSAS as [1]_ uses it: the parameters in four categories, one after the other, as often as wanted.
+
+Every beetle takes one step size in all its coordinates, so the paper optimises scale factors, biases, misalignments and
+quadratic terms in turn, in their own units, the other three held (section 3.4, steps 1 to 4). That is coordinate descent on a
+cost with edges: each category can only reach what the errors of the other three leave it, and three of the six misalignments
+are turns of the body frame, which change nothing. It is here to reproduce the paper; ``beetles.solve_bsas`` is the one to use.
+
+References
+----------
+.. [1] P. Wang et al., "In-Field Calibration of Triaxial Accelerometer Based on Beetle Swarm Antenna Search Algorithm",
+   Sensors, 2020.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from imufield.calibrate.models import BIAS, MISALIGNMENT, PARAMETERS, QUADRATIC, SCALE
+from imufield.calibrate.solvers.base import CONVERGED, ITERATION_LIMIT, STOPPED, Callback, Problem, Solver, SolverResult
+from imufield.calibrate.solvers.beetles import BsasSettings, solve_bsas
+from imufield.calibrate.solvers.population import Record, check_start
+from imufield.samples import FloatArray
+
+Categories = tuple[tuple[int, ...], ...]
+
+PAPER_CATEGORIES: Categories = tuple(tuple(range(PARAMETERS))[part] for part in (SCALE, BIAS, MISALIGNMENT, QUADRATIC))
+"""Steps 1 to 4: K, b, T, K2."""
+_GROUP = 3
+"""Coordinates per category where a problem does not have the paper's fifteen."""
+
+
+@dataclass(frozen=True, slots=True)
+class StagedSettings:
+    """The swarm of each category, and how often the four steps are repeated."""
+
+    swarm: BsasSettings = field(default_factory=BsasSettings)
+    rounds: int = 1
+    categories: Categories | None = None
+    """None: the paper's four for 15 coordinates, else groups of three."""
+
+
+@dataclass(frozen=True, slots=True)
+class CategoryProblem:
+    """Some coordinates of a problem, the others held."""
+
+    whole: Problem
+    held: FloatArray
+    members: tuple[int, ...]
+
+    @property
+    def start(self) -> FloatArray:
+        """The held values of the members."""
+        return self.held[list(self.members)]
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Bounds of the members."""
+        lower, upper = self.whole.bounds
+        return lower[list(self.members)], upper[list(self.members)]
+
+    def fill(self, z: FloatArray) -> FloatArray:
+        """Return all coordinates, shape (..., k) -> (..., n)."""
+        filled = np.empty((*z.shape[:-1], len(self.held)))
+        filled[...] = self.held
+        filled[..., list(self.members)] = z
+        return filled
+
+    def cost(self, candidates: FloatArray) -> FloatArray:
+        """Return the cost of a population of members."""
+        return self.whole.cost(self.fill(candidates))
+
+    def residuals(self, z: FloatArray) -> FloatArray:
+        """Return the residuals of the whole problem."""
+        return self.whole.residuals(self.fill(z))
+
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        """Return their derivative by the members."""
+        return self.whole.jacobian(self.fill(z))[:, list(self.members)]
+
+
+def solve_stages(
+    problem: Problem,
+    categories: Categories,
+    *,
+    rng: np.random.Generator,
+    callback: Callback | None = None,
+    rounds: int = 1,
+    solver: Solver = solve_bsas,
+) -> tuple[SolverResult, ...]:
+    """Run a solver on each category in turn; one result per stage, with all coordinates in its ``x``."""
+    x = np.asarray(problem.start, dtype=np.float64)
+    stages: list[SolverResult] = []
+    for members in categories * rounds:
+        part = CategoryProblem(problem, x, members)
+        tell = _Tell(part, callback, sum(len(stage.history) for stage in stages))
+        solved = solver(part, rng=rng, callback=tell if callback else None)
+        x = part.fill(solved.x)
+        stages.append(SolverResult(x, solved.cost, solved.status, solved.message, solved.evaluations, solved.history))
+        if solved.status == STOPPED:
+            break
+    return tuple(stages)
+
+
+@dataclass(frozen=True, slots=True)
+class _Tell:
+    """Passes the callback of the whole the coordinates and the iteration of the whole."""
+
+    part: CategoryProblem
+    callback: Callback | None
+    before: int
+
+    def __call__(self, iteration: int, x: FloatArray, cost: float) -> bool:
+        return self.callback is not None and bool(self.callback(self.before + iteration, self.part.fill(x), cost))
+
+
+def solve_bsas_staged(
+    problem: Problem,
+    *,
+    rng: np.random.Generator | None = None,
+    callback: Callback | None = None,
+    settings: StagedSettings | None = None,
+) -> SolverResult:
+    """Minimise category by category (section 3.4 of [1]_)."""
+    check_start(problem)
+    settings = settings or StagedSettings()
+    rng = rng or np.random.default_rng(0)
+
+    swarm = partial(solve_bsas, settings=settings.swarm)
+    categories = settings.categories or default_categories(len(problem.start))
+    stages = solve_stages(problem, categories, rng=rng, callback=callback, rounds=settings.rounds, solver=swarm)
+    return join_stages(problem, stages, settings, rng)
+
+
+def default_categories(n: int) -> Categories:
+    """Return the paper's categories for its 15 parameters, else groups of three coordinates."""
+    if n == PARAMETERS:
+        return PAPER_CATEGORIES
+    return tuple(tuple(range(first, min(first + _GROUP, n))) for first in range(0, n, _GROUP))
+
+
+def join_stages(
+    problem: Problem, stages: tuple[SolverResult, ...], settings: StagedSettings, rng: np.random.Generator
+) -> SolverResult:
+    """Return one result of all stages; converged only if the last round is, and nothing nearby is better."""
+    record = Record(problem, None)
+    record.evaluations = sum(stage.evaluations for stage in stages)
+    record.history = [float(cost) for stage in stages for cost in stage.history]
+    record.offer(stages[-1].x, stages[-1].cost)
+    if stages[-1].status == STOPPED:
+        return record.stopped()
+    last_round = stages[-(len(stages) // settings.rounds) :]
+    open_stages = [stage for stage in last_round if not stage.converged]
+    if open_stages:
+        message = f"{len(open_stages)} of {len(last_round)} categories did not converge: {open_stages[0].message}"
+        return record.result(ITERATION_LIMIT, message, settings.swarm.s, rng)
+    return record.result(CONVERGED, f"all categories converged in round {settings.rounds}", settings.swarm.s, rng)

@@ -1,0 +1,83 @@
+"""What a solver is judged against: exact minima, global optima and the Cramér-Rao bound.
+
+The minimum of eq. 13 of [1]_ is a linear programme once ``norm(a)`` is linear in the coordinates,
+
+    minimise sum t_i   subject to   -t <= r + A z <= t,
+
+and a few rounds of linearising give the minimum of the cost itself. Residuals are divided by their size first: HiGHS has
+absolute tolerances of 1e-7, far above a residual of 3e-8 m/s^2.
+
+The Cramér-Rao bound of the gauge-free numbers (``gauge.intrinsic``) for normal noise of sigma ``s`` in every norm is
+``s^2 I B (A^T A)^-1 B^T I^T`` with ``A`` the Jacobian in coordinates, ``B`` their basis and ``I`` the derivative of the
+gauge-free numbers.
+
+References
+----------
+.. [1] P. Wang et al., "In-Field Calibration of Triaxial Accelerometer Based on Beetle Swarm Antenna Search Algorithm",
+   Sensors, 2020.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imufield.calibrate.gauge import intrinsic
+from imufield.calibrate.models import norm_derivatives
+from imufield.calibrate.result import QuadraticAxes
+from imufield.calibrate.solvers.base import Problem
+from imufield.calibrate.solvers.least_squares import solve_least_squares
+from imufield.calibrate.swarm_costs import NormPopulation
+from imufield.calibrate.whitening import observable_basis
+from imufield.samples import FloatArray
+
+INTRINSIC_NAMES = tuple(
+    f"{kind} {axis}"
+    for kind, axes in (("scale", "xyz"), ("bias", "xyz"), ("angle", ("xy", "xz", "yz")), ("K2", "xyz"))
+    for axis in axes
+)
+_ROUNDS = 4
+
+
+def exact_absolute_minimum(problem: NormPopulation) -> tuple[float, FloatArray]:
+    """Return the exact minimum of eq. 13 and the coordinates where it is."""
+    z = problem.start
+    for _ in range(_ROUNDS):
+        derivatives = norm_derivatives(problem.vector(z), problem.raw, problem.quadratic_axes)
+        residual = derivatives.norm - problem.gravity_m_s2
+        z = z + _absolute_step(residual, derivatives.jacobian @ problem.basis)
+    return float(problem.cost(z[None])[0]), z
+
+
+def _absolute_step(residual: FloatArray, A: FloatArray) -> FloatArray:
+    """Return the step that minimises sum |r + A z|."""
+    from scipy.optimize import linprog  # slow to load, and only a study needs it
+
+    m, n = A.shape
+    # Near the end the residuals that matter are the small ones.
+    size = float(np.median(np.abs(residual))) or 1.0
+    eye = np.eye(m)
+    solved = linprog(
+        np.concatenate([np.zeros(n), np.ones(m)]),
+        A_ub=np.block([[A / size, -eye], [-A / size, -eye]]),
+        b_ub=np.concatenate([-residual, residual]) / size,
+        bounds=[(None, None)] * n + [(0, None)] * m,
+        method="highs",
+    )
+    return np.zeros(n) if solved.x is None else np.asarray(solved.x[:n], dtype=np.float64)
+
+
+def squares_optimum(problem: Problem) -> tuple[float, FloatArray]:
+    """Return the minimum of a root-sum-of-squares cost and where it is, by least squares from the middle of the bounds."""
+    solved = solve_least_squares(problem, loss="linear")
+    return float(problem.cost(solved.x[None])[0]), solved.x
+
+
+def cramer_rao_bound(
+    truth: FloatArray, raw: FloatArray, gravity_m_s2: float, sigma_m_s2: float, quadratic_axes: QuadraticAxes
+) -> FloatArray:
+    """Return the least standard deviation of the 12 gauge-free numbers, shape (12,)."""
+    basis = observable_basis(truth, raw, gravity_m_s2, quadratic_axes)
+    A = norm_derivatives(truth, raw, quadratic_axes).jacobian @ basis
+    gauge_free = intrinsic(truth, quadratic_axes)[1] @ basis
+    covariance = sigma_m_s2**2 * gauge_free @ np.linalg.inv(A.T @ A) @ gauge_free.T
+    return np.asarray(np.sqrt(np.diag(covariance)))

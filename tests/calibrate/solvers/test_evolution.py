@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.solvers import evolution
+from imufield.calibrate.solvers.evolution import DeSettings, solve_de_combined, solve_de_rand_1, solve_ide
+from imufield.errors import UsageError
+from imufield.study.instruments import ide_problem
+from imufield.study.optimum import squares_optimum
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_table_2_setting_ends_at_the_global_optimum(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    problem = ide_problem(rng)
+    found = solve_ide(problem, rng=rng)
+    optimum, _ = squares_optimum(problem)
+    assert found.converged
+    assert found.cost == pytest.approx(optimum, rel=1e-6)
+
+
+def test_the_order_of_the_strategies_is_the_papers() -> None:
+    costs = []
+    for solver in (solve_de_rand_1, solve_de_combined, solve_ide):
+        found = [solver(ide_problem(np.random.default_rng(seed)), rng=np.random.default_rng(seed)).cost for seed in range(3)]
+        costs.append(np.mean(found))
+    assert costs[0] > costs[1] > costs[2]
+
+
+def test_what_has_not_converged_says_so() -> None:
+    found = solve_de_rand_1(ide_problem(np.random.default_rng(0)), rng=np.random.default_rng(0))
+    assert not found.converged
+    assert "not converged within 1200 generations" in found.message
+
+
+def test_three_indices_are_distinct_and_uniform() -> None:
+    rng = np.random.default_rng(0)
+    counts = np.zeros((3, 5))
+    for _ in range(4000):
+        drawn = np.array(evolution._three_distinct(5, rng))
+        assert np.all(np.diff(np.sort(drawn, axis=0), axis=0) > 0)
+        for row in range(3):
+            counts[row] += np.bincount(drawn[row], minlength=5)
+    assert np.all(np.abs(counts / 20000 - 0.2) < 0.015)
+
+
+def test_weights_follow_equations_16_and_17() -> None:
+    settings = DeSettings()
+    start = evolution._Weights.at(0, np.array([1.0, 3.0]), "adaptive", settings)
+    assert start.b == 0
+    assert pytest.approx(1.2 - 0.9 / (1 + 0.1 * 2 + 0.15)) == start.F
+    end = evolution._Weights.at(settings.EG, np.array([1.0, 1.0]), "adaptive", settings)
+    assert end.b == 1
+    assert pytest.approx(settings.F_min) == end.F
+
+
+def test_a_population_too_small_for_a_mutant_is_refused() -> None:
+    with pytest.raises(UsageError, match="NP = 3 is too small"):
+        solve_ide(ide_problem(np.random.default_rng(0)), settings=DeSettings(NP=3))

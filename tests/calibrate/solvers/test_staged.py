@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+import numpy as np
+
+from imufield.calibrate.solvers.base import CONVERGED, SolverResult
+from imufield.calibrate.solvers.staged import (
+    PAPER_CATEGORIES,
+    CategoryProblem,
+    default_categories,
+    solve_bsas_staged,
+    solve_stages,
+)
+from imufield.calibrate.swarm_costs import NormPopulation
+from imufield.samples import FloatArray
+from imufield.study.instruments import BSAS_AXES, BSAS_GRAVITY_M_S2, BSAS_TRUTH, PresetError, bsas_outputs, bsas_preset
+
+
+def staged_problem(preset: FloatArray, raw: FloatArray) -> NormPopulation:
+    endless = np.full(15, np.inf)
+    return NormPopulation(
+        raw, BSAS_GRAVITY_M_S2, np.ones(len(raw)), preset, np.eye(15), -endless, endless, BSAS_AXES, "absolute"
+    )
+
+
+def test_categories_are_the_four_steps_of_the_paper() -> None:
+    assert PAPER_CATEGORIES == ((0, 1, 2), (3, 4, 5), (6, 7, 8, 9, 10, 11), (12, 13, 14))
+    assert default_categories(15) == PAPER_CATEGORIES
+    assert default_categories(4) == ((0, 1, 2), (3,))
+
+
+def test_a_category_moves_its_members_only() -> None:
+    problem = staged_problem(BSAS_TRUTH, bsas_outputs(np.random.default_rng(0)))
+    part = CategoryProblem(problem, np.arange(15.0), (3, 4, 5))
+    filled = part.fill(np.array([[-1.0, -2.0, -3.0]]))
+    assert filled.tolist() == [[0.0, 1.0, 2.0, -1.0, -2.0, -3.0, *range(6, 15)]]
+    assert part.start.tolist() == [3.0, 4.0, 5.0]
+    assert part.jacobian(np.zeros(3)).shape == (24, 3)
+
+
+def test_with_the_truth_in_the_other_categories_scale_and_bias_reach_the_papers_cost() -> None:
+    rng = np.random.default_rng(3)
+    raw = bsas_outputs(rng)
+    for members, off in ((PAPER_CATEGORIES[0], 0.5), (PAPER_CATEGORIES[1], 5e-3)):
+        preset = BSAS_TRUTH.copy()
+        preset[list(members)] += off * rng.uniform(-1, 1, 3)
+        found = solve_stages(staged_problem(preset, raw), (members,), rng=rng)[0]
+        assert found.cost < 8.5e-7
+
+
+def test_realistic_presets_stall_far_above_and_are_not_called_converged() -> None:
+    rng = np.random.default_rng(4)
+    raw = bsas_outputs(rng)
+    preset = bsas_preset(rng, PresetError(500e-6, 5e-4, 1e-5, 0.5))
+    found = solve_bsas_staged(staged_problem(preset, raw), rng=rng)
+    assert found.cost > 1e-4
+    assert not found.converged
+
+
+def test_stages_follow_one_another_for_any_solver() -> None:
+    calls: list[int] = []
+
+    def count(problem, *, rng=None, callback=None) -> SolverResult:
+        calls.append(len(problem.start))
+        return SolverResult(problem.start, 1.0, CONVERGED, "", 1, np.ones(1))
+
+    raw = bsas_outputs(np.random.default_rng(0))
+    stages = solve_stages(
+        staged_problem(BSAS_TRUTH, raw), PAPER_CATEGORIES, rng=np.random.default_rng(0), rounds=2, solver=count
+    )
+    assert calls == [3, 3, 6, 3] * 2
+    assert len(stages) == 8
