@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.calibrate.gyroscope import gyroscope_rate_unit, static_bias
 from imufield.calibrate.gyroscope_fit import EarthKnowledge, JointFit, fit_jointly
@@ -43,6 +44,8 @@ BASIC = np.arange(12)
 FULL = np.arange(PARAMETERS)
 _WRONG_START = 3.0
 """The preset's scale is not believed where the rough one differs by more than this factor: the raw unit is another."""
+_MOVED = 0.05
+"""Share of all turning that an axis must have to be compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,12 +93,12 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
     there = np.isfinite(given.observations.gyroscope_mean_raw).all(axis=1)
     if there.sum() < FEWEST_STILLS:
         raise CalibrationError(
-            f"{int(there.sum())} still positions have a gyroscope mean and {FEWEST_STILLS} are needed; record the gyroscope as well",
+            f"{int(there.sum())} still positions have a gyroscope mean, {FEWEST_STILLS} are needed; record the gyroscope as well",
             Reason.TOO_FEW,
             positions=int(there.sum()),
         )
     if not there.all():
-        given = _only(given, there)
+        raise _half_there(given, there)
     if not len(given.moves) and not given.turntable:
         return _static(given)
     data = make_data(given)
@@ -131,9 +134,8 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
     )
 
 
-def _only(given: GyroscopeInput, there: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> GyroscopeInput:
-    """Leave out stills without a gyroscope mean, and their moves."""
-    raise CalibrationError(
+def _half_there(given: GyroscopeInput, there: NDArray[np.bool_]) -> CalibrationError:
+    return CalibrationError(
         f"position {given.observations.name[int(np.flatnonzero(~there)[0])]} has no gyroscope mean although others have one; "
         "remove or retake it",
         Reason.NOT_FINITE,
@@ -165,25 +167,18 @@ def _start(given: GyroscopeInput, data: GyroscopeData, errors: ForceErrors) -> t
             Reason.UNOBSERVABLE,
         )
     p[INVERSE] = begin.ravel()
-    if preset is not None and rough is not None and not _agree(rough, preset):
-        raise CalibrationError(
-            f"during the moves the gyroscope turns {np.linalg.norm(rough) / np.linalg.norm(preset):.3g} times as fast as the preset or "
-            "the driver's scale says (or about other axes); check unit, range and order of the axes",
-            Reason.UNITS,
-        )
-    if np.linalg.det(p[INVERSE].reshape(3, 3)) <= 0:
-        raise CalibrationError(
-            "gyroscope and accelerometer have different handedness: during the moves the gyroscope turns the other way round; "
-            "reverse one axis of one of them in the protocol",
-            Reason.HANDEDNESS,
-        )
+    if preset is not None and rough is not None:
+        _refuse_foreign(data, rough, preset)
+    elif np.linalg.det(begin) <= 0:
+        raise _handedness()
     sight = look(p, data, errors, known=preset is not None)
     return p, sight
 
 
 def _preset_inverse(given: GyroscopeInput) -> FloatArray | None:
     if given.preset is not None and np.isfinite(given.preset.scale).all():
-        return np.linalg.inv(given.preset.scale[:, None] * (np.eye(3) + given.preset.misalignment_rad))
+        M: FloatArray = given.preset.scale[:, None] * (np.eye(3) + given.preset.misalignment_rad)
+        return np.asarray(np.linalg.inv(M), dtype=np.float64)
     if given.nominal_scale is not None:
         return np.eye(3) / given.nominal_scale
     unit = gyroscope_rate_unit(given.observations.units)
@@ -196,11 +191,30 @@ def _rough(data: GyroscopeData) -> FloatArray | None:
     return rough_inverse(data.slots)
 
 
-def _agree(rough: FloatArray, preset: FloatArray) -> bool:
-    """Whether the two agree in scale and roughly in direction, as far as the moves show it."""
-    ratio = np.linalg.norm(rough) / np.linalg.norm(preset)
-    along = float(np.sum(rough * preset)) / (np.linalg.norm(rough) * np.linalg.norm(preset))
-    return bool(1 / _WRONG_START < ratio < _WRONG_START and along > 0.5)
+def _refuse_foreign(data: GyroscopeData, rough: FloatArray, preset: FloatArray) -> None:
+    """Refuse a preset that turns clearly slower, faster or the other way than the accelerometer sees."""
+    expected, seen = data.slots.turn @ preset.T, data.slots.turn @ rough.T
+    energy = np.sum(expected**2, axis=0)
+    moved = energy > _MOVED * energy.sum()
+    ratio = np.sum(expected * seen, axis=0)[moved] / energy[moved]
+    if np.count_nonzero(ratio < -1 / _WRONG_START) % 2:
+        raise _handedness()
+    if np.any(ratio < 1 / _WRONG_START) or np.any(ratio > _WRONG_START):
+        raise CalibrationError(
+            f"during the moves the unit turns {', '.join(f'{value:.3g}' for value in ratio)} times as fast as the gyroscope says "
+            f"with the preset or the driver's scale (1/{_WRONG_START:g} to {_WRONG_START:g} is accepted); check unit, range and "
+            "the order of the axes",
+            Reason.UNITS,
+            ratio=ratio.tolist(),
+        )
+
+
+def _handedness() -> CalibrationError:
+    return CalibrationError(
+        "gyroscope and accelerometer have different handedness: during the moves an axis of the gyroscope turns the other way; "
+        "reverse one axis of one of them in the protocol",
+        Reason.HANDEDNESS,
+    )
 
 
 def _with_stops(
@@ -239,11 +253,8 @@ def _choose(
                 "positions, or use the basic model",
                 Reason.UNOBSERVABLE,
             )
-        words = (
-            "g-sensitivity is left out, as asked"
-            if model == "basic"
-            else "g-sensitivity is left out: the stills do not show it"
-        )
+        why = "as asked" if model == "basic" else "because the stills do not show it"
+        words = f"g-sensitivity is left out, {why}"
         return _Chosen(fit_jointly(data, errors, start, sight.free(BASIC), earth), False, nothing, (words,))
     full = fit_jointly(data, errors, start, sight.free(FULL), earth)
     if model == "g-sensitive":

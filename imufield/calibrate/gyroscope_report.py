@@ -45,7 +45,7 @@ class MoveReport:
     path_deg: FloatArray
     """How far it was turned, there and back."""
     before_deg: FloatArray
-    """Angle between the measured and the integrated direction of gravity, with the parameters in force before; NaN where there were none."""
+    """Angle between the measured and the integrated direction of gravity, with the parameters in force before, if any."""
     after_deg: FloatArray
     """The same with the new parameters."""
     sigma: FloatArray

@@ -1,11 +1,11 @@
 """Turntable runs: known rates, both ways, about known axes.
 
-A run at +w about an axis and one at -w about the same axis, in the same attitude, differ by ``2 K E w``: bias, g-sensitivity (the
-centripetal force is the same both ways) and, over whole turns, the Earth's rate drop out ([1]_ eq. 25, in vector form). Each
+A run at +w about an axis and one at -w about the same axis, in the same attitude, differ by ``2 K E w``: bias, g-sensitivity
+(the centripetal force is the same both ways) and, over whole turns, the Earth's rate drop out ([1]_ eq. 25, in vector form). Each
 pair gives three numbers, so three axes give all nine entries of K E.
 
-The paper's own cost for this path (eq. 26, ``printed_cost``) compares only the *lengths* of ``N+ - N-`` and ``2 K E w``. With turns about
-the sensor axes it sees nothing but the three column norms of K E: rank 3 of 9. It is here for the study.
+The paper's own cost for this path (eq. 26, ``printed_cost``) compares only the *lengths* of ``N+ - N-`` and ``2 K E w``. With
+turns about the sensor axes it sees nothing but the three column norms of K E: rank 3 of 9. It is here for the study.
 
 References
 ----------
@@ -114,7 +114,7 @@ def matrix_from_pairs(table: TableRows) -> FloatArray:
             Reason.UNOBSERVABLE,
             pairs=len(table),
         )
-    solution: FloatArray = np.linalg.lstsq(table.rate, table.half_difference_raw, rcond=None)[0]
+    solution: FloatArray = np.asarray(np.linalg.lstsq(table.rate, table.half_difference_raw, rcond=None)[0], dtype=np.float64)
     return solution.T
 
 

@@ -1,8 +1,8 @@
 """Whole turns by hand: found among the moves, and checked for being whole.
 
-A unit that is turned once around between two stills has made a known angle at an unknown rate. Rolled about a *horizontal* axis,
-gravity closes the turn by itself: such a turn is a move like any other, with 360 degrees of lever on the scale, and it need not even be quite
-whole. About the *vertical* gravity sees nothing; there the unit must come back against a stop, whose repeatability is
+A unit that is turned once around between two stills has made a known angle at an unknown rate. Rolled about a *horizontal*
+axis, gravity closes the turn by itself: such a turn is a move like any other, with 360 degrees of lever on the scale, and it
+need not even be quite whole. About the *vertical* gravity sees nothing; there the unit must come back against a stop, whose repeatability is
 stated, and the closure is a measurement of its own.
 
 The axis of a turn is never taken from gravity at the stop (a table half a degree off level would put 8.7 mrad into a column of
@@ -22,8 +22,9 @@ from imufield.calibrate.rotation import from_matrix, logarithm
 from imufield.errors import UsageError
 from imufield.samples import AXES, FloatArray, IntArray
 
-LEAST_TURN_RAD = np.radians(300.0)
-"""Of the net angle: what turned less is a move from one position to another."""
+LEAST_TURN_RAD = np.radians(330.0)
+MOST_TILT_RAD = np.radians(30.0)
+"""A move that turned less, or came to rest further from where it began, is no attempt at a whole turn."""
 _VERTICAL = np.cos(np.radians(20.0))
 NOT_WHOLE_SIGMAS = 5.0
 NOT_WHOLE_RAD = np.radians(0.3)
@@ -108,7 +109,7 @@ def find_whole_turns(evaluation: Evaluation, data: GyroscopeData) -> tuple[Whole
     missed = closures(evaluation, data)
     tilt = np.arccos(np.clip(np.sum(data.up[data.before] * data.up[data.after], axis=1), -1, 1))
     found = []
-    for k in np.flatnonzero(net > LEAST_TURN_RAD):
+    for k in np.flatnonzero((net > LEAST_TURN_RAD) & (tilt < MOST_TILT_RAD)):
         axis = evaluation.turns.net_rad[k] / net[k]
         body = int(np.argmax(np.abs(axis)))
         count = round(net[k] / (2 * np.pi)) * int(np.sign(axis[body]))
@@ -134,4 +135,4 @@ def _sentence(count: int, axis: str, upright: bool, closure_deg: float, off_deg:
     name = f"{count:+d} turn{'s' if abs(count) > 1 else ''} about {axis}"
     if upright:
         return f"{name}, about the vertical: misses its start by {closure_deg:+.3f} deg"
-    return f"{name}, rolled: closes to {closure_deg:.3f} deg, ended {off_deg:.1f} deg from where it began"
+    return f"{name}, rolled: closes to {closure_deg:.3f} deg, came to rest {off_deg:.1f} deg from where it began"
