@@ -119,10 +119,11 @@ def _read_truth(path: Path) -> dict[str, Any]:
 
 
 def true_parameters(truth: dict[str, Any]) -> AccelerometerParameters:
-    """Return the simulator's accelerometer from its truth file."""
+    """Return the simulator's accelerometer from its truth file; its bias with what the slow drift added on average."""
     table = truth["accelerometer"]
-    names = ("scale", "bias_m_s2", "misalignment_rad", "quadratic", "raw_zero")
-    return AccelerometerParameters(**{name: np.array(table[name]) for name in names}, quadratic_axes=table["quadratic_axes"])
+    values = {name: np.array(table[name]) for name in ("scale", "bias_m_s2", "misalignment_rad", "quadratic", "raw_zero")}
+    values["bias_m_s2"] = values["bias_m_s2"] + np.array(table["mean_drift_m_s2"])
+    return AccelerometerParameters(**values, quadratic_axes=table["quadratic_axes"])
 
 
 def compare(calibration: Calibration, truth: dict[str, Any]) -> FloatArray:

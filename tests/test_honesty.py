@@ -1,0 +1,60 @@
+"""Are the stated sigmas true? 200 simulated sessions, from motion through stillness and guide to the fit.
+
+The instrument's noise, bias instability, quantisation and quadratic terms are those of its grade; the truth is what the
+simulator drew, plus the mean of its drift over the session, which a calibration sees as bias.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.accelerometer import calibrate_accelerometer
+from imufield.calibrate.gauge import intrinsic
+from imufield.calibrate.models import to_vector
+from imufield.earth import choose_gravity
+from imufield.guide.guide import Guide
+from imufield.guide.positions import scheme
+from imufield.guide.settings import GuideSettings
+from imufield.samples import FloatArray
+from imufield.simulate.emulate import EmulateOptions, make_virtual_imu
+from imufield.simulate.operator import OperatorSettings
+
+SEEDS = 200
+RATE_HZ = 100.0
+BLOCK = 2000
+
+
+def error_in_sigma(grade: str, seed: int) -> FloatArray:
+    """Return the gauge-free errors of one session in units of their sigma, shape (12,)."""
+    positions = scheme("paper24")
+    habits = OperatorSettings(hold_s=8.5, initial_still_s=6.0, begins_in_first_position=True)
+    options = EmulateOptions("text", RATE_HZ, grade, seed, positions.directions(), habits)
+    source = make_virtual_imu(options)
+    end_s = source.operator.plan_all()
+    guide = Guide(positions, source.imu.instrument.grade.units, settings=GuideSettings(hold_s=5.0))
+    while not guide.done and source.time_s < end_s + 2.0:
+        guide.feed(source.next_block(BLOCK))
+    observations = guide.observations()
+    assert len(observations) == len(positions)
+    gravity = choose_gravity(options.site.gravity_m_s2)
+    found = calibrate_accelerometer(observations, gravity, model="quadratic").intrinsic
+    truth = source.imu.instrument.accelerometer
+    truth = replace(truth, bias_m_s2=truth.bias_m_s2 + source.imu.mean_drift[:3])
+    true, _ = intrinsic(to_vector(truth))
+    values = np.concatenate([found.scale, found.bias_raw, found.angle_rad, found.quadratic])
+    sigma = np.concatenate([found.scale_sigma, found.bias_raw_sigma, found.angle_sigma_rad, found.quadratic_sigma])
+    error: FloatArray = (values - true) / sigma
+    return error
+
+
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("grade", ["tactical"])
+def test_stated_sigmas_are_true_for_every_gauge_free_parameter(grade: str) -> None:
+    errors = np.array([error_in_sigma(grade, seed) for seed in range(SEEDS)])
+    rms = np.sqrt(np.mean(errors**2, axis=0))
+    # 200 seeds know an RMS to 5 %.
+    assert np.all(rms > 0.8), rms
+    assert np.all(rms < 1.25), rms
