@@ -52,6 +52,16 @@ Latitude = Annotated[
     float | None, typer.Option(help="Latitude, decimal degrees: gravity by WGS-84.", envvar="IMUFIELD_LATITUDE_DEG")
 ]
 Height = Annotated[float | None, typer.Option(help="Height above the ellipsoid, m.", envvar="IMUFIELD_HEIGHT_M")]
+ClockSpeed = Annotated[
+    float,
+    typer.Option(
+        help="Times real time the instrument runs: only for an emulated one.",
+        envvar="IMUFIELD_CLOCK_SPEED",
+        hidden=True,
+        min=1,
+        max=1000,
+    ),
+]
 
 
 @app.callback()
@@ -109,6 +119,7 @@ def capture(
     height: Height = None,
     plain: Annotated[bool, typer.Option("--plain", help="Plain lines instead of pictures.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Events as JSON lines on standard output.")] = False,
+    clock_speed: ClockSpeed = 1.0,
 ) -> None:
     """Record a guided session: the screen leads you through 24 positions, hands-free.
 
@@ -116,7 +127,7 @@ def capture(
     """
     from imufield.commands.capture import CaptureOptions, run_capture
     from imufield.commands.configuration import parse_settings
-    from imufield.commands.connect import ConnectOptions
+    from imufield.commands.connect import ConnectOptions, host_clock
     from imufield.commands.site import SiteOptions
 
     options = CaptureOptions(
@@ -128,7 +139,7 @@ def capture(
         site=SiteOptions(gravity, latitude, height),
         view="json" if as_json else "plain" if plain else "auto",
     )
-    run_capture(options)
+    run_capture(options, host_clock(clock_speed))
 
 
 @app.command()
@@ -141,17 +152,18 @@ def record(
     session: SessionFolder = None,
     duration_s: Annotated[float | None, typer.Option(help="Stop after so many seconds (default: Ctrl-C).", min=0.1)] = None,
     as_json: AsJson = False,
+    clock_speed: ClockSpeed = 1.0,
 ) -> None:
     """Record without a guide, e.g. hours of standstill.
 
     Example: imufield record --port /dev/ttyUSB0 --duration-s 3600
     """
     from imufield.commands.configuration import parse_settings
-    from imufield.commands.connect import ConnectOptions
+    from imufield.commands.connect import ConnectOptions, host_clock
     from imufield.commands.record import RecordOptions, run_record
 
     connect = ConnectOptions(port, driver, baud, protocol, parse_settings(settings))
-    run_record(RecordOptions(connect, session, duration_s, as_json))
+    run_record(RecordOptions(connect, session, duration_s, as_json), host_clock(clock_speed))
 
 
 @app.command(name="import")

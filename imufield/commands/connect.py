@@ -15,7 +15,7 @@ import typer
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver
-from imufield.acquire.host_clock import HostClock
+from imufield.acquire.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.acquire.link import Chunk, SerialLink, open_link
 from imufield.acquire.ports import serial_ports
 from imufield.acquire.protocol import Protocol, load_protocol
@@ -111,6 +111,14 @@ class _Hearing:
         """Return the candidate that understood the most bytes, if any understood enough."""
         good = [(found, decoder) for found, decoder in self.decoders if _is_understood(decoder.statistics)]
         return max(good, key=lambda one: -one[1].statistics.bytes_skipped, default=None)
+
+
+def host_clock(speed: float) -> HostClock:
+    """Return the clock to read an instrument with that runs ``speed`` times faster than real time, as emulated ones may."""
+    if speed == 1.0:
+        return SystemClock()
+    typer.echo(f"the clock of the host runs {speed:g} times fast: only an emulated instrument can be read like this", err=True)
+    return ScaledClock(speed)
 
 
 def connect(options: ConnectOptions, clock: HostClock, *, say: Say | None = None) -> Connected:

@@ -28,11 +28,11 @@ def crc() -> Callable[[bytes], bytes]:
 
 @pytest.fixture
 def messages(crc: Callable[[bytes], bytes]) -> list[dict[str, Any]]:
-    digits = "84167-4400003-321".replace("-", "")
+    digits = "84167-440000-3321".replace("-", "")
     p = [0] * 19
     p[1:12] = [int(digit) for digit in digits[:11]]
     p[17], p[12], p[13], p[14] = (int(digit) for digit in digits[11:])
-    half = p[1:]
+    half = p[:18]
     packed = [half[i] << 4 | half[i + 1] for i in range(0, 18, 2)]
     part = bytes([*packed[:3], 45, *packed[3:6], 45, *packed[6:], 0, 0, 0])
     configuration = bytes([0xBC, ord("K"), 7, 0x62, 0x20, 0x71, 0, 0, 0x70, 0, 0, 0x70, 0, 0, 8, 0, 0, 0x33, 0x30, 0, 0, 0])
@@ -44,7 +44,7 @@ def messages(crc: Callable[[bytes], bytes]) -> list[dict[str, Any]]:
 
 def test_identity(messages: list[dict[str, Any]]) -> None:
     assert Stim300.identity(messages) == {
-        "model": "STIM300 84167-4400003-321 K",
+        "model": "STIM300 84167-440000-3321 K",
         "serial_number": "N25581846020020",
         "firmware": "7, hardware K",
     }
