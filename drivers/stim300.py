@@ -82,16 +82,17 @@ class Stim300(Driver):
 
 
 def part_number(digits: bytes, revision: str) -> str:
-    """Return the part number, e.g. 84167-440000-3321, from bytes 1 to 14 of its datagram (no recording of one seen).
+    """Return the part number, e.g. 84167-4400003-321, from bytes 1 to 14 of its datagram (no recording of one seen).
 
     Its 15 digits stand in half bytes P1 to P17 of bytes 1 to 11, '-' in bytes 4 and 8: P1 to P5 before the first (so one half
     byte is left over, taken to be the first), P6 to P11 between, P12 to P17 behind. Digits 1 to 11 are P1 to P11 and
-    digit 12 is P17; digits 13 and 15 are made of two half bytes each. Values from 10 on are letters.
+    digit 12 is P17; digits 13 and 15 are made of two half bytes each. Values from 10 on are letters. Printed 5-7-3, as the
+    datasheet's utility-mode example prints it.
     """
     _, *half = [part for byte in (*digits[:3], *digits[4:7], *digits[8:11]) for part in (byte >> 4, byte & 15)]
     values = [*half[:11], half[16], half[11] + 16 * half[15], half[12], half[13] + 16 * half[14]]
     text = "".join(chr(48 + value) if value < 10 else chr(55 + value) for value in values)
-    return f"{text[:5]}-{text[5:11]}-{text[11:]} {revision}".rstrip(" -")
+    return f"{text[:5]}-{text[5:12]}-{text[12:]} {revision}".rstrip(" -")
 
 
 DRIVER = Stim300

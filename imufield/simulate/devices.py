@@ -118,7 +118,7 @@ class TextDevice:
 class Stim300Identity:
     """Who the emulated unit is."""
 
-    part_number: str = "84167-440000-3321"
+    part_number: str = "84167-4400003-321"
     """15 digits; the dashes stand where the datagram has them."""
     revision: str = "K"
     serial_number: str = "25581846020020"

@@ -28,7 +28,7 @@ def crc() -> Callable[[bytes], bytes]:
 
 @pytest.fixture
 def messages(crc: Callable[[bytes], bytes]) -> list[dict[str, Any]]:
-    digits = "84167-440000-3321".replace("-", "")
+    digits = "84167-4400003-321".replace("-", "")
     p = [0] * 19
     p[1:12] = [int(digit) for digit in digits[:11]]
     p[17], p[12], p[13], p[14] = (int(digit) for digit in digits[11:])
@@ -44,7 +44,7 @@ def messages(crc: Callable[[bytes], bytes]) -> list[dict[str, Any]]:
 
 def test_identity(messages: list[dict[str, Any]]) -> None:
     assert Stim300.identity(messages) == {
-        "model": "STIM300 84167-440000-3321 K",
+        "model": "STIM300 84167-4400003-321 K",
         "serial_number": "N25581846020020",
         "firmware": "7, hardware K",
     }
