@@ -32,7 +32,7 @@ from imufield.guide.positions import Position, angle_deg
 from imufield.guide.settings import GuideSettings
 from imufield.guide.state_table import TABLE, Input
 from imufield.guide.stillness import Judgement, Phase, StillnessDetector
-from imufield.guide.wording import floor_event, moved_refusal, place_refusal, vector
+from imufield.guide.wording import floor_event, moved_refusal, not_still_refusal, place_refusal, vector
 from imufield.samples import FloatArray
 
 
@@ -66,6 +66,9 @@ class GuideActions:
         self._moved_deg = 0.0
         self._refusal: Refusal | None = None
         self._hold: HoldUnderTest | None = None
+        self._linger_direction: FloatArray | None = None
+        self._linger_from_s = math.nan
+        self._linger_cosine = math.cos(math.radians(settings.linger_deg))
         self._said: dict[str, float] = {}
         names = {transition.action for row in TABLE.values() for transition in row.values()}
         self.by_name: dict[str, Callable[[], Input | None]] = {name: getattr(self, name) for name in names}
@@ -143,11 +146,14 @@ class GuideActions:
         self.events.append(Move(self.now_s, position.name, vector(position.direction), position.words, why, accepted, planned))
 
     def show_turning(self) -> None:
-        """Say where the unit points, a few times a second."""
+        """Say where the unit points, a few times a second, and what keeps it from being still where it lingers."""
         target = self.plan.proposed()
-        if self.judgement is None or target is None or not self.due("turning", self.settings.repeat_s):
+        if self.judgement is None or target is None:
             return
         direction = self._direction(self.judgement.cells.mean[self.judgement.row, :3])
+        self._note_lingering(self.judgement, direction)
+        if not self.due("turning", self.settings.repeat_s):
+            return
         nearest = self.plan.nearest(direction, pending=True) if np.isfinite(direction).all() else None
         if nearest is None:
             return
@@ -155,6 +161,16 @@ class GuideActions:
         name = self.plan.position(nearest.index).name
         off_target = angle_deg(goal.direction, direction)
         self.events.append(Turning(self.now_s, vector(direction), name, nearest.angle_deg, goal.name, off_target))
+
+    def _note_lingering(self, judgement: Judgement, direction: FloatArray) -> None:
+        """Say what moves when somebody waits for the guide: the direction stays, the unit is not still."""
+        before = self._linger_direction
+        if before is None or not self.now_s >= self._linger_from_s or not float(before @ direction) > self._linger_cosine:
+            self._linger_direction, self._linger_from_s = direction, self.now_s
+        elif self.now_s - self._linger_from_s > self.settings.linger_s and judgement.phase is Phase.MOVING:
+            activity = self.detector.explain(judgement)
+            if activity.ratio > 1 and self.due("not still", self.settings.remind_s):
+                self.reject(not_still_refusal(activity))
 
     def recognise(self) -> Input:
         """Find the position that the unit lies in."""
@@ -175,6 +191,7 @@ class GuideActions:
 
     def begin_hold(self) -> None:
         """Say that the hold begins."""
+        self._linger_direction = None
         self.fraction, self._hold = 0.0, None
         position = self._current()
         direction = self._direction(np.array(self.detector.stretch.mean[:3]))

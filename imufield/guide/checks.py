@@ -34,6 +34,8 @@ class CheckSettings:
     """Change of the norm over a hold that is refused if it is beyond 4 sigma too; the mean takes the middle of the line."""
     tilt_deg: float = 1.0
     """Turn of the mean direction over a hold that is refused: the norm of the mean loses 13 ug by it."""
+    shift_deg: float = 0.3
+    """Sudden turn within a hold that is refused if it is beyond 6 sigma too: the norm of the mean loses 3 ug by it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +69,7 @@ def examine(hold: HoldUnderTest) -> Refusal | None:
         _check_stuck,
         _check_gravity,
         _check_knocks,
+        _check_shift,
         _check_drift,
     )
     for check in checks:
@@ -169,6 +172,50 @@ def _check_knocks(hold: HoldUnderTest) -> Refusal | None:
         100 * hold.settings.knocked_share,
         "%",
     )
+
+
+def _check_shift(hold: HoldUnderTest) -> Refusal | None:
+    """Refuse a unit that was pushed: its direction before and after some moment differ."""
+    force = hold.scale.specific_force(hold.cells.mean[:, :3])
+    step, sigma, row = largest_step(force)
+    norm = float(np.linalg.norm(force.mean(axis=0)))
+    turn = math.degrees(float(np.linalg.norm(step)) / norm)
+    limit = max(hold.settings.shift_deg, 6 * math.degrees(sigma / norm))
+    if turn <= limit:
+        return None
+    after_s = float(hold.cells.start_s[row] - hold.cells.start_s[0])
+    axis = AXES[int(np.argmax(np.abs(step)))]
+    return Refusal(
+        RefusalCode.KNOCKED,
+        f"it was pushed by {turn:.2f} deg after {after_s:.1f} s of the hold (limit {limit:.2f} deg, axis {axis})",
+        "leave it: it is measured again",
+        turn,
+        limit,
+        "deg",
+        axis,
+    )
+
+
+def largest_step(series: FloatArray) -> tuple[FloatArray, float, int]:
+    """Return the largest difference between the means after and before a row, its 1 sigma, and the row.
+
+    Parameters
+    ----------
+    series : ndarray, shape (m, 3)
+        Zero and infinite sigma for fewer than 10 rows.
+    """
+    m, least = len(series), 5
+    if m < 2 * least:
+        return np.zeros(3), math.inf, 0
+    before = np.arange(least, m - least + 1)
+    sums = np.cumsum(series - series.mean(axis=0), axis=0)[before - 1]
+    steps = -sums * (m / (before * (m - before)))[:, None]
+    worst = int(np.argmax(np.linalg.norm(steps, axis=1) * np.sqrt(before * (m - before))))
+    row = int(before[worst])
+    residual = np.concatenate([part - part.mean(axis=0) for part in (series[:row], series[row:])])
+    factor = max(correlation_factor(column) for column in residual.T)
+    variance = float((residual**2).sum()) / (m - 2) * factor * m / (row * (m - row))
+    return steps[worst], math.sqrt(variance), row
 
 
 def _check_drift(hold: HoldUnderTest) -> Refusal | None:

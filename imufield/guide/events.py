@@ -20,6 +20,7 @@ class RefusalCode(Enum):
     """Why a hold was refused."""
 
     MOVED = "moved"
+    NOT_STILL = "not_still"
     KNOCKED = "knocked"
     DRIFTING = "drifting"
     NOT_NEAR = "not_near"

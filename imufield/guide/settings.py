@@ -28,3 +28,6 @@ class GuideSettings:
     """A unit that moved for less than both was not lifted: it rests where it was."""
     silent_s: float = 1.5
     """A hold that ends within this time was a pause in a turn; nobody needs to hear of it."""
+    linger_s: float = 5.0
+    linger_deg: float = 5.0
+    """A unit that keeps its direction this long without becoming still is told what keeps it from being still."""

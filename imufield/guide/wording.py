@@ -72,6 +72,20 @@ def moved_refusal(activity: Activity, leave_factor: float, held_s: float, hold_s
     )
 
 
+def not_still_refusal(activity: Activity) -> Refusal:
+    """Return what keeps a unit from being still that somebody holds in place."""
+    measured, limit = quantity(activity.measured, activity.unit), quantity(activity.limit, activity.unit)
+    return Refusal(
+        RefusalCode.NOT_STILL,
+        f"not still yet: {activity.triad} {activity.axis} {activity.kind} {measured} (limit {limit})",
+        "put it on a firm support, or lean it against one, and take the hands off",
+        activity.measured,
+        activity.limit,
+        activity.unit,
+        activity.axis,
+    )
+
+
 def place_refusal(plan: Plan, nearest: Found, pending: Found | None) -> Refusal:
     """Return the refusal of a still unit that is in no pending position."""
     limit = plan.tolerance_deg

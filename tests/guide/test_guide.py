@@ -337,6 +337,32 @@ def test_turning_is_told_a_few_times_a_second_with_the_angle(make_path):
     assert all(b.time_s > a.time_s for a, b in pairwise(turning))
 
 
+def test_a_trembling_hand_is_told_what_keeps_it_from_being_still(make_path):
+    path = make_path(200.0).hold([0, 0, 1], 5).turn([1, 0, 0], 1).hold([1, 0, 0], 20)
+    samples = path.samples()
+    held = samples.time_s > 6
+    samples.gyroscope[held, 1] += 0.15 * np.sin(2 * np.pi * 10 * samples.time_s[held])
+    _, events = run(samples, settings=GuideSettings(hold_s=3.0))
+    refused = of(events, Rejected)
+    assert {event.reason for event in refused} == {RefusalCode.NOT_STILL}
+    assert 1 <= len(refused) <= 2
+    assert (refused[0].axis, refused[0].unit) == ("y", "rad/s")
+    assert "deg/s" in refused[0].words
+
+
+def test_a_push_within_a_hold_is_refused_and_measured_again(make_path):
+    """Small enough for the detector, which bears a unit that is touched; too large for the norm of the mean."""
+    path = make_path(100.0).hold([0, 0, 1], 30)
+    samples = path.samples(0.02)
+    samples.accelerometer[600:] += 9.8 * np.array([np.radians(0.35), 0, 0])
+    guide, events = run(samples, settings=GuideSettings(hold_s=10.0))
+    refused = of(events, Rejected)
+    assert [event.reason for event in refused] == [RefusalCode.KNOCKED]
+    assert refused[0].measured == pytest.approx(0.35, abs=0.05)
+    assert "pushed by" in refused[0].words
+    assert len(guide.observations()) == 1
+
+
 def test_snapshot_tells_what_a_view_needs(make_path):
     samples = faces_session(make_path).samples()
     samples.temperature_degc[:] = 31.0
