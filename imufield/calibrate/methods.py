@@ -1,0 +1,336 @@
+"""Other methods than least squares for a calibration, and their agreement as proof.
+
+The model, the gauge, the weights and the uncertainties are those of ``calibrate_accelerometer``; a method only looks for the
+parameters again, from its own start (the preset, or the outputs' extremes without one), in whitened coordinates. It minimises
+the cost of its paper, so even two perfect methods differ by statistics: an absolute cost weighs outliers less than squares do.
+``cross_check`` therefore runs twice: with each method's own cost, and with one weighted cost for all, where what is left is
+how well each method searches.
+
+Sigma is that of the fit alone. Uncertainty of gravity is common to all methods and must not hide a disagreement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imufield.calibrate.costs import CostName
+from imufield.calibrate.fit import FitData
+from imufield.calibrate.gauge import change_gauge, intrinsic, make_intrinsic
+from imufield.calibrate.model_choice import find_origin
+from imufield.calibrate.models import MISALIGNMENT, PARAMETERS, QUADRATIC, SCALE, from_vector, norm_derivatives, to_vector
+from imufield.calibrate.observations import Observations
+from imufield.calibrate.result import AccelerometerParameters, Calibration, Quality, SolverSummary
+from imufield.calibrate.solvers.base import Callback, SolverResult
+from imufield.calibrate.solvers.least_squares import solve_least_squares
+from imufield.calibrate.solvers.registry import find_method, load_solver
+from imufield.calibrate.swarm_costs import NormPopulation
+from imufield.calibrate.uncertainty import known_covariance, within_variance
+from imufield.calibrate.whitening import whitened_problem
+from imufield.samples import FloatArray
+
+LEAST_SQUARES = "least-squares"
+CROSS_CHECKED = ("bsas", "ide", LEAST_SQUARES)
+GAUGE_FREE_NAMES = tuple(
+    f"intrinsic.{kind}.{axis}"
+    for kind, axes in (("scale", "xyz"), ("bias_raw", "xyz"), ("angle_rad", ("xy", "xz", "yz")), ("quadratic", "xyz"))
+    for axis in axes
+)
+AGREEMENT_SIGMA = 3.0
+"""Methods with different costs may differ by this much; an absolute cost alone makes 0.7 on the average of one parameter."""
+SEARCH_AGREEMENT_SIGMA = 0.05
+"""Methods with one cost may differ by this much."""
+
+
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """A calibration's problem, ready to be solved again by any method."""
+
+    calibration: Calibration
+    problem: NormPopulation
+    """In whitened coordinates, from a start that knows nothing of the calibration; weighted cost."""
+    vector: FloatArray
+    """The calibration's parameters, shape (15,)."""
+    preset: FloatArray | None
+
+    def with_cost(self, cost_name: CostName) -> NormPopulation:
+        """Return the problem with another cost."""
+        return replace(self.problem, cost_name=cost_name)
+
+    def in_gauge(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return parameters and basis of coordinates, in the calibration's gauge."""
+        change = change_gauge(self.problem.vector(z), self.calibration.gauge, self.preset)
+        return change.vector, change.jacobian @ self.problem.basis
+
+    def gauge_free_sigma(self) -> FloatArray:
+        """Return 1 sigma of the 12 gauge-free numbers from the fit alone, shape (12,); 0 where a number is not fitted."""
+        at_fit = norm_derivatives(self.vector, self.problem.raw, self.problem.quadratic_axes)
+        change = change_gauge(self.problem.origin, self.calibration.gauge, self.preset)
+        basis = change.jacobian @ self.problem.basis
+        A = (at_fit.jacobian @ basis) / self.problem.sigma_m_s2[:, None]
+        J = intrinsic(self.vector, self.problem.quadratic_axes)[1] @ basis
+        return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", J, np.linalg.inv(A.T @ A), J)))
+
+
+def restart(observations: Observations, calibration: Calibration, preset: AccelerometerParameters | None = None) -> Restart:
+    """Return the problem behind a calibration, to be solved again.
+
+    Parameters
+    ----------
+    observations : Observations
+        The ones it was calibrated from.
+    calibration : Calibration
+    preset : AccelerometerParameters, optional
+        The preset it was given; the start where there is one.
+
+    Raises
+    ------
+    CalibrationError
+        If the preset is in another unit, or the positions do not show what is to be fitted.
+    """
+    used = calibration.accelerometer
+    vector = to_vector(used)
+    gravity = calibration.gravity.gravity_m_s2
+    raw = observations.mean_raw - used.raw_zero
+    before = None if preset is None else to_vector(preset)
+    data = FitData(raw, None, gravity, used.quadratic_axes)
+    origin, seen = find_origin(data, np.sign(used.scale), before, "auto" if calibration.quadratic_fitted else "linear")
+    free = tuple(k for k in seen.free if k < QUADRATIC.start or calibration.quadratic_fitted)
+    start = _start(raw, gravity, origin, before, vector, calibration.quadratic_fitted)
+    if sum(MISALIGNMENT.start <= k < MISALIGNMENT.stop for k in free) == 3:
+        # All misalignments move, less the three turns of the frame: the start's frame is kept.
+        free = tuple(sorted({*free, *range(MISALIGNMENT.start, MISALIGNMENT.stop)}))
+    sigma = _position_sigma(observations, calibration, raw, vector)
+    problem = whitened_problem(
+        start, raw, gravity, quadratic_axes=used.quadratic_axes, cost_name="weighted", sigma_m_s2=sigma, free=free
+    )
+    return Restart(calibration, problem, vector, before)
+
+
+def _start(
+    raw: FloatArray, gravity: float, origin: FloatArray, before: FloatArray | None, vector: FloatArray, quadratic: bool
+) -> FloatArray:
+    """Return the preset, or scale and bias from the extremes of the outputs."""
+    if before is not None:
+        start = before.copy()
+    else:
+        start = origin.copy()
+        half, middle = np.ptp(raw, axis=0) / 2, (raw.max(axis=0) + raw.min(axis=0)) / 2
+        start[SCALE] = np.sign(vector[SCALE]) * half / gravity
+        start[3:6] = middle / start[SCALE]
+        start[MISALIGNMENT] = 0.0
+    if not quadratic:
+        start[QUADRATIC] = vector[QUADRATIC]
+    return start
+
+
+def _position_sigma(observations: Observations, calibration: Calibration, raw: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return s_i of every position in m/s^2, as the calibration weighted them, shape (m,)."""
+    within = np.zeros(len(raw))
+    if known_covariance(observations.covariance_raw):
+        gradient = norm_derivatives(vector, raw, calibration.accelerometer.quadratic_axes).raw_gradient
+        within = within_variance(gradient, observations.covariance_raw)
+    sigma = np.sqrt(within + calibration.quality.between_position_sigma_m_s2**2)
+    return np.where(sigma > 0, sigma, 1.0)
+
+
+def solve_with(
+    method: str,
+    observations: Observations,
+    calibration: Calibration,
+    *,
+    rng: np.random.Generator,
+    preset: AccelerometerParameters | None = None,
+    polish: bool = True,
+    callback: Callback | None = None,
+    seed: int | None = None,
+) -> Calibration:
+    """Return the calibration with parameters found by another method.
+
+    Parameters
+    ----------
+    method : str
+        A name of ``solvers.registry.METHODS``.
+    observations : Observations
+    calibration : Calibration
+        From ``calibrate_accelerometer``: model, gauge, weights and uncertainties.
+    rng : Generator
+    preset : AccelerometerParameters, optional
+        The one ``calibration`` was given.
+    polish : bool
+        Finish by least squares.
+    callback : callable, optional
+    seed : int, optional
+        Written to the result.
+
+    Returns
+    -------
+    Calibration
+        Where the method did not converge, ``solver.status`` says so, the verdict is "poor" and its first reason tells why.
+
+    Raises
+    ------
+    UsageError
+        If there is no such method.
+    CalibrationError
+        If the method cannot start.
+    """
+    if find_method(method).name == LEAST_SQUARES:
+        return calibration
+    again = restart(observations, calibration, preset)
+    found = load_solver(method)(problem_for(again, method), rng=rng, callback=callback)
+    vector, basis = again.in_gauge(found.x)
+    if polish and found.converged:
+        found, vector = _polished(again, found, vector, basis)
+    return _replaced(again, vector, SolverSummary(method, found.status, found.message, found.cost, found.evaluations, seed))
+
+
+def problem_for(again: Restart, method: str) -> NormPopulation:
+    """Return the problem with the cost, and for the staged form the coordinates, that the method's paper uses."""
+    problem = again.with_cost(find_method(method).cost_name)
+    if method != "bsas-staged":
+        return problem
+    # The paper's own coordinates: the parameters themselves, in their own units.
+    endless = np.full(PARAMETERS, np.inf)
+    return replace(problem, basis=np.eye(PARAMETERS), lower=-endless, upper=endless)
+
+
+def _polished(again: Restart, found: SolverResult, vector: FloatArray, basis: FloatArray) -> tuple[SolverResult, FloatArray]:
+    problem = replace(again.with_cost("weighted"), origin=vector, basis=basis)
+    solved = solve_least_squares(problem)
+    message = f"{found.message}; polished by least squares: {solved.message}"
+    evaluations = found.evaluations + solved.evaluations
+    return replace(solved, message=message, evaluations=evaluations), problem.vector(solved.x)
+
+
+def _replaced(again: Restart, vector: FloatArray, summary: SolverSummary) -> Calibration:
+    calibration, axes = again.calibration, again.problem.quadratic_axes
+    residual = norm_derivatives(vector, again.problem.raw, axes).norm - calibration.gravity.gravity_m_s2
+    old = calibration.intrinsic
+    sigma = np.concatenate([old.scale_sigma, old.bias_raw_sigma, old.angle_sigma_rad, old.quadratic_sigma])
+    return replace(
+        calibration,
+        accelerometer=from_vector(vector, calibration.accelerometer.raw_zero, axes),
+        intrinsic=make_intrinsic(intrinsic(vector, axes)[0], sigma),
+        positions=replace(calibration.positions, residual_m_s2=residual),
+        solver=summary,
+        quality=_quality(calibration.quality, residual, summary),
+    )
+
+
+def _quality(quality: Quality, residual: FloatArray, summary: SolverSummary) -> Quality:
+    figures = replace(
+        quality,
+        residual_rms_m_s2=float(np.sqrt(np.mean(residual**2))),
+        residual_max_m_s2=float(np.abs(residual).max()),
+    )
+    if summary.converged:
+        return figures
+    sentence = f"the method {summary.method} did not converge, do not use these parameters: {summary.message}"
+    return replace(figures, verdict="poor", reasons=(sentence, *quality.reasons))
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """The largest difference between two methods in a gauge-free number."""
+
+    sigma: float
+    parameter: str
+    methods: tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class CrossCheck:
+    """What several methods make of the same observations."""
+
+    own_costs: Disagreement
+    """Each with the cost of its paper."""
+    one_cost: Disagreement
+    """All with the weighted cost."""
+    not_converged: tuple[str, ...]
+    """A sentence for each run that did not converge."""
+    gauge_free: dict[str, FloatArray]
+    """The 12 gauge-free numbers by method, own costs, shape (12,) each."""
+
+    @property
+    def agree(self) -> bool:
+        """Whether the methods prove one another."""
+        near = self.own_costs.sigma <= AGREEMENT_SIGMA and self.one_cost.sigma <= SEARCH_AGREEMENT_SIGMA
+        return near and not self.not_converged
+
+    @property
+    def sentence(self) -> str:
+        """The outcome in words."""
+        names = ", ".join(self.gauge_free)
+        if self.not_converged:
+            return f"no cross-check: {'; '.join(self.not_converged)}"
+        own, one = self.own_costs, self.one_cost
+        verdict = "agree" if self.agree else "DISAGREE"
+        return (
+            f"{names} {verdict}: the largest difference is {own.sigma:.2f} sigma ({own.parameter}, "
+            f"{' against '.join(own.methods)}), and {one.sigma:.2g} sigma where all minimise the same weighted cost"
+        )
+
+
+def cross_check(
+    observations: Observations,
+    calibration: Calibration,
+    *,
+    rng: np.random.Generator,
+    preset: AccelerometerParameters | None = None,
+    methods: Sequence[str] = CROSS_CHECKED,
+) -> CrossCheck:
+    """Solve with several methods from a start of their own and compare in units of sigma.
+
+    Parameters
+    ----------
+    observations : Observations
+    calibration : Calibration
+        From ``calibrate_accelerometer``.
+    rng : Generator
+    preset : AccelerometerParameters, optional
+    methods : sequence of str
+
+    Raises
+    ------
+    UsageError
+        If there is no such method.
+    CalibrationError
+        If a method cannot start.
+    """
+    again = restart(observations, calibration, preset)
+    sigma = again.gauge_free_sigma()
+    own: dict[str, FloatArray] = {}
+    one: dict[str, FloatArray] = {}
+    open_runs: list[str] = []
+    for method in methods:
+        costs: tuple[CostName, CostName] = (find_method(method).cost_name, "weighted")
+        for found_by, cost_name in zip((own, one), costs, strict=True):
+            found = load_solver(method)(_relative(again, cost_name, method), rng=rng)
+            if not found.converged:
+                open_runs.append(f"{method} did not converge ({found.message})")
+            found_by[method] = intrinsic(again.in_gauge(found.x)[0], again.problem.quadratic_axes)[0]
+    return CrossCheck(_largest(own, sigma), _largest(one, sigma), tuple(dict.fromkeys(open_runs)), own)
+
+
+def _relative(again: Restart, cost_name: CostName, method: str) -> NormPopulation:
+    """Return the problem with weights relative to their median: a swarm's costs should be near those of its paper, in m/s^2."""
+    problem = again.with_cost(cost_name)
+    if method == LEAST_SQUARES:
+        return problem
+    return replace(problem, sigma_m_s2=problem.sigma_m_s2 / np.median(problem.sigma_m_s2))
+
+
+def _largest(found: dict[str, FloatArray], sigma: FloatArray) -> Disagreement:
+    names = list(found)
+    largest = Disagreement(0.0, "", (names[0], names[-1]))
+    fitted = sigma > 1e-9 * np.maximum(np.abs(found[names[0]]), np.finfo(float).tiny)
+    for i, first in enumerate(names):
+        for second in names[i + 1 :]:
+            apart = np.where(fitted, np.abs(found[first] - found[second]) / np.where(fitted, sigma, 1.0), 0.0)
+            worst = int(np.argmax(apart))
+            if apart[worst] > largest.sigma:
+                largest = Disagreement(float(apart[worst]), GAUGE_FREE_NAMES[worst], (first, second))
+    return largest
