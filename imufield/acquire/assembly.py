@@ -30,6 +30,8 @@ class RawBlock:
     """Samples known to be lost just before this one, whatever the counter says (bad lines). Shape (n,)."""
     skipped_before: FloatArray
     """Bytes passed over just before this sample, as a number of samples. Shape (n,)."""
+    stream_end: IntArray
+    """Offset in the stream just behind the last byte of this sample. Shape (n,)."""
 
     def __len__(self) -> int:
         return len(self.temperature_degc)
@@ -44,6 +46,7 @@ class RawBlock:
             self.status[rows],
             self.lost_before[rows],
             self.skipped_before[rows],
+            self.stream_end[rows],
         )
 
 
@@ -60,6 +63,7 @@ def join(blocks: list[RawBlock]) -> RawBlock:
         np.concatenate([block.status for block in blocks]),
         np.concatenate([block.lost_before for block in blocks]),
         np.concatenate([block.skipped_before for block in blocks]),
+        np.concatenate([block.stream_end for block in blocks]),
     )
 
 
@@ -91,8 +95,8 @@ class FrameReader:
             if (field := layout.field(name)) is not None
         ]
 
-    def read(self, rows: Rows, skipped_before: IntArray) -> RawBlock:
-        """Return the samples of n frames."""
+    def read(self, rows: Rows, skipped_before: IntArray, starts: IntArray) -> RawBlock:
+        """Return the samples of n frames, which begin at offsets ``starts`` of the stream."""
         n = len(rows)
         accelerometer = _triad(rows, self._accelerometer, self._factors["accelerometer"])
         gyroscope = _triad(rows, self._gyroscope, self._factors["gyroscope"])
@@ -108,6 +112,7 @@ class FrameReader:
             status,
             np.zeros(n, dtype=np.int64),
             skipped_before / self.length,
+            starts + self.length,
         )
 
     def _read_temperature(self, rows: Rows) -> FloatArray:

@@ -8,7 +8,7 @@ feeds, except where host arrival time is used because the stream cannot tell (``
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -19,10 +19,10 @@ from imufield.acquire.assembly import FrameReader, RawBlock, join
 from imufield.acquire.framing import FrameBlock, Framer
 from imufield.acquire.protocol import Protocol
 from imufield.acquire.protocol_schema import ClockRule, FrameRule
-from imufield.acquire.sample_clock import SampleClock
+from imufield.acquire.sample_clock import Arrivals, SampleClock
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.acquire.text_lines import LineReader
-from imufield.samples import Samples, concatenate, no_samples
+from imufield.samples import FloatArray, IntArray, Samples, concatenate, no_samples
 
 _PIECE_BYTES = 1 << 18
 """Larger feeds are worked off in pieces of this size: memory stays bounded, and the pieces stay in cache."""
@@ -65,11 +65,26 @@ class Decoder:
         arrival_s : float
             Host time when the last of them arrived, s; leave it out where it is not known.
         """
+        return self.feed_chunks(data, np.array([len(data)]), np.array([arrival_s]))
+
+    def feed_chunks(self, data: bytes, ends: IntArray, arrival_s: FloatArray) -> Samples:
+        """Take the bytes of k reads at once; the same as k calls of ``feed``, many times faster for small reads.
+
+        Parameters
+        ----------
+        data : bytes
+            The reads, joined.
+        ends : ndarray of int64, shape (k,)
+            Where each ends in ``data``; the last is ``len(data)``.
+        arrival_s : ndarray, shape (k,)
+            Host time when the last byte of each arrived, s; NaN where not known.
+        """
+        arrivals = Arrivals(ends + self.statistics.bytes_total, np.asarray(arrival_s, dtype=np.float64))
         self.statistics.bytes_total += len(data)
         done: list[Samples] = []
         for at in range(0, len(data), _PIECE_BYTES):
             block = self._source.feed(data[at : at + _PIECE_BYTES])
-            timed = None if block is None else self._clock.push(block, arrival_s)
+            timed = None if block is None else self._clock.push(block, arrivals)
             if timed is not None:
                 done.append(timed)
         return self._joined(done)
@@ -77,7 +92,8 @@ class Decoder:
     def flush(self) -> Samples:
         """Return what was held back; nothing will follow."""
         block = self._source.finish()
-        timed = [] if block is None else [self._clock.push(block, math.nan)]
+        never = Arrivals(np.array([self.statistics.bytes_total]), np.array([math.nan]))
+        timed = [] if block is None else [self._clock.push(block, never)]
         return self._joined([samples for samples in (*timed, self._clock.flush()) if samples is not None])
 
     def messages(self) -> list[dict[str, Any]]:
@@ -118,8 +134,8 @@ class _FrameSource:
     def __init__(self, protocol: Protocol, rule: FrameRule, statistics: DecoderStatistics, keep: Any) -> None:
         self._rule = rule
         self._framer = Framer(rule)
-        readers = {key: FrameReader(protocol, layout) for key, layout in rule.layouts.items() if not layout.is_message}
-        self._readers = {key: reader for key, reader in readers.items() if reader.has_samples}
+        self._protocol = protocol
+        self._readers: dict[int, FrameReader | None] = {}
         self._statistics = statistics
         self._keep = keep
 
@@ -135,28 +151,35 @@ class _FrameSource:
         if len(block) == 0:
             return None
         self._statistics.frames += len(block)
-        first = int(block.keys[0])
-        if first in self._readers and (block.keys == first).all():
-            return self._read_kind(block, first, None)
-        self._read_others(block)
-        parts: list[RawBlock] = []
-        places: list[NDArray[np.intp]] = []
-        for key in np.unique(block.keys).tolist():
-            if key in self._readers:
-                places.append(np.flatnonzero(block.keys == key))
-                parts.append(self._read_kind(block, key, places[-1]))
-        if not parts:
-            return None
-        return join(parts)[np.argsort(np.concatenate(places), kind="stable")]
+        keys = [int(block.keys[0])] if (block.keys == block.keys[0]).all() else np.unique(block.keys).tolist()
+        readers = {key: reader for key in keys if (reader := self._reader(key)) is not None}
+        if len(readers) < len(keys):
+            self._read_others(block, readers)
+        if len(keys) == len(readers) == 1:
+            return self._read_kind(block, keys[0], readers[keys[0]], None)
+        places = [np.flatnonzero(block.keys == key) for key in readers]
+        parts = [self._read_kind(block, key, readers[key], place) for key, place in zip(readers, places, strict=True)]
+        return join(parts)[np.argsort(np.concatenate(places), kind="stable")] if parts else None
 
-    def _read_kind(self, block: FrameBlock, key: int, which: NDArray[np.intp] | None) -> RawBlock:
-        rows = block.rows(which, self._readers[key].length)
+    def _reader(self, key: int) -> FrameReader | None:
+        """Return the reader for a kind of frame, made when the first one comes; None for those without samples."""
+        if key not in self._readers:
+            layout = self._rule.layouts[key]
+            reader = None if layout.is_message else FrameReader(self._protocol, layout)
+            self._readers[key] = reader if reader is not None and reader.has_samples else None
+        return self._readers[key]
+
+    def _read_kind(self, block: FrameBlock, key: int, reader: FrameReader, which: NDArray[np.intp] | None) -> RawBlock:
+        rows = block.rows(which, reader.length)
         self._count(self._rule.layouts[key].kind, len(rows))
-        return self._readers[key].read(rows, block.skipped_before if which is None else block.skipped_before[which])
+        starts = block.starts + block.origin
+        if which is None:
+            return reader.read(rows, block.skipped_before, starts)
+        return reader.read(rows, block.skipped_before[which], starts[which])
 
-    def _read_others(self, block: FrameBlock) -> None:
+    def _read_others(self, block: FrameBlock, readers: Mapping[int, FrameReader]) -> None:
         """Keep messages; count frames that are neither message nor sample."""
-        other = ~np.isin(block.keys, list(self._readers))
+        other = ~np.isin(block.keys, list(readers))
         for start, key in zip(block.starts[other].tolist(), block.keys[other].tolist(), strict=True):
             layout = self._rule.layouts[key]
             self._count(layout.kind, 1)

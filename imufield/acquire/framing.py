@@ -50,6 +50,8 @@ class FrameBlock:
     """Shape (n,)."""
     skipped_before: NDArray[np.int64]
     """Bytes passed over just before this frame. Shape (n,)."""
+    origin: int
+    """Offset of ``data`` in the stream."""
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -191,6 +193,7 @@ class Framer:
         self._check = FrameCheck(rule)
         self._longest_window = max(_FIRST_WINDOW, min(_LONGEST_WINDOW, _BYTES_CHECKED_AT_ONCE // self._check.longest))
         self._rest = b""
+        self._origin = 0
         self._run = _FIRST_RUN
         self._window = _FIRST_WINDOW
         self._behind_frame = False
@@ -226,7 +229,9 @@ class Framer:
                 break
             at = behind
         self._rest = joined[at:]
-        return self._block(buffer, found)
+        block = self._block(buffer, found)
+        self._origin += at
+        return block
 
     def _pass_trailer(self, data: bytes, at: int, last: bool) -> int | None:
         """Return the position behind the trailer, if there is one; None: wait, it may have begun here."""
@@ -325,7 +330,7 @@ class Framer:
         skipped_before = np.zeros(len(starts), dtype=np.int64)
         for offsets, skipped in found.skipped_before:
             skipped_before[np.searchsorted(starts, offsets)] = skipped
-        return FrameBlock(buffer, starts, self._check.keys(buffer, starts), skipped_before)
+        return FrameBlock(buffer, starts, self._check.keys(buffer, starts), skipped_before, self._origin)
 
 
 @dataclass(frozen=True, slots=True)

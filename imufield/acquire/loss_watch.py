@@ -40,6 +40,11 @@ class TimedBlock:
     """Where samples are missing that the bytes passed over do not account for. Shape (n,)."""
     arrival_s: float
 
+    def part(self, begin: int, end: int, arrival_s: float) -> TimedBlock:
+        """Return some of the samples, which arrived by ``arrival_s``; the arrays are views."""
+        rows = slice(begin, end)
+        return TimedBlock(self.block[rows], self.time_s[rows], self.flags[rows], self.fault[rows], arrival_s)
+
 
 class LossWatch:
     """Holds back late blocks and finds how many samples are missing before them.
@@ -63,6 +68,19 @@ class LossWatch:
         self._held: list[tuple[TimedBlock, float]] = []
         self._last_arrival_s = math.nan
         self._silence_s = 0.0
+
+    def passes(self, arrival_s: float, last_s: float) -> bool:
+        """Take note of a block up to ``last_s`` if it is in time and nothing is held back; return whether it was.
+
+        The same as ``push`` for nearly all blocks, without making them.
+        """
+        if self._held or not math.isfinite(arrival_s):
+            return not self._held
+        if self.baseline.lag_s(arrival_s, last_s) > self._smallest_s:
+            return False
+        self._last_arrival_s = arrival_s
+        self.baseline.add(arrival_s, last_s)
+        return True
 
     def push(self, timed: TimedBlock) -> list[TimedBlock]:
         """Return the blocks whose time is settled now, in order."""

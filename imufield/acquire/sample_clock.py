@@ -14,6 +14,7 @@ Time never runs backwards. A time stamp that does (the instrument restarted, or 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,6 +36,23 @@ _LARGEST_RATE_ERROR = 0.25
 """Part by which the stated rate of increments may differ from the learned one: coarse time stamps learn badly."""
 _SLEW = 0.1
 """Largest part by which steps are stretched to follow the host clock."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arrivals:
+    """When the bytes of a stream came."""
+
+    ends: IntArray
+    """Offset in the stream just behind each read, ascending. Shape (k,)."""
+    arrival_s: FloatArray
+    """Host time when its last byte arrived, s; NaN where not known. Shape (k,)."""
+
+    def reads_of(self, block: RawBlock) -> list[tuple[int, float]]:
+        """Return (rows up to its end, arrival) of each read that completed a sample of this block."""
+        until = np.searchsorted(block.stream_end, self.ends, side="right")
+        until[-1] = len(block)
+        with_rows = np.flatnonzero(np.diff(until, prepend=0))
+        return list(zip(until[with_rows].tolist(), self.arrival_s[with_rows].tolist(), strict=True))
 
 
 class SampleClock:
@@ -69,26 +87,34 @@ class SampleClock:
         self._shift_s = 0.0
         """Added to even steps to follow the host clock, where there is neither time nor counter."""
 
-    def push(self, block: RawBlock, arrival_s: float) -> Samples | None:
+    def push(self, block: RawBlock, arrivals: Arrivals) -> Samples | None:
         """Return the samples whose time is settled now, None if there are none.
 
         Parameters
         ----------
         block : RawBlock
-        arrival_s : float
-            Host time when the last byte of the block arrived, s; NaN where not known.
+        arrivals : Arrivals
+            Of the reads that this block comes from.
         """
-        if len(block) == 0:
-            return None
-        if not self._started:
-            self._early.append((block, arrival_s))
-            return self._start() if self._enough_to_start() else None
-        return self._emit(self._settle(block, arrival_s))
+        reads = arrivals.reads_of(block)
+        done: list[TimedBlock] = []
+        begin = 0
+        while not self._started and reads:
+            end, arrival_s = reads.pop(0)
+            self._early.append((block[begin:end], arrival_s))
+            begin = end
+            if self._enough_to_start():
+                done = self._start_blocks()
+        if reads:
+            done += self._settle(block[begin:] if begin else block, [(end - begin, at_s) for end, at_s in reads])
+        return self._emit(done)
 
     def flush(self) -> Samples | None:
         """Return what is still held back; nothing will follow."""
         done = [] if self._started or not self._early else self._start_blocks()
-        return self._emit([*done, *self._count_losses(self._watch.finish())])
+        done += self._watch.finish()
+        self._count_losses(np.empty(0))
+        return self._emit(done)
 
     def _enough_to_start(self) -> bool:
         count = sum(len(block) for block, _ in self._early)
@@ -96,9 +122,6 @@ class SampleClock:
             return count > LEARN_FROM
         span_s = self._early[-1][1] - self._early[0][1]
         return count > LEARN_FROM and (not math.isfinite(span_s) or span_s >= _MEASURE_RATE_S or count > 1 << 16)
-
-    def _start(self) -> Samples | None:
-        return self._emit(self._start_blocks())
 
     def _start_blocks(self) -> list[TimedBlock]:
         """Learn the regular step from the first samples, then time them like all others."""
@@ -121,7 +144,7 @@ class SampleClock:
         self._watch = LossWatch(unit_s, unit_s / 2 if self._has_counter else _FREE_LAG_S)
         self._check_interval(len(first))
         early, self._early = self._early, []
-        return [timed for block, arrival_s in early for timed in self._settle(block, arrival_s)]
+        return [timed for block, arrival_s in early for timed in self._settle(block, [(len(block), arrival_s)])]
 
     def _start_without_device_time(self) -> None:
         self._steps.step = 1.0
@@ -158,7 +181,7 @@ class SampleClock:
         """The regular step in s; 0 while not known."""
         return self._steps.step if self._has_time and not self._has_counter else self._steps.step / self._tick_rate_hz
 
-    def _time(self, block: RawBlock, arrival_s: float) -> TimedBlock:
+    def _time(self, block: RawBlock) -> TimedBlock:
         """Put one block on the clock."""
         flags = np.zeros(len(block), dtype=np.uint32)
         ticks = self._counter_steps(block) if self._has_counter else block.lost_before + 1
@@ -182,7 +205,7 @@ class SampleClock:
         self._statistics.samples_lost += int(found.lost.sum())
         if not (self._has_time or self._has_counter):
             flags |= np.uint32(Status.TIME_ESTIMATED)
-        return TimedBlock(block, time_s, flags, fault, arrival_s)
+        return TimedBlock(block, time_s, flags, fault, math.nan)
 
     def _counter_steps(self, block: RawBlock) -> IntArray:
         """Return how far the counter went to each sample; a standing one went round once. Shape (n,)."""
@@ -191,24 +214,34 @@ class SampleClock:
         steps[steps == 0] = self._rule.counter_modulus
         return steps
 
-    def _settle(self, block: RawBlock, arrival_s: float) -> list[TimedBlock]:
-        """Return the blocks whose time is settled now that this one is there."""
-        timed = self._time(block, arrival_s)
-        if not self._has_time:
-            return self._count_losses(self._watch.push(timed))
-        if math.isfinite(arrival_s):
-            self._watch.baseline.add(arrival_s, float(timed.time_s[-1]))
-        return [timed]
+    def _settle(self, block: RawBlock, reads: list[tuple[int, float]]) -> list[TimedBlock]:
+        """Put a block on the clock; return what is settled now. ``reads`` has the last row and arrival of each read."""
+        timed = self._time(block)
+        settled: list[TimedBlock] = []
+        begin = at = 0
+        for end, arrival_s in reads:
+            last_s = float(timed.time_s[end - 1])
+            if self._has_time or (self._has_counter and self._watch.passes(arrival_s, last_s)):
+                at = end
+                if self._has_time and math.isfinite(arrival_s):
+                    self._watch.baseline.add(arrival_s, last_s)
+                continue
+            if at > begin:
+                settled.append(timed.part(begin, at, math.nan))
+            settled += self._watch.push(timed.part(at, end, arrival_s))
+            self._count_losses(timed.time_s[end:])
+            begin = at = end
+        return [*settled, timed.part(begin, at, math.nan)] if at > begin else settled
 
-    def _count_losses(self, settled: list[TimedBlock]) -> list[TimedBlock]:
-        """Move on by what the host clock showed to be missing."""
+    def _count_losses(self, following_s: FloatArray) -> None:
+        """Move on by what the host clock showed to be missing, samples that are timed already included."""
         units, self._watch.lost_units = self._watch.lost_units, 0
         self._statistics.gaps += self._watch.gaps
         self._watch.gaps = 0
         if units:
             self._ticks += units * self._unit_ticks
+            following_s += units * self._unit_ticks / self._tick_rate_hz
             self._statistics.losses_estimated += round(units * self._unit_ticks / self._steps.step)
-        return settled
 
     def _emit(self, done: list[TimedBlock]) -> Samples | None:
         if not done:

@@ -17,7 +17,7 @@ from imufield.acquire.assembly import RawBlock
 from imufield.acquire.protocol import Protocol
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.errors import ProtocolError
-from imufield.samples import NO_COUNTER, FloatArray
+from imufield.samples import NO_COUNTER, FloatArray, IntArray
 
 LONGEST_LINE = 4096
 """Forty columns of 100 characters; a longer line is no line but noise and is passed over up to its end."""
@@ -52,6 +52,8 @@ class LineReader:
         self._delimiter_known = rule.delimiter != "auto"
         self._rest = b""
         self._too_long = False
+        self._offset = 0
+        """Of the bytes that are done with, in the stream."""
         self._lost = 0
         """Bad lines since the last good one."""
         self._seen_line = False
@@ -65,7 +67,7 @@ class LineReader:
         if len(self._rest) > LONGEST_LINE:
             self._too_long = True
             self._lost += 1
-            self._statistics.bytes_skipped += len(self._rest)
+            self._pass_over(len(self._rest))
             self._rest = b""
         return self._read(lines)
 
@@ -77,26 +79,33 @@ class LineReader:
     def _behind_long_line(self, data: bytes) -> bytes:
         end = data.find(b"\n")
         self._too_long = end < 0
-        self._statistics.bytes_skipped += len(data) if end < 0 else end + 1
+        self._pass_over(len(data) if end < 0 else end + 1)
         return b"" if end < 0 else data[end + 1 :]
+
+    def _pass_over(self, count: int) -> None:
+        self._offset += count
+        self._statistics.bytes_skipped += count
 
     def _read(self, lines: list[bytes]) -> RawBlock | None:
         rows: list[list[float]] = []
         lost: list[int] = []
+        ends: list[int] = []
         for line in lines:
             text = line.strip()
+            self._offset += len(line) + 1
             row = None if not text or text.startswith(self._comments) else self._numbers(text)
             if row is None:
                 self._statistics.bytes_skipped += len(line) + 1
                 continue
             rows.append(row)
             lost.append(self._lost)
+            ends.append(self._offset)
             self._lost = 0
         if not rows:
             return None
         self._statistics.frames += len(rows)
         self._statistics.by_kind["line"] = self._statistics.by_kind.get("line", 0) + len(rows)
-        return self._block(np.array(rows), np.array(lost, dtype=np.int64))
+        return self._block(np.array(rows), np.array(lost, dtype=np.int64), np.array(ends, dtype=np.int64))
 
     def _numbers(self, text: bytes) -> list[float] | None:
         """Return the numbers of one line, None for a line to pass over, which is counted as lost unless it is a header."""
@@ -143,7 +152,7 @@ class LineReader:
         # Where semicolons separate, a comma can only be the decimal sign.
         return [part.replace(b",", b".") for part in parts] if self._delimiter == b";" else parts
 
-    def _block(self, rows: FloatArray, lost: np.ndarray[tuple[int], np.dtype[np.int64]]) -> RawBlock:
+    def _block(self, rows: FloatArray, lost: IntArray, ends: IntArray) -> RawBlock:
         column = self._column
         counter = column.get("counter")
         time = column.get("time")
@@ -156,6 +165,7 @@ class LineReader:
             np.zeros(len(rows), dtype=np.uint32),
             lost,
             lost.astype(np.float64),
+            ends,
         )
 
     def _triad(self, rows: FloatArray, part: str, names: tuple[str, ...]) -> FloatArray:

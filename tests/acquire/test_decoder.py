@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -237,6 +238,32 @@ def test_large_feeds_equal_small_ones(datagram: MakeDatagram) -> None:
     parts, _ = decode(protocol, data, range(0, len(data), 65536))
     assert_same(whole, parts)
     assert len(whole) == 256 * 80
+
+
+@pytest.mark.parametrize("joined", [1, 7, 50, 10_000])
+@pytest.mark.parametrize("name", ["stim300", "text"])
+def test_reads_fed_together_give_what_they_give_one_by_one(datagram: MakeDatagram, name: str, joined: int) -> None:
+    rng = np.random.default_rng(3)
+    # 2000 Hz with a host that stops for 0.4 s, and 1000 samples lost in the middle.
+    numbers = np.concatenate([np.arange(3000), np.arange(4000, 8000)])
+    made = [datagram(i) if name == "stim300" else b"%d,%d,2,3\n" % (i % 256, i) for i in numbers.tolist()]
+    reads = [(b"".join(made[at : at + 40])[: int(rng.integers(1, 3000))], at) for at in range(0, len(made), 40)]
+    arrival_s = np.array([10 + numbers[min(at + 39, len(numbers) - 1)] / 2000 for _, at in reads])
+    arrival_s[40:48] = arrival_s[48]
+    chosen = {"columns": "counter,ax,ay,az", "counter_modulus": 256, "rate_hz": 2000} if name == "text" else {}
+    protocol = load_protocol(name, chosen)
+    one, other = Decoder(protocol), Decoder(protocol)
+    apart = [one.feed(data, float(at_s)) for (data, _), at_s in zip(reads, arrival_s, strict=True)]
+    together = []
+    for at in range(0, len(reads), joined):
+        pieces = [data for data, _ in reads[at : at + joined]]
+        together.append(other.feed_chunks(b"".join(pieces), np.cumsum([len(p) for p in pieces]), arrival_s[at : at + joined]))
+    singly, jointly = concatenate([*apart, one.flush()]), concatenate([*together, other.flush()])
+    # Behind a loss estimated from the host clock the last bit may differ.
+    np.testing.assert_allclose(jointly.time_s, singly.time_s, rtol=1e-14)
+    assert_same(singly, replace(jointly, time_s=singly.time_s))
+    assert one.statistics == other.statistics
+    assert one.statistics.losses_estimated > 0
 
 
 def test_rows_of_float64_are_taken_as_they_are() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from imufield.acquire.assembly import RawBlock
 from imufield.acquire.protocol_schema import ClockRule
-from imufield.acquire.sample_clock import SampleClock
+from imufield.acquire.sample_clock import Arrivals, SampleClock
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.samples import NO_COUNTER, Samples, SampleUnits, Status, concatenate
 
@@ -26,13 +26,14 @@ def block(counter: np.ndarray | None = None, ticks: np.ndarray | None = None, n:
         np.zeros(n, dtype=np.uint32),
         np.zeros(n, dtype=np.int64),
         np.zeros(n),
+        np.arange(1, n + 1),
     )
 
 
 def run(rule: ClockRule, blocks: list[tuple[RawBlock, float]]) -> tuple[Samples, DecoderStatistics]:
     statistics = DecoderStatistics()
     clock = SampleClock(rule, SampleUnits(), statistics)
-    done = [clock.push(each, arrival_s) for each, arrival_s in blocks]
+    done = [clock.push(each, Arrivals(np.array([len(each)]), np.array([arrival_s]))) for each, arrival_s in blocks]
     return concatenate([samples for samples in (*done, clock.flush()) if samples is not None]), statistics
 
 
