@@ -280,7 +280,8 @@ class GuideActions:
         judgement = self.judgement
         if judgement is None or judgement.ended is None:
             return
-        held_s = judgement.ended.judged * self.detector.settings.cell_s
+        guards = 2 * guard_cells(self.detector.limits, self.detector.settings)
+        held_s = max(judgement.ended.judged - guards, 0) * self.detector.settings.cell_s
         activity = self.detector.explain(judgement)
         if activity.ratio <= self.detector.settings.leave_factor:
             cells = judgement.cells[judgement.row : judgement.row + 1]

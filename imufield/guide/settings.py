@@ -26,8 +26,8 @@ class GuideSettings:
     moved_s: float = 1.0
     moved_deg: float = 10.0
     """A unit that moved for less than both was not lifted: it rests where it was."""
-    silent_s: float = 1.5
-    """A hold that ends within this time was a pause in a turn; nobody needs to hear of it."""
+    silent_s: float = 1.0
+    """A hold that ends within this time (guard bands off) was a pause in a turn; nobody needs to hear of it."""
     linger_s: float = 5.0
     linger_deg: float = 5.0
     """A unit that keeps its direction this long without becoming still is told what keeps it from being still."""
