@@ -317,7 +317,7 @@ def run(arguments: list[str]) -> int:
         with _signals_as_interrupts():
             app(arguments, prog_name="imufield")
     except ImufieldError as error:
-        typer.secho(f"imufield: {error.message}", fg="red", err=True)
+        typer.secho(f"imufield: {error.message.rstrip('.')}.", fg="red", err=True)
         return error.exit_code
     except BrokenPipeError:
         # The reader of our output went away (`imufield ... | head`): nothing is left to say, and nobody to say it to.

@@ -7,6 +7,7 @@ ignores fsync (some network and FUSE file systems do); the hash inside the file 
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 from contextlib import suppress
@@ -34,9 +35,10 @@ def write_atomically(path: str | Path, data: bytes) -> None:
     Raises
     ------
     OSError
-        As the system reports it (disk full, no permission); ``path`` is untouched then.
+        As the system reports it (disk full, no permission), or ``path`` is a folder or device; it is untouched then.
     """
     path = Path(path)
+    refuse_what_is_no_file(path)
     # The same folder, because a rename is only atomic inside one file system.
     descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".new", dir=path.parent)
     try:
@@ -51,6 +53,12 @@ def write_atomically(path: str | Path, data: bytes) -> None:
             Path(name).unlink()
         raise
     sync_folder(path.parent)
+
+
+def refuse_what_is_no_file(path: Path) -> None:
+    """Raise OSError for a folder or device, which a rename would move out of its place."""
+    if path.exists() and not path.is_file():
+        raise FileExistsError(errno.EEXIST, "it is a folder or device, not a file", str(path))
 
 
 def _usual_mode(path: Path) -> int:
@@ -68,6 +76,7 @@ def keep_previous(path: str | Path) -> Path | None:
     path = Path(path)
     if not path.exists():
         return None
+    refuse_what_is_no_file(path)
     number = 1
     while (kept := path.with_name(f"{path.stem}-{number}{path.suffix}")).exists():
         number += 1

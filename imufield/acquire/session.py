@@ -162,16 +162,21 @@ class Session:
         RecordingError
             There is none.
         """
-        root = Path(root)
-        names = [path.parent.name for path in root.glob(f"*/{SETTINGS_FILE}") if _FOLDER.fullmatch(path.parent.name)]
-        if not names:
+        folders = cls.newest_first(root)
+        if not folders:
             raise RecordingError(
                 f"there is no session in {root}: make one with `imufield capture` or `imufield import`, or name its folder.",
                 Reason.NOT_A_RECORDING,
                 root=str(root),
             )
+        return cls.open(folders[0])
+
+    @staticmethod
+    def newest_first(root: str | Path = DEFAULT_ROOT) -> list[Path]:
+        """Return the folders below ``root`` that have the name and the ``session.toml`` of a session, newest first."""
+        folders = [path.parent for path in Path(root).glob(f"*/{SETTINGS_FILE}") if _FOLDER.fullmatch(path.parent.name)]
         # Names start with the time of creation, and no two of them with the same.
-        return cls.open(root / max(names))
+        return sorted(folders, key=lambda folder: folder.name, reverse=True)
 
     @property
     def name(self) -> str:

@@ -227,7 +227,7 @@ def _fill_empty_cells(block: bytes, delimiter: bytes) -> bytes:
 
 
 def _head_lines(path: Path) -> list[str]:
-    head = next(_pieces(path, HEAD_BYTES), b"")
+    head = next(read_pieces(path, HEAD_BYTES), b"")
     if b"\0" in head:
         raise _bad(path, "is not text: give CSV or columns of numbers, or `--protocol` for the bytes of an instrument")
     return head.removeprefix(b"\xef\xbb\xbf").decode("utf-8", errors="replace").split("\n")
@@ -236,7 +236,7 @@ def _head_lines(path: Path) -> list[str]:
 def _line_blocks(path: Path) -> Iterator[bytes]:
     """Yield blocks of whole lines; the last one may lack its line end."""
     rest = b""
-    for piece in _pieces(path, BLOCK_BYTES):
+    for piece in read_pieces(path, BLOCK_BYTES):
         end = piece.rfind(b"\n") + 1
         if end:
             yield rest + piece[:end]
@@ -249,8 +249,14 @@ def _line_blocks(path: Path) -> Iterator[bytes]:
         yield rest
 
 
-def _pieces(path: Path, size: int) -> Iterator[bytes]:
-    """Yield the unpacked content; what the content starts with decides, not the name."""
+def read_pieces(path: Path, size: int) -> Iterator[bytes]:
+    """Yield the unpacked content of a file; what the content starts with decides, not the name.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, or its packing is damaged.
+    """
     try:
         with path.open("rb") as raw:
             packed = raw.read(len(_GZIP_MAGIC)) == _GZIP_MAGIC

@@ -17,9 +17,10 @@ from imufield.acquire.recording import Damage
 from imufield.acquire.session import DEFAULT_ROOT, Session
 from imufield.commands.chain import MARK, Chain, Plan, part_metadata, replay_into
 from imufield.commands.connect import Connected, ConnectOptions, connect
+from imufield.commands.resume import check_instrument, check_plan, connect_as_before, find_unfinished, site_as_before
 from imufield.commands.site import SiteOptions
 from imufield.commands.views import LinkState, LiveStatus, View, ViewName, make_view
-from imufield.errors import LinkError, Reason, RecordingError, UsageError
+from imufield.errors import ImufieldError, LinkError, UsageError
 from imufield.guide.events import Event
 from imufield.guide.keys import Keyboard
 from imufield.guide.positions import scheme
@@ -52,6 +53,7 @@ class Captured:
     """How a capture ended."""
 
     session: Session
+    port: str
     accepted: int
     planned: int
     finished: bool
@@ -67,53 +69,35 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
     """
     interactive = options.view == "auto" and sys.stdout.isatty()
     clock = clock or SystemClock()
-    scheme_name = options.positions or DEFAULT_SCHEME
-    scheme(scheme_name)
-    earlier = find_unfinished(options, interactive)
-    site = options.site if earlier is not None else ask_site(options.site, interactive)
-    connected = connect(options.connect, clock)
+    scheme(options.positions or DEFAULT_SCHEME)
+    earlier = find_unfinished(options.session, options.root, resume=options.resume, interactive=interactive)
+    if earlier is not None:
+        check_plan(earlier, options.positions, options.hold_s)
+    site = ask_site(options.site if earlier is None else site_as_before(options.site, earlier), interactive)
+    site.gravity()
+    connected = connect(options.connect if earlier is None else connect_as_before(options.connect, earlier), clock)
     with ExitStack() as stack:
         stack.callback(connected.link.close)
-        session = earlier or new_session(options, connected, scheme_name, site)
+        session = earlier or new_session(options, connected, site)
         stack.enter_context(session.lock())
-        loop = stack.enter_context(open_loop(session, connected, clock, options.view))
-        captured = loop.run()
+        if earlier is not None:
+            check_instrument(session, connected)
+            session.update(site=site.table())
+        captured = _capture(session, connected, clock, options.view)
     _farewell(captured, options.view)
     return captured
 
 
-def find_unfinished(options: CaptureOptions, interactive: bool) -> Session | None:
-    """Return the session to go on with, or None for a new one.
-
-    Raises
-    ------
-    RecordingError
-        If ``--session`` names an unfinished session and nobody said that it should go on.
-    UsageError
-        If there is nothing to resume.
-    """
-    folder = options.session
-    if folder is None:
-        if not options.resume:
-            return None
-        session = Session.newest(options.root)
-    elif (folder / "session.toml").exists():
-        session = Session.open(folder)
-    elif options.resume:
-        raise UsageError(f"there is no session in {folder} to resume; leave out --resume for a new one")
-    else:
-        return None
-    if session.finished:
-        raise UsageError(f"{session.folder} is finished; name a new folder, or solve it with: imufield solve {session.folder}")
-    if not session.metadata.get("scheme"):
-        raise UsageError(f"{session.folder} is a plain recording without a guide; name a new folder")
-    if not options.resume and not (interactive and typer.confirm(f"Go on with the unfinished session {session.folder}?", True)):
-        raise RecordingError(
-            f"{session.folder} holds an unfinished session; go on with --resume, or name a new folder",
-            Reason.UNFINISHED,
-            folder=str(session.folder),
-        )
-    return session
+def _capture(session: Session, connected: Connected, clock: HostClock, view: ViewName) -> Captured:
+    """Run the loop; where it is broken off, say what there is and how to go on, and pass the reason on."""
+    loop = None
+    try:
+        with open_loop(session, connected, clock, view) as loop:
+            return loop.run()
+    except (KeyboardInterrupt, ImufieldError):
+        if loop is not None:
+            _farewell(loop.captured(), view)
+        raise
 
 
 def ask_site(site: SiteOptions, interactive: bool) -> SiteOptions:
@@ -130,13 +114,12 @@ def ask_site(site: SiteOptions, interactive: bool) -> SiteOptions:
         raise UsageError(f"latitude {answer!r} is no number; write decimal degrees, e.g. 48.1") from error
 
 
-def new_session(options: CaptureOptions, connected: Connected, scheme_name: str, site: SiteOptions) -> Session:
+def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions) -> Session:
     """Create the session's folder with everything that is known before the first byte."""
-    site.gravity()
     metadata = {
         **connected.session_tables(),
         "kind": "capture",
-        "scheme": scheme_name,
+        "scheme": options.positions or DEFAULT_SCHEME,
         "guide": {} if options.hold_s is None else {"hold_s": options.hold_s},
         "site": site.table(),
     }
@@ -197,12 +180,15 @@ class CaptureLoop:
             quitting = self._follow_keys()
             self._refresh()
         self._publish(self.chain.finish())
-        guide = self.chain.guide
-        snapshot = guide.snapshot() if guide is not None else None
         if self._done:
             self.session.update(finished=True)
-        accepted, planned = (len(snapshot.accepted), snapshot.planned) if snapshot is not None else (0, 0)
-        return Captured(self.session, accepted, planned, self._done)
+        return self.captured()
+
+    def captured(self) -> Captured:
+        """Return how far the session has come."""
+        guide = self.chain.guide
+        accepted, planned = (0, 0) if guide is None else (len(guide.plan.accepted), len(guide.plan.scheme))
+        return Captured(self.session, self.connected.link.name, accepted, planned, self._done)
 
     @property
     def _done(self) -> bool:
@@ -269,4 +255,4 @@ def _farewell(captured: Captured, view: ViewName) -> None:
         typer.echo(f"next:  imufield solve {folder}")
     else:
         typer.echo(f"{captured.accepted} of {captured.planned} positions measured so far, all on disk in {folder}")
-        typer.echo(f"go on: imufield capture --port {captured.session.metadata['link']['port']} --session {folder} --resume")
+        typer.echo(f"go on: imufield capture --port {captured.port} --session {folder} --resume")

@@ -141,6 +141,8 @@ def connect(options: ConnectOptions, clock: HostClock, *, say: Say | None = None
     candidates = _candidates(options)
     bauds = _bauds(options, candidates, port)
     patience_s = LISTEN_S if len(bauds) == 1 else TRY_S
+    if len(bauds) > 1:
+        say(f"listening on {port} at {len(bauds)} bit rates, up to {patience_s:g} s each (--baud is quicker)")
     heard: list[_Hearing] = []
     for baud in bauds:
         hearing = _listen(port, baud, [one for one in candidates if baud in one.bauds or len(bauds) == 1], clock, patience_s)
@@ -173,7 +175,11 @@ def _candidates(options: ConnectOptions) -> list[_Candidate]:
         protocol = load_protocol(options.protocol, options.settings)
         baud = options.baud or FALLBACK_BAUD
         return [_Candidate(protocol.name, protocol.title, protocol, (baud,), None)]
-    names = driver_names() if options.driver is None else [options.driver]
+    names = driver_names()
+    if options.driver is not None:
+        if options.driver not in names:
+            raise UsageError(f"there is no driver {options.driver!r}; choose one of {', '.join(names)}", Reason.UNKNOWN_DRIVER)
+        names = [options.driver]
     candidates = []
     for name in names:
         driver = load_driver(name)
@@ -262,10 +268,18 @@ def _connected(
         say(f"driver {found.name} (recognised: {decoder.statistics.frames} good frames of {found.title})")
     if options.baud is None and "://" not in hearing.link.name:
         say(f"bit rate {hearing.baud} (assumed)")
-    for name, one in protocol.settings.items():
-        if one.origin == "assumed" and name in _WORTH_SAYING:
-            say(f"{name} = {one.value} (assumed: the wire does not tell; change with --set {name}=...)")
+    for sentence in assumed(protocol):
+        say(sentence)
     return Connected(hearing.link, protocol, found.name, model, hearing.baud, hearing.chunks, identity)
+
+
+def assumed(protocol: Protocol) -> list[str]:
+    """Return a sentence for each setting that was assumed and changes every number."""
+    return [
+        f"{name} = {one.value} (assumed: the wire does not tell; change with --set {name}=...)"
+        for name, one in protocol.settings.items()
+        if one.origin == "assumed" and name in _WORTH_SAYING
+    ]
 
 
 _WORTH_SAYING = ("accelerometer_range_g", "columns", "accelerometer_unit", "gyroscope_unit")

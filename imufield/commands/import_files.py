@@ -11,13 +11,16 @@ from typing import Any
 
 import typer
 
+from imufield.acquire.decoder import Decoder
 from imufield.acquire.host_clock import SystemClock
 from imufield.acquire.link import Chunk
 from imufield.acquire.protocol import Protocol, load_protocol
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.session import DEFAULT_ROOT, Session
+from imufield.acquire.table_text import read_pieces
 from imufield.acquire.tables import ROWS_PROTOCOL, Table, read_tables, write_rows
 from imufield.commands.chain import part_metadata
+from imufield.commands.connect import assumed
 from imufield.errors import Reason, RecordingError, UsageError
 
 DUMP_CHUNK_BYTES = 1 << 16
@@ -82,22 +85,42 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
 
 def _import_dump(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:
     """Put the bytes of a dump into a recording as they are; there is no arrival time but the order."""
-    if options.columns or options.rate_hz:
-        raise UsageError("--columns and --rate-hz are for tables; a byte dump has its --protocol and --set")
+    if options.columns or options.rate_hz or options.zero:
+        raise UsageError("--columns, --rate-hz and --zero are for tables; a byte dump has its --protocol and --set")
+    sentences = _try_dump(options.files, protocol)
     session = _new_session(options, protocol, None)
     utc_ns = SystemClock().utc_ns()
     with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
         for path in options.files:
-            try:
-                with path.open("rb") as file:
-                    while data := file.read(DUMP_CHUNK_BYTES):
-                        recorder.write_chunk(Chunk(data, math.nan, utc_ns))
-            except OSError as error:
-                raise RecordingError(
-                    f"{path} cannot be read: {error.strerror}; check the name", Reason.NOT_A_RECORDING, path=str(path)
-                ) from error
+            for data in read_pieces(path, DUMP_CHUNK_BYTES):
+                recorder.write_chunk(Chunk(data, math.nan, utc_ns))
     session.update(finished=True)
-    return session, []
+    return session, sentences
+
+
+def _try_dump(files: list[Path], protocol: Protocol) -> list[str]:
+    """Decode before anything is made of the files; return what there is to say of them.
+
+    Raises
+    ------
+    RecordingError
+        If there is not a single sample in them, or one cannot be read.
+    """
+    decoder = Decoder(protocol)
+    for path in files:
+        for data in read_pieces(path, DUMP_CHUNK_BYTES):
+            decoder.feed(data)
+    decoder.flush()
+    counts = decoder.statistics
+    names = ", ".join(map(str, files))
+    if not counts.samples:
+        raise RecordingError(
+            f"{names}: {counts.bytes_total} bytes hold no sample of {protocol.name} ({counts.frames_bad_checksum} frames with a "
+            "bad checksum); give the --protocol they were recorded with",
+            Reason.NO_FRAMES,
+            bytes=counts.bytes_total,
+        )
+    return [f"{counts.samples} samples, {counts.bytes_skipped} of {counts.bytes_total} bytes skipped", *assumed(protocol)]
 
 
 def _new_session(options: ImportOptions, protocol: Protocol, table: Table | None) -> Session:

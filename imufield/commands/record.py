@@ -47,11 +47,13 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
         stack.enter_context(session.lock())
         metadata = part_metadata(connected.protocol, connected.session_tables())
         recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
+        decoder = Decoder(connected.protocol)
         try:
-            decoder = _record(connected, recorder, clock, options)
+            _record(connected, decoder, recorder, clock, options)
         finally:
+            # Ctrl-C and a pulled cable end a recording, too: whatever it is, it is complete up to here.
             session.update(finished=True)
-    _tell_end(session, decoder, options.as_json)
+            _tell_end(session, decoder, options.as_json)
     return session
 
 
@@ -62,8 +64,7 @@ def _new_session(options: RecordOptions, connected: Connected) -> Session:
     return Session.create(options.root, connected.model, metadata)
 
 
-def _record(connected: Connected, recorder: Recorder, clock: HostClock, options: RecordOptions) -> Decoder:
-    decoder = Decoder(connected.protocol)
+def _record(connected: Connected, decoder: Decoder, recorder: Recorder, clock: HostClock, options: RecordOptions) -> None:
     start_s = clock.monotonic_s()
     told_s = start_s
     chunks = iter(connected.chunks)
@@ -76,7 +77,6 @@ def _record(connected: Connected, recorder: Recorder, clock: HostClock, options:
         if now_s - told_s >= TELL_EVERY_S:
             told_s = now_s
             _tell_progress(decoder, now_s - start_s, options.as_json)
-    return decoder
 
 
 def _tell_progress(decoder: Decoder, elapsed_s: float, as_json: bool) -> None:

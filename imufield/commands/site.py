@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from imufield.earth import Gravity, choose_gravity
+from imufield.errors import UsageError
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +30,14 @@ class SiteOptions:
         ----------
         recorded : mapping, optional
             The session's ``site`` table.
+
+        Raises
+        ------
+        UsageError, CalibrationError
+            If a value exists nowhere on Earth, or a height stands alone.
         """
+        if self.height_m is not None and not self.is_known:
+            raise UsageError(f"a height of {self.height_m:g} m alone tells no gravity; give --latitude too, or --gravity")
         if self.is_known or not recorded:
             return choose_gravity(self.gravity_m_s2, self.latitude_deg, self.height_m)
         return choose_gravity(recorded.get("gravity_m_s2"), recorded.get("latitude_deg"), recorded.get("height_m"))

@@ -138,6 +138,13 @@ def solve_observations(path: Path, options: SolveOptions) -> Solved:
 
 
 def _observations(chain: Chain) -> tuple[Observations, AxesCheck, tuple[str, ...]]:
+    if chain.statistics and not any(part.samples for part in chain.statistics):
+        total = sum(part.bytes_total for part in chain.statistics)
+        raise CalibrationError(
+            f"the session holds no sample: its {total} bytes are not of the protocol they were recorded with; record it again",
+            Reason.TOO_FEW,
+            bytes=total,
+        )
     if chain.guide is not None:
         return chain.observations(), chain.guide.check_axes(), ()
     if chain.finder is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import typer
 
-from imufield.guide.events import Event
+from imufield.guide.events import EVENT_VERSION, Event
 from imufield.guide.guide import Snapshot
 from imufield.guide.jsonlines import JsonLinesView
 from imufield.guide.plain import PlainView
@@ -75,13 +76,14 @@ class _Pictures:
 
     def refresh(self, status: LiveStatus) -> None:
         events, self._events = self._events, []
-        self._inner.show(events, status.snapshot, status.samples_lost)
+        self._inner.show(events, status.snapshot, status.samples_lost, silent=status.link == "silent")
 
 
 @contextmanager
 def make_view(name: ViewName, session: Path, positions: Scheme) -> Iterator[View]:
     """Yield the view asked for; "auto" is the terminal view where there is a terminal, else plain lines."""
     if name == "json":
+        typer.echo(json.dumps({"version": EVENT_VERSION, "event": "session", "session": str(session)}))
         yield _Lines(JsonLinesView(typer.echo), says_silence=False)
     elif name == "plain" or not sys.stdout.isatty():
         typer.echo(f"session {session}")

@@ -15,6 +15,7 @@ from typing import TextIO
 import numpy as np
 
 from imufield.errors import Reason, RecordingError
+from imufield.files import refuse_what_is_no_file
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, FloatArray, Samples
 
 _ROWS_AT_ONCE = 8192
@@ -43,6 +44,7 @@ def export_csv(blocks: Iterable[Samples], path: str | Path) -> int:
     """
     path = Path(path)
     try:
+        refuse_what_is_no_file(path)
         descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".new", dir=path.parent)
     except OSError as error:
         raise _cannot_write(path, error) from error

@@ -118,7 +118,7 @@ def write_document(path: Path | str, document: Document) -> Path | None:
 
 
 def _not_written(path: Path, error: OSError) -> ParameterFileError:
-    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    full = error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
     remedy = "free some space there" if full else "choose another place with --output"
     return ParameterFileError(
         f"{path} cannot be written ({error.strerror}); {remedy}",

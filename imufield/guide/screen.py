@@ -74,7 +74,9 @@ class Screen:
             self.link = isinstance(event, LinkBack)
 
 
-def draw(screen: Screen, snapshot: Snapshot, scheme: Scheme, lost_samples: int | None = None) -> RenderableType:
+def draw(
+    screen: Screen, snapshot: Snapshot, scheme: Scheme, lost_samples: int | None = None, *, silent: bool = False
+) -> RenderableType:
     """Return the whole screen."""
     middle = Table.grid(padding=0, expand=False)
     middle.add_column(width=WIDTH - MAP_WIDTH)
@@ -82,7 +84,9 @@ def draw(screen: Screen, snapshot: Snapshot, scheme: Scheme, lost_samples: int |
     left = Panel(_now(screen, snapshot), box=ROUNDED, title=_title(snapshot, scheme), title_align="left", height=14)
     right = Panel(_map(snapshot, scheme), box=ROUNDED, title="positions", title_align="left", height=14)
     middle.add_row(left, right)
-    return Group(middle, _link_line(screen, snapshot, lost_samples), _messages(screen), Text(KEYS, style="dim", no_wrap=True))
+    return Group(
+        middle, _link_line(screen, snapshot, lost_samples, silent), _messages(screen), Text(KEYS, style="dim", no_wrap=True)
+    )
 
 
 def _title(snapshot: Snapshot, scheme: Scheme) -> str:
@@ -198,12 +202,13 @@ def _cell(name: str, snapshot: Snapshot, width: int) -> Text:
     return Text(f"[{sign}]{name}".ljust(width), style=style, no_wrap=True)
 
 
-def _link_line(screen: Screen, snapshot: Snapshot, lost_samples: int | None) -> Text:
+def _link_line(screen: Screen, snapshot: Snapshot, lost_samples: int | None, silent: bool) -> Text:
     rate = f"{snapshot.rate_hz:.0f} Hz" if math.isfinite(snapshot.rate_hz) else "- Hz"
     lost = f"{lost_samples} samples lost" if lost_samples is not None else f"{snapshot.lost_cells} gaps"
     warmth = f"{snapshot.temperature_degc:.1f} degC" if math.isfinite(snapshot.temperature_degc) else "no temperature"
-    link = "link ok" if screen.link else "LINK LOST"
-    return Text(f" {link}   {rate}   {lost}   {warmth}", style="" if screen.link else "bold red", no_wrap=True)
+    bad = silent or not screen.link
+    link = "link ok" if not bad else "NOTHING ARRIVES: check power and cable" if screen.link else "LINK LOST"
+    return Text(f" {link}   {rate}   {lost}   {warmth}", style="bold red" if bad else "", no_wrap=True)
 
 
 def _messages(screen: Screen) -> Panel:

@@ -44,7 +44,10 @@ class TerminalView:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._live.stop()
 
-    def show(self, events: list[Event], snapshot: Snapshot, lost_samples: int | None = None) -> None:
-        """Draw the state after these events; call it at most ``FRAMES_PER_SECOND`` times a second."""
+    def show(self, events: list[Event], snapshot: Snapshot, lost_samples: int | None = None, *, silent: bool = False) -> None:
+        """Draw the state after these events; call it at most ``FRAMES_PER_SECOND`` times a second.
+
+        ``silent`` says that the port is there, but nothing arrives.
+        """
         self._screen.follow(events)
-        self._live.update(draw(self._screen, snapshot, self._scheme, lost_samples), refresh=True)
+        self._live.update(draw(self._screen, snapshot, self._scheme, lost_samples, silent=silent), refresh=True)

@@ -1,0 +1,127 @@
+"""Which session a capture goes on with, and what it takes over from it."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import typer
+
+from imufield.acquire.registry import driver_names
+from imufield.acquire.session import Session
+from imufield.commands.connect import Connected, ConnectOptions
+from imufield.commands.site import SiteOptions
+from imufield.errors import Reason, RecordingError, UsageError
+
+_IDENTITY = ("driver", "serial_number")
+
+
+def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactive: bool) -> Session | None:
+    """Return the session to go on with, or None for a new one.
+
+    Parameters
+    ----------
+    folder : Path or None
+        What ``--session`` names; None is the newest unfinished one below ``root``.
+    root : Path
+    resume : bool
+        Whether ``--resume`` was given.
+    interactive : bool
+        Whether somebody can be asked.
+
+    Raises
+    ------
+    RecordingError
+        If ``folder`` holds an unfinished session and nobody said that it should go on.
+    UsageError
+        If there is nothing to resume.
+    """
+    if folder is None:
+        return _newest_unfinished(root) if resume else None
+    if not (folder / "session.toml").exists():
+        if resume:
+            raise UsageError(f"there is no session in {folder} to resume; leave out --resume for a new one")
+        return None
+    session = Session.open(folder)
+    if session.finished:
+        raise UsageError(f"{session.folder} is finished; name a new folder, or solve it with: imufield solve {session.folder}")
+    if not session.metadata.get("scheme"):
+        raise UsageError(f"{session.folder} is a plain recording without a guide; name a new folder")
+    if not resume and not (interactive and typer.confirm(f"Go on with the unfinished session {session.folder}?", True)):
+        raise RecordingError(
+            f"{session.folder} holds an unfinished session; go on with --resume, or name a new folder",
+            Reason.UNFINISHED,
+            folder=str(session.folder),
+        )
+    return session
+
+
+def _newest_unfinished(root: Path) -> Session:
+    for folder in Session.newest_first(root):
+        # A damaged session.toml of another session is no reason not to go on with this one.
+        with suppress(RecordingError):
+            session = Session.open(folder)
+            if session.metadata.get("scheme") and not session.finished:
+                return session
+    raise UsageError(f"there is no unfinished session in {root} to resume; leave out --resume for a new one")
+
+
+def check_plan(session: Session, scheme_name: str | None, hold_s: float | None) -> None:
+    """Refuse a plan that is not the session's: its positions and holds were chosen when it began.
+
+    Raises
+    ------
+    UsageError
+        If they differ.
+    """
+    planned = session.metadata["scheme"]
+    if scheme_name is not None and scheme_name != planned:
+        raise UsageError(f"{session.folder} goes through {planned}, not {scheme_name}; leave out --positions, or begin anew")
+    begun_s = session.metadata.get("guide", {}).get("hold_s")
+    if hold_s is not None and begun_s is not None and hold_s != begun_s:
+        raise UsageError(f"{session.folder} has holds of {begun_s:g} s, not {hold_s:g} s; leave out --hold-s, or begin anew")
+
+
+def connect_as_before(options: ConnectOptions, session: Session) -> ConnectOptions:
+    """Return the options with port, bit rate, driver and settings of the session where they are not given."""
+    link, metadata = session.metadata.get("link", {}), session.metadata
+    driver = options.driver
+    if driver is None and options.protocol is None:
+        recorded = metadata.get("instrument", {}).get("driver")
+        driver = recorded if recorded in driver_names() else None
+    given = {name: str(one["value"]) for name, one in metadata.get("settings", {}).items() if one.get("origin") == "given"}
+    same_port = options.port in (None, link.get("port"))
+    return replace(
+        options,
+        port=options.port or link.get("port"),
+        baud=options.baud or (link.get("baud") if same_port else None),
+        driver=driver,
+        settings={**(given if driver else {}), **options.settings},
+    )
+
+
+def check_instrument(session: Session, connected: Connected) -> None:
+    """Refuse another instrument than the one the session began with.
+
+    Raises
+    ------
+    RecordingError
+        If driver or serial number differ, as far as both are known.
+    """
+    recorded, found = session.metadata.get("instrument", {}), connected.session_tables()["instrument"]
+    for key in _IDENTITY:
+        before, now = recorded.get(key), found.get(key)
+        if before and now and before != now:
+            raise RecordingError(
+                f"{session.folder} was begun with {key.replace('_', ' ')} {before}, but {now} is on {connected.link.name}; "
+                "connect that instrument, or begin a new session",
+                Reason.FOREIGN,
+                recorded=before,
+                found=now,
+            )
+
+
+def site_as_before(site: SiteOptions, session: Session) -> SiteOptions:
+    """Return the site that was given, else the one the session knows."""
+    return site if site.is_known else SiteOptions(**session.metadata.get("site", {}))

@@ -1,0 +1,152 @@
+"""The real program in processes of its own, emulated instruments for it, and recorded sessions made without a port."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from imufield.acquire.link import Chunk
+from imufield.acquire.recorder import Recorder
+from imufield.acquire.registry import load_driver
+from imufield.acquire.session import Session
+from imufield.commands.chain import part_metadata
+from imufield.guide.positions import scheme
+from imufield.samples import Samples
+from imufield.simulate.devices import Stim300Device
+from imufield.simulate.emulate import EmulateOptions, make_virtual_imu
+from imufield.simulate.encode import Stim300Format
+from imufield.simulate.operator import OperatorSettings
+
+IMUFIELD = [sys.executable, "-m", "imufield"]
+SPEED = 16.0
+RATE_HZ = 125.0
+CHUNK_SAMPLES = 5
+
+
+@dataclass
+class Program:
+    """Runs imufield in a folder of its own, with a home of its own and nobody's defaults."""
+
+    folder: Path
+    started: list[subprocess.Popen[str]] = field(default_factory=list)
+
+    def environment(self, more: dict[str, str] | None = None) -> dict[str, str]:
+        kept = {name: value for name, value in os.environ.items() if not name.startswith("IMUFIELD_")}
+        home = str(self.folder / "home")
+        return {**kept, "HOME": home, "XDG_CONFIG_HOME": f"{home}/.config", "COLUMNS": "80", **(more or {})}
+
+    def run(
+        self, *arguments: object, variables: dict[str, str] | None = None, timeout_s: float = 60, **options: Any
+    ) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [*IMUFIELD, *map(str, arguments)],
+            cwd=self.folder,
+            env=self.environment(variables),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            check=False,
+            **options,
+        )
+
+    def start(self, *arguments: object, variables: dict[str, str] | None = None, **options: Any) -> subprocess.Popen[str]:
+        streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        process = subprocess.Popen(
+            [*IMUFIELD, *map(str, arguments)],
+            cwd=self.folder,
+            env=self.environment(variables),
+            text=True,
+            **{**streams, **options},
+        )
+        self.started.append(process)
+        return process
+
+    def emulate(self, *options: object, driver: str = "stim300", speed: float = SPEED, rate_hz: float = RATE_HZ) -> str:
+        """Start an emulator and return its port."""
+        rate = ("--rate-hz", rate_hz, "--speed", speed)
+        process = self.start("emulate", driver, "--json", *rate, *options, stderr=subprocess.DEVNULL)
+        assert process.stdout is not None
+        return str(json.loads(process.stdout.readline())["port"])
+
+    def capture(self, port: str, *options: object) -> tuple[str, ...]:
+        """Return the arguments that capture six faces in short holds from a fast emulator."""
+        common = ("--driver", "stim300", "--positions", "faces6", "--hold-s", 2, "--clock-speed", SPEED)
+        return tuple(map(str, ("capture", "--port", port, *common, *options)))
+
+    def stop(self) -> None:
+        for process in self.started:
+            if process.poll() is None:
+                process.kill()
+            process.communicate()
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Iterator[Program]:
+    (tmp_path / "home").mkdir()
+    program = Program(tmp_path)
+    yield program
+    program.stop()
+
+
+Change = Callable[[Samples], Samples]
+
+
+def simulated_session(
+    folder: Path,
+    positions: str = "paper24",
+    *,
+    change: Change | None = None,
+    hold_s: float = 7.0,
+    finished: bool = True,
+    visits: int | None = None,
+    style: str = "placed",
+) -> Session:
+    """Record a simulated session as ``capture`` would, without a port; ``change`` spoils the samples on purpose.
+
+    ``visits`` lets the operator go home early.
+    """
+    directions = scheme(positions).directions()[:visits]
+    habits = OperatorSettings(hold_s=hold_s, initial_still_s=8.0, style=style)  # type: ignore[arg-type]
+    source = make_virtual_imu(EmulateOptions(rate_hz=RATE_HZ, seed=3, directions=directions, operator=habits))
+    duration_s = source.operator.plan_all() - 0.5
+    protocol = load_driver("stim300").load_protocol({"rate_hz": RATE_HZ})
+    device = Stim300Device(Stim300Format(rate_hz=RATE_HZ))
+    metadata = {
+        "kind": "capture",
+        "scheme": positions,
+        "guide": {"hold_s": 4.0},
+        "site": {"gravity_m_s2": 9.80665},
+        "instrument": {"driver": "stim300", "model": "stim300"},
+        "link": {"port": "/dev/ttyUSB0", "baud": 921600},
+        "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
+        "settings": {name: {"value": one.value, "origin": one.origin} for name, one in protocol.settings.items()},
+        "finished": finished,
+    }
+    session = Session.create_in(folder, "stim300", metadata)
+    with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
+        for number in range(int(duration_s * RATE_HZ / CHUNK_SAMPLES)):
+            samples = source.next_block(CHUNK_SAMPLES)
+            data = device.encode(change(samples) if change else samples).data.tobytes()
+            time_s = (number + 1) * CHUNK_SAMPLES / RATE_HZ
+            recorder.write_chunk(Chunk(data, time_s, 1_700_000_000_000_000_000 + round(1e9 * time_s)))
+    return session
+
+
+@pytest.fixture
+def make_session(tmp_path: Path) -> Callable[..., Session]:
+    return lambda *arguments, **options: simulated_session(tmp_path / "session", *arguments, **options)
+
+
+@pytest.fixture(scope="session")
+def whole_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of one finished session of 24 positions; copy it before changing anything."""
+    return simulated_session(tmp_path_factory.mktemp("whole") / "session").folder
