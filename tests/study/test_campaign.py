@@ -1,0 +1,134 @@
+"""Campaigns: results that do not depend on who computes them, and workers that are killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imufield.errors import LinkError, Reason, UsageError
+from imufield.study.campaign import BLAS_VARIABLES, one_blas_thread, run_batch, run_campaign
+
+LIBRARY = Path(__file__).with_name("campaign_runs.py")
+
+
+@pytest.fixture(scope="module")
+def runs() -> Any:
+    # Runs are sent by name, so they have to be in a module that other processes can import.
+    import sys
+
+    sys.path.insert(0, str(LIBRARY.parent))
+    import campaign_runs
+
+    yield campaign_runs
+    sys.path.remove(str(LIBRARY.parent))
+
+
+def test_results_do_not_depend_on_the_number_of_workers(runs: Any) -> None:
+    alone = run_campaign(runs.draw, range(40), seed=5, workers=1)
+    together = run_campaign(runs.draw, range(40), seed=5, workers=2)
+    assert alone == together
+    assert len({value for _, value in alone}) == 40
+    assert [argument for argument, _ in alone] == list(range(40))
+
+
+def test_another_seed_gives_other_results(runs: Any) -> None:
+    assert run_campaign(runs.draw, range(3), seed=5, workers=1) != run_campaign(runs.draw, range(3), seed=6, workers=1)
+
+
+def test_batches_make_no_difference(runs: Any) -> None:
+    seeds = np.random.SeedSequence(5).spawn(4)
+    expected = run_campaign(runs.draw, range(4), seed=5, workers=1)
+    assert run_batch(runs.draw, (2, [2, 3], seeds[2:])) == expected[2:]
+
+
+def test_runs_of_a_killed_worker_are_done_again(runs: Any, tmp_path: Path) -> None:
+    marker = tmp_path / "killed"
+    results = run_campaign(runs.die_once, [str(marker)] * 20, seed=5, workers=2)
+    assert marker.exists()
+    assert results == run_campaign(runs.live, [str(marker)] * 20, seed=5, workers=1)
+
+
+def test_a_run_that_always_kills_its_worker_ends_the_campaign(runs: Any) -> None:
+    with pytest.raises(UsageError, match="killed 6 times"):
+        run_campaign(runs.die, range(2), seed=5, workers=2)
+
+
+def test_errors_of_a_run_come_through(runs: Any) -> None:
+    with pytest.raises(UsageError, match="no good") as caught:
+        run_campaign(runs.fail, range(4), seed=5, workers=2)
+    assert caught.value.values == {"number": 7}
+
+
+def test_workers_have_one_blas_thread_and_the_parent_keeps_its_own(runs: Any) -> None:
+    before = {name: os.environ.get(name) for name in BLAS_VARIABLES}
+    assert run_campaign(runs.blas_threads, range(2), seed=5, workers=2) == ["1", "1"]
+    assert {name: os.environ.get(name) for name in BLAS_VARIABLES} == before
+    with one_blas_thread():
+        assert os.environ["OMP_NUM_THREADS"] == "1"
+
+
+def test_progress_is_told_to_the_end(runs: Any) -> None:
+    told: list[tuple[int, int]] = []
+    run_campaign(runs.draw, range(10), seed=5, workers=2, progress=lambda done, total: told.append((done, total)))
+    assert told[-1] == (10, 10)
+
+
+def test_no_workers_is_no_campaign(runs: Any) -> None:
+    with pytest.raises(UsageError, match="0 workers"):
+        run_campaign(runs.draw, range(2), seed=5, workers=0)
+
+
+def test_an_empty_campaign_has_no_results(runs: Any) -> None:
+    assert run_campaign(runs.draw, [], seed=5) == []
+
+
+def test_a_scheduler_that_is_not_there(runs: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed", reason="needs the study extra")
+    monkeypatch.setattr("imufield.study.campaign._CONNECT_TIMEOUT_S", 1.0)
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        port = listener.getsockname()[1]
+    with pytest.raises(LinkError, match="no Dask scheduler answers") as caught:
+        run_campaign(runs.draw, range(2), seed=5, scheduler=f"tcp://127.0.0.1:{port}")
+    assert caught.value.reason is Reason.SILENCE
+
+
+@pytest.fixture(scope="module")
+def cluster(runs: Any) -> Any:
+    distributed = pytest.importorskip("distributed", reason="needs the study extra")
+    # The nanny gives the path to a worker that replaces a killed one, too.
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        worker_dashboard_address=None,
+        silence_logs=50,
+        env={"PYTHONPATH": str(LIBRARY.parent)},
+    ) as cluster:
+        yield cluster
+
+
+def test_a_cluster_gives_the_same_results(cluster: Any, runs: Any) -> None:
+    on_cluster = run_campaign(runs.draw, range(40), seed=5, scheduler=cluster.scheduler_address)
+    assert on_cluster == run_campaign(runs.draw, range(40), seed=5, workers=1)
+
+
+def test_runs_of_a_killed_cluster_worker_are_done_again(cluster: Any, runs: Any) -> None:
+    victim = next(iter(cluster.workers.values())).pid
+    killed: list[int] = []
+
+    def kill(done: int, _total: int) -> None:
+        if done >= 4 and not killed:
+            os.kill(victim, signal.SIGKILL)
+            killed.append(victim)
+
+    results = run_campaign(runs.slow_draw, range(40), seed=5, scheduler=cluster.scheduler_address, progress=kill)
+    assert killed
+    assert results == run_campaign(runs.draw, range(40), seed=5, workers=1)
