@@ -128,10 +128,11 @@ def _rms(values: FloatArray) -> float:
 
 def _summary(evidence: Evidence) -> str:
     positions = evidence.positions
+    left_out = _rms(positions.leave_one_out_m_s2) / MG
     return (
         f"{len(evidence.name)} positions, {len(evidence.free)} parameters, {evidence.fitted.degrees_of_freedom} to spare: "
-        f"residual {_rms(positions.residual_m_s2) / MG:.3f} mg RMS, {_rms(positions.leave_one_out_m_s2) / MG:.3f} mg with each "
-        "position left out"
+        f"residual {_rms(positions.residual_m_s2) / MG:.3f} mg RMS"
+        + (f", {left_out:.3f} mg with each position left out" if np.isfinite(left_out) else "")
     )
 
 
