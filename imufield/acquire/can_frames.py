@@ -1,0 +1,248 @@
+"""CAN frames as bytes: what a recording holds of a bus, packed so that NumPy reads a block without a loop.
+
+A frame is one unit of 24 bytes, little-endian; a CAN FD frame of more than 8 bytes goes on in units behind it::
+
+    offset  type  content
+    0       u32   identifier; bit 31 extended (29 bits), bit 30 remote frame, bit 29 error frame, as in Linux SocketCAN
+    4       u8    number of data bytes, 0 to 64
+    5       u8    bit 0 CAN FD, bit 1 bit-rate switch, bit 2 error state indicator, bit 3 sent by this host,
+                  bit 4 the time stamp is of the adapter's own clock
+    6       u16   0xCA4E: tells a frame from anything else
+    8       f64   time stamp in s: host's monotonic clock, or the adapter's (see bit 4), or that of a log file
+    16      u8x8  data, zero behind the last byte
+
+    continuation: u32 0xFFFFFFFF (no identifier has all flags set), then 20 more bytes of data
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.samples import FloatArray, IntArray
+
+UNIT_BYTES = 24
+MARK = 0xCA4E
+EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000
+ID_MASK = 0x1FFFFFFF
+FD, BIT_RATE_SWITCH, ERROR_STATE, SENT, ADAPTER_TIME = 1, 2, 4, 8, 16
+MOST_DATA = 64
+BUS_OFF = 0x40
+"""Bit in the identifier of an error frame: the controller has left the bus (Linux, include/uapi/linux/can/error.h)."""
+
+_HEADER = struct.Struct("<IBBHd8s")
+_CONTINUATION = 0xFFFFFFFF
+_MORE = struct.Struct("<I20s")
+_MARK_BYTES = MARK.to_bytes(2, "little")
+_MARK_AT = 6
+_FIRST, _FURTHER = 8, 20
+"""Data bytes in the unit of a frame, and in each continuation."""
+
+Units = NDArray[np.uint8]
+
+
+def pack_frame(can_id: int, data: bytes, time_s: float = 0.0, flags: int = 0) -> bytes:
+    """Return one frame as bytes.
+
+    Parameters
+    ----------
+    can_id : int
+        Identifier with ``EXTENDED``, ``REMOTE`` and ``ERROR`` as they apply.
+    data : bytes
+        At most 64.
+    time_s : float
+    flags : int
+        ``FD``, ``BIT_RATE_SWITCH``, ``ERROR_STATE``, ``SENT``, ``ADAPTER_TIME``.
+    """
+    size = len(data)
+    if size > MOST_DATA:
+        raise ValueError(f"a CAN frame has at most {MOST_DATA} bytes, not {size}")
+    first = _HEADER.pack(can_id, size, flags, MARK, time_s, data[:_FIRST])
+    if size <= _FIRST:
+        return first
+    more = (_MORE.pack(_CONTINUATION, data[at : at + _FURTHER]) for at in range(_FIRST, size, _FURTHER))
+    return first + b"".join(more)
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One frame, for people and for sending; blocks are ``CanFrames``."""
+
+    can_id: int
+    """With ``EXTENDED``, ``REMOTE`` and ``ERROR``."""
+    data: bytes
+    time_s: float = 0.0
+    flags: int = 0
+
+    @property
+    def text(self) -> str:
+        """The frame as candump prints it, e.g. ``0CF02A80#807F008080800000``."""
+        width = 8 if self.can_id & EXTENDED else 3
+        return f"{self.can_id & ID_MASK:0{width}X}#{self.data.hex().upper()}"
+
+
+def parse_candump(text: str) -> Frame:
+    """Return the frame written as ``ID#DATA``; an identifier of more than 3 digits is extended."""
+    identifier, _, data = text.partition("#")
+    return Frame(int(identifier, 16) | (EXTENDED if len(identifier) > 3 else 0), bytes.fromhex(data))
+
+
+@dataclass(frozen=True, slots=True)
+class CanFrames:
+    """n frames as arrays."""
+
+    can_id: NDArray[np.uint32]
+    """With ``EXTENDED``, ``REMOTE`` and ``ERROR``. Shape (n,)."""
+    size: Units
+    """Data bytes. Shape (n,)."""
+    flags: Units
+    """Shape (n,)."""
+    time_s: FloatArray
+    """Shape (n,)."""
+    units: Units
+    """All units of the block, shape (m, 24)."""
+    unit: IntArray
+    """Which of them is the first of each frame. Shape (n,)."""
+
+    def __len__(self) -> int:
+        return len(self.can_id)
+
+    def data(self, which: IntArray, width: int) -> Units:
+        """Return the first ``width`` data bytes of some frames, shape (k, width); zero where a frame has fewer.
+
+        Parameters
+        ----------
+        which : ndarray of int64, shape (k,)
+            Numbers of the frames.
+        width : int
+            8 or 64.
+        """
+        first = self.unit[which]
+        if width <= _FIRST:
+            return self.units[first, 16:]
+        rows = np.zeros((len(which), _FIRST + 3 * _FURTHER), dtype=np.uint8)
+        rows[:, :_FIRST] = self.units[first, 16:]
+        for number in range(3):
+            at = _FIRST + number * _FURTHER
+            long = self.size[which] > at
+            rows[long, at : at + _FURTHER] = self.units[first[long] + 1 + number, 4:]
+        return rows[:, :MOST_DATA]
+
+
+class Unpacker:
+    """Cuts a stream of packed frames into blocks, however it is cut into reads.
+
+    What is no frame is passed over and counted in ``bytes_skipped``.
+    """
+
+    def __init__(self) -> None:
+        self.bytes_skipped = 0
+        self._rest = b""
+
+    def feed(self, data: bytes, *, last: bool = False) -> CanFrames:
+        """Return the frames that are whole now.
+
+        Parameters
+        ----------
+        data : bytes
+        last : bool
+            Nothing will follow: what cannot be completed counts as skipped.
+        """
+        data = self._rest + data if self._rest else data
+        end = len(data) - len(data) % UNIT_BYTES
+        units = np.frombuffer(data, dtype=np.uint8, count=end).reshape(-1, UNIT_BYTES)
+        if not _all_units(units):
+            data = self._only_units(data, last)
+            end = len(data) - len(data) % UNIT_BYTES
+            units = np.frombuffer(data, dtype=np.uint8, count=end).reshape(-1, UNIT_BYTES)
+        whole = len(units) if last else _whole_units(units)
+        self._rest = data[whole * UNIT_BYTES :]
+        if last:
+            self.bytes_skipped += len(self._rest)
+            self._rest = b""
+        return self._frames(units[:whole])
+
+    def _frames(self, units: Units) -> CanFrames:
+        words = units.view("<u4")
+        continued = words[:, 0] == _CONTINUATION
+        first = np.flatnonzero(~continued) if continued.any() else np.arange(len(units))
+        size = units[first, 4]
+        if len(first) < len(units):
+            # A frame counts if as many units follow as its length needs; others lost some, or have too many.
+            follow = np.diff(np.append(first, len(units))) - 1
+            good = follow == _further_units(size)
+            self.bytes_skipped += int(UNIT_BYTES * (len(units) - np.sum(1 + follow[good])))
+            first, size = first[good], size[good]
+        else:
+            good = size <= _FIRST
+            if not good.all():
+                self.bytes_skipped += UNIT_BYTES * int(np.count_nonzero(~good))
+                first, size = first[good], size[good]
+        time_s = units.view("<f8")[first, 1]
+        return CanFrames(words[first, 0], size, units[first, 5], time_s, units, first)
+
+    def _only_units(self, data: bytes, last: bool) -> bytes:
+        """Keep what looks like units; step byte by byte over the rest until a mark stands where one should."""
+        kept, at = [], 0
+        while at + UNIT_BYTES <= len(data):
+            if _is_unit(data, at):
+                kept.append(data[at : at + UNIT_BYTES])
+                at += UNIT_BYTES
+                continue
+            mark = data.find(_MARK_BYTES, at + _MARK_AT + 1)
+            until = mark - _MARK_AT if mark >= 0 else max(len(data) - UNIT_BYTES + 1, at + 1)
+            self.bytes_skipped += until - at
+            at = until
+        rest = data[at:]
+        if last:
+            self.bytes_skipped += len(rest)
+            rest = b""
+        return b"".join(kept) + rest
+
+
+def _all_units(units: Units) -> bool:
+    """Tell whether every unit is a frame of a possible length or a continuation."""
+    is_frame = (units.view("<u2")[:, 3] == MARK) & (units[:, 4] <= MOST_DATA)
+    return bool(is_frame.all() or (is_frame | (units.view("<u4")[:, 0] == _CONTINUATION)).all())
+
+
+def _is_unit(data: bytes, at: int) -> bool:
+    if data[at + _MARK_AT : at + _MARK_AT + 2] == _MARK_BYTES and data[at + 4] <= MOST_DATA:
+        return True
+    return data[at : at + 4] == b"\xff\xff\xff\xff"
+
+
+def _further_units(size: Units) -> IntArray:
+    further: IntArray = np.maximum(size.astype(np.int64) - _FIRST + _FURTHER - 1, 0) // _FURTHER
+    return further
+
+
+def _whole_units(units: Units) -> int:
+    """Return how many units belong to frames that are complete."""
+    tail = units[-4:]
+    words = tail.view("<u4")[:, 0]
+    for back in range(1, len(tail) + 1):
+        if words[-back] != _CONTINUATION:
+            needed = 1 + int(_further_units(tail[-back : len(tail) - back + 1, 4])[0])
+            return len(units) - back if needed > back else len(units)
+    return len(units)
+
+
+def unpack_frames(data: bytes) -> Iterator[Frame]:
+    """Yield the frames of packed bytes one by one."""
+    frames = Unpacker().feed(data, last=True)
+    rows = frames.data(np.arange(len(frames)), MOST_DATA) if len(frames) and frames.size.max() > _FIRST else None
+    for number in range(len(frames)):
+        row = frames.units[frames.unit[number], 16:] if rows is None else rows[number]
+        size = int(frames.size[number])
+        data_bytes = b"" if int(frames.can_id[number]) & REMOTE else row[:size].tobytes()
+        yield Frame(int(frames.can_id[number]), data_bytes, float(frames.time_s[number]), int(frames.flags[number]))
+
+
+def pack_frames(frames: Iterable[Frame]) -> bytes:
+    """Return frames as bytes."""
+    return b"".join(pack_frame(frame.can_id, frame.data, frame.time_s, frame.flags) for frame in frames)
