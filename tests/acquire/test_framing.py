@@ -146,6 +146,16 @@ def test_half_a_trailer_at_the_end_of_a_read(datagram: MakeDatagram) -> None:
     assert framer.bytes_skipped == 1 == frames_of(data)[1].bytes_skipped
 
 
+def test_a_lone_trailer_in_a_stream_without_is_no_skip(datagram: MakeDatagram) -> None:
+    one = datagram(1, crlf=False)
+    # The trailer and 26 other bytes take the place of one frame, so that the ones behind stay in step.
+    data = one * 5 + b"\r\n" + bytes(26) + one * 5
+    for cuts in (range(0), range(len(data))):
+        starts, framer = frames_of(data, list(cuts))
+        assert starts == [28 * i for i in range(11) if i != 5]
+        assert framer.bytes_skipped == 26
+
+
 @pytest.mark.parametrize("size", [1 << 12, 1 << 18])
 def test_noise_gives_nothing_and_is_counted(size: int, slow_frames: SlowFrames) -> None:
     noise = np.random.default_rng(9).bytes(size)

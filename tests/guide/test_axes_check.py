@@ -1,4 +1,5 @@
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ ORDER = ([0, 0, 1], [1, 0, 0], [0, -1, 0.3], [0, 0, -1], [-1, 0.4, 0], [0.2, 1, 
 
 
 @pytest.fixture
-def moves(make_path):
+def moves(make_path: Any) -> Any:
     path = make_path(200.0, lever_m=np.array([0.05, 0.03, -0.04])).hold(ORDER[0], 5)
     for up in ORDER[1:]:
         path.turn(up, 1.2).hold(up, 3)
@@ -25,14 +26,14 @@ def moves(make_path):
     return log.moves(scale)
 
 
-def test_there_are_48_arrangements_24_of_them_left_handed():
+def test_there_are_48_arrangements_24_of_them_left_handed() -> None:
     found = signed_permutations()
     assert len({tuple(one.ravel()) for one in found}) == 48
     assert (np.linalg.det(found) < 0).sum() == 24
     np.testing.assert_allclose(found @ found.transpose(0, 2, 1), np.tile(np.eye(3), (48, 1, 1)))
 
 
-def test_right_axes_agree(moves):
+def test_right_axes_agree(moves: Any) -> None:
     assert len(moves) == 6
     found = check_axes(moves, 1.0)
     assert found.agrees
@@ -41,7 +42,7 @@ def test_right_axes_agree(moves):
 
 
 @pytest.mark.parametrize("index", range(0, 48, 5))
-def test_every_arrangement_is_found(moves, index):
+def test_every_arrangement_is_found(moves: Any, index: Any) -> None:
     """Gyroscope axes rearranged by P: the answer is the rearrangement that undoes it."""
     wrong = signed_permutations()[index]
     found = check_axes([dataclasses.replace(move, rate_raw=move.rate_raw @ wrong.T) for move in moves], 1.0)
@@ -49,7 +50,7 @@ def test_every_arrangement_is_found(moves, index):
     assert found.best_misfit_deg < 2
 
 
-def test_a_left_handed_triad_is_refused_with_the_angles(moves):
+def test_a_left_handed_triad_is_refused_with_the_angles(moves: Any) -> None:
     mirrored = [dataclasses.replace(move, rate_raw=move.rate_raw * [1, -1, 1]) for move in moves]
     found = check_axes(mirrored, 1.0)
     assert found.agrees is False
@@ -60,34 +61,34 @@ def test_a_left_handed_triad_is_refused_with_the_angles(moves):
     assert "y = -y" in found.words
 
 
-def test_exchanged_axes_are_not_called_left_handed(moves):
+def test_exchanged_axes_are_not_called_left_handed(moves: Any) -> None:
     turned = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
     found = check_axes([dataclasses.replace(move, rate_raw=move.rate_raw @ turned.T) for move in moves], 1.0)
     assert found.agrees is False
     assert "left-handed" not in found.words
 
 
-def test_an_unknown_scale_is_found(moves):
+def test_an_unknown_scale_is_found(moves: Any) -> None:
     counts = [dataclasses.replace(move, rate_raw=move.rate_raw * 4780.0) for move in moves]
     found = check_axes(counts, None)
     assert found.agrees
     assert found.gyroscope_scale == pytest.approx(4780, rel=0.03)
 
 
-def test_few_moves_tell_nothing(moves):
+def test_few_moves_tell_nothing(moves: Any) -> None:
     found = check_axes(moves[:3], 1.0)
     assert found.agrees is None
     assert found.error is None
     assert "3 moves" in found.words
 
 
-def test_a_gyroscope_that_shows_nothing_is_not_decided(moves):
+def test_a_gyroscope_that_shows_nothing_is_not_decided(moves: Any) -> None:
     silent = [dataclasses.replace(move, rate_raw=move.rate_raw * 0) for move in moves]
     assert check_axes(silent, 1.0).agrees is None
     assert check_axes(silent, None).agrees is None
 
 
-def test_a_gap_in_a_move_drops_it(make_path):
+def test_a_gap_in_a_move_drops_it(make_path: Any) -> None:
     path = make_path(200.0).hold(ORDER[0], 5)
     for up in ORDER[1:]:
         path.turn(up, 1.2).hold(up, 3)

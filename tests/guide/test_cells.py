@@ -1,4 +1,5 @@
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,14 +12,14 @@ from imufield.samples import Samples, SampleUnits, Status, make_samples
 NAMES = Cells.__dataclass_fields__
 
 
-def stream(n=1000, rate_hz=200.0, seed=3, **extra):
+def stream(n: Any = 1000, rate_hz: float = 200.0, seed: int = 3, **extra: Any) -> Any:
     rng = np.random.default_rng(seed)
     return make_samples(
         np.arange(n) / rate_hz, rng.normal(9.8, 0.1, (n, 3)), rng.normal(0, 0.01, (n, 3)), units=SampleUnits(), **extra
     )
 
 
-def pieces(samples: Samples, cuts):
+def pieces(samples: Samples, cuts: Any) -> Any:
     edges = [0, *sorted(cuts), len(samples)]
     return [samples[a:b] for a, b in pairwise(edges)]
 
@@ -27,7 +28,7 @@ def equal(first: Cells, second: Cells) -> bool:
     return all(np.array_equal(getattr(first, n), getattr(second, n), equal_nan=True) for n in NAMES)
 
 
-def test_statistics_are_those_of_the_samples_in_the_slot():
+def test_statistics_are_those_of_the_samples_in_the_slot() -> None:
     samples = stream()
     cells = join_cells(list(cells_of([samples])))
     assert len(cells) == 50
@@ -44,12 +45,12 @@ def test_statistics_are_those_of_the_samples_in_the_slot():
 
 @settings(max_examples=60, deadline=None)
 @given(st.sets(st.integers(0, 400), max_size=40))
-def test_cells_do_not_depend_on_the_cuts(cuts):
+def test_cells_do_not_depend_on_the_cuts(cuts: Any) -> None:
     samples = stream(400)
     assert equal(join_cells(list(cells_of(pieces(samples, cuts)))), join_cells(list(cells_of([samples]))))
 
 
-def test_cells_do_not_depend_on_the_cuts_with_bad_samples():
+def test_cells_do_not_depend_on_the_cuts_with_bad_samples() -> None:
     status = np.zeros(1000, dtype=np.uint32)
     status[100:130] = Status.ACCELEROMETER_SATURATED
     samples = stream(status=status)
@@ -68,7 +69,7 @@ def test_cells_do_not_depend_on_the_cuts_with_bad_samples():
     np.testing.assert_allclose(whole.mean[25, 3:], good.gyroscope.mean(axis=0), rtol=1e-12)
 
 
-def test_a_cell_waits_until_the_next_slot_begins():
+def test_a_cell_waits_until_the_next_slot_begins() -> None:
     builder = CellBuilder()
     samples = stream(40)
     assert builder.feed(samples[:10]) is None
@@ -81,7 +82,7 @@ def test_a_cell_waits_until_the_next_slot_begins():
     assert builder.feed(samples[:0]) is None
 
 
-def test_tiny_variance_on_a_large_mean_survives():
+def test_tiny_variance_on_a_large_mean_survives() -> None:
     rng = np.random.default_rng(0)
     noise = rng.normal(0, 1e-8, (2000, 3))
     samples = make_samples(np.arange(2000) / 2000, 9.80665 + noise, noise, units=SampleUnits())
@@ -89,7 +90,7 @@ def test_tiny_variance_on_a_large_mean_survives():
     assert np.sqrt(cells.variance[:, 0].mean()) == pytest.approx(1e-8, rel=0.05)
 
 
-def test_smallest_step_bounds_the_resolution():
+def test_smallest_step_bounds_the_resolution() -> None:
     rng = np.random.default_rng(0)
     values = np.round(rng.normal(500, 0.8, (2000, 3))) * 4.0
     samples = make_samples(np.arange(2000) / 200, values, units=SampleUnits("count", "count"))
@@ -98,14 +99,14 @@ def test_smallest_step_bounds_the_resolution():
     assert np.isinf(cells.step[:, 3:]).all()
 
 
-def test_increments_become_rates():
+def test_increments_become_rates() -> None:
     units = SampleUnits("m/s", "rad", accelerometer_is_increment=True, gyroscope_is_increment=True, interval_s=0.005)
     samples = make_samples(np.arange(40) / 200, np.full((40, 3), 0.049), np.full((40, 3), 0.001), units=units)
     cells = join_cells(list(cells_of([samples])))
     np.testing.assert_allclose(cells.mean, np.repeat([[9.8, 9.8, 9.8, 0.2, 0.2, 0.2]], 2, axis=0))
 
 
-def test_a_clock_that_jumps_back_begins_a_new_cell():
+def test_a_clock_that_jumps_back_begins_a_new_cell() -> None:
     samples = make_samples(np.array([0.0, 0.05, 0.1, 0.0, 0.05]), np.ones((5, 3)), units=SampleUnits())
     cells = join_cells(list(cells_of([samples])))
     assert cells.slot.tolist() == [0, 1, 0]

@@ -4,7 +4,7 @@ import pytest
 from imufield.guide.checks import change_over, largest_step
 
 
-def test_change_over_a_line_is_the_change_and_its_sigma_is_honest():
+def test_change_over_a_line_is_the_change_and_its_sigma_is_honest() -> None:
     rng = np.random.default_rng(0)
     pulls = []
     for _ in range(300):
@@ -14,7 +14,7 @@ def test_change_over_a_line_is_the_change_and_its_sigma_is_honest():
     assert change_over(np.ones(3)) == (0.0, np.inf)
 
 
-def test_largest_step_finds_where_and_how_far():
+def test_largest_step_finds_where_and_how_far() -> None:
     rng = np.random.default_rng(1)
     series = rng.normal(0, 0.1, (100, 3))
     series[63:] += [0.5, 0, -0.2]
@@ -24,7 +24,7 @@ def test_largest_step_finds_where_and_how_far():
     assert 0.03 < sigma < 0.06
 
 
-def test_noise_alone_has_no_step_of_six_sigma():
+def test_noise_alone_has_no_step_of_six_sigma() -> None:
     rng = np.random.default_rng(2)
     for _ in range(200):
         step, sigma, _ = largest_step(rng.normal(0, 0.1, (100, 3)))

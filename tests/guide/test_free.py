@@ -1,6 +1,7 @@
 """Still intervals of the real recordings, against the reference in the folder beside the project."""
 
 import gzip
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,15 +19,15 @@ REFERENCE = {
 }
 
 
-def load(path):
+def load(path: Any) -> Any:
     with gzip.open(path, "rt") as file:
         return np.loadtxt(file)
 
 
-def fit_norms(mean_raw, raw_zero, start, gravity):
+def fit_norms(mean_raw: Any, raw_zero: Any, start: Any, gravity: Any) -> Any:
     """Unweighted least squares on the norms, lower triangular T: scale, bias, misalignment and residuals."""
 
-    def residuals(p):
+    def residuals(p: Any) -> Any:
         matrix = np.eye(3)
         matrix[1, 0], matrix[2, 0], matrix[2, 1] = p[6:]
         return np.linalg.norm(np.linalg.solve(matrix, ((mean_raw - raw_zero) / p[:3] - p[3:6]).T), axis=0) - gravity
@@ -35,13 +36,13 @@ def fit_norms(mean_raw, raw_zero, start, gravity):
 
 
 @pytest.fixture(scope="module")
-def xsens(shared_folder):
+def xsens(shared_folder: Any) -> Any:
     force = load(shared_folder / "data" / "imu_tk" / "xsens_acc.mat.gz")
     turning = load(shared_folder / "data" / "imu_tk" / "xsens_gyro.mat.gz")
     return make_samples(force[:, 0], force[:, 1:], turning[:, 1:], units=SampleUnits("count", "count"))
 
 
-def test_xsens_session(xsens):
+def test_xsens_session(xsens: Any) -> None:
     found = find_still_intervals([xsens], scale=RoughScale(raw_zero=np.full(3, 32768.0)))
     assert 36 <= len(found.observations) <= 46
     gravity, scale, bias, misalignment = REFERENCE["xsens"]
@@ -56,7 +57,7 @@ def test_xsens_session(xsens):
     assert found.scale.learned
 
 
-def test_xsens_session_does_not_depend_on_the_cuts(xsens, cut_blocks):
+def test_xsens_session_does_not_depend_on_the_cuts(xsens: Any, cut_blocks: Any) -> None:
     scale = RoughScale(raw_zero=np.full(3, 32768.0))
     whole = find_still_intervals([xsens], scale=scale).observations
     parts = find_still_intervals(cut_blocks(xsens, [7] * 300 + [1000] * 20), scale=scale).observations
@@ -66,7 +67,7 @@ def test_xsens_session_does_not_depend_on_the_cuts(xsens, cut_blocks):
 
 
 @pytest.mark.parametrize("name", ["imu0", "imu2"])
-def test_mpu_9150_session(shared_folder, name):
+def test_mpu_9150_session(shared_folder: Any, name: str) -> None:
     table = load(shared_folder / "data" / "mikoff" / f"{name}.log.gz")
     samples = make_samples(np.arange(len(table)) / 100, table[:, :3], table[:, 3:], units=SampleUnits())
     found = find_still_intervals([samples])
@@ -79,14 +80,14 @@ def test_mpu_9150_session(shared_folder, name):
     assert found.axes.agrees
 
 
-def test_observations_are_named_after_the_nearest_side(make_path):
+def test_observations_are_named_after_the_nearest_side(make_path: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 5).turn([1, 0.1, 0], 1).hold([1, 0.1, 0], 4).samples()
     found = find_still_intervals([samples]).observations
     assert found.name == ("free 1: near +z", "free 2: near +x")
     assert np.isnan(found.direction).all()
 
 
-def test_a_recording_without_a_quiet_stretch_is_refused(make_path):
+def test_a_recording_without_a_quiet_stretch_is_refused(make_path: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 8).samples()
     samples.accelerometer[:] += np.random.default_rng(0).normal(0, 2, samples.accelerometer.shape)
     with pytest.raises(CalibrationError, match=r"no 3 s of the recording are quiet") as caught:
@@ -94,7 +95,7 @@ def test_a_recording_without_a_quiet_stretch_is_refused(make_path):
     assert caught.value.reason is Reason.TOO_FEW
 
 
-def test_an_empty_recording_is_refused():
+def test_an_empty_recording_is_refused() -> None:
     with pytest.raises(CalibrationError, match="no samples"):
         find_still_intervals([])
     with pytest.raises(CalibrationError, match="quiet"):

@@ -1,5 +1,6 @@
 import math
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,14 +28,18 @@ FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "
 SHORT = GuideSettings(hold_s=3.0)
 
 
-def faces_session(make_path, order=("+z", "+x", "-z", "+y", "-x", "-y"), hold_s=5.0, rate_hz=100.0):
+def faces_session(
+    make_path: Any, order: Any = ("+z", "+x", "-z", "+y", "-x", "-y"), hold_s: Any = 5.0, rate_hz: float = 100.0
+) -> Any:
     path = make_path(rate_hz, lever_m=np.array([0.05, 0.02, -0.03])).hold(FACES[order[0]], hold_s + 1)
     for name in order[1:]:
         path.turn(FACES[name], 1.5).hold(FACES[name], hold_s)
     return path
 
 
-def run(samples: Samples, name="faces6", settings=SHORT, marks=(), blocks=None, **options):
+def run(
+    samples: Samples, name: str = "faces6", settings: Any = SHORT, marks: Any = (), blocks: Any = None, **options: Any
+) -> Any:
     guide = Guide(scheme(name), samples.units, settings=settings, **options)
     events = []
     for action, time_s in marks:
@@ -44,11 +49,11 @@ def run(samples: Samples, name="faces6", settings=SHORT, marks=(), blocks=None, 
     return guide, events + guide.flush()
 
 
-def of(events, kind):
+def of(events: Any, kind: Any) -> Any:
     return [event for event in events if isinstance(event, kind)]
 
 
-def test_a_whole_session_in_any_order(make_path):
+def test_a_whole_session_in_any_order(make_path: Any) -> None:
     order = ("+z", "+x", "-z", "+y", "-x", "-y")
     guide, events = run(faces_session(make_path, order).samples())
     assert guide.done
@@ -68,7 +73,7 @@ def test_a_whole_session_in_any_order(make_path):
 
 
 @pytest.mark.parametrize("name", ["paper24", "corners24"])
-def test_schemes_with_placement_errors(make_path, name):
+def test_schemes_with_placement_errors(make_path: Any, name: str) -> None:
     """24 positions up to 15 degrees off, at 2000 Hz tactical noise; no accepted interval touches true motion."""
     rng = np.random.default_rng(11)
     path = make_path(200.0, lever_m=np.array([0.0, 0.08, 0.05])).hold([0, 0, 1], 4)
@@ -83,7 +88,7 @@ def test_schemes_with_placement_errors(make_path, name):
         assert any(a <= event.start_s and event.start_s + event.duration_s <= b for a, b in path.still)
 
 
-def test_events_and_observations_do_not_depend_on_the_cuts(make_path, cut_blocks):
+def test_events_and_observations_do_not_depend_on_the_cuts(make_path: Any, cut_blocks: Any) -> None:
     samples = faces_session(make_path).samples()
     samples.status[900:940] |= np.uint32(Status.ACCELEROMETER_INVALID)
     marks = (("skip", 9.0), ("retake", 20.0), ("undo", 23.03))
@@ -96,7 +101,7 @@ def test_events_and_observations_do_not_depend_on_the_cuts(make_path, cut_blocks
         np.testing.assert_array_equal(other.observations().covariance_raw, guide.observations().covariance_raw)
 
 
-def test_a_hold_that_is_moved_is_refused_with_value_limit_and_axis(make_path):
+def test_a_hold_that_is_moved_is_refused_with_value_limit_and_axis(make_path: Any) -> None:
     path = make_path(100.0).hold([0, 0, 1], 5).hold([0, 0, 1], 1.5).turn([0.0, 0.3, 1], 0.7).hold([0, 0.3, 1], 5)
     guide, events = run(path.samples(), settings=GuideSettings(hold_s=8.0))
     refused = of(events, Rejected)
@@ -108,7 +113,7 @@ def test_a_hold_that_is_moved_is_refused_with_value_limit_and_axis(make_path):
     assert len(guide.observations()) == 0
 
 
-def test_far_from_every_position_is_refused_with_the_nearest(make_path):
+def test_far_from_every_position_is_refused_with_the_nearest(make_path: Any) -> None:
     path = faces_session(make_path, ("+z",)).turn([1, 1, 0], 1.5).hold([1, 1, 0], 4)
     _, events = run(path.samples())
     refused = of(events, Rejected)[0]
@@ -118,13 +123,13 @@ def test_far_from_every_position_is_refused_with_the_nearest(make_path):
     assert "at 45 deg" in refused.words
 
 
-def test_a_position_done_before_is_named(make_path):
+def test_a_position_done_before_is_named(make_path: Any) -> None:
     _, events = run(faces_session(make_path, ("+z", "+x", "+z")).samples())
     assert [event.reason for event in of(events, Rejected)] == [RefusalCode.ALREADY_DONE]
     assert of(events, Rejected)[0].words == "+z is already done"
 
 
-def test_a_repeat_needs_the_unit_to_be_lifted(make_path):
+def test_a_repeat_needs_the_unit_to_be_lifted(make_path: Any) -> None:
     """corners24 asks for each face twice: lying on is no second measurement, nor is a knock on the table."""
     path = make_path(100.0).hold([0, 0, 1], 20)
     samples = path.samples()
@@ -138,7 +143,7 @@ def test_a_repeat_needs_the_unit_to_be_lifted(make_path):
     assert guide.observations().name == ("+z", "+z (2)")
 
 
-def test_retake_keeps_the_older_until_the_new_one_is_accepted(make_path):
+def test_retake_keeps_the_older_until_the_new_one_is_accepted(make_path: Any) -> None:
     samples = faces_session(make_path, ("+z", "+x", "+z")).samples()
     guide = Guide(scheme("faces6"), samples.units, settings=SHORT)
     guide.feed(samples[:700])
@@ -154,7 +159,7 @@ def test_retake_keeps_the_older_until_the_new_one_is_accepted(make_path):
     assert len(guide.plan.withdrawn) == 1
 
 
-def test_retake_of_the_position_it_lies_in_begins_at_once(make_path):
+def test_retake_of_the_position_it_lies_in_begins_at_once(make_path: Any) -> None:
     guide, events = run(make_path(100.0).hold([0, 0, 1], 16).samples(), marks=(("retake", 8.0),))
     assert [event.position for event in of(events, Accepted)] == ["+z", "+z"]
     assert of(events, Accepted)[1].replaces
@@ -162,7 +167,7 @@ def test_retake_of_the_position_it_lies_in_begins_at_once(make_path):
     assert len(guide.observations()) == 1
 
 
-def test_undo_skip_and_finish(make_path):
+def test_undo_skip_and_finish(make_path: Any) -> None:
     samples = faces_session(make_path, ("+z", "+x", "+y")).samples()
     marks = (("undo", 12.0), ("skip", 12.5), ("finish", 19.0))
     guide, events = run(samples, marks=marks)
@@ -176,7 +181,7 @@ def test_undo_skip_and_finish(make_path):
     assert said[1].position == "+y"  # taken all the same, because it was shown
 
 
-def test_marks_that_make_no_sense_are_answered(make_path):
+def test_marks_that_make_no_sense_are_answered(make_path: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 4).samples()
     _, events = run(samples, marks=(("undo", 1.0), ("retake", 1.5)))
     assert [event.words for event in of(events, Marked)] == [
@@ -187,7 +192,7 @@ def test_marks_that_make_no_sense_are_answered(make_path):
         run(samples, marks=(("explode", 1.0),))
 
 
-def test_pause_measures_nothing(make_path):
+def test_pause_measures_nothing(make_path: Any) -> None:
     guide, events = run(make_path(100.0).hold([0, 0, 1], 20).samples(), marks=(("pause", 3.2), ("pause", 12.0)))
     accepted = of(events, Accepted)
     assert len(accepted) == 1
@@ -195,14 +200,14 @@ def test_pause_measures_nothing(make_path):
     assert guide.state is State.RESTING
 
 
-def test_skipping_everything_ends_the_session(make_path):
+def test_skipping_everything_ends_the_session(make_path: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 20).samples()
     guide, events = run(samples, marks=[("skip", 8.0 + i) for i in range(5)])
     assert guide.done
     assert len(of(events, Done)) == 1
 
 
-def test_link_lost_and_back_with_a_clock_from_zero(make_path):
+def test_link_lost_and_back_with_a_clock_from_zero(make_path: Any) -> None:
     samples = faces_session(make_path, ("+z", "+x")).samples()
     guide = Guide(scheme("faces6"), samples.units, settings=SHORT)
     events = guide.feed(samples[:800]) + guide.link_lost()
@@ -214,7 +219,7 @@ def test_link_lost_and_back_with_a_clock_from_zero(make_path):
     assert guide.observations().name == ("+z", "-x", "-y")
 
 
-def test_samples_after_a_lost_link_mean_that_it_is_back(make_path):
+def test_samples_after_a_lost_link_mean_that_it_is_back(make_path: Any) -> None:
     samples = faces_session(make_path, ("+z", "+x")).samples()
     guide = Guide(scheme("faces6"), samples.units, settings=SHORT)
     guide.feed(samples[:200])
@@ -233,7 +238,7 @@ def test_samples_after_a_lost_link_mean_that_it_is_back(make_path):
         (Status.GYROSCOPE_INVALID, RefusalCode.INVALID, "gyroscope is reported invalid"),
     ],
 )
-def test_unusable_samples_are_told_and_never_measured(make_path, flag, reason, told):
+def test_unusable_samples_are_told_and_never_measured(make_path: Any, flag: Any, reason: Any, told: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 20).samples()
     samples.status[:] = np.uint32(flag)
     guide, events = run(samples)
@@ -243,7 +248,7 @@ def test_unusable_samples_are_told_and_never_measured(make_path, flag, reason, t
     assert len(guide.observations()) == 0
 
 
-def test_values_that_are_not_finite_never_enter_a_mean(make_path):
+def test_values_that_are_not_finite_never_enter_a_mean(make_path: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 8).samples()
     samples.accelerometer[::50] = np.nan
     guide, _ = run(samples)
@@ -253,7 +258,7 @@ def test_values_that_are_not_finite_never_enter_a_mean(make_path):
     assert of(events, Rejected)[-1].reason is RefusalCode.SAMPLE_LOSS
 
 
-def test_sample_loss_in_a_hold_is_refused_and_measured_again(make_path):
+def test_sample_loss_in_a_hold_is_refused_and_measured_again(make_path: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 30).samples()
     keep = np.ones(len(samples), dtype=bool)
     keep[330:530:4] = False
@@ -264,7 +269,7 @@ def test_sample_loss_in_a_hold_is_refused_and_measured_again(make_path):
     assert len(guide.observations()) == 1
 
 
-def test_wrong_scale_is_refused_as_gravity(make_path):
+def test_wrong_scale_is_refused_as_gravity(make_path: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 8).samples(0.01, scale=(0.5, 1.0))
     guide, events = run(samples)
     refused = of(events, Rejected)[0]
@@ -273,7 +278,7 @@ def test_wrong_scale_is_refused_as_gravity(make_path):
     assert len(guide.observations()) == 0
 
 
-def test_a_drifting_hold_is_refused_and_measured_again(make_path):
+def test_a_drifting_hold_is_refused_and_measured_again(make_path: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 30).samples(0.003, 1e-4)
     drift = np.clip((samples.time_s - 3) / 8, 0, 1) * 0.05
     samples.accelerometer[:, 2] += drift
@@ -286,7 +291,7 @@ def test_a_drifting_hold_is_refused_and_measured_again(make_path):
     assert guide.observations().start_s[0] > 8
 
 
-def test_an_axis_at_its_end_without_a_flag_is_refused(make_path):
+def test_an_axis_at_its_end_without_a_flag_is_refused(make_path: Any) -> None:
     path = faces_session(make_path, ("+z", "+x"))
     samples = path.samples()
     samples.accelerometer[:, 0] = np.minimum(samples.accelerometer[:, 0], 9.0)
@@ -297,7 +302,7 @@ def test_an_axis_at_its_end_without_a_flag_is_refused(make_path):
     assert guide.observations().name == ("+z",)
 
 
-def test_counts_without_a_scale_learn_it_and_say_so(make_path):
+def test_counts_without_a_scale_learn_it_and_say_so(make_path: Any) -> None:
     units = SampleUnits("count", "count")
     samples = faces_session(make_path).samples(0.008, 0.005, units=units, scale=(8192.0, 4780.0))
     guide, events = run(samples)
@@ -307,7 +312,7 @@ def test_counts_without_a_scale_learn_it_and_say_so(make_path):
     assert guide.detector.scale.accelerometer == pytest.approx(8192, rel=1e-3)
 
 
-def test_left_handed_gyroscope_is_told_once(make_path):
+def test_left_handed_gyroscope_is_told_once(make_path: Any) -> None:
     samples = faces_session(make_path).samples()
     samples.gyroscope[:, 1] *= -1
     guide, events = run(samples)
@@ -316,7 +321,7 @@ def test_left_handed_gyroscope_is_told_once(make_path):
     assert guide.check_axes().error is not None
 
 
-def test_waiting_for_quiet_says_what_it_waits_for(make_path):
+def test_waiting_for_quiet_says_what_it_waits_for(make_path: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 30).samples()
     shaking = 2 * np.sin(2 * np.pi * 3.3 * samples.time_s) + np.sin(2 * np.pi * 0.31 * samples.time_s)
     samples.accelerometer[:] += shaking[:, None]
@@ -327,7 +332,7 @@ def test_waiting_for_quiet_says_what_it_waits_for(make_path):
     assert "waiting for 3 s without motion" in events[0].words
 
 
-def test_turning_is_told_a_few_times_a_second_with_the_angle(make_path):
+def test_turning_is_told_a_few_times_a_second_with_the_angle(make_path: Any) -> None:
     path = make_path(100.0).hold([0, 0, 1], 5).turn([1, 0, 0], 3).hold([1, 0, 0], 1)
     _, events = run(path.samples())
     turning = of(events, Turning)
@@ -337,7 +342,7 @@ def test_turning_is_told_a_few_times_a_second_with_the_angle(make_path):
     assert all(b.time_s > a.time_s for a, b in pairwise(turning))
 
 
-def test_a_trembling_hand_is_told_what_keeps_it_from_being_still(make_path):
+def test_a_trembling_hand_is_told_what_keeps_it_from_being_still(make_path: Any) -> None:
     path = make_path(200.0).hold([0, 0, 1], 5).turn([1, 0, 0], 1).hold([1, 0, 0], 20)
     samples = path.samples()
     held = samples.time_s > 6
@@ -350,7 +355,7 @@ def test_a_trembling_hand_is_told_what_keeps_it_from_being_still(make_path):
     assert "deg/s" in refused[0].words
 
 
-def test_a_push_within_a_hold_is_refused_and_measured_again(make_path):
+def test_a_push_within_a_hold_is_refused_and_measured_again(make_path: Any) -> None:
     """Small enough for the detector, which bears a unit that is touched; too large for the norm of the mean."""
     path = make_path(100.0).hold([0, 0, 1], 30)
     samples = path.samples(0.02)
@@ -363,7 +368,7 @@ def test_a_push_within_a_hold_is_refused_and_measured_again(make_path):
     assert len(guide.observations()) == 1
 
 
-def test_snapshot_tells_what_a_view_needs(make_path):
+def test_snapshot_tells_what_a_view_needs(make_path: Any) -> None:
     samples = faces_session(make_path).samples()
     samples.temperature_degc[:] = 31.0
     guide = Guide(scheme("faces6"), samples.units, settings=SHORT)
@@ -377,7 +382,7 @@ def test_snapshot_tells_what_a_view_needs(make_path):
     assert now.activity.ratio < 1
 
 
-def test_at_least_85_percent_of_the_stillness_is_used(make_path):
+def test_at_least_85_percent_of_the_stillness_is_used(make_path: Any) -> None:
     path = faces_session(make_path, hold_s=10.0)
     _, events = run(path.samples(), settings=GuideSettings(hold_s=8.0))
     for event in of(events, Accepted):
@@ -385,7 +390,7 @@ def test_at_least_85_percent_of_the_stillness_is_used(make_path):
         assert event.duration_s / (event.time_s - start - 0.6) > 0.85
 
 
-def test_a_session_does_not_wait(make_path):
+def test_a_session_does_not_wait(make_path: Any) -> None:
     """Holds of 8 s and turns of 1.5 s: each hold is accepted within a second of what it needs."""
     path = faces_session(make_path, hold_s=12.0)
     _, events = run(path.samples(), settings=GuideSettings(hold_s=8.0))
@@ -394,7 +399,7 @@ def test_a_session_does_not_wait(make_path):
         assert event.time_s - start < 8.0 * 1.25
 
 
-def test_increment_outputs_work_like_rates(make_path):
+def test_increment_outputs_work_like_rates(make_path: Any) -> None:
     rates = faces_session(make_path).samples()
     units = SampleUnits("m/s", "rad", accelerometer_is_increment=True, gyroscope_is_increment=True, interval_s=0.01)
     increments = Samples(
@@ -411,6 +416,6 @@ def test_increment_outputs_work_like_rates(make_path):
     np.testing.assert_allclose(guide.observations().mean_raw, run(rates)[0].observations().mean_raw, rtol=1e-9)
 
 
-def test_concatenated_parts_are_one_session(make_path):
+def test_concatenated_parts_are_one_session(make_path: Any) -> None:
     samples = faces_session(make_path).samples()
     assert run(concatenate([samples[:333], samples[333:]]))[0].done

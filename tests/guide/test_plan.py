@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -6,26 +8,28 @@ from imufield.guide.plan import Plan
 from imufield.guide.positions import scheme
 
 
-def observation(name, start_s=0.0):
+def observation(name: str, start_s: Any = 0.0) -> Any:
     nothing = np.full(3, np.nan)
     return Observation(name, nothing, nothing, np.eye(3), nothing, np.eye(3), start_s, 10.0, 20.0)
 
 
 @pytest.fixture
-def plan():
+def plan() -> Any:
     return Plan(scheme("faces6"))
 
 
-def test_tolerance_is_never_more_than_half_way_to_the_next():
+def test_tolerance_is_never_more_than_half_way_to_the_next() -> None:
     assert Plan(scheme("faces6")).tolerance_deg == 20
     assert Plan(scheme("paper24")).tolerance_deg == 20
     assert Plan(scheme("paper36")).tolerance_deg == pytest.approx(15)
 
 
-def test_nearest_prefers_what_is_asked_for():
+def test_nearest_prefers_what_is_asked_for() -> None:
     plan = Plan(scheme("corners24"))
     first = plan.find("+z")
     again = plan.find("+z (2)")
+    assert first is not None
+    assert again is not None
     up = np.array([0.0, 0.0, 1.0])
     assert plan.nearest(up, pending=True).index == min(first, again)
     plan.accept(first, observation("+z"))
@@ -35,7 +39,7 @@ def test_nearest_prefers_what_is_asked_for():
     assert plan.nearest(up, pending=False).angle_deg == pytest.approx(0, abs=1e-3)
 
 
-def test_retake_keeps_the_older_and_undo_brings_it_back(plan):
+def test_retake_keeps_the_older_and_undo_brings_it_back(plan: Any) -> None:
     plan.accept(0, observation(plan.position(0).name, 1.0))
     plan.accept(1, observation(plan.position(1).name, 2.0))
     plan.want_again(0)
@@ -50,7 +54,7 @@ def test_retake_keeps_the_older_and_undo_brings_it_back(plan):
     assert plan.proposed() == 0
 
 
-def test_undo_of_each_action(plan):
+def test_undo_of_each_action(plan: Any) -> None:
     assert plan.undo() is None
     plan.skip(0)
     assert plan.proposed() == 1
@@ -65,14 +69,14 @@ def test_undo_of_each_action(plan):
     assert plan.accepted == {}
 
 
-def test_a_skipped_position_is_taken_when_shown(plan):
+def test_a_skipped_position_is_taken_when_shown(plan: Any) -> None:
     plan.skip(0)
     assert plan.is_pending(0)
     plan.accept(0, observation(plan.position(0).name))
     assert plan.skipped == set()
 
 
-def test_nothing_is_left_when_all_is_measured_or_skipped(plan):
+def test_nothing_is_left_when_all_is_measured_or_skipped(plan: Any) -> None:
     for index in range(5):
         plan.accept(index, observation(plan.position(index).name))
     plan.skip(5)

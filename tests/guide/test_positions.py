@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ COUNTS = {"paper24": {1: 12, 2: 6}, "paper36": {1: 24, 2: 6}, "corners24": {1: 4
 
 
 @pytest.mark.parametrize("name", SCHEMES)
-def test_names_are_unique_and_directions_are_as_described(name):
+def test_names_are_unique_and_directions_are_as_described(name: str) -> None:
     found = scheme(name)
     assert len({position.name for position in found.positions}) == len(found)
     np.testing.assert_allclose(np.linalg.norm(found.directions(), axis=1), 1)
@@ -26,7 +28,7 @@ def test_names_are_unique_and_directions_are_as_described(name):
 
 
 @pytest.mark.parametrize("name", ["paper24", "paper36", "corners24"])
-def test_repeats_are_far_apart(name):
+def test_repeats_are_far_apart(name: str) -> None:
     directions = scheme(name).directions()
     for i, first in enumerate(directions):
         for j in range(i):
@@ -35,19 +37,19 @@ def test_repeats_are_far_apart(name):
 
 
 @pytest.mark.parametrize("name", ["paper24", "paper36", "corners24"])
-def test_a_linear_drift_looks_like_no_bias(name):
+def test_a_linear_drift_looks_like_no_bias(name: str) -> None:
     directions = scheme(name).directions()
     time = np.linspace(-1, 1, len(directions))
     correlation = directions.T @ time / np.linalg.norm(directions, axis=0) / np.linalg.norm(time)
     assert np.abs(correlation).max() < 0.06
 
 
-def test_order_is_always_the_same():
+def test_order_is_always_the_same() -> None:
     directions = scheme("paper24").directions()
     assert interleave(directions) == interleave(directions.copy())
 
 
-def test_a_direction_as_the_papers_give_it():
+def test_a_direction_as_the_papers_give_it() -> None:
     by_name = {position.name: position for position in scheme("paper24").positions}
     np.testing.assert_allclose(by_name["x+0"].direction, [0, 0, 1])
     np.testing.assert_allclose(by_name["x+45"].direction, [0, np.sqrt(0.5), np.sqrt(0.5)])
@@ -55,20 +57,20 @@ def test_a_direction_as_the_papers_give_it():
     assert by_name["x+45"].words == "edge between +y and +z up"
 
 
-def test_words():
+def test_words() -> None:
     assert describe(np.array([0.0, 0.0, -1.0])) == "-z up, standing on the +z face"
     assert describe(np.array([1, -1, 1]) / np.sqrt(3)) == "corner +x -y +z up"
     assert describe(np.array([0.0, 0.5, np.sqrt(0.75)])) == "+z up, leaning 30 deg towards +y"
     assert describe(np.array([0.9, 0.1, 0.3])) == "+x up, leaning 26 deg towards +z and +y"
 
 
-def test_nearest_of_26():
+def test_nearest_of_26() -> None:
     assert len(cube_directions()) == 26
     assert nearest_cube_direction(np.array([5.0, 4.5, -0.3])) == "+x+y"
     assert nearest_cube_direction(np.array([0.1, -9.8, 0.3])) == "-y"
 
 
-def test_first_again():
+def test_first_again() -> None:
     found = scheme("faces6", revisit_first=True)
     assert len(found) == 7
     assert found.positions[-1].name == f"{found.positions[0].name} again"
@@ -84,7 +86,7 @@ words = "on the long edge"
 """
 
 
-def test_own_positions(tmp_path):
+def test_own_positions(tmp_path: Any) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(GOOD)
     found = scheme(path)
@@ -111,7 +113,7 @@ def test_own_positions(tmp_path):
         ("name = \n[[position]]\n", "line 1"),
     ],
 )
-def test_own_positions_that_make_no_sense(tmp_path, text, told):
+def test_own_positions_that_make_no_sense(tmp_path: Any, text: str, told: Any) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(text)
     with pytest.raises(UsageError) as caught:
@@ -120,6 +122,6 @@ def test_own_positions_that_make_no_sense(tmp_path, text, told):
     assert "mine.toml" in caught.value.message
 
 
-def test_no_such_scheme():
+def test_no_such_scheme() -> None:
     with pytest.raises(UsageError, match="paper24, paper36, corners24, faces6"):
         scheme("paper25")

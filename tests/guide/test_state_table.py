@@ -2,13 +2,13 @@ from imufield.guide.actions import GuideActions
 from imufield.guide.state_table import TABLE, Input, State
 
 
-def test_every_state_has_a_row_and_every_action_exists():
+def test_every_state_has_a_row_and_every_action_exists() -> None:
     assert set(TABLE) == set(State)
     actions = {transition.action for row in TABLE.values() for transition in row.values()}
     assert all(callable(getattr(GuideActions, action)) for action in actions)
 
 
-def test_every_state_can_be_reached():
+def test_every_state_can_be_reached() -> None:
     reached, edge = {State.LEARNING}, [State.LEARNING]
     while edge:
         for transition in TABLE[edge.pop()].values():
@@ -18,11 +18,11 @@ def test_every_state_can_be_reached():
     assert reached == set(State)
 
 
-def test_every_input_is_used_somewhere():
+def test_every_input_is_used_somewhere() -> None:
     assert {happened for row in TABLE.values() for happened in row} == set(Input)
 
 
-def test_the_operator_can_always_finish_and_a_link_can_always_go():
+def test_the_operator_can_always_finish_and_a_link_can_always_go() -> None:
     passing = {State.RECOGNISING, State.JUDGING}
     for state in set(State) - passing - {State.DONE}:
         assert TABLE[state][Input.FINISH].to is State.DONE

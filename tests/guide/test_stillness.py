@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from imufield.samples import SampleUnits, Status
 SI = RoughScale(1.0, 1.0)
 
 
-def stretches(samples, scale=SI):
+def stretches(samples: Any, scale: Any = SI) -> Any:
     """Every still stretch, and the detector as it was at its end."""
     detector = StillnessDetector(scale)
     found = []
@@ -22,7 +24,7 @@ def stretches(samples, scale=SI):
     return found, detector
 
 
-def session(make_path, rate_hz, seed, positions=8):
+def session(make_path: Any, rate_hz: float, seed: int, positions: Any = 8) -> Any:
     rng = np.random.default_rng(seed)
     path = make_path(rate_hz, lever_m=rng.uniform(-0.07, 0.07, 3))
     up = np.array([0.0, 0.0, 1.0])
@@ -48,7 +50,7 @@ GRADES = {
 
 
 @pytest.mark.parametrize("grade", GRADES)
-def test_every_still_is_found_within_its_true_ends(make_path, grade):
+def test_every_still_is_found_within_its_true_ends(make_path: Any, grade: Any) -> None:
     rate_hz, sigma, sigma_gyroscope, step, gyroscope = GRADES[grade]
     for seed in (0, 1):
         path = session(make_path, rate_hz, seed)
@@ -67,11 +69,11 @@ def test_every_still_is_found_within_its_true_ends(make_path, grade):
             assert abs(stop - end) <= allowed
 
 
-def test_judgements_do_not_depend_on_the_cuts(make_path, cut_blocks):
+def test_judgements_do_not_depend_on_the_cuts(make_path: Any, cut_blocks: Any) -> Any:
     samples = session(make_path, 200, 3).samples()
     samples.status[2000:2050] = np.uint32(Status.ACCELEROMETER_INVALID)
 
-    def judged(sizes):
+    def judged(sizes: Any) -> Any:
         detector = StillnessDetector(SI)
         told = []
         for block in cut_blocks(samples, sizes):
@@ -85,7 +87,7 @@ def test_judgements_do_not_depend_on_the_cuts(make_path, cut_blocks):
     assert judged(rng.integers(1, 700, 60).tolist()) == whole
 
 
-def test_unknown_counts_are_judged_like_si(make_path):
+def test_unknown_counts_are_judged_like_si(make_path: Any) -> None:
     path = session(make_path, 100, 5)
     units = SampleUnits("count", "count")
     samples = path.samples(0.008, 0.005, units=units, scale=(414.0, 4780.0), raw_zero=32768.0, step=1.0)
@@ -95,7 +97,7 @@ def test_unknown_counts_are_judged_like_si(make_path):
     assert detector.scale.accelerometer == pytest.approx(414, rel=0.01)
 
 
-def test_a_start_in_the_hand_is_no_noise_floor(make_path):
+def test_a_start_in_the_hand_is_no_noise_floor(make_path: Any) -> None:
     path = make_path(200.0).hold([0, 0, 1], 20)
     samples = path.samples(0.01, 1e-3)
     tremor = np.sin(2 * np.pi * 10 * samples.time_s[:2000]) * 0.3
@@ -107,7 +109,7 @@ def test_a_start_in_the_hand_is_no_noise_floor(make_path):
     np.testing.assert_allclose(detector.floor.sigma[:3], 0.01, rtol=0.15)
 
 
-def test_a_quieter_stretch_lowers_the_floor(make_path):
+def test_a_quieter_stretch_lowers_the_floor(make_path: Any) -> None:
     path = make_path(200.0).hold([0, 0, 1], 6).turn([1, 0, 0], 1).hold([1, 0, 0], 6).turn([0, 1, 0], 1).hold([0, 1, 0], 4)
     samples = path.samples(0.01, 1e-3)
     noisy = np.random.default_rng(7).normal(0, 0.04, (1200, 3))
@@ -116,7 +118,7 @@ def test_a_quieter_stretch_lowers_the_floor(make_path):
     np.testing.assert_allclose(detector.floor.sigma[:3], 0.01, rtol=0.15)
 
 
-def test_the_limit_is_left_at_twice_what_it_is_entered_at(make_path):
+def test_the_limit_is_left_at_twice_what_it_is_entered_at(make_path: Any) -> None:
     """Hysteresis: vibration between 1 and 2 times the limit ends no stretch, and begins none."""
     path = make_path(1000.0).hold([0, 0, 1], 30)
     samples = path.samples(1e-3, 1e-5)
@@ -133,7 +135,7 @@ def test_the_limit_is_left_at_twice_what_it_is_entered_at(make_path):
     assert [round(one.cells().start_s[0], 1) for one in found] == [0.0, 15.0]
 
 
-def test_one_lost_cell_is_bridged_and_two_are_not(make_path):
+def test_one_lost_cell_is_bridged_and_two_are_not(make_path: Any) -> None:
     path = make_path(200.0).hold([0, 0, 1], 20)
     samples = path.samples()
     keep = np.ones(len(samples), dtype=bool)
@@ -145,7 +147,7 @@ def test_one_lost_cell_is_bridged_and_two_are_not(make_path):
     assert len(found) == 2
 
 
-def test_activity_names_triad_axis_value_and_limit(make_path):
+def test_activity_names_triad_axis_value_and_limit(make_path: Any) -> None:
     path = make_path(200.0).hold([0, 0, 1], 8)
     samples = path.samples()
     samples.gyroscope[1400:, 1] += 0.2
@@ -157,7 +159,7 @@ def test_activity_names_triad_axis_value_and_limit(make_path):
     assert activity.limit == pytest.approx(np.radians(1.0))
 
 
-def test_a_long_stretch_keeps_a_minute(make_path):
+def test_a_long_stretch_keeps_a_minute(make_path: Any) -> None:
     path = make_path(50.0).hold([0, 0, 1], 300)
     found, _ = stretches(path.samples())
     assert len(found) == 1
@@ -165,7 +167,7 @@ def test_a_long_stretch_keeps_a_minute(make_path):
     assert len(found[0].cells()) == 600
 
 
-def test_scatter_of_variance_bounds_chi_squared():
+def test_scatter_of_variance_bounds_chi_squared() -> None:
     rng = np.random.default_rng(1)
     for freedom in (3, 27, 597):
         ratio = np.sqrt(rng.chisquare(freedom, 200_000) / freedom)
@@ -173,9 +175,11 @@ def test_scatter_of_variance_bounds_chi_squared():
     assert scatter_of_variance(1e9) == pytest.approx(1, abs=1e-3)
 
 
-def test_floor_of_white_noise(make_path):
+def test_floor_of_white_noise(make_path: Any) -> None:
     samples = make_path(200.0).hold([0, 0, 1], 3.0).samples(0.01, 1e-3)
-    floor = measure_floor(CellBuilder().feed(samples))
+    cells = CellBuilder().feed(samples)
+    assert cells is not None
+    floor = measure_floor(cells)
     np.testing.assert_allclose(floor.sigma, [0.01] * 3 + [1e-3] * 3, rtol=0.1)
     np.testing.assert_allclose(floor.cell_sigma, floor.sigma / np.sqrt(20), rtol=0.5)
     assert floor.samples_per_cell == 20

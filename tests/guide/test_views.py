@@ -4,6 +4,7 @@ import json
 import math
 import re
 from io import StringIO
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -19,13 +20,13 @@ from imufield.guide.terminal import TerminalView
 
 
 @pytest.fixture
-def session(make_path):
+def session(make_path: Any) -> Any:
     """A guide fed in 20 ms blocks: yields events and the guide after each."""
     path = make_path(100.0).hold([0, 0, 1], 6).turn([1, 0, 0], 1.5).hold([1, 0, 0], 2).turn([1, 1, 0], 1).hold([1, 1, 0], 3)
     samples = path.samples()
     guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=3.0))
 
-    def play(until_s=math.inf):
+    def play(until_s: Any = math.inf) -> Any:
         for start in range(0, len(samples), 2):
             if samples.time_s[start] >= until_s:
                 return
@@ -34,17 +35,17 @@ def session(make_path):
     return play
 
 
-def picture(screen, guide, **options):
+def picture(screen: Any, guide: Any, **options: Any) -> Any:
     console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing(), **options)
     console.print(draw(screen, guide.snapshot(), guide.plan.scheme, 0))
     return console.export_text()
 
 
-def open_nothing():
+def open_nothing() -> Any:
     return StringIO()
 
 
-def shown(session, until_s):
+def shown(session: Any, until_s: Any) -> Any:
     screen = Screen()
     played = list(session(until_s))
     for events, _ in played:
@@ -52,7 +53,7 @@ def shown(session, until_s):
     return picture(screen, played[-1][1])
 
 
-def test_every_event_has_a_line_and_a_dictionary(session):
+def test_every_event_has_a_line_and_a_dictionary(session: Any) -> None:
     events = [event for some, _ in session() for event in some]
     events.append(LinkLost(1.0, 2, 6))
     kinds = {event.kind for event in events}
@@ -65,8 +66,8 @@ def test_every_event_has_a_line_and_a_dictionary(session):
         assert "\n" not in line(event)
 
 
-def test_json_lines_are_strict_json(session):
-    lines = []
+def test_json_lines_are_strict_json(session: Any) -> None:
+    lines: list[str] = []
     JsonLinesView(lines.append).show([event for some, _ in session() for event in some])
     told = [json.loads(one, parse_constant=pytest.fail) for one in lines]
     assert [one["event"] for one in told[:2]] == ["noise_floor", "move"]
@@ -77,8 +78,8 @@ def test_json_lines_are_strict_json(session):
     assert [one["reason"] for one in told if one["event"] == "rejected"] == ["moved", "not_near"]
 
 
-def test_plain_lines_tell_progress_now_and_then(session):
-    lines = []
+def test_plain_lines_tell_progress_now_and_then(session: Any) -> None:
+    lines: list[str] = []
     view = PlainView(lines.append)
     for events, _ in session():
         view.show(events)
@@ -99,25 +100,25 @@ def test_plain_lines_tell_progress_now_and_then(session):
         (12.5, "N O T   T A K E N", "not near any pending position"),
     ],
 )
-def test_screen_says_what_to_do(session, until_s, big, told):
+def test_screen_says_what_to_do(session: Any, until_s: Any, big: Any, told: Any) -> None:
     text = shown(session, until_s)
     assert big in text
     assert told in text
 
 
-def test_screen_fits_80_by_24_without_colour_or_cut_words(session):
+def test_screen_fits_80_by_24_without_colour_or_cut_words(session: Any) -> None:
     for until_s in (1.0, 3.35, 5.0, 6.8, 9.0, 12.5):
         lines = shown(session, until_s).rstrip("\n").split("\n")
         assert len(lines) <= HEIGHT
         assert max(len(one) for one in lines) <= WIDTH
 
 
-def test_screen_in_full(session):
+def test_screen_in_full(session: Any) -> None:
     assert shown(session, 5.0) == SNAPSHOT
 
 
 @pytest.mark.parametrize("name", SCHEMES)
-def test_map_shows_every_position(make_path, name):
+def test_map_shows_every_position(make_path: Any, name: str) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 1).samples()
     guide = Guide(scheme(name), samples.units)
     guide.feed(samples)
@@ -126,7 +127,7 @@ def test_map_shows_every_position(make_path, name):
         assert f"[ ]{position.name} " in text
 
 
-def test_screen_tells_a_lost_link(session):
+def test_screen_tells_a_lost_link(session: Any) -> None:
     screen = Screen()
     guide = list(session(5.0))[-1][1]
     screen.follow(guide.link_lost())
@@ -135,7 +136,7 @@ def test_screen_tells_a_lost_link(session):
     assert "LINK LOST" in text
 
 
-def test_a_refusal_stays_long_enough_to_be_read(session):
+def test_a_refusal_stays_long_enough_to_be_read(session: Any) -> None:
     screen = Screen()
     refusal = next(event for some, _ in session() for event in some if isinstance(event, Rejected))
     screen.follow([refusal])
@@ -146,12 +147,13 @@ def test_a_refusal_stays_long_enough_to_be_read(session):
     assert screen.refused is None
 
 
-def test_live_view_draws_through_rich(session):
-    console = Console(width=WIDTH, height=HEIGHT, file=open_nothing(), force_terminal=True)
+def test_live_view_draws_through_rich(session: Any) -> None:
+    drawn = open_nothing()
+    console = Console(width=WIDTH, height=HEIGHT, file=drawn, force_terminal=True)
     with TerminalView(scheme("faces6"), console) as view:
         for events, guide in session(3.5):
             view.show(events, guide.snapshot())
-    assert "H O L D" in console.file.getvalue()
+    assert "H O L D" in drawn.getvalue()
 
 
 SNAPSHOT = """\
