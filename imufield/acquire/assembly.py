@@ -98,15 +98,18 @@ class FrameReader:
     def read(self, rows: Rows, skipped_before: IntArray, starts: IntArray) -> RawBlock:
         """Return the samples of n frames, which begin at offsets ``starts`` of the stream."""
         n = len(rows)
-        accelerometer = _triad(rows, self._accelerometer, self._factors["accelerometer"])
-        gyroscope = _triad(rows, self._gyroscope, self._factors["gyroscope"])
+        with np.errstate(over="ignore", invalid="ignore"):
+            # Without a checksum any bits arrive as numbers; what is none is flagged below.
+            accelerometer = _triad(rows, self._accelerometer, self._factors["accelerometer"])
+            gyroscope = _triad(rows, self._gyroscope, self._factors["gyroscope"])
+            temperature_degc = self._read_temperature(rows)
         status = self._read_status(rows)
         if self._may_be_garbage:
             status |= _not_numbers(accelerometer, gyroscope)
         return RawBlock(
             accelerometer,
             gyroscope,
-            self._read_temperature(rows),
+            temperature_degc,
             np.full(n, NO_COUNTER) if self._counter is None else self._counter.raw(rows).astype(np.int64),
             np.empty(0) if self._ticks is None else _ticks(self._ticks.raw(rows)),
             status,
@@ -178,13 +181,7 @@ def _not_numbers(accelerometer: FloatArray, gyroscope: FloatArray) -> NDArray[np
 
 
 def _scaled(rows: Rows, field: Field, factor: float) -> FloatArray:
-    raw = field.raw(rows)
-    if field.type[0] != "f":
-        values: FloatArray = np.multiply(raw, field.factor * factor, dtype=np.float64)
-    else:
-        with np.errstate(over="ignore", invalid="ignore"):
-            # Without a checksum any bits arrive as numbers; what is none is flagged.
-            values = np.multiply(raw, field.factor * factor, dtype=np.float64)
+    values: FloatArray = np.multiply(field.raw(rows), field.factor * factor, dtype=np.float64)
     return values + field.offset * factor if field.offset else values
 
 

@@ -294,6 +294,9 @@ class Framer:
         loose = run.starts[: max(limit - 1, 0)][~run.joined[: max(limit - 1, 0)], None] + np.arange(run.length, run.step)
         inside = self._check.candidates(buffer, np.concatenate([gaps.ravel(), loose.ravel()]))
         others = inside[self._check.judge(buffer, inside, last=False) != _INVALID]
+        if self._rule.trailer and run.step == run.length:
+            # A stream that sends no trailers does not begin a bad frame with one; leave such a place to the search.
+            others = np.concatenate([others, gaps[buffer[gaps[:, 0]] == self._rule.trailer[0], 0]])
         if len(others) == 0:
             return limit
         return int(others.min() - run.starts[0] - run.length) // run.step + 1

@@ -127,15 +127,14 @@ class SampleClock:
         """Learn the regular step from the first samples, then time them like all others."""
         self._started = True
         first = join([block for block, _ in self._early])[: LEARN_FROM + 1]
-        if self._has_time:
-            self._stamps.start(first.ticks[0].item())
+        first_steps_s = self._stamps.start(first.ticks) if self._has_time else np.empty(0)
         if self._has_counter:
             self._last_counter = int(first.counter[0])
             self._steps.learn(self._counter_steps(first)[1:].astype(np.float64))
             self._last_counter = int(first.counter[0]) - int(self._steps.step)
             self._tick_rate_hz = self._rule.counter_ticks_per_s or self._rule.rate_hz or 1.0
         elif self._has_time:
-            self._steps.learn(np.diff(first.ticks.astype(np.float64)) / self._rule.time_ticks_per_s)
+            self._steps.learn(first_steps_s)
         else:
             self._start_without_device_time()
         self._ticks = -int(self._steps.step)

@@ -17,6 +17,8 @@ LEARN_FROM = 8
 """Steps from which the regular one is learned."""
 _RELEARN_AFTER = 16
 """Equal irregular steps in a row: at 2000 Hz 8 ms, and no pattern of losses is that regular."""
+_SHORTEST_S = 1e-6
+"""No instrument sends a million samples per second; steps below are rounding."""
 _TOLERANCE = 0.25
 """Time stamps may jitter by this part of a step and still count as equal."""
 
@@ -52,7 +54,7 @@ class StepRule:
     def learn(self, steps: FloatArray) -> None:
         """Learn the regular step from the first ones."""
         if not self._allowed:
-            positive = steps[steps > 0]
+            positive = steps[steps > _SHORTEST_S]
             self.step = float(np.median(positive)) if len(positive) else 0.0
             return
         seen = [int(np.count_nonzero(steps == step)) for step in self._allowed]
@@ -105,4 +107,4 @@ class StepRule:
         return abs(value - self._run_value) <= _TOLERANCE * abs(self._run_value)
 
     def _may_be_step(self, value: float) -> bool:
-        return value in self._allowed if self._allowed else value > 0
+        return value in self._allowed if self._allowed else value > _SHORTEST_S

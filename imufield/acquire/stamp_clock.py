@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from imufield.acquire.protocol_schema import ClockRule
 from imufield.samples import FloatArray
 
-_LARGEST_STAMP = 1e17
-"""Nanoseconds of three years fit; in an unchecked stream anything larger, infinity and NaN are garbage."""
+_LARGEST_TIME_S = 1e11
+"""3000 years; in an unchecked stream anything further from zero, infinity and NaN are garbage."""
 _LONGEST_PAUSE_S = 3600.0
 """A time stamp further ahead than this is a clock being set, e.g. by GNSS, not an hour without samples."""
 
@@ -48,11 +48,12 @@ class StampClock:
         self._raw_s = 0.0
         self._time_s = 0.0
 
-    def start(self, first: float) -> None:
-        """Begin with the first time stamp."""
-        first = first if abs(first) < _LARGEST_STAMP else 0.0
-        self._last = first
-        self._time_s = self._raw_s = first / self._ticks_per_s
+    def start(self, stamps: NDArray[Any]) -> FloatArray:
+        """Begin with the first of the first n time stamps; return the n - 1 steps between them, s."""
+        stamps = self._without_garbage(stamps)
+        self._last = stamps[0].item()
+        self._time_s = self._raw_s = self._last / self._ticks_per_s
+        return np.diff(stamps) / self._ticks_per_s
 
     def time(self, stamps: NDArray[Any], regular_s: float) -> Stamped:
         """Return the time of the next n samples.
@@ -64,35 +65,37 @@ class StampClock:
         regular_s : float
             Step to assume where the instrument's clock was set anew, s.
         """
-        stamps = self._unwrap(stamps if stamps.dtype.kind == "i" else self._without_garbage(stamps))
+        stamps = self._unwrap(self._without_garbage(stamps))
         raw_s: FloatArray = stamps / self._ticks_per_s
         step_s = np.diff(raw_s, prepend=self._raw_s)
         reset = (step_s < 0) | (step_s > _LONGEST_PAUSE_S)
         offset_s = np.full(len(stamps), self._offset_s)
         for place in np.flatnonzero(reset).tolist():
-            before_s = raw_s[place - 1] + offset_s[place - 1] if place else self._time_s
+            before_s = raw_s[place - 1] + offset_s[place - 1] if place else self._raw_s + self._offset_s
             offset_s[place:] = before_s + regular_s - raw_s[place]
-        time_s = raw_s + offset_s
+        # Between times far apart the offset is coarser than a step, which must not turn time back.
+        time_s = np.maximum.accumulate(np.maximum(raw_s + offset_s, self._time_s))
         step_s[reset] = regular_s
         self._raw_s, self._offset_s, self._time_s = float(raw_s[-1]), float(offset_s[-1]), float(time_s[-1])
         return Stamped(time_s, step_s, reset)
 
-    def _without_garbage(self, stamps: FloatArray) -> FloatArray:
+    def _without_garbage(self, stamps: NDArray[Any]) -> NDArray[Any]:
         """Replace what is no time by the stamp before: such a sample has no time of its own."""
-        good = np.abs(stamps) < _LARGEST_STAMP
+        if stamps.dtype.kind == "i":
+            return stamps
+        good = np.abs(stamps) < _LARGEST_TIME_S * self._ticks_per_s
         if not good.all():
             stamps = np.concatenate([[self._last], stamps])
             place = np.maximum.accumulate(np.where(np.append(True, good), np.arange(len(stamps)), 0))
             stamps = stamps[place][1:]
-        self._last = float(stamps[-1])
         return stamps
 
     def _unwrap(self, stamps: NDArray[Any]) -> NDArray[Any]:
         """Add a wrap wherever a stamp is more than half a wrap behind the one before."""
+        before, self._last = self._last, stamps[-1].item()
         if not self._modulus:
             return stamps
-        back = np.diff(stamps, prepend=self._last) < -(self._modulus // 2)
-        wraps = self._wraps + np.cumsum(back)
-        self._last, self._wraps = stamps[-1].item(), int(wraps[-1])
+        wraps = self._wraps + np.cumsum(np.diff(stamps, prepend=before) < -(self._modulus // 2))
+        self._wraps = int(wraps[-1])
         unwrapped: NDArray[Any] = stamps + wraps * self._modulus
         return unwrapped
