@@ -22,6 +22,8 @@ _SETTLED = 1e-8
 """Sum of squared changes in sigma at which it stops: a ten-thousandth of a sigma."""
 _SCATTER_SETTLED = 1e-3
 _HALVINGS = 6
+_SESSION_ROOT_S = 20.0
+"""Root of the length of a session, to start from."""
 HEADING_SEEN = 0.2
 """Sigma of the horizontal Earth rate over its length below which its length is taken as known and one azimuth is fitted."""
 _LENGTH_SIGMA = 1e-4
@@ -72,7 +74,7 @@ class JointFit:
     @property
     def chi_squared(self) -> float:
         """Squared residuals in units of S."""
-        S = self.parts.total(self.scatter.drift_rad_s, self.scatter.turn_rad)
+        S = self.parts.total(self.scatter)
         residual = self.evaluation.residual
         return float(residual @ np.linalg.solve(S, residual))
 
@@ -211,8 +213,7 @@ def _gauss_newton(
 
 
 def _same(before: Scatter, after: Scatter) -> bool:
-    pairs = ((before.drift_rad_s, after.drift_rad_s), (before.turn_rad, after.turn_rad))
-    return all(abs(old - new) <= _SCATTER_SETTLED * max(old, 1e-9) for old, new in pairs)
+    return all(abs(old - new) <= _SCATTER_SETTLED * max(old, 1e-9) for old, new in zip(before.sizes, after.sizes, strict=True))
 
 
 def first_scatter(evaluation: Evaluation) -> Scatter:
@@ -220,11 +221,12 @@ def first_scatter(evaluation: Evaluation) -> Scatter:
     m = evaluation.moves
     moves, stills = evaluation.residual[: 2 * m], evaluation.residual[2 * m : 2 * m + 3 * evaluation.stills]
     turn = float(np.sqrt(np.mean(moves**2))) if m else 0.0
-    return Scatter(float(np.sqrt(np.mean(stills**2))), min(turn, 0.1))
+    drift = float(np.sqrt(np.mean(stills**2)))
+    return Scatter(drift, drift / _SESSION_ROOT_S, min(turn, 0.1))
 
 
 def _linear_step(now: Evaluation, parts: Covariances, scatter: Scatter, p: FloatArray, free: IntArray, prior: _Prior) -> _Step:
-    L = np.linalg.cholesky(parts.total(scatter.drift_rad_s, scatter.turn_rad))
+    L = np.linalg.cholesky(parts.total(scatter))
     whitened = np.linalg.solve(L, np.column_stack([now.residual, now.jacobian[:, free]]))
     prior_residual, prior_jacobian = prior.rows(p, free)
     residual = np.concatenate([whitened[:, 0], prior_residual])
@@ -245,7 +247,7 @@ def _walk(
 ) -> tuple[FloatArray, Evaluation, int]:
     """Take the step, or the half of it that first lowers the cost."""
     parts, scatter, prior = weights
-    L = np.linalg.cholesky(parts.total(scatter.drift_rad_s, scatter.turn_rad))
+    L = np.linalg.cholesky(parts.total(scatter))
     for halving in range(_HALVINGS):
         trial = p.copy()
         trial[free] += step.change * 0.5**halving

@@ -83,6 +83,8 @@ class GyroscopeData:
     noise_density_raw : ndarray, shape (3,)
         Raw unit per sqrt(Hz).
     rest_raw : ndarray, shape (3,)
+    time_s : ndarray, shape (s,)
+        Middle of each still.
     stops : ndarray of int, shape (c,)
         Moves that are whole turns against a stop.
     stop_sigma_rad : ndarray, shape (c,)
@@ -99,6 +101,7 @@ class GyroscopeData:
     chain: IntArray
     noise_density_raw: FloatArray
     rest_raw: FloatArray
+    time_s: FloatArray
     stops: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     stop_sigma_rad: FloatArray = field(default_factory=lambda: np.empty(0))
     table: TableRows = field(default_factory=no_table)

@@ -2,13 +2,15 @@
 
 Sources, all independent: noise of the accelerometer mean of each still (enters the two moves that share it, and, through the
 calibration, every other), the rest of the accelerometer's uncertainty, noise of the gyroscope mean of each still, its noise
-during each move, and two kinds of scatter whose size the residuals tell:
+during each move, and three kinds of scatter whose size the residuals tell:
 
-drift    the bias of each still differs from the fitted one (flicker, temperature, and g-sensitivity where it is not fitted);
-         a move has the mean of the drifts of its two stills
+drift    the bias of each still differs from the fitted one (flicker, and g-sensitivity where it is not fitted)
+wander   the bias walks over the session (temperature, slow flicker): a random walk about its mean over the stills
 turn     every turn is wrong by a little more than its noise says (non-linearity, sampling, vibration)
 
-With ``S = S0 + drift^2 V1 + turn^2 V2`` their sizes are estimated by restricted maximum likelihood, by Fisher scoring [1]_:
+A move has the mean of the biases of its two stills. The fitted bias is the mean over the stills of this session.
+
+With ``S = S0 + drift^2 V1 + wander^2 V2 + turn^2 V3`` their sizes are estimated by restricted maximum likelihood, by Fisher scoring [1]_:
 with ``P = S^-1 - S^-1 J (J^T S^-1 J)^-1 J^T S^-1``, score and information are
 
     2 s_k = r^T P V_k P r - tr(P V_k),    2 F_kl = tr(P V_k P V_l)
@@ -126,18 +128,37 @@ def _gain(
 
 
 @dataclass(frozen=True, slots=True)
+class Scatter:
+    """1 sigma of what the residuals show beyond the noise."""
+
+    drift_rad_s: float
+    wander: float
+    """rad/s per sqrt(s)."""
+    turn_rad: float
+
+    @property
+    def sizes(self) -> tuple[float, float, float]:
+        """In the order of the parts of S."""
+        return self.drift_rad_s, self.wander, self.turn_rad
+
+
+@dataclass(frozen=True, slots=True)
 class Covariances:
     """Parts of S, in the order of ``Evaluation.residual``."""
 
     fixed: FloatArray
     drift: FloatArray
+    wander: FloatArray
     turn: FloatArray
     with_accelerometer: FloatArray
     """Covariance of the residuals with the 15 accelerometer parameters and gravity, shape (2 m + 3 s, 16)."""
 
-    def total(self, drift_rad_s: float, turn_rad: float) -> FloatArray:
+    def total(self, scatter: Scatter) -> FloatArray:
         """Return S."""
-        S: FloatArray = self.fixed + drift_rad_s**2 * self.drift + turn_rad**2 * self.turn
+        S: FloatArray = self.fixed.copy()
+        for size, part in zip(scatter.sizes, (self.drift, self.wander, self.turn), strict=True):
+            if size > 0:
+                S += size**2 * part
         return S
 
 
@@ -161,7 +182,16 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData, erro
     turn = np.zeros((rows, rows))
     turning = [*range(2 * m), *_stop_places(data)]
     turn[turning, turning] = 1.0
-    return Covariances(fixed, drift @ drift.T, turn, with_accelerometer)
+    walk = drift @ np.kron(_random_walk(data.time_s), np.eye(3)) @ drift.T
+    return Covariances(fixed, drift @ drift.T, walk, turn, with_accelerometer)
+
+
+def _random_walk(time_s: FloatArray) -> FloatArray:
+    """Return the covariance of a random walk of 1 per sqrt(s) about its own mean, shape (s, s)."""
+    elapsed = time_s - time_s.min()
+    centring = np.eye(len(elapsed)) - 1 / len(elapsed)
+    walk: FloatArray = centring @ np.minimum(elapsed[:, None], elapsed) @ centring
+    return walk
 
 
 def _add_blocks(target: FloatArray, blocks: FloatArray, start: int) -> None:
@@ -222,25 +252,17 @@ def _by_drift(evaluation: Evaluation, data: GyroscopeData, to_tangent: FloatArra
     return result
 
 
-@dataclass(frozen=True, slots=True)
-class Scatter:
-    """1 sigma of what the residuals show beyond the noise."""
-
-    drift_rad_s: float
-    turn_rad: float
-
-
 def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, parts: Covariances) -> Scatter:
-    """Return one step of restricted maximum likelihood towards the sizes of drift and turn errors."""
-    inverse = np.linalg.inv(parts.total(scatter.drift_rad_s, scatter.turn_rad))
+    """Return one step of restricted maximum likelihood towards the sizes of the scatters."""
+    inverse = np.linalg.inv(parts.total(scatter))
     weighted = inverse @ jacobian
     P = inverse - weighted @ np.linalg.pinv(jacobian.T @ weighted, hermitian=True) @ weighted.T
-    components = (parts.drift, parts.turn)
+    components = (parts.drift, parts.wander, parts.turn)
     products = [P @ V for V in components]
     Pr = P @ residual
     score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])
     information = np.array([[np.sum(a * b.T) for b in products] for a in products])
-    now = np.array([scatter.drift_rad_s**2, scatter.turn_rad**2])
+    now = np.array(scatter.sizes) ** 2
     step = _bounded_step(now, score, information)
     return Scatter(*(float(value) for value in np.sqrt(np.maximum(now + step, 0.0))))
 
@@ -254,7 +276,7 @@ def _bounded_step(now: FloatArray, score: FloatArray, information: FloatArray) -
     step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=None)[0]
     falling = now + step < 0
     if falling.any():
-        # The other component answers for what the one at its bound cannot take.
+        # The others answer for what the one at its bound cannot take.
         step[falling] = -now[falling]
         rest = free & ~falling
         if rest.any():

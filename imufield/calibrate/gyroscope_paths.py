@@ -130,6 +130,7 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
         chains_of(len(observations), moves.before, moves.after),
         density,
         rest,
+        observations.start_s + observations.duration_s / 2,
         table=pair_runs(given.turntable) if given.turntable else no_table(),
     )
 

@@ -213,7 +213,7 @@ def _move_report(what: Described) -> MoveReport:
     data, fitted, moves = what.data, what.fit, what.given.moves
     up = data.up[data.after]
     now, m = fitted.evaluation, len(moves)
-    S = fitted.parts.total(fitted.scatter.drift_rad_s, fitted.scatter.turn_rad)
+    S = fitted.parts.total(fitted.scatter)
     blocks = np.array([S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(m)]).reshape(m, 2, 2)
     residual = now.residual[: 2 * m].reshape(m, 2)
     sigma = np.sqrt(np.einsum("mi,mij,mj->m", residual, np.linalg.inv(blocks), residual))

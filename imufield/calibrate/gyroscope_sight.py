@@ -76,8 +76,8 @@ def look(p: FloatArray, data: GyroscopeData, errors: ForceErrors, *, known: bool
     """
     now = evaluate(p, data)
     generous = first_scatter(now)
-    scatter = Scatter(generous.drift_rad_s, min(generous.turn_rad, _NOISIEST_TURN_RAD))
-    S = covariances(now, p[:PARAMETERS], data, errors).total(scatter.drift_rad_s, scatter.turn_rad)
+    scatter = Scatter(generous.drift_rad_s, 0.0, min(generous.turn_rad, _NOISIEST_TURN_RAD))
+    S = covariances(now, p[:PARAMETERS], data, errors).total(scatter)
     scale = _natural_scale(p)
     whitened = np.linalg.solve(np.linalg.cholesky(S), now.jacobian[:, :PARAMETERS] * scale)
     order = (*_ORDER, *range(SENSITIVITY.start, SENSITIVITY.stop))

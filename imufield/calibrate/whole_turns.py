@@ -23,7 +23,7 @@ from imufield.errors import UsageError
 from imufield.samples import AXES, FloatArray, IntArray
 
 LEAST_TURN_RAD = np.radians(330.0)
-MOST_TILT_RAD = np.radians(30.0)
+MOST_TILT_RAD = np.radians(20.0)
 """A move that turned less, or came to rest further from where it began, is no attempt at a whole turn."""
 _VERTICAL = np.cos(np.radians(20.0))
 NOT_WHOLE_SIGMAS = 5.0

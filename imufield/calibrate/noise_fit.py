@@ -1,0 +1,141 @@
+"""From an Allan deviation to the noise figures of a filter.
+
+The overlapped Allan variance of the usual noises of an inertial sensor adds up ([1]_, annex C)::
+
+    q(t) = 3 Q^2 / t^2  +  N^2 / t  +  (2 ln 2 / pi) B^2  +  K^2 t / 3  +  R^2 t^2 / 2
+
+Q quantisation, N white noise (angle or velocity random walk), B bias instability, K rate random walk, R ramp. The five squares are
+fitted to q at octaves of t, never negative, each point weighted by its equivalent degrees of freedom [2]_ (a variance with f
+of them is known to sqrt(2 / f)). Estimates at neighbouring octaves share data: their correlation (0.5 from octave to octave,
+measured on white noise and random walk) goes into the intervals. A term that is not three times its own sigma is not *seen*: of N that cannot happen,
+of B and K it means that the recording is too short for it, and what is returned is an upper limit.
+
+A sensor with a low-pass filter shows less than N^2 / t at short times; the points before the deviation falls by at least
+t^-0.4 are left out.
+
+References
+----------
+.. [1] IEEE Std 952-2020, annex C.
+.. [2] C. A. Greenhall, W. J. Riley, "Uncertainty of stability variances based on finite differences", PTTI 2003.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.samples import FloatArray
+
+FLICKER = 2 * math.log(2) / math.pi
+CORRELATION = 0.5
+"""Of estimates one octave apart; two octaves apart its square, and so on."""
+SEEN_SIGMAS = 3.0
+_FALLING = -0.4
+_PASSES = 6
+_CONFIDENCE_95 = 1.959964
+_TERMS = 5
+_Q, _N, _B, _K, _R = range(_TERMS)
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One noise figure with its 95 % interval; ``seen`` is False where it is an upper limit only (``value`` NaN)."""
+
+    value: float
+    low: float
+    high: float
+    seen: bool
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """What was identified on one axis, SI."""
+
+    density: Figure
+    """N, per sqrt(Hz)."""
+    instability: Figure
+    """B."""
+    walk: Figure
+    """K, per sqrt(s)."""
+    quantisation: Figure
+    """Q."""
+    ramp: Figure
+    """R, per second."""
+    first: int
+    """First point that was used."""
+    squares: FloatArray
+    """Q^2, N^2, B^2, K^2, R^2."""
+
+    def deviation(self, tau_s: FloatArray) -> FloatArray:
+        """Return the modelled Allan deviation."""
+        deviation: FloatArray = np.sqrt(terms(tau_s) @ self.squares)
+        return deviation
+
+
+def terms(tau_s: FloatArray) -> FloatArray:
+    """Return the Allan variance of each noise with a figure of 1, shape (n, 5)."""
+    t = np.asarray(tau_s, dtype=np.float64)
+    return np.stack([3 / t**2, 1 / t, np.full_like(t, FLICKER), t / 3, t**2 / 2], axis=1)
+
+
+def identify(tau_s: FloatArray, deviation: FloatArray, freedom: FloatArray) -> NoiseModel:
+    """Fit the noise model.
+
+    Parameters
+    ----------
+    tau_s, deviation : ndarray, shape (n,)
+        Overlapped Allan deviation at octaves, all positive.
+    freedom : ndarray, shape (n,)
+        Equivalent degrees of freedom of each point.
+    """
+    from scipy.optimize import nnls  # slow to load
+
+    first = first_falling(tau_s, deviation)
+    X, q, f = terms(tau_s[first:]), deviation[first:] ** 2, freedom[first:]
+    expected = q
+    for _ in range(_PASSES):
+        # The model's own variance is the better weight: a point that came out low must not count for more.
+        relative = np.sqrt(2 / f)
+        L = np.linalg.cholesky(_correlation(len(f)))
+        A = np.linalg.solve(L, X / (expected * relative)[:, None])
+        size = np.linalg.norm(A, axis=0)
+        squares = nnls(A / size, np.linalg.solve(L, q / (expected * relative)))[0] / size
+        expected = np.maximum(X @ squares, 1e-6 * q)
+    sigma = _sigma(A, squares)
+    figures = [_figure(value, s) for value, s in zip(squares, sigma, strict=True)]
+    return NoiseModel(figures[_N], figures[_B], figures[_K], figures[_Q], figures[_R], first, squares)
+
+
+def first_falling(tau_s: FloatArray, deviation: FloatArray) -> int:
+    """Return the first point from which the deviation falls as noise does; 0 where it never does."""
+    slope = np.diff(np.log(deviation)) / np.diff(np.log(tau_s))
+    falling = np.flatnonzero(slope <= _FALLING)
+    return int(falling[0]) if len(falling) and falling[0] < len(tau_s) // 2 else 0
+
+
+def _correlation(n: int) -> FloatArray:
+    index = np.arange(n)
+    matrix: FloatArray = CORRELATION ** np.abs(index[:, None] - index)
+    return matrix
+
+
+def _sigma(A: FloatArray, squares: FloatArray) -> FloatArray:
+    """Return 1 sigma of the squares; of a term at zero, what it could be on its own beside the others."""
+    active = squares > 0
+    sigma = np.zeros(_TERMS)
+    for k in range(_TERMS):
+        columns = np.flatnonzero(active | (np.arange(_TERMS) == k))
+        scale = np.linalg.norm(A[:, columns], axis=0)
+        covariance = np.linalg.pinv((A[:, columns] / scale).T @ (A[:, columns] / scale), hermitian=True)
+        place = int(np.flatnonzero(columns == k)[0])
+        sigma[k] = math.sqrt(max(covariance[place, place], 0.0)) / scale[place]
+    return sigma
+
+
+def _figure(square: float, sigma: float) -> Figure:
+    low, high = max(square - _CONFIDENCE_95 * sigma, 0.0), square + _CONFIDENCE_95 * sigma
+    if square < SEEN_SIGMAS * sigma:
+        return Figure(math.nan, 0.0, math.sqrt(high), False)
+    return Figure(math.sqrt(square), math.sqrt(low), math.sqrt(high), True)
