@@ -14,7 +14,7 @@ import numpy as np
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol import Protocol, parse_protocol
-from imufield.acquire.recording import Damage, PartStart, RecordedEvent, read_blocks
+from imufield.acquire.recording import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks
 from imufield.acquire.session import Session
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.calibrate.observations import Observations
@@ -102,6 +102,12 @@ class Chain:
         if self._judging and self.guide is None and self.finder is None:
             self._make_judge(protocol)
         return self._start_decoder(protocol)
+
+    def feed_block(self, block: RecordedBlock) -> list[Event]:
+        """Take many recorded reads at once, as if they came one by one."""
+        if self.decoder is None:
+            raise RecordingError("bytes stand before the start of a part; the recording is damaged", Reason.DAMAGED)
+        return self._take(self.decoder.feed_chunks(block.data, block.end, block.monotonic_s), block.utc_ns)
 
     def feed(self, data: bytes, arrival_s: float, utc_ns: int) -> list[Event]:
         """Take the bytes of one read and return what the guide has to say."""
@@ -249,7 +255,7 @@ def replay_into(
         elif isinstance(item, RecordedEvent):
             events = _say_again(chain, item.event)
         else:
-            events = chain.feed(item.data, item.arrival_s, item.utc_ns)
+            events = chain.feed_block(item)
         if events and listener is not None:
             listener(events)
     last = chain.finish() if ended else []
@@ -267,7 +273,7 @@ def session_samples(session: Session, damage: list[Damage]) -> Iterator[Samples]
         elif isinstance(item, RecordedEvent):
             _say_again(chain, item.event)
         else:
-            chain.feed(item.data, item.arrival_s, item.utc_ns)
+            chain.feed_block(item)
         yield from blocks
         blocks.clear()
     chain.finish()
