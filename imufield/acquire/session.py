@@ -336,6 +336,9 @@ def _check(content: Mapping[str, Any], path: Path) -> None:
                 path=str(path),
                 key=key,
             )
+    for key in ("created", "model", "finished"):
+        if key not in content:
+            raise RecordingError(f"{path} lacks the key `{key}`: restore it.", Reason.DAMAGED, path=str(path), key=key)
 
 
 def _cannot_write(path: Path, error: OSError) -> RecordingError:

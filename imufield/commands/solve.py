@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -37,10 +38,14 @@ from imufield.deliver.summary import Outcome, print_summary
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError
 from imufield.guide.axes_check import AxesCheck
+from imufield.guide.events import RefusalCode, Rejected
+from imufield.guide.guide import Guide
 from imufield.samples import FloatArray
 
 PARAMETER_FILE = "parameters.toml"
 HASH_BLOCK_BYTES = 1 << 20
+FEWEST_POSITIONS = 6
+"""For scale and bias, each axis up and down."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +115,9 @@ def solve_session(session: Session, options: SolveOptions) -> Solved:
     """
     damage: list[Damage] = []
     chain = Chain(Plan.of(session))
-    replay_into(chain, session, damage)
-    observations, axes, refused = _observations(chain)
+    refusals: list[Rejected] = []
+    replay_into(chain, session, damage, lambda events: refusals.extend(e for e in events if isinstance(e, Rejected)))
+    observations, axes, refused = _observations(chain, refusals)
     if axes.error is not None:
         raise axes.error
     metadata = session.metadata
@@ -137,7 +143,7 @@ def solve_observations(path: Path, options: SolveOptions) -> Solved:
     return Solved(_solve(found, options), ())
 
 
-def _observations(chain: Chain) -> tuple[Observations, AxesCheck, tuple[str, ...]]:
+def _observations(chain: Chain, refusals: list[Rejected]) -> tuple[Observations, AxesCheck, tuple[str, ...]]:
     if chain.statistics and not any(part.samples for part in chain.statistics):
         total = sum(part.bytes_total for part in chain.statistics)
         raise CalibrationError(
@@ -146,14 +152,56 @@ def _observations(chain: Chain) -> tuple[Observations, AxesCheck, tuple[str, ...
             bytes=total,
         )
     if chain.guide is not None:
-        return chain.observations(), chain.guide.check_axes(), ()
+        observations = chain.observations()
+        spoilt = [one for one in refusals if one.position or one.reason in _SPOIL_DATA]
+        _check_count(len(observations), [(one.reason, one.words, one.remedy) for one in spoilt])
+        return observations, chain.guide.check_axes(), _missing_sentences(chain.guide, refusals)
     if chain.finder is None:
         raise CalibrationError("the session holds no data at all; record or import it again", Reason.TOO_FEW)
     found = chain.still_intervals()
+    _check_count(len(found.observations), [(one.reason, one.words, one.remedy) for _, one in found.refused])
     sentences = tuple(
         f"The still interval at {start_s:.1f} s is left out: {refusal.words}." for start_s, refusal in found.refused
     )
     return found.observations, found.axes, sentences
+
+
+_SPOIL_DATA = (RefusalCode.SATURATED, RefusalCode.INVALID, RefusalCode.SAMPLE_LOSS)
+"""Refused as soon as it is seen, before a position is known."""
+
+
+def _check_count(count: int, refusals: list[tuple[RefusalCode, str, str]]) -> None:
+    """Say what stood in the way where holds were refused and too few are left; without refusals the solver says it.
+
+    Raises
+    ------
+    CalibrationError
+        If fewer are left than scale and bias need.
+    """
+    if count >= FEWEST_POSITIONS or not refusals:
+        return
+    (code, _), *_ = Counter(code for code, _, _ in refusals).most_common(1)
+    words, remedy = next((words, remedy) for one, words, remedy in reversed(refusals) if one is code)
+    at_its_end = code in (RefusalCode.SATURATED, RefusalCode.STUCK)
+    raise CalibrationError(
+        f"{count} positions are left, scale and bias need {FEWEST_POSITIONS}, because {len(refusals)} were refused, mostly as this "
+        f"one: {words}; {remedy}",
+        Reason.SATURATED if at_its_end else Reason.TOO_FEW,
+        positions=count,
+        limit=FEWEST_POSITIONS,
+        refused=len(refusals),
+    )
+
+
+def _missing_sentences(guide: Guide, refusals: list[Rejected]) -> tuple[str, ...]:
+    """Say which planned positions were not measured, and why as far as holds were refused there."""
+    plan = guide.plan
+    missing = plan.missing()
+    if not missing:
+        return ()
+    why = {one.position: one.words for one in refusals if one.position in missing}
+    sentences = [f"{len(missing)} of {len(plan.scheme)} planned positions are not measured: {', '.join(missing)}."]
+    return (*sentences, *(f"A hold at {position} was refused: {words}." for position, words in why.items()))
 
 
 def _solve(found: _Input, options: SolveOptions) -> Parameters:

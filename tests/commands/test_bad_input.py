@@ -1,0 +1,421 @@
+"""Everything that goes wrong, through the real program: one sentence, the right exit code, no traceback, nothing lost."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import resource
+import shutil
+import signal
+import socket
+import tty
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from imufield.acquire.recording import Chunk, read_session
+from imufield.acquire.session import Session
+from imufield.samples import Samples, Status
+
+if TYPE_CHECKING:
+    from tests.commands.conftest import Program
+
+USAGE, LINK, RECORDING, PARAMETER_FILE, CALIBRATION, INTERRUPTED = 2, 3, 4, 5, 6, 130
+
+
+def one_sentence(stderr: str) -> str:
+    """Return the error: the last line, which is all there is but for what was assumed."""
+    lines = stderr.strip().splitlines()
+    assert "Traceback" not in stderr
+    assert sum(line.startswith("imufield: ") for line in lines) == 1, stderr
+    assert lines[-1].startswith("imufield: ")
+    assert lines[-1].endswith(".")
+    return lines[-1].removeprefix("imufield: ")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One line of the table: what is typed, the exit code, words of the sentence (what, where, limit or value, remedy)."""
+
+    name: str
+    arguments: str
+    code: int
+    words: tuple[str, ...]
+
+
+TYPED = [
+    Case("no such port", "capture --port /dev/ttyUSB77", LINK, ("/dev/ttyUSB77 does not exist", "imufield devices")),
+    Case("not a port", "capture --port /dev/null", LINK, ("/dev/null is not a serial port", "imufield devices")),
+    Case("unknown address", "record --port gopher://imu", USAGE, ("gopher://imu", "socket://host:port")),
+    Case("nobody listens", "record --port socket://127.0.0.1:{free}", LINK, ("refused", "check address")),
+    Case("unknown driver", "capture --port x --driver stim3000", USAGE, ("stim3000", "stim300, text")),
+    Case("unknown scheme", "capture --port x --positions paper42", USAGE, ("paper42", "paper24")),
+    Case("setting without value", "capture --port x --set range", USAGE, ("'range'", "NAME=VALUE")),
+    Case("hold too short", "capture --port x --hold-s 0.1", USAGE, ()),
+    Case("gravity of the Moon", "capture --port x --gravity 1.62", CALIBRATION, ("1.62 m/s^2", "9.76 to 9.84", "--latitude")),
+    Case("no latitude", "capture --port x --latitude 91", USAGE, ("latitude 91 deg", "-90 to 90")),
+    Case("height alone", "solve whole --height 300", USAGE, ("300 m", "--latitude")),
+    Case("gravity in g", "solve whole --gravity 1", CALIBRATION, ("gravity 1 m/s^2", "9.76 to 9.84", "--latitude")),
+    Case("gravity NaN", "solve whole --gravity nan", CALIBRATION, ("gravity nan m/s^2", "9.76 to 9.84")),
+    Case("nothing to resume", "capture --port x --resume", USAGE, ("no unfinished session", "--resume")),
+    Case("resume what is not there", "capture --port x --session new --resume", USAGE, ("new", "--resume")),
+    Case("resume what is finished", "capture --port x --session whole --resume", USAGE, ("finished", "imufield solve whole")),
+    Case("no session at all", "solve", RECORDING, ("no session", "imufield capture")),
+    Case("no such session", "solve nowhere", RECORDING, ("nowhere", "session.toml")),
+    Case("foreign file", "solve notes.txt", RECORDING, ("notes.txt", "session.toml")),
+    Case("unknown model", "solve whole --model cubic", USAGE, ("cubic", "linear, quadratic")),
+    Case("preset gauge without preset", "solve whole --gauge preset", USAGE, ("--preset",)),
+    Case("foreign preset", "solve whole --preset notes.txt", PARAMETER_FILE, ("notes.txt",)),
+    Case("output nowhere", "solve whole -o none/p.toml", PARAMETER_FILE, ("none/p.toml", "--output")),
+    Case("output is a folder", "solve whole -o folder", PARAMETER_FILE, ("folder", "not a file")),
+    Case("zero of two numbers", "solve whole --zero 1,2", USAGE, ("1,2", "three")),
+    Case("session and means", "solve whole --observations means.csv", USAGE, ("not both",)),
+    Case("NaN in the means", "solve --observations nan.csv", CALIBRATION, ("nan.csv", "line 4", "ay")),
+    Case("too few means", "solve --observations few.csv", CALIBRATION, ("5 positions", "6")),
+    Case("means without columns", "solve --observations notes.txt", USAGE, ("notes.txt",)),
+    Case("no such table", "import none.csv", RECORDING, ("none.csv",)),
+    Case("bytes as a table", "import noise.bin", RECORDING, ("noise.bin", "--protocol")),
+    Case("noise as a dump", "import noise.bin --protocol stim300", RECORDING, ("noise.bin", "100000 bytes", "--protocol")),
+    Case("unknown protocol", "import noise.bin --protocol stim301", RECORDING, ("stim301", "stim300")),
+    Case("rate for a dump", "import noise.bin --protocol stim300 --rate-hz 5", USAGE, ("--set",)),
+    Case("unknown format", "export-data whole --to xls", USAGE, ("xls", "csv")),
+    Case("export nowhere", "export-data whole -o none/s.csv", RECORDING, ("none/s.csv",)),
+    Case("export over a folder", "export-data whole -o folder", RECORDING, ("folder", "not a file")),
+    Case("unknown instrument", "emulate stim301", USAGE, ("stim301", "stim300")),
+    Case("rate it has not", "emulate stim300 --rate-hz 333", USAGE, ("333 Hz", "125, 250")),
+    Case("unknown fault", "emulate stim300 --fault fire=1", USAGE, ("fire", "stalls_per_s")),
+    Case("replay nowhere", "replay nowhere", RECORDING, ("nowhere",)),
+    Case("unknown key of imufield.toml", "-C bad/imufield.toml devices", USAGE, ("colour", "latitude")),
+]
+
+
+@pytest.fixture
+def furnished(program: Program, whole_session: Path) -> Program:
+    """A folder with one good session and files that are not what they should be."""
+    folder = program.folder
+    shutil.copytree(whole_session, folder / "whole")
+    (folder / "folder").mkdir()
+    (folder / "notes.txt").write_text("Dear diary,\n")
+    (folder / "noise.bin").write_bytes(np.random.default_rng(5).bytes(100_000))
+    (folder / "few.csv").write_text("ax,ay,az\n" + "0,0,9.8\n" * 5)
+    (folder / "nan.csv").write_text("ax,ay,az\n0,0,9.8\n0,0,-9.8\n0,nan,0\n" + "9.8,0,0\n" * 9)
+    return program
+
+
+@pytest.fixture(scope="module")
+def free_port() -> int:
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        return int(server.getsockname()[1])
+
+
+@pytest.mark.parametrize("case", TYPED, ids=lambda case: case.name)
+def test_what_is_typed(case: Case, furnished: Program, free_port: int) -> None:
+    arguments = case.arguments.format(free=free_port).split()
+    if arguments[0] == "-C":
+        (furnished.folder / "imufield.toml").write_text('colour = "red"\n')
+        arguments = arguments[2:]
+    before = sorted(furnished.folder.rglob("*"))
+    ended = furnished.run(*arguments)
+    assert ended.returncode == case.code, ended.stderr
+    assert ended.stdout == ""
+    if case.words:
+        sentence = one_sentence(ended.stderr)
+        assert all(word in sentence for word in case.words), sentence
+    assert sorted(furnished.folder.rglob("*")) == before
+
+
+@pytest.fixture
+def wire() -> Iterator[tuple[int, str]]:
+    """The far end and the name of a port on which nothing happens by itself."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    name = os.ttyname(slave)
+    os.set_blocking(master, False)
+    yield master, name
+    os.close(slave)
+    os.close(master)
+
+
+def test_silence(program: Program, wire: tuple[int, str]) -> None:
+    ended = program.run("capture", "--port", wire[1], "--driver", "stim300", "--clock-speed", 16)
+    assert ended.returncode == LINK
+    sentence = one_sentence(ended.stderr)
+    assert all(word in sentence for word in (wire[1], "silent", "within 5 s", "921600 bit/s", "check power")), sentence
+    assert not list(program.folder.rglob("session.toml"))
+
+
+@pytest.mark.parametrize("driver", [("--driver", "stim300"), ()], ids=["stim300", "any driver"])
+def test_noise_as_of_a_wrong_bit_rate(program: Program, wire: tuple[int, str], driver: tuple[str, ...]) -> None:
+    process = program.start("capture", "--port", wire[1], *driver, "--clock-speed", 4)
+    noise = np.random.default_rng(7).bytes(1 << 16)
+    while process.poll() is None:
+        try:
+            os.write(wire[0], noise)
+        except BlockingIOError:
+            signal.sigtimedwait([], 0.01)
+    output, error = process.communicate()
+    assert (process.returncode, output) == (LINK, "")
+    sentence = one_sentence(error)
+    assert all(word in sentence for word in (wire[1], "sends, but not", "stim300", "bytes", "--baud", "--protocol")), sentence
+    assert not list(program.folder.rglob("session.toml"))
+
+
+def test_wrong_protocol(program: Program) -> None:
+    port = program.emulate("--positions", "none", driver="text", rate_hz=100)
+    ended = program.run("record", "--port", port, "--driver", "stim300", "--duration-s", 5, "--clock-speed", 16)
+    assert ended.returncode == LINK
+    sentence = one_sentence(ended.stderr)
+    assert all(word in sentence for word in (port, "sends, but not stim300", "--driver", "--protocol")), sentence
+
+
+def test_a_port_that_another_program_holds(program: Program) -> None:
+    port = program.emulate("--positions", "none")
+    first = program.start("record", "--port", port, "--driver", "stim300", "--clock-speed", 16, "--json")
+    assert first.stdout is not None
+    assert '"recording"' in first.stdout.readline()
+    second = program.run("capture", "--port", port)
+    assert second.returncode == LINK
+    sentence = one_sentence(second.stderr)
+    assert port in sentence
+    assert f"(process {first.pid})" in sentence
+    assert "close it" in sentence
+    first.send_signal(signal.SIGINT)
+    assert first.wait(20) == INTERRUPTED
+
+
+def give_up_privileges() -> None:
+    """Take from root, to whom nothing is forbidden, the right to pass over the permissions of files (Linux)."""
+    drop_from_bounding_set, override, read_search = 24, 1, 2
+    library = ctypes.CDLL(None)
+    for capability in (override, read_search):
+        library.prctl(drop_from_bounding_set, capability, 0, 0, 0)
+
+
+def test_no_permission(program: Program, wire: tuple[int, str]) -> None:
+    Path(wire[1]).chmod(0)
+    ended = program.run("capture", "--port", wire[1], preexec_fn=give_up_privileges if os.geteuid() == 0 else None)
+    assert ended.returncode == LINK
+    sentence = one_sentence(ended.stderr)
+    assert all(word in sentence for word in ("no permission", wire[1], "usermod")), sentence
+
+
+def bytes_on_disk(session: Session) -> int:
+    return sum(len(item.data) for item in read_session(session) if isinstance(item, Chunk))
+
+
+def only_session(folder: Path) -> Session:
+    (session,) = Session.newest_first(folder / "imufield-sessions")
+    return Session.open(session)
+
+
+def test_unplugged_while_recording(program: Program) -> None:
+    link = program.folder / "imu"
+    port = program.emulate("--positions", "none", "--wait", "--link", link, "--fault", "disconnect_at_s=12")
+    ended = program.run("record", "--port", port, "--driver", "stim300", "--clock-speed", 16)
+    assert ended.returncode == LINK
+    sentence = one_sentence(ended.stderr)
+    assert all(word in sentence for word in (port, "disconnected", "cable")), sentence
+    session = only_session(program.folder)
+    assert session.finished
+    assert str(session.name) in ended.stdout
+    assert bytes_on_disk(session) > 11 * 125 * 38
+
+
+def test_unplugged_while_capturing(program: Program) -> None:
+    link = program.folder / "imu"
+    faults = ("--fault", "disconnect_at_s=30", "--fault", "disconnect_s=5")
+    port = program.emulate("--positions", "corners24", "--hold-s", 6, "--wait", "--link", link, *faults)
+    ended = program.run(*program.capture(port, "--plain"))
+    assert ended.returncode == 0, ended.stderr
+    lines = ended.stdout.splitlines()
+    (lost,) = [number for number, line in enumerate(lines) if "the link is gone" in line]
+    assert any("the link is back" in line for line in lines[lost:]), ended.stdout
+    before = [line for line in lines[:lost] if " accepted " in line]
+    assert before
+    assert "6 of 6 positions measured" in ended.stdout
+    assert program.run("solve").returncode == 0
+
+
+def limit_file_size(size: int) -> Callable[[], None]:
+    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+def test_disk_full_while_recording(program: Program) -> None:
+    port = program.emulate("--positions", "none", rate_hz=2000)
+    arguments = ("record", "--port", port, "--driver", "stim300", "--clock-speed", 16)
+    ended = program.run(*arguments, preexec_fn=limit_file_size(1_000_000))
+    assert ended.returncode == RECORDING
+    sentence = one_sentence(ended.stderr)
+    assert all(word in sentence for word in ("part-001.mcap", "full", "free some space")), sentence
+    assert bytes_on_disk(only_session(program.folder)) > 300_000
+
+
+def test_disk_full_while_capturing(program: Program) -> None:
+    port = program.emulate("--positions", "none", rate_hz=2000)
+    ended = program.run(*program.capture(port), preexec_fn=limit_file_size(1_000_000))
+    assert ended.returncode == RECORDING
+    assert "free some space" in one_sentence(ended.stderr)
+    session = only_session(program.folder)
+    assert not session.finished
+    assert f"--session {session.folder.relative_to(program.folder)} --resume" in ended.stdout
+    assert bytes_on_disk(session) > 300_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"), [("import rows.csv --rate-hz 100", 4), ("export-data whole", 4), ("solve whole", 5)]
+)
+def test_disk_full_at_a_desk(furnished: Program, arguments: str, code: int) -> None:
+    rows = np.random.default_rng(0).normal(0, 1, (20_000, 6)).round(4)
+    np.savetxt(furnished.folder / "rows.csv", rows, fmt="%.4f", delimiter=",", header="ax,ay,az,gx,gy,gz", comments="")
+    before = sorted((furnished.folder / "whole").iterdir())
+    ended = furnished.run(*arguments.split(), preexec_fn=limit_file_size(10_000))
+    assert ended.returncode == code, ended.stderr
+    assert "space" in one_sentence(ended.stderr)
+    assert sorted((furnished.folder / "whole").iterdir()) == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda number: number.name)
+@pytest.mark.parametrize("command", ["capture", "record"])
+def test_interrupted(program: Program, command: str, number: signal.Signals) -> None:
+    port = program.emulate("--positions", "none")
+    arguments = program.capture(port, "--json") if command == "capture" else ("record", "--port", port, "--json")
+    process = program.start(*arguments, variables={"IMUFIELD_CLOCK_SPEED": "16"})
+    assert process.stdout is not None
+    while '"noise_floor"' not in (line := process.stdout.readline()) and '"recording"' not in line:
+        assert line
+    process.send_signal(number)
+    output, error = process.communicate(timeout=20)
+    assert process.returncode == INTERRUPTED
+    assert one_sentence(error) == "interrupted; what was recorded is on disk."
+    session = only_session(program.folder)
+    assert bytes_on_disk(session) > 125 * 38
+    assert session.finished == (command == "record")
+    assert ('"recorded"' in output) == (command == "record")
+
+
+def test_interrupted_while_replaying_to_a_port(furnished: Program) -> None:
+    process = furnished.start("replay", "whole", "--to-pty")
+    assert process.stdout is not None
+    assert "waiting for a reader" in process.stdout.readline()
+    process.send_signal(signal.SIGTERM)
+    _, error = process.communicate(timeout=20)
+    assert process.returncode == INTERRUPTED
+    assert "Traceback" not in error
+
+
+DAMAGES: dict[str, tuple[Callable[[Path], object], int, tuple[str, ...]]] = {
+    "part is foreign": (lambda folder: part(folder).write_bytes(b"hello" * 1000), RECORDING, ("part-001.mcap",)),
+    "part is gone": (lambda folder: part(folder).unlink(), CALIBRATION, ("no data", "record")),
+    "part is empty": (lambda folder: part(folder).write_bytes(b""), CALIBRATION, ("no data", "record")),
+    "session.toml is cut": (
+        lambda folder: cut(folder / "session.toml", 40),
+        RECORDING,
+        ("session.toml", "`created`", "restore it"),
+    ),
+    "session.toml is newer": (lambda folder: edit(folder, "version = 1", "version = 9"), RECORDING, ("version 9", "update")),
+    "unknown key": (lambda folder: edit(folder, 'kind = "', 'colour = "red"\nkind = "'), RECORDING, ("`colour`", "remove")),
+    "unknown scheme": (lambda folder: edit(folder, '"paper24"', '"paper42"'), USAGE, ("paper42", "paper24")),
+}
+
+
+def part(folder: Path) -> Path:
+    return folder / "part-001.mcap"
+
+
+def cut(path: Path, size: int) -> None:
+    path.write_bytes(path.read_bytes()[:size])
+
+
+def edit(folder: Path, old: str, new: str) -> None:
+    path = folder / "session.toml"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_session(furnished: Program, damage: str) -> None:
+    spoil, code, words = DAMAGES[damage]
+    spoil(furnished.folder / "whole")
+    ended = furnished.run("solve", "whole")
+    assert ended.returncode == code, ended.stderr
+    sentence = one_sentence(ended.stderr)
+    assert all(word in sentence for word in words), sentence
+
+
+def test_a_damaged_part_is_used_as_far_as_it_can_be_read(furnished: Program) -> None:
+    path = part(furnished.folder / "whole")
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(content)
+    ended = furnished.run("solve", "whole")
+    assert ended.returncode in (0, CALIBRATION), ended.stderr
+    told = ended.stdout + ended.stderr
+    assert "part-001.mcap" in told.replace("\n   ", " ")
+    assert "Traceback" not in told
+
+
+def swap(samples: Samples) -> Samples:
+    return replace(samples, gyroscope=samples.gyroscope[:, [1, 0, 2]])
+
+
+def swap_force(samples: Samples) -> Samples:
+    return replace(samples, accelerometer=samples.accelerometer[:, [0, 2, 1]])
+
+
+def mirror(samples: Samples) -> Samples:
+    return replace(samples, accelerometer=samples.accelerometer * [1, -1, 1])
+
+
+def turn_round(samples: Samples) -> Samples:
+    return replace(samples, gyroscope=-samples.gyroscope)
+
+
+def saturate(samples: Samples) -> Samples:
+    """Clip the y axis at 0.7 g, as an instrument does that says so in its status."""
+    clipped = np.clip(samples.accelerometer, [-99, -7, -99], [99, 7, 99])
+    hit = (clipped != samples.accelerometer).any(axis=1)
+    status = np.where(hit, samples.status | np.uint32(Status.ACCELEROMETER_SATURATED), samples.status)
+    return replace(samples, accelerometer=clipped, status=status)
+
+
+def stick(samples: Samples) -> Samples:
+    return replace(samples, accelerometer=np.clip(samples.accelerometer, [-99, -7, -99], [99, 7, 99]))
+
+
+MEASURED: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+    "gyroscope axes swapped": ({"change": swap}, ("left-handed", "limit 20 deg", "correct driver or protocol")),
+    "accelerometer axes swapped": ({"change": swap_force}, ("do not belong together", "limit 20 deg")),
+    "left-handed accelerometer": ({"change": mirror}, ("do not belong together", "limit 20 deg")),
+    "gyroscope signs turned round": ({"change": turn_round}, ("left-handed", "limit 20 deg")),
+    "too few positions": ({"visits": 4}, ("positions", "need 6")),
+    "saturated axis": ({"positions": "faces6", "change": saturate}, ("4 positions", "need 6", "axis y", "larger range")),
+    "saturated axis, unsaid": ({"positions": "faces6", "change": stick}, ("4 positions", "need 6", "7.01 m/s^2", "range")),
+}
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_what_was_measured(program: Program, make_session: Callable[..., Session], name: str) -> None:
+    options, words = MEASURED[name]
+    session = make_session(**{"positions": "corners24", **options})
+    before = {path.name: path.stat().st_size for path in session.folder.iterdir()}
+    ended = program.run("solve", session.folder)
+    assert ended.returncode == CALIBRATION, ended.stdout + ended.stderr
+    sentence = one_sentence(ended.stderr)
+    assert all(word in sentence for word in words), sentence
+    assert {path.name: path.stat().st_size for path in session.folder.iterdir()} == before
+
+
+def test_six_faces_give_scale_and_bias_and_refuse_the_rest(program: Program, make_session: Callable[..., Session]) -> None:
+    session = make_session("faces6")
+    ended = program.run("solve", session.folder)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.count("not estimated") == 3
+    text = " ".join(ended.stdout.split())
+    assert "these positions cannot show misalignment" in text
+    assert "Verdict: POOR" in text or "Verdict: USABLE" in text
+    assert "nan" not in text
