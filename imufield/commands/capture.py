@@ -15,7 +15,7 @@ from imufield.acquire.link import Chunk
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.recording import Damage
 from imufield.acquire.session import DEFAULT_ROOT, Session
-from imufield.commands.chain import MARK, Chain, Plan, part_metadata, replay_into
+from imufield.commands.chain import MARK, SCHEME_FILE, Chain, Plan, part_metadata, replay_into
 from imufield.commands.connect import Connected, ConnectOptions, connect
 from imufield.commands.resume import check_instrument, check_plan, connect_as_before, find_unfinished, site_as_before
 from imufield.commands.site import SiteOptions
@@ -23,7 +23,8 @@ from imufield.commands.views import LinkState, LiveStatus, View, ViewName, make_
 from imufield.errors import ImufieldError, LinkError, UsageError
 from imufield.guide.events import Event
 from imufield.guide.keys import Keyboard
-from imufield.guide.positions import scheme
+from imufield.files import write_atomically
+from imufield.guide.positions import SCHEMES, scheme
 
 DEFAULT_SCHEME = "paper24"
 SILENCE_S = 2.0
@@ -116,16 +117,29 @@ def ask_site(site: SiteOptions, interactive: bool) -> SiteOptions:
 
 def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions) -> Session:
     """Create the session's folder with everything that is known before the first byte."""
+    name = options.positions or DEFAULT_SCHEME
+    positions = None if name in SCHEMES else _read_positions(name)
     metadata = {
         **connected.session_tables(),
         "kind": "capture",
-        "scheme": options.positions or DEFAULT_SCHEME,
+        "scheme": name if positions is None else SCHEME_FILE,
         "guide": {} if options.hold_s is None else {"hold_s": options.hold_s},
         "site": site.table(),
     }
     if options.session is not None:
-        return Session.create_in(options.session, connected.model, metadata)
-    return Session.create(options.root, connected.model, metadata)
+        session = Session.create_in(options.session, connected.model, metadata)
+    else:
+        session = Session.create(options.root, connected.model, metadata)
+    if positions is not None:
+        write_atomically(session.folder / SCHEME_FILE, positions)
+    return session
+
+
+def _read_positions(path: str) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read ({error.strerror}); check the name", path=path) from error
 
 
 @contextmanager

@@ -29,6 +29,8 @@ from imufield.samples import FloatArray, Samples
 
 MARK = "mark"
 """Name of a recorded event: what the operator said, to be said again on replay."""
+SCHEME_FILE = "positions.toml"
+"""Copy, in the session's folder, of positions that are not shipped: the session must be solved again without their file."""
 PART_GAP_S = 1.0
 """Least time between the samples of two parts, whatever the clocks of the host say of them."""
 
@@ -46,11 +48,12 @@ class Plan:
 
     @classmethod
     def of(cls, session: Session) -> Plan:
-        """Return the plan written in ``session.toml``."""
+        """Return the plan written in ``session.toml``; positions of the user's own lie beside it."""
+        name = session.metadata.get("scheme") or None
         hold_s = session.metadata.get("guide", {}).get("hold_s")
         raw_zero = session.metadata.get("nominal", {}).get("raw_zero")
         return cls(
-            session.metadata.get("scheme") or None,
+            str(session.folder / SCHEME_FILE) if name == SCHEME_FILE else name,
             None if hold_s is None else float(hold_s),
             None if raw_zero is None else tuple(raw_zero),
         )

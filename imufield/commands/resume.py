@@ -10,9 +10,11 @@ import typer
 
 from imufield.acquire.registry import driver_names
 from imufield.acquire.session import Session
+from imufield.commands.chain import Plan
 from imufield.commands.connect import Connected, ConnectOptions
 from imufield.commands.site import SiteOptions
 from imufield.errors import Reason, RecordingError, UsageError
+from imufield.guide.positions import scheme
 
 _IDENTITY = ("driver", "serial_number")
 
@@ -75,12 +77,16 @@ def check_plan(session: Session, scheme_name: str | None, hold_s: float | None) 
     UsageError
         If they differ.
     """
-    planned = session.metadata["scheme"]
-    if scheme_name is not None and scheme_name != planned:
+    planned = str(Plan.of(session).scheme)
+    if scheme_name is not None and _positions(scheme_name) != _positions(planned):
         raise UsageError(f"{session.folder} goes through {planned}, not {scheme_name}; leave out --positions, or begin anew")
     begun_s = session.metadata.get("guide", {}).get("hold_s")
     if hold_s is not None and begun_s is not None and hold_s != begun_s:
         raise UsageError(f"{session.folder} has holds of {begun_s:g} s, not {hold_s:g} s; leave out --hold-s, or begin anew")
+
+
+def _positions(name: str) -> list[tuple[str, list[float]]]:
+    return [(position.name, position.direction.tolist()) for position in scheme(name).positions]
 
 
 def connect_as_before(options: ConnectOptions, session: Session) -> ConnectOptions:
