@@ -3,8 +3,8 @@
 The estimator is allantools'. It wants all samples of an axis at once and several copies of them; a day at 200 Hz is 17
 million. So the samples go through levels, each of which averages 32 samples of the one before: short times are taken
 from chunks of the full rate, longer ones from chunks of averages, the longest from all averages at once. At 8 or more samples
-of a level per averaging time, stepping by whole samples loses less than 1 % of the overlapped estimator's freedom. The variances of
-chunks are averaged, weighted by their number of terms; the terms that straddle two chunks are the only ones lost.
+of a level per averaging time, stepping by whole samples loses less than 1 % of the overlapped estimator's freedom. The
+variances of chunks are averaged, weighted by their number of terms; the terms that straddle two chunks are the only ones lost.
 """
 
 from __future__ import annotations

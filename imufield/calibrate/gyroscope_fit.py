@@ -196,8 +196,8 @@ def _gauss_newton(
     now = evaluate(p, data)
     scatter = scatter or first_scatter(now)
     status, count = ITERATION_LIMIT, 1
+    parts = covariances(now, p[:PARAMETERS], data, errors)
     for _ in range(_ITERATIONS):
-        parts = covariances(now, p[:PARAMETERS], data, errors)
         step = _linear_step(now, parts, scatter, p, free, prior)
         p, now, tried = _walk(data, p, free, step, (parts, scatter, prior))
         count += tried
@@ -248,15 +248,16 @@ def _walk(
     """Take the step, or the half of it that first lowers the cost."""
     parts, scatter, prior = weights
     L = np.linalg.cholesky(parts.total(scatter))
-    for halving in range(_HALVINGS):
-        trial = p.copy()
-        trial[free] += step.change * 0.5**halving
+    share, tried = 1.0, 0
+    while True:
+        trial, tried = p.copy(), tried + 1
+        trial[free] += step.change * share
         now = evaluate(trial, data)
         prior_residual, _ = prior.rows(trial, free)
         cost = float(np.sum(np.linalg.solve(L, now.residual) ** 2) + prior_residual @ prior_residual)
-        if cost <= step.cost * (1 + 1e-9) + 1e-9:
-            break
-    return trial, now, halving + 1
+        if cost <= step.cost * (1 + 1e-9) + 1e-9 or tried == _HALVINGS:
+            return trial, now, tried
+        share /= 2
 
 
 def fit_turns_only(data: GyroscopeData, start: FloatArray, *, iterations: int = 30) -> FloatArray:

@@ -10,8 +10,8 @@ turn     every turn is wrong by a little more than its noise says (non-linearity
 
 A move has the mean of the biases of its two stills. The fitted bias is the mean over the stills of this session.
 
-With ``S = S0 + drift^2 V1 + wander^2 V2 + turn^2 V3`` their sizes are estimated by restricted maximum likelihood, by Fisher scoring [1]_:
-with ``P = S^-1 - S^-1 J (J^T S^-1 J)^-1 J^T S^-1``, score and information are
+With ``S = S0 + drift^2 V1 + wander^2 V2 + turn^2 V3`` their sizes are estimated by restricted maximum likelihood, by Fisher
+scoring [1]_: with ``P = S^-1 - S^-1 J (J^T S^-1 J)^-1 J^T S^-1``, score and information are
 
     2 s_k = r^T P V_k P r - tr(P V_k),    2 F_kl = tr(P V_k P V_l)
 
@@ -182,11 +182,11 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData, erro
     turn = np.zeros((rows, rows))
     turning = [*range(2 * m), *_stop_places(data)]
     turn[turning, turning] = 1.0
-    walk = drift @ np.kron(_random_walk(data.time_s), np.eye(3)) @ drift.T
+    walk = drift @ np.kron(random_walk(data.time_s), np.eye(3)) @ drift.T
     return Covariances(fixed, drift @ drift.T, walk, turn, with_accelerometer)
 
 
-def _random_walk(time_s: FloatArray) -> FloatArray:
+def random_walk(time_s: FloatArray) -> FloatArray:
     """Return the covariance of a random walk of 1 per sqrt(s) about its own mean, shape (s, s)."""
     elapsed = time_s - time_s.min()
     centring = np.eye(len(elapsed)) - 1 / len(elapsed)

@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.gyroscope import gyroscope_rate_unit, static_bias
 from imufield.calibrate.gyroscope_fit import EarthKnowledge, JointFit, fit_jointly
-from imufield.calibrate.gyroscope_model import GyroscopeData, chains_of, no_table
+from imufield.calibrate.gyroscope_model import VERTICAL, GyroscopeData, chains_of, no_table
 from imufield.calibrate.gyroscope_noise import ForceErrors, accelerometer_force, force_errors
-from imufield.calibrate.gyroscope_report import Described, GyroscopeResult, describe, static_result
+from imufield.calibrate.gyroscope_report import Described, GyroscopeResult, describe, static_norm_result, static_result
 from imufield.calibrate.gyroscope_sight import Sight, look
+from imufield.calibrate.gyroscope_static import StaticData, StaticFree, fit_static, latitude_words, sees_earth
 from imufield.calibrate.models import recover
 from imufield.calibrate.move_integration import INVERSE, PARAMETERS, SENSITIVITY, centre, rough_inverse
 from imufield.calibrate.moves import Moves
@@ -68,6 +69,8 @@ class GyroscopeInput:
     stops : sequence of Stop
         Whole turns about the vertical, against a stop.
     turntable : sequence of TurntableRun
+    static_free : {"bias", "all"}
+        What the static norm path fits.
     """
 
     observations: Observations
@@ -78,6 +81,7 @@ class GyroscopeInput:
     nominal_scale: float | None = None
     stops: Sequence[Stop] = ()
     turntable: Sequence[TurntableRun] = ()
+    static_free: StaticFree = "bias"
 
 
 def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -> GyroscopeResult:
@@ -90,10 +94,10 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
     UsageError
         If a stop belongs to no move.
     """
-    there = np.isfinite(given.observations.gyroscope_mean_raw).all(axis=1)
+    there: NDArray[np.bool_] = np.asarray(np.isfinite(given.observations.gyroscope_mean_raw).all(axis=1))
     if there.sum() < FEWEST_STILLS:
         raise CalibrationError(
-            f"{int(there.sum())} still positions have a gyroscope mean, {FEWEST_STILLS} are needed; record the gyroscope as well",
+            f"{int(there.sum())} still positions have a gyroscope mean, {FEWEST_STILLS} are needed; record the gyroscope too",
             Reason.TOO_FEW,
             positions=int(there.sum()),
         )
@@ -107,9 +111,8 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
     start, sight = _start(given, data, errors)
     data, refused = _with_stops(given, data, errors, start, sight, earth)
     chosen = _choose(data, errors, start, sight, earth, model)
-    return describe(
-        Described(given, data, chosen.fit, start, sight, chosen.fit_g, chosen.doubt, (*chosen.words, *refused), earth)
-    )
+    words = (*chosen.words, *refused, *_check_latitude(given, data, errors, chosen))
+    return describe(Described(given, data, chosen.fit, start, sight, chosen.fit_g, chosen.doubt, words, earth))
 
 
 def make_data(given: GyroscopeInput) -> GyroscopeData:
@@ -145,7 +148,17 @@ def _half_there(given: GyroscopeInput, there: NDArray[np.bool_]) -> CalibrationE
 
 
 def _static(given: GyroscopeInput) -> GyroscopeResult:
-    before = given.preset
+    before, observations = given.preset, given.observations
+    dropped = tuple(one.sentence for one in given.moves.dropped)
+    A = _preset_inverse(given)
+    if A is not None and given.latitude_deg is not None and sees_earth(observations.gyroscope_covariance_raw, A):
+        rest = observations.gyroscope_mean_raw.mean(axis=0)
+        force = recover(given.calibration.accelerometer, observations.mean_raw)
+        up = force / np.linalg.norm(force, axis=1)[:, None]
+        middle_s = observations.start_s + observations.duration_s / 2
+        data = StaticData(observations.gyroscope_mean_raw - rest, observations.gyroscope_covariance_raw, up, middle_s)
+        fitted = fit_static(data, A, given.latitude_deg, given.static_free)
+        return static_norm_result(given, fitted, rest, dropped)
     gyroscope = static_bias(
         given.observations,
         given.nominal_scale if before is None else before.scale,
@@ -153,7 +166,7 @@ def _static(given: GyroscopeInput) -> GyroscopeResult:
         up=recover(given.calibration.accelerometer, given.observations.mean_raw),
         latitude_deg=given.latitude_deg,
     )
-    return static_result(gyroscope, tuple(dropped.sentence for dropped in given.moves.dropped))
+    return static_result(gyroscope, dropped)
 
 
 def _start(given: GyroscopeInput, data: GyroscopeData, errors: ForceErrors) -> tuple[FloatArray, Sight]:
@@ -202,9 +215,9 @@ def _refuse_foreign(data: GyroscopeData, rough: FloatArray, preset: FloatArray) 
         raise _handedness()
     if np.any(ratio < 1 / _WRONG_START) or np.any(ratio > _WRONG_START):
         raise CalibrationError(
-            f"during the moves the unit turns {', '.join(f'{value:.3g}' for value in ratio)} times as fast as the gyroscope says "
-            f"with the preset or the driver's scale (1/{_WRONG_START:g} to {_WRONG_START:g} is accepted); check unit, range and "
-            "the order of the axes",
+            f"during the moves the unit turns {', '.join(f'{value:.3g}' for value in ratio)} times as fast as the gyroscope "
+            f"says with the preset or the driver's scale (1/{_WRONG_START:g} to {_WRONG_START:g} is accepted); check unit, "
+            "range and the order of the axes",
             Reason.UNITS,
             ratio=ratio.tolist(),
         )
@@ -233,6 +246,19 @@ def _with_stops(
         for k in np.flatnonzero(~whole)
     )
     return replace(data, stops=moves[whole], stop_sigma_rad=sigma[whole]), sentences
+
+
+def _check_latitude(given: GyroscopeInput, data: GyroscopeData, errors: ForceErrors, chosen: _Chosen) -> tuple[str, ...]:
+    """Return what the specific force times the Earth's rate says of the latitude.
+
+    With a g-sensitivity fitted it says nothing: the vertical Earth rate is an exact alias of G = (rate sin(latitude) / g) I.
+    """
+    if given.latitude_deg is None or not chosen.fit.heading_fitted or chosen.fit_g:
+        return ()
+    free = np.array([k for k in chosen.fit.free if k < PARAMETERS])
+    loose = fit_jointly(data, errors, chosen.fit.p, free, EarthKnowledge.at(None), chosen.fit.scatter)
+    place = int(np.flatnonzero(loose.free == VERTICAL)[0])
+    return latitude_words(given.latitude_deg, float(loose.p[VERTICAL]), float(np.sqrt(loose.covariance[place, place])))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from imufield.calibrate.gyroscope import GYROSCOPE_BIAS_NAMES, gyroscope_rate_un
 from imufield.calibrate.gyroscope_fit import EarthKnowledge, JointFit
 from imufield.calibrate.gyroscope_model import GyroscopeData, evaluate
 from imufield.calibrate.gyroscope_sight import Sight
+from imufield.calibrate.gyroscope_static import StaticFit, latitude_words
 from imufield.calibrate.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY
 from imufield.calibrate.moves import DroppedMove
@@ -180,6 +181,39 @@ def static_result(gyroscope: GyroscopeCalibration, sentences: tuple[str, ...]) -
     )
 
 
+def static_norm_result(
+    given: GyroscopeInput, fitted: StaticFit, rest_raw: FloatArray, dropped: tuple[str, ...]
+) -> GyroscopeResult:
+    """Return the result of the static norm path."""
+    values, J = forward(np.concatenate([fitted.x, np.zeros(9)]), rest_raw)
+    own = np.zeros((PARAMETERS, PARAMETERS))
+    own[:12, :12] = fitted.covariance
+    covariance = J @ own @ J.T
+    free = given.static_free == "all"
+    known = np.array([name in GYROSCOPE_BIAS_NAMES or (free and k < 9) for k, name in enumerate(GYROSCOPE_NAMES)])
+    sigma = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
+    what = "scale, misalignment and bias" if free else "bias; scale and misalignment as given, not calibrated"
+    path = f"static norm of the Earth rate at {len(given.observations)} still positions, any heading: {what}"
+    unsettled = () if fitted.converged else ("the static gyroscope fit did not settle",)
+    latitude = latitude_words(given.latitude_deg or 0.0, fitted.vertical, fitted.vertical_sigma)
+    none = np.empty(0)
+    return GyroscopeResult(
+        GyroscopeCalibration(as_parameters(values), as_parameters(sigma), path, gyroscope_rate_unit(given.observations.units)),
+        tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
+        covariance[np.ix_(known, known)],
+        np.zeros((int(known.sum()), 16)),
+        MoveReport(none, none, none, none, none, none),
+        (),
+        given.moves.dropped,
+        False,
+        () if free else GYROSCOPE_NAMES[:9],
+        True,
+        fitted.scatter.drift_rad_s,
+        float("nan"),
+        (*latitude, *unsettled, *dropped),
+    )
+
+
 def forward(x: FloatArray, rest_raw: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the 21 parameters in the order of ``GYROSCOPE_NAMES`` and d parameters / d x.
 
@@ -199,7 +233,7 @@ def forward(x: FloatArray, rest_raw: FloatArray) -> tuple[FloatArray, FloatArray
         dE = (dM[rows, columns] - M[rows, columns] * dK[rows] / K[rows]) / K[rows]
         dG = dM @ H + M @ unit[SENSITIVITY].reshape(3, 3)
         J[:, k] = np.concatenate([dK, dE, dM @ b + M @ unit[BIAS], dG.ravel()])
-    return values, J
+    return np.asarray(values, dtype=np.float64), J
 
 
 def as_parameters(vector: FloatArray) -> GyroscopeParameters:

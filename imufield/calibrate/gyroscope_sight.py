@@ -81,7 +81,7 @@ def look(p: FloatArray, data: GyroscopeData, errors: ForceErrors, *, known: bool
     scale = _natural_scale(p)
     whitened = np.linalg.solve(np.linalg.cholesky(S), now.jacobian[:, :PARAMETERS] * scale)
     order = (*_ORDER, *range(SENSITIVITY.start, SENSITIVITY.stop))
-    sight = dict(zip(order, _sights(whitened[:, order]), strict=True))
+    sight = dict(zip(order, _sights(np.asarray(whitened[:, order], dtype=np.float64)), strict=True))
     visible = tuple(k for k in _ORDER if sight[k] > 1 / WORST_SCALE or k >= INVERSE.stop)
     hidden = tuple(sorted(set(_ORDER) - set(visible)))
     unknown = [entry_name(k) for k in hidden if k % 4 == 0]

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from imufield.calibrate.allan import AllanStream, degrees_of_freedom, interval_95
+from imufield.calibrate.allan import AllanDeviation, AllanStream, degrees_of_freedom, interval_95
 from imufield.calibrate.noise_fit import Figure, NoiseModel, identify
+from imufield.calibrate.noise_grid import BRIDGED_S, EvenGrid, EvenRows
 from imufield.errors import CalibrationError, Reason
-from imufield.samples import AXES, FloatArray, IntArray, Samples, SampleUnits
+from imufield.samples import AXES, FloatArray, Samples, SampleUnits
 
-BRIDGED_S = 1.0
-"""Lost samples for longer than this end a stretch."""
 MOVED = 0.005
 """Change of the mean output of a second, over the length of the accelerometer's mean: 5 mg. More is a unit that was moved."""
 REFERENCE_S = 60.0
@@ -28,7 +27,10 @@ LEAST_S = 60.0
 QUANTISED = 0.5
 """Scatter of samples below this many steps of the output: the steps do not average out, the true noise is hidden."""
 _IDENTIFIED_POINTS = 6
+_FIRST_BLOCK = 3
+"""Samples that tell the interval where nothing else does."""
 _HOURS = 3600.0
+_SPLITS_NAMED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,30 +140,30 @@ class NoiseStream:
         known = (_scale(accelerometer_scale, units.accelerometer, "m/s"), _scale(gyroscope_scale, units.gyroscope, "rad"))
         self.is_si = all(scale is not None for scale in known)
         self._scale = np.concatenate([np.ones(3) if scale is None else scale for scale in known])
+        self._grid: EvenGrid | None = None
+        self._columns = 6
         self._best: _Stretch | None = None
         self._now: _Stretch | None = None
-        self._last: tuple[float, FloatArray] | None = None
-        self._interval_s: float | None = None
-        self._pending: list[FloatArray] = []
-        self._pending_rows = 0
-        self._pending_start_s = 0.0
-        self._columns = 6
+        self._waiting: list[FloatArray] = []
+        self._waiting_s = 0.0
         self._splits: list[str] = []
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
         values = np.concatenate([samples.accelerometer_rate(), samples.gyroscope_rate()], axis=1) / self._scale
-        if self._interval_s is None:
-            self._begin(samples, values)
-        if self._interval_s is None:
-            return
+        if self._grid is None:
+            if len(samples) < _FIRST_BLOCK:
+                return
+            interval_s = self._units.interval_s or float(np.median(np.diff(samples.time_s)))
+            self._grid = EvenGrid(interval_s)
+            # An instrument without a gyroscope has NaN there all along.
+            self._columns = 6 if np.isfinite(values[:, 3:]).any() else 3
         values = values[:, : self._columns]
         good = samples.usable & np.isfinite(values).all(axis=1)
-        time_s, values = samples.time_s[good], values[good]
-        if not len(time_s):
+        if not good.any():
             return
-        for part_s, part, bridged in self._onto_grid(time_s, values):
-            self._take(part_s, part, bridged)
+        for run in self._grid.feed(samples.time_s[good], values[good]):
+            self._take(run, self._grid.interval_s)
 
     def finish(self) -> NoiseResult:
         """Return what the longest undisturbed stretch shows.
@@ -171,98 +173,62 @@ class NoiseStream:
         CalibrationError
             If no stretch is long enough to say anything.
         """
-        self._end_stretch()
+        self._end_run()
         best = self._best
         if best is None or best.stream.samples < LEAST_SAMPLES or best.duration_s < LEAST_S:
             longest = 0.0 if best is None else best.duration_s
             raise CalibrationError(
-                f"the longest undisturbed stretch lasts {longest:.0f} s and the noise needs {LEAST_S:.0f} s and {LEAST_SAMPLES} "
-                "samples at least (an hour says something, six hours say more); record with the unit lying still",
+                f"the longest undisturbed stretch lasts {longest:.0f} s and the noise needs {LEAST_S:.0f} s and "
+                f"{LEAST_SAMPLES} samples at least (an hour says something, six hours more); record with the unit lying still",
                 Reason.TOO_FEW,
                 longest_s=longest,
             )
         return _result(best, self._units, self.is_si, tuple(self._splits))
 
-    def _begin(self, samples: Samples, values: FloatArray) -> None:
-        if len(samples) < 3:
+    def _take(self, run: EvenRows, interval_s: float) -> None:
+        """Take even rows: whole seconds are judged and go on, the rest waits."""
+        if run.broken:
+            self._end_run()
+            self._splits.append(f"samples are missing for more than {BRIDGED_S:g} s before {run.start_s:.1f} s")
+        if not self._waiting:
+            self._waiting_s = run.start_s
+        self._waiting.append(run.rows)
+        second = max(round(1 / interval_s), 1)
+        if sum(len(part) for part in self._waiting) < second:
             return
-        self._interval_s = self._units.interval_s or float(np.median(np.diff(samples.time_s)))
-        # An instrument without a gyroscope has NaN there all along.
-        self._columns = 6 if np.isfinite(values[:, 3:]).any() else 3
-
-    def _onto_grid(self, time_s: FloatArray, values: FloatArray) -> list[tuple[float, FloatArray, int]]:
-        """Return stretches of even samples: where each begins, its rows, and how many of them are bridged."""
-        interval = self._interval_s or 1.0
-        begins_new = self._last is None
-        if self._last is not None:
-            time_s = np.concatenate([[self._last[0]], time_s])
-            values = np.concatenate([self._last[1][None], values])
-        self._last = (float(time_s[-1]), values[-1])
-        steps = np.rint(np.diff(time_s) / interval).astype(np.int64)
-        breaks = np.flatnonzero((steps * interval > BRIDGED_S) | (np.diff(time_s) <= 0)) + 1
-        found = []
-        for number, rows in enumerate(np.split(np.arange(len(time_s)), breaks)):
-            if number:
-                self._end_stretch(f"samples are missing for more than {BRIDGED_S:g} s at {time_s[rows[0]]:.1f} s")
-            part_s, part, bridged = _bridge(time_s[rows], values[rows], steps[rows[:-1]])
-            skip = 0 if number or begins_new else 1
-            if len(part) > skip:
-                found.append((part_s + skip * interval, part[skip:], bridged))
-                if number + 1 < len(breaks) + 1:
-                    self._take(*found.pop())
-        return found
-
-    def _take(self, start_s: float, rows: FloatArray, bridged: int) -> None:
-        """Take even rows that follow those before; whole seconds are judged and go on."""
-        interval = self._interval_s or 1.0
-        second = max(round(1 / interval), 1)
-        if self._now is None:
-            self._now = _Stretch(AllanStream(interval, self._columns), start_s, interval)
-            self._pending_start_s = start_s
-        self._now.bridged += bridged
-        self._pending.append(rows)
-        self._pending_rows += len(rows)
-        if self._pending_rows < second:
-            return
-        joined = np.concatenate(self._pending)
+        joined = np.concatenate(self._waiting)
         whole = len(joined) // second * second
-        self._pending, self._pending_rows = [joined[whole:]], len(joined) - whole
-        self._judge(joined[:whole], second)
-        self._pending_start_s += whole * interval
-
-    def _judge(self, rows: FloatArray, second: int) -> None:
-        """Feed whole seconds, cut where the unit was moved."""
-        interval = self._interval_s or 1.0
-        means = rows[:, :3].reshape(-1, second, 3).mean(axis=1)
-        begin = 0
-        for k, mean in enumerate(means):
-            if self._now is None:
-                self._now = _Stretch(
-                    AllanStream(interval, self._columns), self._pending_start_s + k * second * interval, interval
-                )
-            if self._now.is_moved(mean):
-                self._now.feed(rows[begin * second : k * second])
-                begin = k
-                self._end_stretch(
-                    f"the unit was moved at {self._pending_start_s + k * second * interval:.0f} s", keep_pending=True
-                )
-                self._now = _Stretch(
-                    AllanStream(interval, self._columns), self._pending_start_s + k * second * interval, interval
-                )
-                self._now.is_moved(mean)
+        self._judge(joined[:whole].reshape(-1, second, self._columns), interval_s)
         if self._now is not None:
-            self._now.feed(rows[begin * second :])
+            self._now.bridged += run.bridged
+        self._waiting = [joined[whole:]]
+        self._waiting_s += whole * interval_s
 
-    def _end_stretch(self, why: str | None = None, *, keep_pending: bool = False) -> None:
-        if not keep_pending:
-            if self._now is not None and self._pending_rows:
-                self._now.feed(np.concatenate(self._pending))
-            self._pending, self._pending_rows = [], 0
+    def _judge(self, seconds: FloatArray, interval_s: float) -> None:
+        """Feed seconds, shape (n, rows, c), and cut where the unit was moved."""
+        begin = 0
+        for k, mean in enumerate(seconds[:, :, :3].mean(axis=1)):
+            at_s = self._waiting_s + k * seconds.shape[1] * interval_s
+            if self._now is not None and self._now.is_moved(mean):
+                self._now.feed(seconds[begin:k].reshape(-1, self._columns))
+                self._splits.append(f"the unit was moved at {at_s:.0f} s")
+                self._end_stretch()
+                begin = k
+            if self._now is None:
+                self._now = _Stretch(AllanStream(interval_s, self._columns), at_s, interval_s)
+            self._now.follow(mean)
+        if self._now is not None:
+            self._now.feed(seconds[begin:].reshape(-1, self._columns))
+
+    def _end_run(self) -> None:
+        """End the stretch; the second that was not full is given up."""
+        self._waiting = []
+        self._end_stretch()
+
+    def _end_stretch(self) -> None:
         if self._now is not None and (self._best is None or self._now.stream.samples > self._best.stream.samples):
             self._best = self._now
         self._now = None
-        if why is not None:
-            self._splits.append(why)
 
 
 class _Stretch:
@@ -284,14 +250,16 @@ class _Stretch:
         return self.stream.samples * self.interval_s
 
     def is_moved(self, mean: FloatArray) -> bool:
-        """Whether the mean of a second (3,) is that of a unit that was moved; follows it if not."""
+        """Whether the mean of a second (3,) is that of a unit that was moved."""
         if self._reference is None:
-            self._reference = mean.copy()
-        if np.abs(mean - self._reference).max() > MOVED * max(float(np.linalg.norm(self._reference)), 1e-300):
-            return True
+            return False
+        return float(np.abs(mean - self._reference).max()) > MOVED * float(np.linalg.norm(self._reference))
+
+    def follow(self, mean: FloatArray) -> None:
+        """Let the reference follow the mean of a second."""
         self._seconds = min(self._seconds + 1, int(REFERENCE_S))
-        self._reference = self._reference + (mean - self._reference) / self._seconds
-        return False
+        before = mean if self._reference is None else self._reference
+        self._reference = before + (mean - before) / self._seconds
 
     def feed(self, rows: FloatArray) -> None:
         """Take even rows."""
@@ -302,15 +270,6 @@ class _Stretch:
         change[change == 0] = np.inf
         self.step = np.minimum(self.step, change.min(axis=0, initial=np.inf))
         self.stream.feed(rows)
-
-
-def _bridge(time_s: FloatArray, values: FloatArray, steps: IntArray) -> tuple[float, FloatArray, int]:
-    missing = int(np.sum(steps - 1, where=steps > 1))
-    if not missing:
-        return float(time_s[0]), values, 0
-    place = np.concatenate([[0], np.cumsum(np.maximum(steps, 1))])
-    grid = np.arange(place[-1] + 1)
-    return float(time_s[0]), np.stack([np.interp(grid, place, column) for column in values.T], axis=1), missing
 
 
 def measure_noise(
@@ -344,60 +303,61 @@ def _scale(given: FloatArray | float | None, unit: str, si: str) -> FloatArray |
 
 def _result(best: _Stretch, units: SampleUnits, is_si: bool, splits: tuple[str, ...]) -> NoiseResult:
     allan = best.stream.finish()
-    axes = []
-    for column in range(best.stream.columns):
-        triad = "accelerometer" if column < 3 else "gyroscope"
-        unit = ("m/s^2" if column < 3 else "rad/s") if is_si else f"{getattr(units, triad)} as rate"
-        sigma = math.sqrt(best.squares[column] / max(2 * (best.stream.samples - 1), 1))
-        deviation, freedom = allan.deviation[:, column], degrees_of_freedom(allan, column)
-        low, high = interval_95(deviation, freedom)
-        quantised = sigma < QUANTISED * best.step[column] if np.isfinite(best.step[column]) else True
-        model = _identify(allan.tau_s, deviation, freedom, best, column) if deviation.min() > 0 else None
-        axis = AxisNoise(
-            f"{triad} {AXES[column % 3]}", unit, allan.tau_s, deviation, low, high, freedom, model, sigma, float(best.step[column]),
-            quantised,
-        )  # fmt: skip
-        axes.append(_with_sentences(axis, best.duration_s))
-    sentences = tuple(f"{why}; the longest stretch without that is used" for why in splits[:3])
+    names = [f"{triad} {axis}" for triad in ("accelerometer", "gyroscope") for axis in AXES][: best.stream.columns]
+    axes = tuple(_axis(name, column, best, allan, _unit(column, units, is_si)) for column, name in enumerate(names))
+    sentences = tuple(f"{why}; the longest stretch without that is used" for why in splits[:_SPLITS_NAMED])
+    if len(splits) > _SPLITS_NAMED:
+        sentences += (f"and {len(splits) - _SPLITS_NAMED} more disturbances",)
     if best.bridged:
         sentences += (f"{best.bridged} lost samples were bridged by a straight line",)
     return NoiseResult(
-        tuple(axes), best.start_s, best.duration_s, 1 / best.interval_s, best.stream.samples, best.bridged, is_si, sentences
+        axes, best.start_s, best.duration_s, 1 / best.interval_s, best.stream.samples, best.bridged, is_si, sentences
     )
 
 
-def _identify(tau_s: FloatArray, deviation: FloatArray, freedom: FloatArray, best: _Stretch, column: int) -> NoiseModel | None:
-    if len(tau_s) < _IDENTIFIED_POINTS:
-        return None
-    model = identify(tau_s, deviation, freedom)
-    step = best.step[column]
+def _unit(column: int, units: SampleUnits, is_si: bool) -> str:
+    triad = "accelerometer" if column < len(AXES) else "gyroscope"
+    if is_si:
+        return {"accelerometer": "m/s^2", "gyroscope": "rad/s"}[triad]
+    name, increment = (
+        (units.accelerometer, units.accelerometer_is_increment)
+        if triad == "accelerometer"
+        else (units.gyroscope, units.gyroscope_is_increment)
+    )
+    return f"{name}/s" if increment else name
+
+
+def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, unit: str) -> AxisNoise:
+    deviation, freedom = allan.deviation[:, column], degrees_of_freedom(allan, column)
+    low, high = interval_95(deviation, freedom)
+    step = float(best.step[column])
     sigma = math.sqrt(best.squares[column] / max(2 * (best.stream.samples - 1), 1))
-    if np.isfinite(step) and sigma < QUANTISED * step:
-        limit = Figure(math.nan, 0.0, max(float(step) * QUANTISED * math.sqrt(best.interval_s), model.density.high), False)
-        return NoiseModel(limit, model.instability, model.walk, model.quantisation, model.ramp, model.first, model.squares)
-    return model
+    quantised = sigma < QUANTISED * step
+    model = None
+    if len(deviation) >= _IDENTIFIED_POINTS and deviation.min() > 0:
+        model = identify(allan.tau_s, deviation, freedom)
+        if quantised:
+            limit = max(QUANTISED * step * math.sqrt(best.interval_s), model.density.high)
+            model = replace(model, density=Figure(math.nan, 0.0, limit, False))
+    axis = AxisNoise(name, unit, allan.tau_s, deviation, low, high, freedom, model, sigma, step, quantised)
+    return replace(axis, sentences=_sentences(axis, best.duration_s))
 
 
-def _with_sentences(axis: AxisNoise, duration_s: float) -> AxisNoise:
-    sentences = []
+def _sentences(axis: AxisNoise, duration_s: float) -> tuple[str, ...]:
     if not np.isfinite(axis.step):
-        sentences.append(f"{axis.name} never changed: a dead axis, or noise far below one step of its output")
-    elif axis.quantised:
+        return (f"{axis.name} never changed: a dead axis, or noise far below one step of its output",)
+    sentences = []
+    if axis.quantised:
         sentences.append(
-            f"{axis.name} is limited by quantisation (scatter {axis.sample_sigma:.3g}, one step {axis.step:.3g} {axis.unit}): its "
-            "white noise is an upper limit"
+            f"{axis.name} is limited by quantisation (scatter {axis.sample_sigma:.3g}, one step {axis.step:.3g} {axis.unit}): "
+            "its white noise is an upper limit"
         )
-    if axis.model is not None:
-        hours = duration_s / _HOURS
-        for name, figure in (("bias instability", axis.instability), ("random walk", axis.walk)):
-            if not figure.seen:
-                sentences.append(
-                    f"{hours:.2g} h are too short to see the {name} of {axis.name}: below {figure.high:.3g} {axis.unit}"
-                    + ("" if name == "bias instability" else "/sqrt(s)")
-                )
-    elif np.isfinite(axis.step):
-        sentences.append(f"{axis.name} is too short to identify anything; record longer")
-    return AxisNoise(
-        axis.name, axis.unit, axis.tau_s, axis.deviation, axis.low, axis.high, axis.freedom, axis.model, axis.sample_sigma,
-        axis.step, axis.quantised, tuple(sentences),
-    )  # fmt: skip
+    if axis.model is None:
+        return (*sentences, f"{axis.name} is too short to identify anything; record longer")
+    for name, figure, unit in (("bias instability", axis.instability, ""), ("random walk", axis.walk, "/sqrt(s)")):
+        if not figure.seen:
+            sentences.append(
+                f"{duration_s / _HOURS:.2g} h are too short to see the {name} of {axis.name}: below {figure.high:.3g} "
+                f"{axis.unit}{unit}"
+            )
+    return tuple(sentences)

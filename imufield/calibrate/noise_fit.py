@@ -4,11 +4,11 @@ The overlapped Allan variance of the usual noises of an inertial sensor adds up 
 
     q(t) = 3 Q^2 / t^2  +  N^2 / t  +  (2 ln 2 / pi) B^2  +  K^2 t / 3  +  R^2 t^2 / 2
 
-Q quantisation, N white noise (angle or velocity random walk), B bias instability, K rate random walk, R ramp. The five squares are
-fitted to q at octaves of t, never negative, each point weighted by its equivalent degrees of freedom [2]_ (a variance with f
-of them is known to sqrt(2 / f)). Estimates at neighbouring octaves share data: their correlation (0.5 from octave to octave,
-measured on white noise and random walk) goes into the intervals. A term that is not three times its own sigma is not *seen*: of N that cannot happen,
-of B and K it means that the recording is too short for it, and what is returned is an upper limit.
+Q quantisation, N white noise (angle or velocity random walk), B bias instability, K rate random walk, R ramp. The five squares
+are fitted to q at octaves of t, never negative, each point weighted by its equivalent degrees of freedom [2]_ (a variance with
+f of them is known to sqrt(2 / f)). Estimates at neighbouring octaves share data: their correlation (from octave to octave 0.5
+on white noise and 0.87 on a random walk, measured) goes into weights and intervals. A term that is not twice its own
+sigma is not *seen*: of B and K that means that the recording is too short for it, and what is returned is an upper limit.
 
 A sensor with a low-pass filter shows less than N^2 / t at short times; the points before the deviation falls by at least
 t^-0.4 are left out.
@@ -29,9 +29,12 @@ import numpy as np
 from imufield.samples import FloatArray
 
 FLICKER = 2 * math.log(2) / math.pi
-CORRELATION = 0.5
-"""Of estimates one octave apart; two octaves apart its square, and so on."""
-SEEN_SIGMAS = 3.0
+CORRELATION_FALLING = 0.5
+CORRELATION_RISING = 0.87
+"""Of estimates one octave apart, where the deviation falls and where it rises; further apart their product."""
+SEEN_SIGMAS = 2.0
+_WIDER = 1.4
+"""The linear theory's intervals held the truth in 82 to 90 % of 60 simulated recordings; so much wider, in 93 to 97 %."""
 _FALLING = -0.4
 _PASSES = 6
 _CONFIDENCE_95 = 1.959964
@@ -93,18 +96,18 @@ def identify(tau_s: FloatArray, deviation: FloatArray, freedom: FloatArray) -> N
     from scipy.optimize import nnls  # slow to load
 
     first = first_falling(tau_s, deviation)
-    X, q, f = terms(tau_s[first:]), deviation[first:] ** 2, freedom[first:]
-    expected = q
+    X, q = terms(tau_s[first:]), deviation[first:] ** 2
+    relative, L = np.sqrt(2 / freedom[first:]), np.linalg.cholesky(_correlation(q))
+    squares, expected = np.zeros(_TERMS), q
+    A: FloatArray = X
     for _ in range(_PASSES):
         # The model's own variance is the better weight: a point that came out low must not count for more.
-        relative = np.sqrt(2 / f)
-        L = np.linalg.cholesky(_correlation(len(f)))
-        A = np.linalg.solve(L, X / (expected * relative)[:, None])
+        A = np.asarray(np.linalg.solve(L, X / (expected * relative)[:, None]), dtype=np.float64)
         size = np.linalg.norm(A, axis=0)
-        squares = nnls(A / size, np.linalg.solve(L, q / (expected * relative)))[0] / size
+        squares = np.asarray(nnls(A / size, np.linalg.solve(L, q / (expected * relative)))[0]) / size
         expected = np.maximum(X @ squares, 1e-6 * q)
     sigma = _sigma(A, squares)
-    figures = [_figure(value, s) for value, s in zip(squares, sigma, strict=True)]
+    figures = [_figure(float(value), float(s)) for value, s in zip(squares, sigma, strict=True)]
     return NoiseModel(figures[_N], figures[_B], figures[_K], figures[_Q], figures[_R], first, squares)
 
 
@@ -115,22 +118,24 @@ def first_falling(tau_s: FloatArray, deviation: FloatArray) -> int:
     return int(falling[0]) if len(falling) and falling[0] < len(tau_s) // 2 else 0
 
 
-def _correlation(n: int) -> FloatArray:
-    index = np.arange(n)
-    matrix: FloatArray = CORRELATION ** np.abs(index[:, None] - index)
+def _correlation(variance: FloatArray) -> FloatArray:
+    step = np.where(np.diff(variance) < 0, CORRELATION_FALLING, CORRELATION_RISING)
+    reach = np.concatenate([[0.0], np.cumsum(np.log(step))])
+    matrix: FloatArray = np.exp(-np.abs(reach[:, None] - reach))
     return matrix
 
 
 def _sigma(A: FloatArray, squares: FloatArray) -> FloatArray:
-    """Return 1 sigma of the squares; of a term at zero, what it could be on its own beside the others."""
+    """Return 1 sigma of the squares, beside the three figures that are reported and whatever else is not zero."""
     active = squares > 0
+    active[[_N, _B, _K]] = True
     sigma = np.zeros(_TERMS)
     for k in range(_TERMS):
         columns = np.flatnonzero(active | (np.arange(_TERMS) == k))
         scale = np.linalg.norm(A[:, columns], axis=0)
         covariance = np.linalg.pinv((A[:, columns] / scale).T @ (A[:, columns] / scale), hermitian=True)
         place = int(np.flatnonzero(columns == k)[0])
-        sigma[k] = math.sqrt(max(covariance[place, place], 0.0)) / scale[place]
+        sigma[k] = _WIDER * math.sqrt(max(covariance[place, place], 0.0)) / scale[place]
     return sigma
 
 

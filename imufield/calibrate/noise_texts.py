@@ -29,7 +29,7 @@ def noise_text(result: NoiseResult, form: NoiseFormat, *, topic: str = "/imu0", 
     """
     if not result.is_si or not result.triad("gyroscope"):
         raise UsageError(
-            "the noise is known in raw units only, or for one triad only; solve a calibration first, so that the scale is known",
+            "the noise is known in raw units or for one triad only; solve a calibration first, so that the scale is known",
             Reason.UNITS,
         )
     if form == "vins":

@@ -1,11 +1,11 @@
 """Turntable runs: known rates, both ways, about known axes.
 
 A run at +w about an axis and one at -w about the same axis, in the same attitude, differ by ``2 K E w``: bias, g-sensitivity
-(the centripetal force is the same both ways) and, over whole turns, the Earth's rate drop out ([1]_ eq. 25, in vector form). Each
-pair gives three numbers, so three axes give all nine entries of K E.
+(the centripetal force is the same both ways) and, over whole turns, the Earth's rate drop out ([1]_ eq. 25, in vector form).
+Each pair gives three numbers, so three axes give all nine entries of K E.
 
-The paper's own cost for this path (eq. 26, ``printed_cost``) compares only the *lengths* of ``N+ - N-`` and ``2 K E w``. With
-turns about the sensor axes it sees nothing but the three column norms of K E: rank 3 of 9. It is here for the study.
+The paper's own cost for this path (eq. 26) compares only the *lengths* of ``N+ - N-`` and ``2 K E w``. With turns about the
+sensor axes it sees nothing but the three column norms of K E: rank 3 of 9. ``turns_problem`` offers both for the solvers.
 
 References
 ----------
@@ -17,10 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from imufield.calibrate.gyroscope_model import TableRows
+from imufield.calibrate.swarm_costs import TurnsProblem
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
@@ -118,16 +120,18 @@ def matrix_from_pairs(table: TableRows) -> FloatArray:
     return solution.T
 
 
-def printed_cost(matrices: FloatArray, table: TableRows) -> FloatArray:
-    """Return L_gm as eq. 26 prints it for candidate matrices K E, shape (..., 3, 3) -> (...)."""
-    difference = np.sum((2 * table.half_difference_raw) ** 2, axis=1)
-    predicted = np.sum((2 * np.einsum("...ij,tj->...ti", matrices, table.rate)) ** 2, axis=-1)
-    cost: FloatArray = np.sqrt(np.sum((difference - predicted) ** 2, axis=-1) / max(len(table) - 1, 1))
-    return cost
+def turns_problem(table: TableRows, reach: float = 0.05, form: Literal["norm", "vector"] = "vector") -> TurnsProblem:
+    """Return the pairs as a problem that any solver takes.
 
-
-def vector_cost(matrices: FloatArray, table: TableRows) -> FloatArray:
-    """Return the sum of squares of (N+ - N-)/2 - K E w for candidate matrices, shape (..., 3, 3) -> (...)."""
-    predicted = np.einsum("...ij,tj->...ti", matrices, table.rate)
-    cost: FloatArray = np.sum((table.half_difference_raw - predicted) ** 2, axis=(-1, -2))
-    return cost
+    Parameters
+    ----------
+    table : TableRows
+    reach : float
+        Bounds: scale within this share of that of ``matrix_from_pairs``' diagonal, misalignment within this, rad.
+    form : {"norm", "vector"}
+        The paper's eq. 26, or the vector form of its eq. 25.
+    """
+    K = np.diag(matrix_from_pairs(table))
+    half = np.concatenate([reach * np.abs(K), np.full(6, reach)])
+    middle = np.concatenate([K, np.zeros(6)])
+    return TurnsProblem(2 * table.half_difference_raw, table.rate, middle - half, middle + half, form)

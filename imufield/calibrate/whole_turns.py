@@ -2,8 +2,8 @@
 
 A unit that is turned once around between two stills has made a known angle at an unknown rate. Rolled about a *horizontal*
 axis, gravity closes the turn by itself: such a turn is a move like any other, with 360 degrees of lever on the scale, and it
-need not even be quite whole. About the *vertical* gravity sees nothing; there the unit must come back against a stop, whose repeatability is
-stated, and the closure is a measurement of its own.
+need not even be quite whole. About the *vertical* gravity sees nothing; there the unit must come back against a stop, whose
+repeatability is stated, and the closure is a measurement of its own.
 
 The axis of a turn is never taken from gravity at the stop (a table half a degree off level would put 8.7 mrad into a column of
 K E), nor from the accelerometer while turning (centripetal force): the integration finds it.
