@@ -1,0 +1,69 @@
+"""C99: one header with the numbers, the functions that apply them, and the reader of the binary block."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from imufield.calibrate.models import predict, predict_gyroscope
+from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.text import number, row, text_file
+from imufield.deliver.exports.whole_model import WholeModel, apply_header, gauge_note, whole_model
+from imufield.errors import UsageError
+from imufield.samples import FloatArray
+
+
+def export(job: Job) -> Draft:
+    """Return the header; include it in one or many files."""
+    name = job.options.name
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
+        raise UsageError(f"name = {name!r} is no name in C; use letters, digits and underscores", name=name)
+    model = whole_model(job)
+    guard = f"{name.upper()}_NUMBERS_H"
+    calibration = job.parameters.calibration
+    gyroscope_unit = calibration.gyroscope.raw_unit if model.has_gyroscope and calibration.gyroscope else "none"
+    about = [
+        *(line.replace("*/", "* /") for line in job.heading()),
+        f"raw units: accelerometer {calibration.accelerometer_raw_unit}, gyroscope {gyroscope_unit}",
+        *gauge_note(job),
+        *_example(job, model),
+    ]
+    lines = [
+        apply_header(),
+        f"#ifndef {guard}",
+        f"#define {guard}",
+        "",
+        *("/* " + "\n * ".join(about) + "\n */").splitlines(),
+        f"static const imufield_parameters {name} = {{",
+        f"    {int(model.has_gyroscope)},",
+        f"    {int(model.quadratic_on_body_axes)},",
+        *(f"    {_initializer(values)}, /* {field} */" for field, values in model.arrays().items()),
+        "};",
+        "",
+        f"#endif /* {guard} */",
+    ]
+    return Draft({f"{name}.h": text_file(lines)}, notes=gauge_note(job))
+
+
+def _initializer(values: FloatArray) -> str:
+    if values.ndim == 1:
+        return f"{{{row(values.tolist())}}}"
+    return f"{{{', '.join(map(_initializer, values))}}}"
+
+
+def _example(job: Job, model: WholeModel) -> list[str]:
+    """Return a worked number: what must come out for one raw sample."""
+    calibration = job.parameters.calibration
+    force = np.array([[1.0, -2.0, 9.5]])
+    raw = predict(calibration.accelerometer, force)
+    corrected = job.parameters.apply_accelerometer(raw)
+    lines = [f"example in the frame of the parameter file: raw {_shown(raw)} -> {_shown(corrected)} m/s^2"]
+    if model.has_gyroscope and calibration.gyroscope is not None:
+        raw = predict_gyroscope(calibration.gyroscope.parameters, np.array([[0.1, -0.2, 0.3]]), force)
+        lines.append(f"with it raw {_shown(raw)} -> {_shown(job.parameters.apply_gyroscope(raw, corrected))} rad/s")
+    return lines
+
+
+def _shown(values: FloatArray) -> str:
+    return f"({', '.join(number(float(f'{value:.9g}')) for value in values[0])})"

@@ -1,0 +1,205 @@
+"""What every exporter gets (``Job``) and gives back (``Draft``), and the checks and measurements around it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from imufield.deliver.conventions import Corrections, Frame, linear_corrections, require_usable, rotation_vector
+from imufield.deliver.exports.loss import loss_sentences
+from imufield.deliver.exports.registry import Exported, ExportOptions, Target
+from imufield.deliver.numbers import nominal_scale, to_ascii
+from imufield.deliver.parameters import Parameters
+from imufield.errors import ParameterFileError, Reason, UsageError
+from imufield.samples import AXES, FloatArray
+
+_NO_TURN_RAD = 1e-9
+"""A smaller turn is rounding."""
+
+
+class Held(Protocol):
+    """What the target will compute from this instrument's raw output."""
+
+    @property
+    def rotation(self) -> FloatArray:
+        """R of u' = R u from the parameter file's body frame to the target's."""
+        ...
+
+    def apply_accelerometer(self, raw: FloatArray) -> FloatArray:
+        """Return specific force in m/s^2, shape (n, 3)."""
+        ...
+
+    def apply_gyroscope(self, raw: FloatArray, specific_force: FloatArray) -> FloatArray:
+        """Return angular rate in rad/s, shape (n, 3)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """What an exporter returns."""
+
+    files: dict[str, bytes]
+    held: Held | None = None
+    """None where the target holds the whole model."""
+    accelerometer_lacks: str = ""
+    """Why the accelerometer differs, to be put before the numbers."""
+    gyroscope_lacks: str = ""
+    losses: tuple[str, ...] = ()
+    """What is lost beside that, in sentences."""
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One export."""
+
+    parameters: Parameters
+    target: Target
+    options: ExportOptions
+
+    @property
+    def has_gyroscope(self) -> bool:
+        """Whether there is a gyroscope with its scale."""
+        return self.parameters.gyroscope_is_complete
+
+    @property
+    def free_frame(self) -> Frame:
+        """Body frame where the target takes any."""
+        return self.options.gauge or "file"
+
+    def fixed_frame(self, frame: Frame) -> Frame:
+        """Return the only body frame the target can take; refuses another that the user asked for."""
+        if self.options.gauge not in (None, frame):
+            raise UsageError(
+                f"{self.target.name} fixes the body frame itself, so gauge = {self.options.gauge} cannot be had; leave it out"
+            )
+        return frame
+
+    def corrections(self, frame: Frame) -> Corrections:
+        """Return the linear corrections of raw output in its own unit."""
+        return linear_corrections(self.parameters.calibration, frame)
+
+    def in_si(self, corrections: Corrections) -> Corrections:
+        """Return the same for a program whose raw values are m/s^2 and rad/s.
+
+        Raises
+        ------
+        ParameterFileError
+            If the raw unit is one that only the maker of the driver can turn into SI.
+        """
+        scale, zero = self.accelerometer_si()
+        accelerometer = corrections.accelerometer.of_scaled(scale, zero)
+        if corrections.gyroscope is None:
+            return replace(corrections, accelerometer=accelerometer)
+        scale = self.gyroscope_si()
+        return replace(
+            corrections,
+            accelerometer=accelerometer,
+            gyroscope=corrections.gyroscope.of_scaled(scale, np.zeros(3)),
+            g_sensitivity=corrections.g_sensitivity / scale,
+        )
+
+    def accelerometer_si(self) -> tuple[float, FloatArray]:
+        """Return scale and zero by which the target's driver makes m/s^2: (N - zero) / scale; raises as ``in_si``."""
+        calibration, typed = self.parameters.calibration, self.options.accelerometer_nominal
+        scale = self._si_scale("accelerometer", calibration.accelerometer_raw_unit, typed)
+        # A driver that turns counts into SI takes the mid-scale off; what comes in SI already is taken as it comes.
+        return scale, calibration.accelerometer.raw_zero * (typed is not None)
+
+    def gyroscope_si(self) -> float:
+        """Return the scale by which the target's driver makes rad/s; raises as ``in_si``."""
+        gyroscope = self.parameters.calibration.gyroscope
+        unit = "rad/s" if gyroscope is None else gyroscope.raw_unit
+        return self._si_scale("gyroscope", unit, self.options.gyroscope_nominal)
+
+    def _si_scale(self, triad: str, unit: str, typed: float | None) -> float:
+        if typed is not None:
+            if not (np.isfinite(typed) and typed != 0):
+                raise UsageError(f"{triad}_nominal = {typed} is no scale; give the raw unit per SI unit, finite and not zero")
+            return typed
+        known = nominal_scale(unit)
+        if known is None:
+            raise ParameterFileError(
+                f"{self.target.name} corrects values in SI and this {triad} is calibrated in {unit}; give the scale by which "
+                f"the target's driver makes SI of it, {triad}_nominal in {unit} per SI unit, or export to c, imu_tk or imucal",
+                Reason.UNITS,
+                unit=unit,
+                target=self.target.name,
+            )
+        return known
+
+    def require_positive(self, triad: str, scale: FloatArray) -> None:
+        """Check that the signs of a triad's axes can be expressed by a target that knows positive scales only."""
+        for axis, value in zip(AXES, scale, strict=True):
+            if not value > 0:
+                raise ParameterFileError(
+                    f"{self.target.name} cannot express the sign of this {triad}: the scale of axis {axis} is {value:.6g} and "
+                    "must be positive; reverse that axis in the target's driver or rotation and calibrate behind it",
+                    Reason.BOUNDS,
+                    axis=axis,
+                    scale=float(value),
+                )
+
+    def temperature_degc(self) -> float | None:
+        """Return the middle of the session's temperatures, or None where not known."""
+        low, high = self.parameters.context.session.temperature_degc
+        return None if np.isnan(low + high) else (low + high) / 2
+
+    def example(self, corrections: Corrections) -> list[str]:
+        """Return a worked number for the file: what these corrections make of one raw sample in SI."""
+        raw, rate = np.array([1.0, -2.0, 9.5]), np.array([0.1, -0.2, 0.3])
+        force = corrections.apply_accelerometer(raw)
+        lines = [f"example: accelerometer {_shown(raw)} m/s^2 -> {_shown(force)}"]
+        if corrections.gyroscope is not None:
+            lines.append(f"example: gyroscope {_shown(rate)} rad/s -> {_shown(corrections.apply_gyroscope(rate, force))}")
+        return lines
+
+    def heading(self) -> list[str]:
+        """Return lines that say where the numbers come from, plain ASCII, one line each."""
+        context = self.parameters.context
+        instrument = " ".join(
+            filter(None, (context.instrument.model or context.instrument.driver, context.instrument.serial_number))
+        )
+        lines = [
+            f"{self.target.title}",
+            f"instrument: {instrument or 'not known'}",
+            f"calibrated: {context.created}, {context.software}, session {context.session.name or 'not known'}",
+            f"verdict: {self.parameters.calibration.quality.verdict}",
+        ]
+        # A line break in a name would end the comment it stands in.
+        return [re.sub(r"[^ -~]", "?", to_ascii(line)) for line in lines]
+
+
+def _shown(values: FloatArray) -> str:
+    return f"({', '.join(f'{value:.9g}' for value in values)})"
+
+
+def run(export: Callable[[Job], Draft], parameters: Parameters, target: Target, options: ExportOptions) -> Exported:
+    """Check, export, and measure what was lost."""
+    require_usable(parameters.calibration)
+    job = Job(parameters, target, options)
+    draft = export(job)
+    notes = draft.notes
+    if not job.has_gyroscope and parameters.calibration.gyroscope is not None:
+        notes = ("the gyroscope is left out, because its scale is not known", *notes)
+    if draft.held is None:
+        return Exported(draft.files, draft.losses, notes)
+    losses = loss_sentences(parameters, draft.held, draft.accelerometer_lacks, draft.gyroscope_lacks)
+    return Exported(draft.files, (*losses, *draft.losses), (*frame_note(draft.held.rotation), *notes))
+
+
+def frame_note(rotation: FloatArray) -> tuple[str, ...]:
+    """Say by how much the target's body frame is turned; nothing where it is not."""
+    turn_rad = rotation_vector(rotation)
+    if np.linalg.norm(turn_rad) < _NO_TURN_RAD:
+        return ()
+    x, y, z = turn_rad * 1e3
+    note = (
+        f"the target's body frame is that of the parameter file turned by ({x:.4f}, {y:.4f}, {z:.4f}) mrad about x, y, z; "
+        "accelerometer and gyroscope were turned together"
+    )
+    return (note,)

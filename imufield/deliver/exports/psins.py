@@ -1,0 +1,115 @@
+"""PSINS clbt for imuclbt: on increments, ``wm = Kg wm - eb ts - gSens vm``, ``vm = Ka vm - db ts - Ka2 vm^2 / ts``.
+
+In rates, with the raw r on the right: ``a = Ka r - db - Ka2 r^2``. Ours, from ``r = K (s + b) + K2 s^2`` with ``k = K2 / K``
+and ``p = r / K``, to first order in k:
+
+    s = p - b - k (p - b)^2 = (1 + 2 k b) p - (b + k b^2) - k p^2
+
+so on the sensing axes the quadratic term changes scale and bias by its part of the bias, and what PSINS cannot hold is the
+turn of ``k p^2`` into body axes and the second order in k.
+
+The gyroscope's G a with ``a = Ka r - db`` becomes ``gSens = Mg G Ka`` and a shift of eb.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.gauge import turn_accelerometer
+from imufield.deliver.conventions import Corrections, rotation_to
+from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.text import comment, row, rows, text_file
+from imufield.samples import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    """What imuclbt computes, in rates; the accelerometer's numbers in SI."""
+
+    linear: Corrections
+    Ka: FloatArray
+    db: FloatArray
+    Ka2: FloatArray
+    scale: float
+    zero: FloatArray
+    """The driver's m/s^2 are (N - zero) / scale."""
+
+    @property
+    def rotation(self) -> FloatArray:
+        return self.linear.rotation
+
+    def apply_accelerometer(self, raw: FloatArray) -> FloatArray:
+        r = (raw - self.zero) / self.scale
+        corrected: FloatArray = r @ self.Ka.T - self.db - self.Ka2 * r**2
+        return corrected
+
+    def apply_gyroscope(self, raw: FloatArray, specific_force: FloatArray) -> FloatArray:
+        return self.linear.apply_gyroscope(raw, specific_force)
+
+
+def export(job: Job) -> Draft:
+    """Return a function that makes the struct."""
+    linear = job.corrections(job.fixed_frame("lower"))
+    held, si = _held(job, linear), job.in_si(linear)
+    lines = [
+        "function clbt = imufield_clbt()",
+        *comment([*job.heading(), "imu = imuclbt(imu, imufield_clbt());"], "%"),
+        "clbt.sf = [1.0; 1.0; 1.0; 1.0; 1.0; 1.0];",
+        *_gyroscope(si, held.Ka, held.db),
+        f"clbt.Ka = {_matrix(held.Ka)};",
+        f"clbt.db = {_column(held.db)};",
+        f"clbt.Ka2 = {_column(held.Ka2)};",
+        "clbt.rx = [0.0; 0.0; 0.0]; clbt.ry = [0.0; 0.0; 0.0]; clbt.rz = [0.0; 0.0; 0.0];",
+        "clbt.tGA = 0.0;",
+        "end",
+    ]
+    lacks = "the quadratic term is held to first order and on body axes"
+    return Draft({"imufield_clbt.m": text_file(lines)}, held, lacks, notes=_notes(job, si))
+
+
+def _held(job: Job, linear: Corrections) -> _Held:
+    parameters = job.parameters.calibration.accelerometer
+    scale, zero = job.accelerometer_si()
+    turned = turn_accelerometer(parameters, rotation_to(parameters, "lower"))
+    K, k = turned.scale / scale, turned.quadratic / turned.scale
+    # A mid-scale that the driver leaves in is one more bias.
+    b = turned.bias_m_s2 + (parameters.raw_zero - zero) / turned.scale
+    inverse = np.tril(np.linalg.inv(np.eye(3) + turned.misalignment_rad))
+    Ka: FloatArray = inverse * ((1 + 2 * k * b) / K)
+    return _Held(linear, Ka, inverse @ (b + k * b**2), np.diag(inverse) * k / K**2, scale, zero)
+
+
+def _gyroscope(si: Corrections, Ka: FloatArray, db: FloatArray) -> list[str]:
+    if si.gyroscope is None:
+        return ["clbt.Kg = eye(3);", "clbt.eb = [0.0; 0.0; 0.0];"]
+    sensitivity = si.gyroscope.matrix @ si.g_sensitivity
+    eb = si.gyroscope.output_offset - sensitivity @ db
+    lines = [f"clbt.Kg = {_matrix(si.gyroscope.matrix)};", f"clbt.eb = {_column(eb)};"]
+    if np.any(sensitivity):
+        lines.append(f"clbt.gSens = {_matrix(sensitivity @ Ka)};")
+    return lines
+
+
+def _notes(job: Job, si: Corrections) -> tuple[str, ...]:
+    notes = []
+    quadratic = job.parameters.calibration.accelerometer.quadratic
+    if np.any(quadratic):
+        notes.append(
+            "the versions of PSINS differ in the order of matrix and quadratic term; the difference is the term times "
+            "scale error and misalignment"
+        )
+    if np.any(quadratic) and not np.all(quadratic):
+        notes.append("imuclbt leaves Ka2 out unless all three are different from zero")
+    if np.any(si.g_sensitivity):
+        notes.append("gSens needs a PSINS of 2023 or later; an older one leaves it out without a word")
+    return tuple(notes)
+
+
+def _matrix(matrix: FloatArray) -> str:
+    return f"[{'; '.join(rows(matrix, '', ''))}]"
+
+
+def _column(values: FloatArray) -> str:
+    return f"[{row(values.tolist(), '; ')}]"

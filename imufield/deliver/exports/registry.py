@@ -1,0 +1,199 @@
+"""The targets there are, and the one call that exports to any of them. Listing them imports no exporter and no NumPy."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from imufield.errors import ParameterFileError, Reason, UsageError
+from imufield.files import write_atomically
+
+if TYPE_CHECKING:  # the parameter file needs NumPy and SciPy; a list of targets does not
+    from imufield.deliver.parameters import Parameters
+
+Gauge = Literal["lower", "upper", "symmetric"]
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """One program or form that parameters can be exported to."""
+
+    name: str
+    title: str
+    holds: str
+    """What of the model it can express, in words."""
+    module: str
+    """Module of this package whose ``export(job)`` writes it."""
+
+
+_LINEAR = "bias, scale and misalignment of both triads"
+_EVERYTHING = "the whole model"
+
+TARGETS: Mapping[str, Target] = {
+    target.name: target
+    for target in (
+        Target("c", "C99 header: numbers, functions that apply them, reader of `binary`", _EVERYTHING, "c_header"),
+        Target("binary", "little-endian block with CRC-32 for flash or EEPROM, and its reader in C", _EVERYTHING, "binary"),
+        Target("json", "JSON for your own program", _EVERYTHING, "plain_json"),
+        Target("yaml", "YAML for your own program", _EVERYTHING, "plain_yaml"),
+        Target("vectornav", "VectorNav registers 25 and 84, write commands with checksum", _LINEAR, "vectornav"),
+        Target("px4", "PX4 parameters CAL_ACC*, CAL_GYRO* (QGroundControl .params)", "scale and bias, gyroscope bias", "px4"),
+        Target("ardupilot", "ArduPilot parameters INS_* (.param)", "scale and bias, gyroscope bias", "ardupilot"),
+        Target("kalibr", "Kalibr imu.yaml, model scale-misalignment", "scale, misalignment, g-sensitivity; no bias", "kalibr"),
+        Target("openvins", "OpenVINS kalibr_imu_chain.yaml", "scale, misalignment, g-sensitivity; no bias", "openvins"),
+        Target("basalt", "Basalt calibration.json, calib_accel_bias and calib_gyro_bias", _LINEAR, "basalt"),
+        Target("realsense", "RealSense calibration.json", _LINEAR, "realsense"),
+        Target("dlio", "Direct LiDAR-Inertial Odometry dlio.yaml", "accelerometer, gyroscope bias", "dlio"),
+        Target("imu_calib", "ROS imu_calib (dpkoch) YAML", "accelerometer", "imu_calib"),
+        Target("imu_tk", "imu_tk .calib, one file per triad", _LINEAR, "imu_tk"),
+        Target("imucal", "imucal JSON, Ferraris", f"{_LINEAR}, g-sensitivity", "imucal"),
+        Target("psins", "PSINS clbt struct for MATLAB and Octave", f"{_LINEAR}, quadratic term, g-sensitivity", "psins"),
+        Target("pyins", "pyins inertial_sensor.Parameters, Python", _LINEAR, "pyins"),
+        Target("microstrain", "MicroStrain MIP bias commands 0x0C,0x37 and 0x38", "bias", "microstrain"),
+    )
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """What only the user of the target knows. ``--set name=value`` on the command line."""
+
+    gauge: Gauge | None = None
+    """Body frame for targets that take any (default: the parameter file's)."""
+    accelerometer_nominal: float | None = None
+    """Raw unit per m/s^2 by which the target's driver divides before it corrects; needed where counts go to an SI target."""
+    gyroscope_nominal: float | None = None
+    """Raw unit per rad/s, likewise."""
+    instance: int = 0
+    """Number of the sensor in a flight controller that has several, from 0."""
+    accelerometer_id: int | None = None
+    """Device ID of a flight controller's accelerometer (CAL_ACC0_ID, INS_ACC_ID)."""
+    gyroscope_id: int | None = None
+    model: Literal["kalibr", "rpng"] = "kalibr"
+    """IMU model of OpenVINS."""
+    accelerometer_random_walk: float | None = None
+    """Bias random walk, m/s^3/sqrt(Hz), for Kalibr, OpenVINS and Basalt."""
+    gyroscope_random_walk: float | None = None
+    """rad/s^2/sqrt(Hz)."""
+    name: str = "imufield_parameters"
+    """Name of the constant in C."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What an export returns; nothing is on disk yet."""
+
+    files: Mapping[str, bytes]
+    """Name to content."""
+    losses: tuple[str, ...]
+    """Sentences with numbers: what of the model the target cannot hold. Empty: it computes the same as ``apply``."""
+    notes: tuple[str, ...]
+    """Sentences: the frame, and what to mind in the target."""
+
+
+def target(name: str) -> Target:
+    """Return the target called ``name``.
+
+    Raises
+    ------
+    UsageError
+        If there is none.
+    """
+    if name not in TARGETS:
+        raise UsageError(f"there is no export target {name!r}; there are: {', '.join(TARGETS)}", name=name)
+    return TARGETS[name]
+
+
+def export_parameters(parameters: Parameters, target_name: str, options: ExportOptions | None = None) -> Exported:
+    """Return a parameter file in the form of another program.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        From ``imufield.load(path)``.
+    target_name : str
+        A key of ``TARGETS``.
+    options : ExportOptions, optional
+
+    Raises
+    ------
+    ParameterFileError
+        If the target cannot express these parameters: a reversed axis, raw counts in an SI program, a number out of its
+        range, a number that is not finite.
+    UsageError
+        If there is no such target, or an option is wrong for it.
+    """
+    chosen = target(target_name)
+    from imufield.deliver.exports.job import run
+
+    module = importlib.import_module(f"imufield.deliver.exports.{chosen.module}")
+    return run(module.export, parameters, chosen, options or ExportOptions())
+
+
+def export_options(settings: Mapping[str, str]) -> ExportOptions:
+    """Return options from text, as in ``--set instance=1``.
+
+    Raises
+    ------
+    UsageError
+        If a name is not known or a value does not fit.
+    """
+    known = {item.name: str(item.type) for item in fields(ExportOptions)}
+    values: dict[str, object] = {}
+    for name, text in settings.items():
+        if name not in known:
+            raise UsageError(f"there is no export option {name!r}; there are: {', '.join(known)}", name=name)
+        values[name] = _value(name, known[name], text)
+    return ExportOptions(**values)  # type: ignore[arg-type]  # each value was made by its field's type
+
+
+def _value(name: str, kind: str, text: str) -> object:
+    choices = {"gauge": ("lower", "upper", "symmetric"), "model": ("kalibr", "rpng")}.get(name)
+    if choices is not None:
+        if text in choices:
+            return text
+        raise UsageError(f"export option {name} = {text!r} is none of {', '.join(choices)}", name=name, value=text)
+    try:
+        return int(text, 0) if "int" in kind else float(text) if "float" in kind else text
+    except ValueError as error:
+        raise UsageError(f"export option {name} = {text!r} is not a number", name=name, value=text) from error
+
+
+def write_exported(exported: Exported, output: str | Path | None = None) -> list[Path]:
+    """Write the files, each atomically: into the folder ``output``, or one file under that name.
+
+    Returns
+    -------
+    list of Path
+        In the order of ``exported.files``.
+
+    Raises
+    ------
+    UsageError
+        If several files would go under one file name.
+    ParameterFileError
+        If a file cannot be written; what stood under its name before is untouched.
+    """
+    folder = Path() if output is None else Path(output)
+    if output is None or folder.is_dir():
+        paths = [folder / name for name in exported.files]
+    elif len(exported.files) == 1:
+        paths = [folder]
+    else:
+        raise UsageError(
+            f"this target has {len(exported.files)} files ({', '.join(exported.files)}) and {output} is not a folder; give a "
+            "folder that exists"
+        )
+    for path, content in zip(paths, exported.files.values(), strict=True):
+        try:
+            write_atomically(path, content)
+        except OSError as error:
+            raise ParameterFileError(
+                f"{path} cannot be written ({error.strerror}); check the folder, its permissions and the disk space",
+                Reason.DISK_FULL,
+                path=str(path),
+            ) from error
+    return paths

@@ -1,0 +1,70 @@
+"""Numbers, matrices and strings as other programs' files want them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import Any
+
+from imufield.samples import FloatArray
+
+
+def number(value: float) -> str:
+    """Return the shortest text that reads back as the same float64, with a decimal point: YAML 1.1 wants 1.0e-05."""
+    mantissa, exponent, power = repr(float(value)).partition("e")
+    return f"{mantissa if '.' in mantissa else mantissa + '.0'}{exponent}{power}"
+
+
+def row(values: Iterable[float], separator: str = ", ") -> str:
+    """Return numbers in one line."""
+    return separator.join(map(number, values))
+
+
+def rows(matrix: FloatArray, start: str, end: str, separator: str = ", ") -> list[str]:
+    """Return one line for each row of a matrix."""
+    return [f"{start}{row(values, separator)}{end}" for values in matrix.tolist()]
+
+
+def yaml_matrix(matrix: FloatArray, indent: int) -> list[str]:
+    """Return a YAML sequence of rows, as ROS tools and OpenCV write it."""
+    return rows(matrix, f"{' ' * indent}- [", "]")
+
+
+def comment(lines: Iterable[str], mark: str = "#") -> list[str]:
+    """Return lines as comments."""
+    return [f"{mark} {line}".rstrip() for line in lines]
+
+
+def text_file(lines: Iterable[str], end: str = "\n") -> bytes:
+    """Return the bytes of a text file in ASCII."""
+    return "".join(f"{line}{end}" for line in lines).encode("ascii")
+
+
+def json_file(document: Any) -> bytes:
+    """Return the bytes of a JSON file; numbers read back exactly."""
+    return (json.dumps(document, indent=2, allow_nan=False) + "\n").encode("ascii")
+
+
+def yaml_lines(value: Any, indent: int = 0) -> list[str]:
+    """Return block YAML of dictionaries whose leaves are numbers, strings, None, or lists of them.
+
+    Strings are written in double quotes with JSON escapes, which YAML reads the same way.
+    """
+    lines = []
+    for key, item in value.items():
+        start = f"{' ' * indent}{key}:"
+        if isinstance(item, dict):
+            lines += [start, *yaml_lines(item, indent + 2)]
+        elif isinstance(item, list) and item and isinstance(item[0], list):
+            lines += [start, *(f"{' ' * (indent + 2)}- {_scalar(entry)}" for entry in item)]
+        else:
+            lines.append(f"{start} {_scalar(item)}")
+    return lines
+
+
+def _scalar(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_scalar, value))}]"
+    if isinstance(value, float):
+        return number(value)
+    return json.dumps(value)
