@@ -27,7 +27,7 @@ Rows = NDArray[np.uint8]
 _PDU1_BELOW = 0xF000
 """J1939: below this PDU format 240 the lower byte is a destination address and no part of the group number."""
 _NOT_AVAILABLE = re.compile(
-    r"not[ _-]?(avail|valid)|n/?a\b|invalid|\bsna\b|unavail|undefined|reserved|no[ _-]?(data|signal)", re.I
+    r"not[ _-]?(avail|valid)|n/?a\b|invalid|\bsna\b|unavail|undefined|reserved|no[ _-]?(data|signal)", re.IGNORECASE
 )
 _ERROR = re.compile(r"err|fault|fail|defect", re.IGNORECASE)
 _NO_ERROR = re.compile(r"\b(no|without|ok)\b|not?[ _-]err|no[ _-]?fault", re.IGNORECASE)
@@ -299,7 +299,7 @@ def _selectors(message: Message, signal: Signal) -> tuple[tuple[CanSignal, tuple
 
 
 def _codes_of_j1939(signal: Signal) -> list[Code]:
-    """Return the top of an unsigned number of 8 bits or more: 0xFB.. reserved, 0xFE.. error, 0xFF.. not available (J1939-71)."""
+    """Return the top of an unsigned number of 8 bits or more: 0xFB reserved, 0xFE error, 0xFF not available (J1939-71)."""
     if signal.is_signed or signal.is_float or signal.length < 8:
         return []
     shift = signal.length - 8

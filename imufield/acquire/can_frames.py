@@ -166,6 +166,10 @@ class Unpacker:
             self._rest = b""
         return self._frames(units[:whole])
 
+    def put_back(self, frames: CanFrames, first: int) -> None:
+        """Take frames from ``first`` on back: the next call of ``feed`` returns them again."""
+        self._rest = frames.units[frames.unit[first] :].tobytes() + self._rest
+
     def _frames(self, units: Units) -> CanFrames:
         words = units.view("<u4")
         continued = words[:, 0] == _CONTINUATION

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from imufield.acquire.sample_clock import Arrivals, SampleClock
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.acquire.text_lines import LineReader
 from imufield.samples import FloatArray, IntArray, Samples, concatenate, no_samples
+
+if TYPE_CHECKING:
+    from imufield.acquire.can_protocol import CanRule
 
 _PIECE_BYTES = 1 << 18
 """Larger feeds are worked off in pieces of this size: memory stays bounded, and the pieces stay in cache."""
@@ -49,7 +52,12 @@ class Decoder:
         self.protocol = protocol
         self.statistics = DecoderStatistics()
         self._messages: list[dict[str, Any]] = []
-        self._source: _FrameSource | LineReader
+        # A source and the clock that takes its blocks; those of a CAN bus are imported where one is used.
+        self._source: Any
+        self._clock: Any
+        if protocol.can is not None:
+            self._source, self._clock = _can_parts(protocol, protocol.can, self.statistics, self._keep)
+            return
         if protocol.frame is not None:
             self._source = _FrameSource(protocol, protocol.frame, self.statistics, self._keep)
         else:
@@ -112,6 +120,13 @@ class Decoder:
         if len(blocks) == 1:
             return blocks[0]
         return concatenate(blocks) if blocks else no_samples(self.protocol.units)
+
+
+def _can_parts(protocol: Protocol, rule: CanRule, statistics: DecoderStatistics, keep: Any) -> tuple[Any, Any]:
+    from imufield.acquire.can_clock import CanClock
+    from imufield.acquire.can_source import CanSource
+
+    return CanSource(rule, statistics, keep), CanClock(protocol.clock, protocol.units, rule.counter_steps, statistics)
 
 
 def decode_fields(protocol: Protocol, data: bytes) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 from imufield.acquire.protocol import Protocol, load_protocol
 
 Evidence = Literal["verified on real bytes", "document only"]
+Wire = Literal["serial", "can"]
 
 
 class Driver:
@@ -22,6 +23,8 @@ class Driver:
     """Maker and model."""
     protocol: ClassVar[str]
     """Name of the protocol it speaks."""
+    wire: ClassVar[Wire] = "serial"
+    """What it is connected by; bit rates are those of that wire, and commands to a CAN instrument are packed frames."""
     default_baud: ClassVar[int]
     bauds: ClassVar[tuple[int, ...]]
     """All rates it can be set to, the likeliest first."""

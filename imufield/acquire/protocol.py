@@ -8,9 +8,11 @@ from __future__ import annotations
 import hashlib
 import importlib.resources
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,6 +32,9 @@ from imufield.acquire.protocol_toml import FILE_LIMIT_BYTES, Source, Table, near
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import ProtocolError
 from imufield.samples import FloatArray, SampleUnits
+
+if TYPE_CHECKING:
+    from imufield.acquire.can_protocol import CanRule
 
 SCHEMA_VERSION = 1
 FOLDER = "imufield.protocols"
@@ -53,6 +58,9 @@ TO_SI = {
 }
 """Units a protocol may name: what a sample holds, and by what the number is multiplied."""
 _INCREMENT_UNITS = ("m/s", "rad")
+_CAN_KIND = re.compile(r'^kind\s*=\s*"can"', re.MULTILINE)
+DBC_LIMIT_BYTES = 1 << 22
+"""The largest public DBC files, of whole vehicles, are about 2 MiB."""
 _MEANING = {
     "accelerometer": ("m/s^2", "m/s", "count", "pulse"),
     "gyroscope": ("rad/s", "rad", "count", "pulse"),
@@ -96,6 +104,8 @@ class Protocol:
     factors: dict[str, float]
     """By "accelerometer", "gyroscope", "temperature": what a value in its own unit is multiplied by."""
     nominal: Nominal
+    can: CanRule | None = None
+    """For frames of a CAN bus, which have neither ``frame`` nor ``lines``."""
 
 
 def protocol_names() -> list[str]:
@@ -123,6 +133,10 @@ def load_protocol(
         If there is no such protocol, the file is not understood (with line and key), or a setting is not allowed.
     """
     label, text = _find_text(name_or_path)
+    if _CAN_KIND.search(text):
+        from imufield.acquire.can_protocol import embed_dbc
+
+        text = embed_dbc(text, lambda name: _read_beside(name_or_path, name))
     return parse_protocol(text, settings, read=read, label=label)
 
 
@@ -172,8 +186,71 @@ def _find_text(name_or_path: str | Path) -> tuple[str, str]:
         ) from error
 
 
+def _read_beside(name_or_path: str | Path, name: str) -> str:
+    """Return the text of a DBC file that stands beside a protocol; most are written on Windows, in its code page."""
+    shipped = str(name_or_path) in protocol_names()
+    folder = importlib.resources.files(FOLDER) if shipped else Path(name_or_path).parent
+    try:
+        content = (folder / name).read_bytes()
+    except OSError as error:
+        raise ProtocolError(f"DBC file {name} of {name_or_path} cannot be read: {error.strerror}", path=name) from error
+    return decode_dbc(content, name)
+
+
+def decode_dbc(content: bytes, name: str) -> str:
+    """Return the text of a DBC file.
+
+    Raises
+    ------
+    ProtocolError
+        If it is too large.
+    """
+    if len(content) > DBC_LIMIT_BYTES:
+        raise ProtocolError(
+            f"{name} has {len(content)} bytes, more than the limit of {DBC_LIMIT_BYTES}; cut it down to the messages needed",
+            path=name,
+        )
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", "replace")
+
+
+def _build_can(top: Table, settings: dict[str, Setting]) -> Protocol:
+    from imufield.acquire.can_protocol import read_can
+
+    name, title, manual = top.text("name"), top.text("title"), top.text("manual")
+    parts = read_can(top)
+    nominal = _read_nominal(top, parts.units, parts.clock)
+    for key in ("format", "version", "settings", "nominal", "can", "map", "assembly", "clock", "dbc"):
+        top.has(key)
+    top.finish()
+    samples = SampleRule(Quantity(()), Quantity(()), Quantity(()), (), ())
+    digest = hashlib.sha256(top.source.text.encode()).hexdigest()
+    ones = dict.fromkeys(_MEANING, 1.0)
+    return Protocol(
+        name,
+        title,
+        manual,
+        top.source.text,
+        digest,
+        settings,
+        None,
+        None,
+        samples,
+        parts.clock,
+        parts.units,
+        ones,
+        nominal,
+        parts.rule,
+    )
+
+
 def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
-    text = top.choice("kind", ("frames", "text")) == "text"
+    kind = top.choice("kind", ("frames", "text", "can"))
+    if kind == "can":
+        return _build_can(top, settings)
+    text = kind == "text"
     name, title, manual = top.text("name"), top.text("title"), top.text("manual")
     frame = None if text else read_frames(top)
     lines = read_text(top) if text else None

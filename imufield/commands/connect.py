@@ -18,7 +18,7 @@ from imufield.acquire.driver import Driver
 from imufield.acquire.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.acquire.link import Chunk, SerialLink, open_link
 from imufield.acquire.ports import serial_ports
-from imufield.acquire.protocol import Protocol, load_protocol
+from imufield.acquire.protocol import Protocol, load_protocol, parse_protocol
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
@@ -49,6 +49,8 @@ class ConnectOptions:
     baud: int | None = None
     protocol: Path | None = None
     settings: Mapping[str, str] = field(default_factory=dict)
+    protocol_text: str | None = None
+    """A protocol that a session holds, where neither driver nor file is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,8 +173,11 @@ def _only_port(say: Say) -> str:
 
 
 def _candidates(options: ConnectOptions) -> list[_Candidate]:
-    if options.protocol is not None:
-        protocol = load_protocol(options.protocol, options.settings)
+    if options.protocol is not None or options.protocol_text is not None:
+        if options.protocol is not None:
+            protocol = load_protocol(options.protocol, options.settings)
+        else:
+            protocol = parse_protocol(options.protocol_text or "", options.settings, label="protocol of the session")
         baud = options.baud or FALLBACK_BAUD
         return [_Candidate(protocol.name, protocol.title, protocol, (baud,), None)]
     names = driver_names()
@@ -183,6 +188,8 @@ def _candidates(options: ConnectOptions) -> list[_Candidate]:
     candidates = []
     for name in names:
         driver = load_driver(name)
+        if driver.wire != "serial" and options.driver is None:
+            continue
         known = load_protocol(driver.protocol).settings
         given = options.settings if options.driver else {key: value for key, value in options.settings.items() if key in known}
         candidates.append(_Candidate(name, driver.title, driver.load_protocol(given), driver.bauds, driver))
@@ -264,7 +271,7 @@ def _connected(
             given = {name: one.value for name, one in protocol.settings.items() if one.origin == "given"}
             protocol = found.driver.load_protocol(given, messages=messages)
     model = identity.pop("model", "") or found.name
-    if options.driver is None and options.protocol is None:
+    if found.driver is not None and options.driver is None:
         say(f"driver {found.name} (recognised: {decoder.statistics.frames} good frames of {found.title})")
     if options.baud is None and "://" not in hearing.link.name:
         say(f"bit rate {hearing.baud} (assumed)")

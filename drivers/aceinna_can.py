@@ -1,0 +1,94 @@
+"""Aceinna MTLT305, MTLT335 and OpenIMU300RI on a J1939 bus."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, ClassVar
+
+from imufield.acquire.can_frames import EXTENDED, pack_frame
+from imufield.acquire.driver import Driver, Evidence, Wire
+
+HOST_ADDRESS = 0xF9
+"""J1939 address of an off-board service tool."""
+EVERYBODY = 0xFF
+_REQUEST_PGN, _VERSION_PGN = 0xEA00, 0xFEDA
+_RATE_PGN, _TYPES_PGN = 0xFF55, 0xFF56
+_PRIORITY = 6
+_HIGHEST_RATE_HZ = 100
+_DIVIDERS = (0, 1, 2, 4, 5, 10, 20, 25, 50)
+SLOPE, RATE, ACCELERATION = 1, 2, 4
+"""Packet types of ``packet_types``."""
+
+
+class AceinnaCan(Driver):
+    """Messages of SAE J1939, one frame each, sent 100 times a second.
+
+    29-bit identifiers, little-endian::
+
+        ==============  ==========  ========================================================
+        message         identifier  data
+        ==============  ==========  ========================================================
+        ACCS  61485     08F02Daa    3 x u16, raw / 100 - 320 m/s^2; byte 6 figures of merit
+        ARI   61482     0CF02Aaa    3 x u16, raw / 128 - 250 deg/s; byte 6 figures of merit
+        SSI2  61481     0CF029aa    2 x u24, raw / 32768 - 250 deg; bytes 6 and 7 quality, latency
+        version  65242  18FEDAaa    major, minor, patch, stage, build; answer to a request
+        ==============  ==========  ========================================================
+
+    aa is the source address, 0x80 as delivered. 0xFFxx stands for not available, 0xFExx for an error. No frame has a
+    counter, so losses show in time stamps alone. Resolution is coarse: 0.01 m/s^2 and 0.0078 deg/s. The three words are
+    X, Y, Z by the DBC of the MTLT305D; OpenIMU300RI as delivered needs ``--set axes=openimu300ri``.
+
+    Layout and scale were checked against a recording of an MTLT305D; which word is which axis is not: turn it by hand.
+    """
+
+    name: ClassVar[str] = "aceinna_can"
+    title: ClassVar[str] = "Aceinna MTLT305, MTLT335, OpenIMU300RI (J1939)"
+    protocol: ClassVar[str] = "j1939_imu"
+    wire: ClassVar[Wire] = "can"
+    default_baud: ClassVar[int] = 250_000
+    bauds: ClassVar[tuple[int, ...]] = (250_000, 500_000, 125_000, 1_000_000)
+    status: ClassVar[Evidence] = "verified on real bytes"
+    manual: ClassVar[str] = "Aceinna MTLT305D DBC rev. 19.1.51, OpenIMU300RI firmware and python-mtlt (open source)"
+
+    @classmethod
+    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+        """Return the firmware's version, which is all that one frame tells."""
+        for message in messages:
+            if message["kind"] == "SoftwareVersion" and "VersionMajor" in message:
+                parts = ("Major", "Minor", "Patch", "Stage", "Build")
+                return {"firmware": ".".join(str(message[f"Version{part}"]) for part in parts if f"Version{part}" in message)}
+        return {}
+
+
+def request(pgn: int, destination: int = EVERYBODY, source: int = HOST_ADDRESS) -> bytes:
+    """Return the request for a message, as a packed frame. The number goes out least significant byte first."""
+    return _command(_REQUEST_PGN | destination, pgn.to_bytes(3, "little"), source)
+
+
+def packet_rate(rate_hz: int, address: int, source: int = HOST_ADDRESS) -> bytes:
+    """Return the command that sets the output rate until power-off; 0 is silence.
+
+    Raises
+    ------
+    ValueError
+        If 100 Hz cannot be divided to it.
+    """
+    divider = 0 if rate_hz == 0 else _HIGHEST_RATE_HZ // rate_hz
+    if divider not in _DIVIDERS or divider * rate_hz not in (0, _HIGHEST_RATE_HZ):
+        rates = ", ".join(f"{_HIGHEST_RATE_HZ // one}" for one in _DIVIDERS[1:])
+        raise ValueError(f"`rate_hz` is {rate_hz}; an MTLT305 sends at 0, {rates} Hz")
+    return _command(_RATE_PGN, bytes([address, divider]), source)
+
+
+def packet_types(types: int, address: int, source: int = HOST_ADDRESS) -> bytes:
+    """Return the command that chooses the messages sent until power-off, e.g. ``RATE | ACCELERATION``."""
+    return _command(_TYPES_PGN, bytes([address, types]), source)
+
+
+def _command(pgn: int, data: bytes, source: int) -> bytes:
+    return pack_frame(EXTENDED | _PRIORITY << 26 | pgn << 8 | source, data)
+
+
+# The save command (PGN 65361) is not here on purpose: nothing is ever written to the instrument's memory.
+AceinnaCan.identity_commands = (request(_VERSION_PGN),)
+DRIVER = AceinnaCan

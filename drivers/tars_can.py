@@ -1,0 +1,28 @@
+"""Honeywell TARS on a J1939 bus."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from imufield.acquire.driver import Driver, Evidence, Wire
+
+
+class TarsCan(Driver):
+    """The messages ACCS, ARI and SSI2 of SAE J1939 from source address 0xE2, as driver ``aceinna_can`` lists them.
+
+    Words are taken in SAE order: lateral, longitudinal, vertical; pitch, roll, yaw. Layout and scale fit three frames of
+    a public recording (9.77 m/s^2 in the third word at rest); the order of the axes is an assumption.
+    """
+
+    name: ClassVar[str] = "tars_can"
+    title: ClassVar[str] = "Honeywell TARS (J1939)"
+    protocol: ClassVar[str] = "j1939_imu"
+    wire: ClassVar[Wire] = "can"
+    default_baud: ClassVar[int] = 250_000
+    bauds: ClassVar[tuple[int, ...]] = (250_000, 500_000)
+    status: ClassVar[Evidence] = "verified on real bytes"
+    manual: ClassVar[str] = "SAE J1939-71 PGN 61481, 61482, 61485; frames of a public logger"
+    settings: ClassVar[dict[str, object]] = {"axes": "sae"}
+
+
+DRIVER = TarsCan

@@ -1,0 +1,376 @@
+"""The sample clock of a bus: when each sample was taken, by the time stamps of its frames.
+
+A CAN instrument seldom sends a time, and often no counter; what there is are the time stamps that the adapter or the kernel
+gives to frames. They are late, never early: a frame waits for the bus, a driver hands over a burst. With i the number of the
+sample, T the period and s the stamp, the lag
+
+    L(i) = s(i) - i T
+
+is therefore the true phase plus a delay, and its minimum over the samples that follow within a quarter second,
+
+    E(i) = min L(i .. i + w),
+
+is the phase without the delay of bursts. The time of a sample is E(i) + i T. Where k samples are missing, L rises by k T and
+stays there, so E makes a step; a delay that passes makes none. Such losses are estimates and flagged so.
+
+A counter in the messages numbers the samples itself: losses below one wrap of it are exact, and the steps of E that are left
+are whole wraps. A time stamp of the instrument replaces all of this.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.acquire.can_source import CanBlock, join_blocks
+from imufield.acquire.protocol_schema import ClockRule
+from imufield.acquire.sample_steps import StepRule
+from imufield.acquire.stamp_clock import StampClock
+from imufield.acquire.statistics import DecoderStatistics
+from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status
+
+_WINDOW_S = 0.25
+"""Longer than the delays of a busy host, as for serial ports."""
+_LEAST_WINDOW, _MOST_WINDOW = 2, 2048
+_LEARN_SAMPLES, _LEARN_S = 8, 1.0
+_MOST_LEARNED = 4096
+"""Samples after which the period is learned even if the stamps stand still."""
+_REGULAR = 0.25
+"""Part of a step by which stamps of an adapter jitter; bursts of a host are beyond."""
+_RESET_S = 1.0
+"""A stamp that runs back by more is another clock (the adapter's wrapped), by less frames out of order."""
+_LONGEST_PAUSE_S = 3600.0
+_DRIFT, _DRIFT_RUN = 0.1, 64
+"""So many samples in a row that each move the phase by this part of a period: the rate has changed."""
+
+
+@dataclass(slots=True)
+class _Phase:
+    """What is known once the period is learned."""
+
+    period_s: float
+    window: int
+    unit: int
+    """Samples in the smallest loss that only time shows: 1, or a wrap of the counter."""
+    number: float = 0.0
+    """Number of the next sample."""
+    base_s: float = 0.0
+    """Phase at the last sample given out."""
+    last_time_s: float = -np.inf
+    run: int = 0
+
+
+class CanClock:
+    """Gives samples their time, block by block.
+
+    Parameters
+    ----------
+    rule : ClockRule
+    units : SampleUnits
+    counter_steps : tuple of int
+        Steps a counter may make from one sample to the next.
+    statistics : DecoderStatistics
+    """
+
+    def __init__(
+        self, rule: ClockRule, units: SampleUnits, counter_steps: tuple[int, ...], statistics: DecoderStatistics
+    ) -> None:
+        self._rule = rule
+        self._units = units
+        self._allowed_steps = counter_steps
+        self._statistics = statistics
+        self._held: list[CanBlock] = []
+        self._phase: _Phase | None = None
+        self._offset_s = 0.0
+        self._last_time_s = -np.inf
+        self._last_stamp_s: float | None = None
+        self._last_counter: int | None = None
+        self._counter_step = 1
+        self._device: _DeviceTime | None = None
+        self._begin: tuple[float, float] | None = None
+
+    def push(self, block: CanBlock, arrivals: object = None) -> Samples | None:  # noqa: ARG002  frames have their own stamps
+        """Return the samples whose time is settled now, None if there are none."""
+        if len(block) == 0:
+            return None
+        if len(block.ticks):
+            self._device = self._device or _DeviceTime(self._rule, self._statistics)
+            return self._device.push(block, self._units)
+        self._held.append(replace(block, stamp_s=self._continuous(block.stamp_s)))
+        return self._release(last=False)
+
+    def flush(self) -> Samples | None:
+        """Return what is held back; nothing will follow."""
+        if self._device is not None:
+            return self._device.flush(self._units)
+        return self._release(last=True) if self._held else None
+
+    def _continuous(self, stamp_s: FloatArray) -> FloatArray:
+        """Take out jumps of the clock that made the stamps."""
+        if self._last_stamp_s is None:
+            self._last_stamp_s = float(stamp_s[0])
+        step_s = np.diff(stamp_s, prepend=self._last_stamp_s)
+        self._last_stamp_s = float(stamp_s[-1])
+        jumps = ~((step_s >= -_RESET_S) & (step_s <= _LONGEST_PAUSE_S))
+        if jumps.any():
+            self._statistics.clock_resets += int(np.count_nonzero(jumps))
+            step_s = np.where(np.isfinite(step_s), step_s, 0.0)
+            regular_s = self._phase.period_s if self._phase else 0.0
+            offset_s = self._offset_s - np.cumsum(np.where(jumps, step_s - regular_s, 0.0))
+            self._offset_s = float(offset_s[-1])
+            return np.nan_to_num(stamp_s) + offset_s
+        return stamp_s + self._offset_s if self._offset_s else stamp_s
+
+    def _release(self, *, last: bool) -> Samples | None:
+        block = join_blocks(self._held)
+        self._held = [block]
+        if self._phase is None:
+            if not last and not _enough(block.stamp_s):
+                return None
+            self._phase = self._learn(block)
+            self._phase.last_time_s = self._last_time_s
+        phase = self._phase
+        ready = len(block) if last else len(block) - phase.window
+        if ready <= 0:
+            return None
+        done = self._time(block, ready, phase)
+        self._held = [block[ready:]] if ready < len(block) else []
+        return done
+
+    def _learn(self, block: CanBlock) -> _Phase:
+        """Learn the period, and the usual step of a counter."""
+        if (block.counter >= 0).all() and self._rule.counter_modulus:
+            steps = np.diff(block.counter[:64]) % self._rule.counter_modulus
+            seen = [int(np.count_nonzero(steps == step)) for step in self._allowed_steps]
+            self._counter_step = self._allowed_steps[int(np.argmax(seen))]
+            self._last_counter = int(block.counter[0]) - self._counter_step
+        steps = self._steps(block.counter, remember=False)
+        period_s = _period(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
+        window = int(np.clip(np.ceil(_WINDOW_S / period_s), _LEAST_WINDOW, _MOST_WINDOW))
+        unit = self._rule.counter_modulus // self._counter_step if self._last_counter is not None else 1
+        phase = _Phase(period_s, window, max(unit, 1))
+        lag_s = block.stamp_s - np.cumsum(steps) * period_s
+        phase.base_s = float(lag_s[: window + 1].min())
+        return phase
+
+    def _steps(self, counter: IntArray, *, remember: bool = True) -> FloatArray:
+        """Return how many samples each one is behind the one before, by the counter; 1 where there is none. Shape (n,)."""
+        if self._last_counter is None:
+            return np.ones(len(counter))
+        known = counter >= 0
+        filled = counter
+        if not known.all():
+            # A lost counter message: go on from the last one known.
+            places = np.maximum.accumulate(np.where(known, np.arange(len(counter)), -1))
+            before = np.where(places >= 0, counter[np.maximum(places, 0)], self._last_counter)
+            filled = before + (np.arange(len(counter)) - places) * self._counter_step * ~known
+        modulus = self._rule.counter_modulus
+        steps = np.diff(filled, prepend=self._last_counter) % modulus / self._counter_step
+        if remember:
+            self._last_counter = int(filled[-1]) % modulus
+        # More than half a round forward is a step back: frames out of order, or a restart.
+        back = steps > modulus / self._counter_step / 2
+        return np.where(back, 1.0, np.rint(steps))
+
+    def _time(self, block: CanBlock, ready: int, phase: _Phase) -> Samples:
+        """Give the first ``ready`` samples of the held block their time."""
+        counter_before = self._last_counter
+        steps = self._steps(block.counter)
+        if counter_before is not None:
+            # What stays held is counted again in the next call.
+            self._last_counter = counter_before
+            self._steps(block.counter[:ready])
+        number = phase.number + np.cumsum(steps)
+        lag_s = block.stamp_s - number * phase.period_s
+        envelope_s = _minimum_ahead(lag_s, phase.window)[:ready]
+        units = self._losses(envelope_s, phase)
+        time_s = envelope_s + number[:ready] * phase.period_s
+        time_s = _forward(time_s, phase)
+        phase.number = float(number[ready - 1])
+        samples = self._samples(block[:ready], time_s, steps[:ready] - 1, units * phase.unit)
+        self._measure(phase, time_s)
+        self._last_time_s = phase.last_time_s
+        if self._rate_changed(envelope_s, phase):
+            self._phase = None
+        return samples
+
+    def _losses(self, envelope_s: FloatArray, phase: _Phase) -> IntArray:
+        """Return how many units are missing before each sample. Shape (n,)."""
+        lost = np.zeros(len(envelope_s), dtype=np.int64)
+        unit_s = phase.unit * phase.period_s
+        at = 0
+        while at < len(envelope_s):
+            rest = envelope_s[at:]
+            moved = np.diff(rest, prepend=phase.base_s) >= unit_s / 2
+            if not moved.any():
+                break
+            place = at + int(np.argmax(moved))
+            before_s = float(envelope_s[place - 1]) if place > at else phase.base_s
+            lost[place] = round((float(envelope_s[place]) - before_s) / unit_s)
+            phase.base_s = float(envelope_s[place])
+            at = place + 1
+        phase.base_s = float(envelope_s[-1])
+        return lost
+
+    def _samples(self, block: CanBlock, time_s: FloatArray, lost: FloatArray, estimated: IntArray) -> Samples:
+        flags = np.full(len(block), np.uint32(Status.TIME_ESTIMATED), dtype=np.uint32)
+        missing = np.maximum(lost, 0).astype(np.int64)
+        flags[missing > 0] |= np.uint32(Status.AFTER_GAP)
+        flags[estimated > 0] |= np.uint32(Status.GAP_ESTIMATED)
+        self._statistics.samples += len(block)
+        self._statistics.samples_lost += int(missing.sum())
+        self._statistics.losses_estimated += int(estimated.sum())
+        self._statistics.gaps += int(np.count_nonzero((missing > 0) | (estimated > 0)))
+        return _make(block, time_s, flags, self._units)
+
+    def _measure(self, phase: _Phase, time_s: FloatArray) -> None:
+        """Write the rate into the statistics: learned, and measured since the beginning."""
+        lost = self._statistics.losses_estimated
+        now = (phase.number + lost, float(time_s[-1]))
+        self._begin = self._begin or now
+        self._statistics.nominal_rate_hz = self._rule.rate_hz or 1 / phase.period_s
+        samples, span_s = now[0] - self._begin[0], now[1] - self._begin[1]
+        if span_s >= 2 * _LEARN_S:
+            self._statistics.rate_hz = samples / span_s
+
+    def _rate_changed(self, envelope_s: FloatArray, phase: _Phase) -> bool:
+        """Whether the phase runs away, which a wrong period makes it do."""
+        moves = np.abs(np.diff(envelope_s)) > _DRIFT * phase.period_s
+        if moves.all() and len(moves):
+            phase.run += len(moves)
+        longest = phase.run
+        if len(moves) and not moves.all():
+            still = np.flatnonzero(~moves)
+            longest = max(phase.run + int(still[0]), int(np.diff(still).max(initial=1)) - 1)
+            phase.run = len(moves) - 1 - int(still[-1])
+        if max(longest, phase.run) < _DRIFT_RUN:
+            return False
+        self._begin = None
+        return True
+
+
+def _enough(stamp_s: FloatArray) -> bool:
+    span_s = float(stamp_s[-1] - stamp_s[0])
+    return (len(stamp_s) > _LEARN_SAMPLES and span_s >= _LEARN_S) or len(stamp_s) >= _MOST_LEARNED
+
+
+def _period(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> float:
+    """Return the time from one sample to the next.
+
+    Parameters
+    ----------
+    stamp_s : ndarray, shape (n,)
+    number : ndarray, shape (n,)
+        Of each sample, by the counter.
+    rate_hz : float
+        Nominal; 0 where not known.
+    """
+    nominal_s = 1 / rate_hz if rate_hz else 0.0
+    if len(stamp_s) < 2 or stamp_s[-1] <= stamp_s[0]:
+        return nominal_s or 0.01
+    steps_s = np.diff(stamp_s) / np.maximum(np.diff(number), 1.0)
+    middle_s = float(np.median(steps_s))
+    regular = np.abs(steps_s - middle_s) <= _REGULAR * middle_s
+    if middle_s > 0 and np.count_nonzero(regular) >= 0.75 * len(steps_s):
+        return float(steps_s[regular].mean())
+    mean_s = float((stamp_s[-1] - stamp_s[0]) / (number[-1] - number[0]))
+    # Bursts: the ends of the first and of the last ones are the least late.
+    lag_s = stamp_s - number * mean_s
+    third = max(len(lag_s) // 3, 1)
+    early, late = int(np.argmin(lag_s[:third])), len(lag_s) - third + int(np.argmin(lag_s[-third:]))
+    if late > early:
+        mean_s += float((lag_s[late] - lag_s[early]) / (number[late] - number[early]))
+    return nominal_s if nominal_s and abs(mean_s / nominal_s - 1) < 2 * _DRIFT else max(mean_s, 1e-6)
+
+
+def _minimum_ahead(values: FloatArray, window: int) -> FloatArray:
+    """Return the least of each value and the ``window`` that follow it. Shape (n,)."""
+    least = values.copy()
+    reach = 1
+    # Windows of 1, 2, 4, ... values; each from two of the one before.
+    while reach < window + 1:
+        step = min(reach, window + 1 - reach)
+        least[:-step] = np.minimum(least[:-step], least[step:]) if step < len(least) else least[:-step]
+        reach += step
+    return least
+
+
+def _forward(time_s: FloatArray, phase: _Phase) -> FloatArray:
+    """Keep time from running backwards: by a quarter of a period at least from one sample to the next."""
+    least_s = phase.period_s / 4
+    if float(time_s[0]) >= phase.last_time_s + least_s and (np.diff(time_s) >= least_s).all():
+        phase.last_time_s = float(time_s[-1])
+        return time_s
+    ramp = np.arange(1, len(time_s) + 1) * least_s
+    kept: FloatArray = np.maximum.accumulate(np.maximum(time_s - ramp, phase.last_time_s)) + ramp
+    phase.last_time_s = float(kept[-1])
+    return kept
+
+
+class _DeviceTime:
+    """Time from the instrument's own time stamps."""
+
+    def __init__(self, rule: ClockRule, statistics: DecoderStatistics) -> None:
+        self._rule = rule
+        self._statistics = statistics
+        self._stamps = StampClock(rule)
+        self._steps = StepRule()
+        self._early: list[CanBlock] = []
+        self._started = False
+
+    def push(self, block: CanBlock, units: SampleUnits) -> Samples | None:
+        if self._started:
+            return self._time(block, units)
+        self._early.append(block)
+        return self._start(units) if sum(map(len, self._early)) > _LEARN_SAMPLES else None
+
+    def flush(self, units: SampleUnits) -> Samples | None:
+        return self._start(units) if self._early else None
+
+    def _start(self, units: SampleUnits) -> Samples:
+        block, self._early, self._started = join_blocks(self._early), [], True
+        known = block.ticks[np.isfinite(block.ticks)]
+        known = known if len(known) else np.zeros(1)
+        self._last = float(known[0])
+        self._steps.learn(self._stamps.start(self._whole(known[: _LEARN_SAMPLES + 1])))
+        return self._time(block, units, first=True)
+
+    def _time(self, block: CanBlock, units: SampleUnits, *, first: bool = False) -> Samples:
+        step_s = self._steps.step or 1.0
+        ticks = self._filled(block.ticks, step_s * self._rule.time_ticks_per_s)
+        stamped = self._stamps.time(ticks, step_s)
+        found = self._steps.examine(stamped.step_s[1:] if first else stamped.step_s)
+        lost = np.concatenate([[0], found.lost]) if first else found.lost
+        flags = np.where(lost > 0, np.uint32(Status.AFTER_GAP), np.uint32(0))
+        flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
+        statistics = self._statistics
+        statistics.samples += len(block)
+        statistics.samples_lost += int(lost.sum())
+        statistics.gaps += int(np.count_nonzero(flags))
+        statistics.clock_resets += int(np.count_nonzero(stamped.reset))
+        statistics.nominal_rate_hz = 1 / self._steps.step if self._steps.step else None
+        return _make(block, stamped.time_s, flags.astype(np.uint32), units)
+
+    def _filled(self, ticks: FloatArray, step: float) -> NDArray[Any]:
+        """Put a regular step where the message with the time was lost."""
+        known = np.isfinite(ticks)
+        if not known.all():
+            places = np.maximum.accumulate(np.where(known, np.arange(len(ticks)), -1))
+            before = np.where(places >= 0, ticks[np.maximum(places, 0)], self._last)
+            ticks = np.where(known, ticks, before + (np.arange(len(ticks)) - places) * step)
+        if self._rule.time_modulus:
+            ticks %= self._rule.time_modulus
+        self._last = float(ticks[-1])
+        return self._whole(ticks)
+
+    def _whole(self, ticks: FloatArray) -> NDArray[Any]:
+        return np.rint(ticks).astype(np.int64) if self._rule.time_modulus else ticks
+
+
+def _make(block: CanBlock, time_s: FloatArray, flags: NDArray[np.uint32], units: SampleUnits) -> Samples:
+    return Samples(
+        time_s, block.values[:, 0:3], block.values[:, 3:6], block.values[:, 6], block.counter, block.status | flags, units
+    )
