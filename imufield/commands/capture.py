@@ -21,9 +21,9 @@ from imufield.commands.resume import check_instrument, check_plan, connect_as_be
 from imufield.commands.site import SiteOptions
 from imufield.commands.views import LinkState, LiveStatus, View, ViewName, make_view
 from imufield.errors import ImufieldError, LinkError, UsageError
+from imufield.files import write_atomically
 from imufield.guide.events import Event
 from imufield.guide.keys import Keyboard
-from imufield.files import write_atomically
 from imufield.guide.positions import SCHEMES, scheme
 
 DEFAULT_SCHEME = "paper24"
@@ -54,7 +54,6 @@ class Captured:
     """How a capture ended."""
 
     session: Session
-    port: str
     accepted: int
     planned: int
     finished: bool
@@ -105,7 +104,7 @@ def ask_site(site: SiteOptions, interactive: bool) -> SiteOptions:
     """Return the site, asking once where nothing is known and somebody is there to answer."""
     if site.is_known or not interactive:
         return site
-    typer.echo("Gravity at this place sets the scale of the accelerometer (a latitude to 0.1 degree is good to 10 ppm).")
+    typer.echo("Gravity here sets the scale of the accelerometer; a latitude to 0.1 degree will do.")
     answer = typer.prompt("Latitude in degrees, e.g. 48.1 (Enter: not known)", default="", show_default=False).strip()
     if not answer:
         return site
@@ -202,7 +201,7 @@ class CaptureLoop:
         """Return how far the session has come."""
         guide = self.chain.guide
         accepted, planned = (0, 0) if guide is None else (len(guide.plan.accepted), len(guide.plan.scheme))
-        return Captured(self.session, self.connected.link.name, accepted, planned, self._done)
+        return Captured(self.session, accepted, planned, self._done)
 
     @property
     def _done(self) -> bool:
@@ -269,4 +268,4 @@ def _farewell(captured: Captured, view: ViewName) -> None:
         typer.echo(f"next:  imufield solve {folder}")
     else:
         typer.echo(f"{captured.accepted} of {captured.planned} positions measured so far, all on disk in {folder}")
-        typer.echo(f"go on: imufield capture --port {captured.port} --session {folder} --resume")
+        typer.echo(f"go on: imufield capture --resume --session {folder}")

@@ -115,8 +115,8 @@ def _try_dump(files: list[Path], protocol: Protocol) -> list[str]:
     names = ", ".join(map(str, files))
     if not counts.samples:
         raise RecordingError(
-            f"{names}: {counts.bytes_total} bytes hold no sample of {protocol.name} ({counts.frames_bad_checksum} frames with a "
-            "bad checksum); give the --protocol they were recorded with",
+            f"{names}: {counts.bytes_total} bytes hold no sample of {protocol.name} ({counts.frames_bad_checksum} frames with "
+            "a bad checksum); give the --protocol they were recorded with",
             Reason.NO_FRAMES,
             bytes=counts.bytes_total,
         )

@@ -92,10 +92,13 @@ def _positions(name: str) -> list[tuple[str, list[float]]]:
 def connect_as_before(options: ConnectOptions, session: Session) -> ConnectOptions:
     """Return the options with port, bit rate, driver and settings of the session where they are not given."""
     link, metadata = session.metadata.get("link", {}), session.metadata
-    driver = options.driver
+    driver, text = options.driver, None
     if driver is None and options.protocol is None:
         recorded = metadata.get("instrument", {}).get("driver")
-        driver = recorded if recorded in driver_names() else None
+        if recorded in driver_names():
+            driver = recorded
+        else:
+            text = metadata.get("protocol", {}).get("text")
     given = {name: str(one["value"]) for name, one in metadata.get("settings", {}).items() if one.get("origin") == "given"}
     same_port = options.port in (None, link.get("port"))
     return replace(
@@ -103,7 +106,8 @@ def connect_as_before(options: ConnectOptions, session: Session) -> ConnectOptio
         port=options.port or link.get("port"),
         baud=options.baud or (link.get("baud") if same_port else None),
         driver=driver,
-        settings={**(given if driver else {}), **options.settings},
+        settings={**(given if options.protocol is None else {}), **options.settings},
+        protocol_text=text,
     )
 
 

@@ -184,8 +184,8 @@ def _check_count(count: int, refusals: list[tuple[RefusalCode, str, str]]) -> No
     words, remedy = next((words, remedy) for one, words, remedy in reversed(refusals) if one is code)
     at_its_end = code in (RefusalCode.SATURATED, RefusalCode.STUCK)
     raise CalibrationError(
-        f"{count} positions are left, scale and bias need {FEWEST_POSITIONS}, because {len(refusals)} were refused, mostly as this "
-        f"one: {words}; {remedy}",
+        f"{count} positions are left, scale and bias need {FEWEST_POSITIONS}, because {len(refusals)} were refused, mostly as "
+        f"this one: {words}; {remedy}",
         Reason.SATURATED if at_its_end else Reason.TOO_FEW,
         positions=count,
         limit=FEWEST_POSITIONS,

@@ -125,7 +125,7 @@ def _type_fault(value: Any, rule: Rule, key: str) -> Fault | None:
 
 def _value_fault(value: Any, rule: Rule, key: str) -> Fault | None:
     what = ""
-    if "const" in rule and value != rule["const"]:
+    if "const" in rule and (value != rule["const"] or isinstance(value, bool)):
         what = f"is {shown(value)} instead of {rule['const']!r}"
     elif "enum" in rule and value not in rule["enum"]:
         what = f"is {shown(value)}, not one of {', '.join(rule['enum'])}"

@@ -69,7 +69,7 @@ def print_summary(parameters: Parameters, outcome: Outcome | None = None, consol
     """Print the summary; without a terminal as plain text of 80 columns, without Unicode in ASCII."""
     console = console or Console()
     if console.is_terminal and not console.options.ascii_only:
-        console.print(summary(parameters, outcome))
+        console.print(summary(parameters, outcome), crop=False)
         return
     text = summary_text(parameters, outcome)
     console.out(to_ascii(text) if console.options.ascii_only else text, end="", highlight=False)
@@ -79,7 +79,7 @@ def summary_text(parameters: Parameters, outcome: Outcome | None = None) -> str:
     """Return the summary as plain text of 80 columns."""
     console = Console(width=WIDTH, color_system=None, file=io.StringIO(), legacy_windows=False)
     with console.capture() as capture:
-        console.print(summary(parameters, outcome))
+        console.print(summary(parameters, outcome), crop=False)
     # rich fills columns with blanks; in a file or a mail they are only noise.
     return "".join(f"{line.rstrip()}\n" for line in capture.get().splitlines())
 
@@ -291,6 +291,7 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
         if calibration.quality.verdict != "poor":
             steps.append("use it in Python: imufield.load(FILE).apply(samples)")
         yield Text("")
-        yield Text.assemble(("Written to ", "bold"), str(outcome.path), overflow="fold")
+        # A path that is broken in two cannot be copied: the terminal wraps it where it must.
+        yield Text.assemble(("Written to ", "bold"), str(outcome.path), overflow="ignore", no_wrap=True)
     if steps:
         yield from _bullets(steps)

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from imufield.acquire.recording import Chunk, read_session
+from imufield.acquire.link import Chunk
+from imufield.acquire.recording import read_session
 from imufield.acquire.session import Session
 from imufield.samples import Samples, Status
 
@@ -262,7 +263,7 @@ def test_disk_full_while_capturing(program: Program) -> None:
     assert "free some space" in one_sentence(ended.stderr)
     session = only_session(program.folder)
     assert not session.finished
-    assert f"--session {session.folder.relative_to(program.folder)} --resume" in ended.stdout
+    assert f"--resume --session {session.folder.relative_to(program.folder)}" in ended.stdout
     assert bytes_on_disk(session) > 300_000
 
 

@@ -1,4 +1,4 @@
-"""A capture killed at random moments, twenty times: what was accepted stays, what was recorded stays but for the last second."""
+"""A capture killed at random moments, twenty times: all stays but the last second."""
 
 from __future__ import annotations
 
