@@ -260,6 +260,7 @@ class TurnsProblem:
     lower, upper : ndarray, shape (9,)
     form : {"norm", "vector"}
         Eq. 26 as printed, or the vector form of eq. 25 of [2]_.
+    unit : float
     """
 
     difference: FloatArray
@@ -267,6 +268,9 @@ class TurnsProblem:
     lower: FloatArray
     upper: FloatArray
     form: Literal["norm", "vector"] = "vector"
+    unit: float = 1.0
+    """Raw units in which the cost is expressed: with the nominal K it is in (deg/s)^2 or deg/s where rates are in deg/s. Eq. 17 of
+    [2]_ is not free of units, so a cost in squared pulses would keep its mutation factor up."""
 
     @property
     def start(self) -> FloatArray:
@@ -288,8 +292,8 @@ class TurnsProblem:
         J = len(self.rate)
         if self.form == "norm":
             excess = (self.difference**2).sum(axis=1) - 4 * np.einsum("cji,cji->cj", turned, turned)
-            return np.asarray(excess / np.sqrt(J - 1))
-        terms = (self.difference / 2 - turned) / np.sqrt(max(3 * J - 9, 1))
+            return np.asarray(excess / (self.unit**2 * np.sqrt(J - 1)))
+        terms = (self.difference / 2 - turned) / (self.unit * np.sqrt(max(3 * J - 9, 1)))
         return np.asarray(terms.reshape(len(candidates), -1))
 
     def cost(self, candidates: FloatArray) -> FloatArray:
@@ -311,5 +315,5 @@ class TurnsProblem:
         derivative[:, rows, range(3, 9)] = z[rows] * self.rate[:, columns]
         if self.form == "norm":
             KEw = turned * z[:3]
-            return np.asarray(-8 * np.einsum("ji,jik->jk", KEw, derivative) / np.sqrt(J - 1))
-        return np.asarray(-derivative.reshape(3 * J, 9) / np.sqrt(max(3 * J - 9, 1)))
+            return np.asarray(-8 * np.einsum("ji,jik->jk", KEw, derivative) / (self.unit**2 * np.sqrt(J - 1)))
+        return np.asarray(-derivative.reshape(3 * J, 9) / (self.unit * np.sqrt(max(3 * J - 9, 1))))

@@ -121,8 +121,8 @@ def _on_processes(
         if not open_batches:
             return [result for first in sorted(results) for result in results[first]]
     raise UsageError(
-        f"workers of the campaign were killed {_KILLS_ACCEPTED + 1} times, {len(open_batches)} batches are not done; use fewer "
-        "workers (the usual reason is lack of memory)",
+        f"workers of the campaign were killed {_KILLS_ACCEPTED + 1} times, {len(open_batches)} batches are not "
+        "done; use fewer workers (the usual reason is lack of memory)",
         Reason.USAGE,
         workers=workers,
     )
@@ -175,8 +175,8 @@ def _on_cluster(
         client = distributed.Client(scheduler, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise LinkTimeoutError(
-            f"no Dask scheduler answers at {scheduler!r} within {_CONNECT_TIMEOUT_S:g} s ({error or 'silence'}); check the "
-            "address and that the scheduler runs",
+            f"no Dask scheduler answers at {scheduler!r} within {_CONNECT_TIMEOUT_S:g} s ({error or 'silence'}); "
+            "check the address and that the scheduler runs",
             Reason.SILENCE,
             scheduler=scheduler,
         ) from error
@@ -193,8 +193,8 @@ def _on_cluster(
                 tell(sum(len(done) for done in results.values()), len(arguments))
         except (distributed.KilledWorker, OSError) as error:
             raise LinkError(
-                f"the Dask cluster at {scheduler!r} lost {len(batches) - len(results)} of {len(batches)} batches ({error}); "
-                "check its workers and start again, the result will be the same",
+                f"the Dask cluster at {scheduler!r} lost {len(batches) - len(results)} of {len(batches)} batches "
+                f"({error}); check its workers and start again, the result will be the same",
                 Reason.DISCONNECTED,
                 scheduler=scheduler,
             ) from error

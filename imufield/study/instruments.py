@@ -68,6 +68,9 @@ GYROSCOPE_TRUTH = np.array([
 GYROSCOPE_LOWER = np.array([7800.0] * 3 + [-0.01] * 6 + [-500.0] * 3)
 GYROSCOPE_UPPER = np.array([8000.0] * 3 + [0.01] * 6 + [100.0] * 3)
 GYROSCOPE_ARW_DEG_PER_ROOT_HOUR = 0.003
+DEG_H_PER_DEG_S = 3600.0
+NOMINAL_GYROSCOPE_SCALE = 7900.0
+"""Middle of the bounds."""
 STATIC_HOLD_S = 60.0
 TURN_RATES_DEG_S = (10.0, 20.0, 30.0)
 TURN_SECONDS = 72.0
@@ -141,11 +144,17 @@ def static_rates_deg_s(latitude_deg: float = BEIJING_LATITUDE_DEG) -> FloatArray
 
 
 def gyroscope_static_problem(rng: np.random.Generator) -> TriadProblem:
-    """Return the static gyroscope problem of [2]_ (L_g of eq. 7), rates in deg/h so that K is pulses per deg/h / 3600."""
-    rates = static_rates_deg_s()
-    noise = GYROSCOPE_ARW_DEG_PER_ROOT_HOUR / 60 / math.sqrt(STATIC_HOLD_S)
+    """Return the static gyroscope problem of [2]_ (L_g of eq. 7), rates in deg/h: K is in pulses per deg/h."""
+    rates = static_rates_deg_s() * DEG_H_PER_DEG_S
+    noise = GYROSCOPE_ARW_DEG_PER_ROOT_HOUR * math.sqrt(3600 / STATIC_HOLD_S)
     rates = rates + noise * rng.standard_normal(rates.shape)
-    return TriadProblem(triad_outputs(GYROSCOPE_TRUTH, rates), math.degrees(EARTH_RATE_RAD_S), GYROSCOPE_LOWER, GYROSCOPE_UPPER)
+    truth, lower, upper = (per_deg_h(x) for x in (GYROSCOPE_TRUTH, GYROSCOPE_LOWER, GYROSCOPE_UPPER))
+    return TriadProblem(triad_outputs(truth, rates), math.degrees(EARTH_RATE_RAD_S) * DEG_H_PER_DEG_S, lower, upper)
+
+
+def per_deg_h(x: FloatArray) -> FloatArray:
+    """Return parameters with K in pulses per deg/h instead of pulses per deg/s, shape (9,) or (12,)."""
+    return np.concatenate([x[:3] / DEG_H_PER_DEG_S, x[3:]])
 
 
 def gyroscope_turns_problem(rng: np.random.Generator, form: str) -> TurnsProblem:
@@ -156,4 +165,4 @@ def gyroscope_turns_problem(rng: np.random.Generator, form: str) -> TurnsProblem
     difference = 2 * (triad_outputs(GYROSCOPE_TRUTH, rates) - GYROSCOPE_TRUTH[9:])
     difference = difference + math.sqrt(2) * noise * GYROSCOPE_TRUTH[:3] * rng.standard_normal(rates.shape)
     lower, upper = GYROSCOPE_LOWER[:9], GYROSCOPE_UPPER[:9]
-    return TurnsProblem(difference, rates, lower, upper, "norm" if form == "norm" else "vector")
+    return TurnsProblem(difference, rates, lower, upper, "norm" if form == "norm" else "vector", NOMINAL_GYROSCOPE_SCALE)

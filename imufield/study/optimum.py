@@ -67,9 +67,30 @@ def _absolute_step(residual: FloatArray, A: FloatArray) -> FloatArray:
 
 
 def squares_optimum(problem: Problem) -> tuple[float, FloatArray]:
-    """Return the minimum of a root-sum-of-squares cost and where it is, by least squares from the middle of the bounds."""
-    solved = solve_least_squares(problem, loss="linear")
-    return float(problem.cost(solved.x[None])[0]), solved.x
+    """Return the minimum of a root-sum-of-squares cost within the bounds and where it is, from their middle."""
+    x = solve_least_squares(problem, loss="linear").x
+    lower, upper = problem.bounds
+    if not np.all((lower <= x) & (x <= upper)):
+        x = _bounded(problem)
+    return float(problem.cost(x[None])[0]), x
+
+
+def _bounded(problem: Problem) -> FloatArray:
+    from scipy.optimize import least_squares  # slow to load, and only a study needs it
+
+    tolerance = 1e-14
+    found = least_squares(
+        problem.residuals,
+        problem.start,
+        jac=problem.jacobian,
+        bounds=problem.bounds,
+        x_scale=np.maximum((problem.bounds[1] - problem.bounds[0]) / 2, 1e-12),
+        ftol=tolerance,
+        xtol=tolerance,
+        gtol=tolerance,
+        max_nfev=2000,
+    )
+    return np.asarray(found.x, dtype=np.float64)
 
 
 def cramer_rao_bound(

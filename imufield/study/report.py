@@ -1,0 +1,135 @@
+"""What a study says: the paper's figure and ours side by side, why they differ, tables for CSV, and a plot."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from imufield.errors import Reason, UsageError
+from imufield.files import write_atomically
+from imufield.samples import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Draw = Callable[["Figure"], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """One figure of the paper beside ours, as text."""
+
+    what: str
+    paper: str
+    ours: str
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of numbers or words for a CSV file."""
+
+    name: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StudyReport:
+    """The outcome of one study."""
+
+    name: str
+    """As typed: "bsas-table3"."""
+    title: str
+    setting: str
+    """What was simulated, and with which settings; what needs hardware is said to be simulated."""
+    comparisons: tuple[Comparison, ...]
+    differences: tuple[str, ...]
+    """Sentences: where and why ours differ."""
+    tables: tuple[Table, ...] = ()
+    draw: Draw | None = field(default=None, compare=False)
+    columns: tuple[str, str, str] = ("", "paper", "ours")
+
+
+def curves_table(name: str, label: str, curves: dict[str, FloatArray]) -> Table:
+    """Return curves of any length side by side, one column each."""
+    length = max(len(curve) for curve in curves.values())
+    rows = tuple((i + 1, *(f"{curve[i]:.9g}" if i < len(curve) else "" for curve in curves.values())) for i in range(length))
+    return Table(name, (label, *curves), rows)
+
+
+def as_text(report: StudyReport) -> str:
+    """Return a report for a terminal."""
+    heading = f"{report.name}: {report.title}"
+    lines = [heading, "-" * len(heading), report.setting, ""]
+    cells = [report.columns, *((c.what, c.paper, c.ours) for c in report.comparisons)]
+    widths = [max(len(row[k]) for row in cells) for k in range(3)]
+    lines += ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells]
+    lines += ["", *(f"* {sentence}" for sentence in report.differences)]
+    return "\n".join(lines) + "\n"
+
+
+def as_markdown(report: StudyReport) -> str:
+    """Return a report as a section of a document."""
+    lines = [f"## {report.name}: {report.title}", "", report.setting, ""]
+    lines += [_markdown_row(report.columns), "|---|---|---|"]
+    lines += [_markdown_row((c.what, c.paper, c.ours)) for c in report.comparisons]
+    lines += ["", *(f"* {sentence}" for sentence in report.differences)]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def save(report: StudyReport, folder: Path, *, plot: bool = True) -> tuple[Path, ...]:
+    """Write the CSV files and the plot of a report; return their paths.
+
+    Raises
+    ------
+    UsageError
+        If a plot is wanted and matplotlib is not installed.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    written = [folder / f"{report.name}.csv"]
+    comparisons = tuple((c.what, c.paper, c.ours) for c in report.comparisons)
+    _write_csv(written[0], Table("", report.columns, comparisons))
+    for table in report.tables:
+        written.append(folder / f"{report.name}-{re.sub(r'[^a-z0-9]+', '-', table.name.lower())}.csv")
+        _write_csv(written[-1], table)
+    if plot and report.draw is not None:
+        written.append(folder / f"{report.name}.png")
+        _write_plot(report, written[-1])
+    return tuple(written)
+
+
+def _write_csv(path: Path, table: Table) -> None:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table.columns)
+    writer.writerows(table.rows)
+    write_atomically(path, text.getvalue().encode())
+
+
+def _write_plot(report: StudyReport, path: Path) -> None:
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"plots need the package matplotlib, which is not installed ({error}); install imufield[study], or ask for no plot",
+            Reason.MISSING_PACKAGE,
+            package="matplotlib",
+        ) from error
+    figure = Figure(figsize=(8, 5), layout="constrained")
+    if report.draw is not None:
+        report.draw(figure)
+    figure.suptitle(f"{report.name}: {report.title}", fontsize=10)
+    image = io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(image, format="png")
+    write_atomically(path, image.getvalue())
