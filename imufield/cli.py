@@ -6,18 +6,19 @@ Nothing heavy is imported here: each command imports its own room, so that a pro
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
 import typer
 
 from imufield import __version__
-from imufield.errors import ImufieldError
+from imufield.errors import ImufieldError, RecordingError
 
 EXIT_INTERRUPTED = 130
 """What typer leaves with after Ctrl-C; SIGTERM and SIGHUP take the same way."""
@@ -314,18 +315,52 @@ def main() -> None:
 def run(arguments: list[str]) -> int:
     """Run one command and return its exit code; a defect of ours leaves its traceback (code 1)."""
     try:
+        return _run(arguments)
+    except OSError as error:
+        # Files and ports have errors of their own kind: what comes here is about standard output.
+        if error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT):
+            _forget(sys.stdout)
+            _complain(f"standard output cannot be written ({error.strerror}); free some space, or send it elsewhere")
+            return RecordingError.exit_code
+        # The reader of our output went away (`imufield ... | head`), or the terminal was closed: there is nobody to tell.
+        closed = error.errno == errno.EIO and _was_interrupted(error)
+        if not (closed or isinstance(error, BrokenPipeError)):
+            raise
+        _forget(sys.stdout)
+        _forget(sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def _forget(stream: TextIO) -> None:
+    """Let nothing more be said there, by the interpreter on its way out either."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _complain(message: str) -> None:
+    typer.secho(f"imufield: {message.rstrip('.')}.", fg="red", err=True)
+
+
+def _run(arguments: list[str]) -> int:
+    try:
         with _signals_as_interrupts():
             app(arguments, prog_name="imufield")
     except ImufieldError as error:
-        typer.secho(f"imufield: {error.message.rstrip('.')}.", fg="red", err=True)
+        _complain(error.message)
         return error.exit_code
-    except BrokenPipeError:
-        # The reader of our output went away (`imufield ... | head`): nothing is left to say, and nobody to say it to.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except SystemExit as leave:
-        code = leave.code if isinstance(leave.code, int) else 0
-        if code == EXIT_INTERRUPTED:
+        if isinstance(leave.__context__, BrokenPipeError):
+            # typer leaves with 1 then, which is kept for defects.
+            raise leave.__context__ from None
+        if leave.code == EXIT_INTERRUPTED or isinstance(leave.__context__, typer.Abort):
             typer.secho("imufield: interrupted; what was recorded is on disk.", err=True)
-        return code
+            return EXIT_INTERRUPTED
+        return leave.code if isinstance(leave.code, int) else 0
     return 0
+
+
+def _was_interrupted(error: BaseException) -> bool:
+    """Whether an error came up while an interrupt was on its way out."""
+    cause: BaseException | None = error
+    while cause is not None and not isinstance(cause, KeyboardInterrupt | typer.Abort):
+        cause = cause.__context__
+    return cause is not None

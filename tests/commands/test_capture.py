@@ -1,0 +1,300 @@
+"""``imufield capture`` as a person and as a program use it."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import termios
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from imufield.acquire.recording import RecordedEvent, read_session
+from imufield.acquire.session import Session
+
+if TYPE_CHECKING:
+    from tests.commands.conftest import Program
+
+FACES = ["+x", "+y", "+z", "-x", "-y", "-z"]
+
+
+def newest(program: Program) -> Session:
+    return Session.newest(program.folder / "imufield-sessions")
+
+
+def events(session: Session) -> list[dict[str, object]]:
+    return [item.event for item in read_session(session) if isinstance(item, RecordedEvent)]
+
+
+@pytest.fixture
+def faces(program: Program) -> str:
+    return program.emulate("--positions", "faces6", "--hold-s", 6, "--wait")
+
+
+def test_port_alone_is_enough_and_what_is_assumed_is_said(program: Program) -> None:
+    port = program.emulate("--positions", "none")
+    process = program.start("capture", "--port", port, variables={"IMUFIELD_CLOCK_SPEED": "16"})
+    assert process.stdout is not None
+    lines = [process.stdout.readline() for _ in range(3)]
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=20)
+    assert "driver stim300 (recognised" in error
+    assert "bit rate 921600 (assumed)" in error
+    assert lines[0].startswith("session imufield-sessions/")
+    metadata = newest(program).metadata
+    assert metadata["scheme"] == "paper24"
+    assert metadata["instrument"]["serial_number"].startswith("N")
+    assert metadata["settings"]["accelerometer_range_g"]["origin"] == "read"
+    assert metadata["site"] == {}
+
+
+def test_a_whole_session_in_plain_lines_then_solve(program: Program, faces: str) -> None:
+    ended = program.run(*program.capture(faces))
+    assert ended.returncode == 0, ended.stderr
+    session = newest(program)
+    assert session.finished
+    folder = session.folder.relative_to(program.folder)
+    assert ended.stdout.splitlines()[-2:] == [
+        f"6 of 6 positions measured, session {folder}",
+        f"next:  imufield solve {folder}",
+    ]
+    assert "\x1b" not in ended.stdout
+    assert "?" not in ended.stdout
+    solved = program.run("solve", "--json")
+    assert solved.returncode == 0, solved.stderr
+    document = json.loads(solved.stdout)
+    assert document["site"]["gravity_source"] == "assumed"
+    assert document["site"]["gravity_sigma_m_s2"] == pytest.approx(0.018)
+    assert any("gravity is not known" in reason for reason in document["quality"]["reasons"])
+    assert document["instrument"]["serial_number"] == session.metadata["instrument"]["serial_number"]
+    assert sorted(position["name"] for position in document["position"]) == FACES
+    assert (session.folder / "parameters.toml").is_file()
+
+
+def test_json_lines_and_nothing_else(program: Program, faces: str) -> None:
+    ended = program.run(*program.capture(faces, "--json"))
+    assert ended.returncode == 0, ended.stderr
+    told = [json.loads(line) for line in ended.stdout.splitlines()]
+    assert told[0] == {"version": 1, "event": "session", "session": str(newest(program).folder.relative_to(program.folder))}
+    assert told[-1]["event"] == "done"
+    assert [event["position"] for event in told if event["event"] == "accepted"][-1] in FACES
+    assert told[1:] == events(newest(program))
+
+
+def test_replay_tells_the_same(program: Program, faces: str) -> None:
+    captured = program.run(*program.capture(faces, "--json"))
+    replayed = program.run("replay", "--json")
+    assert replayed.returncode == 0, replayed.stderr
+    assert replayed.stdout.splitlines() == captured.stdout.splitlines()[1:]
+
+
+def test_resume(program: Program) -> None:
+    port = program.emulate("--positions", "corners24", "--hold-s", 6)
+    process = program.start(*program.capture(port, "--json", "--gravity", 9.81))
+    assert process.stdout is not None
+    while '"accepted": 2' not in process.stdout.readline():
+        assert process.poll() is None
+    process.terminate()
+    assert process.wait(20) == 130
+    process.communicate()
+    session = newest(program)
+    folder = session.folder.relative_to(program.folder)
+    solved = program.run("solve", folder)
+    assert solved.returncode == 6
+    assert "positions are too few" in solved.stderr
+
+    for options, code, words in (
+        ((), 4, "--resume"),
+        (("--resume", "--positions", "paper24"), 2, "faces6"),
+        (("--resume", "--hold-s", "9"), 2, "2 s"),
+    ):
+        refused = program.run("capture", "--port", port, "--session", folder, *options)
+        assert (refused.returncode, refused.stdout) == (code, "")
+        assert words in refused.stderr
+
+    # Port, driver, bit rate, positions and site are those of the session.
+    resumed = program.run("capture", "--resume", variables={"IMUFIELD_CLOCK_SPEED": "16"})
+    assert resumed.returncode == 0, resumed.stderr
+    assert "6 of 6 positions measured" in resumed.stdout
+    assert "assumed" not in resumed.stderr
+    session = newest(program)
+    assert session.finished
+    assert session.metadata["site"] == {"gravity_m_s2": 9.81}
+    assert [path.name for path in session.parts] == ["part-001.mcap", "part-002.mcap"]
+    accepted = [event["position"] for event in events(session) if event["event"] == "accepted"]
+    assert sorted(map(str, accepted)) == FACES
+
+
+def test_resume_refuses_another_instrument(program: Program) -> None:
+    port = program.emulate("--positions", "none")
+    process = program.start(*program.capture(port, "--json"))
+    assert process.stdout is not None
+    process.stdout.readline()
+    process.terminate()
+    process.communicate()
+    session = newest(program)
+    session.update(instrument={**session.metadata["instrument"], "serial_number": "N1"})
+    refused = program.run("capture", "--resume", variables={"IMUFIELD_CLOCK_SPEED": "16"})
+    assert refused.returncode == 4
+    assert "serial number N1" in refused.stderr
+    assert len(newest(program).parts) == 1
+
+
+def test_two_captures_into_one_folder(program: Program) -> None:
+    ports = [program.emulate("--positions", "none") for _ in range(2)]
+    first = program.start(*program.capture(ports[0], "--json", "--session", "here"))
+    assert first.stdout is not None
+    first.stdout.readline()
+    second = program.run(*program.capture(ports[1], "--json", "--session", "here", "--resume"))
+    assert second.returncode == 4
+    assert f"process {first.pid}" in second.stderr
+    assert first.poll() is None
+
+
+def test_positions_of_the_users_own_are_kept_in_the_session(program: Program, faces: str) -> None:
+    mine = program.folder / "mine.toml"
+    mine.write_text('name = "two"\n[[position]]\nup = [0, 0, 1]\n[[position]]\nup = [0, 0, -1]\n')
+    ended = program.run(*program.capture(faces), "--positions", mine)
+    assert ended.returncode == 0, ended.stderr
+    assert "2 of 2 positions measured" in ended.stdout
+    mine.unlink()
+    replayed = program.run("replay")
+    assert replayed.returncode == 0, replayed.stderr
+    assert "2 of 2 done" in replayed.stdout
+
+
+def test_defaults_from_file_and_variables(program: Program) -> None:
+    port = program.emulate("--positions", "none")
+    (program.folder / "imufield.toml").write_text(
+        'port = "/dev/nowhere"\ndriver = "stim300"\npositions = "faces6"\nhold_s = 3\nlatitude = 48.1\n'
+        "[settings]\naccelerometer_range_g = 30\n"
+    )
+    variables = {"IMUFIELD_PORT": port, "IMUFIELD_CLOCK_SPEED": "16", "IMUFIELD_LATITUDE_DEG": "50"}
+    process = program.start("capture", "--json", "--hold-s", 4, variables=variables)
+    assert process.stdout is not None
+    process.stdout.readline()
+    process.terminate()
+    process.communicate()
+    metadata = newest(program).metadata
+    assert metadata["link"]["port"] == port
+    assert (metadata["scheme"], metadata["guide"]) == ("faces6", {"hold_s": 4.0})
+    assert metadata["site"] == {"latitude_deg": 50.0}
+    assert metadata["settings"]["accelerometer_range_g"] == {"value": 30, "origin": "given"}
+
+
+class Terminal:
+    """The program on a terminal of 80 columns and 24 lines."""
+
+    def __init__(self, program: Program, *arguments: str) -> None:
+        self.master, slave = pty.openpty()
+        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        self.process = program.start(
+            *arguments,
+            variables={"TERM": "xterm-256color", "IMUFIELD_CLOCK_SPEED": "16"},
+            stdin=slave,
+            stdout=slave,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        )
+        self.before = termios.tcgetattr(slave)
+        self.slave = slave
+        self.text = ""
+
+    def wait_for(self, words: str, within_s: float = 30.0) -> str:
+        """Return everything shown since the last call, without control sequences, once these words are in it."""
+        end_s = time.monotonic() + within_s
+        while words not in self.text:
+            assert time.monotonic() < end_s, f"{words!r} is not in {self.text[-2000:]}"
+            if select.select([self.master], [], [], 0.2)[0]:
+                data = os.read(self.master, 65536).decode(errors="replace")
+                self.text += re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", data)
+        shown, self.text = self.text, ""
+        return shown
+
+    def type(self, keys: str) -> None:
+        os.write(self.master, keys.encode())
+
+    def ended(self) -> int:
+        code = self.process.wait(20)
+        assert termios.tcgetattr(self.slave) == self.before, "the terminal is not as it was"
+        os.close(self.slave)
+        os.close(self.master)
+        return code
+
+
+@pytest.fixture
+def screen(program: Program) -> Terminal:
+    port = program.emulate("--positions", "faces6", "--hold-s", 12, "--wait")
+    return Terminal(program, "capture", "--port", port, "--driver", "stim300", "--positions", "faces6", "--hold-s", "2")
+
+
+def test_keys_on_a_terminal(program: Program, screen: Terminal) -> None:
+    screen.wait_for("Latitude in degrees")
+    screen.type("48.1\n")
+    screen.wait_for("1 of 6 done")
+    for key, words in (("p", "paused"), ("p", "going on"), ("s", "skip:"), ("u", "undo:"), ("r", "retake:"), ("S", "skip:")):
+        screen.type(key)
+        screen.wait_for(words)
+    screen.wait_for("accepted -")
+    screen.type("f")
+    screen.wait_for("finished with")
+    assert screen.ended() == 0
+    session = newest(program)
+    assert session.finished
+    assert session.metadata["site"] == {"latitude_deg": 48.1}
+    marks = [event["action"] for event in events(session) if event["event"] == "mark"]
+    assert marks == ["pause", "pause", "skip", "undo", "retake", "skip", "finish"]
+    told = program.run("replay", "--json").stdout.splitlines()
+    live = [event for event in events(session) if event["event"] != "mark"]
+    assert [json.loads(line) for line in told] == live
+
+
+def test_quit_and_go_on(program: Program, screen: Terminal) -> None:
+    screen.wait_for("Latitude in degrees")
+    screen.type("\n")
+    screen.wait_for("1 of 6 done")
+    screen.type("q")
+    shown = screen.wait_for("go on: imufield capture --resume")
+    assert "1 of 6 positions measured so far" in shown
+    assert screen.ended() == 0
+    session = newest(program)
+    assert not session.finished
+    again = Terminal(program, "capture", "--session", str(session.folder))
+    again.wait_for("Go on with the unfinished session")
+    again.type("y\n")
+    again.wait_for("Latitude in degrees")
+    again.type("51\n")
+    again.wait_for("2 of 6 done")
+    again.type("\x03")
+    assert again.ended() == 130
+    assert newest(program).metadata["site"] == {"latitude_deg": 51.0}
+
+
+def test_a_terminal_that_is_closed(program: Program, screen: Terminal) -> None:
+    screen.wait_for("Latitude in degrees")
+    screen.type("48\n")
+    screen.wait_for("1 of 6 done")
+    os.close(screen.slave)
+    os.close(screen.master)
+    assert screen.process.wait(20) == 130
+    session = newest(program)
+    assert not session.finished
+    assert "accepted" in {event["event"] for event in events(session)}
+    assert program.run("replay").returncode == 0
+
+
+def test_a_latitude_that_is_none(program: Program, screen: Terminal) -> None:
+    screen.wait_for("Latitude in degrees")
+    screen.type("here\n")
+    screen.wait_for("write decimal degrees")
+    assert screen.ended() == 2
+    assert not (program.folder / "imufield-sessions").exists()
