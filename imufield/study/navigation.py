@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import warnings
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -145,7 +146,10 @@ def navigate_at_rest(
     )
     start = [latitude_deg, LONGITUDE_DEG, 0.0, 0.0, 0.0, 0.0, *np.asarray(attitude_rph_deg)]
     state = modules.pandas.Series(start, index=modules.util.TRAJECTORY_COLS, name=0.0)
-    trajectory = modules.strapdown.Integrator(state, with_altitude=False).integrate(increments)
+    with warnings.catch_warnings():
+        # python-ins 1.0 is older than pandas 3, which no longer needs to be told to copy.
+        warnings.filterwarnings("ignore", message="The copy keyword is deprecated")
+        trajectory = modules.strapdown.Integrator(state, with_altitude=False).integrate(increments)
     return _errors(trajectory, latitude_deg)
 
 

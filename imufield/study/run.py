@@ -19,9 +19,10 @@ hardware, a simulated instrument stands in its place, and the setting says so.
 From {size} of `imufield study all --seed {seed}` with imufield {version}. The same seed gives the same figures on any
 number of workers.
 
-* BSAS: P. Wang et al., "In-Field Calibration of Triaxial Accelerometer Based on Beetle Swarm Antenna Search Algorithm", Sensors,
-  2020.
-* IDE: Y. Liu et al., "A New Norm-Observed Calibration Method Based on Improved Differential Evolution Algorithm for SINS", 2021.
+* BSAS: P. Wang et al., "In-Field Calibration of Triaxial Accelerometer Based on Beetle Swarm Antenna Search Algorithm",
+  Sensors, 2020.
+* IDE: Y. Liu et al., "A New Norm-Observed Calibration Method Based on Improved Differential Evolution Algorithm for
+  SINS", 2021.
 """
 
 

@@ -1,0 +1,149 @@
+"""All studies, quick; and what their texts claim, where it can be checked by a second route."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imufield.errors import UsageError
+from imufield.study import bsas_runs, instruments
+from imufield.study.context import StudyContext
+from imufield.study.instruments import BSAS_TRUTH, bsas_preset, static_rates_deg_s
+from imufield.study.registry import STUDIES, find_studies
+from imufield.study.report import Comparison, StudyReport, Table, as_markdown, as_text, save
+from imufield.study.run import run_study, write_document
+
+# The tables and figures of METHODS section 9, and the papers' input tables.
+ASKED_FOR = {
+    *(f"bsas-table{n}" for n in range(1, 7)),
+    *(f"bsas-fig{n}" for n in (3, 4, 5, 6, 7, 9, 10, 11)),
+    *(f"ide-table{n}" for n in range(1, 6)),
+    *(f"ide-fig{n}" for n in (2, 3, 4, 5, 6, 8, 10)),
+}
+QUICK = StudyContext(seed=3, quick=True, workers=1)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("studies")
+
+
+@pytest.fixture(scope="module")
+def reports(folder: Path) -> dict[str, StudyReport]:
+    for package in ("pymoo", "pyins", "matplotlib"):
+        pytest.importorskip(package, reason="needs the study and nav extras")
+    return {report.name: report for report in run_study("all", QUICK, folder=folder)}
+
+
+def test_every_table_and_figure_is_there(reports: dict[str, StudyReport]) -> None:
+    assert set(STUDIES) == set(reports)
+    assert set(STUDIES) >= ASKED_FOR
+
+
+@pytest.mark.parametrize("name", list(STUDIES))
+def test_a_report_compares_and_explains(reports: dict[str, StudyReport], name: str) -> None:
+    report = reports[name]
+    assert report.comparisons
+    assert all(c.what and c.paper and c.ours for c in report.comparisons)
+    assert "nan" not in " ".join(c.ours for c in report.comparisons).lower()
+    assert report.title
+    assert report.setting
+    assert report.differences or name == "bsas-table4"
+
+
+@pytest.mark.parametrize("name", list(STUDIES))
+def test_a_report_leaves_csv_and_plot(reports: dict[str, StudyReport], folder: Path, name: str) -> None:
+    report = reports[name]
+    with (folder / f"{name}.csv").open(newline="") as file:
+        rows = list(csv.reader(file))
+    assert len(rows) == 1 + len(report.comparisons)
+    tables = list(folder.glob(f"{name}-*.csv"))
+    assert len(tables) == len(report.tables)
+    if report.draw is not None:
+        assert (folder / f"{name}.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_the_document_has_every_report_with_seed_and_version(reports: dict[str, StudyReport], tmp_path: Path) -> None:
+    path = tmp_path / "study.md"
+    write_document(reports.values(), path, QUICK)
+    text = path.read_text()
+    assert all(f"## {name}: " in text for name in reports)
+    assert "--seed 3" in text
+    assert "quick run" in text
+
+
+def test_one_seed_gives_one_report_whoever_works(reports: dict[str, StudyReport]) -> None:
+    together = next(run_study("bsas-table5", StudyContext(seed=3, quick=True, workers=2)))
+    assert together.comparisons == reports["bsas-table5"].comparisons
+
+
+def test_the_whitened_swarm_ends_at_the_exact_minimum_where_the_staged_one_stalls(reports: dict[str, StudyReport]) -> None:
+    within = {c.what: c.ours for c in reports["bsas-whitened"].comparisons}
+    assert within["runs within 1.1 times"] == "4 of 4"
+    assert within["runs that converged"] == "4 of 4"
+    staged = {c.what: c.ours for c in reports["bsas-staged"].comparisons}
+    assert staged["runs that claim to have converged"] == "0 of 4"
+
+
+def test_ide_ends_at_the_global_optimum(reports: dict[str, StudyReport]) -> None:
+    found = {c.what: c.ours for c in reports["ide-table2"].comparisons}
+    assert found["ide within 1e-6 of the global optimum"] == "3 of 3"
+
+
+def test_equation_26_is_said_to_be_rank_3(reports: dict[str, StudyReport]) -> None:
+    found = {c.what: c.ours for c in reports["ide-table4"].comparisons}
+    assert found["rank of the Jacobian: static, eq. 26, vector"] == "9, 3, 9"
+
+
+def test_estimates_keep_their_own_presets() -> None:
+    # The vector of a run is truth plus what the stage found, not plus its preset's error.
+    run = bsas_runs.run_categories(False, np.random.default_rng(1))
+    assert np.abs(run.vector[:3] - BSAS_TRUTH[:3]).max() < 1e-5
+    assert np.abs(run.vector[3:6] - BSAS_TRUTH[3:6]).max() < 1e-6
+
+
+def test_presets_stay_within_what_is_said() -> None:
+    rng = np.random.default_rng(0)
+    off = np.array([bsas_preset(rng) - BSAS_TRUTH for _ in range(300)])
+    limit = np.abs(np.concatenate([5e-4 * BSAS_TRUTH[:3], [9.80665e-3] * 3, [1e-4] * 6, BSAS_TRUTH[12:]]))
+    assert np.all(np.abs(off) <= limit)
+    assert np.all(np.abs(off).max(axis=0) > 0.9 * limit)
+
+
+def test_the_earth_turns_once_a_sidereal_day_at_every_position() -> None:
+    rates = static_rates_deg_s(30.0)
+    assert np.linalg.norm(rates, axis=1) == pytest.approx(np.full(24, 360 / 86164.1), rel=1e-5)
+    # Up is at sin(latitude) of the rate.
+    assert np.einsum("ij,ij->i", rates, instruments.bsas_directions()) == pytest.approx(np.full(24, 180 / 86164.1), rel=1e-5)
+
+
+def test_names_of_studies() -> None:
+    assert [study.name for study in find_studies("ide-fig5")] == ["ide-fig5"]
+    assert all(study.name.startswith("bsas") for study in find_studies("bsas"))
+    assert len(find_studies("all")) == len(STUDIES)
+    with pytest.raises(UsageError, match="no study 'table9'; use all, bsas, ide, or one of bsas-table1"):
+        find_studies("table9")
+
+
+EXAMPLE = StudyReport(
+    "x-1", "an example", "A setting.", (Comparison("cost", "1|2", "3"),), ("It differs.",), (Table("A b", ("n",), ((1,),)),)
+)
+
+
+def test_text_lines_up() -> None:
+    assert as_text(EXAMPLE) == (
+        "x-1: an example\n---------------\nA setting.\n\n      paper  ours\ncost  1|2    3\n\n* It differs.\n"
+    )
+
+
+def test_markdown_escapes_bars() -> None:
+    assert "| cost | 1\\|2 | 3 |" in as_markdown(EXAMPLE)
+
+
+def test_files_are_named_after_study_and_table(tmp_path: Path) -> None:
+    written = save(EXAMPLE, tmp_path / "new")
+    assert [path.name for path in written] == ["x-1.csv", "x-1-a-b.csv"]
+    assert written[1].read_text() == "n\n1\n"
