@@ -1,0 +1,144 @@
+"""Static navigation: time and memory of 5 h at 100 Hz, difference from a direct run, and whether forecasts hold."""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from collections.abc import Iterator
+
+import numpy as np
+from gyroscope_sessions import simulate, steady
+
+from imufield.calibrate.gyroscope_paths import calibrate_gyroscope
+from imufield.calibrate.result import AccelerometerParameters, Calibration, GyroscopeParameters
+from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
+from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationResult, StaticNavigation
+from imufield.deliver.parameters import Corrected
+from imufield.samples import Samples
+from imufield.simulate.grades import GRADES, Instrument, draw_truth
+from imufield.simulate.imu import Imu, ImuSettings
+from imufield.simulate.motion import Site, exponential, multiply, sample_motion
+from imufield.simulate.pieces import Piece
+
+HOURS = 5.0
+SEEDS = 100
+BLOCK = 6000
+
+
+def apply_with(accelerometer: AccelerometerParameters, gyroscope: GyroscopeParameters) -> Apply:
+    def apply(samples: Samples) -> Corrected:
+        force = correct_accelerometer(accelerometer, samples.accelerometer_rate())
+        return Corrected(samples.time_s, force, correct_gyroscope(gyroscope, samples.gyroscope_rate(), force))
+
+    return apply
+
+
+class Rest:
+    """Lies on a table, and is turned over once where a time is given."""
+
+    lever_arm_m = np.zeros(3)
+
+    def __init__(self, seed: int, turned_s: float | None = None) -> None:
+        heading = exponential(np.array([0.0, 0.0, np.random.default_rng(seed).uniform(0, 2 * np.pi)]))
+        start = multiply(heading, exponential(np.array([np.pi, 0.0, 0.0])))
+        end_s = 1e6 if turned_s is None else turned_s
+        self._pieces = [Piece(0.0, end_s, start, np.zeros(3), np.zeros(3))]
+        if turned_s is not None:
+            turn = Piece(end_s, end_s + 4.0, start, np.array([np.pi, 0.0, 0.0]), np.zeros(3))
+            self._pieces += [turn, Piece(turn.end_s, 1e6, turn.final_quaternion, np.zeros(3), np.zeros(3))]
+
+    def attitude(self, time_s):
+        out = np.empty((len(time_s), 4))
+        for piece in self._pieces:
+            inside = (time_s >= piece.start_s) & (time_s <= piece.end_s)
+            if inside.any():
+                out[inside] = piece.attitude(time_s[inside])
+        out[time_s < 0] = self._pieces[0].quaternion_nb
+        return out
+
+    def acceleration(self, time_s):
+        return np.zeros((len(time_s), 3))
+
+    def resting_attitude(self, start_s, end_s):
+        for piece in self._pieces:
+            still = not np.any(piece.turn_rad)
+            if still and (start_s >= piece.start_s or piece is self._pieces[0]) and end_s <= piece.end_s:
+                return piece.quaternion_nb
+        return None
+
+
+def recording(
+    instrument: Instrument, seed: int, *, hours: float = HOURS, rate_hz: float = 100.0, turned_s: float | None = None
+) -> Iterator[Samples]:
+    imu = Imu(instrument, seed, ImuSettings(rate_hz=rate_hz))
+    path = Rest(seed, turned_s)
+    for first in range(0, int(hours * 3600 * rate_hz), BLOCK):
+        yield imu.feed(sample_motion(path, first, BLOCK, 1 / rate_hz, Site()))
+
+
+def calibrated(seed: int, hold_s: float = 20.0) -> tuple[Instrument, Calibration]:
+    """A navigation-grade instrument and what a session of 24 positions finds out about it."""
+    instrument = steady(draw_truth(GRADES["navigation"], np.random.default_rng([seed, 7])))
+    session = simulate(seed, rate_hz=100.0, hold_s=hold_s, instrument=instrument)
+    return instrument, calibrate_gyroscope(session.given).join(session.calibration)
+
+
+def navigate(
+    instrument: Instrument, calibration: Calibration, seed: int, *, rate_hz: float, hours: float = HOURS, turned: bool = False
+) -> NavigationResult:
+    nominal = apply_with(
+        AccelerometerParameters(np.ones(3), np.zeros(3), np.zeros((3, 3))),
+        GyroscopeParameters(np.ones(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3))),
+    )
+    new = apply_with(calibration.accelerometer, calibration.gyroscope.parameters)
+    settings = CheckSettings(Site().latitude_deg, gravity_m_s2=Site().gravity_m_s2, turned=turned)
+    check = StaticNavigation({"before": nominal, "new": new}, settings)
+    turned_s = 630.0 if turned else None
+    for block in recording(instrument, 1000 + seed, hours=hours, rate_hz=rate_hz, turned_s=turned_s):
+        check.feed(block)
+    return check.finish(calibration)
+
+
+def speed() -> None:
+    instrument, calibration = calibrated(0)
+    blocks = list(recording(instrument, 1))
+    begin = time.perf_counter()
+    gyroscope = GyroscopeParameters(np.ones(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
+    before = apply_with(AccelerometerParameters(np.ones(3), np.zeros(3), np.zeros((3, 3))), gyroscope)
+    new = apply_with(calibration.accelerometer, calibration.gyroscope.parameters)
+    check = StaticNavigation({"before": before, "new": new}, CheckSettings(Site().latitude_deg))
+    for block in blocks:
+        check.feed(block)
+    check.finish(calibration)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(
+        f"5 h at 100 Hz, two parameter sets: {time.perf_counter() - begin:.1f} s, peak {peak:.0f} MiB (samples held: 200 MiB)"
+    )
+
+
+def coverage(seeds: int, *, turned: bool) -> None:
+    inside, rates = 0, []
+    for seed in range(seeds):
+        instrument, calibration = calibrated(seed)
+        result = navigate(instrument, calibration, seed, rate_hz=10.0, turned=turned)
+        held = result.forecast.holds(result.drifts["new"])
+        inside += held
+        rates.append(
+            [result.drifts["before"].rate_nmi_per_h, result.drifts["new"].rate_nmi_per_h, result.forecast.rate_95_nmi_per_h]
+        )
+    before, new, most = np.median(rates, axis=0)
+    words = "turned over" if turned else "not touched"
+    print(
+        f"{inside} of {seeds} seeds within the 95 % band ({words}); median drift {before:.3f} before, {new:.3f} after, "
+        f"95 % forecast {most:.3f} nmi/h"
+    )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seeds", type=int, default=SEEDS)
+    seeds = parser.parse_args().seeds
+    speed()
+    coverage(seeds, turned=False)
+    coverage(max(1, seeds // 4), turned=True)

@@ -1,0 +1,300 @@
+"""Static navigation over one recording with several parameter sets at once, in bounded memory.
+
+What it can show. Alignment takes every constant accelerometer error for a tilt, and the tilt it finds takes the error off
+again: 100 ug that would make 0.9 nmi in five hours with a true attitude make half of it, and a gyroscope bias of 0.01
+deg/h makes 3.6 nmi. So a recording that is not touched says much of the gyroscope and little of the accelerometer. Turned
+over after the alignment, the tilt that was found has the wrong sign and the same error counts four times. The proof of the
+accelerometer remains held-out positions (``imufield.deliver.verify``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imufield.calibrate.result import Calibration
+from imufield.deliver.navigation.alignment import Alignment, RestMeans, align
+from imufield.deliver.navigation.drift import Drift
+from imufield.deliver.navigation.forecast import RUNS, Forecast, RandomErrors, Scene, forecast
+from imufield.deliver.navigation.mechanise import Mechanisation
+from imufield.deliver.navigation.rest import SECOND_S, RestNoise, SecondMeans, fill_gaps, measure_noise, moving_seconds
+from imufield.deliver.parameters import Corrected
+from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
+from imufield.samples import FloatArray, Samples
+
+Apply = Callable[[Samples], Corrected]
+
+ALIGN_S = 600.0
+SHORTEST_ALIGN_S = 20.0
+SHORTEST_S = 60.0
+"""Of navigation: a drift of less says nothing."""
+LONGEST_GAP_S = 5.0
+LARGEST_LOSS = 0.01
+TOUCHED_S = 3.0
+"""Moving seconds that are forgiven: a door, a bump against the table."""
+TURNED_DEG = 20.0
+LARGEST_HEADING_SIGMA_RAD = 0.5
+"""Beyond, the forecast's equations are not linear any more and the heading is a guess."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckSettings:
+    """How to navigate."""
+
+    latitude_deg: float
+    height_m: float = 0.0
+    gravity_m_s2: float = 9.80665
+    align_s: float = ALIGN_S
+    turned: bool = False
+    """Somebody turned the instrument over after the alignment."""
+    turn_on: FloatArray | None = None
+    """1 sigma of a bias that is new at each power-on, shape (6,), m/s^2 and rad/s; None: the bias instability."""
+    instability: FloatArray | None = None
+    """Bias instability, shape (6,); None: measured on the recording."""
+    runs: int = RUNS
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class NavigationResult:
+    """What a recording showed."""
+
+    drifts: dict[str, Drift]
+    """By name of parameter set."""
+    forecast: Forecast | None
+    """Of the parameter set under test; None where there is none, see ``notes``."""
+    settings: CheckSettings
+    navigated_s: float
+    samples: int
+    lost: int
+    """Samples left out: flagged, or not a number."""
+    longest_gap_s: float
+    noise: RestNoise
+    notes: tuple[str, ...] = field(default=())
+
+
+class StaticNavigation:
+    """Takes a recording block by block.
+
+    Parameters
+    ----------
+    sets : mapping of str to callable
+        Names and ways to correct; the last one is under test.
+    settings : CheckSettings
+
+    Raises
+    ------
+    UsageError
+        If python-ins is not installed, or the alignment is too short.
+    """
+
+    def __init__(self, sets: Mapping[str, Apply], settings: CheckSettings) -> None:
+        if not settings.align_s >= SHORTEST_ALIGN_S:
+            raise UsageError(
+                f"an alignment of {settings.align_s:g} s is too short, at least {SHORTEST_ALIGN_S:g} s are "
+                "needed; give a larger --align-s",
+                align_s=settings.align_s,
+            )
+        self.settings = settings
+        self.stopped: ImufieldError | None = None
+        """Why this recording cannot be navigated; set at once, raised by ``finish``."""
+        self._sets = {name: _OneSet(apply, settings) for name, apply in sets.items()}
+        self._counts = np.zeros(2, dtype=np.int64)
+        self._gap_s = 0.0
+        self._start_s: float | None = None
+        self._last_s = 0.0
+
+    def feed(self, samples: Samples) -> None:
+        """Take the next block."""
+        if self.stopped is not None:
+            return
+        usable = samples.usable & np.isfinite(samples.accelerometer).all(axis=1) & np.isfinite(samples.gyroscope).all(axis=1)
+        self._counts += (len(samples), len(samples) - int(usable.sum()))
+        kept = samples if usable.all() else samples[usable]
+        if not len(kept):
+            return
+        if self._start_s is None:
+            self._start_s = self._last_s = float(kept.time_s[0])
+        self._gap_s = max(self._gap_s, float(np.diff(kept.time_s, prepend=self._last_s).max()))
+        self._last_s = float(kept.time_s[-1])
+        try:
+            for one in self._sets.values():
+                one.feed(kept)
+        except RecordingError as error:
+            self.stopped = error
+
+    def finish(self, calibration: Calibration | None = None) -> NavigationResult:
+        """Return the drift of every set, with the forecast for the last one where its calibration is given.
+
+        Raises
+        ------
+        RecordingError
+            If the recording is too short, was moved, or has holes or too many values that are no numbers.
+        """
+        self._check_whole()
+        drifts = {name: one.finish() for name, one in self._sets.items()}
+        tested = list(self._sets.values())[-1]
+        means = tested.means()
+        moving = moving_seconds(means)
+        self._check_moves(means, moving)
+        noise = measure_noise(_longest_still(means, moving))
+        found, notes = self._forecast(tested, calibration, noise)
+        return NavigationResult(
+            drifts,
+            found,
+            self.settings,
+            float(drifts[next(iter(drifts))].time_s[-1]),
+            int(self._counts[0]),
+            int(self._counts[1]),
+            self._gap_s,
+            noise,
+            notes,
+        )
+
+    def _check_whole(self) -> None:
+        total, lost = (int(count) for count in self._counts)
+        if total and lost > LARGEST_LOSS * total:
+            raise RecordingError(
+                f"{lost} of {total} samples are flagged or not a number (at most {LARGEST_LOSS:.0%} may be); mend "
+                "the recording or its protocol",
+                Reason.NOT_FINITE,
+                lost=lost,
+                total=total,
+            )
+        if self.stopped is not None:
+            raise self.stopped
+        needed_s, there_s = self.settings.align_s + SHORTEST_S, self._last_s - (self._start_s or 0.0)
+        if there_s < needed_s:
+            raise RecordingError(
+                f"the recording holds {there_s:.0f} s and static navigation needs {needed_s:.0f} s "
+                f"({self.settings.align_s:g} s to align and more to navigate); record longer, or give a shorter --align-s",
+                Reason.TOO_FEW,
+                duration_s=there_s,
+                needed_s=needed_s,
+            )
+        if self._gap_s > LONGEST_GAP_S:
+            raise RecordingError(
+                f"{self._gap_s:.1f} s of the recording are missing in one piece (at most {LONGEST_GAP_S:g} s are "
+                "bridged); record it again, without a break",
+                Reason.DAMAGED,
+                gap_s=self._gap_s,
+            )
+
+    def _check_moves(self, means: FloatArray, moving: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> None:
+        turned_deg = _turned_deg(means, moving)
+        at_s = int(np.argmax(moving)) * SECOND_S
+        if self.settings.turned:
+            if turned_deg < TURNED_DEG:
+                raise RecordingError(
+                    f"the instrument ends {turned_deg:.1f} deg from where it was aligned and --turned expects "
+                    f"{TURNED_DEG:g} deg or more; leave --turned out, or turn the instrument over after the alignment",
+                    Reason.BAD_DATA,
+                    turned_deg=turned_deg,
+                )
+            return
+        if moving.sum() > TOUCHED_S or turned_deg > TURNED_DEG:
+            raise RecordingError(
+                f"the instrument was moved {at_s:.0f} s after the start, for {moving.sum():d} s (at most {TOUCHED_S:g} s are "
+                "forgiven); leave it alone, or give --turned where it was turned over on purpose",
+                Reason.BAD_DATA,
+                at_s=at_s,
+                moving_s=int(moving.sum()),
+            )
+
+    def _forecast(
+        self, tested: _OneSet, calibration: Calibration | None, noise: RestNoise
+    ) -> tuple[Forecast | None, tuple[str, ...]]:
+        if calibration is None:
+            return None, ()
+        if not np.isfinite(calibration.covariance).all():
+            return None, ("no forecast: the parameter file does not know its own uncertainty",)
+        settings, alignment = self.settings, tested.alignment
+        if alignment is None or tested.mechanisation is None:
+            return None, ()
+        instability = noise.instability if settings.instability is None else settings.instability
+        turn_on = np.nan_to_num(instability) if settings.turn_on is None else settings.turn_on
+        random = RandomErrors(noise.density, instability, turn_on)
+        drift, attitudes = tested.mechanisation.drift, tested.mechanisation.attitudes
+        scene = Scene(settings.latitude_deg, settings.height_m, settings.gravity_m_s2, alignment, drift.time_s, attitudes)
+        found = forecast(calibration, scene, random, np.random.default_rng(settings.seed), settings.runs)
+        if found.heading_sigma_rad > LARGEST_HEADING_SIGMA_RAD:
+            sigma_deg = np.degrees(found.heading_sigma_rad)
+            return None, (
+                f"no forecast: this gyroscope finds north to {sigma_deg:.0f} deg only, and the equations hold for small angles",
+            )
+        return found, ()
+
+
+class _OneSet:
+    """Correct, align, mechanise with one parameter set."""
+
+    def __init__(self, apply: Apply, settings: CheckSettings) -> None:
+        self._apply = apply
+        self._settings = settings
+        self._seconds: SecondMeans | None = None
+        self._waiting: list[Corrected] = []
+        self.alignment: Alignment | None = None
+        self.mechanisation: Mechanisation | None = None
+
+    def feed(self, samples: Samples) -> None:
+        corrected = self._apply(samples)
+        if self._seconds is None:
+            self._seconds = SecondMeans(float(samples.time_s[0]))
+        self._seconds.feed(corrected.time_s, np.hstack([corrected.specific_force_m_s2, corrected.angular_rate_rad_s]))
+        if self.mechanisation is not None:
+            self.mechanisation.feed(*corrected)
+            return
+        self._waiting.append(corrected)
+        end_s = self._seconds.start_s + int(self._settings.align_s / SECOND_S) * SECOND_S
+        if corrected.time_s[-1] > end_s + SECOND_S:
+            self._align(end_s)
+
+    def finish(self) -> Drift:
+        assert self.mechanisation is not None  # noqa: S101  (the length of the recording was checked)
+        self.mechanisation.finish()
+        return self.mechanisation.drift
+
+    def means(self) -> FloatArray:
+        """Return the means of every second, shape (n, 6)."""
+        return np.empty((0, 6)) if self._seconds is None else self._seconds.finish()
+
+    def _align(self, end_s: float) -> None:
+        settings = self._settings
+        seconds = int(settings.align_s / SECOND_S)
+        means = fill_gaps(self.means()[:seconds])
+        moving = moving_seconds(means)
+        if moving.sum() > TOUCHED_S:
+            raise RecordingError(
+                f"the instrument moves {int(np.argmax(moving))} s after the start, during the alignment of "
+                f"{settings.align_s:g} s; leave it alone at the start, or give a shorter --align-s",
+                Reason.BAD_DATA,
+                at_s=int(np.argmax(moving)),
+            )
+        rest = RestMeans(SECOND_S, means[:, :3], means[:, 3:])
+        self.alignment = align(rest, settings.latitude_deg, measure_noise(means).triads())
+        self.mechanisation = Mechanisation(self.alignment.attitude, end_s, settings.latitude_deg, settings.height_m)
+        for corrected in self._waiting:
+            after = corrected.time_s >= end_s
+            self.mechanisation.feed(*(values[after] for values in corrected))
+        self._waiting = []
+
+
+def _turned_deg(means: FloatArray, moving: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> float:
+    """Return the angle of the specific force between the first and the last still seconds."""
+    still = fill_gaps(means)[~moving][:, :3]
+    if len(still) < 2:
+        return 0.0
+    first, last = (part.mean(axis=0) / np.linalg.norm(part.mean(axis=0)) for part in (still[:10], still[-10:]))
+    return float(np.degrees(np.arccos(np.clip(first @ last, -1, 1))))
+
+
+def _longest_still(means: FloatArray, moving: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> FloatArray:
+    """Return the longest run of still seconds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], moving, [True]])))
+    starts, ends = edges[::2], edges[1::2]
+    if not len(starts):
+        return means[:0]
+    longest = int(np.argmax(ends - starts))
+    return means[starts[longest] : ends[longest]]

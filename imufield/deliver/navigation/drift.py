@@ -1,0 +1,55 @@
+"""Navigation errors of an instrument that stands still, over time.
+
+References
+----------
+.. [1] P. Wang et al., "In-Field Calibration of Triaxial Accelerometer Based on Beetle Swarm Antenna Search Algorithm",
+   Sensors, 2020: equation 23.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.samples import FloatArray
+
+NAUTICAL_MILE_M = 1852.0
+EARTH_RADIUS_M = 6371000.0
+"""R of eq. 23: the mean radius."""
+QUANTITIES = ("latitude_deg", "longitude_deg", "north_velocity_m_s", "east_velocity_m_s")
+"""Errors that have a sign."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Errors since the end of the alignment, arrays of shape (..., n)."""
+
+    time_s: FloatArray
+    """Shape (n,)."""
+    latitude_deg: FloatArray
+    longitude_deg: FloatArray
+    north_velocity_m_s: FloatArray
+    east_velocity_m_s: FloatArray
+    position_nmi: FloatArray
+    """Eq. 23 of [1]_."""
+
+    @property
+    def rate_nmi_per_h(self) -> float:
+        """Largest position error over the time it was navigated; the last one alone may be a zero of an oscillation."""
+        return float(self.position_nmi.max() / (self.time_s[-1] / 3600))
+
+
+def make_drift(
+    time_s: FloatArray,
+    latitude_deg: FloatArray,
+    longitude_deg: FloatArray,
+    north_velocity_m_s: FloatArray,
+    east_velocity_m_s: FloatArray,
+    true_latitude_deg: float,
+) -> Drift:
+    """Return errors, the first two as angles off the true place, with the position error of eq. 23 of [1]_."""
+    # The latitude of the moment, as printed, is the true one to first order; with it errors add up linearly.
+    east_deg = longitude_deg * np.cos(np.radians(true_latitude_deg))
+    position_m = EARTH_RADIUS_M * np.radians(np.hypot(latitude_deg, east_deg))
+    return Drift(time_s, latitude_deg, longitude_deg, north_velocity_m_s, east_velocity_m_s, position_m / NAUTICAL_MILE_M)

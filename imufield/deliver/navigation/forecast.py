@@ -1,0 +1,255 @@
+"""The drift to be expected of an instrument at rest: Monte-Carlo over everything that is not known of it.
+
+Errors of an INS that stands still obey linear equations with constant coefficients. With ``x = (latitude, longitude, north and
+east velocity, phi)``, the Earth's rate ``W``, latitude ``L``, radii of curvature ``R_n`` and ``R_e``, specific-force error
+``df`` and rate error ``dw`` in north, east, down [1]_::
+
+    latitude'  = v_n / R_n                     longitude' = v_e / (R_e cos L)
+    v_n' =  g phi_e + df_n - 2 W sin L v_e     v_e' = -g phi_n + df_e + 2 W sin L v_n
+    phi' = -W x phi + (v_e / R_e, -v_n / R_n, -v_e tan L / R_e) + dW/dL latitude - dw
+
+They are carried on by the exact transition matrix of a step in which the errors are constant; a thousand instruments take the
+step together. In it are: parameters drawn from the calibration's joint covariance, white noise (random walk), flicker as the
+sum of first-order processes a factor sqrt(10) apart in time, a turn-on bias, and the alignment, which shares its errors with
+the navigation after it: white noise by the filter's own covariance, constant errors by its response to them.
+
+References
+----------
+.. [1] D. H. Titterton, J. L. Weston, "Strapdown Inertial Navigation Technology", 2nd edition, 2004: section 12.3.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from imufield.calibrate.result import Calibration
+from imufield.deliver.navigation.alignment import Alignment, cross_matrix, earth_rate
+from imufield.deliver.navigation.drift import QUANTITIES, Drift, make_drift
+from imufield.deliver.navigation.uncertain import DrawnParameters, draw_parameters
+from imufield.samples import FloatArray
+
+RUNS = 1000
+SOURCES = ("accelerometer calibration", "gyroscope calibration", "white noise", "bias instability", "turn-on bias")
+_STEPS = 300
+_SHORTEST_STEP_S = 1.0
+_SPACING = math.sqrt(10.0)
+_TIME_CONSTANTS_S = 50.0 * _SPACING ** np.arange(5)
+"""50 s to 5000 s: faster flicker averages out in a step, slower looks like a turn-on bias."""
+_TURNED_RAD = 1e-3
+"""A turn of the body by less leaves its errors what they were."""
+_TERMS = 12
+_EQUATOR_RADIUS_M = 6378137.0
+_ECCENTRICITY_SQUARED = 0.00669437999014
+
+
+@dataclass(frozen=True, slots=True)
+class RandomErrors:
+    """Errors that no calibration takes off, 1 sigma of each axis, shape (6,): three m/s^2, three rad/s."""
+
+    density: FloatArray
+    """White noise, per sqrt(Hz)."""
+    instability: FloatArray
+    turn_on: FloatArray
+    """Bias that is new at each power-on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Where and how the instrument stood."""
+
+    latitude_deg: float
+    height_m: float
+    gravity_m_s2: float
+    alignment: Alignment
+    time_s: FloatArray
+    """Shape (n,), from the end of the alignment."""
+    attitudes: FloatArray
+    """C_nb at these times, shape (n, 3, 3)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """Bands in which the errors lie with 95 % probability, arrays of shape (n,)."""
+
+    time_s: FloatArray
+    low: dict[str, FloatArray]
+    """By quantity of ``QUANTITIES``."""
+    high: dict[str, FloatArray]
+    position_median_nmi: FloatArray
+    position_95_nmi: FloatArray
+    rate_median_nmi_per_h: float
+    rate_95_nmi_per_h: float
+    runs: int
+    heading_sigma_rad: float
+    """Of the alignment."""
+    sources: dict[str, float] = field(default_factory=dict)
+    """95 % drift in nmi/h from each source alone."""
+
+    def holds(self, drift: Drift) -> bool:
+        """Whether a measured drift is one of the 95 of 100 it should be."""
+        return drift.rate_nmi_per_h <= self.rate_95_nmi_per_h
+
+
+def forecast(
+    calibration: Calibration, scene: Scene, random: RandomErrors, rng: np.random.Generator, runs: int = RUNS
+) -> Forecast:
+    """Return the drift to be expected, and how much of it each source makes alone."""
+    seed = rng.spawn(1 + len(SOURCES))
+    drift, phi = simulate(calibration, scene, random, seed[0], runs)
+    rates = _rates(drift)
+    values = {name: getattr(drift, name) for name in QUANTITIES}
+    low, high = ({name: np.quantile(value, q, axis=0) for name, value in values.items()} for q in (0.025, 0.975))
+    alone = {
+        source: float(np.quantile(_rates(simulate(calibration, scene, random, one, runs // 4, (source,))[0]), 0.95))
+        for source, one in zip(SOURCES, seed[1:], strict=True)
+    }
+    median, most = np.quantile(drift.position_nmi, [0.5, 0.95], axis=0)
+    rate_median, rate_most = np.quantile(rates, [0.5, 0.95])
+    return Forecast(
+        drift.time_s, low, high, median, most, float(rate_median), float(rate_most), runs, float(phi[:, 2].std()), alone
+    )
+
+
+def simulate(
+    calibration: Calibration,
+    scene: Scene,
+    random: RandomErrors,
+    rng: np.random.Generator,
+    runs: int,
+    sources: Sequence[str] = SOURCES,
+) -> tuple[Drift, FloatArray]:
+    """Return the drift of many instruments, arrays of shape (runs, n), and phi after the alignment, shape (runs, 3)."""
+    triads = [name.partition(" ")[0] for name in sources if name.endswith("calibration")]
+    parameters = draw_parameters(calibration, runs, rng, triads)
+    white, flicker, turn_on = (name in sources for name in SOURCES[2:])
+    slow = _Slow(random, rng, runs, flicker=flicker, turn_on=turn_on)
+    density = random.density if white else np.zeros(6)
+    time_s, attitudes = _grid(scene)
+    step_s = float(time_s[1])
+    forward, gain = transition(scene, step_s)
+    x = np.zeros((runs, 7))
+    constant, evaluated = _errors(parameters, scene, attitudes[0], attitudes[0], step_s), attitudes[0]
+    x[:, 4:] = _aligned(scene.alignment, constant + slow.value, rng, white=white)
+    phi = x[:, 4:].copy()
+    states = [x]
+    for before, after in pairwise(attitudes):
+        if max(_angle(before, after), _angle(evaluated, before)) > _TURNED_RAD:
+            constant, evaluated = _errors(parameters, scene, before, after, step_s), before
+            if _angle(before, after) > _TURNED_RAD:
+                evaluated = np.zeros((3, 3))  # the turn is over after this step
+        body = constant + slow.value + density / math.sqrt(step_s) * rng.standard_normal((runs, 6))
+        force, rate = body[:, :3] @ before.T, body[:, 3:] @ before.T
+        x = x @ forward.T + np.hstack([force[:, :2], rate]) @ gain.T
+        states.append(x)
+        slow.advance(step_s)
+    return _as_drift(np.array(states), time_s, scene.latitude_deg), phi
+
+
+def transition(scene: Scene, step_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return d x / d x and d x / d (df_n, df_e, dw) over one step, shapes (7, 7) and (7, 5)."""
+    A = np.zeros((12, 12))
+    A[:7, :7], A[:7, 7:] = system(scene.latitude_deg, scene.height_m, scene.gravity_m_s2)
+    term = np.eye(12)
+    total = term.copy()
+    for k in range(1, _TERMS + 1):
+        term = term @ A * (step_s / k)
+        total += term
+    return total[:7, :7], total[:7, 7:]
+
+
+def system(latitude_deg: float, height_m: float, gravity_m_s2: float) -> tuple[FloatArray, FloatArray]:
+    """Return F and G of x' = F x + G (df_n, df_e, dw), shapes (7, 7) and (7, 5)."""
+    latitude = math.radians(latitude_deg)
+    shape = 1 - _ECCENTRICITY_SQUARED * math.sin(latitude) ** 2
+    east_m = _EQUATOR_RADIUS_M / math.sqrt(shape)
+    north_m = east_m * (1 - _ECCENTRICITY_SQUARED) / shape + height_m
+    east_m += height_m
+    W = earth_rate(latitude_deg)
+    F, G = np.zeros((7, 7)), np.zeros((7, 5))
+    F[0, 2], F[1, 3] = 1 / north_m, 1 / (east_m * math.cos(latitude))
+    F[2, 5], F[2, 3], F[3, 4], F[3, 2] = gravity_m_s2, 2 * W[2], -gravity_m_s2, -2 * W[2]
+    F[4, 3], F[5, 2], F[6, 3] = 1 / east_m, -1 / north_m, -math.tan(latitude) / east_m
+    F[4:, 4:] = -cross_matrix(W)
+    F[4, 0], F[6, 0] = W[2], -W[0]
+    G[2, 0] = G[3, 1] = 1.0
+    G[4:, 2:] = -np.eye(3)
+    return F, G
+
+
+class _Slow:
+    """Biases of many instruments that wander, shape (runs, 6)."""
+
+    def __init__(self, random: RandomErrors, rng: np.random.Generator, runs: int, *, flicker: bool, turn_on: bool) -> None:
+        self._rng = rng
+        instability = np.nan_to_num(random.instability) * flicker
+        self._stationary = instability * math.sqrt(math.log(_SPACING) / math.pi)
+        self._states = self._stationary * rng.standard_normal((len(_TIME_CONSTANTS_S), runs, 6))
+        self._constant = random.turn_on * turn_on * rng.standard_normal((runs, 6))
+
+    @property
+    def value(self) -> FloatArray:
+        total: FloatArray = self._constant + self._states.sum(axis=0)
+        return total
+
+    def advance(self, step_s: float) -> None:
+        if not self._stationary.any():
+            return
+        decay = np.exp(-step_s / _TIME_CONSTANTS_S)[:, None, None]
+        shocks = self._stationary * self._rng.standard_normal(self._states.shape)
+        self._states = decay * self._states + np.sqrt(1 - decay**2) * shocks
+
+
+def _grid(scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """Return equal steps from zero to the end, and the attitude at each."""
+    end_s = float(scene.time_s[-1])
+    steps = max(2, min(_STEPS, int(end_s / _SHORTEST_STEP_S)))
+    time_s = np.linspace(0.0, end_s, steps + 1)
+    nearest = np.minimum(np.searchsorted(scene.time_s, time_s), len(scene.time_s) - 1)
+    return time_s, scene.attitudes[nearest]
+
+
+def _errors(parameters: DrawnParameters, scene: Scene, before: FloatArray, after: FloatArray, step_s: float) -> FloatArray:
+    """Return the errors of corrected values in a step from one attitude to another, shape (m, 6)."""
+    force = before.T @ np.array([0.0, 0.0, -scene.gravity_m_s2])
+    rate = before.T @ earth_rate(scene.latitude_deg) + _rotation_vector(before.T @ after) / step_s
+    return parameters.errors(force, rate)
+
+
+def _rotation_vector(R: FloatArray) -> FloatArray:
+    """Return the rotation vector of R, shape (3,)."""
+    angle = math.acos(min(1.0, max(-1.0, (np.trace(R) - 1) / 2)))
+    if angle < _TURNED_RAD:
+        return np.zeros(3)
+    # Half a turn has no antisymmetric part; the axis is an eigenvector in any case.
+    value, vectors = np.linalg.eigh(R + R.T)
+    axis = vectors[:, int(np.argmax(value))]
+    sense = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) @ axis
+    return np.asarray(math.copysign(angle, sense) * axis, dtype=np.float64)
+
+
+def _angle(first: FloatArray, second: FloatArray) -> float:
+    return float(np.linalg.norm(first - second)) / math.sqrt(2)
+
+
+def _aligned(alignment: Alignment, errors: FloatArray, rng: np.random.Generator, *, white: bool) -> FloatArray:
+    """Return phi of each instrument after its alignment, shape (m, 3)."""
+    phi = errors @ alignment.response.T
+    if white:
+        phi = phi + rng.multivariate_normal(np.zeros(3), alignment.covariance, len(errors), method="eigh")
+    return phi
+
+
+def _as_drift(states: FloatArray, time_s: FloatArray, latitude_deg: float) -> Drift:
+    latitude, longitude, north, east = states.transpose(2, 1, 0)[:4]
+    return make_drift(time_s, np.degrees(latitude), np.degrees(longitude), north, east, latitude_deg)
+
+
+def _rates(drift: Drift) -> FloatArray:
+    """Return ``Drift.rate_nmi_per_h`` of each run, shape (m,)."""
+    rates: FloatArray = drift.position_nmi.max(axis=1) / (drift.time_s[-1] / 3600)
+    return rates

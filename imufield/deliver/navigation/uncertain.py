@@ -1,0 +1,100 @@
+"""What may be wrong with an instrument that was corrected: draws of its errors, for a Monte-Carlo forecast.
+
+The calibration's joint covariance says how far the true parameters may be from the file's. For each draw the error of the
+corrected values is computed with the models themselves: raw output of the file's parameters at the true input, corrected with
+the drawn ones, less the true input.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.models import (
+    predict,
+    predict_gyroscope,
+    recover_vectors,
+    to_vector,
+)
+from imufield.calibrate.result import ACCELEROMETER_NAMES, Calibration
+from imufield.samples import FloatArray
+
+_GYROSCOPE_FIELDS = ("scale", "misalignment_rad", "bias", "g_sensitivity")
+_AXIS = {"x": 0, "y": 1, "z": 2}
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnParameters:
+    """m draws of the true parameters about those of a calibration."""
+
+    calibration: Calibration
+    vector: FloatArray
+    """Shape (m, 15)."""
+    gyroscope: dict[str, FloatArray]
+    """Scale and bias of shape (m, 3), misalignment and g-sensitivity of shape (m, 3, 3); empty without a gyroscope."""
+
+    def errors(self, force: FloatArray, rate: FloatArray) -> FloatArray:
+        """Return the errors of corrected values at a true input, both of shape (3,); m/s^2 and rad/s, shape (m, 6)."""
+        p = self.calibration.accelerometer
+        raw = predict(p, force) - p.raw_zero
+        found = recover_vectors(self.vector, raw[None], p.quadratic_axes)[:, 0]
+        errors = np.zeros((len(self.vector), 6))
+        errors[:, :3] = found - force
+        if self.calibration.gyroscope is not None and self.gyroscope:
+            errors[:, 3:] = self._rate(predict_gyroscope(self.calibration.gyroscope.parameters, rate, force), found) - rate
+        return errors
+
+    def _rate(self, raw: FloatArray, force: FloatArray) -> FloatArray:
+        drawn = self.gyroscope
+        unbiased = raw - drawn["bias"] - np.einsum("mij,mj->mi", drawn["g_sensitivity"], force)
+        matrix = np.eye(3) + drawn["misalignment_rad"]
+        rate: FloatArray = np.linalg.solve(matrix, (unbiased / drawn["scale"])[:, :, None])[:, :, 0]
+        return rate
+
+
+def draw_parameters(
+    calibration: Calibration, count: int, rng: np.random.Generator, triads: Sequence[str] = ("accelerometer", "gyroscope")
+) -> DrawnParameters:
+    """Draw parameters from the joint covariance; of a triad not named the file's are kept.
+
+    Parameters that have no sigma (not fitted, or taken from the driver) do not vary.
+    """
+    names = calibration.covariance_names
+    offsets = _normal(calibration.covariance, count, rng)
+    vector = np.tile(to_vector(calibration.accelerometer), (count, 1))
+    drawn = _gyroscope(calibration, count)
+    for name, column in zip(names, offsets.T, strict=True):
+        triad = name.partition(".")[0]
+        if triad not in triads:
+            continue
+        if name in ACCELEROMETER_NAMES:
+            vector[:, ACCELEROMETER_NAMES.index(name)] += column
+        elif drawn and triad == "gyroscope":
+            _add(drawn, name, column)
+    return DrawnParameters(calibration, vector, drawn)
+
+
+def _normal(covariance: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+    """Draw from a covariance that may have no full rank, shape (count, n); the diagonal may span 30 orders of magnitude."""
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    safe = np.where(sigma > 0, sigma, 1.0)
+    value, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
+    root = vectors * np.sqrt(np.maximum(value, 0.0))
+    draws: FloatArray = (rng.standard_normal((count, len(sigma))) @ root.T) * sigma
+    return draws
+
+
+def _gyroscope(calibration: Calibration, count: int) -> dict[str, FloatArray]:
+    if calibration.gyroscope is None:
+        return {}
+    parameters = calibration.gyroscope.parameters
+    values = {name: np.asarray(getattr(parameters, name), dtype=np.float64) for name in _GYROSCOPE_FIELDS}
+    return {name: np.broadcast_to(value, (count, *value.shape)).copy() for name, value in values.items()}
+
+
+def _add(drawn: dict[str, FloatArray], name: str, column: FloatArray) -> None:
+    """Add to the parameter that a name of the joint covariance means, e.g. ``gyroscope.misalignment_rad.xy``."""
+    _, field, place = name.split(".")
+    np.moveaxis(drawn[field], 0, -1)[tuple(_AXIS[axis] for axis in place)] += column
