@@ -53,7 +53,7 @@ TYPED = [
     Case("not a port", "capture --port /dev/null", LINK, ("/dev/null is not a serial port", "imufield devices")),
     Case("unknown address", "record --port gopher://imu", USAGE, ("gopher://imu", "socket://host:port")),
     Case("nobody listens", "record --port socket://127.0.0.1:{free}", LINK, ("refused", "check address")),
-    Case("unknown driver", "capture --port x --driver stim3000", USAGE, ("stim3000", "stim300, text")),
+    Case("unknown driver", "capture --port x --driver stim3000", USAGE, ("stim3000", "stim300", "text")),
     Case("unknown scheme", "capture --port x --positions paper42", USAGE, ("paper42", "paper24")),
     Case("setting without value", "capture --port x --set range", USAGE, ("'range'", "NAME=VALUE")),
     Case("hold too short", "capture --port x --hold-s 0.1", USAGE, ()),
