@@ -89,14 +89,16 @@ class Crc(Checksum):
         Class of ``crccheck.crc``.
     pad_to : int
         Zero bytes are appended up to a multiple of this; they are never sent.
+    start, final : int, optional
+        Start value and final XOR instead of those of the catalogue.
     """
 
-    def __init__(self, parameters: Any, pad_to: int = 1) -> None:
+    def __init__(self, parameters: Any, pad_to: int = 1, start: int | None = None, final: int | None = None) -> None:
         self._width = int(parameters._width)  # noqa: SLF001  crccheck publishes its catalogue only so
         self._polynomial = int(parameters._poly)  # noqa: SLF001
-        self._start = int(parameters._initvalue)  # noqa: SLF001
+        self._start = int(parameters._initvalue) if start is None else start  # noqa: SLF001
         self._reflected = bool(parameters._reflect_input)  # noqa: SLF001
-        self._final = int(parameters._xor_output)  # noqa: SLF001
+        self._final = int(parameters._xor_output) if final is None else final  # noqa: SLF001
         self._pad_to = pad_to
         self.size = self._width // 8
         self._left = np.empty((0, 256), dtype=np.uint64)
@@ -278,7 +280,7 @@ def checksum_names() -> list[str]:
     return sorted({*_PLAIN, *_catalogue()})
 
 
-def make_checksum(algorithm: str, pad_to: int = 1) -> Checksum:
+def make_checksum(algorithm: str, pad_to: int = 1, *, start: int | None = None, final: int | None = None) -> Checksum:
     """Return the checksum of that name.
 
     Parameters
@@ -287,19 +289,26 @@ def make_checksum(algorithm: str, pad_to: int = 1) -> Checksum:
         A CRC by its catalogue name, e.g. "CRC-32/MPEG-2", or one of the plain sums.
     pad_to : int
         The CRC covers zero bytes up to a multiple of this, which are never sent.
+    start, final : int, optional
+        Start value and final XOR of a CRC that is in no catalogue but differs from one only by these.
 
     Raises
     ------
     ProtocolError
-        If there is no such algorithm, or a plain sum is to be padded.
+        If there is no such algorithm, or a plain sum is to be padded or started with a value.
     """
     if algorithm in _PLAIN:
         if pad_to != 1:
             raise ProtocolError(f"checksum {algorithm} cannot be padded to {pad_to} bytes; leave `pad_to` out", pad_to=pad_to)
+        if (start, final) != (None, None):
+            raise ProtocolError(f"checksum {algorithm} takes neither `start` nor `final`; leave them out", start=start)
         return _PLAIN[algorithm]()
     parameters = _catalogue().get(algorithm)
     if parameters is None:
         near = difflib.get_close_matches(algorithm.upper(), checksum_names(), n=1, cutoff=0.4)
         hint = f"did you mean {near[0]!r}" if near else "use a catalogue name such as 'CRC-32/MPEG-2'"
         raise ProtocolError(f"checksum algorithm {algorithm!r} is not known; {hint}", algorithm=algorithm)
-    return Crc(parameters, pad_to)
+    largest = (1 << int(parameters._width)) - 1  # noqa: SLF001
+    if max(start or 0, final or 0) > largest:
+        raise ProtocolError(f"`start` and `final` of {algorithm} are at most {largest:#x}; write them shorter", start=start)
+    return Crc(parameters, pad_to, start, final)

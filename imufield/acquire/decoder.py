@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from imufield.acquire.assembly import FrameReader, RawBlock, join
 from imufield.acquire.framing import FrameBlock, Framer
 from imufield.acquire.protocol import Protocol
-from imufield.acquire.protocol_schema import ClockRule, FrameRule
+from imufield.acquire.frame_schema import FrameRule
+from imufield.acquire.protocol_schema import ClockRule
 from imufield.acquire.sample_clock import Arrivals, SampleClock
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.acquire.text_lines import LineReader
@@ -138,8 +139,8 @@ def decode_fields(protocol: Protocol, data: bytes) -> Iterator[tuple[str, dict[s
         return
     framer = Framer(protocol.frame)
     for block in (framer.feed(data), framer.feed(b"", last=True)):
-        for start, key in zip(block.starts.tolist(), block.keys.tolist(), strict=True):
-            layout = protocol.frame.layouts[key]
+        for start, key in zip(block.starts.tolist(), block.shapes.tolist(), strict=True):
+            layout = framer.layout(key)
             yield layout.kind, layout.describe(block.data[start : start + layout.length].tobytes())
 
 
@@ -147,7 +148,6 @@ class _FrameSource:
     """Frames of all kinds, read kind by kind and put back into the order of the stream."""
 
     def __init__(self, protocol: Protocol, rule: FrameRule, statistics: DecoderStatistics, keep: Any) -> None:
-        self._rule = rule
         self._framer = Framer(rule)
         self._protocol = protocol
         self._readers: dict[int, FrameReader | None] = {}
@@ -166,27 +166,28 @@ class _FrameSource:
         if len(block) == 0:
             return None
         self._statistics.frames += len(block)
-        keys = [int(block.keys[0])] if (block.keys == block.keys[0]).all() else np.unique(block.keys).tolist()
+        shapes = block.shapes
+        keys = [int(shapes[0])] if (shapes == shapes[0]).all() else np.unique(shapes).tolist()
         readers = {key: reader for key in keys if (reader := self._reader(key)) is not None}
         if len(readers) < len(keys):
             self._read_others(block, readers)
         if len(keys) == len(readers) == 1:
             return self._read_kind(block, keys[0], readers[keys[0]], None)
-        places = [np.flatnonzero(block.keys == key) for key in readers]
+        places = [np.flatnonzero(block.shapes == key) for key in readers]
         parts = [self._read_kind(block, key, readers[key], place) for key, place in zip(readers, places, strict=True)]
         return join(parts)[np.argsort(np.concatenate(places), kind="stable")] if parts else None
 
     def _reader(self, key: int) -> FrameReader | None:
         """Return the reader for a kind of frame, made when the first one comes; None for those without samples."""
         if key not in self._readers:
-            layout = self._rule.layouts[key]
+            layout = self._framer.layout(key)
             reader = None if layout.is_message else FrameReader(self._protocol, layout)
             self._readers[key] = reader if reader is not None and reader.has_samples else None
         return self._readers[key]
 
     def _read_kind(self, block: FrameBlock, key: int, reader: FrameReader, which: NDArray[np.intp] | None) -> RawBlock:
         rows = block.rows(which, reader.length)
-        self._count(self._rule.layouts[key].kind, len(rows))
+        self._count(self._framer.layout(key).kind, len(rows))
         starts = block.starts + block.origin
         if which is None:
             return reader.read(rows, block.skipped_before, starts)
@@ -194,9 +195,9 @@ class _FrameSource:
 
     def _read_others(self, block: FrameBlock, readers: Mapping[int, FrameReader]) -> None:
         """Keep messages; count frames that are neither message nor sample."""
-        other = ~np.isin(block.keys, list(readers))
-        for start, key in zip(block.starts[other].tolist(), block.keys[other].tolist(), strict=True):
-            layout = self._rule.layouts[key]
+        other = ~np.isin(block.shapes, list(readers))
+        for start, key in zip(block.starts[other].tolist(), block.shapes[other].tolist(), strict=True):
+            layout = self._framer.layout(key)
             self._count(layout.kind, 1)
             if layout.is_message:
                 self._keep({"kind": layout.kind, **layout.describe(block.data[start : start + layout.length].tobytes())})
@@ -216,8 +217,7 @@ def _clock_rule(protocol: Protocol) -> ClockRule:
             counter_field=rule.counter_field if rule.counter_field in columns else "",
             time_field=rule.time_field if rule.time_field in columns else "",
         )
-    layouts = protocol.frame.layouts.values() if protocol.frame else ()
-    fields = {field.name: field for layout in layouts for field in layout.fields}
+    fields = {field.name: field for field in reversed(protocol.frame.all_fields())} if protocol.frame else {}
     if rule.counter_field and not rule.counter_modulus:
         rule = replace(rule, counter_modulus=fields[rule.counter_field].modulus)
     if rule.time_field and not rule.time_modulus and fields[rule.time_field].type in ("u8", "u16", "u24", "u32"):

@@ -20,11 +20,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided, sliding_window_view
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from imufield.acquire.layout import Rows
-from imufield.acquire.protocol_schema import FrameRule
+from imufield.acquire.frame_check import INVALID, FrameCheck, rows_at
+from imufield.acquire.frame_schema import FrameRule
+from imufield.acquire.layout import Layout, Rows
 
 Bytes = NDArray[np.uint8]
 Positions = NDArray[np.intp]
@@ -35,8 +36,10 @@ _FIRST_WINDOW, _LONGEST_WINDOW = 128, 8192
 """Positions searched together: about three frames after a disturbance, many in noise."""
 _BYTES_CHECKED_AT_ONCE = 1 << 20
 """Bound on positions searched times the longest frame: memory for a search stays below about 40 MB."""
-
-_INVALID, _VALID, _INCOMPLETE = 0, 1, 2
+_FIRST_CHAIN, _LONGEST_CHAIN = 1 << 10, 1 << 16
+"""Bytes in which headers are followed from one to the next."""
+_SAME_AGAIN = 64
+"""Frames of one length in a row after which a stream is taken to go on like that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +49,8 @@ class FrameBlock:
     data: Bytes
     starts: Positions
     """Shape (n,), offsets in ``data``."""
-    keys: NDArray[np.int64]
-    """Shape (n,)."""
+    shapes: NDArray[np.int64]
+    """Numbers of their shapes; ``Framer.layout`` has the layout. Shape (n,)."""
     skipped_before: NDArray[np.int64]
     """Bytes passed over just before this frame. Shape (n,)."""
     origin: int
@@ -59,116 +62,7 @@ class FrameBlock:
     def rows(self, which: Positions | None, length: int) -> Rows:
         """Return frames of one length as an array, shape (m, length): a view where they are evenly spaced."""
         starts = self.starts if which is None else self.starts[which]
-        if len(starts) == 0:
-            return np.empty((0, length), dtype=np.uint8)
-        step = int(starts[1] - starts[0]) if len(starts) > 1 else length
-        if len(starts) < 3 or (starts[1:] - starts[:-1] == step).all():
-            return as_strided(self.data[starts[0] :], (len(starts), length), (step, 1), writeable=False)
-        return sliding_window_view(self.data, length)[starts]
-
-
-class FrameCheck:
-    """Decides whether bytes at given positions are a frame. Knows nothing of streams.
-
-    Parameters
-    ----------
-    rule : FrameRule
-    """
-
-    def __init__(self, rule: FrameRule) -> None:
-        self._rule = rule
-        self._keys = np.array(sorted(rule.layouts), dtype=np.int64)
-        self._lengths = np.array([rule.layouts[int(key)].length for key in self._keys], dtype=np.intp)
-        self._header = max(len(rule.sync), rule.key_at + rule.key_size)
-        self._can_begin = self._first_bytes()
-        self.longest = int(self._lengths.max())
-
-    def _first_bytes(self) -> NDArray[np.bool_]:
-        """Return which byte values can begin a frame, shape (256,)."""
-        rule = self._rule
-        table = np.zeros(256, dtype=np.bool_)
-        if rule.sync:
-            table[rule.sync[0]] = True
-        elif rule.key_size == 1 and rule.key_at == 0:
-            table[self._keys] = True
-        else:
-            table[:] = True
-        return table
-
-    def candidates(self, buffer: Bytes, positions: Positions) -> Positions:
-        """Return those positions whose first byte can begin a frame."""
-        return positions[self._can_begin[buffer[positions]]]
-
-    def length_at(self, buffer: Bytes, at: int) -> int:
-        """Return the length of the frame whose header stands at ``at``; 0 where there is none or it is incomplete."""
-        if not self._can_begin[buffer[at]] or at + self._header > len(buffer):
-            return 0
-        return int(self.lengths(buffer, np.array([at], dtype=np.intp))[0])
-
-    def lengths(self, buffer: Bytes, starts: Positions) -> Positions:
-        """Return the lengths of frames whose headers stand at ``starts``; 0 where there is none."""
-        keys = self.keys(buffer, starts)
-        place = np.searchsorted(self._keys, keys).clip(max=len(self._keys) - 1)
-        found = np.where(self._keys[place] == keys, self._lengths[place], 0)
-        for offset, byte in enumerate(self._rule.sync):
-            found[buffer[starts + offset] != byte] = 0
-        return found
-
-    def keys(self, buffer: Bytes, starts: Positions) -> NDArray[np.int64]:
-        """Return the keys of frames at ``starts``."""
-        rule = self._rule
-        keys = np.zeros(len(starts), dtype=np.int64)
-        for index in range(rule.key_size):
-            shift = 8 * (rule.key_size - 1 - index if rule.key_big_endian else index)
-            keys |= buffer[starts + (rule.key_at + index)].astype(np.int64) << shift
-        return keys
-
-    def judge(self, buffer: Bytes, starts: Positions, last: bool) -> NDArray[np.int8]:
-        """Return for each candidate whether it is a frame, none, or one that may still be completed."""
-        judged = np.full(len(starts), _INCOMPLETE, dtype=np.int8)
-        readable = starts + self._header <= len(buffer)
-        lengths = np.zeros(len(starts), dtype=np.intp)
-        lengths[readable] = self.lengths(buffer, starts[readable])
-        judged[readable & (lengths == 0)] = _INVALID
-        complete = (lengths > 0) & (starts + lengths <= len(buffer))
-        judged[complete] = self._fit(buffer, starts[complete], lengths[complete])
-        if last:
-            judged[judged == _INCOMPLETE] = _INVALID
-        return judged
-
-    def rows_fit(self, rows: Rows) -> NDArray[np.bool_]:
-        """Return which frames of one length have the key of the first and a checksum that fits, shape (n,)."""
-        rule = self._rule
-        same = np.ones(len(rows), dtype=np.bool_)
-        header = [*range(len(rule.sync)), *range(rule.key_at, rule.key_at + rule.key_size)]
-        for offset in header:
-            same &= rows[:, offset] == rows[0, offset]
-        if rule.checksum is None:
-            return same
-        until = rows.shape[1] - rule.checksum.size
-        sent = _unsigned(rows[:, until:], rule.checksum_big_endian)
-        same &= rule.checksum.of_rows(rows[:, rule.checksum_from : until]) == sent
-        return same
-
-    def _fit(self, buffer: Bytes, starts: Positions, lengths: Positions) -> NDArray[np.bool_]:
-        rule = self._rule
-        if rule.checksum is None:
-            return np.ones(len(starts), dtype=np.bool_)
-        size = rule.checksum.size
-        covered = rule.checksum.of_spans(buffer, starts + rule.checksum_from, lengths - (rule.checksum_from + size))
-        tails = buffer[(starts + lengths - size)[:, None] + np.arange(size)]
-        return np.asarray(covered == _unsigned(tails, rule.checksum_big_endian))
-
-
-def _unsigned(columns: Rows, big_endian: bool) -> NDArray[np.unsignedinteger]:
-    """Return the number in each row of up to 8 bytes."""
-    size = columns.shape[1]
-    if size in (1, 2, 4, 8):
-        return columns.view(f"{'>' if big_endian else '<'}u{size}")[:, 0]
-    value = np.zeros(len(columns), dtype=np.uint64)
-    for index in range(size):
-        value = value << np.uint64(8) | columns[:, index if big_endian else size - 1 - index]
-    return value
+        return rows_at(self.data, starts, length) if len(starts) else np.empty((0, length), dtype=np.uint8)
 
 
 @dataclass(slots=True)
@@ -176,6 +70,7 @@ class _Found:
     """What one feed has found so far."""
 
     starts: list[Positions] = field(default_factory=list)
+    lengths: list[Positions] = field(default_factory=list)
     skipped_before: list[tuple[Positions, NDArray[np.int64]]] = field(default_factory=list)
     """Offsets of frames that follow skipped bytes, and how many."""
 
@@ -196,6 +91,9 @@ class Framer:
         self._origin = 0
         self._run = _FIRST_RUN
         self._window = _FIRST_WINDOW
+        self._is_mixed = False
+        """Frames of different lengths came one behind another."""
+        self._chain = _FIRST_CHAIN
         self._behind_frame = False
         """The last byte passed belongs to a frame, so a trailer may follow."""
         self._skipped_here = 0
@@ -203,6 +101,10 @@ class Framer:
         self.bytes_skipped = 0
         self.frames_bad_checksum = 0
         """Headers of a known kind, right behind a good frame, whose checksum does not fit."""
+
+    def layout(self, shape: int) -> Layout:
+        """Return the layout of a shape of the newest block."""
+        return self._check.layout(shape)
 
     def feed(self, data: bytes, *, last: bool = False) -> FrameBlock:
         """Return the frames that are complete now.
@@ -213,6 +115,7 @@ class Framer:
         last : bool
             Nothing will follow: give up waiting for incomplete frames.
         """
+        self._check.forget()
         joined = self._rest + data if self._rest else data
         buffer: Bytes = np.frombuffer(joined, dtype=np.uint8)
         found = _Found()
@@ -223,7 +126,8 @@ class Framer:
                 break
             behind = start
             if start < len(buffer):
-                behind = self._take_run(buffer, start, found)
+                take = self._take_chain if self._is_mixed else self._take_run
+                behind = take(buffer, start, found)
                 behind = self._search(buffer, start, last) if behind == start else behind
             if behind == at:
                 break
@@ -260,7 +164,7 @@ class Framer:
         starts = np.arange(at, at + count * step, step, dtype=np.intp)
         if good.all() and joined.all():
             self._run = min(2 * self._run, _LONGEST_RUN)
-            return self._accept(found, starts, length)
+            return self._accept(found, starts, np.full(count, length, dtype=np.intp))
         return self._take_broken_run(buffer, _Run(starts, length, step, good, joined), found)
 
     def _take_broken_run(self, buffer: Bytes, run: _Run, found: _Found) -> int:
@@ -272,6 +176,7 @@ class Framer:
             return int(run.starts[0])
         if limit < len(run.good):
             self._run = _FIRST_RUN
+            self._is_mixed = self._check.mixes_lengths and not self._rule.trailer
         count = taken[-1] + 1
         before, after = taken[:-1], taken[1:]
         bad = np.flatnonzero(~run.good[:count])
@@ -280,10 +185,28 @@ class Framer:
         self.bytes_skipped += int(skipped.sum())
         # Right behind a good frame stands a bad one, or what should have been the trailer.
         suspects = np.concatenate([run.starts[bad[run.joined[bad - 1]]], run.starts[loose] + run.length])
-        self.frames_bad_checksum += int(np.count_nonzero(self._check.lengths(buffer, suspects)))
+        self.frames_bad_checksum += int(np.count_nonzero(self._check.lengths(buffer, suspects) > 0))
         starts = run.starts[taken]
         found.skipped_before.append((starts[1:], skipped))
-        return self._accept(found, starts, run.length)
+        return self._accept(found, starts, np.full(len(starts), run.length, dtype=np.intp))
+
+    def _take_chain(self, buffer: Bytes, at: int, found: _Found) -> int:
+        """Take frames of any length from ``at`` on, each beginning where the one before ends; return where that ends."""
+        places = self._check.headers(buffer, at, min(at + self._chain, len(buffer)))
+        lengths = self._check.lengths(buffer, places)
+        whole = (lengths > 0) & (places + lengths <= len(buffer))
+        places, lengths = places[whole], lengths[whole]
+        if len(places) == 0 or places[0] != at:
+            return at
+        chain = _follow(places, places + lengths)
+        starts, lengths = places[chain], lengths[chain]
+        good = self._check.fit(buffer, starts, lengths)
+        count = len(good) if good.all() else int(np.argmin(good))
+        self._chain = min(2 * self._chain, _LONGEST_CHAIN) if count == len(good) else _FIRST_CHAIN
+        if count == 0:
+            return at
+        self._is_mixed = count < _SAME_AGAIN or bool((lengths[:count] != lengths[0]).any())
+        return self._accept(found, starts[:count], lengths[:count])
 
     def _end_of_run(self, buffer: Bytes, run: _Run) -> int:
         """Return how many frames of the run to look at: up to two bad ones in a row, or to another frame in a bad one."""
@@ -293,7 +216,7 @@ class Framer:
         gaps = run.starts[:limit][bad[:limit], None] + np.arange(run.step)
         loose = run.starts[: max(limit - 1, 0)][~run.joined[: max(limit - 1, 0)], None] + np.arange(run.length, run.step)
         inside = self._check.candidates(buffer, np.concatenate([gaps.ravel(), loose.ravel()]))
-        others = inside[self._check.judge(buffer, inside, last=False) != _INVALID]
+        others = inside[self._check.judge(buffer, inside, last=False) != INVALID]
         if self._rule.trailer and run.step == run.length:
             # A stream that sends no trailers does not begin a bad frame with one; leave such a place to the search.
             others = np.concatenate([others, gaps[buffer[gaps[:, 0]] == self._rule.trailer[0], 0]])
@@ -301,20 +224,21 @@ class Framer:
             return limit
         return int(others.min() - run.starts[0] - run.length) // run.step + 1
 
-    def _accept(self, found: _Found, starts: Positions, length: int) -> int:
+    def _accept(self, found: _Found, starts: Positions, lengths: Positions) -> int:
         if self._skipped_here:
             found.skipped_before.append((starts[:1], np.array([self._skipped_here])))
         self._skipped_here = 0
         self._behind_frame = True
         found.starts.append(starts)
-        return int(starts[-1]) + length
+        found.lengths.append(lengths)
+        return int(starts[-1] + lengths[-1])
 
     def _search(self, buffer: Bytes, at: int, last: bool) -> int:
         """Go to the next position that is a frame or may become one, at most to the end of the window."""
         until = min(at + self._window, len(buffer))
         candidates = self._check.candidates(buffer, np.arange(at, until, dtype=np.intp))
         judged = self._check.judge(buffer, candidates, last)
-        hits = candidates[judged != _INVALID]
+        hits = candidates[judged != INVALID]
         if len(hits):
             self._window = _FIRST_WINDOW
             until = int(hits[0])
@@ -329,11 +253,26 @@ class Framer:
         return until
 
     def _block(self, buffer: Bytes, found: _Found) -> FrameBlock:
-        starts = found.starts[0] if len(found.starts) == 1 else np.concatenate([*found.starts, np.empty(0, dtype=np.intp)])
+        nothing = np.empty(0, dtype=np.intp)
+        starts = found.starts[0] if len(found.starts) == 1 else np.concatenate([*found.starts, nothing])
+        lengths = found.lengths[0] if len(found.lengths) == 1 else np.concatenate([*found.lengths, nothing])
         skipped_before = np.zeros(len(starts), dtype=np.int64)
         for offsets, skipped in found.skipped_before:
             skipped_before[np.searchsorted(starts, offsets)] = skipped
-        return FrameBlock(buffer, starts, self._check.keys(buffer, starts), skipped_before, self._origin)
+        shapes = self._check.shapes(buffer, starts, lengths) if len(starts) else np.empty(0, dtype=np.int64)
+        return FrameBlock(buffer, starts, shapes, skipped_before, self._origin)
+
+
+def _follow(starts: Positions, ends: Positions) -> list[int]:
+    """Return the first of these spans, the one that begins where it ends, and so on, by their places."""
+    places = np.searchsorted(starts, ends)
+    linked = starts[np.minimum(places, len(starts) - 1)] == ends
+    following: list[int] = np.where(linked, places, -1).tolist()
+    chain, place = [], 0
+    while place >= 0:
+        chain.append(place)
+        place = following[place]
+    return chain
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,7 @@ NUMBER_BYTES = {
     "i64": 8,
     "f32": 4,
     "f64": 8,
+    "fp16.32": 6,
 }
 """Number types and their size."""
 TEXT_TYPES = ("ascii", "bcd", "bytes")
@@ -79,6 +80,8 @@ class Field:
         """Return the numbers as sent, shape (n,) or (n, count). Integers of 24 bits come as 32."""
         if NUMBER_BYTES[self.type] == 3:
             values = self._raw24(rows)
+        elif self.type == "fp16.32":
+            values = self._raw48(rows)
         else:
             order = ">" if self.big_endian else "<"
             kind = np.dtype(f"{order}{self.type[0]}{NUMBER_BYTES[self.type]}")
@@ -96,6 +99,14 @@ class Field:
         if self.type == "ascii":
             return part.decode("ascii", "replace").strip("\x00 ")
         return part.hex()
+
+    def _raw48(self, rows: Rows) -> NDArray[Any]:
+        # Xsens sends the 32 bits of the fraction first, the 16 bits of the whole number behind them.
+        parts = np.ascontiguousarray(rows[:, self.at : self.at + self.size])
+        words = parts.view(f"{'>' if self.big_endian else '<'}u2").reshape(len(rows), self.count, 3).astype(np.int64)
+        whole = words[:, :, 2].astype(np.int16).astype(np.int64)
+        values: NDArray[Any] = whole << 32 | words[:, :, 0] << 16 | words[:, :, 1]
+        return values
 
     def _raw24(self, rows: Rows) -> NDArray[Any]:
         # Four bytes are read, of which one belongs to the neighbour and is shifted out: several times faster than

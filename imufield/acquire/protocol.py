@@ -16,14 +16,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from imufield.acquire.frame_schema import FrameRule, read_frames
 from imufield.acquire.protocol_schema import (
     ClockRule,
-    FrameRule,
     Quantity,
     SampleRule,
     TextRule,
     read_clock,
-    read_frames,
     read_samples,
     read_text,
 )
@@ -259,8 +258,10 @@ def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
     units = _units(top, parts, samples, clock)
     nominal = _read_nominal(top, units, clock)
     _check_fields(top, frame, samples, clock)
-    for key in ("format", "version", "settings", "samples", "clock", "nominal", "frame", "parts", "frames", "messages"):
-        if frame is not None or key not in ("frame", "parts", "frames", "messages"):
+    for key in ("format", "version", "settings", "samples", "clock", "nominal", "status"):
+        top.has(key)
+    if not text:
+        for key in ("frame", "parts", "frames", "messages"):
             top.has(key)
     if text:
         top.has("text")
@@ -277,9 +278,8 @@ def _unit_of(top: Table, part: str, frame: FrameRule | None, samples: SampleRule
     quantity: Quantity = getattr(samples, part)
     written = quantity.unit
     if written is None:
-        layouts = frame.layouts.values() if frame else ()
-        fields = [layout.field(name) for layout in layouts for name in quantity.fields]
-        written = next((field.unit for field in fields if field is not None), _MEANING[part][0])
+        known = {field.name: field for field in reversed(frame.all_fields())} if frame else {}
+        written = next((known[name].unit for name in quantity.fields if name in known), _MEANING[part][0])
     table = top.table("samples")
     unit, factor = TO_SI.get(written, ("", 0.0))
     if unit not in _MEANING[part]:
@@ -320,7 +320,7 @@ def _check_fields(top: Table, frame: FrameRule | None, samples: SampleRule, cloc
     """Refuse a name in [samples] or [clock] that no frame has: a typing error would silently lose the value."""
     if frame is None:
         return
-    known = {field.name for layout in frame.layouts.values() for field in layout.fields}
+    known = {field.name for field in frame.all_fields()}
     table = top.table("samples")
     for part in _MEANING:
         for name in getattr(samples, part).fields:

@@ -205,8 +205,8 @@ def test_sync_bytes_wide_keys_and_sums_stand_on_the_same_engine() -> None:
     frames = [b"\x55\xaa" + body + (sum(body) % 65536).to_bytes(2, "little") for body in bodies]
     data = b"\x55" + b"".join(frames * 20) + b"\x55\xaa"
     framer = Framer(rule)
-    found = [framer.feed(data[i : i + 3]).keys.tolist() for i in range(0, len(data), 3)]
-    assert list(chain.from_iterable(found)) == [0x7A31, 0x7A32] * 20
+    found = [framer.feed(data[i : i + 3]).shapes.tolist() for i in range(0, len(data), 3)]
+    assert [framer.layout(shape).kind for shape in chain.from_iterable(found)] == ["0x7A31", "0x7A32"] * 20
     assert framer.frames_bad_checksum == 0
     framer.feed(b"", last=True)
     assert framer.bytes_skipped == 1 + 20 * len(frames[2]) + 2
