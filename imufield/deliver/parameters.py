@@ -130,11 +130,11 @@ class Parameters:
 
     def _apply_samples(self, samples: Samples) -> Corrected:
         units = samples.units
-        self._check_unit("accelerometer", units.accelerometer, units.accelerometer_is_increment)
+        self.check_unit("accelerometer", units.accelerometer, units.accelerometer_is_increment)
         force = self.apply_accelerometer(samples.accelerometer_rate())
         if not self.gyroscope_is_complete:
             return Corrected(samples.time_s, force, np.full_like(force, np.nan))
-        self._check_unit("gyroscope", units.gyroscope, units.gyroscope_is_increment)
+        self.check_unit("gyroscope", units.gyroscope, units.gyroscope_is_increment)
         return Corrected(samples.time_s, force, self.apply_gyroscope(samples.gyroscope_rate(), force))
 
     def _apply_array(self, raw: FloatArray) -> FloatArray:
@@ -146,7 +146,8 @@ class Parameters:
         corrected[..., 3:] = self.apply_gyroscope(raw[..., 3:], corrected[..., :3])
         return corrected
 
-    def _check_unit(self, triad: str, unit: str, is_increment: bool) -> None:
+    def check_unit(self, triad: str, unit: str, is_increment: bool) -> None:
+        """Raise ``ParameterFileError`` if samples of a triad in this unit are not what the parameters are for."""
         wanted, found = self.document[triad]["raw_unit"], rate_unit(unit, is_increment)
         if wanted != found:
             raise ParameterFileError(

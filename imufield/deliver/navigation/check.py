@@ -18,7 +18,7 @@ from imufield.calibrate.result import Calibration
 from imufield.deliver.navigation.alignment import Alignment, RestMeans, align
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.forecast import RUNS, Forecast, RandomErrors, Scene, forecast
-from imufield.deliver.navigation.mechanise import Mechanisation
+from imufield.deliver.navigation.mechanise import Mechanisation, load_pyins
 from imufield.deliver.navigation.rest import SECOND_S, RestNoise, SecondMeans, fill_gaps, measure_noise, moving_seconds
 from imufield.deliver.parameters import Corrected
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
@@ -97,6 +97,7 @@ class StaticNavigation:
                 "needed; give a larger --align-s",
                 align_s=settings.align_s,
             )
+        load_pyins()
         self.settings = settings
         self.stopped: ImufieldError | None = None
         """Why this recording cannot be navigated; set at once, raised by ``finish``."""

@@ -1,0 +1,309 @@
+"""``imufield verify``: what parameters are worth, on data they have not seen."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import typer
+from rich.console import Console
+
+from imufield.acquire.protocol import Protocol
+from imufield.acquire.recording import Damage
+from imufield.acquire.session import Session
+from imufield.calibrate.observations import Observations
+from imufield.calibrate.result import AccelerometerParameters, GyroscopeParameters
+from imufield.commands.chain import Chain, Plan, recorded_protocol, replay_into
+from imufield.commands.site import SiteOptions
+from imufield.commands.solve import session_sha256
+from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
+from imufield.deliver.navigation.check import ALIGN_S, Apply, CheckSettings, NavigationResult, StaticNavigation
+from imufield.deliver.numbers import DEG_PER_HOUR_RAD_S, MICRO_G, to_ascii
+from imufield.deliver.parameters import Corrected, Parameters, json_ready, load
+from imufield.deliver.verification import (
+    Verification,
+    judge,
+    parse_requirements,
+    to_document,
+    verification_path,
+    verification_text,
+    write_verification,
+)
+from imufield.deliver.verify import HeldOut, check_positions, cross_validate
+from imufield.earth import Gravity
+from imufield.errors import CalibrationError, ImufieldError, ParameterFileError, Reason, UsageError, VerificationError
+from imufield.samples import FloatArray, Samples
+
+HOLD_OUT = 4
+"""Positions left out at a time, where the session is the one the parameters come from."""
+AFTER = "after"
+BEFORE = "before"
+
+
+@dataclass(frozen=True, slots=True)
+class VerifyOptions:
+    """Options of the command."""
+
+    parameters: Path
+    session: Path | None = None
+    preset: Path | None = None
+    hold_out: int | None = None
+    turned: bool = False
+    align_s: float = ALIGN_S
+    site: SiteOptions = field(default_factory=SiteOptions)
+    require: str | None = None
+    turn_on_ug: float | None = None
+    turn_on_deg_per_h: float | None = None
+    seed: int = 0
+    output: Path | None = None
+    as_json: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """What is verified, before the data are read."""
+
+    options: VerifyOptions
+    session: Session
+    parameters: Parameters
+    preset: Parameters | None
+    limits: dict[str, float]
+    gravity: Gravity
+    latitude_deg: float | None
+
+    @property
+    def wants_navigation(self) -> bool:
+        """Whether the user asked for it."""
+        return self.options.turned or "nav-nmi-per-h" in self.limits
+
+    @property
+    def is_its_own(self) -> bool:
+        """Whether the parameters come from this session."""
+        sha256 = self.parameters.context.session.sha256
+        return bool(sha256) and sha256 == session_sha256(self.session)
+
+
+def run_verify(options: VerifyOptions) -> Verification:
+    """Verify, print what was found, and keep it beside the parameter file for the report.
+
+    Raises
+    ------
+    VerificationError
+        If a requirement is not met.
+    ImufieldError
+        If a file or the session cannot be used.
+    """
+    task = _task(options)
+    found = verify_session(task)
+    document = to_document(found)
+    write_verification(options.output or verification_path(options.parameters), document)
+    if options.as_json:
+        typer.echo(json.dumps(json_ready(document)))
+    else:
+        text, console = verification_text(found), Console()
+        console.out(to_ascii(text) if console.options.ascii_only else text, end="", highlight=False)
+    _refuse_failed(found)
+    return found
+
+
+def verify_session(task: _Task) -> Verification:
+    """Read the session once and do every check it allows; raises as ``run_verify``."""
+    problems: list[ImufieldError] = []
+    damage: list[Damage] = []
+    navigation = _Navigation(task, problems)
+    chain = Chain(Plan.of(task.session), (navigation.feed,))
+    replay_into(chain, task.session, damage)
+    held_out = _held_out(task, chain, problems)
+    navigated = navigation.finish()
+    if held_out is None and navigated is None:
+        raise problems[0] if problems else CalibrationError("the session holds nothing to check", Reason.TOO_FEW)
+    notes = (*(one.what for one in damage), *(one.message for one in problems))
+    requirements = judge(task.limits, held_out, navigated)
+    return Verification(task.parameters, task.session.name, held_out, navigated, requirements, notes)
+
+
+def _task(options: VerifyOptions) -> _Task:
+    limits = parse_requirements(options.require)
+    parameters = load(options.parameters)
+    preset = None if options.preset is None else load(options.preset)
+    session = Session.newest() if options.session is None else Session.open(options.session)
+    _check_serial(parameters, session)
+    if preset is not None:
+        _check_serial(preset, session)
+    recorded = session.metadata.get("site")
+    known = options.site.is_known or bool(recorded)
+    own = parameters.calibration.gravity
+    gravity = options.site.gravity(recorded) if known else own
+    latitude = gravity.latitude_deg if gravity.latitude_deg is not None else options.site.latitude_deg
+    return _Task(options, session, parameters, preset, limits, gravity, own.latitude_deg if latitude is None else latitude)
+
+
+def _check_serial(parameters: Parameters, session: Session) -> None:
+    wanted = parameters.context.instrument.serial_number
+    own = str(session.metadata.get("instrument", {}).get("serial_number", ""))
+    if wanted and own and wanted != own:
+        raise ParameterFileError(
+            f"{parameters.path} is for serial number {wanted}, the session for {own}; give the parameter file of "
+            "this instrument",
+            Reason.FOREIGN,
+            parameters=wanted,
+            session=own,
+        )
+
+
+def _held_out(task: _Task, chain: Chain, problems: list[ImufieldError]) -> HeldOut | None:
+    """Check the positions; what stands in the way goes to ``problems``, except where it is the user's mistake."""
+    try:
+        observations = chain.observations() if chain.guide is not None else chain.still_intervals().observations
+        _check_unit(task, chain)
+        return _check(task, observations, chain)
+    except CalibrationError as error:
+        if task.options.hold_out is not None or "residual-ug" in task.limits:
+            raise
+        problems.append(error)
+        return None
+
+
+def _check(task: _Task, observations: Observations, chain: Chain) -> HeldOut:
+    before = _before_accelerometer(task, chain.protocol)
+    hold_out = task.options.hold_out
+    if hold_out is None and not task.is_its_own:
+        return check_positions(task.parameters.calibration, observations, task.gravity, before)
+    return cross_validate(task.parameters.calibration, observations, hold_out or HOLD_OUT, before)
+
+
+def _check_unit(task: _Task, chain: Chain) -> None:
+    """Refuse parameters for other raw units, as applying them would; raises ``ParameterFileError``."""
+    if chain.protocol is None:
+        raise CalibrationError("the session holds no data at all; record or import it again", Reason.TOO_FEW)
+    units = chain.protocol.units
+    for parameters in filter(None, (task.parameters, task.preset)):
+        parameters.check_unit("accelerometer", units.accelerometer, units.accelerometer_is_increment)
+
+
+def _before_accelerometer(task: _Task, protocol: Protocol | None) -> AccelerometerParameters | None:
+    if task.preset is not None:
+        return task.preset.calibration.accelerometer
+    scale = None if protocol is None else protocol.nominal.accelerometer_scale
+    if scale is None or protocol is None:
+        return None
+    # A nominal scale has no sign of its own where the wiring has; the parameters know it.
+    own = task.parameters.calibration.accelerometer
+    return AccelerometerParameters(np.abs(scale) * np.sign(own.scale), np.zeros(3), np.zeros((3, 3)), raw_zero=own.raw_zero)
+
+
+class _Navigation:
+    """Static navigation along with the replay, where the session and the parameters allow it."""
+
+    def __init__(self, task: _Task, problems: list[ImufieldError]) -> None:
+        self._task = task
+        self._problems = problems
+        self._check: StaticNavigation | None = None
+        self._off = task.session.metadata.get("scheme") is not None and not task.wants_navigation
+
+    def feed(self, samples: Samples) -> None:
+        if self._off:
+            return
+        try:
+            if self._check is None:
+                self._check = self._start()
+            self._check.feed(samples)
+        except ImufieldError as error:
+            self._give_up(error)
+
+    def finish(self) -> NavigationResult | None:
+        if self._off or self._check is None:
+            return None
+        try:
+            return self._check.finish(self._task.parameters.calibration)
+        except ImufieldError as error:
+            self._give_up(error)
+            return None
+
+    def _give_up(self, error: ImufieldError) -> None:
+        # Parameters in other units are wrong for any check; all else only stands in the way of this one.
+        if self._task.wants_navigation or isinstance(error, ParameterFileError):
+            raise error
+        self._problems.append(error)
+        self._off = True
+
+    def _start(self) -> StaticNavigation:
+        task, options = self._task, self._task.options
+        if task.latitude_deg is None:
+            raise UsageError(
+                "static navigation needs the latitude, which neither session nor parameter file has; give --latitude"
+            )
+        if not task.parameters.gyroscope_is_complete:
+            raise ParameterFileError(
+                f"{task.parameters.path} has no complete gyroscope, which static navigation needs; calibrate from a session whose "
+                "instrument sends its gyroscope",
+                Reason.UNITS,
+            )
+        settings = CheckSettings(
+            task.latitude_deg,
+            task.gravity.height_m or 0.0,
+            task.gravity.gravity_m_s2,
+            options.align_s,
+            options.turned,
+            turn_on=_turn_on(options),
+            instability=_instability(task.parameters),
+            seed=options.seed,
+        )
+        return StaticNavigation(self._sets(), settings)
+
+    def _sets(self) -> dict[str, Apply]:
+        task = self._task
+        if task.preset is not None and task.preset.gyroscope_is_complete:
+            return {BEFORE: task.preset.apply, AFTER: task.parameters.apply}
+        nominal = _nominal(task)
+        return {AFTER: task.parameters.apply} if nominal is None else {BEFORE: nominal, AFTER: task.parameters.apply}
+
+
+def _nominal(task: _Task) -> Apply | None:
+    """Return the instrument's own output with nothing but its nominal scale; None where only the maker knows that."""
+    protocol = recorded_protocol({}, task.session)
+    accelerometer, scale = _before_accelerometer(task, protocol), protocol.nominal.gyroscope_scale
+    gyroscope = task.parameters.calibration.gyroscope
+    if accelerometer is None or scale is None or gyroscope is None:
+        return None
+    signed = np.abs(scale) * np.sign(gyroscope.parameters.scale)
+    plain = GyroscopeParameters(signed, np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
+
+    def apply(samples: Samples) -> Corrected:
+        force = correct_accelerometer(accelerometer, samples.accelerometer_rate())
+        return Corrected(samples.time_s, force, correct_gyroscope(plain, samples.gyroscope_rate()))
+
+    return apply
+
+
+def _turn_on(options: VerifyOptions) -> FloatArray | None:
+    """Return the turn-on bias the user gave, shape (6,); None where neither was given."""
+    if options.turn_on_ug is None and options.turn_on_deg_per_h is None:
+        return None
+    return np.repeat([(options.turn_on_ug or 0.0) * MICRO_G, (options.turn_on_deg_per_h or 0.0) * DEG_PER_HOUR_RAD_S], 3)
+
+
+def _instability(parameters: Parameters) -> FloatArray | None:
+    """Return the bias instability in the parameter file, shape (6,); None where it is not known for every axis."""
+    noise = parameters.context.noise
+    if noise is None:
+        return None
+    figures = np.concatenate([noise.accelerometer_bias_instability_m_s2, noise.gyroscope_bias_instability_rad_s])
+    return figures if np.isfinite(figures).all() else None
+
+
+def _refuse_failed(found: Verification) -> None:
+    failed = [one for one in found.requirements if not one.passed]
+    if not failed:
+        return
+    worst = failed[0]
+    measured = "was not measured" if np.isnan(worst.measured) else f"is {worst.measured:.4g}"
+    raise VerificationError(
+        f"FAIL: {worst.name} {measured} where at most {worst.limit:g} is required; calibrate again, or see the table for what is "
+        "large",
+        requirement=worst.name,
+        limit=worst.limit,
+        measured=worst.measured,
+    )

@@ -1,0 +1,307 @@
+"""What a verification found: requirements met or not, the file beside the parameters, and the text for a person.
+
+``parameters.verification.json`` holds the results of the last check of held-out positions and of the last static
+navigation; the report reads it. It belongs to one content of the parameter file, by its hash.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import imufield
+from imufield.deliver.navigation.check import NavigationResult
+from imufield.deliver.navigation.drift import QUANTITIES, Drift
+from imufield.deliver.numbers import MICRO_G, acceleration_unit
+from imufield.deliver.parameters import Parameters, json_ready
+from imufield.deliver.parameters_write import content_sha256
+from imufield.deliver.verify import HeldOut
+from imufield.errors import ParameterFileError, Reason, UsageError
+from imufield.files import write_atomically
+from imufield.samples import FloatArray
+
+Document = dict[str, Any]
+
+FORMAT = "imufield-verification"
+VERSION = 1
+REQUIREMENTS = {
+    "residual-ug": "RMS residual of held-out positions, micro-g",
+    "nav-nmi-per-h": "largest position error over the time navigated, nautical miles an hour",
+}
+_POINTS = 600
+"""Of each curve in the file: more than a plot shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """One requirement and what was measured."""
+
+    name: str
+    limit: float
+    measured: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is met; NaN is not."""
+        return self.measured <= self.limit
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """Everything one run of ``verify`` found."""
+
+    parameters: Parameters
+    session: str
+    held_out: HeldOut | None = None
+    navigation: NavigationResult | None = None
+    requirements: tuple[Requirement, ...] = ()
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether all requirements are met; None without any."""
+        return all(one.passed for one in self.requirements) if self.requirements else None
+
+
+def parse_requirements(text: str | None) -> dict[str, float]:
+    """Read ``NAME=LIMIT,NAME=LIMIT``.
+
+    Raises
+    ------
+    UsageError
+        If a name is not known or a limit is no positive number.
+    """
+    limits: dict[str, float] = {}
+    for part in (text or "").split(","):
+        name, _, value = (piece.strip() for piece in part.partition("="))
+        if not part.strip():
+            continue
+        if name not in REQUIREMENTS:
+            raise UsageError(
+                f"--require {part.strip()!r} is unknown; give NAME=LIMIT with NAME one of {', '.join(REQUIREMENTS)}"
+            )
+        try:
+            limit = float(value)
+        except ValueError:
+            limit = math.nan
+        if not 0 < limit < math.inf:
+            raise UsageError(f"--require {name} has the limit {value!r}; give a positive number, e.g. {name}=50")
+        limits[name] = limit
+    return limits
+
+
+def judge(
+    limits: Mapping[str, float], held_out: HeldOut | None, navigation: NavigationResult | None
+) -> tuple[Requirement, ...]:
+    """Return every requirement with what was measured, NaN where it was not."""
+    measured = dict.fromkeys(REQUIREMENTS, math.nan)
+    if held_out is not None:
+        measured["residual-ug"] = held_out.rms_m_s2 / MICRO_G
+    if navigation is not None:
+        measured["nav-nmi-per-h"] = list(navigation.drifts.values())[-1].rate_nmi_per_h
+    return tuple(Requirement(name, limit, measured[name]) for name, limit in limits.items())
+
+
+def to_document(verification: Verification) -> Document:
+    """Return everything as plain values."""
+    document: Document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "software": f"imufield {imufield.__version__}",
+        "parameters_sha256": content_sha256(verification.parameters.document),
+        "session": verification.session,
+        "passed": verification.passed,
+        "requirement": [
+            {"name": one.name, "limit": one.limit, "measured": one.measured, "passed": one.passed}
+            for one in verification.requirements
+        ],
+        "notes": list(verification.notes),
+    }
+    if verification.held_out is not None:
+        document["positions"] = _positions(verification.held_out) | {"session": verification.session}
+    if verification.navigation is not None:
+        document["navigation"] = _navigation(verification.navigation) | {"session": verification.session}
+    return document
+
+
+def _positions(held_out: HeldOut) -> Document:
+    return {
+        "how": held_out.how,
+        "rms_m_s2": held_out.rms_m_s2,
+        "before_rms_m_s2": held_out.before_rms_m_s2,
+        "forecast_rms_m_s2": held_out.forecast_rms_m_s2,
+        "misfit": held_out.misfit,
+        "misfit_limit": held_out.misfit_limit,
+        "as_forecast": held_out.as_forecast,
+        "name": list(held_out.name),
+        **{key: getattr(held_out, key).tolist() for key in ("up", "residual_m_s2", "before_m_s2", "sigma_m_s2")},
+    }
+
+
+def _navigation(result: NavigationResult) -> Document:
+    settings = result.settings
+    document: Document = {
+        "align_s": settings.align_s,
+        "navigated_s": result.navigated_s,
+        "turned": settings.turned,
+        "latitude_deg": settings.latitude_deg,
+        "seed": settings.seed,
+        "samples": result.samples,
+        "lost": result.lost,
+        "noise_density": result.noise.density.tolist(),
+        "bias_instability": result.noise.instability.tolist(),
+        "notes": list(result.notes),
+        "drift": {name: _drift(drift) for name, drift in result.drifts.items()},
+    }
+    found = result.forecast
+    if found is not None:
+        document["forecast"] = {
+            "runs": found.runs,
+            "rate_median_nmi_per_h": found.rate_median_nmi_per_h,
+            "rate_95_nmi_per_h": found.rate_95_nmi_per_h,
+            "heading_sigma_rad": found.heading_sigma_rad,
+            "sources_nmi_per_h": found.sources,
+            "as_forecast": found.holds(list(result.drifts.values())[-1]),
+            "time_s": found.time_s.tolist(),
+            "low": {name: found.low[name].tolist() for name in QUANTITIES},
+            "high": {name: found.high[name].tolist() for name in QUANTITIES},
+            "position_median_nmi": found.position_median_nmi.tolist(),
+            "position_95_nmi": found.position_95_nmi.tolist(),
+        }
+    return document
+
+
+def _drift(drift: Drift) -> Document:
+    rows = np.unique(np.linspace(0, len(drift.time_s) - 1, _POINTS).astype(np.int64))
+    curves = {key: getattr(drift, key)[rows].tolist() for key in ("time_s", *QUANTITIES, "position_nmi")}
+    return {"rate_nmi_per_h": drift.rate_nmi_per_h, "final_nmi": float(drift.position_nmi[-1]), **curves}
+
+
+def verification_path(parameter_file: Path) -> Path:
+    """Return where the results of a parameter file lie."""
+    return parameter_file.with_name(f"{parameter_file.stem}.verification.json")
+
+
+def write_verification(path: Path, document: Document) -> None:
+    """Write the results; those of the other check, of the same parameters, are kept.
+
+    Raises
+    ------
+    ParameterFileError
+        If the file cannot be written; one that stood there is intact.
+    """
+    kept = read_verification(path, document["parameters_sha256"]) or {}
+    merged = {key: kept[key] for key in ("positions", "navigation") if key in kept} | document
+    try:
+        write_atomically(path, (json.dumps(json_ready(merged)) + "\n").encode("ascii"))
+    except OSError as error:
+        raise ParameterFileError(
+            f"{path} cannot be written ({error.strerror}); choose another place with --output",
+            Reason.NO_PERMISSION,
+            path=str(path),
+        ) from error
+
+
+def read_verification(path: Path, parameters_sha256: str) -> Document | None:
+    """Return the results for parameters of this content; None where there are none, or they are of other parameters."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
+        return None
+    return document if document.get("parameters_sha256") == parameters_sha256 else None
+
+
+def verification_text(verification: Verification) -> str:
+    """Return the results for a person at a terminal, 80 columns."""
+    lines: list[str] = []
+    if verification.held_out is not None:
+        lines += [*_position_lines(verification.held_out), ""]
+    if verification.navigation is not None:
+        lines += [*_navigation_lines(verification.navigation), ""]
+    lines += [f" · {note}" for note in verification.notes]
+    for one in verification.requirements:
+        word = "met" if one.passed else "NOT MET"
+        measured = "not measured" if math.isnan(one.measured) else f"{one.measured:.4g}"
+        lines.append(f"Requirement {one.name} <= {one.limit:g}: {measured}, {word}")
+    if verification.passed is not None:
+        lines.append(f"Verdict: {'PASS' if verification.passed else 'FAIL'}")
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _position_lines(found: HeldOut) -> Iterator[str]:
+    yield f"Held-out positions: {found.how}"
+    with_before = bool(np.isfinite(found.before_m_s2).all())
+    columns = [found.residual_m_s2, found.sigma_m_s2, *([found.before_m_s2] if with_before else [])]
+    unit, size = acceleration_unit(max(float(np.nanmax(np.abs(column), initial=0.0)) for column in columns[:2]))
+    width = max(8, *(len(name) for name in found.name))
+    yield f"  {'position':<{width}} {'before' if with_before else '':>10} {'after':>10} {'forecast':>10}   {unit}"
+    for name, before, after, sigma in zip(found.name, found.before_m_s2, found.residual_m_s2, found.sigma_m_s2, strict=True):
+        yield f"  {name:<{width}} {_cell(before / size):>10} {_cell(after / size):>10} {_cell(sigma / size, '±'):>10}"
+    figures = [found.before_rms_m_s2, found.rms_m_s2, found.forecast_rms_m_s2]
+    before, after, sigma = (figure / size for figure in figures)
+    yield f"  {'RMS':<{width}} {_cell(before, ''):>10} {_cell(after, ''):>10} {_cell(sigma, ''):>10}"
+    if math.isfinite(found.misfit):
+        word = "as forecast" if found.as_forecast else "LARGER THAN FORECAST: the stated uncertainty is too small"
+        yield f"  {word} (misfit {found.misfit:.2f}, by chance up to {found.misfit_limit:.2f})"
+
+
+def _cell(value: float, sign: str = "+") -> str:
+    if math.isnan(value):
+        return ""
+    shown = f"{value:.0f}" if abs(value) >= 100 else f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
+    return f"±{shown}" if sign == "±" else f"+{shown}" if sign == "+" and value >= 0 else shown
+
+
+def _navigation_lines(result: NavigationResult) -> Iterator[str]:
+    hours = result.navigated_s / 3600
+    turned = ", turned over after it" if result.settings.turned else ""
+    yield f"Static navigation: {hours:.2f} h after an alignment of {result.settings.align_s:g} s{turned}"
+    yield f"  {'time':>8} {'latitude':>12} {'longitude':>12} {'v north':>9} {'v east':>9} {'position':>9}  95 %"
+    yield f"  {'h':>8} {'deg':>12} {'deg':>12} {'m/s':>9} {'m/s':>9} {'nmi':>9}  {'nmi' if result.forecast else ''}"
+    for name, drift in result.drifts.items():
+        yield f"  {name}"
+        last = name == list(result.drifts)[-1]
+        for row in _rows_shown(drift.time_s):
+            most = "" if result.forecast is None or not last else f"{_at(result, float(drift.time_s[row])):.3f}"
+            yield (
+                f"  {drift.time_s[row] / 3600:8.2f} {drift.latitude_deg[row]:+12.6f} {drift.longitude_deg[row]:+12.6f} "
+                f"{drift.north_velocity_m_s[row]:+9.4f} {drift.east_velocity_m_s[row]:+9.4f} {drift.position_nmi[row]:9.3f}  {most}"
+            )
+    for name, drift in result.drifts.items():
+        yield f"  drift {name}: {drift.rate_nmi_per_h:.3f} nmi/h"
+    yield from _forecast_lines(result)
+
+
+def _forecast_lines(result: NavigationResult) -> Iterator[str]:
+    found = result.forecast
+    if found is None:
+        yield from (f"  {note}" for note in result.notes)
+        return
+    drift = list(result.drifts.values())[-1]
+    word = "as forecast" if found.holds(drift) else "MORE THAN FORECAST"
+    yield f"  {word}: with 95 % probability at most {found.rate_95_nmi_per_h:.3f} nmi/h; each source alone:"
+    for source, rate in sorted(found.sources.items(), key=lambda item: -item[1]):
+        yield f"    {source:<26}{rate:8.3f}"
+    if not result.settings.turned:
+        yield "  Alignment hides the accelerometer: held-out positions prove it, or turn over after it (--turned)."
+
+
+def _rows_shown(time_s: FloatArray) -> list[int]:
+    """Return rows at six equal steps of time."""
+    steps = np.linspace(0, time_s[-1], 7)[1:]
+    return [int(row) for row in np.minimum(np.searchsorted(time_s, steps), len(time_s) - 1)]
+
+
+def _at(result: NavigationResult, time_s: float) -> float:
+    found = result.forecast
+    return math.nan if found is None else float(np.interp(time_s, found.time_s, found.position_95_nmi))

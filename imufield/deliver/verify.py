@@ -1,0 +1,235 @@
+"""Held-out positions: the proof of an accelerometer calibration on data it has not seen.
+
+At rest the corrected specific force must be as long as gravity. How far it is off, ``r = norm(a) - g``, is compared with
+how far it may be off: with ``J = d norm / d parameters`` and the joint covariance ``C`` of parameters and gravity,
+
+    S = [J, -1] C [J, -1]^T + (variance of each mean) + tau^2
+
+where tau is the scatter between positions of the calibration. Gravity is common to calibration and check where both were at one
+place, so its error, which went into every scale, cancels here: this check proves nothing about g.
+
+``cross_validate`` needs no second session: each group of positions is predicted by a calibration from all the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.accelerometer import calibrate_accelerometer
+from imufield.calibrate.models import norm_derivatives, to_vector
+from imufield.calibrate.observations import Observations
+from imufield.calibrate.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration
+from imufield.calibrate.uncertainty import f_limit_95, known_covariance, within_variance
+from imufield.earth import Gravity
+from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.samples import FloatArray
+
+FEWEST_LEFT = 6
+"""Positions that must be left to calibrate from."""
+_SAME_GRAVITY_M_S2 = 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Residuals of m positions that the parameters have not seen, arrays of shape (m,)."""
+
+    name: tuple[str, ...]
+    up: FloatArray
+    """Measured direction of "up" in the body frame, shape (m, 3)."""
+    residual_m_s2: FloatArray
+    before_m_s2: FloatArray
+    """The same with the preset; NaN without one."""
+    sigma_m_s2: FloatArray
+    """Forecast, 1 sigma; NaN where the parameter file does not know its own uncertainty."""
+    misfit: float
+    """Mean square in units of the forecast, correlations between positions allowed for; 1 is as forecast."""
+    misfit_limit: float
+    """Exceeded by chance in 1 of 20 checks."""
+    how: str
+    """In words: which positions, and who predicted them."""
+
+    @property
+    def rms_m_s2(self) -> float:
+        """Root mean square of ``residual_m_s2``."""
+        return _rms(self.residual_m_s2)
+
+    @property
+    def before_rms_m_s2(self) -> float:
+        """Root mean square of ``before_m_s2``."""
+        return _rms(self.before_m_s2)
+
+    @property
+    def forecast_rms_m_s2(self) -> float:
+        """Root mean square of ``sigma_m_s2``: what the residual should be about."""
+        return _rms(self.sigma_m_s2)
+
+    @property
+    def as_forecast(self) -> bool:
+        """Whether the residuals are no larger than the stated uncertainty allows."""
+        return self.misfit <= self.misfit_limit
+
+
+def check_positions(
+    calibration: Calibration, observations: Observations, gravity: Gravity, before: AccelerometerParameters | None = None
+) -> HeldOut:
+    """Return what a calibration makes of positions of another session.
+
+    Raises
+    ------
+    CalibrationError
+        If there is no position, or an output is not finite.
+    """
+    _require_finite(observations)
+    residual, S = _residual(calibration, observations, gravity)
+    m = len(observations)
+    return HeldOut(
+        observations.name,
+        _up(calibration, observations),
+        residual,
+        _residual_of(before, observations, gravity),
+        np.sqrt(np.diag(S)),
+        _misfit(residual, S),
+        f_limit_95(m, max(calibration.quality.degrees_of_freedom, 1)),
+        f"{m} positions of another session",
+    )
+
+
+def cross_validate(
+    calibration: Calibration, observations: Observations, hold_out: int, before: AccelerometerParameters | None = None
+) -> HeldOut:
+    """Return residuals of positions each predicted by a calibration that has not seen it.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        From these observations; its model and signs are kept.
+    observations : Observations
+    hold_out : int
+        Positions left out at a time.
+    before : AccelerometerParameters, optional
+
+    Raises
+    ------
+    UsageError
+        If too few positions would be left.
+    CalibrationError
+        If those left cannot be calibrated from.
+    """
+    _require_finite(observations)
+    m = len(observations)
+    if not 1 <= hold_out <= m - FEWEST_LEFT:
+        raise UsageError(
+            f"--hold-out {hold_out} of {m} positions is not possible, {FEWEST_LEFT} must be left to calibrate from; give 1 to "
+            f"{max(m - FEWEST_LEFT, 1)}",
+            hold_out=hold_out,
+            positions=m,
+        )
+    groups = -(-m // hold_out)
+    residual, misfit, sigma = np.empty(m), 0.0, np.empty(m)
+    for first in range(groups):
+        held = np.arange(m) % groups == first
+        left = _again(calibration, _rows(observations, ~held))
+        residual[held], S = _residual(left, _rows(observations, held), calibration.gravity)
+        sigma[held] = np.sqrt(np.diag(S))
+        misfit += _misfit(residual[held], S) * int(held.sum()) / m
+    return HeldOut(
+        observations.name,
+        _up(calibration, observations),
+        residual,
+        _residual_of(before, observations, calibration.gravity),
+        sigma,
+        misfit,
+        f_limit_95(m, max(calibration.quality.degrees_of_freedom - hold_out, 1)),
+        f"{m} positions of its own session, up to {hold_out} at a time predicted by a calibration from all the others",
+    )
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _require_finite(observations: Observations) -> None:
+    if not len(observations):
+        raise CalibrationError("the session holds no position to check; hold the instrument still in some", Reason.TOO_FEW)
+    for row in np.flatnonzero(~np.isfinite(observations.mean_raw).all(axis=1)):
+        raise CalibrationError(
+            f"position {observations.name[row]} has the mean output {observations.mean_raw[row].tolist()}, which "
+            "is not finite; remove or retake it",
+            Reason.NOT_FINITE,
+            position=observations.name[row],
+        )
+
+
+def _rows(observations: Observations, rows: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Observations:
+    return Observations(
+        tuple(name for name, kept in zip(observations.name, rows, strict=True) if kept),
+        observations.mean_raw[rows],
+        observations.covariance_raw[rows],
+        observations.gyroscope_mean_raw[rows],
+        observations.gyroscope_covariance_raw[rows],
+        observations.direction[rows],
+        observations.start_s[rows],
+        observations.duration_s[rows],
+        observations.temperature_degc[rows],
+        observations.units,
+    )
+
+
+def _again(calibration: Calibration, observations: Observations) -> Calibration:
+    return calibrate_accelerometer(
+        observations,
+        calibration.gravity,
+        model="quadratic" if calibration.quadratic_fitted else "linear",
+        preset=calibration.accelerometer,
+        quadratic_axes=calibration.accelerometer.quadratic_axes,
+        raw_zero=calibration.accelerometer.raw_zero,
+    )
+
+
+def _up(calibration: Calibration, observations: Observations) -> FloatArray:
+    p = calibration.accelerometer
+    a = norm_derivatives(to_vector(p), observations.mean_raw - p.raw_zero, p.quadratic_axes).a
+    up: FloatArray = a / np.linalg.norm(a, axis=1)[:, None]
+    return up
+
+
+def _residual_of(parameters: AccelerometerParameters | None, observations: Observations, gravity: Gravity) -> FloatArray:
+    if parameters is None:
+        return np.full(len(observations), np.nan)
+    raw = observations.mean_raw - parameters.raw_zero
+    norm = norm_derivatives(to_vector(parameters), raw, parameters.quadratic_axes).norm
+    return norm - gravity.gravity_m_s2
+
+
+def _residual(calibration: Calibration, observations: Observations, gravity: Gravity) -> tuple[FloatArray, FloatArray]:
+    """Return r, shape (m,), and S, shape (m, m)."""
+    p = calibration.accelerometer
+    at = norm_derivatives(to_vector(p), observations.mean_raw - p.raw_zero, p.quadratic_axes)
+    covariance = _covariance(calibration)
+    one_place = abs(gravity.gravity_m_s2 - calibration.gravity.gravity_m_s2) < _SAME_GRAVITY_M_S2
+    J = np.column_stack([at.jacobian, np.full(len(observations), -1.0 if one_place else 0.0)])
+    S = J @ covariance @ J.T
+    own = np.full(len(observations), calibration.quality.between_position_sigma_m_s2**2)
+    if known_covariance(observations.covariance_raw):
+        own = own + within_variance(at.raw_gradient, observations.covariance_raw)
+    S = S + np.diag(own) + (0.0 if one_place else gravity.sigma_m_s2**2)
+    return at.norm - gravity.gravity_m_s2, S
+
+
+def _covariance(calibration: Calibration) -> FloatArray:
+    """Return the covariance of the 15 parameters and gravity, zero for what was not fitted, shape (16, 16)."""
+    names = (*ACCELEROMETER_NAMES, GRAVITY_NAME)
+    own = [k for k, name in enumerate(calibration.covariance_names) if name in names]
+    places = [names.index(calibration.covariance_names[k]) for k in own]
+    covariance = np.zeros((len(names), len(names)))
+    covariance[np.ix_(places, places)] = calibration.covariance[np.ix_(own, own)]
+    return covariance
+
+
+def _misfit(residual: FloatArray, S: FloatArray) -> float:
+    if not np.isfinite(S).all():
+        return float("nan")
+    # Where nothing at all is uncertain (simulations without noise) rounding decides; a nanogal keeps it harmless.
+    return float(residual @ np.linalg.solve(S + np.eye(len(S)) * 1e-22, residual)) / len(residual)
