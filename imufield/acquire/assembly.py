@@ -10,8 +10,12 @@ from numpy.typing import NDArray
 
 from imufield.acquire.layout import Field, Layout, Rows
 from imufield.acquire.protocol import Protocol
-from imufield.acquire.protocol_schema import FlagRule
+from imufield.acquire.protocol_schema import NANOSECONDS, FlagRule
+from imufield.acquire.stamp_clock import NO_TICKS
 from imufield.samples import INSTRUMENT_STATUS_SHIFT, NO_COUNTER, FloatArray, IntArray, Status
+
+_FAR = 2.0**62
+"""Bound on time stamps in ns, for bits that are no time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +88,12 @@ class FrameReader:
         self._gyroscope = _fields(layout, rule.gyroscope.fields)
         self._temperature = _fields(layout, rule.temperature.fields)[:1]
         self._counter = layout.field(protocol.clock.counter_field)
-        self._ticks = layout.field(protocol.clock.time_field)
+        self._ticks = _TickReader(protocol, layout)
+        self._scale_when = {
+            part: (field, when.mask, when.scale / getattr(protocol.samples, part).scale)
+            for part in ("accelerometer", "gyroscope")
+            if (when := getattr(protocol.samples, part).scale_when) and (field := layout.field(when.field))
+        }
         self._may_be_garbage = any(field.type[0] == "f" for field in (*self._accelerometer, *self._gyroscope))
         self.has_samples = bool(self._accelerometer or self._gyroscope)
         """False for frames that carry other things, e.g. a magnetometer alone."""
@@ -102,6 +111,9 @@ class FrameReader:
             # Without a checksum any bits arrive as numbers; what is none is flagged below.
             accelerometer = _triad(rows, self._accelerometer, self._factors["accelerometer"])
             gyroscope = _triad(rows, self._gyroscope, self._factors["gyroscope"])
+            for part, (field, mask, ratio) in self._scale_when.items():
+                values = accelerometer if part == "accelerometer" else gyroscope
+                values[(field.raw(rows) & mask) != 0] *= ratio
             temperature_degc = self._read_temperature(rows)
         status = self._read_status(rows)
         if self._may_be_garbage:
@@ -111,7 +123,7 @@ class FrameReader:
             gyroscope,
             temperature_degc,
             np.full(n, NO_COUNTER) if self._counter is None else self._counter.raw(rows).astype(np.int64),
-            np.empty(0) if self._ticks is None else _ticks(self._ticks.raw(rows)),
+            self._ticks.read(rows),
             status,
             np.zeros(n, dtype=np.int64),
             skipped_before / self.length,
@@ -185,5 +197,29 @@ def _scaled(rows: Rows, field: Field, factor: float) -> FloatArray:
     return values + field.offset * factor if field.offset else values
 
 
-def _ticks(raw: NDArray[Any]) -> NDArray[Any]:
-    return raw.astype(np.float64 if raw.dtype.kind == "f" else np.int64)
+class _TickReader:
+    """Reads the time stamp, or the first of several in ns; fills in where a frame has none but the protocol knows one."""
+
+    def __init__(self, protocol: Protocol, layout: Layout) -> None:
+        rule = protocol.clock
+        self._has_time = bool(rule.time_field)
+        self._field = layout.field(rule.time_field)
+        self._factor = 0.0
+        for time in reversed(rule.times):
+            if found := layout.field(time.field):
+                self._field, self._factor = found, NANOSECONDS / time.ticks_per_s
+        known = protocol.frame.all_fields() if protocol.frame and not rule.times else []
+        fractions = any(field.name == rule.time_field and field.type[0] == "f" for field in known)
+        self._missing: float | int = np.nan if fractions else NO_TICKS
+
+    def read(self, rows: Rows) -> NDArray[Any]:
+        if self._field is None:
+            return np.full(len(rows), self._missing) if self._has_time else np.empty(0)
+        raw = self._field.raw(rows)
+        if not self._factor:
+            return raw.astype(np.float64 if raw.dtype.kind == "f" else np.int64)
+        if raw.dtype.kind == "f":
+            # Seconds of a week: in ns they stay below 2^53, so nothing is lost by rounding.
+            ticks: NDArray[Any] = np.nan_to_num(np.rint(raw * self._factor), nan=0, posinf=0, neginf=0).clip(-_FAR, _FAR)
+            return ticks.astype(np.int64)
+        return raw.astype(np.int64) * np.int64(self._factor)

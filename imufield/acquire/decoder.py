@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.assembly import FrameReader, RawBlock, join
-from imufield.acquire.framing import FrameBlock, Framer
-from imufield.acquire.protocol import Protocol
 from imufield.acquire.frame_schema import FrameRule
-from imufield.acquire.protocol_schema import ClockRule
+from imufield.acquire.framing import FrameBlock, Framer
+from imufield.acquire.layout import Field
+from imufield.acquire.protocol import Protocol
+from imufield.acquire.protocol_schema import NANOSECONDS, ClockRule
 from imufield.acquire.sample_clock import Arrivals, SampleClock
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.acquire.text_lines import LineReader
@@ -32,6 +33,9 @@ _PIECE_BYTES = 1 << 18
 """Larger feeds are worked off in pieces of this size: memory stays bounded, and the pieces stay in cache."""
 _MESSAGES_KEPT = 1000
 """Messages kept until somebody fetches them: identity comes first, a stream of the same kind must not fill memory."""
+
+_LONGEST_WRAP_NS = 2.0**62
+"""Stamps of 64 bits do not wrap while a program runs."""
 
 
 class Decoder:
@@ -220,6 +224,14 @@ def _clock_rule(protocol: Protocol) -> ClockRule:
     fields = {field.name: field for field in reversed(protocol.frame.all_fields())} if protocol.frame else {}
     if rule.counter_field and not rule.counter_modulus:
         rule = replace(rule, counter_modulus=fields[rule.counter_field].modulus)
+    if rule.times:
+        return replace(rule, time_modulus=rule.time_modulus or _longest_wrap(rule, fields))
     if rule.time_field and not rule.time_modulus and fields[rule.time_field].type in ("u8", "u16", "u24", "u32"):
         rule = replace(rule, time_modulus=fields[rule.time_field].modulus)
     return rule
+
+
+def _longest_wrap(rule: ClockRule, fields: Mapping[str, Field]) -> int:
+    """Return after how many ns the longest of several time stamps wraps; 0 where none does."""
+    wraps = [fields[time.field].modulus * NANOSECONDS / time.ticks_per_s for time in rule.times]
+    return round(max((wrap for wrap in wraps if wrap < _LONGEST_WRAP_NS), default=0))

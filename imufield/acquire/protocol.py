@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from imufield.acquire.can_protocol import CanRule
 
 SCHEMA_VERSION = 1
+VERIFIED, DOCUMENT_ONLY = "verified on real bytes", "document only"
 FOLDER = "imufield.protocols"
 
 TO_SI = {
@@ -105,6 +106,8 @@ class Protocol:
     nominal: Nominal
     can: CanRule | None = None
     """For frames of a CAN bus, which have neither ``frame`` nor ``lines``."""
+    status: str = VERIFIED
+    """Or ``DOCUMENT_ONLY``: never tried on bytes of a real instrument."""
 
 
 def protocol_names() -> list[str]:
@@ -221,6 +224,7 @@ def _build_can(top: Table, settings: dict[str, Setting]) -> Protocol:
     name, title, manual = top.text("name"), top.text("title"), top.text("manual")
     parts = read_can(top)
     nominal = _read_nominal(top, parts.units, parts.clock)
+    status = top.choice("status", (VERIFIED, DOCUMENT_ONLY), VERIFIED)
     for key in ("format", "version", "settings", "nominal", "can", "map", "assembly", "clock", "dbc"):
         top.has(key)
     top.finish()
@@ -242,6 +246,7 @@ def _build_can(top: Table, settings: dict[str, Setting]) -> Protocol:
         ones,
         nominal,
         parts.rule,
+        status,
     )
 
 
@@ -258,18 +263,32 @@ def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
     units = _units(top, parts, samples, clock)
     nominal = _read_nominal(top, units, clock)
     _check_fields(top, frame, samples, clock)
-    for key in ("format", "version", "settings", "samples", "clock", "nominal", "status"):
+    for key in ("format", "version", "settings", "samples", "clock", "nominal"):
         top.has(key)
     if not text:
         for key in ("frame", "parts", "frames", "messages"):
             top.has(key)
     if text:
         top.has("text")
+    top.has("status")
     top.finish()
     digest = hashlib.sha256(top.source.text.encode()).hexdigest()
     factors = {part: factor for part, (_, factor) in parts.items()}
     return Protocol(
-        name, title, manual, top.source.text, digest, settings, frame, lines, samples, clock, units, factors, nominal
+        name,
+        title,
+        manual,
+        top.source.text,
+        digest,
+        settings,
+        frame,
+        lines,
+        samples,
+        clock,
+        units,
+        factors,
+        nominal,
+        status=top.choice("status", (VERIFIED, DOCUMENT_ONLY), VERIFIED),
     )
 
 
@@ -287,7 +306,7 @@ def _unit_of(top: Table, part: str, frame: FrameRule | None, samples: SampleRule
         raise table.error(part, f"{written!r} is no unit of this{near(written, TO_SI)}; use one of {known}")
     if quantity.increment and unit in ("m/s^2", "rad/s"):
         raise table.error(part, f"increments cannot have the unit {written!r}; use m/s, rad, count or pulse")
-    return unit, factor
+    return unit, factor * quantity.scale
 
 
 def _units(top: Table, parts: dict[str, tuple[str, float]], samples: SampleRule, clock: ClockRule) -> SampleUnits:
@@ -329,6 +348,6 @@ def _check_fields(top: Table, frame: FrameRule | None, samples: SampleRule, cloc
     for name in [rule.field for rule in samples.flags] + [name for name, _ in samples.instrument_status]:
         if name not in known:
             raise table.error("flags", f"no frame has a field {name!r}{near(name, known)}")
-    for name in (clock.counter_field, clock.time_field):
+    for name in (clock.counter_field, clock.time_field, *(time.field for time in clock.times)):
         if name and name not in known:
             raise top.table("clock").error("", f"no frame has a field {name!r}{near(name, known)}")

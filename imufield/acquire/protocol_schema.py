@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from imufield.acquire.protocol_toml import Table
 from imufield.samples import INSTRUMENT_STATUS_SHIFT, Status
 
+NANOSECONDS = 1e9
+
 
 @dataclass(frozen=True, slots=True)
 class TextRule:
@@ -20,6 +22,24 @@ class TextRule:
 
 
 @dataclass(frozen=True, slots=True)
+class ScaleWhen:
+    """A scale that holds while status bits of the same frame are set."""
+
+    field: str
+    mask: int
+    scale: float
+
+
+@dataclass(frozen=True, slots=True)
+class TimeRule:
+    """One of several time stamps a stream may have."""
+
+    field: str
+    modulus: int
+    ticks_per_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Quantity:
     """A part of a sample: the first of these fields that a frame has (or three of one value each)."""
 
@@ -27,6 +47,9 @@ class Quantity:
     unit: str | None = None
     """None: the unit of the field."""
     increment: bool = False
+    scale: float = 1.0
+    """What the values are multiplied by, besides what their fields say."""
+    scale_when: ScaleWhen | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +88,12 @@ class ClockRule:
     time_ticks_per_s: float = 1.0
     rate_hz: float = 0.0
     """Nominal sample rate; 0: not known beforehand."""
+    counter_jitter: int = 0
+    """By how much a step of the counter may differ from the regular one: it counts time, and rounds."""
+    counter_counts_others: bool = False
+    """The counter also counts messages that are no samples, so it says nothing where there is a time stamp."""
+    times: tuple[TimeRule, ...] = ()
+    """Several time stamps, of which the first that a frame has counts; all are turned into ns."""
 
 
 def read_text(top: Table) -> TextRule:
@@ -109,9 +138,17 @@ def _read_quantity(table: Table) -> Quantity:
         tuple(str(name) for name in table.items("fields", [])),
         table.text("unit") if table.has("unit") else None,
         table.flag("increment"),
+        table.number("scale", 1.0),
+        _read_scale_when(table.table("scale_when")) if table.has("scale_when") else None,
     )
     table.finish()
     return quantity
+
+
+def _read_scale_when(table: Table) -> ScaleWhen:
+    rule = ScaleWhen(table.text("field"), table.integer("mask", 1, (1 << 63) - 1), table.number("scale"))
+    table.finish()
+    return rule
 
 
 def _read_flag(table: Table) -> FlagRule:
@@ -135,19 +172,39 @@ def _read_shift(table: Table) -> tuple[str, int]:
 def read_clock(top: Table) -> ClockRule:
     """Read ``[clock]``."""
     table = top.table("clock")
-    counter, time = table.table("counter"), table.table("time")
+    counter = table.table("counter")
+    several = isinstance(table.plain("time"), list)
+    times = [_read_time(each) for each in (table.tables("time") if several else [table.table("time")])]
+    if several and not all(each.field for each in times):
+        raise table.error("time", "each of several time stamps needs its field")
+    time = _in_nanoseconds(times) if several else times[0]
     rule = ClockRule(
         counter.text("field", ""),
         counter.integer("modulus", 0, 1 << 53, 0),
         counter.number("ticks_per_s", 0.0),
         tuple(step for step in counter.items("steps", [1]) if isinstance(step, int) and step > 0),
-        time.text("field", ""),
-        time.integer("modulus", 0, 1 << 53, 0),
-        time.number("ticks_per_s", 1.0),
+        time.field,
+        time.modulus,
+        time.ticks_per_s,
         table.number("rate_hz", 0.0),
+        counter.integer("jitter", 0, 1 << 16, 0),
+        counter.flag("counts_others"),
+        tuple(times) if several else (),
     )
-    if rule.counter_ticks_per_s < 0 or rule.time_ticks_per_s <= 0 or rule.rate_hz < 0:
+    if rule.counter_ticks_per_s < 0 or min(each.ticks_per_s for each in times) <= 0 or rule.rate_hz < 0:
         raise table.error("ticks_per_s", "rates must be positive")
-    for part in (counter, time, table):
-        part.finish()
+    counter.finish()
+    table.finish()
     return rule
+
+
+def _read_time(table: Table) -> TimeRule:
+    rule = TimeRule(table.text("field", ""), table.integer("modulus", 0, 1 << 53, 0), table.number("ticks_per_s", 1.0))
+    table.finish()
+    return rule
+
+
+def _in_nanoseconds(times: list[TimeRule]) -> TimeRule:
+    """Return what several time stamps have in common: the first field, the longest wrap, ns."""
+    longest = max(round(each.modulus * NANOSECONDS / each.ticks_per_s) for each in times)
+    return TimeRule(times[0].field, longest, NANOSECONDS)

@@ -22,10 +22,10 @@ from imufield.acquire.assembly import RawBlock, join
 from imufield.acquire.loss_watch import LossWatch, TimedBlock
 from imufield.acquire.protocol_schema import ClockRule
 from imufield.acquire.sample_steps import LEARN_FROM, StepRule
-from imufield.acquire.stamp_clock import StampClock
+from imufield.acquire.stamp_clock import NO_TICKS, StampClock
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.errors import ProtocolError, Reason
-from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status
+from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status
 
 _FREE_LAG_S = 0.25
 """Lag that counts as loss where there is no counter: above the usual delays of a busy host."""
@@ -73,7 +73,9 @@ class SampleClock:
         self._statistics = statistics
         self._has_time = bool(rule.time_field)
         self._has_counter = bool(rule.counter_field)
-        self._steps = StepRule(() if self._has_time and not self._has_counter else rule.counter_steps)
+        self._chosen = False
+        """Which of time stamp, counter and host clock to go by is settled: not every stream has what its protocol has."""
+        self._steps = StepRule()
         self._watch = LossWatch(1.0, 1.0)
         self._early: list[tuple[RawBlock, float]] = []
         self._started = False
@@ -118,14 +120,31 @@ class SampleClock:
 
     def _enough_to_start(self) -> bool:
         count = sum(len(block) for block, _ in self._early)
+        if count > LEARN_FROM:
+            self._choose()
         if self._has_counter or self._has_time:
             return count > LEARN_FROM
         span_s = self._early[-1][1] - self._early[0][1]
         return count > LEARN_FROM and (not math.isfinite(span_s) or span_s >= _MEASURE_RATE_S or count > 1 << 16)
 
+    def _choose(self) -> None:
+        """Settle by what the first samples have which clock to go by."""
+        if self._chosen:
+            return
+        self._chosen = True
+        first = join([block for block, _ in self._early])[: LEARN_FROM + 1]
+        missing = np.isnan(first.ticks) if first.ticks.dtype.kind == "f" else first.ticks == NO_TICKS
+        self._has_time = self._has_time and 2 * np.count_nonzero(~missing) > len(first)
+        counted = 2 * np.count_nonzero(first.counter != NO_COUNTER) > len(first)
+        others = self._has_time and self._rule.counter_counts_others
+        self._has_counter = self._has_counter and counted and not others
+        by_stamps = self._has_time and not self._has_counter
+        self._steps = StepRule() if by_stamps else StepRule(self._rule.counter_steps, self._rule.counter_jitter)
+
     def _start_blocks(self) -> list[TimedBlock]:
         """Learn the regular step from the first samples, then time them like all others."""
         self._started = True
+        self._choose()
         first = join([block for block, _ in self._early])[: LEARN_FROM + 1]
         first_steps_s = self._stamps.start(first.ticks) if self._has_time else np.empty(0)
         if self._has_counter:

@@ -42,10 +42,13 @@ class StepRule:
     ----------
     allowed : tuple of int
         Steps a counter may make; empty for time stamps.
+    jitter : int
+        By how much they may be off.
     """
 
-    def __init__(self, allowed: tuple[int, ...] = ()) -> None:
+    def __init__(self, allowed: tuple[int, ...] = (), jitter: int = 0) -> None:
         self._allowed = allowed
+        self._jitter = jitter
         self.step = 0.0
         """The regular step; 0 while not learned."""
         self._run_value = 0.0
@@ -57,7 +60,7 @@ class StepRule:
             positive = steps[steps > _SHORTEST_S]
             self.step = float(np.median(positive)) if len(positive) else 0.0
             return
-        seen = [int(np.count_nonzero(steps == step)) for step in self._allowed]
+        seen = [int(np.count_nonzero(np.abs(steps - step) <= self._jitter)) for step in self._allowed]
         self.step = float(self._allowed[int(np.argmax(seen))])
 
     def examine(self, steps: FloatArray) -> Steps:
@@ -76,14 +79,16 @@ class StepRule:
             ratio = steps[part] / self.step
             lost[part] = np.where(odd[: until - at], np.maximum(np.rint(ratio) - 1, 0), 0)
             irregular[part] = odd[: until - at] & ((lost[part] > 0) | bool(self._allowed))
-            inexact[part] = irregular[part] & (ratio != np.rint(ratio)) & bool(self._allowed)
+            whole = np.abs(ratio - np.rint(ratio)) * self.step <= self._jitter * np.maximum(np.rint(ratio), 1)
+            inexact[part] = irregular[part] & ~whole & bool(self._allowed)
             if learned:
                 self.step, self._run_length = self._run_value, 0
             at = until
         return Steps(lost, irregular, inexact)
 
     def _odd(self, steps: FloatArray) -> NDArray[np.bool_]:
-        odd: NDArray[np.bool_] = steps != self.step if self._allowed else np.abs(steps - self.step) > 2 * _TOLERANCE * self.step
+        tolerance = self._jitter if self._allowed else 2 * _TOLERANCE * self.step
+        odd: NDArray[np.bool_] = np.abs(steps - self.step) > tolerance
         return odd
 
     def _relearn(self, steps: FloatArray, odd_at: IntArray) -> tuple[int, bool]:
@@ -103,8 +108,8 @@ class StepRule:
 
     def _equal(self, value: float) -> bool:
         if self._allowed:
-            return value == self._run_value
+            return abs(value - self._run_value) <= self._jitter
         return abs(value - self._run_value) <= _TOLERANCE * abs(self._run_value)
 
     def _may_be_step(self, value: float) -> bool:
-        return value in self._allowed if self._allowed else value > _SHORTEST_S
+        return any(abs(value - step) <= self._jitter for step in self._allowed) if self._allowed else value > _SHORTEST_S

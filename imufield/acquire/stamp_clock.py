@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from imufield.acquire.protocol_schema import ClockRule
 from imufield.samples import FloatArray
 
+NO_TICKS = np.iinfo(np.int64).min
+"""Time stamp of a sample that has none, where others have whole numbers; NaN where others have fractions."""
+
 _LARGEST_TIME_S = 1e11
 """3000 years; in an unchecked stream anything further from zero, infinity and NaN are garbage."""
 _LONGEST_PAUSE_S = 3600.0
@@ -51,7 +54,7 @@ class StampClock:
     def start(self, stamps: NDArray[Any]) -> FloatArray:
         """Begin with the first of the first n time stamps; return the n - 1 steps between them, s."""
         stamps = self._without_garbage(stamps)
-        self._last = stamps[0].item()
+        self._last = max(stamps[0].item(), -_LARGEST_TIME_S * self._ticks_per_s)
         self._time_s = self._raw_s = self._last / self._ticks_per_s
         return np.diff(stamps) / self._ticks_per_s
 
@@ -81,11 +84,10 @@ class StampClock:
 
     def _without_garbage(self, stamps: NDArray[Any]) -> NDArray[Any]:
         """Replace what is no time by the stamp before: such a sample has no time of its own."""
-        if stamps.dtype.kind == "i":
-            return stamps
-        good = np.abs(stamps) < _LARGEST_TIME_S * self._ticks_per_s
+        is_whole = stamps.dtype.kind == "i"
+        good = stamps != NO_TICKS if is_whole else np.abs(stamps) < _LARGEST_TIME_S * self._ticks_per_s
         if not good.all():
-            stamps = np.concatenate([[self._last], stamps])
+            stamps = np.concatenate([np.array([self._last], dtype=stamps.dtype), stamps])
             place = np.maximum.accumulate(np.where(np.append(True, good), np.arange(len(stamps)), 0))
             stamps = stamps[place][1:]
         return stamps
