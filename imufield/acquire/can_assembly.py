@@ -5,11 +5,12 @@ to it. Or by counter: frames that carry the same count, near each other in time.
 beginning was lost, or it came twice) is left out and counted; a sample of which a frame was lost stays, with what is there.
 
 Where the protocol does not say which kind comes first, the pauses of the bus do: an instrument sends the frames of one sample
-together.
+together. Where stamps show no pauses, the lowest identifier does: it wins the bus.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,10 @@ _OPEN_FRAMES = 4096
 _LATE_FRAMES = 32
 """By counter: how many frames of samples a frame may come late or early where time stamps tell nothing."""
 _PERIOD_PART = 0.75
+_LEAST_LIMIT_S = 0.02
+"""A host under load stamps the second frame of a sample so much later, whatever the period."""
+_CLEAR = 2.0
+"""Factor by which the longest pause must exceed all others; stamps made while reading a buffer show none."""
 _USUAL_PART = 0.7
 """A kind that may begin samples comes at least this often, compared with the most frequent one."""
 
@@ -34,12 +39,12 @@ _USUAL_PART = 0.7
 class SampleFrames:
     """The frames of a block that carry parts of samples, in the order of the bus."""
 
-    kind: NDArray[np.int64]
+    kind: NDArray[np.int8]
     """Number of the kind. Shape (n,)."""
     time_s: FloatArray
     """Shape (n,)."""
-    same_as_before: NDArray[np.bool_]
-    """Whether the data are those of the frame before. Shape (n,)."""
+    is_repeated: Callable[[IntArray], NDArray[np.bool_]]
+    """Tells for the frames of these places whether their data are those of the frame before."""
     group: IntArray | None = None
     """Shared counter, where there is one. Shape (n,)."""
 
@@ -72,21 +77,24 @@ class Assembler:
     Parameters
     ----------
     rule : AssemblyRule
-    kinds : int
-        Number of kinds.
-    may_begin : sequence of bool
-        Which kinds carry inertial values.
+    identifiers : list of int
+        Of each kind. The lowest wins the bus where several are ready at once.
     """
 
-    def __init__(self, rule: AssemblyRule, kinds: int, may_begin: list[bool]) -> None:
+    def __init__(self, rule: AssemblyRule, identifiers: list[int]) -> None:
         self._rule = rule
-        self._kinds = kinds
-        self._may_begin = np.array(may_begin)
-        self._start = 0 if kinds == 1 else rule.starts_with
+        self._kinds = len(identifiers)
+        self._identifiers = np.array(identifiers)
+        self._start = 0 if self._kinds == 1 else rule.starts_with
         self._limit_s = rule.limit_s
-        self._learned = kinds == 1 or (self._start is not None and self._limit_s > 0)
+        self._learned = self._kinds == 1 or (self._start is not None and self._limit_s > 0)
         self._done = 0
         """By counter: samples given out of those that begin with the first frames of the next block."""
+
+    @property
+    def start(self) -> int:
+        """Number of the kind samples begin with; 0 while it is not learned."""
+        return self._start or 0
 
     def group(self, frames: SampleFrames, *, last: bool = False) -> Groups:
         """Return the samples that are settled now.
@@ -119,24 +127,27 @@ class Assembler:
         if self._start is None:
             pause_s = np.diff(frames.time_s, prepend=frames.time_s[0])
             total_s = np.bincount(frames.kind, weights=pause_s, minlength=self._kinds)
-            usual = (counts >= _USUAL_PART * counts.max()) & self._may_begin
-            usual = usual if usual.any() else counts > 0
-            # Where stamps tell nothing all pauses are equal, and the kind seen first is as good as any.
-            best = np.where(usual, total_s / np.maximum(counts, 1), -1.0)
-            first = [int(kind) for kind in frames.kind if best[kind] >= best.max()]
-            self._start = first[0] if first else int(np.argmax(best))
+            mean_s = np.where(counts >= _USUAL_PART * counts.max(), total_s / np.maximum(counts, 1), -1.0)
+            usual = np.flatnonzero(mean_s >= 0)
+            longest = int(np.argmax(mean_s))
+            is_clear = mean_s[longest] >= _CLEAR * float(np.delete(mean_s, longest).max(initial=0.0))
+            self._start = longest if is_clear else int(usual[np.argmin(self._identifiers[usual])])
         if not self._limit_s:
             number = max(int(counts[self._start]) - 1, 1)
-            self._limit_s = _PERIOD_PART * max(float(frames.time_s[-1] - frames.time_s[0]), 0.0) / number
+            period_s = max(float(frames.time_s[-1] - frames.time_s[0]), 0.0) / number
+            self._limit_s = max(_PERIOD_PART * period_s, _LEAST_LIMIT_S)
 
     def _by_order(self, frames: SampleFrames, last: bool) -> Groups:
+        regular = self._all_complete(frames)
+        if regular is not None:
+            return Groups(regular, 0, len(frames))
         kind, time_s = frames.kind, frames.time_s
-        is_start = kind == self._start
-        # The same frame twice in a row, at once: sent again, or doubled on the way.
-        doubled = is_start & frames.same_as_before
-        doubled[1:] &= is_start[:-1] & (np.diff(time_s) <= self._limit_s)
-        doubled[:1] = False
-        starts = np.flatnonzero(is_start & ~doubled)
+        starts = np.flatnonzero(kind == self._start)
+        again = starts[1:][np.diff(starts) == 1]
+        if len(again):
+            # The same frame twice in a row, at once: sent again, or doubled on the way.
+            again = again[frames.is_repeated(again) & (time_s[again] - time_s[again - 1] <= self._limit_s)]
+            starts = np.setdiff1d(starts, again, assume_unique=True)
         rows = np.full((len(starts), self._kinds), NO_FRAME)
         used = len(starts)
         if used:
@@ -148,6 +159,21 @@ class Assembler:
         keep_from = int(starts[settled]) if settled < len(starts) else len(frames)
         taken = int(np.count_nonzero(rows[:settled] != NO_FRAME))
         return Groups(rows[:settled], keep_from - taken, keep_from)
+
+    def _all_complete(self, frames: SampleFrames) -> IntArray | None:
+        """Return the samples of a block where nothing is missing, doubled or late: nearly always, and quickly."""
+        n = len(frames)
+        if n % self._kinds or n == 0 or frames.kind[0] != self._start:
+            return None
+        cycle = frames.kind[: self._kinds]
+        times = frames.time_s.reshape(-1, self._kinds)
+        if (
+            len(set(cycle.tolist())) < self._kinds
+            or not (frames.kind.reshape(-1, self._kinds) == cycle).all()
+            or (times - times[:, :1]).max() > self._limit_s
+        ):
+            return None
+        return np.arange(n).reshape(-1, self._kinds)[:, np.argsort(cycle)]
 
     def _first_behind(self, places: IntArray, starts: IntArray, time_s: FloatArray) -> IntArray:
         """Return for each start the first of ``places`` before the next start and within the limit."""

@@ -11,7 +11,8 @@ is therefore the true phase plus a delay, and its minimum over the samples that 
     E(i) = min L(i .. i + w),
 
 is the phase without the delay of bursts. The time of a sample is E(i) + i T. Where k samples are missing, L rises by k T and
-stays there, so E makes a step; a delay that passes makes none. Such losses are estimates and flagged so.
+stays there, so E makes a step; a delay that passes makes none. Such losses are estimates and flagged so. Where frames come in
+bursts longer than a period (an adapter without stamps of its own), only steps beyond that delay can be told from it.
 
 A counter in the messages numbers the samples itself: losses below one wrap of it are exact, and the steps of E that are left
 are whole wraps. A time stamp of the instrument replaces all of this.
@@ -40,6 +41,9 @@ _MOST_LEARNED = 4096
 """Samples after which the period is learned even if the stamps stand still."""
 _REGULAR = 0.25
 """Part of a step by which stamps of an adapter jitter; bursts of a host are beyond."""
+_USUAL_DELAY = 0.95
+_BURST_S = 0.02
+"""Least step that counts where frames come in bursts: a host under load is late by as much at any time."""
 _RESET_S = 1.0
 """A stamp that runs back by more is another clock (the adapter's wrapped), by less frames out of order."""
 _LONGEST_PAUSE_S = 3600.0
@@ -57,6 +61,8 @@ class _Phase:
     """Samples in the smallest loss that only time shows: 1, or a wrap of the counter."""
     number: float = 0.0
     """Number of the next sample."""
+    visible_s: float = 0.0
+    """Smallest step of the phase that counts as loss."""
     base_s: float = 0.0
     """Phase at the last sample given out."""
     last_time_s: float = -np.inf
@@ -154,6 +160,9 @@ class CanClock:
         phase = _Phase(period_s, window, max(unit, 1))
         lag_s = block.stamp_s - np.cumsum(steps) * period_s
         phase.base_s = float(lag_s[: window + 1].min())
+        delay_s = float(np.quantile(lag_s - _minimum_ahead(lag_s, window), _USUAL_DELAY))
+        unit_s = phase.unit * period_s
+        phase.visible_s = unit_s / 2 if 2 * delay_s < unit_s else max(2 * delay_s, _BURST_S, unit_s / 2)
         return phase
 
     def _steps(self, counter: IntArray, *, remember: bool = True) -> FloatArray:
@@ -177,53 +186,49 @@ class CanClock:
 
     def _time(self, block: CanBlock, ready: int, phase: _Phase) -> Samples:
         """Give the first ``ready`` samples of the held block their time."""
-        counter_before = self._last_counter
-        steps = self._steps(block.counter)
-        if counter_before is not None:
-            # What stays held is counted again in the next call.
-            self._last_counter = counter_before
-            self._steps(block.counter[:ready])
-        number = phase.number + np.cumsum(steps)
+        number, steps = self._numbers(block, ready, phase)
         lag_s = block.stamp_s - number * phase.period_s
         envelope_s = _minimum_ahead(lag_s, phase.window)[:ready]
-        units = self._losses(envelope_s, phase)
         time_s = envelope_s + number[:ready] * phase.period_s
-        time_s = _forward(time_s, phase)
-        phase.number = float(number[ready - 1])
-        samples = self._samples(block[:ready], time_s, steps[:ready] - 1, units * phase.unit)
+        moved_s = np.diff(envelope_s, prepend=phase.base_s)
+        least_s, most_s = float(moved_s.min()), float(moved_s.max())
+        phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
+        if least_s > -_DRIFT * phase.period_s and most_s < min(phase.visible_s, _DRIFT * phase.period_s):
+            # The phase stands: no loss by time, no change of rate, and time runs forward.
+            phase.run, phase.last_time_s = 0, float(time_s[-1])
+            estimated = None
+        else:
+            estimated = _losses(moved_s, phase)
+            time_s = _forward(time_s, phase)
+        samples = self._samples(block[:ready], time_s, steps, estimated)
         self._measure(phase, time_s)
         self._last_time_s = phase.last_time_s
-        if self._rate_changed(envelope_s, phase):
+        if estimated is not None and self._rate_changed(moved_s, phase):
             self._phase = None
         return samples
 
-    def _losses(self, envelope_s: FloatArray, phase: _Phase) -> IntArray:
-        """Return how many units are missing before each sample. Shape (n,)."""
-        lost = np.zeros(len(envelope_s), dtype=np.int64)
-        unit_s = phase.unit * phase.period_s
-        at = 0
-        while at < len(envelope_s):
-            rest = envelope_s[at:]
-            moved = np.diff(rest, prepend=phase.base_s) >= unit_s / 2
-            if not moved.any():
-                break
-            place = at + int(np.argmax(moved))
-            before_s = float(envelope_s[place - 1]) if place > at else phase.base_s
-            lost[place] = round((float(envelope_s[place]) - before_s) / unit_s)
-            phase.base_s = float(envelope_s[place])
-            at = place + 1
-        phase.base_s = float(envelope_s[-1])
-        return lost
+    def _numbers(self, block: CanBlock, ready: int, phase: _Phase) -> tuple[FloatArray, FloatArray | None]:
+        """Return the numbers of all samples held, and the steps of the first ``ready`` where there is a counter."""
+        if self._last_counter is None:
+            return np.arange(phase.number + 1, phase.number + len(block) + 0.5), None
+        number = phase.number + np.cumsum(self._steps(block.counter, remember=False))
+        # What stays held is counted again in the next call.
+        return number, self._steps(block.counter[:ready])
 
-    def _samples(self, block: CanBlock, time_s: FloatArray, lost: FloatArray, estimated: IntArray) -> Samples:
+    def _samples(self, block: CanBlock, time_s: FloatArray, steps: FloatArray | None, estimated: IntArray | None) -> Samples:
         flags = np.full(len(block), np.uint32(Status.TIME_ESTIMATED), dtype=np.uint32)
-        missing = np.maximum(lost, 0).astype(np.int64)
-        flags[missing > 0] |= np.uint32(Status.AFTER_GAP)
-        flags[estimated > 0] |= np.uint32(Status.GAP_ESTIMATED)
-        self._statistics.samples += len(block)
-        self._statistics.samples_lost += int(missing.sum())
-        self._statistics.losses_estimated += int(estimated.sum())
-        self._statistics.gaps += int(np.count_nonzero((missing > 0) | (estimated > 0)))
+        statistics = self._statistics
+        statistics.samples += len(block)
+        gaps = np.zeros(len(block), dtype=np.bool_)
+        if steps is not None and steps.max() > 1:
+            gaps = steps > 1
+            flags[gaps] |= np.uint32(Status.AFTER_GAP)
+            statistics.samples_lost += int(steps[gaps].sum()) - int(np.count_nonzero(gaps))
+        if estimated is not None and estimated.any():
+            flags[estimated > 0] |= np.uint32(Status.GAP_ESTIMATED)
+            statistics.losses_estimated += int(estimated.sum())
+            gaps = gaps | (estimated > 0)
+        statistics.gaps += int(np.count_nonzero(gaps))
         return _make(block, time_s, flags, self._units)
 
     def _measure(self, phase: _Phase, time_s: FloatArray) -> None:
@@ -236,20 +241,25 @@ class CanClock:
         if span_s >= 2 * _LEARN_S:
             self._statistics.rate_hz = samples / span_s
 
-    def _rate_changed(self, envelope_s: FloatArray, phase: _Phase) -> bool:
+    def _rate_changed(self, moved_s: FloatArray, phase: _Phase) -> bool:
         """Whether the phase runs away, which a wrong period makes it do."""
-        moves = np.abs(np.diff(envelope_s)) > _DRIFT * phase.period_s
-        if moves.all() and len(moves):
-            phase.run += len(moves)
-        longest = phase.run
-        if len(moves) and not moves.all():
-            still = np.flatnonzero(~moves)
+        moves = np.abs(moved_s) > _DRIFT * phase.period_s
+        still = np.flatnonzero(~moves)
+        if len(still):
             longest = max(phase.run + int(still[0]), int(np.diff(still).max(initial=1)) - 1)
             phase.run = len(moves) - 1 - int(still[-1])
+        else:
+            phase.run = longest = phase.run + len(moves)
         if max(longest, phase.run) < _DRIFT_RUN:
             return False
         self._begin = None
         return True
+
+
+def _losses(moved_s: FloatArray, phase: _Phase) -> IntArray:
+    """Return how many samples are missing before each one by the steps of the phase, whole units of them. Shape (n,)."""
+    unit_s = phase.unit * phase.period_s
+    return np.where(moved_s >= phase.visible_s, np.rint(moved_s / unit_s), 0).astype(np.int64) * phase.unit
 
 
 def _enough(stamp_s: FloatArray) -> bool:
@@ -274,9 +284,10 @@ def _period(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> float:
     steps_s = np.diff(stamp_s) / np.maximum(np.diff(number), 1.0)
     middle_s = float(np.median(steps_s))
     regular = np.abs(steps_s - middle_s) <= _REGULAR * middle_s
-    if middle_s > 0 and np.count_nonzero(regular) >= 0.75 * len(steps_s):
-        return float(steps_s[regular].mean())
     mean_s = float((stamp_s[-1] - stamp_s[0]) / (number[-1] - number[0]))
+    # Frames read out of a buffer are evenly spaced too, but more closely than they come on the whole.
+    if np.count_nonzero(regular) >= 0.75 * len(steps_s) and middle_s > mean_s / 2:
+        return float(steps_s[regular].mean())
     # Bursts: the ends of the first and of the last ones are the least late.
     lag_s = stamp_s - number * mean_s
     third = max(len(lag_s) // 3, 1)

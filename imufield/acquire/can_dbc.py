@@ -8,7 +8,7 @@ bit, big-endian ("Motorola") ones at their most significant.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -24,6 +24,7 @@ from imufield.samples import FloatArray
 
 Rows = NDArray[np.uint8]
 
+CLASSICAL_BYTES = 8
 _PDU1_BELOW = 0xF000
 """J1939: below this PDU format 240 the lower byte is a destination address and no part of the group number."""
 _NOT_AVAILABLE = re.compile(
@@ -107,12 +108,14 @@ class CanSignal:
     def _bits(self, rows: Rows) -> NDArray[np.uint64]:
         """Cut the bits out of a window of 8 bytes, and of a ninth where the signal reaches into it."""
         begin = self.first_byte
+        mask = np.uint64((1 << self.length) - 1)
+        if self.start % 8 + self.length <= 8 and not self.big_endian:
+            return rows[:, begin].astype(np.uint64) >> np.uint64(self.start % 8) & mask
         window = rows[:, begin : begin + 8]
         if window.shape[1] < 8:
             window = np.pad(window, ((0, 0), (0, 8 - window.shape[1])))
         ninth = self.bytes_needed - begin > 8
         last = rows[:, begin + 8].astype(np.uint64) if ninth else None
-        mask = np.uint64((1 << self.length) - 1)
         if self.big_endian:
             word = window.view(">u8")[:, 0].astype(np.uint64)
             shift = 64 - self._first_bit_in_order % 8 - self.length
@@ -246,6 +249,24 @@ class DbcFile:
             return {"undecoded": data.hex(), "error": str(error)}
         values = decoded.items() if isinstance(decoded, dict) else ()
         return {key: value if isinstance(value, (int, float)) else str(value) for key, value in values}
+
+    def identifier(self, name: str, source_address: int | None = None) -> int:
+        """Return the identifier message ``name`` is sent with: priority as in the file, J1939 from ``source_address``."""
+        message = self._database.get_message_by_name(name)
+        number: int = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
+        if source_address is not None and self._is_j1939(message):
+            return number & ~0xFF | source_address
+        return number
+
+    def encode(self, name: str, raw: Mapping[str, float]) -> bytes:
+        """Return the data of message ``name`` with raw values by signal; 0 for those not given, cantools at work."""
+        message = self._database.get_message_by_name(name)
+        values = {signal.name: 0 for signal in message.signals} | dict(raw)
+        return bytes(message.encode(values, scaling=False, strict=False))
+
+    def is_fd(self, name: str) -> bool:
+        """Return whether message ``name`` has more data than a classical frame holds."""
+        return bool(self._database.get_message_by_name(name).length > CLASSICAL_BYTES)
 
     def _is_j1939(self, message: Message) -> bool:
         if self._identifiers == "auto":

@@ -123,7 +123,9 @@ class CanFrames:
         """
         first = self.unit[which]
         if width <= _FIRST:
-            return self.units[first, 16:]
+            # One number of 8 bytes for each frame is gathered several times faster than 8 of one.
+            eight: Units = self.units.view(np.uint64)[first, 2].view(np.uint8).reshape(-1, _FIRST)
+            return eight
         rows = np.zeros((len(which), _FIRST + 3 * _FURTHER), dtype=np.uint8)
         rows[:, :_FIRST] = self.units[first, 16:]
         for number in range(3):
@@ -153,41 +155,52 @@ class Unpacker:
             Nothing will follow: what cannot be completed counts as skipped.
         """
         data = self._rest + data if self._rest else data
-        end = len(data) - len(data) % UNIT_BYTES
-        units = np.frombuffer(data, dtype=np.uint8, count=end).reshape(-1, UNIT_BYTES)
-        if not _all_units(units):
+        units = _units_of(data)
+        is_first = _first_units(units)
+        if is_first is None:
             data = self._only_units(data, last)
-            end = len(data) - len(data) % UNIT_BYTES
-            units = np.frombuffer(data, dtype=np.uint8, count=end).reshape(-1, UNIT_BYTES)
+            units = _units_of(data)
+            is_first = _first_units(units)
         whole = len(units) if last else _whole_units(units)
         self._rest = data[whole * UNIT_BYTES :]
         if last:
             self.bytes_skipped += len(self._rest)
             self._rest = b""
-        return self._frames(units[:whole])
+        if is_first is None or is_first.all():
+            return self._short_frames(units[:whole])
+        return self._long_frames(units[:whole], np.flatnonzero(is_first[:whole]))
 
     def put_back(self, frames: CanFrames, first: int) -> None:
         """Take frames from ``first`` on back: the next call of ``feed`` returns them again."""
-        self._rest = frames.units[frames.unit[first] :].tobytes() + self._rest
+        if len(frames) == len(frames.units):
+            self._rest = frames.units[first:].tobytes() + self._rest
+            return
+        lengths = 1 + _further_units(frames.size[first:])
+        pieces = (frames.units[at : at + length] for at, length in zip(frames.unit[first:], lengths, strict=True))
+        self._rest = b"".join(piece.tobytes() for piece in pieces) + self._rest
 
-    def _frames(self, units: Units) -> CanFrames:
-        words = units.view("<u4")
-        continued = words[:, 0] == _CONTINUATION
-        first = np.flatnonzero(~continued) if continued.any() else np.arange(len(units))
-        size = units[first, 4]
-        if len(first) < len(units):
-            # A frame counts if as many units follow as its length needs; others lost some, or have too many.
-            follow = np.diff(np.append(first, len(units))) - 1
-            good = follow == _further_units(size)
-            self.bytes_skipped += int(UNIT_BYTES * (len(units) - np.sum(1 + follow[good])))
-            first, size = first[good], size[good]
-        else:
-            good = size <= _FIRST
-            if not good.all():
-                self.bytes_skipped += UNIT_BYTES * int(np.count_nonzero(~good))
-                first, size = first[good], size[good]
-        time_s = units.view("<f8")[first, 1]
-        return CanFrames(words[first, 0], size, units[first, 5], time_s, units, first)
+    def _short_frames(self, units: Units) -> CanFrames:
+        """Return frames of one unit each."""
+        unit, size = np.arange(len(units)), units[:, 4]
+        if len(units) and size.max() > _FIRST:
+            good = np.flatnonzero(size <= _FIRST)
+            self.bytes_skipped += UNIT_BYTES * (len(units) - len(good))
+            unit = good
+        return self._at(units, unit)
+
+    def _long_frames(self, units: Units, first: IntArray) -> CanFrames:
+        """Return frames of one or more units: those that as many follow as their length needs; others lost some."""
+        follow = np.diff(np.append(first, len(units))) - 1
+        good = follow == _further_units(units[first, 4])
+        self.bytes_skipped += int(UNIT_BYTES * (len(units) - np.sum(1 + follow[good])))
+        return self._at(units, first[good])
+
+    @staticmethod
+    def _at(units: Units, unit: IntArray) -> CanFrames:
+        words, times = units.view("<u4"), units.view("<f8")
+        if len(unit) == len(units):
+            return CanFrames(words[:, 0], units[:, 4], units[:, 5], times[:, 1], units, unit)
+        return CanFrames(words[unit, 0], units[unit, 4], units[unit, 5], times[unit, 1], units, unit)
 
     def _only_units(self, data: bytes, last: bool) -> bytes:
         """Keep what looks like units; step byte by byte over the rest until a mark stands where one should."""
@@ -208,10 +221,17 @@ class Unpacker:
         return b"".join(kept) + rest
 
 
-def _all_units(units: Units) -> bool:
-    """Tell whether every unit is a frame of a possible length or a continuation."""
-    is_frame = (units.view("<u2")[:, 3] == MARK) & (units[:, 4] <= MOST_DATA)
-    return bool(is_frame.all() or (is_frame | (units.view("<u4")[:, 0] == _CONTINUATION)).all())
+def _units_of(data: bytes) -> Units:
+    end = len(data) - len(data) % UNIT_BYTES
+    return np.frombuffer(data, dtype=np.uint8, count=end).reshape(-1, UNIT_BYTES)
+
+
+def _first_units(units: Units) -> NDArray[np.bool_] | None:
+    """Return which units begin a frame, the others going on with one; None where some do neither."""
+    is_first: NDArray[np.bool_] = (units.view("<u2")[:, 3] == MARK) & (units[:, 4] <= MOST_DATA)
+    if is_first.all() or (units.view("<u4")[~is_first, 0] == _CONTINUATION).all():
+        return is_first
+    return None
 
 
 def _is_unit(data: bytes, at: int) -> bool:

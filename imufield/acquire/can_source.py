@@ -89,9 +89,12 @@ class CanSource:
         self._address = rule.source_address
         self._kinds = [_KindReader(kind) for kind in rule.kinds]
         self._match_address()
-        inertial = [any(column.place < TEMPERATURE for column in kind.columns) for kind in rule.kinds]
-        self._assembler = Assembler(rule.assembly, len(rule.kinds), inertial)
-        self._skipped = 0
+        self._has_time = any(kind.time for kind in rule.kinds)
+        self._inertial = [
+            number for number, kind in enumerate(rule.kinds) if any(column.place < TEMPERATURE for column in kind.columns)
+        ]
+        self._bytes_needed = max(reader.bytes_needed for reader in self._kinds)
+        self._assembler = Assembler(rule.assembly, [rule.dbc.identifier(kind.message.name) for kind in rule.kinds])
 
     def feed(self, data: bytes) -> CanBlock | None:
         """Return the samples that are settled, None if there are none."""
@@ -116,19 +119,28 @@ class CanSource:
             self._put_back = len(frames) - first
             self._unpacker.put_back(frames, first)
         self._note_skipped(groups.left_out)
-        rows = np.where(groups.rows == NO_FRAME, NO_FRAME, places[groups.rows]) if len(groups.rows) else groups.rows
-        return self._values(frames, rows) if len(rows) else None
+        rows = groups.rows
+        if len(rows) == 0:
+            return None
+        is_complete = bool(rows.min() >= 0)
+        if len(places) < len(frames):
+            rows = places[rows] if is_complete else np.where(rows == NO_FRAME, NO_FRAME, places[rows])
+        return self._values(frames, rows, is_complete)
 
-    def _kinds_of(self, frames: CanFrames) -> NDArray[np.int64]:
+    def _kinds_of(self, frames: CanFrames) -> NDArray[np.int8]:
         """Return the number of the kind of each frame, ``_NO_KIND`` for those of no sample. Shape (n,)."""
         if self._address == ANY_ADDRESS and len(frames):
             self._choose_address(frames)
-        kind = np.full(len(frames), _NO_KIND)
+        kind = np.full(len(frames), _NO_KIND, dtype=np.int8)
+        masked: dict[int, NDArray[np.uint32]] = {}
         for number, reader in enumerate(self._kinds):
-            hit = (frames.can_id & reader.mask) == reader.can_id
+            bits = int(reader.mask)
+            if bits not in masked:
+                masked[bits] = frames.can_id & reader.mask
+            hit = masked[bits] == reader.can_id
             if reader.selectors and hit.any():
                 hit[hit] = reader.is_selected(frames, np.flatnonzero(hit))
-            kind[hit] = number
+            np.putmask(kind, hit, number)
         return kind
 
     def _choose_address(self, frames: CanFrames) -> None:
@@ -146,25 +158,30 @@ class CanSource:
             message = with_source_address(reader.kind.message, self._address)
             reader.mask, reader.can_id = np.uint32(message.mask | ERROR | REMOTE), np.uint32(message.can_id)
 
-    def _count(self, frames: CanFrames, kind: NDArray[np.int64], new_from: int) -> None:
+    def _count(self, frames: CanFrames, kind: NDArray[np.int8], new_from: int) -> None:
         """Drop frames that are too short; count the new frames by kind and hand out messages."""
-        is_new = np.arange(len(frames)) >= new_from
         lacking = 0
-        for number, reader in enumerate(self._kinds):
-            own = kind == number
-            short = own & (frames.size < reader.bytes_needed)
-            if short.any():
-                kind[short] = _SHORT
-                own &= ~short
-                here = int(np.count_nonzero(short & is_new))
-                self._add(f"{reader.kind.name}, too short", here)
-                lacking += here
-            self._add(reader.kind.name, int(np.count_nonzero(own[new_from:])))
+        if len(frames) and frames.size.min() < self._bytes_needed:
+            lacking = self._drop_short(frames, kind, new_from)
+        counts = np.bincount(kind[new_from:] + 2, minlength=len(self._kinds) + 2).tolist()
+        for reader, count in zip(self._kinds, counts[2:], strict=True):
+            self._add(reader.kind.name, count)
         self._statistics.frames += len(frames) - new_from - lacking
         self._statistics.frames_bad_checksum += lacking
-        others = np.flatnonzero(kind[new_from:] == _NO_KIND) + new_from
-        if len(others):
-            self._count_others(frames, others)
+        if counts[_NO_KIND + 2]:
+            self._count_others(frames, np.flatnonzero(kind[new_from:] == _NO_KIND) + new_from)
+
+    def _drop_short(self, frames: CanFrames, kind: NDArray[np.int8], new_from: int) -> int:
+        """Mark frames that end before their signals do; return how many of them are new."""
+        lacking = 0
+        for number, reader in enumerate(self._kinds):
+            short = (kind == number) & (frames.size < reader.bytes_needed)
+            if short.any():
+                kind[short] = _SHORT
+                here = int(np.count_nonzero(short[new_from:]))
+                self._add(f"{reader.kind.name}, too short", here)
+                lacking += here
+        return lacking
 
     def _count_others(self, frames: CanFrames, others: IntArray) -> None:
         can_id = frames.can_id[others]
@@ -195,14 +212,15 @@ class CanSource:
         self._add("without a sample", left_out)
         self._statistics.bytes_skipped = self._unpacker.bytes_skipped
 
-    def _sample_frames(self, frames: CanFrames, kind: NDArray[np.int64], places: IntArray) -> SampleFrames:
+    def _sample_frames(self, frames: CanFrames, kind: NDArray[np.int8], places: IntArray) -> SampleFrames:
         whole = len(places) == len(frames)
         own = kind if whole else kind[places]
-        same = np.zeros(len(places), dtype=np.bool_)
-        if len(self._kinds) > 1:
-            unit = frames.unit if whole else frames.unit[places]
-            data = frames.units[unit, 16:].view(np.uint64)[:, 0] if len(unit) else np.empty(0, dtype=np.uint64)
-            same[1:] = (data[1:] == data[:-1]) & (own[1:] == own[:-1])
+
+        def is_repeated(which: IntArray) -> NDArray[np.bool_]:
+            here, before = frames.data(places[which], 8), frames.data(places[which - 1], 8)
+            same: NDArray[np.bool_] = (here == before).all(axis=1) & (own[which] == own[which - 1])
+            return same
+
         group = None
         if self._rule.assembly.by_counter:
             group = np.zeros(len(places), dtype=np.int64)
@@ -210,37 +228,50 @@ class CanSource:
                 mine = own == number
                 if reader.kind.group is not None and mine.any():
                     group[mine] = reader.kind.group.raw(reader.data(frames, places[mine])).astype(np.int64)
-        return SampleFrames(own, frames.time_s if whole else frames.time_s[places], same, group)
+        return SampleFrames(own, frames.time_s if whole else frames.time_s[places], is_repeated, group)
 
-    def _values(self, frames: CanFrames, rows: IntArray) -> CanBlock:
+    def _values(self, frames: CanFrames, rows: IntArray, is_complete: bool) -> CanBlock:
         """Read the frames of n samples; ``rows`` has one column per kind."""
         n = len(rows)
-        values = np.full((n, _VALUES), np.nan)
+        values = np.full((_VALUES, n), np.nan)
         status = np.zeros(n, dtype=np.uint32)
         counter = np.full(n, NO_COUNTER, dtype=np.int64)
-        ticks = np.full(n if any(kind.time for kind in self._rule.kinds) else 0, np.nan)
+        ticks = np.full(n if self._has_time else 0, np.nan)
+        into = Rows(values, status, counter, ticks)
+        has_gaps = not is_complete
         for number, reader in enumerate(self._kinds):
-            there = rows[:, number] != NO_FRAME
-            if there.all():
-                reader.read(frames, rows[:, number], slice(None), values, status, counter, ticks)
-            elif there.any():
-                reader.read(frames, rows[there, number], there, values, status, counter, ticks)
-        self._flag_gaps(values, status)
-        first = np.where(rows == NO_FRAME, np.iinfo(np.int64).max, rows).min(axis=1) if rows.shape[1] > 1 else rows[:, 0]
-        block = CanBlock(values, status, counter, ticks, frames.time_s[first])
+            which = rows[:, number]
+            if is_complete or (which >= 0).all():
+                has_gaps |= reader.read(reader.data(frames, which), into, slice(None))
+            elif len(there := np.flatnonzero(which >= 0)):
+                reader.read(reader.data(frames, which[there]), into, there)
+        if has_gaps:
+            self._flag_gaps(values, status)
+        block = CanBlock(values.T, status, counter, ticks, frames.time_s[rows[:, self._assembler.start]])
+        if is_complete:
+            return block
         # What carries neither acceleration nor rate is no sample.
-        empty = np.isnan(values[:, :TEMPERATURE]).all(axis=1) if (rows == NO_FRAME).any() else np.zeros(n, dtype=np.bool_)
-        return block if not empty.any() else block[~empty]
+        has_values: NDArray[np.bool_] = (rows[:, self._inertial] >= 0).any(axis=1)
+        return block[has_values]
 
     def _flag_gaps(self, values: FloatArray, status: NDArray[np.uint32]) -> None:
-        for has, columns, flag in (
+        for has, rows, flag in (
             (self._rule.has_accelerometer, _ACCELEROMETER, Status.ACCELEROMETER_INVALID),
             (self._rule.has_gyroscope, _GYROSCOPE, Status.GYROSCOPE_INVALID),
         ):
-            # A sum is NaN if one of the three is: cheaper than asking each.
-            gap = np.isnan(values[:, columns].sum(axis=1)) if has else None
-            if gap is not None and gap.any():
-                status[gap] |= np.uint32(flag)
+            if has:
+                status[~np.isfinite(values[rows]).all(axis=0)] |= np.uint32(flag)
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Arrays of a block being filled."""
+
+    values: FloatArray
+    """Shape (7, n): what is read is written one after another."""
+    status: NDArray[np.uint32]
+    counter: IntArray
+    ticks: FloatArray
 
 
 class _KindReader:
@@ -252,7 +283,7 @@ class _KindReader:
         self.bytes_needed = kind.bytes_needed
         self.mask = np.uint32(kind.message.mask)
         self.can_id = np.uint32(kind.message.can_id)
-        self._triads, self._columns = _find_triads(kind.columns)
+        self._flag_tables, self._flags = _flag_tables(kind.flags)
 
     def data(self, frames: CanFrames, which: IntArray) -> NDArray[np.uint8]:
         """Return the data of some frames."""
@@ -266,103 +297,70 @@ class _KindReader:
             chosen &= np.isin(signal.raw(data), allowed)
         return chosen
 
-    def read(
-        self,
-        frames: CanFrames,
-        which: IntArray,
-        into: Any,
-        values: FloatArray,
-        status: NDArray[np.uint32],
-        counter: IntArray,
-        ticks: FloatArray,
-    ) -> None:
-        """Write values, flags, counter and time stamps of frames ``which`` into the rows ``into`` of a block."""
-        data = self.data(frames, which)
-        for triad in self._triads:
-            self._read_triad(data, triad, into, values, status)
-        for column in self._columns:
-            raw = column.signal.raw(data)
-            scaled = np.multiply(raw, column.factor, dtype=np.float64) + column.offset
-            missing, fault = column.signal.gaps(raw)
-            scaled[missing] = np.nan
-            values[into, column.place] = scaled
-            if column.place < TEMPERATURE:
-                status[into] |= np.where(fault, np.uint32(Status.INSTRUMENT_FAULT), np.uint32(0))
-        for flag in self.kind.flags:
-            status[into] |= _flagged(flag, data)
-        for signal, shift in self.kind.status:
+    def read(self, data: NDArray[np.uint8], into: Rows, rows: slice | IntArray) -> bool:
+        """Write values, flags, counter and time stamps of frames into ``rows`` of a block; tell whether some have no value.
+
+        Parameters
+        ----------
+        data : ndarray of uint8, shape (n, width)
+        into : Rows
+        rows : slice or ndarray of int64, shape (n,)
+        """
+        kind, status = self.kind, into.status
+        has_gaps = False
+        for column in kind.columns:
+            has_gaps |= _read_column(column, data, into, rows)
+        for at, table in self._flag_tables:
+            status[rows] |= table[data[:, at]]
+        for flag in self._flags:
+            status[rows] |= _flagged(flag, data)
+        for signal, shift in kind.status:
             upper = signal.raw(data).astype(np.int64) << (INSTRUMENT_STATUS_SHIFT + shift)
-            status[into] |= (upper & 0xFFFF0000).astype(np.uint32)
-        if self.kind.counter is not None:
-            counter[into] = self.kind.counter.raw(data).astype(np.int64)
-        if self.kind.time is not None:
-            ticks[into] = self.kind.time.raw(data).astype(np.float64)
-
-    @staticmethod
-    def _read_triad(data: NDArray[np.uint8], triad: _Triad, into: Any, values: FloatArray, status: NDArray[np.uint32]) -> None:
-        raw = data[:, triad.at : triad.at + triad.size].view(triad.kind)
-        scaled = np.multiply(raw, triad.factor, dtype=np.float64)
-        if triad.has_offset:
-            scaled += triad.offset
-        # One comparison for all three finds out that there is nothing to do, which is nearly always so.
-        if triad.codes_from is not None and (raw >= triad.codes_from).any():
-            for place, signal in enumerate(triad.signals):
-                missing, fault = signal.gaps(raw[:, place])
-                scaled[missing, place] = np.nan
-                status[into] |= np.where(fault, np.uint32(Status.INSTRUMENT_FAULT), np.uint32(0))
-        values[into, triad.columns] = scaled[:, triad.order]
+            status[rows] |= (upper & 0xFFFF0000).astype(np.uint32)
+        if kind.counter is not None:
+            into.counter[rows] = kind.counter.raw(data).astype(np.int64)
+        if kind.time is not None:
+            into.ticks[rows] = kind.time.raw(data).astype(np.float64)
+        return has_gaps
 
 
-@dataclass(frozen=True, slots=True)
-class _Triad:
-    """Three neighbouring numbers of one type, read as one."""
-
-    at: int
-    size: int
-    kind: str
-    signals: tuple[CanSignal, ...]
-    """In the order of the bytes, as are the following."""
-    factor: FloatArray
-    offset: FloatArray
-    has_offset: bool
-    order: IntArray
-    """Which of the three is x, y, z."""
-    columns: slice
-    codes_from: float | None
-
-
-def _find_triads(columns: list[Column]) -> tuple[list[_Triad], list[Column]]:
-    """Return the triads among the columns, and what is left."""
-    triads, left = [], list(columns)
-    for first in (0, 3):
-        three = sorted((column for column in left if first <= column.place < first + 3), key=lambda one: one.signal.start)
-        if len(three) == 3 and (triad := _triad(three, first)) is not None:
-            triads.append(triad)
-            left = [column for column in left if column not in three]
-    return triads, left
+def _read_column(column: Column, data: NDArray[np.uint8], into: Rows, rows: slice | IntArray) -> bool:
+    """Write one value of each frame; tell whether some have none."""
+    signal = column.signal
+    raw = signal.raw(data)
+    if isinstance(rows, slice):
+        scaled = into.values[column.place]
+        np.multiply(raw, column.factor, out=scaled, dtype=np.float64)
+    else:
+        scaled = np.multiply(raw, column.factor, dtype=np.float64)
+    if column.offset:
+        scaled += column.offset
+    # One comparison finds that there is nothing to do, which is nearly always so.
+    is_suspect = signal.is_float or (bool(signal.codes) and _may_be_code(signal, raw))
+    if is_suspect:
+        missing, fault = signal.gaps(raw)
+        scaled[missing] = np.nan
+        if column.place < TEMPERATURE:
+            into.status[rows] |= np.where(fault, np.uint32(Status.INSTRUMENT_FAULT), np.uint32(0))
+    if not isinstance(rows, slice):
+        into.values[column.place, rows] = scaled
+    return is_suspect
 
 
-def _triad(three: list[Column], first: int) -> _Triad | None:
-    kind, size = three[0].signal.number_type, three[0].signal.length // 8
-    at = [column.signal.first_byte for column in three]
-    same = all(column.signal.number_type == kind and column.signal.codes == three[0].signal.codes for column in three)
-    if kind is None or kind[1] == "f" or not same or at != [at[0], at[0] + size, at[0] + 2 * size]:
-        return None
-    codes = three[0].signal.codes
-    places = [column.place - first for column in three]
-    offset = np.array([column.offset for column in three])
-    return _Triad(
-        at[0],
-        3 * size,
-        kind,
-        tuple(column.signal for column in three),
-        np.array([column.factor for column in three]),
-        offset,
-        bool(offset.any()),
-        np.argsort(places),
-        slice(first, first + 3),
-        min(code.low for code in codes) if codes else None,
-    )
+def _may_be_code(signal: CanSignal, raw: NDArray[Any]) -> bool:
+    return bool(raw.max() >= min(code.low for code in signal.codes))
+
+
+def _flag_tables(flags: list[CanFlag]) -> tuple[list[tuple[int, NDArray[np.uint32]]], list[CanFlag]]:
+    """Return tables of 256 flags for the bytes that hold whole signals, and the flags that need more than a byte."""
+    small = [flag for flag in flags if flag.signal.bytes_needed == flag.signal.first_byte + 1]
+    tables = []
+    for at in sorted({flag.signal.first_byte for flag in small}):
+        every = np.zeros((256, at + 1), dtype=np.uint8)
+        every[:, at] = np.arange(256)
+        here = [_flagged(flag, every) for flag in small if flag.signal.first_byte == at]
+        tables.append((at, np.bitwise_or.reduce(here)))
+    return tables, [flag for flag in flags if flag not in small]
 
 
 def _flagged(flag: CanFlag, data: NDArray[np.uint8]) -> NDArray[np.uint32]:

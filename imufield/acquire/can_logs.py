@@ -1,0 +1,225 @@
+"""Logs of CAN buses in, recordings out to a bus: candump, Vector ASC and BLF, PEAK TRC, and what else python-can reads."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import time
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+from can.io.blf import BLFParseError
+
+from imufield.acquire.can_frames import ERROR, SENT, Frame, Unpacker, unpack_frames
+from imufield.acquire.can_link import make_message, open_bus, pack_message, parse_bus
+from imufield.acquire.host_clock import NANOSECONDS
+from imufield.acquire.link import Chunk
+from imufield.acquire.recording import EndOfRecordingError, RecordingLink
+from imufield.acquire.tables import ChunkWriter
+from imufield.errors import LinkError, Reason, RecordingError, UsageError
+
+CHUNK_S = 0.05
+"""Frames of this much time make a chunk, as they do when a bus is recorded live."""
+CHUNK_FRAMES = 2048
+SUFFIXES = (".log", ".asc", ".blf", ".trc", ".mf4")
+"""Logs this module reads; gzip too where python-can does."""
+_DAMAGE = (
+    ValueError,
+    IndexError,
+    KeyError,
+    EOFError,
+    OSError,
+    AttributeError,
+    TypeError,
+    struct.error,
+    zlib.error,
+    can.CanError,
+    BLFParseError,
+)
+"""What python-can's readers raise in files that are cut short or of another kind."""
+_EPOCH_S = 1e8
+"""Time stamps below 1973 count from the start of the log, not from 1970."""
+
+
+def is_can_log(path: str | Path) -> bool:
+    """Tell by the name whether a file is a log of a CAN bus."""
+    return any(suffix in SUFFIXES for suffix in Path(path).suffixes[-2:])
+
+
+def read_log(path: str | Path, *, channel: str | None = None) -> Iterator[Chunk]:
+    """Read a log as chunks of packed frames; they arrive when the log says.
+
+    Parameters
+    ----------
+    path : Path
+    channel : str, optional
+        Needed where the log holds more than one bus.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, or is damaged.
+    UsageError
+        The log holds several buses and none is chosen.
+    """
+    pieces: list[bytes] = []
+    begin_s = last_s = 0.0
+    for message in _messages(Path(path), channel):
+        if pieces and (message.timestamp - begin_s > CHUNK_S or len(pieces) >= CHUNK_FRAMES or message.timestamp < last_s - 1):
+            yield _chunk(pieces, last_s)
+            pieces = []
+        if not pieces:
+            begin_s = message.timestamp
+        last_s = message.timestamp
+        pieces.append(pack_message(message, message.timestamp))
+    if pieces:
+        yield _chunk(pieces, last_s)
+
+
+def import_log(path: str | Path, recorder: ChunkWriter, *, channel: str | None = None) -> int:
+    """Write a log into a recording; return the number of frames. Raises as ``read_log``."""
+    count = 0
+    for chunk in read_log(path, channel=channel):
+        recorder.write_chunk(chunk)
+        count += len(Unpacker().feed(chunk.data, last=True))
+    return count
+
+
+def _chunk(pieces: list[bytes], last_s: float) -> Chunk:
+    return Chunk(b"".join(pieces), last_s, max(0, round(last_s * NANOSECONDS)) if last_s > _EPOCH_S else 0)
+
+
+def _messages(path: Path, channel: str | None) -> Iterator[can.Message]:
+    if not path.is_file():
+        raise RecordingError(f"{path} is not there or no file: check the name", Reason.NOT_A_RECORDING, path=str(path))
+    first: Any = None
+    count = 0
+    try:
+        with contextlib.closing(_Reader(path)) as reader:
+            for message in reader:
+                if channel is not None and str(message.channel) != channel:
+                    continue
+                if count == 0:
+                    first = message.channel
+                elif channel is None and message.channel != first:
+                    raise _two_buses(path, first, message.channel)
+                count += 1
+                yield message
+    except UsageError:
+        raise
+    except _DAMAGE as error:
+        what = f"behind frame {count}" if count else "from its first line on, so it may be of another kind than its name says"
+        raise RecordingError(
+            f"{path} cannot be read {what}: {error}; repair it or cut it there", Reason.DAMAGED, path=str(path), frames=count
+        ) from error
+    if count == 0:
+        where = "" if channel is None else f" of channel {channel}"
+        raise RecordingError(f"{path} holds no frame{where}: check the file", Reason.NOT_A_RECORDING, path=str(path))
+
+
+class _Reader:
+    """A reader of python-can, closed in any case."""
+
+    def __init__(self, path: Path) -> None:
+        options: dict[str, Any] = {}
+        # ASC counts from its start unless told otherwise; the date in its head makes it a time of day.
+        if ".asc" in path.suffixes:
+            options["relative_timestamp"] = False
+        self._reader = can.LogReader(path, **options)
+
+    def __iter__(self) -> Iterator[can.Message]:
+        return iter(self._reader)
+
+    def close(self) -> None:
+        self._reader.stop()
+
+
+def _two_buses(path: Path, first: object, second: object) -> UsageError:
+    return UsageError(
+        f"{path} holds more than one bus, {first} and {second} at least: choose one with --channel, e.g. --channel {first}",
+        path=str(path),
+        channels=(str(first), str(second)),
+    )
+
+
+def replay_to_bus(
+    link: RecordingLink,
+    bus: str,
+    *,
+    pace: float | None = 1.0,
+    bit_rate: int | None = None,
+    on_chunk: Callable[[int], None] | None = None,
+) -> int:
+    """Send the frames of a recorded session to a bus; return how many were sent.
+
+    Frames that were error frames stay away, and so do those the host itself sent.
+
+    Parameters
+    ----------
+    link : RecordingLink
+        Without a pace of its own.
+    bus : str
+        ``INTERFACE:CHANNEL``.
+    pace : float, optional
+        1 sends as it was recorded, 8 eight times faster, None as fast as the bus takes it.
+    bit_rate : int, optional
+    on_chunk : callable, optional
+        Told the number of frames sent so far after each chunk.
+
+    Raises
+    ------
+    LinkError
+        The bus cannot be opened, or is gone.
+    RecordingError
+        As ``RecordingLink.read``.
+    """
+    target = open_bus(parse_bus(bus), bit_rate)
+    sent = 0
+    pacer = _Pacer(pace)
+    try:
+        while True:
+            chunk = link.read()
+            for frame in unpack_frames(chunk.data) if chunk is not None else ():
+                if frame.can_id & ERROR or frame.flags & SENT:
+                    continue
+                pacer.wait(frame)
+                target.send(make_message(frame.can_id, frame.data, frame.flags), timeout=1.0)
+                sent += 1
+            if on_chunk is not None:
+                on_chunk(sent)
+    except EndOfRecordingError:
+        return sent
+    except can.CanError as error:
+        raise LinkError(
+            f"{bus} takes no more frames after {sent}: {error}; check the bus", Reason.DISCONNECTED, bus=bus
+        ) from error
+    finally:
+        target.shutdown()
+
+
+class _Pacer:
+    """Waits until a frame is due."""
+
+    _SHORTEST_S = 0.001
+    _LONGEST_S = 5.0
+
+    def __init__(self, pace: float | None) -> None:
+        if pace is not None and not pace > 0:
+            raise UsageError(f"a pace of {pace:g} cannot be replayed: give a number larger than 0.", pace=pace)
+        self._pace = pace
+        self._offset_s: float | None = None
+
+    def wait(self, frame: Frame) -> None:
+        if self._pace is None:
+            return
+        due_s = frame.time_s / self._pace
+        now_s = time.monotonic()
+        ahead_s = None if self._offset_s is None else due_s + self._offset_s - now_s
+        # Parts have clocks of their own: a jump of the stamps starts anew.
+        if ahead_s is None or abs(ahead_s) > self._LONGEST_S:
+            self._offset_s, ahead_s = now_s - due_s, 0.0
+        if ahead_s >= self._SHORTEST_S:
+            time.sleep(ahead_s)
