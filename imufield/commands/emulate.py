@@ -113,5 +113,6 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: Emulator)
         facts = {"event": "started", "port": port, "driver": options.driver, "rate_hz": rate_hz, "speed": options.speed}
         typer.echo(json.dumps(facts))
         return
-    typer.echo(f"{options.driver} at {rate_hz:g} Hz, {options.speed:g} times real time, on {port}")
-    typer.echo(f"read it with:  imufield capture --port {port}       (Ctrl-C ends the emulator)")
+    typer.echo(f"{options.driver} at {rate_hz:.0f} Hz, {options.speed:g} times real time, on {port}")
+    clock = "" if options.speed == 1 else f"IMUFIELD_CLOCK_SPEED={max(options.speed, 1):g} "
+    typer.echo(f"read it with:  {clock}imufield capture --port {port}       (Ctrl-C ends the emulator)")

@@ -1,0 +1,221 @@
+"""The commands that need no operator: record, import, replay, solve, export-data, emulate, devices, demo."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from imufield.acquire.link import Chunk
+from imufield.acquire.recording import read_session
+from imufield.acquire.session import Session
+from imufield.commands.chain import Chain, Plan, replay_into, session_samples
+from imufield.samples import AXES, SAMPLE_COLUMNS, concatenate
+
+if TYPE_CHECKING:
+    from tests.commands.conftest import Program
+
+
+@pytest.fixture
+def whole(program: Program, whole_session: Path) -> Path:
+    shutil.copytree(whole_session, program.folder / "whole")
+    return program.folder / "whole"
+
+
+def document(program: Program, *arguments: object) -> dict[str, Any]:
+    ended = program.run("solve", *arguments, "--json")
+    assert ended.returncode == 0, ended.stderr
+    content: dict[str, Any] = json.loads(ended.stdout)
+    return content
+
+
+def test_record_for_a_time(program: Program) -> None:
+    port = program.emulate("--positions", "none", "--wait")
+    ended = program.run("record", "--port", port, "--duration-s", 20, "--clock-speed", 16, "--json", "--session", "here")
+    assert ended.returncode == 0, ended.stderr
+    *progress, last = [json.loads(line) for line in ended.stdout.splitlines()]
+    assert {line["event"] for line in progress} == {"recording"}
+    assert (last["event"], last["session"], last["samples_lost"]) == ("recorded", "here", 0)
+    # Listening comes on top, and a busy machine counts in time, not in samples.
+    assert 0.8 * 20 * 125 < last["samples"] < 60 * 125
+    session = Session.open(program.folder / "here")
+    assert session.finished
+    assert session.metadata["kind"] == "record"
+    assert session.metadata["instrument"]["serial_number"].startswith("N")
+    solved = program.run("solve", "here")
+    assert solved.returncode == 6
+    assert "1 positions are too few" in solved.stderr
+
+
+def test_solve_twice_keeps_the_first_and_gives_the_same(program: Program, whole: Path) -> None:
+    first = document(program, "whole")
+    second = document(program, "whole")
+    for varies in ("created", "integrity"):
+        first.pop(varies, None)
+        second.pop(varies, None)
+    assert first == second
+    assert {path.name for path in whole.glob("parameters*.toml")} == {"parameters.toml", "parameters-1.toml"}
+    assert first["site"]["gravity_source"] == "typed"
+    assert first["quality"]["verdict"] == "good"
+
+
+def test_solve_takes_the_newest_session(program: Program, whole: Path) -> None:
+    root = program.folder / "imufield-sessions"
+    root.mkdir()
+    for stamp in ("20250101T000000Z-old", "20250102T000000Z-new"):
+        shutil.copytree(whole, root / stamp)
+    ended = program.run("solve")
+    assert ended.returncode == 0, ended.stderr
+    assert [path.parent.name for path in root.glob("*/parameters.toml")] == ["20250102T000000Z-new"]
+
+
+def test_the_means_of_a_parameter_file_give_the_same_parameters(program: Program, whole: Path) -> None:
+    from_session = document(program, "whole", "--model", "linear")
+    with (program.folder / "means.csv").open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow([f"a{axis}" for axis in AXES] + [f"sigma_a{axis}" for axis in AXES] + ["name"])
+        for position in from_session["position"]:
+            table.writerow([*map(repr, position["mean_raw"] + position["sigma_raw"]), position["name"]])
+    options = ("--model", "linear", "--gravity", 9.80665)
+    from_means = document(program, "--observations", "means.csv", *options)
+    assert (program.folder / "parameters.toml").is_file()
+    for key in ("scale", "bias_m_s2", "misalignment_rad"):
+        sigma = np.array(from_session["accelerometer"]["uncertainty"][key])
+        difference = np.array(from_means["accelerometer"][key]) - np.array(from_session["accelerometer"][key])
+        # Between the axes of one mean the session knows a covariance that a table of sigmas does not hold.
+        assert np.all(np.abs(difference) <= 0.1 * sigma + 1e-12), key
+    assert any("signs of the axes are assumed" in reason for reason in from_means["quality"]["reasons"])
+
+
+def test_exported_samples_come_back_as_they_were(program: Program, whole: Path) -> None:
+    exported = program.run("export-data", "whole", "-o", "samples.csv")
+    assert exported.returncode == 0, exported.stderr
+    original = concatenate(session_samples(Session.open(whole), []))
+    with (program.folder / "samples.csv").open() as file:
+        assert file.readline().strip().split(",") == list(SAMPLE_COLUMNS)
+        assert sum(1 for _ in file) == len(original)
+    units = ("--set", "accelerometer_unit=m/s^2", "--set", "gyroscope_unit=rad/s")
+    imported = program.run("import", "samples.csv", "-o", "back", *units, "--json")
+    assert imported.returncode == 0, imported.stderr
+    assert json.loads(imported.stdout)["session"] == "back"
+    back = concatenate(session_samples(Session.open(program.folder / "back"), []))
+    assert len(back) == len(original)
+    assert np.array_equal(back.accelerometer, original.accelerometer)
+    assert np.array_equal(back.gyroscope, original.gyroscope)
+    assert np.allclose(back.time_s - back.time_s[0], original.time_s - original.time_s[0], rtol=0, atol=1e-9)
+    # Neither session's positions are planned here, so both find every still interval for themselves.
+    settings = (whole / "session.toml").read_text()
+    (whole / "session.toml").write_text(settings.replace('scheme = "paper24"\n', ""))
+    site = ("--gravity", 9.80665)
+    first, second = document(program, "whole", *site), document(program, "back", *site)
+    means = [[position["mean_raw"] for position in one["position"]] for one in (first, second)]
+    assert len(means[0]) >= 24
+    assert np.allclose(means[0], means[1], rtol=0, atol=1e-9)
+
+
+def test_a_dump_of_the_bytes_gives_the_same_samples(program: Program, whole: Path) -> None:
+    data = b"".join(item.data for item in read_session(Session.open(whole)) if isinstance(item, Chunk))
+    (program.folder / "dump.bin").write_bytes(b"not yet" + data)
+    settings = ("--set", "accelerometer_range_g=10", "--set", "rate_hz=125")
+    imported = program.run("import", "dump.bin", "--protocol", "stim300", *settings, "-o", "dump")
+    assert imported.returncode == 0, imported.stderr
+    assert "7 of" in imported.stderr
+    samples = [concatenate(session_samples(Session.open(folder), [])) for folder in (whole, program.folder / "dump")]
+    assert np.array_equal(samples[0].accelerometer, samples[1].accelerometer)
+
+
+def test_replayed_to_a_port_a_capture_measures_the_same(program: Program, whole: Path) -> None:
+    process = program.start("replay", "whole", "--to-pty", "--speed", 64)
+    assert process.stdout is not None
+    found = re.search(r"waiting for a reader of (\S+)", process.stdout.readline())
+    assert found is not None
+    common = ("--driver", "stim300", "--set", "accelerometer_range_g=10", "--set", "rate_hz=125")
+    ended = program.run("capture", "--port", found[1], *common, "--hold-s", 4, "--session", "again", "--clock-speed", 64)
+    assert ended.returncode == 0, ended.stderr
+    original, again = (positions(Session.open(folder)) for folder in (whole, program.folder / "again"))
+    assert original.keys() == again.keys()
+    for name, mean in original.items():
+        assert np.array_equal(mean, again[name]), name
+
+
+def positions(session: Session) -> dict[str, Any]:
+    chain = Chain(Plan.of(session))
+    replay_into(chain, session, [])
+    found = chain.observations()
+    return dict(zip(found.name, found.mean_raw, strict=True))
+
+
+def test_replay_counts(program: Program, whole: Path) -> None:
+    ended = program.run("replay", "whole")
+    assert ended.returncode == 0
+    samples = len(concatenate(session_samples(Session.open(whole), [])))
+    assert ended.stdout.splitlines()[-1].startswith(f"{samples} samples of {samples} frames; 0 lost")
+
+
+def test_devices(program: Program) -> None:
+    ended = program.run("devices", "--json")
+    content = json.loads(ended.stdout)
+    assert content.keys() == {"ports", "drivers"}
+    assert {"stim300", "text"} <= {driver["name"] for driver in content["drivers"]}
+    shown = program.run("devices").stdout
+    assert "Sensonor STIM300" in shown
+    assert max(map(len, shown.splitlines())) <= 80
+
+
+def test_emulate_says_where_and_how(program: Program) -> None:
+    process = program.start("emulate", "stim300", "--speed", 4, "--link", "imu")
+    assert process.stdout is not None
+    lines = [process.stdout.readline(), process.stdout.readline()]
+    assert "stim300 at 2000 Hz, 4 times real time, on imu" in lines[0]
+    assert "IMUFIELD_CLOCK_SPEED=4 imufield capture --port imu" in lines[1]
+    process.send_signal(signal.SIGINT)
+    assert process.wait(20) == 130
+    assert not (program.folder / "imu").is_symlink()
+
+
+@pytest.fixture
+def lines_of_numbers() -> Iterator[str]:
+    """A table with six stills of 8 s at 50 Hz."""
+    rng = np.random.default_rng(1)
+    rows = ["time,ax,ay,az"]
+    number = 0
+    for axis in range(3):
+        for sign in (1, -1):
+            for _ in range(400):
+                force = rng.normal(0, 0.005, 3)
+                force[axis] += sign * 9.81
+                rows.append(f"{number / 50:.2f}," + ",".join(f"{value:.5f}" for value in force))
+                number += 1
+            for _ in range(50):
+                rows.append(f"{number / 50:.2f}," + ",".join(f"{value:.5f}" for value in rng.normal(0, 6, 3)))
+                number += 1
+    return iter(rows)
+
+
+def test_a_table_becomes_a_session_and_what_was_assumed_is_said(program: Program, lines_of_numbers: Iterator[str]) -> None:
+    (program.folder / "log.csv").write_text("\n".join(lines_of_numbers))
+    imported = program.run("import", "log.csv", "--set", "accelerometer_unit=m/s^2")
+    assert imported.returncode == 0, imported.stderr
+    assert imported.stdout.splitlines()[-1].startswith("next:  imufield solve imufield-sessions/")
+    content = document(program, "--gravity", 9.81)
+    assert len(content["position"]) == 6
+    assert np.abs(np.array(content["accelerometer"]["bias_m_s2"])).max() < 0.01
+    assert "gyroscope" not in content
+
+
+@pytest.mark.timeout(180)
+def test_demo(program: Program) -> None:
+    ended = program.run("demo", "--plain", "--speed", 12, timeout_s=150)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert "24 of 24 positions, seed 1: as it should be" in ended.stdout
+    assert "NOT" not in ended.stdout
+    session = Session.newest(program.folder / "imufield-sessions")
+    assert (session.folder / "parameters.toml").is_file()
