@@ -217,6 +217,10 @@ def solve(
     gauge: Annotated[str | None, typer.Option(help="preset, lower, upper or symmetric.")] = None,
     preset: Annotated[Path | None, typer.Option(help="Parameter file in force before.")] = None,
     zero: Annotated[str | None, typer.Option(help="Raw output at zero input, one or three numbers.")] = None,
+    method: Annotated[str, typer.Option(help="least-squares, bsas, ide and others, see docs/study.md.")] = "least-squares",
+    polish: Annotated[bool, typer.Option(help="Finish another method by least squares.")] = True,
+    cross_check: Annotated[bool, typer.Option("--cross-check", help="Solve by bsas, ide and least squares, compare.")] = False,
+    gyro_model: Annotated[str, typer.Option(help="auto, basic or g-sensitive.")] = "auto",
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Where to write the parameter file.")] = None,
     as_json: AsJson = False,
@@ -236,6 +240,10 @@ def solve(
         gauge=gauge,
         preset=preset,
         zero=zero,
+        method=method,
+        polish=polish,
+        cross_check=cross_check,
+        gyroscope_model=gyro_model,
         seed=seed,
         output=output,
         as_json=as_json,
@@ -256,6 +264,51 @@ def export_data(
     from imufield.commands.export_data import run_export_data
 
     run_export_data(session, to, output)
+
+
+@app.command()
+def verify(
+    parameters: Annotated[Path, typer.Argument(help="Parameter file under test.")],
+    session: Annotated[Path | None, typer.Argument(help="Session they have not seen (default: the newest).")] = None,
+    preset: Annotated[Path | None, typer.Option(help="Parameter file to compare with (default: no correction).")] = None,
+    hold_out: Annotated[
+        int | None, typer.Option(help="Solve without so many positions at a time and check those.", min=1)
+    ] = None,
+    turned: Annotated[bool, typer.Option("--turned", help="The instrument was turned over after the alignment.")] = False,
+    align_s: Annotated[float, typer.Option(help="Seconds of rest at the start to align with.", min=1)] = 600.0,
+    gravity: GravityValue = None,
+    latitude: Latitude = None,
+    height: Height = None,
+    require: Annotated[str | None, typer.Option(help="Limits, e.g. residual-ug=50,nav-nmi-per-h=1.")] = None,
+    turn_on_ug: Annotated[float | None, typer.Option(help="Turn-on bias of the accelerometer, 1 sigma.", min=0)] = None,
+    turn_on_deg_per_h: Annotated[float | None, typer.Option(help="Turn-on bias of the gyroscope, 1 sigma.", min=0)] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the forecast.")] = 0,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Where to keep the results for the report.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Prove parameters on data they have not seen: held-out positions, and hours of static navigation.
+
+    Example: imufield verify parameters.toml rest-of-5-hours --require nav-nmi-per-h=1
+    """
+    from imufield.commands.site import SiteOptions
+    from imufield.commands.verify import VerifyOptions, run_verify
+
+    options = VerifyOptions(
+        parameters,
+        session,
+        preset,
+        hold_out,
+        turned,
+        align_s,
+        SiteOptions(gravity, latitude, height),
+        require,
+        turn_on_ug,
+        turn_on_deg_per_h,
+        seed,
+        output,
+        as_json,
+    )
+    run_verify(options)
 
 
 @app.command()

@@ -274,6 +274,18 @@ class CrossCheck:
         )
 
 
+def cross_check_words(check: CrossCheck) -> str:
+    """Return what a cross-check says, in one sentence."""
+    own, one = check.own_costs, check.one_cost
+    verdict = "the methods prove one another" if check.agree else "the methods do NOT prove one another"
+    failed = f"; {'; '.join(check.not_converged)}" if check.not_converged else ""
+    own_words = f"{own.sigma:.2g} sigma ({own.parameter}, {own.methods[0]} against {own.methods[1]})"
+    return (
+        f"cross-check of {', '.join(check.gauge_free)}: {verdict}; largest disagreement {own_words} with the cost of each "
+        f"paper, {one.sigma:.2g} sigma with one cost{failed}"
+    )
+
+
 def cross_check(
     observations: Observations,
     calibration: Calibration,

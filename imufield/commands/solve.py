@@ -6,41 +6,30 @@ import hashlib
 import json
 import math
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import get_args
 
 import numpy as np
 import typer
 
 from imufield.acquire.recording import Damage
 from imufield.acquire.session import Session
-from imufield.calibrate.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gyroscope import static_bias, with_gyroscope
+from imufield.calibrate.gyroscope_paths import GyroscopeModel
+from imufield.calibrate.methods import LEAST_SQUARES
 from imufield.calibrate.observation_files import read_observations
 from imufield.calibrate.observations import Observations
-from imufield.calibrate.result import Calibration, Gauge, ModelChoice
+from imufield.calibrate.result import Gauge, ModelChoice
+from imufield.commands.calibration import Measured, MoveListener, Wishes, calibrate, one_of
 from imufield.commands.chain import Chain, Plan, replay_into
 from imufield.commands.configuration import parse_zero
 from imufield.commands.site import SiteOptions
-from imufield.deliver.parameters import (
-    Context,
-    Instrument,
-    Parameters,
-    SessionFacts,
-    from_document,
-    json_ready,
-    load,
-    to_document,
-    write_document,
-)
+from imufield.deliver.parameters import Context, Instrument, Parameters, SessionFacts, json_ready, load, write_document
 from imufield.deliver.summary import Outcome, print_summary
-from imufield.earth import Gravity
-from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError
+from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.guide.axes_check import AxesCheck
 from imufield.guide.events import RefusalCode, Rejected
 from imufield.guide.guide import Guide
-from imufield.samples import FloatArray
 
 PARAMETER_FILE = "parameters.toml"
 HASH_BLOCK_BYTES = 1 << 20
@@ -59,6 +48,10 @@ class SolveOptions:
     gauge: str | None = None
     preset: Path | None = None
     zero: str | None = None
+    method: str = LEAST_SQUARES
+    polish: bool = True
+    cross_check: bool = False
+    gyroscope_model: str = "auto"
     seed: int = 0
     output: Path | None = None
     as_json: bool = False
@@ -71,18 +64,6 @@ class Solved:
     parameters: Parameters
     notes: tuple[str, ...]
     """Sentences about the recording that are not about the numbers."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Input:
-    """What is solved, wherever it came from."""
-
-    observations: Observations
-    gravity: Gravity
-    raw_zero: FloatArray | None
-    gyroscope_scale: float | None
-    context: Context
-    reasons: tuple[str, ...]
 
 
 def run_solve(options: SolveOptions) -> None:
@@ -114,7 +95,8 @@ def solve_session(session: Session, options: SolveOptions) -> Solved:
         Recording unreadable, calibration impossible or refused.
     """
     damage: list[Damage] = []
-    chain = Chain(Plan.of(session))
+    moves = MoveListener()
+    chain = Chain(Plan.of(session), listeners=(moves.feed,))
     refusals: list[Rejected] = []
     replay_into(chain, session, damage, lambda events: refusals.extend(e for e in events if isinstance(e, Rejected)))
     observations, axes, refused = _observations(chain, refusals)
@@ -124,23 +106,39 @@ def solve_session(session: Session, options: SolveOptions) -> Solved:
     instrument = Instrument(**{key: str(value) for key, value in metadata.get("instrument", {}).items()})
     facts = SessionFacts(session.name, session_sha256(session), _true_rate_hz(chain), chain.temperature_degc)
     nominal = chain.protocol.nominal if chain.protocol is not None else None
-    found = _Input(
+    found = Measured(
         observations,
         options.site.gravity(metadata.get("site")),
-        None if chain.protocol is None else chain.raw_zero(chain.protocol),
-        None if nominal is None else nominal.gyroscope_scale,
         Context(instrument, facts),
-        (axes.words, *_loss_sentences(chain, damage)),
+        moves=moves.between(observations),
+        raw_zero=None if chain.protocol is None else chain.raw_zero(chain.protocol),
+        gyroscope_scale=None if nominal is None else nominal.gyroscope_scale,
+        reasons=(axes.words, *_loss_sentences(chain, damage)),
     )
-    return Solved(_solve(found, options), refused)
+    return Solved(calibrate(found, _wishes(options)), refused)
 
 
 def solve_observations(path: Path, options: SolveOptions) -> Solved:
     """Solve position means from a file."""
     observations = read_observations(path)
     facts = SessionFacts(path.name, _sha256([path]))
-    found = _Input(observations, options.site.gravity(), None, None, Context(session=facts), ())
-    return Solved(_solve(found, options), ())
+    found = Measured(observations, options.site.gravity(), Context(session=facts))
+    return Solved(calibrate(found, _wishes(options)), ())
+
+
+def _wishes(options: SolveOptions) -> Wishes:
+    zero = parse_zero(options.zero)
+    return Wishes(
+        model=one_of("model", options.model, get_args(ModelChoice)),
+        gauge=None if options.gauge is None else one_of("gauge", options.gauge, get_args(Gauge)),
+        method=options.method,
+        polish=options.polish,
+        cross_check=options.cross_check,
+        gyroscope_model=one_of("gyro-model", options.gyroscope_model, get_args(GyroscopeModel)),
+        preset=None if options.preset is None else load(options.preset),
+        raw_zero=None if zero is None else np.array(zero),
+        seed=options.seed,
+    )
 
 
 def _observations(chain: Chain, refusals: list[Rejected]) -> tuple[Observations, AxesCheck, tuple[str, ...]]:
@@ -202,61 +200,6 @@ def _missing_sentences(guide: Guide, refusals: list[Rejected]) -> tuple[str, ...
     why = {one.position: one.words for one in refusals if one.position in missing}
     sentences = [f"{len(missing)} of {len(plan.scheme)} planned positions are not measured: {', '.join(missing)}."]
     return (*sentences, *(f"A hold at {position} was refused: {words}." for position, words in why.items()))
-
-
-def _solve(found: _Input, options: SolveOptions) -> Parameters:
-    preset = None if options.preset is None else load(options.preset)
-    if preset is not None:
-        _check_preset(preset, found)
-    zero = parse_zero(options.zero)
-    calibration = calibrate_accelerometer(
-        found.observations,
-        found.gravity,
-        model=_one_of("model", options.model, get_args(ModelChoice)),
-        gauge=None if options.gauge is None else cast("Gauge", _one_of("gauge", options.gauge, get_args(Gauge))),
-        preset=None if preset is None else preset.calibration.accelerometer,
-        raw_zero=found.raw_zero if zero is None else np.array(zero),
-        seed=options.seed,
-    )
-    calibration = _add_gyroscope(calibration, found, preset)
-    if found.reasons:
-        quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *found.reasons))
-        calibration = replace(calibration, quality=quality)
-    return from_document(to_document(calibration, found.observations, found.context))
-
-
-def _add_gyroscope(calibration: Calibration, found: _Input, preset: Parameters | None) -> Calibration:
-    """Join the gyroscope's static bias, where the session holds its output."""
-    observations = found.observations
-    if int(np.isfinite(observations.gyroscope_mean_raw).all(axis=1).sum()) < 2:
-        return calibration
-    before = None if preset is None or preset.calibration.gyroscope is None else preset.calibration.gyroscope.parameters
-    gyroscope = static_bias(
-        observations,
-        found.gyroscope_scale if before is None else before.scale,
-        misalignment_rad=None if before is None else before.misalignment_rad,
-        up=observations.mean_raw - calibration.accelerometer.raw_zero,
-        latitude_deg=found.gravity.latitude_deg,
-    )
-    return with_gyroscope(calibration, gyroscope)
-
-
-def _check_preset(preset: Parameters, found: _Input) -> None:
-    serial = preset.context.instrument.serial_number
-    own = found.context.instrument.serial_number
-    if serial and own and serial != own:
-        raise ParameterFileError(
-            f"the preset is for serial number {serial}, the session for {own}; give the parameter file of this instrument",
-            Reason.FOREIGN,
-            preset=serial,
-            session=own,
-        )
-
-
-def _one_of(name: str, value: str, choices: tuple[str, ...]) -> Any:
-    if value not in choices:
-        raise UsageError(f"--{name} {value!r} is unknown; choose one of {', '.join(choices)}")
-    return value
 
 
 def _true_rate_hz(chain: Chain) -> float:

@@ -1,0 +1,153 @@
+"""From what was measured to parameters: accelerometer by the method asked for, gyroscope by what the session holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from imufield.calibrate.accelerometer import calibrate_accelerometer
+from imufield.calibrate.gyroscope_paths import FEWEST_STILLS, GyroscopeInput, GyroscopeModel, calibrate_gyroscope
+from imufield.calibrate.methods import LEAST_SQUARES, cross_check, cross_check_words, solve_with
+from imufield.calibrate.moves import MoveCollector, Moves, cut_moves, no_slots
+from imufield.calibrate.observations import Observations
+from imufield.calibrate.result import Calibration, Gauge, ModelChoice
+from imufield.deliver.parameters import Context, Parameters, from_document, to_document
+from imufield.earth import Gravity
+from imufield.errors import ParameterFileError, Reason, UsageError
+from imufield.samples import FloatArray, Samples
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What is calibrated from, wherever it came from."""
+
+    observations: Observations
+    gravity: Gravity
+    context: Context
+    moves: Moves | None = None
+    """Between the stills; None where only means are known."""
+    raw_zero: FloatArray | None = None
+    gyroscope_scale: float | None = None
+    """Raw unit per rad/s, nominal."""
+    reasons: tuple[str, ...] = ()
+    """Sentences about the recording that belong to the verdict."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """How the user wants it calibrated."""
+
+    model: ModelChoice = "auto"
+    gauge: Gauge | None = None
+    method: str = LEAST_SQUARES
+    polish: bool = True
+    cross_check: bool = False
+    gyroscope_model: GyroscopeModel = "auto"
+    preset: Parameters | None = None
+    raw_zero: FloatArray | None = None
+    seed: int = 0
+
+
+class MoveListener:
+    """Keeps what the gyroscope fit needs of a stream of samples."""
+
+    def __init__(self) -> None:
+        self._collector: MoveCollector | None = None
+
+    def feed(self, samples: Samples) -> None:
+        """Take the next samples."""
+        self._collector = self._collector or MoveCollector(samples.units)
+        self._collector.feed(samples)
+
+    def between(self, observations: Observations) -> Moves:
+        """Return the moves between the observed stills."""
+        if self._collector is None:
+            return cut_moves(no_slots(), observations.start_s, observations.duration_s)
+        return self._collector.finish(observations.start_s, observations.duration_s)
+
+
+def calibrate(measured: Measured, wishes: Wishes) -> Parameters:
+    """Return the parameters of both triads.
+
+    Raises
+    ------
+    CalibrationError
+        If calibration is impossible from these data, or refused.
+    ParameterFileError
+        If the preset is for another instrument.
+    """
+    if wishes.preset is not None:
+        _check_preset(wishes.preset, measured)
+    preset = None if wishes.preset is None else wishes.preset.calibration.accelerometer
+    calibration = calibrate_accelerometer(
+        measured.observations,
+        measured.gravity,
+        model=wishes.model,
+        gauge=wishes.gauge,
+        preset=preset,
+        raw_zero=measured.raw_zero if wishes.raw_zero is None else wishes.raw_zero,
+        seed=wishes.seed,
+    )
+    rng = np.random.default_rng(wishes.seed)
+    sentences = list(measured.reasons)
+    if wishes.cross_check:
+        sentences.append(cross_check_words(cross_check(measured.observations, calibration, rng=rng, preset=preset)))
+    if wishes.method != LEAST_SQUARES:
+        calibration = solve_with(
+            wishes.method,
+            measured.observations,
+            calibration,
+            rng=rng,
+            preset=preset,
+            polish=wishes.polish,
+            seed=wishes.seed,
+        )
+    calibration = _with_gyroscope(calibration, measured, wishes)
+    quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *sentences))
+    calibration = replace(calibration, quality=quality)
+    return from_document(to_document(calibration, measured.observations, measured.context))
+
+
+def _with_gyroscope(calibration: Calibration, measured: Measured, wishes: Wishes) -> Calibration:
+    """Join the gyroscope, where the session holds its output."""
+    observations = measured.observations
+    there = np.isfinite(observations.gyroscope_mean_raw).all(axis=1)
+    if int(there.sum()) < FEWEST_STILLS:
+        return calibration
+    before = None if wishes.preset is None else wishes.preset.calibration.gyroscope
+    given = GyroscopeInput(
+        observations,
+        cut_moves(no_slots(), observations.start_s, observations.duration_s) if measured.moves is None else measured.moves,
+        calibration,
+        latitude_deg=measured.gravity.latitude_deg,
+        preset=None if before is None else before.parameters,
+        nominal_scale=measured.gyroscope_scale,
+    )
+    return calibrate_gyroscope(given, wishes.gyroscope_model).join(calibration)
+
+
+def _check_preset(preset: Parameters, measured: Measured) -> None:
+    serial = preset.context.instrument.serial_number
+    own = measured.context.instrument.serial_number
+    if serial and own and serial != own:
+        raise ParameterFileError(
+            f"the preset is for serial number {serial}, the session for {own}; give the parameter file of this instrument",
+            Reason.FOREIGN,
+            preset=serial,
+            session=own,
+        )
+
+
+def one_of(name: str, value: str, choices: tuple[str, ...]) -> Any:
+    """Return the value of an option that has a few names only.
+
+    Raises
+    ------
+    UsageError
+        If it is none of them.
+    """
+    if value not in choices:
+        raise UsageError(f"--{name} {value!r} is unknown; choose one of {', '.join(choices)}")
+    return value
