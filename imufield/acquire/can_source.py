@@ -251,8 +251,7 @@ class CanSource:
         if is_complete:
             return block
         # What carries neither acceleration nor rate is no sample.
-        has_values: NDArray[np.bool_] = (rows[:, self._inertial] >= 0).any(axis=1)
-        return block[has_values]
+        return block[np.asarray((rows[:, self._inertial] >= 0).any(axis=1))]
 
     def _flag_gaps(self, values: FloatArray, status: NDArray[np.uint32]) -> None:
         for has, rows, flag in (
