@@ -11,7 +11,7 @@ from typing import NamedTuple, overload
 
 import numpy as np
 
-from imufield.calibrate.result import Calibration
+from imufield.calibrate.result import Calibration, GyroscopeParameters
 from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.context import Context, Instrument, Noise, SessionFacts
 from imufield.deliver.document import Document, calibration_from_document, context_from_document, to_document
@@ -75,6 +75,9 @@ class Parameters:
         ParameterFileError
             If the file has no gyroscope, or not its scale.
         """
+        return correct_gyroscope(self._gyroscope(), raw, specific_force)
+
+    def _gyroscope(self) -> GyroscopeParameters:
         if self.calibration.gyroscope is None:
             raise ParameterFileError(
                 f"{self._name} has no gyroscope parameters; calibrate from a session whose instrument sends its gyroscope",
@@ -86,7 +89,7 @@ class Parameters:
                 "gives the scale",
                 Reason.UNITS,
             )
-        return correct_gyroscope(self.calibration.gyroscope.parameters, raw, specific_force)
+        return self.calibration.gyroscope.parameters
 
     @overload
     def apply(self, raw: Samples) -> Corrected: ...
@@ -141,10 +144,12 @@ class Parameters:
         raw = np.asarray(raw, dtype=np.float64)
         if raw.shape[-1:] != (6,):
             return self.apply_accelerometer(raw)
-        corrected = np.empty_like(raw)
-        corrected[..., :3] = self.apply_accelerometer(raw[..., :3])
-        corrected[..., 3:] = self.apply_gyroscope(raw[..., 3:], corrected[..., :3])
-        return corrected
+        rows = raw.reshape(-1, 6)
+        corrected = np.empty_like(rows)
+        force, rate = corrected[:, :3], corrected[:, 3:]
+        correct_accelerometer(self.calibration.accelerometer, rows[:, :3], out=force)
+        correct_gyroscope(self._gyroscope(), rows[:, 3:], force, out=rate)
+        return corrected.reshape(raw.shape)
 
     def check_unit(self, triad: str, unit: str, is_increment: bool) -> None:
         """Raise ``ParameterFileError`` if samples of a triad in this unit are not what the parameters are for."""

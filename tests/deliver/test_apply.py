@@ -136,3 +136,22 @@ def test_gyroscope_scale_not_known(made: Parameters, observations: Observations,
         bare.apply_gyroscope(RATE)
     samples = make_samples(np.arange(50) / 200, FORCE, RATE, units=SampleUnits(gyroscope="count"))
     assert np.isnan(bare.apply(samples).angular_rate_rad_s).all()
+
+
+def test_six_columns_of_any_length_and_shape_equal_three_and_three(
+    calibration: Calibration, observations: Observations, context: Context
+) -> None:
+    """More rows than one piece, and a NaN in one triad stays in that triad."""
+    assert calibration.gyroscope is not None
+    gyroscope = replace(calibration.gyroscope, parameters=replace(FULL_GYROSCOPE, g_sensitivity=np.zeros((3, 3))))
+    loaded = from_document(to_document(replace(calibration, gyroscope=gyroscope), observations, context))
+    raw = RNG.uniform(-20, 20, (2, 5000, 6))
+    raw[0, 3, 1], raw[1, 4, 5] = np.nan, np.nan
+    corrected = loaded.apply(raw)
+    force = loaded.apply_accelerometer(np.ascontiguousarray(raw[..., :3]))
+    np.testing.assert_array_equal(corrected[..., :3], force)
+    np.testing.assert_array_equal(corrected[..., 3:], loaded.apply_gyroscope(np.ascontiguousarray(raw[..., 3:]), force))
+    assert np.isfinite(corrected[0, 3, 3:]).all()
+    assert np.isfinite(corrected[1, 4, :3]).all()
+    assert loaded.apply(raw[0, 0]).shape == (6,)
+    assert loaded.apply(raw[:0]).shape == (0, 5000, 6)

@@ -258,4 +258,4 @@ def test_document_to_parameters_without_a_file(
     assert made.path is None
     assert_same(made.calibration.accelerometer, parameters)
     with pytest.raises(ImufieldError, match="the parameter file is for accelerometer values in m/s"):
-        made._check_unit("accelerometer", "g", False)
+        made.check_unit("accelerometer", "g", False)

@@ -19,6 +19,8 @@ def export(job: Job) -> Draft:
     name = job.options.name
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
         raise UsageError(f"name = {name!r} is no name in C; use letters, digits and underscores", name=name)
+    if re.search(rf"\b{name}\b", apply_header()):
+        raise UsageError(f"name = {name!r} stands for something else in the header; choose another", name=name)
     model = whole_model(job)
     guard = f"{name.upper()}_NUMBERS_H"
     calibration = job.parameters.calibration

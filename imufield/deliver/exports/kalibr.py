@@ -39,7 +39,7 @@ def _gyroscopes(si: Corrections) -> list[str]:
     if si.gyroscope is None:
         return []
     turn, triangle = rotation_times_triangle(si.gyroscope.matrix, "lower")
-    M = np.tril(np.linalg.inv(np.tril(triangle)))
+    M = np.tril(np.asarray(np.linalg.inv(np.tril(triangle)), dtype=np.float64))
     return [
         "  gyroscopes:",
         "    M:",

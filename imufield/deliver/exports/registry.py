@@ -78,7 +78,7 @@ class ExportOptions:
     """Bias random walk, m/s^3/sqrt(Hz), for Kalibr, OpenVINS and Basalt."""
     gyroscope_random_walk: float | None = None
     """rad/s^2/sqrt(Hz)."""
-    name: str = "imufield_parameters"
+    name: str = "imufield_calibration"
     """Name of the constant in C."""
 
 

@@ -1,0 +1,154 @@
+"""Use parameters: million samples/s of ``Parameters.apply``, accelerometer and gyroscope together, on one core.
+
+The peer is the plain NumPy expression of the same linear correction, `(raw - offset) @ matrix.T` for each triad, and for the
+stream to CSV the bare conversion of the same numbers to text.
+"""
+
+from __future__ import annotations
+
+import os
+
+# One core: the figure is for a program that does other things besides.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import resource
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imufield.calibrate.observations import Observations
+from imufield.calibrate.result import (
+    AccelerometerParameters,
+    Calibration,
+    GyroscopeCalibration,
+    GyroscopeParameters,
+    Intrinsic,
+    PositionResult,
+    Quality,
+    SolverSummary,
+)
+from imufield.deliver.apply_session import apply_session
+from imufield.deliver.context import Context
+from imufield.deliver.conventions import linear_corrections
+from imufield.deliver.document import to_document
+from imufield.deliver.parameters import Parameters
+from imufield.earth import Gravity
+from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
+
+SAMPLES = 2_000_000
+STREAMED = 200_000
+ROUNDS = 7
+
+
+def make_parameters(quadratic: FloatArray, g_sensitivity: FloatArray) -> Parameters:
+    """Return parameters of a plausible instrument."""
+    rng = np.random.default_rng(1)
+    off_diagonal = rng.normal(scale=1e-3, size=(3, 3)) * (1 - np.eye(3))
+    accelerometer = AccelerometerParameters(
+        1 + rng.normal(scale=1e-3, size=3), rng.normal(scale=0.02, size=3), off_diagonal, quadratic
+    )
+    gyroscope = GyroscopeParameters(np.ones(3), off_diagonal.T, np.full(3, 1e-4), g_sensitivity)
+    nothing = np.zeros(3)
+    calibration = Calibration(
+        accelerometer=accelerometer,
+        accelerometer_sigma=accelerometer,
+        accelerometer_raw_unit="m/s^2",
+        equation="N - raw_zero = K (T a + b) + K2 (T a)^2",
+        gauge="preset",
+        intrinsic=Intrinsic(*[nothing] * 8),
+        covariance_names=(),
+        covariance=np.zeros((0, 0)),
+        gravity=Gravity(9.81, 1e-4, "typed"),
+        positions=PositionResult(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.bool_)),
+        solver=SolverSummary("least squares", 1, "", 0.0, 1),
+        quality=Quality(0.0, 0.0, 0.0, 0.0, 1, 2.0, 12, 12, 1.0, "good", ()),
+        quadratic_fitted=bool(np.any(quadratic)),
+        gyroscope=GyroscopeCalibration(gyroscope, gyroscope, "made up"),
+    )
+    empty, times = np.zeros((0, 3)), np.zeros(0)
+    none = Observations(
+        (), empty, np.zeros((0, 3, 3)), empty, np.zeros((0, 3, 3)), empty, times, times, times, units=SampleUnits()
+    )
+    return Parameters(calibration, Context(), to_document(calibration, none, Context()))
+
+
+def make_block(count: int) -> Samples:
+    """Return random samples in SI."""
+    rng = np.random.default_rng(2)
+    return make_samples(np.arange(count) / 2000, rng.normal(size=(count, 3)), rng.normal(size=(count, 3)), units=SampleUnits())
+
+
+def _million_per_s(work: Callable[[], object], count: int, rounds: int = ROUNDS) -> float:
+    best = float("inf")
+    for _ in range(rounds):
+        begin = time.perf_counter()
+        work()
+        best = min(best, time.perf_counter() - begin)
+    return count / best / 1e6
+
+
+def _plain(parameters: Parameters, samples: Samples) -> tuple[FloatArray, FloatArray]:
+    corrections = linear_corrections(parameters.calibration)
+    assert corrections.gyroscope is not None
+    return corrections.accelerometer.apply(samples.accelerometer), corrections.gyroscope.apply(samples.gyroscope)
+
+
+def _stream(parameters: Parameters, folder: str) -> None:
+    block = make_block(8192)
+
+    def blocks() -> Iterator[Samples]:
+        for start in range(0, STREAMED, len(block)):
+            yield replace(block, time_s=block.time_s + start / 2000)
+
+    apply_session(parameters, blocks(), Path(folder) / "corrected.csv")
+
+
+def _row(name: str, value: float, unit: str, peer: float | None = None) -> dict[str, Any]:
+    return {"name": name, "value": value, "unit": unit, "peer": peer, "ratio": None if peer is None else value / peer}
+
+
+def run() -> list[dict[str, Any]]:
+    """Return one row for each figure: name, value, unit, peer's value and ratio (None where there is no peer)."""
+    linear = make_parameters(np.zeros(3), np.zeros((3, 3)))
+    sensitive = make_parameters(np.zeros(3), np.full((3, 3), 1e-5))
+    quadratic = make_parameters(np.full(3, 1e-6), np.zeros((3, 3)))
+    samples, small = make_block(SAMPLES), make_block(4096)
+    columns = np.hstack([samples.accelerometer, samples.gyroscope])
+    unit = "million samples/s"
+    peer = _million_per_s(lambda: _plain(linear, samples), SAMPLES)
+    rows = [
+        _row("linear, block of 2 million", _million_per_s(lambda: linear.apply(samples), SAMPLES), unit, peer),
+        _row("linear, array of six columns", _million_per_s(lambda: linear.apply(columns), SAMPLES), unit, peer),
+        _row("linear, blocks of 4096", _million_per_s(lambda: linear.apply(small), len(small), 200), unit),
+        _row("with g-sensitivity", _million_per_s(lambda: sensitive.apply(samples), SAMPLES), unit, peer),
+        _row("with quadratic term", _million_per_s(lambda: quadratic.apply(samples), SAMPLES), unit),
+    ]
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with tempfile.TemporaryDirectory() as folder:
+        rows.append(_row("stream to CSV", _million_per_s(lambda: _stream(linear, folder), STREAMED, 1), unit))
+    rows.append(
+        _row(
+            "stream to CSV, memory more than before",
+            (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024,
+            "MiB",
+        )
+    )
+    return rows
+
+
+def main() -> None:
+    """Print the figures as a table."""
+    print(f"{'':58} {'imufield':>10} {'peer':>10} {'ratio':>7}")
+    for row in run():
+        peer = "" if row["peer"] is None else f"{row['peer']:10.3f}"
+        ratio = "" if row["ratio"] is None else f"{row['ratio']:7.2f}"
+        print(f"{row['name']:58} {row['value']:10.3f} {peer:>10} {ratio:>7}  {row['unit']}")
+
+
+if __name__ == "__main__":
+    main()

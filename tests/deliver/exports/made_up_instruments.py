@@ -1,0 +1,121 @@
+"""Instruments made up at random, as loaded parameter files."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imufield.calibrate.gauge import change_gauge
+from imufield.calibrate.models import from_vector, predict, to_vector
+from imufield.calibrate.observations import Observations
+from imufield.calibrate.result import (
+    AccelerometerParameters,
+    Calibration,
+    Gauge,
+    GyroscopeCalibration,
+    GyroscopeParameters,
+    Intrinsic,
+    PositionResult,
+    QuadraticAxes,
+    Quality,
+    SolverSummary,
+)
+from imufield.deliver.context import Context, Instrument, Noise, SessionFacts
+from imufield.deliver.document import to_document
+from imufield.deliver.parameters import Parameters, from_document
+from imufield.earth import Gravity
+from imufield.samples import SampleUnits
+
+GRAVITY = 9.8071
+POSITIONS = 24
+
+
+def off_diagonal(rng: np.random.Generator, size: float) -> np.ndarray:
+    return rng.normal(scale=size, size=(3, 3)) * (1 - np.eye(3))
+
+
+def made_up(
+    seed: int,
+    *,
+    gauge: Gauge = "lower",
+    angle_rad: float = 5e-3,
+    quadratic: float = 0.0,
+    axes: QuadraticAxes = "sensing",
+    g_sensitivity: float = 0.0,
+    gyroscope: bool = True,
+    units: tuple[str, str] = ("m/s^2", "rad/s"),
+    scale: tuple[float, float] = (1.0, 1.0),
+    sign: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    raw_zero: float = 0.0,
+    context: Context | None = None,
+) -> Parameters:
+    """Return the parameters of an instrument; ``scale`` is raw unit per SI."""
+    rng = np.random.default_rng(seed)
+    K = np.array(sign) * scale[0] * (1 + rng.normal(scale=1e-2, size=3))
+    accelerometer = AccelerometerParameters(
+        K,
+        rng.normal(scale=0.05, size=3),
+        off_diagonal(rng, angle_rad),
+        quadratic * scale[0] * rng.normal(size=3),
+        np.full(3, raw_zero),
+        axes,
+    )
+    preset = to_vector(AccelerometerParameters(K, np.zeros(3), off_diagonal(rng, angle_rad)))
+    if axes == "sensing":
+        vector = change_gauge(to_vector(accelerometer), gauge, preset).vector
+        accelerometer = from_vector(vector, accelerometer.raw_zero, axes)
+    rates = GyroscopeParameters(
+        np.array(sign) * scale[1] * (1 + rng.normal(scale=1e-2, size=3)),
+        off_diagonal(rng, angle_rad),
+        scale[1] * rng.normal(scale=1e-3, size=3),
+        scale[1] * g_sensitivity * rng.normal(size=(3, 3)),
+    )
+    return loaded(accelerometer, rates if gyroscope else None, gauge, units, context)
+
+
+def loaded(
+    accelerometer: AccelerometerParameters,
+    gyroscope: GyroscopeParameters | None,
+    gauge: Gauge,
+    units: tuple[str, str],
+    context: Context | None = None,
+) -> Parameters:
+    up = np.random.default_rng(5).normal(size=(POSITIONS, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    nothing, unknown = np.zeros(3), np.full((POSITIONS, 3), np.nan)
+    observations = Observations(
+        name=tuple(map(str, range(POSITIONS))),
+        mean_raw=predict(accelerometer, GRAVITY * up),
+        covariance_raw=np.zeros((POSITIONS, 3, 3)),
+        gyroscope_mean_raw=unknown,
+        gyroscope_covariance_raw=np.full((POSITIONS, 3, 3), np.nan),
+        direction=up,
+        start_s=np.arange(POSITIONS, dtype=np.float64),
+        duration_s=np.ones(POSITIONS),
+        temperature_degc=np.full(POSITIONS, 30.0),
+        units=SampleUnits(*units),
+    )
+    zeros = np.zeros(POSITIONS)
+    calibration = Calibration(
+        accelerometer=accelerometer,
+        accelerometer_sigma=accelerometer,
+        accelerometer_raw_unit=units[0],
+        equation="N - raw_zero = K (T a + b) + K2 (T a)^2",
+        gauge=gauge,
+        intrinsic=Intrinsic(*[nothing] * 8),
+        covariance_names=("gravity_m_s2",),
+        covariance=np.array([[1e-6]]),
+        gravity=Gravity(GRAVITY, 5e-4, "normal", 48.1, 520.0),
+        positions=PositionResult(zeros, zeros, zeros, np.ones(POSITIONS, dtype=np.bool_)),
+        solver=SolverSummary("least squares", 1, "converged", 1.0, 9),
+        quality=Quality(0.0, 0.0, 0.0, 0.0, 12, 2.18, 12, 12, 40.0, "good", ()),
+        quadratic_fitted=bool(np.any(accelerometer.quadratic)),
+        gyroscope=None if gyroscope is None else GyroscopeCalibration(gyroscope, gyroscope, "made up", units[1]),
+    )
+    known = Context(
+        instrument=Instrument("stim300", "STIM300", "N25581", "3.1"),
+        session=SessionFacts("2025-03-01-stim300", 64 * "a", 1999.987, (30.9, 33.4)),
+        noise=Noise("still at the start", np.full(3, 7e-4), np.full(3, 4e-5)),
+        created="2025-03-01T10:55:00Z",
+        software="imufield 0.1.0",
+    )
+    return from_document(to_document(calibration, observations, context or known))

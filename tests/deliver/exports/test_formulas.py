@@ -1,0 +1,415 @@
+"""Every target's own formula, written here from its documentation, on the file it is given: it must correct as we do."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import imucal
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made_up_instruments import loaded, made_up
+from pyins.inertial_sensor import EstimationModel
+
+from imufield.deliver.exports import ExportOptions, export_parameters
+from imufield.deliver.parameters import Parameters
+
+Formula = Callable[[dict[str, bytes], np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray | None]]
+"""Files, raw acceleration and rate in the unit the target works in -> corrected acceleration and rate in SI."""
+G0 = 9.80665
+
+
+def square(values: list[float]) -> np.ndarray:
+    return np.array(values, dtype=float).reshape(3, 3)
+
+
+def vectornav(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    registers = {}
+    for line in files["vectornav.txt"].decode().split("\r\n"):
+        if match := re.fullmatch(r"\$VNWRG,(\d\d),([^*]*)\*[0-9A-F]{2}", line):
+            registers[int(match[1])] = [float(value) for value in match[2].split(",")]
+    out = [(raw - registers[number][9:]) @ square(registers[number][:9]).T for number, raw in ((25, acc), (84, gyr))]
+    return out[0], out[1]
+
+
+def kalibr_imu(files: dict[str, bytes]) -> tuple[dict[str, Any], list[list[float]]]:
+    (content,) = files.values()
+    text = content.decode().replace("%YAML:1.0\n", "")
+    biases = [yaml.safe_load(match) for match in re.findall(r"bias, \S+: (\[.*\])", text)]
+    return yaml.safe_load(text)["imu0"], biases
+
+
+def kalibr(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    imu, biases = kalibr_imu(files)
+    M, Mg = np.array(imu["accelerometers"]["M"]), np.array(imu["gyroscopes"]["M"])
+    C, A = np.array(imu["gyroscopes"]["C_gyro_i"]), np.array(imu["gyroscopes"]["A"])
+    assert np.all(np.triu(M, 1) == 0)
+    assert np.all(np.triu(Mg, 1) == 0)
+    np.testing.assert_allclose(C @ C.T, np.eye(3), atol=1e-14)
+    assert np.linalg.det(C) > 0
+    a = np.linalg.solve(M, (acc - biases[0]).T).T
+    return a, np.linalg.solve(Mg @ C, (gyr - biases[1] - a @ (A @ C).T).T).T
+
+
+def openvins(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    imu, biases = kalibr_imu(files)
+    Ta, Tw, Tg, Ra, Rw = (np.array(imu[name]) for name in ("Ta", "Tw", "Tg", "R_IMUtoACC", "R_IMUtoGYRO"))
+    a = (acc - biases[0]) @ (Ra.T @ np.linalg.inv(Ta)).T
+    return a, (gyr - biases[1] - a @ Tg.T) @ (Rw.T @ np.linalg.inv(Tw)).T
+
+
+def basalt(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    values = json.loads(files["calibration.json"])["value0"]
+    bx, by, bz, s1, s2, s3, s4, s5, s6 = values["calib_accel_bias"]
+    a = acc @ np.array([[1 + s1, 0, 0], [s2, 1 + s4, 0], [s3, s5, 1 + s6]]).T - [bx, by, bz]
+    full = np.array(values["calib_gyro_bias"])
+    S = np.column_stack([full[3:6], full[6:9], full[9:12]])
+    return a, gyr + gyr @ S.T - full[:3]
+
+
+def realsense(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    imu = json.loads(files["calibration.json"])["imus"][0]
+    pairs = ((imu["accelerometer"], acc), (imu["gyroscope"], gyr))
+    out = [raw @ square(triad["scale_and_alignment"]).T - triad["bias"] for triad, raw in pairs]
+    return out[0], out[1]
+
+
+def dlio(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    intrinsics = yaml.safe_load(files["dlio.yaml"])["dlio"]["imu"]["intrinsics"]
+    return acc @ square(intrinsics["accel"]["sm"]).T - intrinsics["accel"]["bias"], None
+
+
+def imu_calib(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    values = yaml.safe_load(files["imu_calib.yaml"])
+    return acc @ square(values["SM"]).T - values["bias"], None
+
+
+def imu_tk(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    out = []
+    for name, raw in (("imu_tk_acc.calib", acc), ("imu_tk_gyro.calib", gyr)):
+        T, K, bias = (np.array([[float(x) for x in row.split()] for row in block.splitlines()])
+                      for block in files[name].decode().split("\n\n"))  # fmt: skip
+        assert np.all(np.diag(T) == 1)
+        assert np.all(np.diag(np.diag(K)) == K)
+        assert "gyro" in name or np.all(np.tril(T, -1) == 0)
+        out.append((raw - bias.ravel()) @ (T @ K).T)
+    return out[0], out[1]
+
+
+def imucal_package(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    text = files["imucal.json"].decode()
+    info = imucal.ferraris_calibration_info.FerrarisCalibrationInfo.from_json(text)
+    units = json.loads(text)
+    a, w = info.calibrate(acc, gyr, units["from_acc_unit"], units["from_gyr_unit"])
+    return a, np.radians(w)
+
+
+def imucal_formula(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    v = {key: np.array(value) for key, value in json.loads(files["imucal.json"]).items() if key[1] == "_" and key[0] in "KRb"}
+    np.testing.assert_allclose(np.linalg.norm(v["R_a"], axis=1), 1)
+    a = np.linalg.solve(v["K_a"] @ v["R_a"], (acc - v["b_a"]).T).T
+    return a, np.radians(np.linalg.solve(v["K_g"] @ v["R_g"], (gyr - a @ v["K_ga"].T - v["b_g"]).T).T)
+
+
+def psins(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    text = files["imufield_clbt.m"].decode()
+    clbt = {name: np.array([[float(x) for x in row.split(",")] for row in body.split(";")])
+            for name, body in re.findall(r"clbt\.(\w+) = \[([^\]]*)\]", text)}  # fmt: skip
+    ts = 0.01
+    wm, vm = gyr * ts, acc * ts
+    ka2 = clbt["Ka2"].ravel()
+    out_v = vm @ clbt["Ka"].T - clbt["db"].ravel() * ts - ka2 * vm**2 / ts
+    out_w = wm @ clbt["Kg"].T - clbt["eb"].ravel() * ts - vm @ clbt.get("gSens", np.zeros((3, 3))).T
+    return out_v / ts, out_w / ts
+
+
+def pyins_module(files: dict[str, bytes], folder: Path) -> object:
+    path = folder / "imufield_pyins.py"
+    path.write_bytes(files["imufield_pyins.py"])
+    spec = importlib.util.spec_from_file_location("imufield_pyins", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+WITH_G: dict[str, Formula] = {"kalibr": kalibr, "openvins": openvins, "imucal": imucal_package, "psins": psins}
+FORMULAS: dict[str, Formula] = WITH_G | {
+    "vectornav": vectornav,
+    "basalt": basalt,
+    "realsense": realsense,
+    "dlio": dlio,
+    "imu_calib": imu_calib,
+    "imu_tk": imu_tk,
+}
+TURNED = {"kalibr", "openvins", "basalt", "imu_tk", "psins"}
+RAW_UNITS_KEPT = {"imu_tk", "imucal"}
+
+
+def samples(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-30, 30, (40, 3)), rng.uniform(-5, 5, (40, 3))
+
+
+def nearest_rotation(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+    """Return the proper rotation R of theirs = R ours (Kabsch), found from the values alone."""
+    left, _, right = np.linalg.svd(theirs.T @ ours)
+    rotation = left @ np.diag([1, 1, np.sign(np.linalg.det(left @ right))]) @ right
+    return np.asarray(rotation)
+
+
+def close(theirs: np.ndarray, ours: np.ndarray, relative: float = 1e-9) -> None:
+    np.testing.assert_allclose(theirs, ours, rtol=0, atol=relative * np.abs(ours).max())
+
+
+def check(target: str, parameters: Parameters, files: dict[str, bytes], unit: tuple[float, float], seed: int) -> np.ndarray:
+    """Compare the target's formula with ``apply``; ``unit`` is raw per SI. Return the turn of the target's body frame."""
+    acc, gyr = samples(seed)
+    raw_acc, raw_gyr = acc * unit[0], gyr * unit[1]
+    a = parameters.apply_accelerometer(raw_acc)
+    w = parameters.apply_gyroscope(raw_gyr, a)
+    formula = FORMULAS[target]
+    their_a, their_w = formula(files, raw_acc, raw_gyr) if target in RAW_UNITS_KEPT else formula(files, acc, gyr)
+    R = nearest_rotation(a, their_a) if target in TURNED else np.eye(3)
+    close(their_a, a @ R.T)
+    if their_w is not None:
+        close(their_w, w @ R.T)
+    return R
+
+
+INSTRUMENTS = {
+    "seed": st.integers(0, 2**32 - 1),
+    "gauge": st.sampled_from(["lower", "upper", "symmetric", "preset"]),
+    "angle_rad": st.sampled_from([0.0, 1e-4, 5e-3, 0.05]),
+}
+
+
+@pytest.mark.parametrize("target", FORMULAS)
+def test_formula_corrects_as_we_do(target: str) -> None:
+    @settings(max_examples=25, deadline=None, derandomize=True)
+    @given(**INSTRUMENTS)
+    def compare(seed: int, gauge: str, angle_rad: float) -> None:
+        g_sensitivity = 1e-4 if target in WITH_G else 0.0
+        parameters = made_up(seed, gauge=gauge, angle_rad=angle_rad, g_sensitivity=g_sensitivity)
+        exported = export_parameters(parameters, target)
+        if target not in ("dlio", "imu_calib"):
+            assert not [loss for loss in exported.losses if "no part of the file" not in loss]
+        check(target, parameters, dict(exported.files), (1.0, 1.0), seed)
+
+    compare()
+
+
+@pytest.mark.parametrize("target", ["vectornav", "realsense", "imucal"])
+@pytest.mark.parametrize("gauge", ["lower", "upper", "symmetric"])
+def test_gauge_on_request_turns_both_triads(target: str, gauge: str) -> None:
+    parameters = made_up(3, gauge="preset")
+    exported = export_parameters(parameters, target, ExportOptions(gauge=gauge))  # type: ignore[arg-type]
+    acc, gyr = samples(4)
+    a = parameters.apply_accelerometer(acc)
+    their_a, their_w = FORMULAS[target](dict(exported.files), acc, gyr)
+    assert their_w is not None
+    R = nearest_rotation(a, their_a)
+    close(their_a, a @ R.T)
+    close(their_w, parameters.apply_gyroscope(gyr, a) @ R.T)
+    assert any("turned by" in note for note in exported.notes)
+    matrix = np.linalg.lstsq(acc - acc.mean(axis=0), their_a - their_a.mean(axis=0), rcond=None)[0].T
+    T = np.linalg.inv(matrix)
+    T /= np.diag(T)[:, None]
+    zero = {"lower": np.triu(T, 1), "upper": np.tril(T, -1), "symmetric": T - T.T}[gauge]
+    np.testing.assert_allclose(zero, 0, atol=1e-10)
+
+
+def test_notes_tell_the_turn_in_the_direction_it_was_made() -> None:
+    parameters = made_up(6, gauge="lower")
+    exported = export_parameters(parameters, "imu_tk")
+    R = check("imu_tk", parameters, dict(exported.files), (1.0, 1.0), 7)
+    (note,) = [note for note in exported.notes if "turned by" in note]
+    x, y, z = (float(text) * 1e-3 for text in re.findall(r"-?\d+\.\d{4}", note))
+    half = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) / 2
+    np.testing.assert_allclose(np.linalg.solve(np.eye(3) - half, np.eye(3) + half), R, atol=2e-7)
+
+
+@pytest.mark.parametrize("target", FORMULAS)
+def test_two_reversed_axes_where_the_target_takes_a_full_matrix(target: str) -> None:
+    parameters = made_up(8, sign=(-1.0, 1.0, -1.0))
+    check(target, parameters, dict(export_parameters(parameters, target).files), (1.0, 1.0), 9)
+
+
+@pytest.mark.parametrize("target", sorted(set(FORMULAS) - RAW_UNITS_KEPT))
+def test_g_and_degrees_become_si(target: str) -> None:
+    unit = (1 / G0, np.degrees(1))
+    parameters = made_up(10, units=("g", "deg/s"), scale=unit)
+    check(target, parameters, dict(export_parameters(parameters, target).files), unit, 11)
+
+
+@pytest.mark.parametrize("target", sorted(set(FORMULAS) - RAW_UNITS_KEPT))
+def test_counts_with_the_scale_of_the_driver(target: str) -> None:
+    unit, zero = (1670.7, 7509.9), 32768.0
+    parameters = made_up(12, units=("count", "count"), scale=unit, raw_zero=zero, g_sensitivity=1e-4 * (target in WITH_G))
+    options = ExportOptions(accelerometer_nominal=unit[0], gyroscope_nominal=unit[1])
+    files = dict(export_parameters(parameters, target, options).files)
+    acc, gyr = samples(13)
+    a = parameters.apply_accelerometer(acc * unit[0] + zero)
+    their_a, their_w = FORMULAS[target](files, acc, gyr)
+    R = nearest_rotation(a, their_a) if target in TURNED else np.eye(3)
+    close(their_a, a @ R.T)
+    if their_w is not None:
+        close(their_w, parameters.apply_gyroscope(gyr * unit[1], a) @ R.T)
+
+
+@pytest.mark.parametrize("target", sorted(RAW_UNITS_KEPT))
+def test_counts_as_they_are(target: str) -> None:
+    unit = (1670.7, 7509.9)
+    parameters = made_up(14, units=("count", "count"), scale=unit, raw_zero=100.0)
+    check(target, parameters, dict(export_parameters(parameters, target).files), unit, 15)
+
+
+def test_imucal_formula_and_package_agree() -> None:
+    files = dict(export_parameters(made_up(16, g_sensitivity=1e-4), "imucal").files)
+    for ours, theirs in zip(imucal_formula(files, *samples(17)), imucal_package(files, *samples(17)), strict=True):
+        assert ours is not None
+        assert theirs is not None
+        close(theirs, ours, 1e-12)
+
+
+def test_imucal_without_gyroscope_passes_it_through() -> None:
+    exported = export_parameters(made_up(18, gyroscope=False), "imucal")
+    acc, gyr = samples(19)
+    _, w = imucal_package(dict(exported.files), acc, gyr)
+    assert w is not None
+    close(np.degrees(w), gyr, 1e-12)
+    assert any("passed through" in note for note in exported.notes)
+
+
+def test_openvins_rpng_has_upper_triangles_in_the_frame_of_the_gyroscope() -> None:
+    parameters = made_up(20, gauge="preset", g_sensitivity=1e-4)
+    files = dict(export_parameters(parameters, "openvins", ExportOptions(model="rpng")).files)
+    imu, _ = kalibr_imu(files)
+    for name in ("Ta", "Tw"):
+        assert np.all(np.tril(np.array(imu[name]), -1) == 0)
+    np.testing.assert_array_equal(imu["R_IMUtoGYRO"], np.eye(3))
+    check("openvins", parameters, files, (1.0, 1.0), 21)
+
+
+def test_pyins_simulates_our_raw_values_and_corrects_them(tmp_path: Path) -> None:
+    parameters = made_up(22)
+    module = pyins_module(dict(export_parameters(parameters, "pyins").files), tmp_path)
+    acc, gyr = samples(23)
+    a = parameters.apply_accelerometer(acc)
+    w = parameters.apply_gyroscope(gyr, a)
+    for triad, truth, raw in ((module.ACCELEROMETER, a, acc), (module.GYROSCOPE, w, gyr)):  # type: ignore[attr-defined]
+        simulated = triad.apply(pd.DataFrame(truth, index=0.01 * np.arange(len(truth)), columns=list("xyz")), "rate")
+        close(simulated.to_numpy(), raw, 1e-12)
+        close(module.correct(triad, raw), truth)  # type: ignore[attr-defined]
+        model = EstimationModel(bias_sd=1.0, scale_misal_sd=1.0)
+        model.transform, model.bias = triad.transform, triad.bias
+        dt = np.full(len(raw), 0.01)
+        corrected = model.correct_increments(dt, pd.DataFrame(raw * 0.01, columns=list("xyz")))
+        close(corrected.to_numpy() / 0.01, truth)
+
+
+def test_psins_holds_the_quadratic_term_to_first_order() -> None:
+    parameters = made_up(24, quadratic=5e-6, raw_zero=2.0)  # a bias whose square counts
+    exported = export_parameters(parameters, "psins")
+    acc, _ = samples(25)
+    acc *= 9.8 / 30
+    a = parameters.apply_accelerometer(acc)
+    their_a, _ = psins(dict(exported.files), acc, acc)
+    error = np.abs(their_a - a @ nearest_rotation(a, their_a).T).max()
+    linear, _ = vectornav(dict(export_parameters(parameters, "vectornav").files), acc, acc)
+    assert error < 0.02 * np.abs(linear - a).max()
+    assert "first order" in exported.losses[0]
+
+
+@pytest.mark.parametrize("target", ["px4", "ardupilot", "microstrain"])
+def test_an_instrument_without_misalignment_is_held_exactly(target: str) -> None:
+    like = made_up(26, angle_rad=0.0).calibration
+    gyroscope = like.gyroscope.parameters
+    unit_gyroscope = type(gyroscope)(np.ones(3), np.zeros((3, 3)), gyroscope.bias, np.zeros((3, 3)))
+    accelerometer = like.accelerometer
+    if target == "microstrain":
+        accelerometer = type(accelerometer)(np.ones(3), accelerometer.bias_m_s2, np.zeros((3, 3)))
+    parameters = loaded(accelerometer, unit_gyroscope, "lower", ("m/s^2", "rad/s"))
+    exported = export_parameters(parameters, target)
+    assert exported.losses == ()
+    acc, gyr = samples(27)
+    their_a, their_w = DIAGONAL[target](dict(exported.files), acc, gyr)
+    relative = 1e-6 if target == "microstrain" else 1e-9
+    close(their_a, parameters.apply_accelerometer(acc), relative)
+    close(their_w, parameters.apply_gyroscope(gyr, acc), relative)
+
+
+def px4(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    rows = [line.split("\t") for line in files["px4.params"].decode().splitlines() if not line.startswith("#")]
+    p = {name: float(value) for _, _, name, value, _ in rows}
+    offset, scale, gyroscope = (np.array([p[name.format(axis)] for axis in "XYZ"])
+                                for name in ("CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE", "CAL_GYRO0_{}OFF"))  # fmt: skip
+    return (acc - offset) * scale, gyr - gyroscope
+
+
+def ardupilot(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    rows = [line.split(",") for line in files["ardupilot.param"].decode().splitlines() if not line.startswith("#")]
+    p = {name: float(value) for name, value in rows}
+    offset, scale, gyroscope = (np.array([p[f"INS_{name}_{axis}"] for axis in "XYZ"])
+                                for name in ("ACCOFFS", "ACCSCAL", "GYROFFS"))  # fmt: skip
+    return (acc - offset) * scale, gyr - gyroscope
+
+
+def microstrain(files: dict[str, bytes], acc: np.ndarray, gyr: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    stream, bias = files["microstrain.bin"], {}
+    while stream:
+        length = stream[3]
+        payload, stream = stream[4 : 4 + length], stream[6 + length :]
+        if payload[2] == 1:
+            bias[payload[1]] = np.array(struct.unpack(">3f", payload[3:]))
+    return (acc / G0 - bias[0x37]) * G0, gyr - bias[0x38]
+
+
+DIAGONAL = {"px4": px4, "ardupilot": ardupilot, "microstrain": microstrain}
+
+
+@pytest.mark.parametrize("target", DIAGONAL)
+def test_what_a_diagonal_cannot_hold_is_what_is_printed(target: str) -> None:
+    """The loss in the sentence is that of the target's formula on the written file, over other directions than ours."""
+    parameters = made_up(28, angle_rad=3e-3, quadratic=2e-6)
+    exported = export_parameters(parameters, target)
+    rng = np.random.default_rng(29)
+    up = rng.normal(size=(20000, 3))
+    force = 9.8071 * up / np.linalg.norm(up, axis=1, keepdims=True)
+    calibration = parameters.calibration.accelerometer
+    s = force @ (np.eye(3) + calibration.misalignment_rad).T
+    raw = calibration.scale * (s + calibration.bias_m_s2) + calibration.quadratic * s**2
+    theirs, _ = DIAGONAL[target](dict(exported.files), raw, raw)
+    difference = theirs - force @ nearest_rotation(force, theirs).T
+    rms_mg = np.sqrt(np.mean(np.sum(difference**2, axis=1))) / G0 * 1e3
+    (sentence,) = [loss for loss in exported.losses if loss.startswith("accelerometer")]
+    printed = float(re.search(r"costs ([\d.e-]+) mg rms", sentence)[1])  # type: ignore[index]
+    assert printed == pytest.approx(rms_mg, rel=0.02)
+    assert any("mrad/s rms" in loss for loss in exported.losses)
+
+
+def test_refitted_diagonal_is_better_than_a_cut_one() -> None:
+    """Gravity's magnitude over all directions: the diagonal of M in the lower gauge against what PX4 gets."""
+    up = np.random.default_rng(30).normal(size=(20000, 3))
+    force = 9.8071 * up / np.linalg.norm(up, axis=1, keepdims=True)
+    for seed in range(10):
+        parameters = made_up(seed, angle_rad=0.02, quadratic=2e-5)
+        p = parameters.calibration.accelerometer
+        s = force @ (np.eye(3) + p.misalignment_rad).T
+        raw = p.scale * (s + p.bias_m_s2) + p.quadratic * s**2
+        M = np.linalg.inv(p.scale[:, None] * (np.eye(3) + p.misalignment_rad))
+        cut = (raw - p.scale * p.bias_m_s2) * np.diag(M)
+        refitted, _ = px4(dict(export_parameters(parameters, "px4").files), raw, raw)
+        errors = [np.std(np.linalg.norm(value, axis=1) - 9.8071) + abs(np.mean(np.linalg.norm(value, axis=1)) - 9.8071)
+                  for value in (refitted, cut)]  # fmt: skip
+        assert errors[0] < errors[1]
