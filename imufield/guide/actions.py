@@ -10,10 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from imufield.guide.advice import doubtful_advice, drift_advice, scale_advice, scheme_advice, target_advice
 from imufield.guide.cells import Cells
 from imufield.guide.checks import HoldUnderTest, Refusal, examine, explain_flags
 from imufield.guide.events import (
-    Accepted,
     Done,
     Event,
     Hold,
@@ -24,16 +24,48 @@ from imufield.guide.events import (
     Move,
     RefusalCode,
     Rejected,
+    Turn,
+    Turned,
     Turning,
 )
-from imufield.guide.observe import guard_cells, observe, trim_stretch
+from imufield.guide.held import HeldMean, held_mean
+from imufield.guide.hold_time import SHORTEST_S, AllanMinimum, is_long_enough, sigma_along
+from imufield.guide.observe import guard_cells, knocks_of, observe, trim_stretch
 from imufield.guide.plan import Plan
 from imufield.guide.positions import Position, angle_deg
+from imufield.guide.raw_history import RawHistory
+from imufield.guide.rotations import TurnFollower, plan_turns
+from imufield.guide.running_fit import Disagreement, RunningFit, running_fit
 from imufield.guide.settings import GuideSettings
 from imufield.guide.state_table import TABLE, Input
 from imufield.guide.stillness import Judgement, Phase, StillnessDetector
-from imufield.guide.wording import floor_event, moved_refusal, not_still_refusal, place_refusal, vector
-from imufield.samples import FloatArray
+from imufield.guide.warmth import Warmth
+from imufield.guide.wording import (
+    accepted_event,
+    floor_event,
+    moved_refusal,
+    not_still_refusal,
+    place_refusal,
+    vector,
+    warming_refusal,
+)
+from imufield.samples import AXES, FloatArray
+
+HISTORY_MARGIN_S = 5.0
+WEIGH_EVERY = 5
+CLEARLY_MORE = 1.5
+"""A position is proposed before its turn where its gain is so many times larger: the order that drift cannot imitate is worth
+more than a little gain."""
+_PASSING = (
+    RefusalCode.DRIFTING,
+    RefusalCode.KNOCKED,
+    RefusalCode.SAMPLE_LOSS,
+    RefusalCode.START_UP,
+    RefusalCode.TREMBLING,
+    RefusalCode.SWAYING,
+    RefusalCode.WARMING_UP,
+)
+"""Refusals that pass if the unit is left where it is."""
 
 
 class GuideActions:
@@ -50,6 +82,17 @@ class GuideActions:
         self.plan = plan
         self.detector = detector
         self.settings = settings
+        self.history = RawHistory(detector.settings.longest_s + HISTORY_MARGIN_S)
+        self.allan = AllanMinimum(detector.settings.cell_s)
+        self.warmth = Warmth(detector.settings.cell_s)
+        self.go_cold = False
+        """The operator said to go on although the temperature changes."""
+        self.fit: RunningFit | None = None
+        self.turns_left = plan_turns(settings.rotations, settings.turns_each_way)
+        self.turns_planned = len(self.turns_left)
+        self._turn = TurnFollower(detector.settings.cell_s)
+        self._advised: set[str] = set()
+        self._first_judged_s = math.nan
         self.events: list[Event] = []
         self.announced = False
         """Whether the noise floor was said."""
@@ -121,6 +164,7 @@ class GuideActions:
         if floor is None:
             return
         self.announced = True
+        self._first_judged_s = floor.start_s
         self.now_s = floor.start_s + floor.duration_s
         self.events.append(floor_event(self.now_s, floor, self.detector))
         lying = self.plan.nearest(self._direction(floor.mean[:3]), pending=True)
@@ -132,18 +176,32 @@ class GuideActions:
         """Say what comes next."""
         index = self.plan.proposed()
         if index is None:
+            self.propose_turn()
             return
         position = self.plan.position(index)
-        if index in self.plan.wanted_again:
-            why = "to be measured again; the older measurement counts until then"
-        elif index == self.plan.first and not self.plan.accepted:
-            why = "it lies there already"
-        elif not self.plan.accepted:
-            why = "the first of the list; any other order is fine"
-        else:
-            why = "next in an order that keeps drift and error parameters apart; any pending position is taken"
         accepted, planned = len(self.plan.accepted), len(self.plan.scheme)
+        why = self._why(index)
         self.events.append(Move(self.now_s, position.name, vector(position.direction), position.words, why, accepted, planned))
+
+    def _why(self, index: int) -> str:
+        if index == self.plan.revisiting:
+            return "the first one again: a check for drift, replaces nothing"
+        if index in self.plan.wanted_again:
+            return "to be measured again; the older measurement counts until then"
+        if index == self.plan.first and not self.plan.accepted:
+            return "it lies there already"
+        if not self.plan.accepted:
+            return "the first of the list; any other order is fine"
+        if index == self.plan.preferred:
+            return "it helps most now: what is known least shows best there; any pending position is taken"
+        return "next in an order that keeps drift and error parameters apart; any pending position is taken"
+
+    def propose_turn(self) -> None:
+        """Say which whole turn comes next."""
+        if self.turns_left:
+            turn, left = self.turns_left[0], len(self.turns_left)
+            done = self.turns_planned - left
+            self.events.append(Turn(self.now_s, AXES[turn.axis], turn.sense, turn.about, turn.words, done, self.turns_planned))
 
     def show_turning(self) -> None:
         """Say where the unit points, a few times a second, and what keeps it from being still where it lingers."""
@@ -196,41 +254,86 @@ class GuideActions:
         position = self._current()
         direction = self._direction(np.array(self.detector.stretch.mean[:3]))
         angle = angle_deg(position.direction, direction)
-        self.events.append(Hold(self.now_s, position.name, position.words, angle, self.settings.hold_s))
+        self.events.append(Hold(self.now_s, position.name, position.words, angle, self._latest_s()))
+
+    def _latest_s(self) -> float:
+        """Return the length at which a hold ends at the latest."""
+        wish = self.settings.wish
+        return wish.fixed_s or max(min(wish.longest_s, self.allan.minimum_s), SHORTEST_S)
+
+    def _guard(self, *, in_hand: bool) -> int:
+        settings = self.detector.settings
+        return settings.cells(self.settings.hand_guard_s) if in_hand else guard_cells(self.detector.limits, settings)
 
     def count(self) -> Input | None:
         """Count the cells of a hold; when there are enough, see whether enough remain after trimming."""
-        settings = self.detector.settings
-        wanted = settings.cells(self.settings.hold_s)
-        needed = wanted + 2 * guard_cells(self.detector.limits, settings)
-        stretch = self.detector.stretch
-        self.fraction = min(stretch.judged / needed, 1.0)
-        if stretch.judged >= needed:
-            cells = stretch.cells()
-            cells = cells[trim_stretch(cells, self.detector.limits, settings)]
-            if len(cells) >= wanted or (stretch.judged > len(stretch) and len(cells)):
-                self._hold = self._under_test(cells)
+        settings, stretch = self.detector.settings, self.detector.stretch
+        usable = stretch.judged - 2 * self._guard(in_hand=self.detector.in_hand)
+        latest = settings.cells(self._latest_s())
+        earliest = latest if self.settings.wish.fixed_s is not None else settings.cells(SHORTEST_S)
+        self.fraction = min(max(self.fraction, usable / latest), 1.0) if usable > 0 else 0.0
+        # A hold without a fixed time is weighed twice a second.
+        if usable >= latest or (usable >= earliest and usable % WEIGH_EVERY == 0):
+            self._hold = self._weigh(latest)
+            if self._hold is not None:
                 return Input.LONG_ENOUGH
         if self.due("holding", self.settings.repeat_s):
-            left_s = max(needed - stretch.judged, 0) * settings.cell_s
+            left_s = max((1 - self.fraction) * latest, 0) * settings.cell_s
             self.events.append(Holding(self.now_s, self._current().name, self.fraction, left_s))
         return None
 
-    def _under_test(self, cells: Cells) -> HoldUnderTest | None:
-        floor = self.detector.floor
-        return (
-            None
-            if floor is None
-            else HoldUnderTest(cells, floor, self.detector.limits, self.detector.scale, self.settings.checks)
-        )
+    def _weigh(self, latest: int) -> HoldUnderTest | None:
+        """Return the hold if it is long enough, guard bands and ends that stand out cut off; None if it must go on."""
+        detector, stretch, floor = self.detector, self.detector.stretch, self.detector.floor
+        cells = stretch.cells()
+        rows = trim_stretch(cells, detector.limits, detector.settings)
+        in_hand = detector.in_hand or (detector.settings.hand and detector.is_hand_like(cells[rows]))
+        if in_hand:
+            guard = self._guard(in_hand=True)
+            rows = slice(max(rows.start, guard), max(min(rows.stop, len(cells) - guard), guard))
+        cells = cells[rows]
+        if floor is None or not len(cells):
+            return None
+        held = self._held_mean(cells) if in_hand and len(cells) >= latest else None
+        full = stretch.judged > len(stretch)
+        if in_hand:
+            return self._under_test(cells, held) if held is not None and (full or len(cells) >= latest) else None
+        sigma = sigma_along(cells, detector.scale)
+        wish = self.settings.wish
+        if sigma > 0 and math.isfinite(sigma) and wish.sigma_m_s2 > 0:
+            self.fraction = min(max(self.fraction, (wish.sigma_m_s2 / sigma) ** 2), 1.0)
+        length_s = len(cells) * detector.settings.cell_s
+        if full or is_long_enough(length_s, sigma, wish, self.allan.minimum_s):
+            return self._under_test(cells, None)
+        return None
+
+    def _held_mean(self, cells: Cells) -> HeldMean | None:
+        """Return the mean of a hold in the hand, from its samples; None for one from before the noise floor was known."""
+        floor, scale = self.detector.floor, self.detector.scale
+        if floor is None or not float(cells.start_s[0]) >= self._first_judged_s:
+            return None
+        samples = self.history.between(float(cells.start_s[0]), float(cells.end_s[-1]))
+        density = floor.cell_sigma[:3] * math.sqrt(self.detector.settings.cell_s)
+        return None if samples is None else held_mean(samples, scale, density, knocks_of(cells, self.detector.limits))
+
+    def _under_test(self, cells: Cells, held: HeldMean | None) -> HoldUnderTest | None:
+        detector, floor = self.detector, self.detector.floor
+        if floor is None:
+            return None
+        return HoldUnderTest(cells, floor, detector.limits, detector.scale, self.settings.checks, held)
 
     def judge(self) -> Input:
         """Examine the hold."""
-        self._refusal = None if self._hold is None else examine(self._hold)
+        self._refusal = None if self._hold is None else examine(self._hold) or self._cold()
         if self._refusal is None:
             return Input.GOOD
-        passing = (RefusalCode.DRIFTING, RefusalCode.KNOCKED, RefusalCode.SAMPLE_LOSS, RefusalCode.START_UP)
-        return Input.AGAIN if self._refusal.reason in passing else Input.REFUSED
+        return Input.AGAIN if self._refusal.reason in _PASSING else Input.REFUSED
+
+    def _cold(self) -> Refusal | None:
+        """Refuse to begin while the instrument warms up."""
+        if self.plan.accepted or self.go_cold:
+            return None
+        return warming_refusal(self.warmth.slope_degc_min, self.settings.warm_up_degc_min)
 
     def accept(self) -> Input | None:
         """Take the observation and say what comes next."""
@@ -238,31 +341,119 @@ class GuideActions:
         if index is None or hold is None:
             return None
         position = self._current()
-        observation = observe(hold.cells, hold.limits, position.name, position.direction)
+        observation = observe(hold.cells, hold.limits, position.name, position.direction, hold.held)
+        revisit = index == self.plan.revisiting
         replaces = self.plan.accept(index, observation)
+        if hold.held is None:
+            self.allan.add(np.linalg.norm(hold.scale.specific_force(hold.cells.mean[:, :3]), axis=1))
         direction = self._direction(observation.mean_raw)
-        sigma = math.sqrt(float(np.diag(observation.covariance_raw).max())) / (hold.scale.accelerometer or math.nan)
-        self.events.append(
-            Accepted(
-                self.now_s,
-                position.name,
-                vector(direction),
-                angle_deg(position.direction, direction),
-                observation.start_s,
-                observation.duration_s,
-                sigma,
-                observation.temperature_degc,
-                len(self.plan.accepted),
-                len(self.plan.scheme),
-                replaces,
-            )
-        )
+        self._fit_again()
+        self.events.append(accepted_event(self.now_s, observation, hold.scale, self.plan, replaces=replaces, fit=self.fit))
         self.rested, self._rest_direction = index, direction
         self._forget_hold()
+        if revisit:
+            self._advise_drift()
+        self._advise()
+        return self.go_on()
+
+    def go_on(self) -> Input | None:
+        """Say what comes next, or that nothing does."""
         if self.plan.proposed() is None:
-            return Input.COMPLETE
-        self.propose()
-        return None
+            self._ask_again()
+        if self.plan.proposed() is not None:
+            self.propose()
+            return None
+        return Input.TURNS if self.turns_left else Input.COMPLETE
+
+    def _ask_again(self) -> None:
+        """Ask for doubtful positions once more, each once, and then for the first one, as a check for drift."""
+        for one in self.doubtful():
+            index = self.plan.find(one.name)
+            if index is not None and f"again {one.name}" not in self._advised:
+                self._advised.add(f"again {one.name}")
+                self.plan.want_again(index)
+        first = self.plan.first_accepted
+        unseen = self.plan.revisited is None and "revisit" not in self._advised
+        if self.plan.proposed() is None and self.settings.revisit_first and unseen and first is not None:
+            self._advised.add("revisit")
+            self.plan.revisiting = first
+
+    def doubtful(self) -> list[Disagreement]:
+        """Return the positions that the others contradict, the worst first."""
+        found = [] if self.fit is None else [one for one in self.fit.disagreements() if one.doubtful]
+        return sorted(found, key=lambda one: -abs(one.sigmas))
+
+    def _fit_again(self) -> None:
+        """Fit everything measured so far, and choose the next position where another helps clearly more."""
+        observations = list(self.plan.accepted.values())
+        self.fit = running_fit(observations, self.detector.scale, self.settings.gravity_m_s2)
+        self.plan.preferred = None
+        pending = self.plan.pending()
+        if self.fit is None or len(pending) < 2:
+            return
+        gain = self.fit.gain(np.array([self.plan.position(i).direction for i in pending]))
+        hurried = self.settings.target_bias_ug is not None or self.settings.target_scale_ppm is not None
+        if gain.max() > (1.0 if hurried else CLEARLY_MORE) * gain[0]:
+            self.plan.preferred = pending[int(np.argmax(gain))]
+
+    def _advise(self) -> None:
+        """Say what the running fit shows that the operator may want to act on; each thing once."""
+        if self.fit is None:
+            return
+        worst = self.doubtful()[:1]
+        for advice in (
+            *(doubtful_advice(self.now_s, one) for one in worst),
+            target_advice(self.now_s, self.fit, self.settings),
+            scheme_advice(self.now_s, self.fit, self.plan),
+            scale_advice(self.now_s, self.fit),
+        ):
+            if advice is not None and (key := f"{advice.topic.value} {advice.position}") not in self._advised:
+                self._advised.add(key)
+                self.events.append(advice)
+
+    def _advise_drift(self) -> None:
+        first = self.plan.first_accepted
+        if first is None or self.plan.revisited is None:
+            return
+        before = self.plan.accepted[first]
+        self.events.append(drift_advice(self.now_s, before, self.plan.revisited, self.detector.scale, self.fit))
+
+    def begin_turn(self) -> None:
+        """Follow a turn from the end of a still stretch."""
+        judgement = self.judgement
+        if judgement is not None and judgement.ended is not None:
+            self._turn.begin(judgement.ended.mean, judgement.cells, judgement.row, self.detector.scale)
+
+    def follow_turn(self) -> None:
+        """Take one cell of a turn."""
+        if self.judgement is not None:
+            self._turn.follow(self.judgement.cells, self.judgement.row, self.detector.scale)
+
+    def see_turn(self) -> Input | None:
+        """See, now that the unit is still, whether the move was one of the turns that are wanted."""
+        made = self._turn.end(self.detector.stretch.mean, self.turns_left, self.detector.scale)
+        if isinstance(made, Refusal):
+            self.reject(made)
+            self.propose_turn()
+        if made is None or isinstance(made, Refusal):
+            return None
+        self.turns_left.remove(made.wanted)
+        self.events.append(
+            Turned(
+                self.now_s,
+                AXES[made.wanted.axis],
+                made.turns,
+                made.wanted.about,
+                made.start_s,
+                made.end_s,
+                made.turned_deg,
+                made.tilt_deg,
+                self.turns_planned - len(self.turns_left),
+                self.turns_planned,
+            )
+        )
+        self.propose_turn()
+        return None if self.turns_left else Input.COMPLETE
 
     def refuse(self) -> None:
         """Say why the hold is refused; the unit must be moved."""
@@ -280,7 +471,7 @@ class GuideActions:
         judgement = self.judgement
         if judgement is None or judgement.ended is None:
             return
-        guards = 2 * guard_cells(self.detector.limits, self.detector.settings)
+        guards = 2 * self._guard(in_hand=False)
         held_s = max(judgement.ended.judged - guards, 0) * self.detector.settings.cell_s
         activity = self.detector.explain(judgement)
         if activity.ratio <= self.detector.settings.leave_factor:
@@ -288,7 +479,7 @@ class GuideActions:
             self._refusal = explain_flags(cells, 0.0, 1 - self.settings.checks.lost_share)
             self._reject_hold()
         elif held_s >= self.settings.silent_s:
-            self._refusal = moved_refusal(activity, self.detector.settings.leave_factor, held_s, self.settings.hold_s)
+            self._refusal = moved_refusal(activity, self.detector.settings.leave_factor, held_s, self._latest_s())
             self._reject_hold()
         self._forget_hold()
         self.lift()
@@ -324,6 +515,10 @@ class GuideActions:
     def lose_link(self) -> None:
         """Say that the link is gone; a hold under way is given up."""
         self.detector.interrupt()
+        self.history.clear()
+        self.warmth.clear()
+        self._first_judged_s = -math.inf
+        self._turn = TurnFollower(self.detector.settings.cell_s)
         self._forget_hold()
         self.events.append(LinkLost(self.now_s, len(self.plan.accepted), len(self.plan.scheme)))
 
@@ -337,6 +532,7 @@ class GuideActions:
 
     def finish(self) -> None:
         """Say that the session is over."""
+        self.turns_left = []
         accepted, planned, missing = len(self.plan.accepted), len(self.plan.scheme), self.plan.missing()
         words = "all positions are measured" if not missing else f"finished with {accepted} of {planned} positions"
         self.events.append(Done(self.now_s, accepted, planned, missing, words))

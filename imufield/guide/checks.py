@@ -11,6 +11,7 @@ import numpy as np
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide.cells import Cells
 from imufield.guide.events import RefusalCode
+from imufield.guide.held import HeldMean
 from imufield.guide.noise_floor import NoiseFloor
 from imufield.guide.observe import correlation_factor, knocked
 from imufield.guide.scale import RoughScale
@@ -36,6 +37,11 @@ class CheckSettings:
     """Turn of the mean direction over a hold that is refused: the norm of the mean loses 13 ug by it."""
     shift_deg: float = 0.3
     """Sudden turn within a hold that is refused if it is beyond 6 sigma too: the norm of the mean loses 3 ug by it."""
+    least_shift_deg: float = 0.05
+    """Less than that never is: 0.1 ug. Between the two the limit is what costs 1 sigma of the mean."""
+    tremor_deg: float = 0.2
+    sway_deg: float = 1.5
+    """Of a hold in the hand, rms of each axis: what the frame of the gyroscope corrects to 5 ug and 15 ug."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,18 +66,15 @@ class HoldUnderTest:
     limits: Limits
     scale: RoughScale
     settings: CheckSettings
+    held: HeldMean | None = None
+    """For a hold in the hand."""
 
 
 def examine(hold: HoldUnderTest) -> Refusal | None:
     """Return the first reason not to believe a hold, None when there is none."""
-    checks: tuple[Callable[[HoldUnderTest], Refusal | None], ...] = (
-        _check_samples,
-        _check_stuck,
-        _check_gravity,
-        _check_knocks,
-        _check_shift,
-        _check_drift,
-    )
+    always = (_check_samples, _check_stuck, _check_gravity, _check_knocks)
+    by_kind = (_check_shift, _check_drift) if hold.held is None else (_check_tremor, _check_sway)
+    checks: tuple[Callable[[HoldUnderTest], Refusal | None], ...] = (*always, *by_kind)
     for check in checks:
         refusal = check(hold)
         if refusal is not None:
@@ -180,7 +183,7 @@ def _check_shift(hold: HoldUnderTest) -> Refusal | None:
     step, sigma, row = largest_step(force)
     norm = float(np.linalg.norm(force.mean(axis=0)))
     turn = math.degrees(float(np.linalg.norm(step)) / norm)
-    limit = max(hold.settings.shift_deg, 6 * math.degrees(sigma / norm))
+    limit = max(_harmless_shift_deg(hold, force, norm), 6 * math.degrees(sigma / norm))
     if turn <= limit:
         return None
     after_s = float(hold.cells.start_s[row] - hold.cells.start_s[0])
@@ -193,6 +196,43 @@ def _check_shift(hold: HoldUnderTest) -> Refusal | None:
         limit,
         "deg",
         axis,
+    )
+
+
+def _harmless_shift_deg(hold: HoldUnderTest, force: FloatArray, norm: float) -> float:
+    """Return the turn in the middle of a hold that shortens the mean, by its square over 8, by 1 sigma of the mean."""
+    along = force @ force.mean(axis=0) / norm
+    variance = float(along.var(ddof=1)) / len(along) * correlation_factor(along - along.mean())
+    return min(
+        hold.settings.shift_deg, max(hold.settings.least_shift_deg, math.degrees(math.sqrt(8 * math.sqrt(variance) / norm)))
+    )
+
+
+def _check_tremor(hold: HoldUnderTest) -> Refusal | None:
+    held = hold.held
+    if held is None or held.tremor_deg <= hold.settings.tremor_deg:
+        return None
+    return Refusal(
+        RefusalCode.TREMBLING,
+        f"the hand trembles by {held.tremor_deg:.2f} deg rms (limit {hold.settings.tremor_deg:g} deg)",
+        "rest the arm on something, or lean the unit against a support; it is measured again",
+        held.tremor_deg,
+        hold.settings.tremor_deg,
+        "deg",
+    )
+
+
+def _check_sway(hold: HoldUnderTest) -> Refusal | None:
+    held = hold.held
+    if held is None or held.sway_deg <= hold.settings.sway_deg:
+        return None
+    return Refusal(
+        RefusalCode.SWAYING,
+        f"the hand sways by {held.sway_deg:.1f} deg rms (limit {hold.settings.sway_deg:g} deg)",
+        "rest the elbows on the table, or lean the unit against a support; it is measured again",
+        held.sway_deg,
+        hold.settings.sway_deg,
+        "deg",
     )
 
 

@@ -33,6 +33,13 @@ class RefusalCode(Enum):
     SAMPLE_LOSS = "sample_loss"
     NOT_QUIET = "not_quiet"
     AXES = "axes"
+    TREMBLING = "trembling"
+    SWAYING = "swaying"
+    WARMING_UP = "warming_up"
+    CLOCK_JUMP = "clock_jump"
+    RATE = "rate"
+    SCALE = "scale"
+    NOT_WHOLE = "not_whole"
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +130,7 @@ class Hold(Event):
     angle_deg: float
     """Off the planned direction."""
     hold_s: float
+    """At most; a hold ends earlier when its mean is good enough."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,9 +164,19 @@ class Accepted(Event):
     replaces: bool = False
     """An older observation of this position was replaced (it stays in the recording)."""
     residual_m_s2: float | None = None
-    """None until a running fit exists."""
+    """Of a fit to all positions so far; None until there are four."""
     forecast: dict[str, float] | None = None
-    """Forecast uncertainty of the parameters; None until a running fit exists."""
+    """1 sigma that the parameters have now: bias_ug, scale_ppm, misalignment_urad, quadratic_ug_per_g2."""
+    leave_one_out_m_s2: float | None = None
+    """Against a fit to all others; None likewise."""
+    rank: int | None = None
+    """Parameters that the positions so far show, of 12."""
+    condition: float | None = None
+    held: bool = False
+    """In the hand: every sample was turned into one frame with the gyroscope."""
+    tremor_deg: float | None = None
+    sway_deg: float | None = None
+    """Rms of each axis above and below 4 Hz, of a held unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,6 +195,68 @@ class Rejected(Event):
     limit: float
     unit: str
     axis: str | None = None
+
+
+class Topic(Enum):
+    """What an advice is about."""
+
+    DOUBTFUL = "doubtful"
+    TARGET_MET = "target_met"
+    SCHEME = "scheme"
+    DRIFT = "drift"
+    SCALE = "scale"
+
+
+@dataclass(frozen=True, slots=True)
+class Advice(Event):
+    """Something the operator may act on, or not; nothing is refused."""
+
+    kind: ClassVar[str] = "advice"
+
+    topic: Topic
+    position: str | None
+    words: str
+    remedy: str
+    measured: float
+    limit: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Turn(Event):
+    """Make a whole turn for the gyroscope."""
+
+    kind: ClassVar[str] = "turn"
+
+    axis: str
+    """Body axis to turn about."""
+    sense: int
+    """+1 or -1, right-handed about that axis."""
+    about: str
+    """"horizontal" (rolled edge over edge) or "vertical" (on a turntable or flat surface)."""
+    words: str
+    done: int
+    planned: int
+
+
+@dataclass(frozen=True, slots=True)
+class Turned(Event):
+    """A whole turn is done; ``start_s`` and ``end_s`` are the ends of the motion on the sample clock."""
+
+    kind: ClassVar[str] = "turned"
+
+    axis: str
+    turns: int
+    """Signed whole turns."""
+    about: str
+    start_s: float
+    end_s: float
+    angle_deg: float
+    """As the uncalibrated gyroscope has it."""
+    tilt_deg: float
+    """Between up before and up after."""
+    done: int
+    planned: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,6 +313,9 @@ EVENTS: dict[str, type[Event]] = {
         Holding,
         Accepted,
         Rejected,
+        Advice,
+        Turn,
+        Turned,
         Marked,
         LinkLost,
         LinkBack,

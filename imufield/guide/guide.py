@@ -8,6 +8,7 @@ which it was made is complete.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,12 +26,17 @@ from imufield.guide.scale import RoughScale
 from imufield.guide.settings import GuideSettings
 from imufield.guide.state_table import TABLE, Input, State
 from imufield.guide.stillness import Activity, Judgement, Phase, StillnessDetector
-from imufield.guide.wording import axes_refusal, not_quiet_refusal
+from imufield.guide.wording import axes_refusal, clock_refusal, not_quiet_refusal, rate_refusal
 from imufield.samples import Samples, SampleUnits
 
 _BAD_IN_A_ROW = 3
 """Cells without usable samples before anybody is told."""
-ACTIONS = ("retake", "skip", "undo", "pause", "finish")
+ACTIONS = ("retake", "skip", "undo", "pause", "finish", "go_on")
+RATE_CELLS = 50
+RATE_SHARE = 0.05
+"""Change of the sample rate over five seconds that is told: oscillators differ by 0.01 %."""
+JUMP_S = 2.0
+"""A gap in the sample clock that is told: a suspended computer, an instrument that began anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,14 +83,16 @@ class Guide:
         self.state = State.LEARNING
         self.time_s = math.nan
         """Sample clock of the latest sample."""
-        longest_s = max(self.settings.stillness.longest_s, self.settings.hold_s + 10)
-        stillness = replace(self.settings.stillness, longest_s=longest_s)
+        longest_s = max(self.settings.stillness.longest_s, self.settings.wish.longest_s + 10)
+        stillness = replace(self.settings.stillness, longest_s=longest_s, hand=True)
         self.detector = StillnessDetector(scale or RoughScale.of_units(units), stillness)
         self._do = GuideActions(self.plan, self.detector, self.settings)
         self._builder = CellBuilder(stillness.cell_s)
         self._marks: list[tuple[int, str, str | None]] = []
         self._moves = MoveLog(stillness.cell_s)
         self._axes_checked = False
+        self._slot: int | None = None
+        self._counts: deque[int] = deque(maxlen=RATE_CELLS)
         self._recent: Cells | None = None
         self._bad_cells = 0
         self._bad_in_a_row = 0
@@ -102,9 +110,11 @@ class Guide:
         if self.state is State.LOST:
             self._handle(Input.LINK_BACK)
         self.time_s = float(samples.time_s[-1])
+        self._do.history.add(samples)
         cells = self._builder.feed(samples)
         if cells is not None:
             self._take(cells)
+        self._do.history.prune()
         return self._said_now()
 
     def mark(self, action: str, time_s: float, position: str | None = None) -> list[Event]:
@@ -245,6 +255,8 @@ class Guide:
 
     def _watch_data(self, cells: Cells, row: int) -> None:
         """Count cells with missing or unusable samples; say so when several follow each other."""
+        self._do.warmth.follow(cells, row)
+        self._watch_clock(cells, row)
         floor, share = self.detector.floor, self.detector.settings.usable_fraction
         usual = cells.count[row] if floor is None else floor.samples_per_cell
         if cells.usable[row] >= share * usual:
@@ -257,6 +269,28 @@ class Guide:
             refusal = explain_flags(cells[row : row + 1], 0.0, share)
             if self._do.due(f"data {refusal.reason.value}", self.settings.remind_s):
                 self._do.reject(refusal)
+
+    def _watch_clock(self, cells: Cells, row: int) -> None:
+        """Say when the sample clock jumps or the sample rate changes."""
+        before, self._slot = self._slot, int(cells.slot[row])
+        gap_s = 0.0 if before is None else (self._slot - before) * self.detector.settings.cell_s
+        if not -JUMP_S < gap_s < JUMP_S:
+            self._counts.clear()
+            self._do.warmth.clear()
+            self._do.reject(clock_refusal(gap_s, JUMP_S))
+            return
+        self._counts.append(int(cells.count[row]))
+        floor = self.detector.floor
+        if floor is None or len(self._counts) < RATE_CELLS:
+            return
+        # The median does not mind cells with lost samples; those are told elsewhere.
+        share = float(np.median(self._counts)) / floor.samples_per_cell - 1
+        if (
+            abs(share) > RATE_SHARE
+            and abs(share) * floor.samples_per_cell > 1
+            and self._do.due("rate", 6 * self.settings.remind_s)
+        ):
+            self._do.reject(rate_refusal(share, RATE_SHARE, floor.samples_per_cell / self.detector.settings.cell_s))
 
     def _explain_waiting(self, cells: Cells) -> None:
         """Say what is waited for while there is no noise floor."""
@@ -272,11 +306,19 @@ class Guide:
         if action in ("pause", "finish"):
             self._handle(Input.PAUSE if action == "pause" else Input.FINISH)
             return
+        if action == "go_on":
+            self._do.go_cold = True
+            self._do.events.append(Marked(self._do.now_s, action, None, "going on although the temperature changes"))
+            return
         index, words = {"retake": self._retake, "skip": self._skip, "undo": self._undo}[action](name)
         said = None if index is None else self.plan.position(index).name
         self._do.events.append(Marked(self._do.now_s, action, said, words))
-        if self.plan.proposed() is None:
-            self._handle(Input.COMPLETE)
+        if action == "skip" and self.state is State.ROLLING and index is None:
+            self._skip_turn()
+        elif self.plan.proposed() is None:
+            answer = self._do.go_on()
+            if answer is not None:
+                self._handle(answer)
         elif self.plan.proposed() != before or action == "retake":
             if Input.REOPENED in TABLE[self.state]:
                 self.detector.restart()
@@ -284,8 +326,17 @@ class Guide:
             elif self._do.announced:
                 self._do.propose()
 
+    def _skip_turn(self) -> None:
+        """Leave out the next whole turn."""
+        self._do.turns_left = self._do.turns_left[1:]
+        self._do.propose_turn()
+        if not self._do.turns_left:
+            self._handle(Input.COMPLETE)
+
     def _retake(self, name: str | None) -> tuple[int | None, str]:
-        index = self.plan.last_accepted if name is None else self.plan.find(name)
+        doubtful = [one.name for one in self._do.doubtful() if self.plan.find(one.name) not in self.plan.wanted_again]
+        named = name or next(iter(doubtful), None)
+        index = self.plan.last_accepted if named is None else self.plan.find(named)
         if index is None or index not in self.plan.accepted:
             return None, f"nothing to retake: {name or 'no position'} is not measured yet"
         self.plan.want_again(index)

@@ -9,9 +9,8 @@ Neighbouring cell means are not independent (bandwidth of the instrument, flicke
 mean of N cells is C0 / N times 1 + 2 (rho_1 + rho_2 + ...) for each axis, the sum cut off where a pair of successive
 autocorrelations turns negative [1]_. It is never less than white noise or the resolution of the output would give.
 
-The mean is that of the vector, as it comes: right for a unit that is placed. A unit held in the hand wobbles, which
-shortens the mean vector; turning every sample into one frame first (METHODS: moving hands) needs the samples of the hold and
-will replace ``cell_means`` for such holds, nothing else here.
+The mean is that of the vector, as it comes: right for a unit that is placed. A unit in the hand wobbles, which shortens the
+mean vector; ``held`` turns every sample of such a hold into one frame first.
 
 References
 ----------
@@ -28,6 +27,7 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.observations import Observations
 from imufield.guide.cells import Cells
+from imufield.guide.held import HeldMean
 from imufield.guide.stillness import Limits, StillnessSettings, scatter_of_variance
 from imufield.samples import FloatArray, SampleUnits
 
@@ -54,6 +54,8 @@ class Observation:
     start_s: float
     duration_s: float
     temperature_degc: float
+    held: HeldMean | None = None
+    """For a hold in the hand."""
 
 
 def stand_out(cells: Cells, limits: Limits) -> FloatArray:
@@ -161,11 +163,24 @@ def _resolution_variance(mean: FloatArray, sigma: FloatArray, step: FloatArray, 
     return result
 
 
-def observe(cells: Cells, limits: Limits, name: str, direction: FloatArray | None = None) -> Observation:
+def knocks_of(cells: Cells, limits: Limits) -> FloatArray:
+    """Return begin and end of the cells that hold a knock, shape (k, 2)."""
+    rows = np.flatnonzero(knocked(cells, limits))
+    return np.stack([cells.start_s[rows], cells.end_s[rows]], axis=1)
+
+
+def observe(
+    cells: Cells, limits: Limits, name: str, direction: FloatArray | None = None, held: HeldMean | None = None
+) -> Observation:
     """Return the observation of a trimmed stretch; cells with a knock are left out."""
     out = knocked(cells, limits)
     kept = cells if not out.any() or out.all() else _keep(cells, ~out)
-    mean, covariance = cell_means(kept)
+    if held is None:
+        mean, covariance = cell_means(kept)
+    else:
+        mean = np.concatenate([held.force_raw, held.gyroscope_raw])
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3], covariance[3:, 3:] = held.covariance_raw, held.gyroscope_covariance_raw
     warmth = kept.temperature_degc[np.isfinite(kept.temperature_degc)]
     return Observation(
         name=name,
@@ -177,6 +192,7 @@ def observe(cells: Cells, limits: Limits, name: str, direction: FloatArray | Non
         start_s=float(cells.start_s[0]),
         duration_s=float(cells.end_s[-1] - cells.start_s[0]),
         temperature_degc=float(warmth.mean()) if len(warmth) else float("nan"),
+        held=held,
     )
 
 

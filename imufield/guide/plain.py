@@ -8,6 +8,7 @@ from typing import Any
 
 from imufield.guide.events import (
     Accepted,
+    Advice,
     Done,
     Event,
     Hold,
@@ -18,6 +19,8 @@ from imufield.guide.events import (
     Move,
     NoiseFloorMeasured,
     Rejected,
+    Turn,
+    Turned,
     Turning,
 )
 
@@ -101,8 +104,25 @@ def _accepted(event: Accepted) -> str:
     sigma = f", mean known to {1e3 * event.sigma_m_s2:.2g} mm/s^2" if math.isfinite(event.sigma_m_s2) else ""
     warmth = f", {event.temperature_degc:.1f} degC" if math.isfinite(event.temperature_degc) else ""
     again = " (replaces the older one)" if event.replaces else ""
+    held = f", in the hand (tremor {event.tremor_deg:.2f} deg)" if event.tremor_deg is not None else ""
+    done = f"; {event.accepted} of {event.planned} done"
+    return f"accepted {event.position}{again}: {event.duration_s:.1f} s{sigma}{warmth}{held}{done}{_forecast(event)}"
+
+
+def _forecast(event: Accepted) -> str:
+    if event.forecast is None:
+        return ""
+    return f"; bias now to {event.forecast['bias_ug']:.2g} ug, scale to {event.forecast['scale_ppm']:.2g} ppm"
+
+
+def _turn(event: Turn) -> str:
+    return f"next turn ({event.done} of {event.planned} done): {event.words}"
+
+
+def _turned(event: Turned) -> str:
     return (
-        f"accepted {event.position}{again}: {event.duration_s:.1f} s{sigma}{warmth}; {event.accepted} of {event.planned} done"
+        f"turned {event.turns:+d} about {event.axis}: {event.angle_deg:.0f} deg by the uncalibrated gyroscope, "
+        f"{event.tilt_deg:.1f} deg off where it began; {event.done} of {event.planned} done"
     )
 
 
@@ -115,6 +135,9 @@ _WORDS: dict[type[Event], Callable[[Any], str]] = {
     Holding: _holding,
     Accepted: _accepted,
     Rejected: _rejected,
+    Advice: lambda event: f"{event.words}; {event.remedy}",
+    Turn: _turn,
+    Turned: _turned,
     Marked: _marked,
     LinkLost: _link_lost,
     LinkBack: lambda event: event.words,

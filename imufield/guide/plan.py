@@ -44,6 +44,11 @@ class Plan:
         """Replaced or undone; kept, not used."""
         self.first: int | None = None
         """Asked for before all others: where the unit lies when the session begins."""
+        self.preferred: int | None = None
+        """Asked for next instead of the proposed order: where a hold helps most."""
+        self.revisiting: int | None = None
+        """Asked for once more at the end, as a check for drift; what is measured there replaces nothing."""
+        self.revisited: Observation | None = None
         self._accepted: dict[int, Observation] = {}
         self._directions = scheme.directions()
         self._history: list[tuple[str, int]] = []
@@ -64,12 +69,22 @@ class Plan:
 
     def is_pending(self, index: int) -> bool:
         """Whether a hold there would be taken; skipped ones would."""
-        return index not in self._accepted or index in self.wanted_again
+        return index not in self._accepted or index in self.wanted_again or index == self.revisiting
 
     def proposed(self) -> int | None:
         """Return the next position in the proposed order, None when nothing is left to ask for."""
-        order = range(len(self.scheme)) if self.first is None else (self.first, *range(len(self.scheme)))
+        before = (index for index in (self.first, self.preferred) if index is not None)
+        order = (*before, *range(len(self.scheme)))
         return next((index for index in order if self.is_pending(index) and index not in self.skipped), None)
+
+    def pending(self) -> list[int]:
+        """Return what is asked for, in the proposed order."""
+        return [index for index in range(len(self.scheme)) if self.is_pending(index) and index not in self.skipped]
+
+    @property
+    def first_accepted(self) -> int | None:
+        """The position accepted first that still counts."""
+        return next(iter(self._accepted), None)
 
     def missing(self) -> tuple[str, ...]:
         """Return the names of positions without an observation."""
@@ -94,6 +109,10 @@ class Plan:
 
     def accept(self, index: int, observation: Observation) -> bool:
         """Take an observation; return whether it replaces an older one."""
+        if index == self.revisiting and index not in self.wanted_again:
+            self.revisiting, self.revisited = None, observation
+            self._history.append(("revisit", index))
+            return False
         older = self._accepted.pop(index, None)
         if older is not None:
             self.withdrawn.append(older)
@@ -110,7 +129,10 @@ class Plan:
 
     def skip(self, index: int) -> None:
         """Do not ask for a position any more; shown all the same, it is taken."""
-        self.skipped.add(index)
+        if index == self.revisiting:
+            self.revisiting = None
+        if index not in self._accepted:
+            self.skipped.add(index)
         self.wanted_again.discard(index)
         self._history.append(("skip", index))
 
@@ -123,6 +145,8 @@ class Plan:
             self.skipped.discard(index)
         elif action == "retake":
             self.wanted_again.discard(index)
+        elif action == "revisit":
+            self.revisiting, self.revisited = index, None
         elif index in self._accepted:
             self._take_back(index)
         return action, index

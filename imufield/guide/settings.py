@@ -4,18 +4,33 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide.checks import CheckSettings
+from imufield.guide.hold_time import HoldWish
 from imufield.guide.plan import TOLERANCE_DEG
 from imufield.guide.stillness import StillnessSettings
 
-HOLD_S = 10.0
+MICRO_G = 1e-6 * STANDARD_GRAVITY_M_S2
 
 
 @dataclass(frozen=True, slots=True)
 class GuideSettings:
     """Settings of a guided session."""
 
-    hold_s: float = HOLD_S
+    hold_s: float | None = None
+    """Fixes the hold; None: as long as the uncertainty wanted needs, see ``wish``."""
+    target_bias_ug: float | None = None
+    target_scale_ppm: float | None = None
+    """Uncertainty wanted of the result, 1 sigma; met, finishing early is offered."""
+    revisit_first: bool = False
+    """Come back to the first position at the end: a check for drift."""
+    rotations: str | None = None
+    """Whole turns after the positions, about a "horizontal" (rolled) or "vertical" axis: see ``rotations``."""
+    turns_each_way: int = 1
+    gravity_m_s2: float = STANDARD_GRAVITY_M_S2
+    """For the running fit only."""
+    warm_up_degc_min: float = 0.5
+    """No position is accepted first while the temperature changes faster than this."""
     tolerance_deg: float = TOLERANCE_DEG
     stillness: StillnessSettings = field(default_factory=StillnessSettings)
     checks: CheckSettings = field(default_factory=CheckSettings)
@@ -31,3 +46,11 @@ class GuideSettings:
     linger_s: float = 5.0
     linger_deg: float = 5.0
     """A unit that keeps its direction this long without becoming still is told what keeps it from being still."""
+    hand_guard_s: float = 1.3
+    """Cut off at both ends of a hold in the hand: an arm comes to rest slowly, and a slow turn begins below its sway."""
+
+    @property
+    def wish(self) -> HoldWish:
+        """What ends a hold: a bias or scale known to the target needs positions about as good."""
+        wanted = [target for target in (self.target_bias_ug, self.target_scale_ppm) if target is not None]
+        return HoldWish.of(self.hold_s, min(wanted) * MICRO_G if wanted else None)

@@ -25,6 +25,8 @@ class State(Enum):
     """Passing: is the hold good?"""
     RESTING = "resting"
     """Still, but nothing more to measure here: waiting for the unit to be moved."""
+    ROLLING = "rolling"
+    """The positions are done: whole turns for the gyroscope."""
     PAUSED = "paused"
     LOST = "lost"
     """No link."""
@@ -47,6 +49,8 @@ class Input(Enum):
     LONG_ENOUGH = "long enough"
     GOOD = "good"
     AGAIN = "again"
+    TURNS = "turns"
+    """All positions are done, whole turns are wanted."""
     COMPLETE = "complete"
     REOPENED = "reopened"
     PAUSE = "pause"
@@ -67,6 +71,7 @@ _ANY = {
     Input.FINISH: Transition("finish", State.DONE),
     Input.LINK_LOST: Transition("lose_link", State.LOST),
     Input.COMPLETE: Transition("finish", State.DONE),
+    Input.TURNS: Transition("propose_turn", State.ROLLING),
     Input.FLOOR: Transition("announce_floor", State.TURNING),
 }
 
@@ -97,6 +102,13 @@ TABLE: dict[State, dict[Input, Transition]] = {
     | {
         Input.STILL: Transition("rest", State.RESTING),
         Input.ENDED: Transition("lift", State.TURNING),
+        Input.REOPENED: Transition("propose", State.TURNING),
+    },
+    State.ROLLING: _ANY
+    | {
+        Input.MOVING: Transition("follow_turn", State.ROLLING),
+        Input.STILL: Transition("see_turn", State.ROLLING),
+        Input.ENDED: Transition("begin_turn", State.ROLLING),
         Input.REOPENED: Transition("propose", State.TURNING),
     },
     State.PAUSED: {

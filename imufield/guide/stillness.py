@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
@@ -59,12 +59,30 @@ class StillnessSettings:
     """The four absolute allowances, rms per axis for vibration, largest for change."""
     usable_fraction: float = 0.5
     """A cell with fewer usable samples than this share of the usual number counts as lost."""
+    hand: bool = False
+    """Bear a unit held in the hand as well, where the gyroscope's scale is known: see ``hand_settings``."""
     longest_s: float = 60.0
     """No more than this of a stretch is kept: beyond the minimum of the Allan deviation a hold gains nothing."""
 
     def cells(self, duration_s: float) -> int:
         """Return a duration as a whole number of cells."""
         return round(duration_s / self.cell_s)
+
+
+def hand_settings(settings: StillnessSettings) -> StillnessSettings:
+    """Return the settings for a unit in the hand.
+
+    Tremor of 0.1 deg rms at 12 Hz is 7.5 deg/s, and 1 m/s^2 where the pivot is 10 cm away; sway of 1 deg below 2 Hz makes
+    4 deg/s and changes the force by 0.4 m/s^2. A slow turn is no faster than that, so the hand must keep it up for longer.
+    """
+    return replace(
+        settings,
+        dwell_s=1.5,
+        vibration_m_s2=1.2,
+        change_m_s2=0.5,
+        vibration_rad_s=math.radians(9.0),
+        change_rad_s=math.radians(10.0),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +165,8 @@ class Judgement(NamedTuple):
     """A stretch counts as still with this cell."""
     ended: Stretch | None = None
     """The stretch that this cell ended."""
+    limits: Limits | None = None
+    """Those that the activity was measured against; None: those of a placed unit."""
 
 
 def noise_limits(floor: NoiseFloor, scale: RoughScale, settings: StillnessSettings) -> Limits:
@@ -196,14 +216,79 @@ class _Standard(NamedTuple):
         return cls(limits, weight.tolist(), floor.samples_per_cell)
 
 
+HAND_RAD_S = math.radians(0.35)
+"""Vibration of the gyroscope beyond its noise that tells a hand: the smallest tremor (0.02 deg rms at 8 Hz) makes 1 deg/s."""
+HAND_CHANGE_RAD_S = math.radians(0.15)
+"""The same for the change from cell to cell: the sway of an arm."""
+
 _NO_STANDARD = _Standard(Limits(np.full(6, np.inf), np.full(6, np.inf), 1.0), [0.0] * 6, 0.0)
+
+
+class _Tracker:
+    """Follows a stream of cells under one standard: moving, settling or still, and the stretch under way."""
+
+    def __init__(self, settings: StillnessSettings) -> None:
+        self.settings = settings
+        self.standard = _NO_STANDARD
+        self.phase = Phase.MOVING
+        self.stretch = Stretch(settings.cells(settings.longest_s))
+
+    def restart(self) -> None:
+        self.stretch = Stretch(self.settings.cells(self.settings.longest_s))
+        self.phase = Phase.MOVING
+
+    def follow(self, cells: Cells, row: int, vibration: float, mean: list[float], where: tuple[bool, list[float]]) -> Judgement:
+        """Judge one cell; ``where`` says whether it follows the one before, and the gyroscope's bias."""
+        unbroken, bias = where
+        activity = max(vibration, self._change_ratio(mean))
+        reference, limits = self.stretch.mean, self.standard.limits
+        if self.phase is Phase.STILL:
+            if unbroken and activity <= self.settings.leave_factor:
+                self.stretch.add(cells, row, mean)
+                return Judgement(Phase.STILL, activity, cells, row, reference, limits=limits)
+            ended = self.stretch
+            self._begin(cells, row, vibration, mean, bias)
+            return Judgement(self.phase, activity, cells, row, reference, ended=ended, limits=limits)
+        if unbroken and activity <= 1 and self.stretch.judged:
+            self.stretch.add(cells, row, mean)
+            began = self.stretch.judged >= self.settings.cells(self.settings.dwell_s)
+            self.phase = Phase.STILL if began else Phase.SETTLING
+            return Judgement(self.phase, activity, cells, row, reference, began=began, limits=limits)
+        self._begin(cells, row, vibration, mean, bias)
+        return Judgement(self.phase, activity, cells, row, reference, limits=limits)
+
+    def _begin(self, cells: Cells, row: int, vibration: float, mean: list[float], bias: list[float]) -> None:
+        """Begin a candidate with this cell if it could be the first of a stretch."""
+        self.restart()
+        if vibration <= 1 and self._offset_ratio(mean, bias) <= 1:
+            self.stretch.add(cells, row, mean)
+            self.phase = Phase.SETTLING
+
+    def _change_ratio(self, mean: list[float]) -> float:
+        """Return the larger change ratio of the two triads against the stretch's running mean, 0 without one."""
+        before = self.stretch.mean
+        if not before:
+            return 0.0
+        weight = self.standard.change_weight
+        accelerometer = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3)))
+        gyroscope = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3, 6)))
+        return max(accelerometer, gyroscope)
+
+    def _offset_ratio(self, mean: list[float], bias: list[float]) -> float:
+        """Return the gyroscope's distance from its last known bias over what is allowed, 0 without a gyroscope."""
+        if not bias:
+            return 0.0
+        weight = self.standard.change_weight
+        distance = math.hypot(*((mean[i] - bias[i - 3]) * weight[i] for i in range(3, 6)))
+        return 0.0 if math.isnan(distance) else distance / self.standard.limits.gyroscope_offset
 
 
 class StillnessDetector:
     """Judges cells as they come.
 
     The result does not depend on how the samples are cut into blocks. Cells that arrive before the noise floor is known
-    are judged as soon as it is, none is lost.
+    are judged as soon as it is, none is lost. With ``settings.hand`` a second set of limits is held beside the first: a
+    unit that is not still as on a table may be as still as a hand is.
 
     Parameters
     ----------
@@ -222,9 +307,10 @@ class StillnessDetector:
         self.scale = scale
         self.floor: NoiseFloor | None = None
         """None until a quiet stretch was seen."""
-        self._standard = _NO_STANDARD
-        self.phase = Phase.MOVING
-        self.stretch = self._new_stretch()
+        self._table = _Tracker(self.settings)
+        self._hand = _Tracker(hand_settings(self.settings)) if self.settings.hand and scale.gyroscope else None
+        self.in_hand = False
+        """Whether ``phase`` and ``stretch`` are those of a unit in the hand."""
         self.bias: list[float] = []
         """Gyroscope at rest, raw rate, from the last still stretch; empty without a gyroscope."""
         self._builder = CellBuilder(self.settings.cell_s)
@@ -233,8 +319,22 @@ class StillnessDetector:
 
     @property
     def limits(self) -> Limits:
-        """Limits in force; infinite until there is a noise floor."""
-        return self._standard.limits
+        """Limits of a placed unit in force; infinite until there is a noise floor."""
+        return self._table.standard.limits
+
+    @property
+    def phase(self) -> Phase:
+        """What the detector thinks of the latest cell."""
+        return self._active.phase
+
+    @property
+    def stretch(self) -> Stretch:
+        """The stretch under way."""
+        return self._active.stretch
+
+    @property
+    def _active(self) -> _Tracker:
+        return self._hand if self.in_hand and self._hand is not None else self._table
 
     def feed(self, samples: Samples) -> list[Judgement]:
         """Judge the cells that these samples finish."""
@@ -248,8 +348,10 @@ class StillnessDetector:
 
     def restart(self) -> None:
         """Forget the current stretch: the next one begins with the next cell at the earliest."""
-        self.stretch = self._new_stretch()
-        self.phase = Phase.MOVING
+        self._table.restart()
+        if self._hand is not None:
+            self._hand.restart()
+        self.in_hand = False
 
     def interrupt(self) -> None:
         """Forget the current stretch and where the clock was: the link is gone, or comes from another start."""
@@ -270,11 +372,21 @@ class StillnessDetector:
 
     def explain(self, judgement: Judgement) -> Activity:
         """Return what the activity of a cell comes from, with value and limit in SI where the scale is known."""
-        limits = self._standard.limits
+        limits = judgement.limits or self.limits
         mean = judgement.cells.mean[judgement.row]
         reference = np.array(judgement.reference) if judgement.reference else mean
         vibration = np.sqrt(judgement.cells.variance[judgement.row]) / limits.vibration
         return largest_activity(vibration, np.abs(mean - reference) / limits.change, limits, self.scale)
+
+    def is_hand_like(self, cells: Cells) -> bool:
+        """Whether a stretch moves as a hand does: the gyroscope shows more than its noise, in most of its cells."""
+        floor, gyroscope = self.floor, self.scale.gyroscope
+        if floor is None or not gyroscope or not floor.has_gyroscope:
+            return False
+        excess = np.median((cells.variance[:, 3:] - floor.sigma[3:] ** 2).mean(axis=1))
+        change = np.median(np.abs(np.diff(cells.mean[:, 3:], axis=0)), axis=0) if len(cells) > 1 else np.zeros(3)
+        shakes = math.sqrt(max(float(excess), 0.0)) > HAND_RAD_S * gyroscope
+        return shakes or bool((change > np.maximum(HAND_CHANGE_RAD_S * gyroscope, 3 * floor.cell_sigma[3:])).any())
 
     def _learn(self, cells: Cells) -> Cells:
         """Look for a quiet window that ends in these cells; return what can be judged now: all cells so far, or none."""
@@ -294,13 +406,17 @@ class StillnessDetector:
     def _set_floor(self, floor: NoiseFloor) -> None:
         self.scale = self.scale.learn(floor.mean[:3])
         self.floor = floor
-        self._standard = _Standard.of(floor, noise_limits(floor, self.scale, self.settings))
+        for tracker in self._trackers():
+            tracker.standard = _Standard.of(floor, noise_limits(floor, self.scale, tracker.settings))
         if not self.bias and floor.has_gyroscope:
             self.bias = floor.mean[3:].tolist()
 
+    def _trackers(self) -> tuple[_Tracker, ...]:
+        return (self._table,) if self._hand is None else (self._table, self._hand)
+
     def _judge_under_one_floor(self, cells: Cells, start: int) -> Iterator[Judgement]:
-        standard = self._standard
-        vibration = vibration_ratio(cells[start:], standard.limits).tolist()
+        standard = self._table.standard
+        vibration = [vibration_ratio(cells[start:], tracker.standard.limits).tolist() for tracker in self._trackers()]
         means = cells.mean[start:].tolist()
         slots = cells.slot[start:].tolist()
         full = (cells.usable[start:] >= self.settings.usable_fraction * standard.usual_samples).tolist()
@@ -308,80 +424,76 @@ class StillnessDetector:
             gap = 1 if self._slot is None else slots[offset] - self._slot
             if full[offset]:
                 self._slot = slots[offset]
-                yield self._judge_cell(cells, start + offset, vibration[offset], mean, gap)
+                # One lost cell between two is bridged.
+                where = (gap in (1, 2), self.bias)
+                row = start + offset
+                found = [
+                    tracker.follow(cells, row, ratio[offset], mean, where)
+                    for tracker, ratio in zip(self._trackers(), vibration, strict=True)
+                ]
+                yield self._choose(*found)
             else:
                 yield self._judge_lost(cells, start + offset, gap)
-            if self._standard is not standard:
+            if self._table.standard is not standard:
                 return
 
-    def _judge_cell(self, cells: Cells, row: int, vibration: float, mean: list[float], gap: int) -> Judgement:
-        """Judge one cell; ``gap`` is its distance from the last good one: one lost cell between is bridged."""
-        unbroken = gap in (1, 2)
-        activity = max(vibration, self._change_ratio(mean))
-        reference = self.stretch.mean
-        if self.phase is Phase.STILL:
-            if unbroken and activity <= self.settings.leave_factor:
-                self.stretch.add(cells, row, mean)
-                return Judgement(Phase.STILL, activity, cells, row, reference)
-            ended = self._end()
-            self._begin(cells, row, vibration, mean)
-            return Judgement(self.phase, activity, cells, row, reference, ended=ended)
-        if unbroken and activity <= 1 and self.stretch.judged:
-            self.stretch.add(cells, row, mean)
-            began = self.stretch.judged >= self.settings.cells(self.settings.dwell_s)
-            self.phase = Phase.STILL if began else Phase.SETTLING
-            return Judgement(self.phase, activity, cells, row, reference, began=began)
-        self._begin(cells, row, vibration, mean)
-        return Judgement(self.phase, activity, cells, row, reference)
+    def _choose(self, table: Judgement, hand: Judgement | None = None) -> Judgement:
+        """Return the judgement that counts: of the table where it is still, else of the hand.
+
+        A hold goes over from the table's limits to the hand's only where it looked like a hand all the time; a unit on a table
+        that is pushed has ended its hold.
+        """
+        if table.ended is not None:
+            self._learn_from(table.ended)
+        if hand is None or self._hand is None:
+            return table
+        if self.in_hand:
+            if table.phase is Phase.STILL and self._was_put_down():
+                self.in_hand = False
+                self._hand.restart()
+                return table
+            if hand.phase is Phase.STILL:
+                return hand
+            self.in_hand = False
+            return hand if hand.ended is None or table.phase is Phase.STILL else hand._replace(phase=table.phase)
+        if table.phase is Phase.STILL:
+            return table
+        if table.ended is not None:
+            if hand.phase is Phase.STILL and self.is_hand_like(table.ended.cells()):
+                self.in_hand = True
+                return hand
+            self._hand.restart()
+            return table
+        if hand.phase is Phase.STILL:
+            self.in_hand = True
+        return table if hand.phase is Phase.MOVING else hand
+
+    def _was_put_down(self) -> bool:
+        """Whether a hold that began in the hand goes on upon a table: looked at once a second, from the table's stretch alone."""
+        stretch = self._table.stretch
+        return stretch.judged % self.settings.cells(1.0) == 0 and not self.is_hand_like(stretch.cells())
 
     def _judge_lost(self, cells: Cells, row: int, gap: int) -> Judgement:
         """Judge a cell that is nearly empty: the first is passed over, the second in a row ends a stretch."""
         if gap == 1:
             return Judgement(self.phase, 0.0, cells, row, self.stretch.mean)
-        ended = self._end() if self.phase is Phase.STILL else None
+        ended = self.stretch if self.phase is Phase.STILL else None
+        if ended is not None and not self.in_hand:
+            self._learn_from(ended)
         self.restart()
         return Judgement(self.phase, 0.0, cells, row, [], ended=ended)
 
-    def _begin(self, cells: Cells, row: int, vibration: float, mean: list[float]) -> None:
-        """Begin a candidate with this cell if it could be the first of a stretch."""
-        self.restart()
-        if vibration <= 1 and self._offset_ratio(mean) <= 1:
-            self.stretch.add(cells, row, mean)
-            self.phase = Phase.SETTLING
-
-    def _end(self) -> Stretch:
-        """Take the stretch out, and learn from it: the gyroscope's bias, and the noise floor if it was quieter."""
-        stretch, self.stretch = self.stretch, self._new_stretch()
-        if self.floor is not None and stretch.judged >= self.settings.cells(self.LEARN_FROM_S):
-            cells = stretch.cells()
-            inner = cells[len(cells) // 4 : len(cells) - len(cells) // 4]
-            if self.bias:
-                self.bias = np.where(np.isnan(mean := np.nanmean(inner.mean[:, 3:], axis=0)), self.bias, mean).tolist()
-            quieter = measure_floor(inner)
-            if is_quieter(quieter, self.floor) and is_quiet(inner, self.scale):
-                self._set_floor(quieter)
-        return stretch
-
-    def _change_ratio(self, mean: list[float]) -> float:
-        """Return the larger change ratio of the two triads against the stretch's running mean, 0 without one."""
-        before = self.stretch.mean
-        if not before:
-            return 0.0
-        weight = self._standard.change_weight
-        accelerometer = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3)))
-        gyroscope = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3, 6)))
-        return max(accelerometer, gyroscope)
-
-    def _offset_ratio(self, mean: list[float]) -> float:
-        """Return the gyroscope's distance from its last known bias over what is allowed, 0 without a gyroscope."""
-        if not self.bias:
-            return 0.0
-        weight = self._standard.change_weight
-        distance = math.hypot(*((mean[i] - self.bias[i - 3]) * weight[i] for i in range(3, 6)))
-        return 0.0 if math.isnan(distance) else distance / self._standard.limits.gyroscope_offset
-
-    def _new_stretch(self) -> Stretch:
-        return Stretch(self.settings.cells(self.settings.longest_s))
+    def _learn_from(self, stretch: Stretch) -> None:
+        """Learn from a stretch that ended: the gyroscope's bias, and the noise floor if it was quieter."""
+        if self.floor is None or stretch.judged < self.settings.cells(self.LEARN_FROM_S):
+            return
+        cells = stretch.cells()
+        inner = cells[len(cells) // 4 : len(cells) - len(cells) // 4]
+        if self.bias:
+            self.bias = np.where(np.isnan(mean := np.nanmean(inner.mean[:, 3:], axis=0)), self.bias, mean).tolist()
+        quieter = measure_floor(inner)
+        if is_quieter(quieter, self.floor) and is_quiet(inner, self.scale):
+            self._set_floor(quieter)
 
 
 def vibration_ratio(cells: Cells, limits: Limits) -> FloatArray:

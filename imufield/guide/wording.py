@@ -9,9 +9,12 @@ import numpy as np
 from imufield.guide.axes_check import GOOD_DEG, AxesCheck
 from imufield.guide.cells import Cells
 from imufield.guide.checks import Refusal
-from imufield.guide.events import NoiseFloorMeasured, RefusalCode, Vector
+from imufield.guide.events import Accepted, NoiseFloorMeasured, RefusalCode, Vector
 from imufield.guide.noise_floor import MAX_FLOOR_M_S2, NoiseFloor
+from imufield.guide.observe import Observation
 from imufield.guide.plan import Found, Plan
+from imufield.guide.positions import angle_deg
+from imufield.guide.running_fit import RunningFit
 from imufield.guide.scale import RoughScale
 from imufield.guide.stillness import Activity, StillnessDetector
 from imufield.samples import FloatArray
@@ -53,6 +56,52 @@ def floor_event(now_s: float, floor: NoiseFloor, detector: StillnessDetector) ->
         scale.learned,
         f"noise floor: accelerometer {quantity(force, force_unit)} rms per axis, {gyroscope}; "
         f"still means below {quantity(limit, force_unit)}{learned}",
+    )
+
+
+def accepted_event(
+    now_s: float, observation: Observation, scale: RoughScale, plan: Plan, *, replaces: bool, fit: RunningFit | None
+) -> Accepted:
+    """Return the event for an observation just taken; what a running fit says of it is None while there is none."""
+    force = scale.specific_force(observation.mean_raw)
+    direction = force / np.linalg.norm(force)
+    sigma = math.sqrt(float(np.diag(observation.covariance_raw).max())) / (scale.accelerometer or math.nan)
+    held = observation.held
+    row = None if fit is None or observation.name not in fit.names else fit.names.index(observation.name)
+    return Accepted(
+        now_s,
+        observation.name,
+        vector(direction),
+        angle_deg(observation.direction, direction),
+        observation.start_s,
+        observation.duration_s,
+        sigma,
+        observation.temperature_degc,
+        len(plan.accepted),
+        len(plan.scheme),
+        replaces,
+        residual_m_s2=None if fit is None or row is None else float(fit.residual_m_s2[row]),
+        forecast=None if fit is None else fit.forecast(),
+        leave_one_out_m_s2=None if fit is None or row is None else fit.disagreements()[row].leave_one_out_m_s2,
+        rank=None if fit is None else fit.rank,
+        condition=None if fit is None else fit.condition,
+        held=held is not None,
+        tremor_deg=None if held is None else held.tremor_deg,
+        sway_deg=None if held is None else held.sway_deg,
+    )
+
+
+def warming_refusal(slope_degc_min: float, limit_degc_min: float) -> Refusal | None:
+    """Return the refusal of a unit whose temperature changes too fast, None for one that is warm enough."""
+    if abs(slope_degc_min) <= limit_degc_min:
+        return None
+    return Refusal(
+        RefusalCode.WARMING_UP,
+        f"the temperature changes by {slope_degc_min:+.1f} degC per minute (limit {limit_degc_min:g})",
+        "leave it on and wait: it is measured as soon as it is warm; press g to go on cold",
+        abs(slope_degc_min),
+        limit_degc_min,
+        "degC/min",
     )
 
 
@@ -130,4 +179,29 @@ def axes_refusal(axes: AxesCheck) -> Refusal:
         axes.misfit_deg,
         GOOD_DEG,
         "deg",
+    )
+
+
+def clock_refusal(gap_s: float, limit_s: float) -> Refusal:
+    """Return the word on a sample clock that jumped."""
+    way = f"forward by {gap_s:.1f} s" if gap_s > 0 else f"back by {-gap_s:.1f} s"
+    return Refusal(
+        RefusalCode.CLOCK_JUMP,
+        f"the sample clock jumped {way} (limit {limit_s:g} s): the computer was suspended, or the instrument began anew",
+        "nothing measured is lost; a hold that was under way begins anew",
+        abs(gap_s),
+        limit_s,
+        "s",
+    )
+
+
+def rate_refusal(share: float, limit: float, usual_hz: float) -> Refusal:
+    """Return the word on a sample rate that is not what it was."""
+    return Refusal(
+        RefusalCode.RATE,
+        f"the sample rate has changed by {100 * share:+.0f} % from {usual_hz:.0f} Hz (limit {100 * limit:g} %)",
+        "check the load of the computer, the baud rate and the instrument's settings",
+        abs(share) * usual_hz,
+        limit * usual_hz,
+        "Hz",
     )

@@ -346,7 +346,7 @@ def test_a_trembling_hand_is_told_what_keeps_it_from_being_still(make_path: Any)
     path = make_path(200.0).hold([0, 0, 1], 5).turn([1, 0, 0], 1).hold([1, 0, 0], 20)
     samples = path.samples()
     held = samples.time_s > 6
-    samples.gyroscope[held, 1] += 0.15 * np.sin(2 * np.pi * 10 * samples.time_s[held])
+    samples.gyroscope[held, 1] += 0.9 * np.sin(2 * np.pi * 10 * samples.time_s[held])
     _, events = run(samples, settings=GuideSettings(hold_s=3.0))
     refused = of(events, Rejected)
     assert {event.reason for event in refused} == {RefusalCode.NOT_STILL}

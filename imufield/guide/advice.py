@@ -1,0 +1,121 @@
+"""What the running fit has to say to the operator. Advice refuses nothing."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.guide.events import Advice, Topic
+from imufield.guide.observe import Observation
+from imufield.guide.plan import Plan
+from imufield.guide.running_fit import EXPECTED_SCATTER_M_S2, Disagreement, RunningFit
+from imufield.guide.scale import RoughScale
+from imufield.guide.settings import GuideSettings
+
+MILLI_G = 1e-3 * STANDARD_GRAVITY_M_S2
+MATTERS_SIGMAS = 3.0
+_FEWEST_FOR_QUADRATIC = 18
+_FEWEST_FOR_SCALE = 9
+SCALE_SHARE = 0.02
+"""Common scale against the nominal one: instruments repeat to 0.1 to 1 %, a wrong range or a wrong g shows as more."""
+DRIFT_SIGMAS = 4.0
+
+
+def doubtful_advice(now_s: float, found: Disagreement) -> Advice:
+    """Return the advice to look at a position again."""
+    value = abs(found.leave_one_out_m_s2) / MILLI_G
+    return Advice(
+        now_s,
+        Topic.DOUBTFUL,
+        found.name,
+        f"position {found.name} disagrees with the others by {value:.2g} mg, {abs(found.sigmas):.0f} sigma: moved or bumped",
+        "r retakes it now; otherwise it is asked for again at the end",
+        abs(found.leave_one_out_m_s2),
+        abs(found.leave_one_out_m_s2 / found.sigmas) * 5,
+        "m/s^2",
+    )
+
+
+def target_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Advice | None:
+    """Return the offer to finish early, None while the target is not met or there is none."""
+    forecast = fit.forecast()
+    wanted = {"bias_ug": settings.target_bias_ug, "scale_ppm": settings.target_scale_ppm}
+    asked = {key: value for key, value in wanted.items() if value is not None}
+    if not asked or len(fit.names) < _FEWEST_FOR_SCALE or any(forecast[key] > value for key, value in asked.items()):
+        return None
+    unit = {"bias_ug": "ug", "scale_ppm": "ppm"}
+    said = ", ".join(f"{key.split('_')[0]} {forecast[key]:.3g} {unit[key]} (wanted {value:g})" for key, value in asked.items())
+    key, value = next(iter(asked.items()))
+    return Advice(
+        now_s,
+        Topic.TARGET_MET,
+        None,
+        f"the target is met: {said}",
+        "f finishes now; going on makes it better still",
+        forecast[key],
+        value,
+        unit[key],
+    )
+
+
+def scheme_advice(now_s: float, fit: RunningFit, plan: Plan) -> Advice | None:
+    """Return the proposal of corners24 where the quadratic terms matter."""
+    known = len(fit.names) >= _FEWEST_FOR_QUADRATIC
+    if not known or not plan.scheme.name.startswith("paper") or fit.quadratic_sigmas() < MATTERS_SIGMAS:
+        return None
+    return Advice(
+        now_s,
+        Topic.SCHEME,
+        None,
+        f"the quadratic terms matter here ({fit.quadratic_sigmas():.1f} sigma)",
+        "next time use --positions corners24, which knows them and the biases a quarter better",
+        fit.quadratic_sigmas(),
+        MATTERS_SIGMAS,
+        "sigma",
+    )
+
+
+def scale_advice(now_s: float, fit: RunningFit) -> Advice | None:
+    """Return a warning where the common scale is far from the instrument's nominal one: the residual cannot see it."""
+    nominal = fit.scale.accelerometer
+    if not nominal or fit.scale.learned or len(fit.names) < _FEWEST_FOR_SCALE:
+        return None
+    share = float(np.mean(fit.vector[:3])) / nominal - 1
+    sigma = float(np.sqrt(np.mean(np.diag(fit.covariance)[:3]))) / nominal
+    if abs(share) < max(SCALE_SHARE, 4 * sigma):
+        return None
+    return Advice(
+        now_s,
+        Topic.SCALE,
+        None,
+        f"the common scale is {100 * share:+.1f} % off the instrument's nominal one (limit {100 * SCALE_SHARE:g} %)",
+        "check range and unit settings, latitude and gravity: the residual cannot show this",
+        abs(share),
+        SCALE_SHARE,
+        "1",
+    )
+
+
+def drift_advice(now_s: float, before: Observation, after: Observation, scale: RoughScale, fit: RunningFit | None) -> Advice:
+    """Return what the first position says when it is shown again at the end."""
+    norms = [float(np.linalg.norm(scale.specific_force(one.mean_raw))) for one in (before, after)]
+    directions = [scale.specific_force(one.mean_raw) / norm for one, norm in zip((before, after), norms, strict=True)]
+    # An uncalibrated norm changes with the placement; the gradient of the bias across it tells by how much.
+    placement = 0.0 if fit is None else float(np.linalg.norm(fit.vector[3:6])) * math.dist(*directions)
+    change = norms[1] - norms[0]
+    sigma = math.hypot(EXPECTED_SCATTER_M_S2, placement)
+    minutes = (after.start_s - before.start_s) / 60
+    drifted = abs(change) > DRIFT_SIGMAS * sigma
+    return Advice(
+        now_s,
+        Topic.DRIFT,
+        before.name,
+        f"{before.name} again after {minutes:.0f} min: {change / MILLI_G:+.2f} mg, "
+        + ("it has drifted" if drifted else f"no drift beyond {DRIFT_SIGMAS * sigma / MILLI_G:.1f} mg"),
+        "let the unit warm up longer and measure again" if drifted else "nothing to do",
+        abs(change),
+        DRIFT_SIGMAS * sigma,
+        "m/s^2",
+    )

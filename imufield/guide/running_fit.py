@@ -1,0 +1,201 @@
+"""What the positions measured so far say together: residuals, who disagrees, forecast, and the position that helps most.
+
+A maximum a posteriori fit of the norm model in the lower gauge with wide priors (what an uncalibrated unit can be), so that
+there is an answer from the fourth observation on and every parameter has a forecast from the first. The priors weigh nothing
+once the positions say more. This is for leading the operator; the numbers that are delivered come from ``calibrate``.
+
+Disagreement is judged by the residual of a fit without the position over its sigma (externally studentised), where the
+scatter between positions is estimated from the others and from an expectation of ``EXPECTED_SCATTER_M_S2``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from imufield.calibrate.models import PARAMETERS, norm_derivatives
+from imufield.calibrate.observability import LOWER_GAUGE_COLUMNS, observe
+from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.errors import CalibrationError
+from imufield.guide.observe import Observation
+from imufield.guide.scale import RoughScale
+from imufield.samples import FloatArray
+
+FEWEST = 4
+EXPECTED_SCATTER_M_S2 = 1e-4 * STANDARD_GRAVITY_M_S2
+_EXPECTED_FREEDOM = 3.0
+DOUBT_SIGMAS = 5.0
+"""A position that the others contradict by this much is doubted; of 24 good ones one in thousands is."""
+DOUBT_M_S2 = 3e-4 * STANDARD_GRAVITY_M_S2
+"""And by this much: less does no harm that another hold would cure."""
+_STEPS = 8
+_MICRO_G = 1e-6 * STANDARD_GRAVITY_M_S2
+_LINEAR = 9
+"""Free parameters without the quadratic term."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """How a position fits the others."""
+
+    name: str
+    leave_one_out_m_s2: float
+    sigmas: float
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether somebody should look at it again."""
+        return abs(self.sigmas) > DOUBT_SIGMAS and abs(self.leave_one_out_m_s2) > DOUBT_M_S2
+
+
+@dataclass(frozen=True)
+class RunningFit:
+    """The fit; columns are those of ``LOWER_GAUGE_COLUMNS`` (12), rows the observations, then the priors."""
+
+    names: tuple[str, ...]
+    vector: FloatArray
+    scale: RoughScale
+    residual_m_s2: FloatArray
+    sigma_m_s2: FloatArray
+    jacobian: FloatArray
+    """Of the norms, shape (m, 12)."""
+    prior_sigma: FloatArray
+    rank: int
+    condition: float
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """Inverse covariance, priors included, shape (12, 12)."""
+        weighted = self.jacobian / self.sigma_m_s2[:, None]
+        result: FloatArray = weighted.T @ weighted + np.diag(self.prior_sigma**-2.0)
+        return result
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Forecast covariance, shape (12, 12)."""
+        return np.asarray(np.linalg.inv(self.information))
+
+    def forecast(self) -> dict[str, float]:
+        """Return 1 sigma of the groups of parameters, the largest axis of each, in the units people use."""
+        sigma = np.sqrt(np.diag(self.covariance))
+        K = np.abs(self.vector[:3])
+        return {
+            "bias_ug": float(sigma[3:6].max() / _MICRO_G),
+            "scale_ppm": float((sigma[:3] / K).max() * 1e6),
+            "misalignment_urad": float(sigma[6:9].max() * 1e6),
+            "quadratic_ug_per_g2": float((sigma[9:] / K).max() * STANDARD_GRAVITY_M_S2**2 / _MICRO_G),
+        }
+
+    def disagreements(self) -> list[Disagreement]:
+        """Return how each position fits the others, in their order."""
+        weighted = self.jacobian / self.sigma_m_s2[:, None]
+        leverage = np.minimum(np.einsum("mi,ij,mj->m", weighted, self.covariance, weighted), 1 - 1e-6)
+        ratio = self.residual_m_s2 / self.sigma_m_s2
+        without = ratio / (1 - leverage)
+        squares = ratio**2 / (1 - leverage)
+        freedom = max(float((1 - leverage).sum()), 0.0)
+        found = []
+        for k, name in enumerate(self.names):
+            others = max(float(ratio @ ratio - squares[k]), 0.0)
+            variance = (_EXPECTED_FREEDOM + others) / (_EXPECTED_FREEDOM + max(freedom - 1, 0.0))
+            sigmas = without[k] * math.sqrt(1 - leverage[k]) / math.sqrt(max(variance, 0.05))
+            found.append(Disagreement(name, float(without[k] * self.sigma_m_s2[k]), float(sigmas)))
+        return found
+
+    def gain(self, directions: FloatArray) -> FloatArray:
+        """Return by how much a hold in each of the directions (n, 3) would shrink the ellipsoid: log det, D-optimal."""
+        force = STANDARD_GRAVITY_M_S2 * directions
+        raw = _predict_zeroed(self.vector, force)
+        rows = norm_derivatives(self.vector, raw).jacobian[:, LOWER_GAUGE_COLUMNS]
+        sigma = float(np.median(self.sigma_m_s2))
+        gain: FloatArray = np.log1p(np.einsum("ni,ij,nj->n", rows, self.covariance, rows) / sigma**2)
+        return gain
+
+    def quadratic_sigmas(self) -> float:
+        """Return the largest quadratic term over its sigma."""
+        sigma = np.sqrt(np.diag(self.covariance))[9:]
+        return float(np.max(np.abs(self.vector[12:]) / sigma))
+
+
+def _predict_zeroed(vector: FloatArray, force: FloatArray) -> FloatArray:
+    T = np.eye(3)
+    T[[0, 0, 1, 1, 2, 2], [1, 2, 0, 2, 0, 1]] = vector[6:12]
+    s = force @ T.T
+    raw: FloatArray = vector[:3] * (s + vector[3:6]) + vector[12:] * s**2
+    return raw
+
+
+def running_fit(observations: list[Observation], scale: RoughScale, gravity_m_s2: float) -> RunningFit | None:
+    """Fit what was measured so far; None while there are too few or where it does not converge.
+
+    Parameters
+    ----------
+    observations : list of Observation
+    scale : RoughScale
+        Nominal scale and mid-scale: where the fit starts, and the centre of the priors.
+    gravity_m_s2 : float
+        Local gravity if known; a wrong value changes the common scale only.
+    """
+    if len(observations) < FEWEST or not scale.accelerometer:
+        return None
+    raw = np.array([one.mean_raw for one in observations]) - scale.raw_zero
+    within = np.array([one.covariance_raw for one in observations])
+    start = np.zeros(PARAMETERS)
+    start[:3] = scale.accelerometer
+    prior = _prior_sigma(scale)
+    sigma = np.full(len(raw), EXPECTED_SCATTER_M_S2)
+    try:
+        for _ in range(2):
+            vector, residual, jacobian, across = _minimise(start, raw, sigma, prior, gravity_m_s2)
+            own = np.einsum("mi,mij,mj->m", across, within, across)
+            sigma = np.sqrt(np.maximum(own, 0.0) + EXPECTED_SCATTER_M_S2**2 * _scatter(residual, jacobian, own, prior))
+        seen = observe(norm_derivatives(vector, raw), vector, gravity_m_s2, quadratic=True)
+    except (CalibrationError, np.linalg.LinAlgError):
+        return None
+    names = tuple(one.name for one in observations)
+    return RunningFit(names, vector, scale, residual, sigma, jacobian, prior, seen.rank, seen.condition)
+
+
+def _prior_sigma(scale: RoughScale) -> FloatArray:
+    """Return what an uncalibrated instrument can be off by, in the order of ``LOWER_GAUGE_COLUMNS``."""
+    K = scale.accelerometer or 1.0
+    spread = 0.2 if scale.learned else 0.03
+    return np.concatenate(
+        [np.full(3, spread * K), np.full(3, 0.5), np.full(3, 0.02), np.full(3, 5e-4 * K / STANDARD_GRAVITY_M_S2)]
+    )
+
+
+def _minimise(
+    start: FloatArray, raw: FloatArray, sigma: FloatArray, prior: FloatArray, gravity_m_s2: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return vector (15,), residuals (m,), Jacobian (m, 12) and d norm / d raw (m, 3): Gauss-Newton with priors."""
+    columns = list(LOWER_GAUGE_COLUMNS)
+    vector = start.copy()
+    for step in range(_STEPS + 1):
+        derivatives = norm_derivatives(vector, raw)
+        residual, jacobian = derivatives.norm - gravity_m_s2, derivatives.jacobian[:, columns]
+        if step == _STEPS:
+            break
+        rows = np.vstack([jacobian / sigma[:, None], np.diag(1 / prior)])
+        goal = -np.concatenate([residual / sigma, (vector - start)[columns] / prior])
+        vector[columns] += np.linalg.lstsq(rows, goal, rcond=None)[0]
+    return vector, residual, jacobian, derivatives.raw_gradient
+
+
+def _scatter(residual: FloatArray, jacobian: FloatArray, within: FloatArray, prior: FloatArray) -> float:
+    """Return the variance between positions over the expected one: from the residuals, pulled towards 1 while there are few.
+
+    The median keeps one bad position from raising the sigma of all.
+    """
+    freedom = max(len(residual) - _LINEAR, 0)
+    if freedom < 2:
+        return 1.0
+    sigma = np.sqrt(within + EXPECTED_SCATTER_M_S2**2)
+    weighted = np.vstack([jacobian / sigma[:, None], np.diag(1 / prior)])
+    leverage = np.einsum("mi,mi->m", weighted, np.linalg.pinv(weighted).T)[: len(residual)]
+    squares = (residual / EXPECTED_SCATTER_M_S2) ** 2 / np.maximum(1 - leverage, 0.05)
+    robust = float(np.median(squares)) / 0.455
+    return (_EXPECTED_FREEDOM + freedom * robust) / (_EXPECTED_FREEDOM + freedom)
