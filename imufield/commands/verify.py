@@ -237,8 +237,8 @@ class _Navigation:
             )
         if not task.parameters.gyroscope_is_complete:
             raise ParameterFileError(
-                f"{task.parameters.path} has no complete gyroscope, which static navigation needs; calibrate from a session whose "
-                "instrument sends its gyroscope",
+                f"{task.parameters.path} has no complete gyroscope, which static navigation needs; calibrate from "
+                "a session whose instrument sends its gyroscope",
                 Reason.UNITS,
             )
         settings = CheckSettings(
@@ -301,8 +301,8 @@ def _refuse_failed(found: Verification) -> None:
     worst = failed[0]
     measured = "was not measured" if np.isnan(worst.measured) else f"is {worst.measured:.4g}"
     raise VerificationError(
-        f"FAIL: {worst.name} {measured} where at most {worst.limit:g} is required; calibrate again, or see the table for what is "
-        "large",
+        f"FAIL: {worst.name} {measured} where at most {worst.limit:g} is required; calibrate again, or see the "
+        "table for what is large",
         requirement=worst.name,
         limit=worst.limit,
         measured=worst.measured,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -35,6 +36,7 @@ REQUIREMENTS = {
     "residual-ug": "RMS residual of held-out positions, micro-g",
     "nav-nmi-per-h": "largest position error over the time navigated, nautical miles an hour",
 }
+_WIDTH = 80
 _POINTS = 600
 """Of each curve in the file: more than a plot shows."""
 
@@ -228,7 +230,8 @@ def verification_text(verification: Verification) -> str:
         lines += [*_position_lines(verification.held_out), ""]
     if verification.navigation is not None:
         lines += [*_navigation_lines(verification.navigation), ""]
-    lines += [f" · {note}" for note in verification.notes]
+    for note in verification.notes:
+        lines += textwrap.wrap(f" · {note}", _WIDTH, subsequent_indent="   ")
     for one in verification.requirements:
         word = "met" if one.passed else "NOT MET"
         measured = "not measured" if math.isnan(one.measured) else f"{one.measured:.4g}"
@@ -239,7 +242,7 @@ def verification_text(verification: Verification) -> str:
 
 
 def _position_lines(found: HeldOut) -> Iterator[str]:
-    yield f"Held-out positions: {found.how}"
+    yield from textwrap.wrap(f"Held-out positions: {found.how}", _WIDTH, subsequent_indent="  ")
     with_before = bool(np.isfinite(found.before_m_s2).all())
     columns = [found.residual_m_s2, found.sigma_m_s2, *([found.before_m_s2] if with_before else [])]
     unit, size = acceleration_unit(max(float(np.nanmax(np.abs(column), initial=0.0)) for column in columns[:2]))
@@ -275,7 +278,8 @@ def _navigation_lines(result: NavigationResult) -> Iterator[str]:
             most = "" if result.forecast is None or not last else f"{_at(result, float(drift.time_s[row])):.3f}"
             yield (
                 f"  {drift.time_s[row] / 3600:8.2f} {drift.latitude_deg[row]:+12.6f} {drift.longitude_deg[row]:+12.6f} "
-                f"{drift.north_velocity_m_s[row]:+9.4f} {drift.east_velocity_m_s[row]:+9.4f} {drift.position_nmi[row]:9.3f}  {most}"
+                f"{drift.north_velocity_m_s[row]:+9.4f} {drift.east_velocity_m_s[row]:+9.4f} "
+                f"{drift.position_nmi[row]:9.3f}  {most}"
             )
     for name, drift in result.drifts.items():
         yield f"  drift {name}: {drift.rate_nmi_per_h:.3f} nmi/h"

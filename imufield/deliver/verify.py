@@ -92,7 +92,7 @@ def check_positions(
         np.sqrt(np.diag(S)),
         _misfit(residual, S),
         f_limit_95(m, max(calibration.quality.degrees_of_freedom, 1)),
-        f"{m} positions of another session",
+        f"{m} position{'s' if m > 1 else ''} of another session",
     )
 
 

@@ -19,7 +19,7 @@ from imufield.deliver.navigation.alignment import Alignment, RestMeans, align
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.forecast import RUNS, Forecast, RandomErrors, Scene, forecast
 from imufield.deliver.navigation.mechanise import Mechanisation, load_pyins
-from imufield.deliver.navigation.rest import SECOND_S, RestNoise, SecondMeans, fill_gaps, measure_noise, moving_seconds
+from imufield.deliver.navigation.rest import SECOND_S, RestNoise, IntervalMeans, fill_gaps, measure_noise, moving_seconds
 from imufield.deliver.parameters import Corrected
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
 from imufield.samples import FloatArray, Samples
@@ -234,7 +234,7 @@ class _OneSet:
     def __init__(self, apply: Apply, settings: CheckSettings) -> None:
         self._apply = apply
         self._settings = settings
-        self._seconds: SecondMeans | None = None
+        self._seconds: IntervalMeans | None = None
         self._waiting: list[Corrected] = []
         self.alignment: Alignment | None = None
         self.mechanisation: Mechanisation | None = None
@@ -242,7 +242,7 @@ class _OneSet:
     def feed(self, samples: Samples) -> None:
         corrected = self._apply(samples)
         if self._seconds is None:
-            self._seconds = SecondMeans(float(samples.time_s[0]))
+            self._seconds = IntervalMeans(float(samples.time_s[0]))
         self._seconds.feed(corrected.time_s, np.hstack([corrected.specific_force_m_s2, corrected.angular_rate_rad_s]))
         if self.mechanisation is not None:
             self.mechanisation.feed(*corrected)

@@ -23,25 +23,29 @@ _FLOOR = np.sqrt(2 * np.log(2) / np.pi)
 """Allan deviation at its lowest over the bias instability (IEEE Std 952)."""
 
 
-class SecondMeans:
-    """Means over whole seconds of a stream of corrected samples.
+class IntervalMeans:
+    """Means over equal intervals of a stream of values.
 
     Parameters
     ----------
     start_s : float
-        Beginning of the first second.
+        Beginning of the first interval.
+    columns : int
+    interval_s : float
     """
 
-    def __init__(self, start_s: float) -> None:
+    def __init__(self, start_s: float, columns: int = 6, interval_s: float = SECOND_S) -> None:
         self.start_s = start_s
+        self.interval_s = interval_s
+        self._columns = columns
         self._sums: list[FloatArray] = []
         self._counts: list[FloatArray] = []
-        self._open = (np.zeros(6), 0.0)
+        self._open = (np.zeros(self._columns), 0.0)
         self._slot = 0
 
     def feed(self, time_s: FloatArray, values: FloatArray) -> None:
-        """Take samples of rising time, shape (n,) and (n, 6)."""
-        slot = np.floor((time_s - self.start_s) / SECOND_S).astype(np.int64)
+        """Take samples of rising time, shape (n,) and (n, columns)."""
+        slot = np.floor((time_s - self.start_s) / self.interval_s).astype(np.int64)
         first = np.flatnonzero(np.diff(slot, prepend=slot[:1] - 1))
         sums = np.add.reduceat(values, first, axis=0)
         counts = np.diff(first, append=len(slot)).astype(np.float64)
@@ -51,17 +55,17 @@ class SecondMeans:
             self._open = (self._open[0] + total, self._open[1] + count)
 
     def finish(self) -> FloatArray:
-        """Return the means of all complete seconds, shape (n, 6); NaN where a second had no sample."""
+        """Return the means of all complete intervals, shape (m, columns); NaN where one had no sample."""
         counts = np.array(self._counts)[:, None]
         if not len(counts):
-            return np.empty((0, 6))
+            return np.empty((0, self._columns))
         with np.errstate(invalid="ignore"):
             return np.array(self._sums) / counts
 
     def _close(self) -> None:
         self._sums.append(self._open[0])
         self._counts.append(np.asarray(self._open[1]))
-        self._open = (np.zeros(6), 0.0)
+        self._open = (np.zeros(self._columns), 0.0)
         self._slot += 1
 
 
