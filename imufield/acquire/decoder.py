@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.assembly import FrameReader, RawBlock, join
+from imufield.acquire.frame_join import FrameJoin
 from imufield.acquire.frame_schema import FrameRule
 from imufield.acquire.framing import FrameBlock, Framer
 from imufield.acquire.layout import Field
@@ -66,7 +67,7 @@ class Decoder:
         if protocol.frame is not None:
             self._source = _FrameSource(protocol, protocol.frame, self.statistics, self._keep)
         else:
-            self._source = LineReader(protocol, self.statistics)
+            self._source = LineReader(protocol, self.statistics, self._keep)
         self._clock = SampleClock(_clock_rule(protocol), protocol.units, self.statistics)
 
     def feed(self, data: bytes, arrival_s: float = math.nan) -> Samples:
@@ -154,6 +155,7 @@ class _FrameSource:
     def __init__(self, protocol: Protocol, rule: FrameRule, statistics: DecoderStatistics, keep: Any) -> None:
         self._framer = Framer(rule)
         self._protocol = protocol
+        self._join = FrameJoin(rule.join) if rule.join else None
         self._readers: dict[int, FrameReader | None] = {}
         self._statistics = statistics
         self._keep = keep
@@ -175,17 +177,24 @@ class _FrameSource:
         readers = {key: reader for key in keys if (reader := self._reader(key)) is not None}
         if len(readers) < len(keys):
             self._read_others(block, readers)
-        if len(keys) == len(readers) == 1:
+        if len(keys) == len(readers) == 1 and self._join is None:
             return self._read_kind(block, keys[0], readers[keys[0]], None)
         places = [np.flatnonzero(block.shapes == key) for key in readers]
         parts = [self._read_kind(block, key, readers[key], place) for key, place in zip(readers, places, strict=True)]
-        return join(parts)[np.argsort(np.concatenate(places), kind="stable")] if parts else None
+        if not parts:
+            return None
+        order = np.argsort(np.concatenate(places), kind="stable")
+        if self._join is None:
+            return join(parts)[order]
+        numbers = [self._join.kinds.index(self._framer.layout(key).kind) for key in readers]
+        return self._join.add(np.repeat(numbers, [len(place) for place in places])[order], join(parts)[order])
 
     def _reader(self, key: int) -> FrameReader | None:
         """Return the reader for a kind of frame, made when the first one comes; None for those without samples."""
         if key not in self._readers:
             layout = self._framer.layout(key)
-            reader = None if layout.is_message else FrameReader(self._protocol, layout)
+            takes_part = not layout.is_message and (self._join is None or layout.kind in self._join.kinds)
+            reader = FrameReader(self._protocol, layout) if takes_part else None
             self._readers[key] = reader if reader is not None and reader.has_samples else None
         return self._readers[key]
 

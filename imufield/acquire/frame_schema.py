@@ -84,7 +84,7 @@ def _read_join(table: Table) -> JoinRule | None:
     table.finish()
     if starts_with not in needs:
         raise table.error("needs", f"the kind a sample starts with, {starts_with!r}, must be among those it needs")
-    return JoinRule(starts_with, needs)
+    return JoinRule(starts_with, needs) if len(needs) > 1 else None
 
 
 def _read_form(top: Table, frame: Table, parts: dict[str, tuple[Field, ...]], big_endian: bool) -> FrameForm:
@@ -106,8 +106,8 @@ def _read_form(top: Table, frame: Table, parts: dict[str, tuple[Field, ...]], bi
     form = replace(form, layouts=_read_layouts(top, frame, form, parts, big_endian))
     if length is None and masks is None and fields is not None:
         raise frame.error("length", "frames made of fields need a field that tells their length")
-    frame.has("trailer")
-    frame.has("enabled")
+    for known in ("trailer", "enabled", "name", "message"):
+        frame.has(known)
     frame.finish()
     return form
 

@@ -4,10 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from imufield.acquire.checksum import Checksum, make_checksum
 from imufield.acquire.protocol_toml import Table
+from imufield.errors import ProtocolError
 from imufield.samples import INSTRUMENT_STATUS_SHIFT, Status
 
 NANOSECONDS = 1e9
+COLUMNS = ("time", "counter", "ax", "ay", "az", "gx", "gy", "gz", "temperature", "-")
+"""What a number of a line may be; "-" is passed over."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sentence:
+    """A line that begins with a name."""
+
+    name: str
+    columns: tuple[str, ...]
+    """In the order of the line; "-" is passed over, "-ax" is the negative of ax."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +32,14 @@ class TextRule:
     delimiter: str
     prefix: str
     comments: tuple[str, ...]
+    sentences: tuple[Sentence, ...] = ()
+    """Kinds of lines that begin with a name of their own; empty: all lines are of one kind."""
+    markers: str = "$"
+    """Characters a sentence may begin with; its name stands behind."""
+    header_end: str = ""
+    """Ends a header that is passed over; empty: the numbers begin behind the name."""
+    checksums: tuple[Checksum, ...] = ()
+    """By the number of digits behind the star; a sentence without one of them is refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,11 +120,12 @@ class ClockRule:
 def read_text(top: Table) -> TextRule:
     """Read ``[text]``."""
     table = top.table("text")
+    if table.has("sentences"):
+        return _read_sentences(table)
     names = tuple(name.strip() for name in table.text("columns").split(","))
-    known = ("time", "counter", "ax", "ay", "az", "gx", "gy", "gz", "temperature", "-")
     for name in names:
-        if name not in known or (name != "-" and names.count(name) > 1):
-            raise table.error("columns", f"{name!r} is not known or stands there twice; columns are: {', '.join(known)}")
+        if name not in COLUMNS or (name != "-" and names.count(name) > 1):
+            raise table.error("columns", f"{name!r} is not known or stands there twice; columns are: {', '.join(COLUMNS)}")
     if not {"ax", "ay", "az"} <= set(names):
         raise table.error("columns", f"ax, ay and az must be among the columns, but these are: {', '.join(names)}")
     rule = TextRule(
@@ -114,6 +136,46 @@ def read_text(top: Table) -> TextRule:
     )
     table.finish()
     return rule
+
+
+def _read_sentences(table: Table) -> TextRule:
+    sentences = tuple(_read_sentence(each) for each in table.tables("sentences"))
+    used = {name.lstrip("-") for sentence in sentences for name in sentence.columns}
+    rule = TextRule(
+        tuple(name for name in COLUMNS if name in used and name != "-"),
+        "comma",
+        "",
+        (),
+        sentences,
+        table.text("markers", "$"),
+        table.text("header_end", ""),
+        tuple(_read_text_checksum(each) for each in table.tables("checksums")),
+    )
+    if not rule.checksums:
+        raise table.error("checksums", "sentences need at least one checksum, e.g. XOR-8")
+    table.finish()
+    return rule
+
+
+def _read_sentence(table: Table) -> Sentence:
+    columns = tuple(name.strip() for name in table.text("columns").split(","))
+    for name in columns:
+        if name.removeprefix("-") not in (*COLUMNS, ""):
+            raise table.error("columns", f"{name!r} is not known; columns are: {', '.join(COLUMNS)}, a minus before turns them")
+    sentence = Sentence(table.text("name"), columns)
+    table.finish()
+    return sentence
+
+
+def _read_text_checksum(table: Table) -> Checksum:
+    start = table.integer("start", 0, (1 << 64) - 1) if table.has("start") else None
+    final = table.integer("final", 0, (1 << 64) - 1) if table.has("final") else None
+    try:
+        checksum = make_checksum(table.text("algorithm"), start=start, final=final)
+    except ProtocolError as error:
+        raise table.error("algorithm", error.message) from error
+    table.finish()
+    return checksum
 
 
 def read_samples(top: Table) -> SampleRule:

@@ -21,6 +21,9 @@ from imufield.errors import ProtocolError
 FILE_LIMIT_BYTES = 1 << 20
 """The largest shipped protocol is below 20 kB; 1 MiB leaves room and keeps a wrong file from filling memory."""
 
+OTHER = "other"
+"""In a look-up by a setting: for every value that is not listed."""
+
 Path = tuple[str | int, ...]
 
 
@@ -123,6 +126,8 @@ class Table:
         lookup = {k: v for k, v in found.items() if k != "setting"}
         if not lookup:
             return chosen
+        if spell(chosen) not in lookup and OTHER in lookup:
+            return lookup[OTHER]
         if spell(chosen) not in lookup:
             raise self.error(key, f"nothing is given for setting {name} = {spell(chosen)}; add it")
         return lookup[spell(chosen)]

@@ -15,14 +15,13 @@ import numpy as np
 
 from imufield.acquire.assembly import RawBlock
 from imufield.acquire.protocol import Protocol
+from imufield.acquire.sentences import LARGEST_NUMBER, Keep, SentenceReader
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.errors import ProtocolError
 from imufield.samples import NO_COUNTER, FloatArray, IntArray
 
 LONGEST_LINE = 4096
 """Forty columns of 100 characters; a longer line is no line but noise and is passed over up to its end."""
-LARGEST_NUMBER = 1e17
-"""Above any counter (2**53) and any time stamp in ns of a century ago; larger numbers, infinity and NaN are garbage."""
 
 _DELIMITERS = {"comma": b",", "semicolon": b";", "whitespace": None}
 
@@ -35,9 +34,11 @@ class LineReader:
     protocol : Protocol
         With ``lines``.
     statistics : DecoderStatistics
+    keep : callable, optional
+        Takes sentences that are no samples, as dicts.
     """
 
-    def __init__(self, protocol: Protocol, statistics: DecoderStatistics) -> None:
+    def __init__(self, protocol: Protocol, statistics: DecoderStatistics, keep: Keep | None = None) -> None:
         if protocol.lines is None:
             raise ProtocolError(f"protocol {protocol.name} has no lines of numbers", name=protocol.name)
         rule = protocol.lines
@@ -45,6 +46,7 @@ class LineReader:
         self._prefix = rule.prefix.encode()
         self._comments = tuple(comment.encode() for comment in rule.comments)
         self._statistics = statistics
+        self._sentences = SentenceReader(rule, statistics, keep) if rule.sentences else None
         self._factors = protocol.factors
         self._column = {name: index for index, name in enumerate(rule.columns) if name != "-"}
         self._needed = [index for name, index in self._column.items() if name != "temperature"]
@@ -93,7 +95,7 @@ class LineReader:
         for line in lines:
             text = line.strip()
             self._offset += len(line) + 1
-            row = None if not text or text.startswith(self._comments) else self._numbers(text)
+            row = None if not text or text.startswith(self._comments) else self._row(text)
             if row is None:
                 self._statistics.bytes_skipped += len(line) + 1
                 continue
@@ -103,9 +105,17 @@ class LineReader:
             self._lost = 0
         if not rows:
             return None
-        self._statistics.frames += len(rows)
-        self._statistics.by_kind["line"] = self._statistics.by_kind.get("line", 0) + len(rows)
+        if self._sentences is None:
+            self._statistics.frames += len(rows)
+            self._statistics.by_kind["line"] = self._statistics.by_kind.get("line", 0) + len(rows)
         return self._block(np.array(rows), np.array(lost, dtype=np.int64), np.array(ends, dtype=np.int64))
+
+    def _row(self, text: bytes) -> list[float] | None:
+        if self._sentences is None:
+            return self._numbers(text)
+        row = self._sentences.read(text, self._needed)
+        self._lost += self._sentences.take_lost()
+        return row
 
     def _numbers(self, text: bytes) -> list[float] | None:
         """Return the numbers of one line, None for a line to pass over, which is counted as lost unless it is a header."""

@@ -1,0 +1,27 @@
+"""NovAtel OEM7 SPAN receivers, ASCII IMU logs."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from imufield.acquire.driver import Driver, Evidence
+
+
+class NovAtelOem7Ascii(Driver):
+    """NovAtel ASCII logs RAWIMUA, RAWIMUSA, RAWIMUXA and RAWIMUSXA.
+
+    A line is ``#header;log*checksum`` (``%`` for the short header), numbers between commas, the CRC-32 in eight digits over
+    what stands between the first character and the star. Order and scale are those of the binary logs: z, minus y, x;
+    increments in units of the IMU, which one has to give: ``--set imu=hg4930``.
+    """
+
+    name: ClassVar[str] = "novatel_oem7_ascii"
+    title: ClassVar[str] = "NovAtel OEM7 SPAN, ASCII IMU logs"
+    protocol: ClassVar[str] = "novatel_oem7_ascii"
+    default_baud: ClassVar[int] = 115200
+    bauds: ClassVar[tuple[int, ...]] = (115200, 9600, 57600, 230400, 460800, 921600)
+    status: ClassVar[Evidence] = "verified on real bytes"
+    manual: ClassVar[str] = "NovAtel OEM7 Commands and Logs Reference Manual: ASCII messages, RAWIMU, RAWIMUX"
+
+
+DRIVER = NovAtelOem7Ascii

@@ -1,0 +1,38 @@
+"""SBG Systems Ellipse, Ekinox, Apogee and Quanta."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from imufield.acquire.driver import Driver, Evidence
+
+
+class SbgEcom(Driver):
+    """sbgECom frames.
+
+    Everything is little-endian.
+
+    ======  ==============================================================
+    bytes   content
+    ======  ==============================================================
+    0, 1    FF 5A
+    2, 3    log, class
+    4, 5    length of the data
+    from 6  data
+    then 2  CRC-16 from byte 2 on
+    last    0x33
+    ======  ==============================================================
+
+    IMU_SHORT is taken, or IMU_DATA with ``--set log=imu_data``. Never tried on bytes of an instrument.
+    """
+
+    name: ClassVar[str] = "sbg_sbgecom"
+    title: ClassVar[str] = "SBG Systems (sbgECom)"
+    protocol: ClassVar[str] = "sbg_sbgecom"
+    default_baud: ClassVar[int] = 115200
+    bauds: ClassVar[tuple[int, ...]] = (115200, 921600, 460800, 230400, 57600, 38400, 19200, 9600)
+    status: ClassVar[Evidence] = "document only"
+    manual: ClassVar[str] = "SBG Systems sbgECom library (MIT): binary protocol, logs IMU_DATA and IMU_SHORT"
+
+
+DRIVER = SbgEcom
