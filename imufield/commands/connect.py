@@ -200,11 +200,16 @@ def _bauds(options: ConnectOptions, candidates: list[_Candidate], port: str) -> 
     """Return the bit rates to try: one where it is given or means nothing, else those of the candidates, likeliest first."""
     if options.baud is not None:
         return [options.baud]
-    if "://" in port or port.startswith("/dev/pts/") or _is_pseudo_terminal(port):
+    if _has_no_baud(port):
         return [candidates[0].bauds[0]]
     longest = max(len(one.bauds) for one in candidates)
     in_order = [one.bauds[rank] for rank in range(longest) for one in candidates if rank < len(one.bauds)]
     return list(dict.fromkeys(in_order))
+
+
+def _has_no_baud(port: str) -> bool:
+    """Return whether the bit rate means nothing to a port: addresses and pseudo-terminals take any."""
+    return "://" in port or _is_pseudo_terminal(port)
 
 
 def _is_pseudo_terminal(port: str) -> bool:
@@ -271,13 +276,15 @@ def _connected(
             given = {name: one.value for name, one in protocol.settings.items() if one.origin == "given"}
             protocol = found.driver.load_protocol(given, messages=messages)
     model = identity.pop("model", "") or found.name
+    # Where the rate means nothing, the instrument's own is what a real port would need.
+    baud = found.bauds[0] if options.baud is None and _has_no_baud(hearing.link.name) else hearing.baud
     if found.driver is not None and options.driver is None:
         say(f"driver {found.name} (recognised: {decoder.statistics.frames} good frames of {found.title})")
     if options.baud is None and "://" not in hearing.link.name:
-        say(f"bit rate {hearing.baud} (assumed)")
+        say(f"bit rate {baud} (assumed)")
     for sentence in assumed(protocol):
         say(sentence)
-    return Connected(hearing.link, protocol, found.name, model, hearing.baud, hearing.chunks, identity)
+    return Connected(hearing.link, protocol, found.name, model, baud, hearing.chunks, identity)
 
 
 def assumed(protocol: Protocol) -> list[str]:
