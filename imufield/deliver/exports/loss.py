@@ -102,7 +102,7 @@ def _at_positions(parameters: Parameters, held: Held) -> str:
         return ""
     g = parameters.calibration.gravity.gravity_m_s2
     ours, theirs = (
-        np.sqrt(np.mean((np.linalg.norm(force, axis=1) - g) ** 2)) / MILLI_G
+        round(float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - g) ** 2)) / MILLI_G), 6)
         for force in (parameters.apply_accelerometer(raw), held.apply_accelerometer(raw))
     )
     return f" (residual of its {len(raw)} positions {ours:.3g} mg rms with the whole model, {theirs:.3g} mg there)"
