@@ -99,7 +99,7 @@ class Job:
         return replace(
             corrections,
             accelerometer=accelerometer,
-            gyroscope=corrections.gyroscope.of_scaled(scale, np.zeros(3)),
+            gyroscope=corrections.gyroscope.of_scaled(scale, np.full(3, self.options.gyroscope_zero)),
             g_sensitivity=corrections.g_sensitivity / scale,
         )
 
