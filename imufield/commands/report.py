@@ -1,0 +1,173 @@
+"""``imufield report``: one page per session, and a calibration record on one sheet."""
+
+from __future__ import annotations
+
+import platform
+import shlex
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import typer
+
+from imufield import __version__
+from imufield.acquire.recording import Damage
+from imufield.acquire.session import Session
+from imufield.calibrate.observations import Observations
+from imufield.commands.calibration import MoveListener
+from imufield.commands.chain import Chain, Plan, replay_into
+from imufield.commands.solve import PARAMETER_FILE, session_sha256
+from imufield.deliver.parameters import Parameters, load
+from imufield.deliver.parameters_write import content_sha256
+from imufield.deliver.report.data import (
+    Closure,
+    ReportData,
+    Trace,
+    TraceCollector,
+    closure,
+    convergence,
+    observations_of,
+)
+from imufield.deliver.report.page import render_record, render_report
+from imufield.deliver.report.plots import load_matplotlib
+from imufield.deliver.verification import read_verification, verification_path
+from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError
+from imufield.files import write_atomically
+
+REPORT_FILE = "report.html"
+RECORD_FILE = "calibration-record.html"
+_FEWEST_FOR_METHODS = 9
+"""Positions; the methods of the papers need more than parameters."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportOptions:
+    """Options of the command."""
+
+    session: Path | None = None
+    parameters: Path | None = None
+    preset: Path | None = None
+    output: Path | None = None
+    record: Path | None = None
+    operator: str = ""
+
+
+def run_report(options: ReportOptions) -> tuple[Path, Path]:
+    """Write report and record; return their paths.
+
+    Raises
+    ------
+    UsageError
+        If matplotlib or jinja2 is not installed.
+    ParameterFileError
+        If the parameters are not of this session, or a page cannot be written.
+    """
+    load_matplotlib()
+    data, folder = gather(options)
+    pages = (options.output or folder / REPORT_FILE, options.record or folder / RECORD_FILE)
+    for path, text in zip(pages, (render_report(data), render_record(data)), strict=True):
+        _write(path, text)
+        typer.echo(f"written to {path}")
+    return pages
+
+
+def gather(options: ReportOptions) -> tuple[ReportData, Path]:
+    """Return what the report shows, and the folder it belongs into; raises as ``run_report``."""
+    session = _session(options)
+    path = options.parameters or (session.folder / PARAMETER_FILE if session is not None else Path(PARAMETER_FILE))
+    parameters = load(path)
+    preset = None if options.preset is None else load(options.preset)
+    if session is not None:
+        _check_belongs(parameters, session)
+    found = _Replayed() if session is None else _replay(session, parameters, preset)
+    seed = parameters.calibration.solver.seed or 0
+    before = None if preset is None else preset.calibration.accelerometer
+    many = len(parameters.document["position"]) >= _FEWEST_FOR_METHODS
+    data = ReportData(
+        parameters,
+        preset,
+        found.trace,
+        found.closure,
+        convergence(observations_of(parameters), parameters.calibration, before, seed) if many else (),
+        read_verification(verification_path(path), content_sha256(parameters.document)),
+        tuple(_provenance(path, session)),
+        options.operator,
+        found.notes,
+    )
+    return data, path.parent if session is None else session.folder
+
+
+def _session(options: ReportOptions) -> Session | None:
+    if options.session is not None:
+        return Session.open(options.session)
+    return None if options.parameters is not None else Session.newest()
+
+
+def _check_belongs(parameters: Parameters, session: Session) -> None:
+    wanted = parameters.context.session.sha256
+    if wanted and wanted != session_sha256(session):
+        raise ParameterFileError(
+            f"{parameters.path} was solved from another recording than {session.folder} (its SHA-256 differs); "
+            "solve again, or give --parameters without a session",
+            Reason.FOREIGN,
+            parameters=str(parameters.path),
+            session=str(session.folder),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Replayed:
+    """What only the recording tells."""
+
+    trace: Trace | None = None
+    closure: Closure | None = None
+    notes: tuple[str, ...] = ()
+
+
+def _replay(session: Session, parameters: Parameters, preset: Parameters | None) -> _Replayed:
+    trace, moves = TraceCollector(parameters), MoveListener()
+    chain = Chain(Plan.of(session), (trace.feed, moves.feed))
+    damage: list[Damage] = []
+    replay_into(chain, session, damage)
+    observations = _observations(chain)
+    nominal = None if chain.protocol is None else chain.protocol.nominal.gyroscope_scale
+    old = None if preset is None or preset.calibration.gyroscope is None else preset.calibration.gyroscope.parameters
+    closed = None
+    if observations is not None and len(observations):
+        between = moves.between(observations)
+        closed = closure(observations, between, parameters, old, nominal)
+    return _Replayed(trace.finish(), closed, tuple(one.what for one in damage))
+
+
+def _observations(chain: Chain) -> Observations | None:
+    try:
+        return chain.observations() if chain.guide is not None else chain.still_intervals().observations
+    except CalibrationError:
+        return None  # the parameter file came from positions given otherwise; the page does without the moves
+
+
+def _provenance(path: Path, session: Session | None) -> Iterator[tuple[str, str]]:
+    yield "Parameter file", str(path)
+    if session is not None:
+        protocol = session.metadata.get("protocol", {})
+        yield "Protocol", f"{protocol.get('name', '')}, SHA-256 {protocol.get('sha256', 'not known')}"
+        settings = session.metadata.get("settings", {})
+        if settings:
+            yield "Settings", "; ".join(f"{name} = {one['value']} ({one['origin']})" for name, one in settings.items())
+        yield "Recorded by", str(session.metadata.get("software", "not known"))
+    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "matplotlib", "jinja2"))
+    yield "Report by", f"imufield {__version__}, Python {platform.python_version()}, {packages}"
+    yield "Command", shlex.join(["imufield", *sys.argv[1:]])
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        write_atomically(path, text.encode("utf-8"))
+    except OSError as error:
+        raise UsageError(
+            f"{path} cannot be written ({error.strerror}); choose another place with --output",
+            Reason.NO_PERMISSION,
+            path=str(path),
+        ) from error

@@ -1,0 +1,186 @@
+"""What a report is made from, besides the parameter file: things that only the recording can tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imufield.calibrate.gyroscope_model import VERTICAL, evaluate
+from imufield.calibrate.gyroscope_paths import GyroscopeInput, make_data
+from imufield.calibrate.methods import problem_for, restart
+from imufield.calibrate.move_integration import BIAS, INVERSE, SENSITIVITY
+from imufield.calibrate.moves import Moves
+from imufield.calibrate.observations import Observations
+from imufield.calibrate.result import AccelerometerParameters, Calibration, GyroscopeParameters
+from imufield.calibrate.solvers.registry import load_solver
+from imufield.deliver.document import Document
+from imufield.deliver.navigation.rest import IntervalMeans
+from imufield.deliver.parameters import Parameters
+from imufield.earth import EARTH_RATE_RAD_S
+from imufield.errors import CalibrationError
+from imufield.samples import FloatArray, Samples, SampleUnits
+
+CELL_S = 0.5
+"""Of the stillness trace: short against a hold, long against the interval between samples."""
+SHOWN_METHODS = ("bsas", "ide")
+"""Methods that tell their convergence; least squares is there after one step."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """How still the instrument was, arrays of shape (n,)."""
+
+    time_s: FloatArray
+    scatter_m_s2: FloatArray
+    """Standard deviation of the specific force inside each cell, root sum of squares over the axes."""
+    rate_rad_s: FloatArray
+    """Size of the mean rate less the rate at rest; NaN without a complete gyroscope."""
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """How far each move, integrated from the gyroscope, ends from where gravity says, arrays of shape (m,), deg."""
+
+    start_s: FloatArray
+    before_deg: FloatArray
+    """With the preset, or the nominal scale and no bias but the mean at rest; NaN where neither is known."""
+    after_deg: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Convergence:
+    """Best cost over the iterations of a method, relative to its last."""
+
+    method: str
+    iterations: FloatArray
+    excess: FloatArray
+    """Cost over final cost, less 1."""
+    evaluations: int
+    converged: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ReportData:
+    """Everything that is shown; what is not there is left out of the page."""
+
+    parameters: Parameters
+    preset: Parameters | None = None
+    trace: Trace | None = None
+    closure: Closure | None = None
+    convergence: tuple[Convergence, ...] = ()
+    verification: Document | None = None
+    provenance: tuple[tuple[str, str], ...] = ()
+    """Name and value."""
+    operator: str = ""
+    notes: tuple[str, ...] = field(default=())
+
+
+class TraceCollector:
+    """Makes the trace from a stream of samples."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        self._parameters = parameters
+        self._means: IntervalMeans | None = None
+        self._centre = np.zeros(6)
+
+    def feed(self, samples: Samples) -> None:
+        """Take the next block."""
+        kept = samples[samples.usable & np.isfinite(samples.accelerometer).all(axis=1)]
+        if not len(kept):
+            return
+        corrected = self._parameters.apply(kept)
+        values = np.hstack([corrected.specific_force_m_s2, np.nan_to_num(corrected.angular_rate_rad_s)])
+        if self._means is None:
+            self._means = IntervalMeans(float(kept.time_s[0]), 12, CELL_S)
+            self._centre = values[0]  # squares of what is left lose no digits
+        values = values - self._centre
+        self._means.feed(corrected.time_s, np.hstack([values, values**2]))
+
+    def finish(self) -> Trace | None:
+        """Return the trace; None without a sample."""
+        means = np.empty((0, 12)) if self._means is None else self._means.finish()
+        if self._means is None or not len(means):
+            return None
+        time_s = self._means.start_s + (np.arange(len(means)) + 0.5) * CELL_S
+        variance = np.maximum(means[:, 6:9] - means[:, :3] ** 2, 0.0)
+        rate = means[:, 3:6] - np.nanmedian(means[:, 3:6], axis=0)
+        size = np.linalg.norm(rate, axis=1)
+        known = self._parameters.gyroscope_is_complete
+        scatter = np.asarray(np.sqrt(variance.sum(axis=1)))
+        return Trace(np.asarray(time_s, dtype=np.float64), scatter, np.where(known, size, np.nan))
+
+
+def observations_of(parameters: Parameters) -> Observations:
+    """Return the observations a parameter file holds; they have no gyroscope."""
+    tables = parameters.document["position"]
+    m = len(tables)
+
+    def column(key: str) -> FloatArray:
+        return np.array([table[key] for table in tables], dtype=np.float64)
+
+    unknown = np.full((m, 3), np.nan)
+    return Observations(
+        tuple(table["name"] for table in tables),
+        column("mean_raw"),
+        np.array([np.diag(np.square(table["sigma_raw"])) for table in tables], dtype=np.float64),
+        unknown,
+        np.full((m, 3, 3), np.nan),
+        column("direction"),
+        column("start_s"),
+        column("duration_s"),
+        column("temperature_degc"),
+        SampleUnits(parameters.calibration.accelerometer_raw_unit),
+    )
+
+
+def convergence(
+    observations: Observations, calibration: Calibration, preset: AccelerometerParameters | None, seed: int
+) -> tuple[Convergence, ...]:
+    """Solve again with the methods of the papers, from a start of their own, and return how they got there."""
+    found = []
+    for method in SHOWN_METHODS:
+        try:
+            again = restart(observations, calibration, preset)
+        except CalibrationError:
+            return ()
+        result = load_solver(method)(problem_for(again, method), rng=np.random.default_rng(seed))
+        history = result.history
+        if len(history) and history[-1] > 0:
+            excess = history / history[-1] - 1
+            iterations = np.arange(1.0, len(history) + 1)
+            found.append(Convergence(method, iterations, excess, result.evaluations, result.converged))
+    return tuple(found)
+
+
+def closure(
+    observations: Observations, moves: Moves, parameters: Parameters, preset: GyroscopeParameters | None, nominal: float | None
+) -> Closure | None:
+    """Return the angle errors of the moves with the file's gyroscope and with what was in force before; None without moves."""
+    calibration = parameters.calibration
+    there = np.isfinite(observations.gyroscope_mean_raw).all()
+    if calibration.gyroscope is None or not parameters.gyroscope_is_complete or not len(moves) or not there:
+        return None
+    data = make_data(GyroscopeInput(observations, moves, calibration))
+    up, rest = data.up[data.after], data.rest_raw
+    vertical = EARTH_RATE_RAD_S * np.sin(np.radians(calibration.gravity.latitude_deg or 0.0))
+    before = preset if preset is not None and np.isfinite(preset.scale).all() else _plain(nominal, rest)
+
+    def angles(gyroscope: GyroscopeParameters) -> FloatArray:
+        p = np.zeros(data.parameters)
+        inverse = np.linalg.inv(gyroscope.scale[:, None] * (np.eye(3) + gyroscope.misalignment_rad))
+        p[INVERSE] = inverse.ravel()
+        p[BIAS] = inverse @ (gyroscope.bias - rest)
+        p[SENSITIVITY] = (inverse @ gyroscope.g_sensitivity).ravel()
+        p[VERTICAL] = vertical
+        degrees: FloatArray = np.degrees(evaluate(p, data).angle_error_rad(up))
+        return degrees
+
+    unknown = np.full(len(moves), np.nan)
+    return Closure(moves.start_s, unknown if before is None else angles(before), angles(calibration.gyroscope.parameters))
+
+
+def _plain(nominal: float | None, rest: FloatArray) -> GyroscopeParameters | None:
+    if nominal is None:
+        return None
+    return GyroscopeParameters(np.full(3, nominal), np.zeros((3, 3)), rest, np.zeros((3, 3)))

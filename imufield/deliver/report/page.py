@@ -1,0 +1,281 @@
+"""From ``ReportData`` to HTML: the page of a session, and the calibration record on one sheet."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from imufield.calibrate.result import Calibration
+from imufield.deliver.document import Document
+from imufield.deliver.numbers import MICRO_G, acceleration_unit, with_sigma
+from imufield.deliver.parameters_write import content_sha256
+from imufield.deliver.report import plots
+from imufield.deliver.report.data import Convergence, ReportData
+from imufield.deliver.report.rows import Row, parameter_rows
+
+_VERDICT_WORDS = {
+    "good": "fit for use",
+    "usable": "can be used, with what follows in mind",
+    "poor": "do not navigate with it",
+}
+_GRAVITY_WORDS = {
+    "typed": "given by the user",
+    "normal": "WGS-84 normal gravity",
+    "measured": "measured",
+    "assumed": "ASSUMED, because nobody said where this was",
+}
+UNKNOWN = "not known"
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A drawing with its words."""
+
+    title: str
+    svg: str
+    caption: str
+    label: str
+    """For those who cannot see it."""
+
+
+def render_report(data: ReportData) -> str:
+    """Return the page as one self-contained HTML text.
+
+    Raises
+    ------
+    UsageError
+        If matplotlib or jinja2 is not installed.
+    """
+    with plots.style():
+        figures = list(_figures(data))
+    return _render("report.html", _facts(data) | {"figures": figures})
+
+
+def render_record(data: ReportData) -> str:
+    """Return the calibration record, one sheet of A4; raises as ``render_report``."""
+    return _render("record.html", _facts(data))
+
+
+def _render(template: str, values: dict[str, Any]) -> str:
+    try:
+        jinja2 = importlib.import_module("jinja2")
+    except ImportError as error:
+        raise plots.missing_package("jinja2") from error
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("imufield.deliver.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return str(environment.get_template(template).render(values))
+
+
+def _facts(data: ReportData) -> dict[str, Any]:
+    parameters = data.parameters
+    calibration, context = parameters.calibration, parameters.context
+    instrument, quality = context.instrument, calibration.quality
+    factor = quality.student_factor_95
+    preset = None if data.preset is None else data.preset.calibration
+    rows = parameter_rows(calibration, preset)
+    return {
+        "title": " ".join(filter(None, (instrument.model or instrument.driver or "IMU", instrument.serial_number))),
+        "facts_pairs": list(_identity(data)),
+        "verdict": quality.verdict,
+        "verdict_words": _VERDICT_WORDS[quality.verdict],
+        "edited": parameters.edited,
+        "reasons": [*quality.reasons, *data.notes],
+        "factor": f"{factor:.2f}" if math.isfinite(factor) else "",
+        "rows": [_cells(row, factor) for row in rows],
+        "has_preset": preset is not None,
+        "quality": list(_quality(calibration)),
+        "gyroscope_path": "" if calibration.gyroscope is None else calibration.gyroscope.path,
+        "gauge": calibration.gauge,
+        "equation": calibration.equation,
+        "checks": list(_checks(data.verification)),
+        "requirements": _requirements(data.verification),
+        "passed": None if data.verification is None else data.verification.get("passed"),
+        "provenance": [*_provenance(data), *data.provenance],
+        "operator": data.operator,
+        "sha256": content_sha256(parameters.document),
+    }
+
+
+def _cells(row: Row, factor: float) -> dict[str, str]:
+    return {
+        "triad": row.triad,
+        "name": row.name,
+        "unit": row.unit,
+        "value": row.shown,
+        "expanded": row.expanded(factor),
+        "preset": row.preset_shown,
+        "change": row.change,
+    }
+
+
+def _identity(data: ReportData) -> Iterator[tuple[str, str]]:
+    context, gravity = data.parameters.context, data.parameters.calibration.gravity
+    instrument, session = context.instrument, context.session
+    yield "Instrument", instrument.model or instrument.driver or UNKNOWN
+    yield "Serial number", instrument.serial_number or UNKNOWN
+    if instrument.firmware:
+        yield "Firmware", instrument.firmware
+    yield "Calibrated", context.created.replace("T", " ").replace("Z", " UTC")
+    if data.operator:
+        yield "By", data.operator
+    place = UNKNOWN
+    if gravity.latitude_deg is not None:
+        place = f"latitude {gravity.latitude_deg:g}°, height {gravity.height_m or 0:g} m"
+    yield "Place", place
+    value = with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)
+    yield "Gravity", f"{value} m/s², {_GRAVITY_WORDS[gravity.source]}"
+    low, high = session.temperature_degc
+    yield "Temperature", f"{low:.1f} to {high:.1f} °C" if math.isfinite(low + high) else UNKNOWN
+    yield "Session", session.name or UNKNOWN
+    yield "Positions", str(len(data.parameters.document["position"]))
+    if math.isfinite(session.sample_rate_hz):
+        yield "Sample rate", f"{session.sample_rate_hz:.3f} Hz"
+
+
+def _quality(calibration: Calibration) -> Iterator[tuple[str, str]]:
+    quality = calibration.quality
+    unit, size = acceleration_unit(quality.residual_max_m_s2)
+    yield "Residual, RMS", f"{quality.residual_rms_m_s2 / size:.3g} {unit}"
+    yield "Residual, largest", f"{quality.residual_max_m_s2 / size:.3g} {unit}"
+    if math.isfinite(quality.leave_one_out_rms_m_s2):
+        yield "Each position left out once, RMS", f"{quality.leave_one_out_rms_m_s2 / size:.3g} {unit}"
+    yield "Scatter between positions", f"{quality.between_position_sigma_m_s2 / size:.3g} {unit}"
+    yield "Positions to spare", str(quality.degrees_of_freedom)
+    if math.isfinite(quality.condition):
+        yield "Condition", f"{quality.condition:.1f}"
+
+
+def _checks(verification: Document | None) -> Iterator[tuple[str, str]]:
+    """Yield name and outcome of each check on data the parameters have not seen."""
+    positions, navigation = ((verification or {}).get(key) for key in ("positions", "navigation"))
+    if positions:
+        sigma = positions["forecast_rms_m_s2"]
+        words = f"{positions['rms_m_s2'] / MICRO_G:.3g} µg RMS"
+        if positions["before_rms_m_s2"] is not None:
+            words += f", before {positions['before_rms_m_s2'] / MICRO_G:.3g} µg"
+        if sigma is not None:
+            verdict = "as forecast" if positions["as_forecast"] else "larger than forecast"
+            words += f"; forecast {sigma / MICRO_G:.3g} µg: {verdict}"
+        yield f"Held-out positions ({positions['how']})", words
+    if navigation:
+        drifts = ", ".join(f"{name} {drift['rate_nmi_per_h']:.3g} nmi/h" for name, drift in navigation["drift"].items())
+        forecast = navigation.get("forecast")
+        if forecast:
+            verdict = "as forecast" if forecast["as_forecast"] else "more than forecast"
+            drifts += f"; forecast at most {forecast['rate_95_nmi_per_h']:.3g} nmi/h (95 %): {verdict}"
+        turned = ", turned over after the alignment" if navigation["turned"] else ""
+        yield f"Static navigation, {navigation['navigated_s'] / 3600:.2f} h{turned}", drifts
+
+
+def _requirements(verification: Document | None) -> list[dict[str, str]]:
+    found = []
+    for one in (verification or {}).get("requirement", []):
+        measured = "not measured" if one["measured"] is None else f"{one['measured']:.4g}"
+        word = "met" if one["passed"] else "NOT MET"
+        found.append({"name": one["name"], "limit": f"{one['limit']:g}", "measured": measured, "word": word})
+    return found
+
+
+def _provenance(data: ReportData) -> Iterator[tuple[str, str]]:
+    parameters = data.parameters
+    solver = parameters.calibration.solver
+    yield "Parameters", f"content SHA-256 {content_sha256(parameters.document)}"
+    if parameters.context.session.sha256:
+        yield "Recording", f"SHA-256 {parameters.context.session.sha256}"
+    if data.preset is not None:
+        yield "Preset", f"content SHA-256 {content_sha256(data.preset.document)}"
+    yield "Solved by", parameters.context.software
+    seed = "" if solver.seed is None else f", seed {solver.seed}"
+    yield "Method", f"{solver.method}{seed}: {solver.message} ({solver.evaluations} evaluations, status {solver.status})"
+
+
+def _figures(data: ReportData) -> Iterator[Figure]:
+    tables = data.parameters.document["position"]
+    results, names = data.parameters.calibration.positions, tuple(table["name"] for table in tables)
+    if tables:
+        yield Figure(
+            "Residual on the sphere",
+            plots.sphere_map(_up(data), results.residual_m_s2, names),
+            "Each mark is a position at its measured direction of up, seen along the body's z axis; its size is "
+            "the residual. Large marks of one kind side by side mean that the error model lacks something; a "
+            "single large one, that a hold was touched.",
+            "Map of residuals by direction",
+        )
+        yield Figure(
+            "Residual by position",
+            plots.residuals(names, results.residual_m_s2, results.leave_one_out_m_s2),
+            "How far the corrected specific force is from gravity, and the same with parameters that have not "
+            "seen the position.",
+            "Residual of each position",
+        )
+    if data.trace is not None:
+        start, duration = (np.array([table[key] for table in tables], dtype=np.float64) for key in ("start_s", "duration_s"))
+        yield Figure(
+            "Stillness",
+            plots.stillness(data.trace, start, duration),
+            "Scatter of the specific force inside half a second, and the rate of turning.",
+            "Stillness over time",
+        )
+    yield from _method_figures(data)
+    yield from _check_figures(data.verification or {})
+
+
+def _method_figures(data: ReportData) -> Iterator[Figure]:
+    if data.convergence:
+        yield Figure(
+            "Convergence",
+            plots.convergence(data.convergence),
+            f"The methods of the papers, started from what they would know without this result. {_ended(data.convergence)}",
+            "Cost over iterations",
+        )
+    if data.closure is not None and len(data.closure.after_deg):
+        yield Figure(
+            "Gyroscope closure",
+            plots.closure(data.closure),
+            "Each move between two positions, integrated from the gyroscope, ends this far from where gravity says.",
+            "Angle error of each move",
+        )
+
+
+def _ended(found: tuple[Convergence, ...]) -> str:
+    return " ".join(f"{one.method} {'converged' if one.converged else 'did NOT converge'}." for one in found)
+
+
+def _check_figures(verification: Document) -> Iterator[Figure]:
+    positions, navigation = verification.get("positions"), verification.get("navigation")
+    if positions and positions["forecast_rms_m_s2"] is not None:
+        yield Figure(
+            "Held-out positions",
+            plots.held_out(positions),
+            f"Residuals of {positions['how']}, and what the stated uncertainty forecasts for them.",
+            "Residuals of held-out positions",
+        )
+    if navigation:
+        turned = " The instrument was turned over after the alignment." if navigation["turned"] else (
+            " Alignment hides the accelerometer here: what is seen is the gyroscope."
+        )  # fmt: skip
+        yield Figure(
+            "Static navigation",
+            plots.navigation(navigation),
+            "Errors of a strapdown navigation at rest, with the parameters before and after, in the band where "
+            f"the calibration, random walk, alignment and turn-on bias let them be.{turned}",
+            "Navigation errors over time",
+        )
+
+
+def _up(data: ReportData) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Return the measured direction of up at each position, shape (m, 3)."""
+    raw = np.array([table["mean_raw"] for table in data.parameters.document["position"]], dtype=np.float64)
+    force = data.parameters.apply_accelerometer(raw)
+    up: np.ndarray[tuple[int, ...], np.dtype[np.float64]] = force / np.linalg.norm(force, axis=1)[:, None]
+    return up

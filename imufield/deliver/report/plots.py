@@ -1,0 +1,289 @@
+"""Plots as SVG text. They must be readable on grey paper: shape, fill and line style carry the meaning, colour only helps.
+
+Letters stay letters (``svg.fonttype`` none): small files, sharp print, text that can be searched.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import re
+from typing import Any
+
+import numpy as np
+
+from imufield.deliver.document import Document
+from imufield.deliver.navigation.drift import QUANTITIES
+from imufield.deliver.numbers import MILLI_G, acceleration_unit
+from imufield.deliver.report.data import Closure, Convergence, Trace
+from imufield.errors import Reason, UsageError
+from imufield.samples import FloatArray
+
+INK, BLUE, ORANGE, GREY = "#111111", "#0b5394", "#b45f06", "#8a8a8a"
+"""Dark enough on paper; blue and orange differ in lightness too."""
+WIDTH_IN = 7.0
+_STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "imufield",
+    "font.family": "sans-serif",
+    "font.sans-serif": ["Helvetica", "Arial", "Liberation Sans", "DejaVu Sans"],
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": INK,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.3,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "hatch.linewidth": 0.5,
+}
+_LABELS = {
+    "latitude_deg": "latitude, deg",
+    "longitude_deg": "longitude, deg",
+    "north_velocity_m_s": "v north, m/s",
+    "east_velocity_m_s": "v east, m/s",
+}
+_LARGEST_MARKER = 260.0
+_NAMED = 6
+"""Positions named on the sphere map, the largest residuals first."""
+
+
+def load_matplotlib() -> Any:
+    """Return the package.
+
+    Raises
+    ------
+    UsageError
+        If it is not installed.
+    """
+    try:
+        return importlib.import_module("matplotlib")
+    except ImportError as error:
+        raise missing_package("matplotlib") from error
+
+
+def missing_package(name: str) -> UsageError:
+    """Return the error that names the extra."""
+    return UsageError(
+        f"the report needs the package {name}; install it with `pip install imufield[report]`",
+        Reason.MISSING_PACKAGE,
+        package=name,
+    )
+
+
+def figure(height_in: float) -> Any:
+    """Return an empty figure of the page's width."""
+    load_matplotlib()
+    return importlib.import_module("matplotlib.figure").Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+
+
+def to_svg(drawn: Any, name: str) -> str:
+    """Return a figure as an ``<svg>`` element whose ids are its own."""
+    buffer = io.StringIO()
+    drawn.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    # Pages hold several drawings, and an id must be unique in the page.
+    text = re.sub(r'\bid="', f'id="{name}-', text)
+    text = re.sub(r'(href="#|url\(#)', rf"\1{name}-", text)
+    return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', "", text, count=1)
+
+
+def style() -> Any:
+    """Return a context in which figures are drawn and written in the style of the report."""
+    return load_matplotlib().rc_context(_STYLE)
+
+
+def sphere_map(up: FloatArray, residual_m_s2: FloatArray, names: tuple[str, ...]) -> str:
+    """Draw residuals on both halves of the sphere of directions, equal areas, seen along the body's z axis.
+
+    Parameters
+    ----------
+    up : ndarray, shape (m, 3)
+        Direction of "up" in the body frame.
+    residual_m_s2 : ndarray, shape (m,)
+    names : tuple of str
+    """
+    largest = float(np.nanmax(np.abs(residual_m_s2), initial=1e-12))
+    named = set(np.argsort(-np.abs(residual_m_s2))[:_NAMED].tolist())
+    drawn = figure(3.7)
+    for axes, upper in zip(drawn.subplots(1, 2), (True, False), strict=True):
+        _hemisphere(axes, upper)
+        rows = np.flatnonzero((up[:, 2] >= 0) == upper)
+        place = _equal_area(up[rows])
+        for k, (x, y) in zip(rows, place, strict=True):
+            size = 12 + _LARGEST_MARKER * abs(residual_m_s2[k]) / largest
+            face = INK if residual_m_s2[k] >= 0 else "white"
+            axes.scatter([x], [y], s=size, facecolor=face, edgecolor=INK, linewidth=1.0, alpha=0.85)
+            if k in named:
+                axes.annotate(
+                    names[k], (x, y), xytext=(0, 3 + np.sqrt(size) / 2), textcoords="offset points", ha="center", fontsize=7
+                )
+    unit, size_si = acceleration_unit(largest)
+    drawn.supxlabel(f"filled: longer than gravity, hollow: shorter; largest {largest / size_si:.3g} {unit}", fontsize=8)
+    return to_svg(drawn, "sphere")
+
+
+def _hemisphere(axes: Any, upper: bool) -> None:
+    angle = np.linspace(0, 2 * np.pi, 181)
+    for tilt, style in ((90, "-"), (45, ":")):
+        radius = np.sqrt(2) * np.sin(np.radians(tilt) / 2)
+        axes.plot(radius * np.cos(angle), radius * np.sin(angle), style, color=GREY, linewidth=0.8)
+    for label, x, y in (("+x", 1.1, 0), ("-x", -1.1, 0), ("+y", 0, 1.1), ("-y", 0, -1.1)):
+        axes.text(x, y, label, ha="center", va="center", fontsize=8, color=GREY)
+    axes.set_title("z axis up or level" if upper else "z axis down")
+    axes.set_aspect("equal")
+    axes.set_xlim(-1.28, 1.28)
+    axes.set_ylim(-1.28, 1.28)
+    axes.axis("off")
+
+
+def _equal_area(up: FloatArray) -> FloatArray:
+    """Return Lambert's azimuthal projection about the nearer pole, the equator at radius 1, shape (m, 2)."""
+    flat = np.hypot(up[:, 0], up[:, 1])
+    radius = np.sqrt(np.maximum(1 - np.abs(up[:, 2]), 0.0))
+    direction: FloatArray = up[:, :2] / np.where(flat > 0, flat, 1.0)[:, None]
+    return np.asarray(radius[:, None] * direction)
+
+
+def residuals(names: tuple[str, ...], residual_m_s2: FloatArray, leave_one_out_m_s2: FloatArray) -> str:
+    """Draw the residual of each position, and with the position left out."""
+    unit, size = acceleration_unit(float(np.nanmax(np.abs([residual_m_s2, leave_one_out_m_s2]), initial=0.0)))
+    drawn = figure(2.5)
+    axes = drawn.subplots()
+    at = np.arange(len(names))
+    axes.vlines(at, residual_m_s2 / size, leave_one_out_m_s2 / size, color=GREY, linewidth=0.8)
+    axes.plot(at, residual_m_s2 / size, "o", color=INK, markersize=5, label="residual")
+    axes.plot(
+        at, leave_one_out_m_s2 / size, "D", color=ORANGE, markerfacecolor="white", markersize=4.5, label="left out of the fit"
+    )
+    axes.axhline(0, color=INK, linewidth=0.8)
+    _position_axis(axes, names, unit)
+    return to_svg(drawn, "residuals")
+
+
+def held_out(document: Document) -> str:
+    """Draw residuals of held-out positions against their forecast."""
+    residual, sigma, before = (_numbers(document[key]) for key in ("residual_m_s2", "sigma_m_s2", "before_m_s2"))
+    unit, size = acceleration_unit(float(np.nanmax(np.abs(np.concatenate([residual, 2 * sigma])), initial=0.0)))
+    drawn = figure(2.5)
+    axes = drawn.subplots()
+    at = np.arange(len(residual))
+    axes.bar(
+        at, 4 * sigma / size, bottom=-2 * sigma / size, width=0.8, color="#eeeeee", edgecolor=GREY, hatch="////", linewidth=0.5,
+        label="forecast, ±2 sigma",
+    )  # fmt: skip
+    axes.plot(at, residual / size, "o", color=INK, markersize=5, label="residual")
+    axes.axhline(0, color=INK, linewidth=0.8)
+    inside = np.abs(before) <= 1.5 * max(np.nanmax(np.abs(residual), initial=0.0), np.nanmax(2 * sigma, initial=0.0))
+    if np.all(inside):
+        axes.plot(at, before / size, "x", color=ORANGE, markersize=5, label="before")
+    _position_axis(axes, tuple(document["name"]), unit)
+    return to_svg(drawn, "heldout")
+
+
+def _position_axis(axes: Any, names: tuple[str, ...], unit: str) -> None:
+    axes.set_xticks(np.arange(len(names)), names, rotation=90 if len(names) > 8 else 0, fontsize=7)
+    axes.set_xlim(-0.7, len(names) - 0.3)
+    axes.set_ylabel(unit)
+    axes.legend(loc="upper left", bbox_to_anchor=(0, 1.18), ncols=3)
+
+
+def stillness(trace: Trace, start_s: FloatArray, duration_s: FloatArray) -> str:
+    """Draw how still the instrument was, and where positions were taken."""
+    with_rate = bool(np.isfinite(trace.rate_rad_s).any())
+    drawn = figure(3.2 if with_rate else 2.2)
+    panels = np.atleast_1d(drawn.subplots(2 if with_rate else 1, 1, sharex=True))
+    minutes = trace.time_s / 60
+    panels[0].plot(minutes, np.maximum(trace.scatter_m_s2 / MILLI_G, 1e-3), color=INK, linewidth=0.8)
+    panels[0].set_ylabel("scatter, mg")
+    if with_rate:
+        rate = np.degrees(trace.rate_rad_s)
+        panels[1].plot(minutes, np.maximum(rate, 1e-3), color=INK, linewidth=0.8)
+        panels[1].set_ylabel("turning, °/s")
+    for axes in panels:
+        axes.set_yscale("log")
+        for begin, length in zip(start_s / 60, duration_s / 60, strict=True):
+            axes.axvspan(begin, begin + length, facecolor="#e4edf6", edgecolor=GREY, hatch="....", linewidth=0.3, zorder=0)
+    panels[-1].set_xlabel("minutes; shaded: taken as a position")
+    return to_svg(drawn, "stillness")
+
+
+def convergence(found: tuple[Convergence, ...]) -> str:
+    """Draw how the methods of the papers came down to their best cost."""
+    drawn = figure(2.3)
+    axes = drawn.subplots()
+    for one, style, color in zip(found, ("-", "--", ":"), (INK, BLUE, ORANGE), strict=False):
+        axes.plot(
+            one.iterations,
+            np.maximum(one.excess, 1e-9),
+            style,
+            color=color,
+            label=f"{one.method}, {one.evaluations} evaluations",
+        )
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlabel("iteration")
+    axes.set_ylabel("cost over best, less 1")
+    axes.legend(loc="lower left")
+    return to_svg(drawn, "convergence")
+
+
+def closure(found: Closure) -> str:
+    """Draw how far each move ends from where gravity says."""
+    drawn = figure(2.3)
+    axes = drawn.subplots()
+    minutes = found.start_s / 60
+    if np.isfinite(found.before_deg).all():
+        axes.vlines(minutes, found.before_deg, found.after_deg, color=GREY, linewidth=0.8)
+        axes.plot(minutes, found.before_deg, "s", color=ORANGE, markerfacecolor="white", markersize=4.5, label="before")
+    axes.plot(minutes, found.after_deg, "o", color=INK, markersize=4.5, label="after")
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("minutes, start of the move")
+    axes.set_ylabel("angle error, °")
+    axes.legend(loc="upper left", bbox_to_anchor=(0, 1.2), ncols=2)
+    return to_svg(drawn, "closure")
+
+
+def navigation(document: Document) -> str:
+    """Draw the errors of static navigation and the band they should be in."""
+    drawn = figure(5.0)
+    grid = drawn.add_gridspec(3, 2)
+    forecast = document.get("forecast")
+    names = list(document["drift"])
+    for number, quantity in enumerate(QUANTITIES):
+        axes = drawn.add_subplot(grid[number // 2, number % 2])
+        if forecast is not None:
+            _band(axes, forecast, _numbers(forecast["low"][quantity]), _numbers(forecast["high"][quantity]))
+        _curves(axes, document["drift"], names, quantity)
+        axes.set_ylabel(_LABELS[quantity])
+    axes = drawn.add_subplot(grid[2, :])
+    if forecast is not None:
+        most = _numbers(forecast["position_95_nmi"])
+        _band(axes, forecast, np.zeros_like(most), most)
+    _curves(axes, document["drift"], names, "position_nmi")
+    axes.set_ylabel("position, nmi")
+    axes.set_xlabel("hours")
+    axes.legend(loc="upper left", ncols=3)
+    return to_svg(drawn, "navigation")
+
+
+def _band(axes: Any, forecast: Document, low: FloatArray, high: FloatArray) -> None:
+    hours = _numbers(forecast["time_s"]) / 3600
+    axes.fill_between(hours, low, high, facecolor="#e4edf6", edgecolor=GREY, hatch="////", linewidth=0.5, label="95 % forecast")
+
+
+def _curves(axes: Any, drifts: Document, names: list[str], quantity: str) -> None:
+    for name, style, color in zip(reversed(names), ("-", "--"), (INK, ORANGE), strict=False):
+        drift = drifts[name]
+        axes.plot(_numbers(drift["time_s"]) / 3600, _numbers(drift[quantity]), style, color=color, label=name)
+
+
+def _numbers(values: list[float | None]) -> FloatArray:
+    """Return an array of values from JSON, where null stands for NaN."""
+    return np.array(values, dtype=np.float64)
