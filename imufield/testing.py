@@ -84,7 +84,8 @@ def imufield_replay(tmp_path: Path) -> Callable[..., Replayed]:
 
         if protocol is None:
             return Replayed(Session.open(path))
-        options = ImportOptions([Path(path)], tmp_path / f"session-{Path(path).stem}", protocol, dict(settings or {}))
+        folder = tmp_path / f"imufield-{len(list(tmp_path.glob('imufield-*')))}-{Path(path).stem}"
+        options = ImportOptions([Path(path)], folder, protocol, dict(settings or {}))
         return Replayed(import_session(options)[0])
 
     return replay
@@ -109,10 +110,11 @@ def imufield_pty() -> Iterator[Callable[..., Emulator]]:
 
 @pytest.fixture
 def imufield_golden(request: pytest.FixtureRequest) -> Callable[..., None]:
-    """Return a function that compares numbers with ``golden/<name>.json`` beside the test file."""
+    """Return a function that compares numbers, lists and arrays with ``golden/<name>.json`` beside the test file."""
 
     def check(name: str, values: Mapping[str, Any], *, relative: float = 1e-9, absolute: float = 0.0) -> None:
         path = request.path.parent / "golden" / f"{name}.json"
+        values = {key: value.tolist() if hasattr(value, "tolist") else value for key, value in values.items()}
         if request.config.getoption("--imufield-update"):
             path.parent.mkdir(exist_ok=True)
             path.write_text(json.dumps(values, indent=1, sort_keys=True) + "\n")

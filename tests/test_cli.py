@@ -1,0 +1,130 @@
+"""The command line itself: help with examples, versions, defects, and nothing heavy before it is needed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+from typer.main import get_command
+
+from imufield import __version__, cli
+from imufield.errors import ImufieldError
+
+COMMANDS = sorted(get_command(cli.app).commands)  # type: ignore[attr-defined]  # the app is a group
+
+
+def imufield(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "imufield", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60, **options)  # type: ignore[call-overload]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_an_example(command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert cli.run([command, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert f"Example: imufield {command}" in " ".join(shown.split())
+    assert max(map(len, shown.splitlines())) <= 80
+
+
+def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(command in shown for command in COMMANDS)
+
+
+def test_version() -> None:
+    ended = imufield("--version")
+    assert (ended.returncode, ended.stdout) == (0, f"imufield {__version__}\n")
+
+
+def test_help_imports_nothing_heavy(tmp_path: Path) -> None:
+    code = """
+import sys
+from imufield.cli import run
+for command in sys.argv[1:]:
+    run([command, "--help"])
+print(sorted({"numpy", "scipy", "serial", "can", "cantools", "mcap", "matplotlib", "rich.live"} & set(sys.modules)))
+"""
+    command = [sys.executable, "-c", code, *COMMANDS]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert ended.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_defect_keeps_its_traceback_and_is_code_1(tmp_path: Path) -> None:
+    code = """
+from imufield import cli
+import imufield.commands.devices as devices
+
+def defect(*, as_json):
+    raise RuntimeError("a defect of ours")
+
+devices.list_devices = defect
+cli.sys.argv = ["imufield", "devices"]
+cli.main()
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert ended.returncode == 1
+    assert "Traceback" in ended.stderr
+    assert "a defect of ours" in ended.stderr
+
+
+@pytest.mark.parametrize("error", ImufieldError.__subclasses__(), ids=lambda error: error.__name__)
+def test_every_error_has_its_exit_code(
+    error: type[ImufieldError], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*arguments: object, **options: object) -> None:
+        raise error("this is wrong: do that instead")
+
+    monkeypatch.setattr("imufield.commands.devices.list_devices", fail)
+    assert cli.run(["devices"]) == error.exit_code
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err == "imufield: this is wrong: do that instead.\n"
+
+
+def test_interrupted_at_a_prompt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupt(*arguments: object, **options: object) -> None:
+        raise typer.Abort
+
+    monkeypatch.setattr("imufield.commands.devices.list_devices", interrupt)
+    assert cli.run(["devices"]) == cli.EXIT_INTERRUPTED
+    assert "interrupted" in capsys.readouterr().err
+
+
+def test_a_reader_that_goes_away(tmp_path: Path) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        ended = subprocess.run(
+            [sys.executable, "-m", "imufield", "devices"],
+            stdout=write,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+            cwd=tmp_path,
+        )
+    finally:
+        os.close(write)
+    assert ended.returncode == cli.EXIT_INTERRUPTED
+    assert ended.stderr == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, which Linux has")
+def test_standard_output_on_a_full_disk(tmp_path: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(
+            [sys.executable, "-m", "imufield", "devices", "--json"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+            cwd=tmp_path,
+        )
+    assert ended.returncode == 4
+    assert ended.stderr.startswith("imufield: standard output cannot be written (No space left on device)")
+    assert ended.stderr.count("\n") == 1
