@@ -126,6 +126,18 @@ def capture(
     height: Height = None,
     plain: Annotated[bool, typer.Option("--plain", help="Plain lines instead of pictures.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Events as JSON lines on standard output.")] = False,
+    target_bias_ug: Annotated[
+        float | None, typer.Option("--target-bias-ug", help="Hold and go on until biases are known so well, 1 sigma.", min=0.1)
+    ] = None,
+    target_scale_ppm: Annotated[
+        float | None, typer.Option("--target-scale-ppm", help="The same for scale factors.", min=0.1)
+    ] = None,
+    rotations: Annotated[
+        str | None, typer.Option(help="Whole turns for the gyroscope: rolled (edge over edge) or table (against a stop).")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No sound.")] = False,
+    speak: Annotated[bool, typer.Option("--speak", help="Say it aloud, where a speech program is installed.")] = False,
+    big: Annotated[bool, typer.Option("--big", help="Big letters, to be read from three metres.")] = False,
     clock_speed: ClockSpeed = 1.0,
 ) -> None:
     """Record a guided session: the screen leads you through 24 positions, hands-free.
@@ -136,6 +148,7 @@ def capture(
     from imufield.commands.configuration import parse_settings
     from imufield.commands.connect import ConnectOptions, host_clock
     from imufield.commands.site import SiteOptions
+    from imufield.commands.views import Manner
 
     options = CaptureOptions(
         connect=ConnectOptions(port, driver, baud, protocol, parse_settings(settings)),
@@ -145,6 +158,10 @@ def capture(
         resume=resume,
         site=SiteOptions(gravity, latitude, height),
         view="json" if as_json else "plain" if plain else "auto",
+        target_bias_ug=target_bias_ug,
+        target_scale_ppm=target_scale_ppm,
+        rotations=rotations,
+        manner=Manner(quiet=quiet, speak=speak, big=big),
     )
     run_capture(options, host_clock(clock_speed))
 
@@ -315,6 +332,24 @@ def verify(
         as_json,
     )
     run_verify(options)
+
+
+@app.command()
+def report(
+    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
+    parameters: Annotated[Path | None, typer.Option(help="Parameter file (default: SESSION/parameters.toml).")] = None,
+    preset: Annotated[Path | None, typer.Option(help="Parameter file in force before, to compare with.")] = None,
+    operator: Annotated[str, typer.Option(help="Who calibrated, for the record.")] = "",
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Page (default: SESSION/report.html).")] = None,
+    record: Annotated[Path | None, typer.Option(help="Calibration record (default: SESSION/calibration-record.html).")] = None,
+) -> None:
+    """Write the report of a session, one page that needs no network, and a calibration record of one sheet.
+
+    Example: imufield report my-session --operator "J. Doe"
+    """
+    from imufield.commands.report import ReportOptions, run_report
+
+    run_report(ReportOptions(session, parameters, preset, output, record, operator))
 
 
 @app.command()
