@@ -22,7 +22,7 @@ from imufield.samples import FloatArray, Samples
 from imufield.simulate.drift import Drift
 from imufield.simulate.grades import GRADES, Instrument, draw_truth
 from imufield.simulate.imu import Imu, ImuSettings
-from imufield.simulate.motion import Site, conjugate, multiply, rotate, sample_motion
+from imufield.simulate.motion import Site, conjugate, multiply
 from imufield.simulate.operator import Operator, OperatorSettings
 from imufield.simulate.pieces import Piece
 
@@ -52,7 +52,9 @@ class Turner(Operator):
         for axis, turn_rad in self._turns:
             at, end_s = self._place(axis, rng, at, end_s)
             wobble = self.settings.wobble_rad * rng.standard_normal(3)
-            piece = Piece(end_s, end_s + rng.uniform(3.0, 4.0), at, turn_rad * axis, wobble, 1.0, 0.05, (0.05, 0.02, 0.0), self._hand)
+            piece = Piece(
+                end_s, end_s + rng.uniform(3.0, 4.0), at, turn_rad * axis, wobble, 1.0, 0.05, (0.05, 0.02, 0.0), self._hand
+            )
             end_s = self._then_rest(piece)
             at = piece.final_quaternion
         self._pieces.append(replace(last, start_s=end_s, quaternion_nb=at))
@@ -88,8 +90,12 @@ def steady(instrument: Instrument) -> Instrument:
 def mean_drift(instrument: Instrument, seed: int, observations: Observations) -> FloatArray:
     """Return the mean drift of the gyroscope over the stills, rad/s: the bias of a session is what it was in that session."""
     grade = instrument.grade
-    figures = [np.repeat([a, g], 3) for a, g in zip(*(
-        (triad.bias_instability, triad.random_walk) for triad in (grade.accelerometer, grade.gyroscope)), strict=True)]
+    figures = [
+        np.repeat([a, g], 3)
+        for a, g in zip(
+            *((triad.bias_instability, triad.random_walk) for triad in (grade.accelerometer, grade.gyroscope)), strict=True
+        )
+    ]
     drift = Drift(*figures, np.random.default_rng([seed, 102]))
     centre_s = np.sort(observations.start_s + observations.duration_s / 2)
     return np.asarray(np.mean([drift.at(np.array([time_s]))[0, 3:] for time_s in centre_s], axis=0))

@@ -30,12 +30,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from enum import IntFlag
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.rotation import cross
+from imufield.calibrate.still_edges import stretch_stills
 from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
 
 SLOT_S = 0.005
@@ -354,37 +355,45 @@ def cut_moves(
 ) -> Moves:
     """Cut slots at still intervals; ``limits`` are the smallest and largest output of the session."""
     order = np.argsort(start_s, kind="stable")
-    rows: list[tuple[int, int, int, int]] = []
-    dropped: list[DroppedMove] = []
     # A clock that jumps back must not hide what lies behind the jump; the move with the jump is dropped.
     rising_s = np.maximum.accumulate(slots.start_s)
-    for before, after in pairwise(order):
-        begin, end = float(start_s[before] + duration_s[before]), float(start_s[after])
-        low, high = (int(k) for k in np.searchsorted(rising_s, [begin - _SLOT_MARGIN, end - _SLOT_MARGIN]))
+    stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
+    stills = stretch_stills(rising_s, slots.duration_s, slots.turn, slots.force, stills)
+    kept: list[_Cut] = []
+    dropped: list[DroppedMove] = []
+    for k, (before, after) in enumerate(pairwise(order)):
+        begin, end = float(stills[k, 1]), float(stills[k + 1, 0])
+        low, high = (int(row) for row in np.searchsorted(rising_s, [begin - _SLOT_MARGIN, end - _SLOT_MARGIN]))
         fault = _fault(slots[low:high], begin, end, limits)
         if fault is None:
-            rows.append((int(before), int(after), low, high))
+            kept.append(_Cut(int(before), int(after), begin, end, low, high))
         else:
             dropped.append(DroppedMove(begin, end, *fault))
-    return _gather(slots, rows, start_s, duration_s, dropped)
+    return _gather(slots, kept, tuple(dropped))
 
 
-def _gather(
-    slots: Slots, rows: list[tuple[int, int, int, int]], start_s: FloatArray, duration_s: FloatArray, dropped: list[DroppedMove]
-) -> Moves:
-    table = np.array(rows, dtype=np.int64).reshape(len(rows), 4)
-    before, after, low, high = table.T
-    picked = np.concatenate([np.arange(a, b) for a, b in zip(low, high, strict=True)]) if rows else np.empty(0, np.int64)
-    first = np.cumsum(high - low) - (high - low)
-    chosen = slots[picked]
+class _Cut(NamedTuple):
+    """One move: stills at its ends, times, rows of slots."""
+
+    before: int
+    after: int
+    begin_s: float
+    end_s: float
+    low: int
+    high: int
+
+
+def _gather(slots: Slots, cuts: list[_Cut], dropped: tuple[DroppedMove, ...]) -> Moves:
+    rows = [np.arange(cut.low, cut.high) for cut in cuts]
+    length = np.array([len(part) for part in rows], dtype=np.int64)
     return Moves(
-        before,
-        after,
-        (start_s + duration_s)[before],
-        start_s[after],
-        first,
-        chosen,
-        tuple(dropped),
+        np.array([cut.before for cut in cuts], dtype=np.int64),
+        np.array([cut.after for cut in cuts], dtype=np.int64),
+        np.array([cut.begin_s for cut in cuts], dtype=np.float64),
+        np.array([cut.end_s for cut in cuts], dtype=np.float64),
+        np.cumsum(length) - length,
+        slots[np.concatenate(rows)] if rows else slots[:0],
+        dropped,
     )
 
 
