@@ -54,7 +54,7 @@ class FormCheck:
         rule, masks = self.form.length, self.form.masks
         if masks:
             bits = [len(masks.groups.get(bit, ())) for bit in range(8)]
-            body = sum(one.size for fields in masks.groups.values() for each in fields for one in each)
+            body = sum(one.size + 255 * one.repeat for fields in masks.groups.values() for each in fields for one in each)
             return masks.at + 1 + 2 * sum(map(bool, bits)) + body + self.form.tail
         if rule:
             return rule.maximum + rule.add + rule.extended_size
@@ -175,12 +175,8 @@ class FormCheck:
     def _lengths_of_masks(self, buffer: Bytes, starts: Positions) -> Positions:
         masks = self.form.masks
         assert masks is not None  # noqa: S101  the caller looked
-        around = masks.at + self.form.tail
-        found = np.empty(len(starts), dtype=np.intp)
-        for place, start in enumerate(starts.tolist()):
-            header = masks.header_at(buffer, start)
-            found[place] = MORE if header is None else masks.length(header, around)
-        return found
+        tail = self.form.tail
+        return np.array([masks.length(buffer, start, tail) for start in starts.tolist()], dtype=np.intp)
 
 
 class FrameCheck:

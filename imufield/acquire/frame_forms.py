@@ -99,8 +99,8 @@ class MasksRule:
     at: int
     groups: dict[int, tuple[tuple[Field, ...], ...]]
     """By bit of the group byte: the fields of each bit of its mask."""
-    lengths: dict[bytes, int] = field(default_factory=dict, compare=False)
-    """Lengths of headers met so far."""
+    lengths: dict[bytes, tuple[int, int, int]] = field(default_factory=dict, compare=False)
+    """For headers met so far: length, then where the byte stands that makes it longer, and by how much for each unit."""
 
     def header_at(self, data: Bytes, at: int) -> bytes | None:
         """Return group byte and masks of a frame; None where they are not all there yet."""
@@ -122,16 +122,29 @@ class MasksRule:
             found += [one for number, fields in enumerate(known) if mask >> number & 1 for one in fields]
         return found or None
 
-    def length(self, header: bytes, around: int) -> int:
-        """Return the length of the frame with this header; ``around`` is what else it has."""
-        known = self.lengths.get(header)
-        if known is None:
-            fields = self.fields(header)
-            known = NONE if fields is None else around + len(header) + sum(one.size for one in fields)
+    def length(self, data: Bytes, at: int, tail: int) -> int:
+        """Return the length of the frame at ``at``; ``NONE`` or ``MORE`` where there is none. ``tail`` is behind its body."""
+        header = self.header_at(data, at)
+        if header is None:
+            return MORE
+        if header not in self.lengths:
             if len(self.lengths) >= _HEADERS_KEPT:
                 self.lengths.clear()
-            self.lengths[header] = known
-        return known
+            self.lengths[header] = self._measure(header, tail)
+        length, count_at, repeat = self.lengths[header]
+        if repeat == 0:
+            return length
+        return length + repeat * int(data[at + count_at]) if at + count_at < len(data) else MORE
+
+    def _measure(self, header: bytes, tail: int) -> tuple[int, int, int]:
+        at, count_at, repeat = self.at + len(header), 0, 0
+        fields = self.fields(header)
+        for one in fields or []:
+            if one.repeat:
+                # A second such field could only be found through the first; no instrument sends two.
+                count_at, repeat = (at, one.repeat) if repeat == 0 else (0, -1)
+            at += one.size
+        return (NONE, 0, 0) if fields is None or repeat < 0 else (at + tail, count_at, repeat)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,11 +230,15 @@ class FrameForm:
         fields = None if header is None else rule.fields(header)
         if header is None or fields is None:
             return None
+        columns = list(range(rule.at, rule.at + len(header)))
         at, placed = rule.at + len(header), []
         for one in fields:
-            placed.append(replace(one, at=at))
-            at += one.size
-        columns = list(range(rule.at, rule.at + len(header)))
+            size = one.size
+            if one.repeat:
+                columns.append(at)
+                size += one.repeat * row[at]
+            placed.append(replace(one, at=at, size=size))
+            at += size
         return _shape(Layout("masks " + header.hex(" ").upper(), tuple(placed), len(row)), columns, row)
 
     def _shape_of_fields(self, rule: FieldsRule, row: bytes, key: int) -> Shape | None:

@@ -15,6 +15,7 @@ from imufield.acquire.assembly import RawBlock, join
 from imufield.acquire.frame_schema import JoinRule
 
 Kinds = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
 class FrameJoin:
@@ -33,6 +34,8 @@ class FrameJoin:
         """Frames of a sample that is not complete yet, at most one of each kind."""
         self._lost = 0
         """Samples that were not completed since the last good one."""
+        self._was_complete = False
+        """Whether the newest frame belongs to a complete sample."""
 
     def add(self, kinds: Kinds, block: RawBlock) -> RawBlock | None:
         """Return the samples that are complete now.
@@ -44,23 +47,26 @@ class FrameJoin:
         block : RawBlock
             What each of the n frames has; NaN for what it has not.
         """
+        carried = 0
         if self._open is not None:
+            carried = len(self._open[0])
             kinds, block = np.concatenate([self._open[0], kinds]), join([self._open[1], block])
-        carried = 0 if self._open is None else len(self._open[0])
-        self._open = None
-        broken = block.skipped_before > 0
-        # The gap before frames carried over was taken note of when they came.
-        broken[:carried] = False
+            self._open = None
         begins = kinds == self._start
-        group = np.cumsum(begins | broken)
+        gaps = (block.skipped_before > 0) & ~begins
+        # The gap before frames carried over was taken note of when they came.
+        gaps[:carried] = False
+        group = np.cumsum(begins | gaps)
+        group -= group[0]
         rows = self._first_of_each(kinds, group)
-        begun = np.zeros(len(rows), dtype=np.bool_)
+        begun, behind_gap = np.zeros((2, len(rows)), dtype=np.bool_)
         begun[group[begins]] = True
+        behind_gap[group[gaps]] = True
         complete = begun & (rows >= 0).all(axis=1)
-        lost = self._count_lost(begun, complete, starts_open=bool(carried), is_last_open=bool(begun[-1] and not complete[-1]))
         if begun[-1] and not complete[-1]:
             last = np.flatnonzero(group == group[-1])
             self._open = (kinds[last], block[last])
+        lost = self._count_lost(begun, behind_gap, complete)
         return self._samples(block, rows[complete], lost) if complete.any() else None
 
     def _first_of_each(self, kinds: Kinds, group: Kinds) -> Kinds:
@@ -69,16 +75,16 @@ class FrameJoin:
         rows[group[::-1], kinds[::-1]] = np.arange(len(kinds))[::-1]
         return rows
 
-    def _count_lost(
-        self, begun: NDArray[np.bool_], complete: NDArray[np.bool_], *, starts_open: bool, is_last_open: bool
-    ) -> Kinds:
+    def _count_lost(self, begun: Flags, behind_gap: Flags, complete: Flags) -> Kinds:
         """Return how many samples were lost before each complete one, and keep the count of those behind the last."""
+        state = complete.copy()
+        state[0] |= self._was_complete & ~(begun[0] | behind_gap[0])
+        previous = np.append(self._was_complete, state[:-1])
         # What follows a gap without a beginning is the rest of the sample before, unless that one was complete.
-        previous_complete = np.append(not starts_open, complete[:-1])
-        failed = np.where(begun, ~complete, previous_complete & ~complete)
-        failed[0] &= bool(begun[0])
-        if is_last_open:
+        failed = (begun & ~complete) | (behind_gap & previous)
+        if self._open is not None:
             failed[-1] = False
+        self._was_complete = bool(state[-1])
         total = np.cumsum(failed) + self._lost
         at = np.flatnonzero(complete)
         lost: Kinds = np.diff(total[at], prepend=0) if len(at) else np.empty(0, dtype=np.int64)

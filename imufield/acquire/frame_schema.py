@@ -307,8 +307,9 @@ def _read_field(table: Table, default_big: bool) -> Field:
     name, kind = table.text("name"), table.choice("type", (*NUMBER_BYTES, "fp12.20", FORMAT, *TEXT_TYPES))
     if kind in TEXT_TYPES:
         size = 0 if table.flag("rest") else table.integer("size", 1, LONGEST_FRAME)
+        repeat = table.integer("repeat", 0, 256, 0)
         table.finish()
-        return Field(name, kind, 0, size=size)
+        return Field(name, kind, 0, size=size, repeat=repeat)
     count = table.integer("count", 1, 256, 1)
     kind, fraction_bits = _FIXED_POINT.get(kind, (kind, 0))
     field = Field(

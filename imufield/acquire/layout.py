@@ -70,6 +70,8 @@ class Field:
     offset: float = 0.0
     unit: str = ""
     bits: tuple[Bits, ...] = ()
+    repeat: int = 0
+    """Bytes that follow for each unit of the first byte of this field."""
 
     @property
     def modulus(self) -> int:
@@ -149,6 +151,6 @@ class Layout:
             raw = field.raw(rows)[0].tolist()
             found[field.name] = raw
             found.update({bits.name: bits.of(raw) for bits in field.bits})
-            if field.unit and (field.factor, field.offset) != (1.0, 0.0):
-                found[f"{field.name} [{field.unit}]"] = field.values(rows)[0].tolist()
+            if (field.factor, field.offset) != (1.0, 0.0):
+                found[f"{field.name} [{field.unit or 1}]"] = field.values(rows)[0].tolist()
         return found
