@@ -138,6 +138,9 @@ def capture(
     quiet: Annotated[bool, typer.Option("--quiet", help="No sound.")] = False,
     speak: Annotated[bool, typer.Option("--speak", help="Say it aloud, where a speech program is installed.")] = False,
     big: Annotated[bool, typer.Option("--big", help="Big letters, to be read from three metres.")] = False,
+    cable: Annotated[
+        str | None, typer.Option(help="Side of the unit where the cable leaves, for the pictures: +x ... -z.")
+    ] = None,
     clock_speed: ClockSpeed = 1.0,
 ) -> None:
     """Record a guided session: the screen leads you through 24 positions, hands-free.
@@ -148,7 +151,7 @@ def capture(
     from imufield.commands.configuration import parse_settings
     from imufield.commands.connect import ConnectOptions, host_clock
     from imufield.commands.site import SiteOptions
-    from imufield.commands.views import Manner
+    from imufield.commands.views import Manner, parse_side
 
     options = CaptureOptions(
         connect=ConnectOptions(port, driver, baud, protocol, parse_settings(settings)),
@@ -161,7 +164,7 @@ def capture(
         target_bias_ug=target_bias_ug,
         target_scale_ppm=target_scale_ppm,
         rotations=rotations,
-        manner=Manner(quiet=quiet, speak=speak, big=big),
+        manner=Manner(quiet, speak, big, parse_side(cable)),
     )
     run_capture(options, host_clock(clock_speed))
 
@@ -272,6 +275,77 @@ def solve(
         as_json=as_json,
     )
     run_solve(options)
+
+
+@app.command()
+def export(
+    parameters: Annotated[Path, typer.Argument(help="Parameter file.")],
+    to: Annotated[str | None, typer.Option(help="Target, e.g. c, px4, vectornav (default: list them).")] = None,
+    settings: Settings = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="File or folder (default: the usual names here).")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write the parameters in another program's format, and say what it cannot hold.
+
+    Example: imufield export my-session/parameters.toml --to c -o calibration.h
+    """
+    from imufield.commands.export import run_export
+
+    run_export(parameters, to, settings, output, as_json=as_json)
+
+
+@app.command()
+def apply(
+    parameters: Annotated[Path, typer.Argument(help="Parameter file.")],
+    source: Annotated[Path, typer.Argument(help="Session folder, or a table (CSV).")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="CSV to write.")],
+) -> None:
+    """Correct a recording with the parameters.
+
+    Example: imufield apply my-session/parameters.toml my-session -o corrected.csv
+    """
+    from imufield.commands.apply import run_apply
+
+    run_apply(parameters, source, output)
+
+
+@app.command()
+def noise(
+    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
+    to: Annotated[str, typer.Option(help="Form of --output: kalibr, openvins or vins.")] = "kalibr",
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="YAML for a navigation filter.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the Allan deviation into this file (needs matplotlib).")] = None,
+    parameters: Annotated[Path | None, typer.Option(help="Parameter file to write the table [noise] into.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the noise of hours of standstill by Allan deviation.
+
+    Example: imufield noise my-standstill --plot allan.png
+    """
+    from imufield.commands.noise import NoiseOptions, run_noise
+
+    run_noise(NoiseOptions(session, to, output, plot, parameters, as_json))
+
+
+@app.command()
+def study(
+    name: Annotated[str, typer.Argument(help="A study, e.g. bsas-table3, or bsas, ide, all.")],
+    quick: Annotated[bool, typer.Option("--quick", help="Few runs, to see that it works.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of all runs.")] = 1,
+    workers: Annotated[int | None, typer.Option(help="Processes (default: all cores).", min=1)] = None,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for CSV files and plots.")] = None,
+    document: Annotated[Path | None, typer.Option(help="Write all as one Markdown document.")] = None,
+) -> None:
+    """Reproduce a table or figure of the papers, paper's and our figures side by side.
+
+    Example: imufield study bsas-table3 --quick
+    """
+    from imufield.commands.study import run_study_command
+
+    run_study_command(name, quick=quick, seed=seed, workers=workers, scheduler=scheduler, output=output, document=document)
 
 
 @app.command(name="export-data")

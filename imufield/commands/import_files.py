@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from imufield.acquire.tables import ROWS_PROTOCOL, Table, read_tables, write_row
 from imufield.commands.chain import part_metadata
 from imufield.commands.connect import assumed
 from imufield.errors import Reason, RecordingError, UsageError
+from imufield.samples import Samples
 
 DUMP_CHUNK_BYTES = 1 << 16
 
@@ -81,6 +82,27 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
         write_rows(recorder, table.rows)
     session.update(finished=True)
     return session, list(table.assumptions)
+
+
+def table_samples(path: Path) -> Iterator[Samples]:
+    """Yield the samples of a table, e.g. an exported CSV, block by block."""
+    table = read_tables([path])
+    decoder = Decoder(load_protocol(ROWS_PROTOCOL, table.settings))
+    chunks = _Chunks([])
+    write_rows(chunks, table.rows)
+    for chunk in chunks.written:
+        yield decoder.feed(chunk.data, chunk.monotonic_s)
+    yield decoder.flush()
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunks:
+    """What rows are written to where no recording is wanted."""
+
+    written: list[Chunk]
+
+    def write_chunk(self, chunk: Chunk, /) -> None:
+        self.written.append(chunk)
 
 
 def _import_dump(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:

@@ -80,12 +80,17 @@ def to_document(calibration: Calibration, observations: Observations, context: C
     if calibration.gyroscope is not None:
         document["gyroscope"] = _gyroscope(calibration.gyroscope, calibration.gauge)
     if context.noise is not None:
-        document["noise"] = {"source": context.noise.source} | _lists(context.noise, _NOISE)
+        document["noise"] = noise_table(context.noise)
     document["solver"] = {key: value for key, value in _plain(calibration.solver, _SOLVER).items() if value is not None}
     document["quality"] = _quality(calibration)
     document["position"] = _positions(calibration.positions, observations)
     document["covariance"] = {"names": list(calibration.covariance_names), "matrix": calibration.covariance.tolist()}
     return document
+
+
+def noise_table(noise: Noise) -> Document:
+    """Return the table ``noise`` of a document."""
+    return {"source": noise.source} | _lists(noise, _NOISE)
 
 
 def _lists(source: object, names: tuple[str, ...]) -> Document:

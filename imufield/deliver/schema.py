@@ -105,7 +105,7 @@ _TYPE_CHECKS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "array": ("an array", lambda value: isinstance(value, list)),
     "string": ("a text", lambda value: isinstance(value, str)),
     "boolean": ("true or false", lambda value: isinstance(value, bool)),
-    "integer": ("a whole number", lambda value: _is_number(value) and isinstance(value, int)),
+    "integer": ("a whole number", lambda value: _is_number(value) and float(value).is_integer()),
     "number": ("a number", _is_number),
     "null": ("nan", lambda value: value is None),
 }

@@ -1,0 +1,37 @@
+"""``imufield export``: parameters in another program's format."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import typer
+
+from imufield.commands.configuration import parse_settings
+from imufield.deliver.exports import TARGETS, export_options, export_parameters, write_exported
+from imufield.deliver.parameters import load
+
+
+def run_export(path: Path, target: str | None, settings: list[str] | None, output: Path | None, *, as_json: bool) -> None:
+    """Write the files of a target and say what it cannot hold; without a target list them.
+
+    Raises
+    ------
+    ParameterFileError
+        If the file cannot be read, or the target cannot express it.
+    """
+    if target is None:
+        for one in TARGETS.values():
+            typer.echo(f"{one.name:<12} {one.title}: {one.holds}")
+        return
+    exported = export_parameters(load(path), target, export_options(parse_settings(settings)))
+    written = [str(one) for one in write_exported(exported, output)]
+    if as_json:
+        typer.echo(json.dumps({"files": written, "losses": list(exported.losses), "notes": list(exported.notes)}))
+        return
+    for name in written:
+        typer.echo(f"written: {name}")
+    for loss in exported.losses:
+        typer.echo(f"lost:    {loss}")
+    for note in exported.notes:
+        typer.echo(f"note:    {note}")

@@ -1,0 +1,110 @@
+"""``imufield noise``: noise density, bias instability and random walk of hours of standstill."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import typer
+
+from imufield.acquire.recording import Damage
+from imufield.acquire.session import Session
+from imufield.calibrate.noise import NoiseResult, measure_noise
+from imufield.calibrate.noise_fit import Figure
+from imufield.calibrate.noise_texts import NoiseFormat, noise_text, save_plot
+from imufield.commands.calibration import one_of
+from imufield.commands.chain import recorded_protocol, session_samples
+from imufield.deliver.document import noise_table
+from imufield.deliver.parameters import Noise, load, write_document
+from imufield.files import write_atomically
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseOptions:
+    """Options of the command."""
+
+    session: Path | None = None
+    to: str = "kalibr"
+    output: Path | None = None
+    plot: Path | None = None
+    parameters: Path | None = None
+    as_json: bool = False
+
+
+def run_noise(options: NoiseOptions) -> None:
+    """Measure and print; write what other filters read, the plot, and the parameter file's table where asked for.
+
+    Raises
+    ------
+    ImufieldError
+        If the session cannot be read, or is too short.
+    """
+    form: NoiseFormat = one_of("to", options.to, get_args(NoiseFormat))
+    session = Session.newest() if options.session is None else Session.open(options.session)
+    nominal = recorded_protocol({}, session).nominal
+    damage: list[Damage] = []
+    result = measure_noise(session_samples(session, damage), nominal.accelerometer_scale, nominal.gyroscope_scale)
+    for one in damage:
+        typer.echo(one.what, err=True)
+    if options.output is not None:
+        write_atomically(options.output, noise_text(result, form).encode())
+    if options.plot is not None:
+        save_plot(result, options.plot)
+    if options.parameters is not None:
+        _write_into(options.parameters, result)
+    if options.as_json:
+        typer.echo(json.dumps(_document(result)))
+        return
+    _print(result)
+
+
+def _write_into(path: Path, result: NoiseResult) -> None:
+    """Put the figures into the table [noise] of a parameter file; the file as it was is kept."""
+    parameters = load(path)
+    noise = Noise(
+        result.source,
+        result.values("accelerometer", "density"),
+        result.values("gyroscope", "density"),
+        result.values("accelerometer", "instability"),
+        result.values("gyroscope", "instability"),
+    )
+    document = {key: value for key, value in parameters.document.items() if key != "integrity"}
+    write_document(path, document | {"noise": noise_table(noise)})
+
+
+def _print(result: NoiseResult) -> None:
+    typer.echo(f"{result.source} ({result.samples} samples, {result.bridged} lost ones bridged)")
+    typer.echo(f"{'':<16}{'density':>24}{'bias instability':>24}{'random walk':>24}  unit")
+    for axis in result.axes:
+        figures = "".join(f"{_with_limits(one):>24}" for one in (axis.density, axis.instability, axis.walk))
+        typer.echo(f"{axis.name:<16}{figures}  {axis.unit}")
+    for sentence in (*result.sentences, *(sentence for axis in result.axes for sentence in axis.sentences)):
+        typer.echo(f" · {sentence}")
+
+
+def _with_limits(figure: Figure) -> str:
+    if not math.isfinite(figure.value):
+        return "not seen"
+    return f"{figure.value:.3g} [{figure.low:.2g}, {figure.high:.2g}]"
+
+
+def _document(result: NoiseResult) -> dict[str, object]:
+    axes = {
+        axis.name: {name: _numbers(getattr(axis, name)) for name in ("density", "instability", "walk")} for axis in result.axes
+    }
+    return {
+        "source": result.source,
+        "duration_s": result.duration_s,
+        "rate_hz": result.rate_hz,
+        "units": {axis.name: axis.unit for axis in result.axes},
+        "axes": axes,
+        "sentences": list(result.sentences) + [sentence for axis in result.axes for sentence in axis.sentences],
+    }
+
+
+def _numbers(figure: Figure) -> dict[str, float | None]:
+    values = {"value": figure.value, "low": figure.low, "high": figure.high}
+    return {name: value if math.isfinite(value) else None for name, value in values.items()}
