@@ -31,6 +31,8 @@ _LEAST_LIMIT_S = 0.02
 """A host under load stamps the second frame of a sample so much later, whatever the period."""
 _CLEAR = 2.0
 """Factor by which the longest pause must exceed all others; stamps made while reading a buffer show none."""
+_FEWEST = 4
+"""Frames of each kind before pauses are believed."""
 _USUAL_PART = 0.7
 """A kind that may begin samples comes at least this often, compared with the most frequent one."""
 
@@ -125,12 +127,12 @@ class Assembler:
             return
         counts = np.bincount(frames.kind, minlength=self._kinds)
         if self._start is None:
-            pause_s = np.diff(frames.time_s, prepend=frames.time_s[0])
-            total_s = np.bincount(frames.kind, weights=pause_s, minlength=self._kinds)
-            mean_s = np.where(counts >= _USUAL_PART * counts.max(), total_s / np.maximum(counts, 1), -1.0)
-            usual = np.flatnonzero(mean_s >= 0)
-            longest = int(np.argmax(mean_s))
-            is_clear = mean_s[longest] >= _CLEAR * float(np.delete(mean_s, longest).max(initial=0.0))
+            pause_s = np.maximum(np.diff(frames.time_s, prepend=frames.time_s[0]), 0.0)
+            mean_s = np.bincount(frames.kind, weights=pause_s, minlength=self._kinds) / np.maximum(counts, 1)
+            usual = np.flatnonzero(counts >= _USUAL_PART * counts.max())
+            longest = int(usual[np.argmax(mean_s[usual])])
+            others = usual[usual != longest]
+            is_clear = mean_s[longest] > _CLEAR * float(mean_s[others].max(initial=0.0)) and counts[usual].min() >= _FEWEST
             self._start = longest if is_clear else int(usual[np.argmin(self._identifiers[usual])])
         if not self._limit_s:
             number = max(int(counts[self._start]) - 1, 1)

@@ -20,6 +20,7 @@ are whole wraps. A time stamp of the instrument replaces all of this.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -63,6 +64,10 @@ class _Phase:
     """Number of the next sample."""
     visible_s: float = 0.0
     """Smallest step of the phase that counts as loss."""
+    burst: int = 0
+    """How many samples usually come at once."""
+    is_blind: bool = False
+    """The stamps stand still: there is nothing but the number of the sample."""
     base_s: float = 0.0
     """Phase at the last sample given out."""
     last_time_s: float = -np.inf
@@ -148,11 +153,13 @@ class CanClock:
 
     def _learn(self, block: CanBlock) -> _Phase:
         """Learn the period, and the usual step of a counter."""
-        if (block.counter >= 0).all() and self._rule.counter_modulus:
-            steps = np.diff(block.counter[:64]) % self._rule.counter_modulus
+        known = block.counter >= 0
+        if np.count_nonzero(known) > len(known) / 2 and self._rule.counter_modulus:
+            steps = np.diff(block.counter)[known[1:] & known[:-1]] % self._rule.counter_modulus
             seen = [int(np.count_nonzero(steps == step)) for step in self._allowed_steps]
             self._counter_step = self._allowed_steps[int(np.argmax(seen))]
-            self._last_counter = int(block.counter[0]) - self._counter_step
+            first = int(np.argmax(known))
+            self._last_counter = int(block.counter[first]) - (first + 1) * self._counter_step
         steps = self._steps(block.counter, remember=False)
         period_s = _period(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
         window = int(np.clip(np.ceil(_WINDOW_S / period_s), _LEAST_WINDOW, _MOST_WINDOW))
@@ -162,7 +169,12 @@ class CanClock:
         phase.base_s = float(lag_s[: window + 1].min())
         delay_s = float(np.quantile(lag_s - _minimum_ahead(lag_s, window), _USUAL_DELAY))
         unit_s = phase.unit * period_s
-        phase.visible_s = unit_s / 2 if 2 * delay_s < unit_s else max(2 * delay_s, _BURST_S, unit_s / 2)
+        phase.visible_s = unit_s / 2
+        if 2 * delay_s >= unit_s:
+            phase.visible_s = max(2 * delay_s, _BURST_S)
+            phase.burst = math.ceil(delay_s / period_s)
+        if block.stamp_s[-1] <= block.stamp_s[0]:
+            phase.is_blind, phase.base_s = True, 0.0
         return phase
 
     def _steps(self, counter: IntArray, *, remember: bool = True) -> FloatArray:
@@ -188,7 +200,7 @@ class CanClock:
         """Give the first ``ready`` samples of the held block their time."""
         number, steps = self._numbers(block, ready, phase)
         lag_s = block.stamp_s - number * phase.period_s
-        envelope_s = _minimum_ahead(lag_s, phase.window)[:ready]
+        envelope_s = np.zeros(ready) if phase.is_blind else _minimum_ahead(lag_s, phase.window)[:ready]
         time_s = envelope_s + number[:ready] * phase.period_s
         moved_s = np.diff(envelope_s, prepend=phase.base_s)
         least_s, most_s = float(moved_s.min()), float(moved_s.max())
@@ -198,10 +210,11 @@ class CanClock:
             phase.run, phase.last_time_s = 0, float(time_s[-1])
             estimated = None
         else:
-            estimated = _losses(moved_s, phase)
+            estimated = _losses(envelope_s, moved_s, phase)
             time_s = _forward(time_s, phase)
+        self._begin = self._begin or (float(number[0]) + self._statistics.losses_estimated, float(time_s[0]))
         samples = self._samples(block[:ready], time_s, steps, estimated)
-        self._measure(phase, time_s)
+        self._measure(phase, *self._begin)
         self._last_time_s = phase.last_time_s
         if estimated is not None and self._rate_changed(moved_s, phase):
             self._phase = None
@@ -231,15 +244,12 @@ class CanClock:
         statistics.gaps += int(np.count_nonzero(gaps))
         return _make(block, time_s, flags, self._units)
 
-    def _measure(self, phase: _Phase, time_s: FloatArray) -> None:
-        """Write the rate into the statistics: learned, and measured since the beginning."""
-        lost = self._statistics.losses_estimated
-        now = (phase.number + lost, float(time_s[-1]))
-        self._begin = self._begin or now
+    def _measure(self, phase: _Phase, first: float, first_s: float) -> None:
+        """Write the rate into the statistics: learned, and measured since the first sample."""
         self._statistics.nominal_rate_hz = self._rule.rate_hz or 1 / phase.period_s
-        samples, span_s = now[0] - self._begin[0], now[1] - self._begin[1]
+        span_s = phase.last_time_s - first_s
         if span_s >= 2 * _LEARN_S:
-            self._statistics.rate_hz = samples / span_s
+            self._statistics.rate_hz = (phase.number + self._statistics.losses_estimated - first) / span_s
 
     def _rate_changed(self, moved_s: FloatArray, phase: _Phase) -> bool:
         """Whether the phase runs away, which a wrong period makes it do."""
@@ -256,10 +266,16 @@ class CanClock:
         return True
 
 
-def _losses(moved_s: FloatArray, phase: _Phase) -> IntArray:
+def _losses(envelope_s: FloatArray, moved_s: FloatArray, phase: _Phase) -> IntArray:
     """Return how many samples are missing before each one by the steps of the phase, whole units of them. Shape (n,)."""
+    lost = np.zeros(len(moved_s), dtype=np.int64)
     unit_s = phase.unit * phase.period_s
-    return np.where(moved_s >= phase.visible_s, np.rint(moved_s / unit_s), 0).astype(np.int64) * phase.unit
+    for place in np.flatnonzero(moved_s >= phase.visible_s).tolist():
+        # The last burst before a loss has nothing behind it that shows how late it was.
+        before = envelope_s[max(place - 1 - phase.burst, 0) : place]
+        step_s = envelope_s[place] - before.min() if len(before) else moved_s[place]
+        lost[place] = round(float(step_s) / unit_s) * phase.unit
+    return lost
 
 
 def _enough(stamp_s: FloatArray) -> bool:

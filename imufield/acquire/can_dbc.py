@@ -132,9 +132,20 @@ class CanSignal:
     def values(self, rows: Rows) -> FloatArray:
         """Return the numbers in ``unit``, NaN where a code says that there is none. Shape (n,)."""
         raw = self.raw(rows)
-        scaled: FloatArray = np.multiply(raw, self.factor, dtype=np.float64) + self.offset
-        gap = self.gaps(raw)[0]
-        scaled[gap] = np.nan
+        scaled = self.scale(raw, self.factor)
+        scaled += self.offset
+        scaled[self.gaps(raw)[0]] = np.nan
+        return scaled
+
+    def scale(self, raw: NDArray[Any], factor: float, out: FloatArray | None = None) -> FloatArray:
+        """Return raw numbers times ``factor``, written into ``out`` where given. Shape (n,)."""
+        scaled: FloatArray
+        if not self.is_float:
+            scaled = np.multiply(raw, factor, out=out, dtype=np.float64)
+            return scaled
+        with np.errstate(over="ignore", invalid="ignore"):
+            # Any bits may stand in a float; what is no number is a gap.
+            scaled = np.multiply(raw, factor, out=out, dtype=np.float64)
         return scaled
 
     def gaps(self, raw: NDArray[Any]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -39,6 +39,8 @@ _CONTINUATION = 0xFFFFFFFF
 _MORE = struct.Struct("<I20s")
 _MARK_BYTES = MARK.to_bytes(2, "little")
 _MARK_AT = 6
+_LATEST_S = 1e11
+"""In the year 5138, if seconds since 1970."""
 _FIRST, _FURTHER = 8, 20
 """Data bytes in the unit of a frame, and in each continuation."""
 
@@ -199,8 +201,8 @@ class Unpacker:
     def _at(units: Units, unit: IntArray) -> CanFrames:
         words, times = units.view("<u4"), units.view("<f8")
         if len(unit) == len(units):
-            return CanFrames(words[:, 0], units[:, 4], units[:, 5], times[:, 1], units, unit)
-        return CanFrames(words[unit, 0], units[unit, 4], units[unit, 5], times[unit, 1], units, unit)
+            return CanFrames(words[:, 0], units[:, 4], units[:, 5], _possible(times[:, 1]), units, unit)
+        return CanFrames(words[unit, 0], units[unit, 4], units[unit, 5], _possible(times[unit, 1]), units, unit)
 
     def _only_units(self, data: bytes, last: bool) -> bytes:
         """Keep what looks like units; step byte by byte over the rest until a mark stands where one should."""
@@ -224,6 +226,15 @@ class Unpacker:
 def _units_of(data: bytes) -> Units:
     end = len(data) - len(data) % UNIT_BYTES
     return np.frombuffer(data, dtype=np.uint8, count=end).reshape(-1, UNIT_BYTES)
+
+
+def _possible(time_s: FloatArray) -> FloatArray:
+    """Replace time stamps that are none, which a damaged recording may hold, by the one before."""
+    if not len(time_s) or np.abs(time_s).max() < _LATEST_S:
+        return time_s
+    good = np.abs(time_s) < _LATEST_S
+    place = np.maximum.accumulate(np.where(good, np.arange(len(time_s)), -1))
+    return np.where(place >= 0, time_s[place], 0.0)
 
 
 def _first_units(units: Units) -> NDArray[np.bool_] | None:

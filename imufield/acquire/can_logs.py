@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import gzip
 import struct
 import time
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import can
 from can.io.blf import BLFParseError
@@ -24,8 +25,16 @@ from imufield.errors import LinkError, Reason, RecordingError, UsageError
 CHUNK_S = 0.05
 """Frames of this much time make a chunk, as they do when a bus is recorded live."""
 CHUNK_FRAMES = 2048
-SUFFIXES = (".log", ".asc", ".blf", ".trc", ".mf4")
-"""Logs this module reads; gzip too where python-can does."""
+_READERS: Mapping[str, Callable[..., Iterable[can.Message]]] = {
+    ".log": can.CanutilsLogReader,
+    ".asc": can.ASCReader,
+    ".blf": can.BLFReader,
+    ".trc": can.TRCReader,
+    ".mf4": can.MF4Reader,
+}
+SUFFIXES = tuple(_READERS)
+"""Logs this module reads, packed with gzip too."""
+_BINARY = (".blf", ".mf4")
 _DAMAGE = (
     ValueError,
     IndexError,
@@ -121,20 +130,29 @@ def _messages(path: Path, channel: str | None) -> Iterator[can.Message]:
 
 
 class _Reader:
-    """A reader of python-can, closed in any case."""
+    """A reader of python-can on a file of ours, which is closed in any case."""
 
     def __init__(self, path: Path) -> None:
-        options: dict[str, Any] = {}
+        suffixes = path.suffixes[-2:]
+        kind = next((suffix for suffix in reversed(suffixes) if suffix in SUFFIXES), "")
+        if not kind:
+            raise UsageError(f"{path} has none of the suffixes {', '.join(SUFFIXES)}: rename it", path=str(path))
+        opener: Callable[..., IO[Any]] = gzip.open if suffixes[-1] == ".gz" else open
+        mode: dict[str, Any] = {"mode": "rb"} if kind in _BINARY else {"mode": "rt", "encoding": "utf-8", "errors": "replace"}
+        self._file = opener(path, **mode)
         # ASC counts from its start unless told otherwise; the date in its head makes it a time of day.
-        if ".asc" in path.suffixes:
-            options["relative_timestamp"] = False
-        self._reader = can.LogReader(path, **options)
+        options = {"relative_timestamp": False} if kind == ".asc" else {}
+        try:
+            self._reader = _READERS[kind](self._file, **options)
+        except BaseException:
+            self._file.close()
+            raise
 
     def __iter__(self) -> Iterator[can.Message]:
         return iter(self._reader)
 
     def close(self) -> None:
-        self._reader.stop()
+        self._file.close()
 
 
 def _two_buses(path: Path, first: object, second: object) -> UsageError:

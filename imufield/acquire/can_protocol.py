@@ -28,6 +28,10 @@ _MEANING = {"accelerometer": ("m/s^2", "m/s", "count", "pulse"), "gyroscope": ("
 _TICKS_PER_S = {"s": 1.0, "sec": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "ns": 1e9}
 _ABSOLUTE_ZERO_DEGC = -273.15
 _LONGEST_LIMIT_S = 10.0
+_MOST_BITS = 62
+"""Of a counter: arithmetic is done in 64 bits with a sign."""
+_LONG_TIME_BITS = 48
+"""A time stamp of so many bits runs for 8.9 years of microseconds before it wraps."""
 _Found = TypeVar("_Found")
 _DBC_LINE = re.compile(r'^\s*dbc\s*=\s*"([^"\n]+)"', re.MULTILINE)
 _EMBEDDED = re.compile(r"^\[dbc\]", re.MULTILINE)
@@ -39,7 +43,7 @@ _SPELLINGS = {
     "deg/s": ("°/s", "º/s", "dps", "deg/sec", "degree/s", "degrees/s", "degps", "°/sec", "deg/second"),
     "rad/s": ("rad/sec", "radian/s"),
     "degC": ("°c", "ºc", "c", "deg c", "celsius", "degc", "°celsius"),
-    "K": ("kelvin",),
+    "K": ("k", "kelvin"),
     "deg": ("°", "º", "degree"),
 }
 _UNIT_OF = {text: unit for unit, texts in _SPELLINGS.items() for text in texts} | {unit.lower(): unit for unit in TO_SI}
@@ -173,7 +177,8 @@ def dbc_table(content: str) -> str:
     """Return a DBC file as the table ``[dbc]`` of a protocol."""
     # TOML has no control characters, and reads a carriage return as the end of a line.
     content = "".join(" " if ord(one) < 32 and one not in "\n\t" else one for one in content.replace("\r\n", "\n"))
-    content = content.replace("'''", '"""').replace("\x7f", " ")
+    # Three quotes, which end the text, stand in comments if anywhere.
+    content = content.replace("'''", "'' '").replace("\x7f", " ")
     return f"\n\n[dbc]\ntext = '''\n{content}'''\n"
 
 
@@ -271,7 +276,7 @@ class _Mapping:
             said = f"{written!r}" if written else "no unit"
             raise self.table.error(
                 f"{part}_unit" if given else part,
-                f"signal {signal.name} has {said}, which is none of a {part}; choose another signal, or state its unit as "
+                f"signal {signal.name} has {said}, which is no unit of the {part}; choose another signal, or state its unit as "
                 f"{part}_unit (one of {known})",
                 reason=Reason.UNITS,
             )
@@ -288,7 +293,8 @@ class _Mapping:
             kind, signal = self._find("time", self.table.text("time"))
             kind.time = signal
             self.ticks_per_s = _TICKS_PER_S.get(signal.unit.lower(), 1.0) / abs(signal.factor)
-            self.time_modulus = 0 if signal.is_float else self._modulus("time", signal)
+            never_wraps = signal.is_float or signal.length >= _LONG_TIME_BITS
+            self.time_modulus = 0 if never_wraps else self._modulus("time", signal)
         for each in self.table.tables("flags"):
             kind, signal = self._find("flags", each.text("signal"))
             kind.flags.append(_read_flag(each, signal))
@@ -300,11 +306,14 @@ class _Mapping:
     def group(self, key: str, table: Table, name: str) -> None:
         """Note a counter that the messages of one sample share."""
         found, signal = _in_file(table, key, self._dbc.find, name)
-        kind = self.kinds.get((found.name, found.selectors))
-        if kind is None:
+        # A signal outside all multiplexed forms is part of each.
+        kinds = [one for one in self.kinds.values() if one.message.name == found.name]
+        kinds = [one for one in kinds if not found.selectors or one.message.selectors == found.selectors]
+        if not kinds:
             raise table.error(key, f"message {found.name} of {name!r} has no signal in [map]")
         self._modulus(key, signal)
-        kind.group = signal
+        for kind in kinds:
+            kind.group = signal
 
     def _temperature(self, name: str) -> None:
         kind, signal = self._find("temperature", name)
@@ -316,12 +325,20 @@ class _Mapping:
 
     def _find(self, key: str, name: str) -> tuple[CanKind, CanSignal]:
         message, signal = _in_file(self.table, key, self._dbc.find, name)
+        if not message.selectors:
+            forms = [kind for kind in self.kinds.values() if kind.message.name == message.name]
+            if forms:
+                return forms[0], signal
+        elif (message.name, ()) in self.kinds:
+            raise self.table.error(
+                key, f"signal {name} is in some forms of {message.name} only, other signals mapped before it are in all of them"
+            )
         return self.kinds.setdefault((message.name, message.selectors), CanKind(message)), signal
 
     def _modulus(self, key: str, signal: CanSignal) -> int:
         if signal.is_float or signal.is_signed:
             raise self.table.error(key, f"signal {signal.name} is not an unsigned whole number, so it cannot count")
-        return 1 << signal.length
+        return 1 << min(signal.length, _MOST_BITS)
 
 
 def _read_flag(table: Table, signal: CanSignal) -> CanFlag:

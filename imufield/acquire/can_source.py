@@ -327,11 +327,7 @@ def _read_column(column: Column, data: NDArray[np.uint8], into: Rows, rows: slic
     """Write one value of each frame; tell whether some have none."""
     signal = column.signal
     raw = signal.raw(data)
-    if isinstance(rows, slice):
-        scaled = into.values[column.place]
-        np.multiply(raw, column.factor, out=scaled, dtype=np.float64)
-    else:
-        scaled = np.multiply(raw, column.factor, dtype=np.float64)
+    scaled = signal.scale(raw, column.factor, into.values[column.place] if isinstance(rows, slice) else None)
     if column.offset:
         scaled += column.offset
     # One comparison finds that there is nothing to do, which is nearly always so.

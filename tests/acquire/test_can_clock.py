@@ -1,0 +1,190 @@
+"""Time of samples from time stamps of frames: losses found and not invented, bursts smoothed, wraps counted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imufield.acquire.can_clock import CanClock
+from imufield.acquire.can_source import CanBlock
+from imufield.acquire.protocol_schema import ClockRule
+from imufield.acquire.statistics import DecoderStatistics
+from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
+
+
+def run(
+    stamp_s: FloatArray,
+    *,
+    counter: IntArray | None = None,
+    modulus: int = 0,
+    ticks: FloatArray | None = None,
+    rule: ClockRule | None = None,
+    block: int = 50,
+    steps: tuple[int, ...] = (1,),
+) -> tuple[Samples, DecoderStatistics]:
+    n = len(stamp_s)
+    statistics = DecoderStatistics()
+    clock = CanClock(rule or ClockRule(counter_modulus=modulus), SampleUnits(), steps, statistics)
+    values = np.zeros((n, 7))
+    values[:, 0] = np.arange(n)
+    whole = CanBlock(
+        values,
+        np.zeros(n, dtype=np.uint32),
+        np.full(n, NO_COUNTER) if counter is None else counter,
+        np.empty(0) if ticks is None else ticks,
+        stamp_s,
+    )
+    parts = [clock.push(whole[at : at + block]) for at in range(0, n, block)]
+    samples = concatenate([part for part in (*parts, clock.flush()) if part is not None])
+    assert samples.accelerometer[:, 0].tolist() == list(range(n)), "every sample comes out once, in order"
+    return samples, statistics
+
+
+def bursty(true_s: FloatArray, burst_s: float, phase_s: float = 0.0) -> FloatArray:
+    """Return when a host that looks every ``burst_s`` sees what happened before."""
+    return np.ceil((true_s + phase_s) / burst_s) * burst_s - phase_s
+
+
+def jitter(n: int, scale_s: float, seed: int = 1) -> NDArray[np.float64]:
+    return np.random.default_rng(seed).exponential(scale_s, n)
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 97.3, 1000.0])
+def test_regular_stamps(rate_hz: float) -> None:
+    true_s = 5.0 + np.arange(int(6 * rate_hz)) / rate_hz
+    samples, statistics = run(true_s + jitter(len(true_s), 0.02 / rate_hz))
+    np.testing.assert_allclose(samples.time_s, true_s, atol=0.1 / rate_hz)
+    assert (statistics.gaps, statistics.losses_estimated, statistics.samples_lost) == (0, 0, 0)
+    assert statistics.rate_hz == pytest.approx(rate_hz, rel=1e-3)
+    assert (samples.status == Status.TIME_ESTIMATED).all()
+
+
+@pytest.mark.parametrize("block", [1, 7, 50, 100_000])
+def test_single_losses_are_counted_where_stamps_are_good(block: int) -> None:
+    rng = np.random.default_rng(3)
+    kept = np.sort(rng.permutation(5000)[: 5000 - 60])
+    kept = kept[kept > 200] if block == 1 else kept
+    true_s = kept / 100.0
+    samples, statistics = run(true_s + jitter(len(true_s), 2e-4), block=block)
+    missing = np.diff(kept, prepend=kept[0] - 1) - 1
+    missing[0] = 0
+    assert statistics.losses_estimated == missing.sum()
+    assert ((samples.status & Status.GAP_ESTIMATED) != 0).tolist() == (missing > 0).tolist()
+    np.testing.assert_allclose(samples.time_s, true_s, atol=2e-3)
+
+
+def test_bursts_are_no_losses() -> None:
+    true_s = 1.0 + np.arange(20_000) / 1000.0
+    samples, statistics = run(bursty(true_s, 0.020) + jitter(len(true_s), 1e-4), block=40)
+    assert (statistics.gaps, statistics.losses_estimated) == (0, 0)
+    assert np.diff(samples.time_s).min() > 0
+    # Even steps, at most one period behind the truth.
+    late_s = samples.time_s - true_s
+    assert late_s.max() - late_s.min() < 0.003
+
+
+def test_a_host_that_sleeps_for_a_tenth_of_a_second_loses_nothing() -> None:
+    true_s = 1.0 + np.arange(8000) / 1000.0
+    stamp_s = true_s.copy()
+    for begin in (2500, 4000, 6100):
+        stamp_s[begin : begin + 100] = true_s[begin + 100]
+    samples, statistics = run(stamp_s, block=20)
+    assert statistics.losses_estimated == 0
+    np.testing.assert_allclose(samples.time_s, true_s, atol=1e-3)
+
+
+def test_a_large_loss_shows_through_bursts() -> None:
+    true_s = np.concatenate([np.arange(4000), np.arange(4300, 8000)]) / 1000.0
+    samples, statistics = run(bursty(true_s, 0.010, 0.003), block=20)
+    assert statistics.losses_estimated == pytest.approx(300, abs=2)
+    assert statistics.gaps == 1
+    assert np.flatnonzero(samples.status & Status.GAP_ESTIMATED)[0] == pytest.approx(4000, abs=12)
+
+
+@pytest.mark.parametrize("modulus", [16, 256, 65536])
+@pytest.mark.parametrize("block", [9, 4000])
+def test_a_counter_counts_exactly(modulus: int, block: int) -> None:
+    rng = np.random.default_rng(modulus)
+    kept = np.sort(rng.permutation(6000)[: 6000 - 300])
+    stamp_s = bursty(kept / 400.0, 0.020)
+    samples, statistics = run(stamp_s, counter=kept % modulus, modulus=modulus, block=block)
+    missing = np.diff(kept) - 1
+    assert statistics.samples_lost == missing.sum()
+    assert statistics.losses_estimated == 0
+    assert ((samples.status[1:] & Status.AFTER_GAP) != 0).tolist() == (missing > 0).tolist()
+
+
+def test_whole_wraps_are_estimated() -> None:
+    kept = np.concatenate([np.arange(1000), np.arange(1000 + 2 * 256 + 5, 4000)])
+    _, statistics = run(kept / 400.0, counter=kept % 256, modulus=256)
+    assert statistics.samples_lost == 5
+    assert statistics.losses_estimated == 512
+
+
+def test_a_counter_of_another_step_and_lost_counter_messages() -> None:
+    kept = np.delete(np.arange(2000), [700, 701])
+    counter = kept * 4 % 256
+    counter[[50, 900, 901]] = NO_COUNTER
+    _, statistics = run(kept / 100.0, counter=counter, modulus=256, steps=(1, 2, 4))
+    assert statistics.samples_lost == 2
+    assert statistics.losses_estimated == 0
+
+
+def test_a_counter_that_jumps_back_is_no_loss_of_a_round() -> None:
+    counter = np.arange(2000)
+    counter[1000:] -= 900
+    samples, statistics = run(np.arange(2000) / 100.0, counter=counter, modulus=65536)
+    assert statistics.samples_lost == 0
+    assert np.diff(samples.time_s).min() > 0
+
+
+def test_stamps_that_wrap_or_step_back() -> None:
+    stamp_s = np.arange(9000) / 100.0 % 60.0
+    samples, statistics = run(stamp_s)
+    assert statistics.clock_resets == 1
+    np.testing.assert_allclose(np.diff(samples.time_s), 0.01, atol=1e-4)
+
+
+def test_a_new_rate_is_learned() -> None:
+    stamp_s = np.concatenate([np.arange(1000) / 100.0, 10.0 + np.arange(4000) / 400.0])
+    samples, statistics = run(stamp_s, block=20)
+    np.testing.assert_allclose(samples.time_s[2000:], stamp_s[2000:], atol=1e-3)
+    assert statistics.nominal_rate_hz == pytest.approx(400, rel=0.01)
+    assert np.diff(samples.time_s).min() > 0
+
+
+def test_without_any_time_the_nominal_rate_is_all_there_is() -> None:
+    samples, _ = run(np.zeros(100), rule=ClockRule(rate_hz=50.0))
+    np.testing.assert_allclose(np.diff(samples.time_s), 0.02)
+
+
+def test_few_samples_come_out_at_the_end() -> None:
+    for count in (1, 2, 5):
+        samples, _ = run(np.arange(count) / 100.0)
+        assert len(samples) == count
+
+
+def test_stamps_of_the_instrument() -> None:
+    kept = np.delete(np.arange(6000), [2000, 2001, 2002])
+    ticks = ((kept * 5000.0 + (1 << 32) - 10_000_000) % (1 << 32)).astype(np.float64)
+    ticks[[100, 3000]] = np.nan
+    rule = ClockRule(time_modulus=1 << 32, time_ticks_per_s=1e6)
+    samples, statistics = run(np.zeros(len(kept)), ticks=ticks, rule=rule)
+    np.testing.assert_allclose(samples.time_s - samples.time_s[0], kept * 0.005, atol=1e-6)
+    assert (statistics.samples_lost, statistics.gaps) == (3, 1)
+    assert statistics.nominal_rate_hz == pytest.approx(200)
+    assert not (samples.status & Status.TIME_ESTIMATED).any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_cuts_do_not_matter(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    kept = np.sort(rng.permutation(3000)[:2900])
+    stamp_s = kept / 100.0 + jitter(len(kept), 3e-4, seed)
+    one, first = run(stamp_s, block=10_000)
+    two, second = run(stamp_s, block=int(rng.integers(1, 30)))
+    # Blocks that come while the period is learned make it a little different.
+    np.testing.assert_allclose(one.time_s, two.time_s, atol=1e-3)
+    assert first.losses_estimated == second.losses_estimated
+    assert one.status.tolist() == two.status.tolist()

@@ -1,0 +1,118 @@
+"""Logs that python-can wrote come in as they were; recordings go out to a bus."""
+
+from __future__ import annotations
+
+import random
+import time
+from pathlib import Path
+
+import can
+import pytest
+
+from imufield.acquire.can_frames import ERROR, Frame, pack_frame, unpack_frames
+from imufield.acquire.can_logs import import_log, is_can_log, read_log, replay_to_bus
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.link import Chunk
+from imufield.acquire.protocol import load_protocol
+from imufield.acquire.recorder import Recorder
+from imufield.acquire.recording import RecordingLink, read_part
+from imufield.acquire.session import Session
+from imufield.errors import RecordingError, UsageError
+from imufield.samples import concatenate
+
+START_S = 1_700_000_000.0
+
+
+def make_messages(count: int = 400) -> list[can.Message]:
+    rng = random.Random(1)
+    return [
+        can.Message(
+            timestamp=START_S + number * 0.005,
+            arbitration_id=0x0CF02A80 if number % 2 else 0x08F02D80,
+            data=rng.randbytes(8),
+            channel=0,
+        )
+        for number in range(count)
+    ]
+
+
+@pytest.mark.parametrize("suffix", ["log", "asc", "blf", "trc"])
+def test_every_format(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"bench.{suffix}"
+    sent = make_messages()
+    with can.Logger(path) as logger:
+        for message in sent:
+            logger(message)
+    assert is_can_log(path)
+    chunks = list(read_log(path))
+    frames = [frame for chunk in chunks for frame in unpack_frames(chunk.data)]
+    assert [frame.data for frame in frames] == [bytes(message.data) for message in sent]
+    assert [frame.can_id & 0x1FFFFFFF for frame in frames] == [message.arbitration_id for message in sent]
+    assert [frame.time_s - frames[0].time_s for frame in frames] == pytest.approx(
+        [message.timestamp - START_S for message in sent], abs=2e-3 if suffix == "trc" else 2e-6
+    )
+    assert all(len(chunk.data) <= 12 * 24 for chunk in chunks), "50 ms a chunk"
+    assert chunks[-1].monotonic_s == frames[-1].time_s
+
+
+def test_import_makes_a_session_that_decodes(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    with can.Logger(path) as logger:
+        for message in make_messages():
+            logger(message)
+    session = Session.create(tmp_path / "sessions", "drive")
+    with Recorder(session.add_part(), {}) as recorder:
+        assert import_log(path, recorder) == 400
+    decoder = Decoder(load_protocol("j1939_imu"))
+    chunks = [item for item in read_part(session.parts[0]) if isinstance(item, Chunk)]
+    blocks = [decoder.feed(chunk.data, chunk.monotonic_s) for chunk in chunks]
+    samples = concatenate([*blocks, decoder.flush()])
+    assert len(samples) == 200
+    assert decoder.statistics.losses_estimated == 0
+
+
+def test_two_buses_must_be_told_apart(tmp_path: Path) -> None:
+    path = tmp_path / "two.log"
+    path.write_text("(1.0) can0 123#00\n(1.1) can1 123#01\n(1.2) can0 123#02\n")
+    with pytest.raises(UsageError, match="can0 and can1"):
+        list(read_log(path))
+    (chunk, *_) = read_log(path, channel="can1")
+    assert [frame.data for frame in unpack_frames(chunk.data)] == [b"\x01"]
+    with pytest.raises(RecordingError, match="no frame of channel can7"):
+        list(read_log(path, channel="can7"))
+
+
+@pytest.mark.parametrize("suffix", ["log", "asc", "blf", "trc"])
+@pytest.mark.parametrize("content", [b"", b"garbage\n\x00\xff\xfe" * 20])
+def test_what_is_no_log(tmp_path: Path, suffix: str, content: bytes) -> None:
+    path = tmp_path / f"bad.{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError) as caught:
+        list(read_log(path))
+    assert str(path) in str(caught.value)
+    with pytest.raises(RecordingError, match="is not there"):
+        list(read_log(tmp_path / f"nowhere.{suffix}"))
+
+
+def test_other_names_are_no_logs() -> None:
+    assert not is_can_log("table.csv")
+    assert is_can_log("bench.asc.gz")
+
+
+def test_replay_to_a_bus(tmp_path: Path) -> None:
+    session = Session.create(tmp_path, "replay")
+    frames = [Frame(0x100, bytes([number]), 5.0 + number * 0.01) for number in range(30)]
+    with Recorder(session.add_part(), {}) as recorder:
+        for begin in range(0, 30, 10):
+            data = b"".join(pack_frame(frame.can_id, frame.data, frame.time_s) for frame in frames[begin : begin + 10])
+            recorder.write_chunk(Chunk(data + pack_frame(ERROR | 8, bytes(8), 5.0), 5.1 + begin * 0.01, 0))
+    channel = f"replay-{id(session)}"
+    with can.Bus(channel, "virtual") as bus:
+        begin_s = time.monotonic()
+        assert replay_to_bus(RecordingLink(session), f"virtual:{channel}", pace=2.0) == 30
+        assert time.monotonic() - begin_s > 0.13, "0.29 s at twice the pace"
+        heard = [bus.recv(0.1) for _ in range(30)]
+        assert [bytes(message.data) for message in heard if message] == [frame.data for frame in frames]
+        assert replay_to_bus(RecordingLink(session), f"virtual:{channel}", pace=None) == 30
+    with pytest.raises(UsageError):
+        replay_to_bus(RecordingLink(session), f"virtual:{channel}", pace=0.0)
