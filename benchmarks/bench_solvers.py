@@ -133,9 +133,8 @@ def campaigns(runs: int) -> None:
         start = time.perf_counter()
         results = run_campaign(run_whitened, range(runs), seed=0, workers=workers)
         seconds.append(time.perf_counter() - start)
-        print(
-            f"campaign of {runs} runs, {workers} worker(s): {seconds[-1]:.1f} s, sum of costs {sum(r.cost for r in results):.12e}"
-        )
+        total = sum(result.cost for result in results)
+        print(f"campaign of {runs} runs, {workers} worker(s): {seconds[-1]:.1f} s, sum of costs {total:.12e}")
     print(f"speed-up {seconds[0] / seconds[1]:.2f} (limit 1.6)")
 
 

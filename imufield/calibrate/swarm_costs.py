@@ -150,7 +150,7 @@ class NormPopulation:
         input_b -= vectors[:, BIAS, None]
         linear = inverse @ input_b
         curved = inverse * (vectors[:, QUADRATIC] / K)[:, None, :]  # eq. 14 of [1]_: a = T^-1 (N / K - b) - T^-1 (K2 / K) a^2
-        a = linear
+        a = before = linear
         for _ in range(_PASSES - 1):
             a = linear - curved @ (a * a)
         for _ in range(_MORE_PASSES):

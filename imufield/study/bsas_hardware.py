@@ -220,9 +220,9 @@ def table_6(context: StudyContext) -> StudyReport:
                 "0.01 deg/h makes errors of miles in five hours."
             ),
             (
-                "So a change of 3 % says next to nothing about the accelerometer; with other draws of the same "
-                "errors it has either sign. The proof of an accelerometer calibration is in positions not used "
-                "for it (bsas-table5)."
+                "So a change of 3 % says next to nothing about the accelerometer: over many instruments it has "
+                "either sign. The proof of an accelerometer calibration is in positions not used for it "
+                "(bsas-table5)."
             ),
         ),
         (Table("errors", ("instrument", "old maximum", "old mean", "new maximum", "new mean"), rows),),

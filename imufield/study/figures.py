@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from imufield.samples import FloatArray
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from matplotlib.figure import Figure
-
-    from imufield.study.report import Draw
+from imufield.study.report import Draw
 
 
 def convergence(panels: dict[str, dict[str, FloatArray]], ylabel: str, *, xlabel: str = "iteration", log: bool = True) -> Draw:
     """Return a drawing of curves over iterations, one panel each."""
 
-    def draw(figure: Figure) -> None:
+    def draw(figure: Any) -> None:
         columns = 1 if len(panels) == 1 else 2
         rows = -(-len(panels) // columns)
         axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
@@ -39,7 +34,7 @@ def convergence(panels: dict[str, dict[str, FloatArray]], ylabel: str, *, xlabel
 def runs(series: dict[str, FloatArray], ylabel: str, *, xlabel: str = "run", log: bool = False) -> Draw:
     """Return a drawing of one value per run."""
 
-    def draw(figure: Figure) -> None:
+    def draw(figure: Any) -> None:
         ax = figure.subplots()
         for label, values in series.items():
             ax.plot(np.arange(1, len(values) + 1), values, ".-", label=label, linewidth=0.7, markersize=4)
@@ -54,7 +49,7 @@ def runs(series: dict[str, FloatArray], ylabel: str, *, xlabel: str = "run", log
 def bars(labels: Sequence[str], series: dict[str, FloatArray], ylabel: str, *, log: bool = False) -> Draw:
     """Return a drawing of groups of bars."""
 
-    def draw(figure: Figure) -> None:
+    def draw(figure: Any) -> None:
         ax = figure.subplots()
         width = 0.8 / len(series)
         for k, (label, values) in enumerate(series.items()):
@@ -71,7 +66,7 @@ def bars(labels: Sequence[str], series: dict[str, FloatArray], ylabel: str, *, l
 def over_time(panels: dict[str, dict[str, tuple[FloatArray, FloatArray]]]) -> Draw:
     """Return a drawing of curves over hours, one panel each: label -> (hours, values)."""
 
-    def draw(figure: Figure) -> None:
+    def draw(figure: Any) -> None:
         columns = 1 if len(panels) == 1 else 2
         axes = np.atleast_1d(figure.subplots(-(-len(panels) // columns), columns)).ravel()
         for ax, (ylabel, curves) in zip(axes, panels.items(), strict=False):

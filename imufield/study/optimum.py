@@ -19,10 +19,13 @@ References
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
 
 from imufield.calibrate.gauge import intrinsic
 from imufield.calibrate.models import norm_derivatives
+from imufield.calibrate.observability import generators
 from imufield.calibrate.result import QuadraticAxes
 from imufield.calibrate.solvers.base import Problem
 from imufield.calibrate.solvers.least_squares import solve_least_squares
@@ -82,7 +85,7 @@ def _bounded(problem: Problem) -> FloatArray:
     found = least_squares(
         problem.residuals,
         problem.start,
-        jac=problem.jacobian,
+        jac=cast("Any", problem.jacobian),  # pyright's stubs of scipy know strings only
         bounds=problem.bounds,
         x_scale=np.maximum((problem.bounds[1] - problem.bounds[0]) / 2, 1e-12),
         ftol=tolerance,
@@ -94,11 +97,33 @@ def _bounded(problem: Problem) -> FloatArray:
 
 
 def cramer_rao_bound(
-    truth: FloatArray, raw: FloatArray, gravity_m_s2: float, sigma_m_s2: float, quadratic_axes: QuadraticAxes
+    truth: FloatArray,
+    raw: FloatArray,
+    gravity_m_s2: float,
+    sigma_m_s2: float,
+    quadratic_axes: QuadraticAxes,
+    turn_sigma_rad: float = 0.0,
 ) -> FloatArray:
-    """Return the least standard deviation of the 12 gauge-free numbers, shape (12,)."""
+    """Return the least standard deviation of the 12 gauge-free numbers, shape (12,).
+
+    Parameters
+    ----------
+    truth : ndarray, shape (15,)
+    raw : ndarray, shape (m, 3)
+    gravity_m_s2 : float
+    sigma_m_s2 : float
+        Of every norm.
+    quadratic_axes : {"sensing", "body"}
+    turn_sigma_rad : float
+        1 sigma, per axis, of what is not known of the body frame. It matters on body axes only, where a turn is not quite
+        invisible; 0 is the plain bound of a known frame, other values give the Bayesian bound.
+    """
     basis = observable_basis(truth, raw, gravity_m_s2, quadratic_axes)
+    prior = np.zeros((basis.shape[1], basis.shape[1]))
+    if turn_sigma_rad > 0:
+        basis = np.hstack([basis, generators(truth) * turn_sigma_rad])
+        prior = np.diag(np.concatenate([np.zeros(len(prior)), np.ones(3)]))
     A = norm_derivatives(truth, raw, quadratic_axes).jacobian @ basis
     gauge_free = intrinsic(truth, quadratic_axes)[1] @ basis
-    covariance = sigma_m_s2**2 * gauge_free @ np.linalg.inv(A.T @ A) @ gauge_free.T
+    covariance = gauge_free @ np.linalg.inv(A.T @ A / sigma_m_s2**2 + prior) @ gauge_free.T
     return np.asarray(np.sqrt(np.diag(covariance)))

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import io
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from imufield.errors import Reason, UsageError
 from imufield.files import write_atomically
 from imufield.samples import FloatArray
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-Draw = Callable[["Figure"], None]
+Draw = Callable[[Any], None]
+"""Draws into a matplotlib figure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,19 +116,17 @@ def _write_csv(path: Path, table: Table) -> None:
 
 def _write_plot(report: StudyReport, path: Path) -> None:
     try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
+        figures = importlib.import_module("matplotlib.figure")
     except ModuleNotFoundError as error:
         raise UsageError(
             f"plots need the package matplotlib, which is not installed ({error}); install imufield[study], or ask for no plot",
             Reason.MISSING_PACKAGE,
             package="matplotlib",
         ) from error
-    figure = Figure(figsize=(8, 5), layout="constrained")
+    figure = figures.Figure(figsize=(8, 5), layout="constrained")
     if report.draw is not None:
         report.draw(figure)
     figure.suptitle(f"{report.name}: {report.title}", fontsize=10)
     image = io.BytesIO()
-    FigureCanvasAgg(figure)
     figure.savefig(image, format="png")
     write_atomically(path, image.getvalue())

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from imufield.calibrate.costs import NormProblem
+from imufield.calibrate.costs import CostName, NormProblem
+from imufield.calibrate.result import QuadraticAxes
 from imufield.calibrate.swarm_costs import NormPopulation, TriadProblem, TurnsProblem
 from imufield.samples import FloatArray
 from imufield.study.instruments import (
@@ -22,7 +24,7 @@ from imufield.study.instruments import (
 STEP = np.concatenate([np.full(3, 1e-2), np.full(3, 1e-3), np.full(6, 1e-4), np.full(3, 1e-4)])
 
 
-def population(axes: str, cost: str) -> NormPopulation:
+def population(axes: QuadraticAxes, cost: CostName) -> NormPopulation:
     raw = bsas_outputs(np.random.default_rng(1), 1e-5)
     sigma = np.linspace(1e-5, 2e-5, len(raw))
     endless = np.full(15, np.inf)
@@ -31,7 +33,7 @@ def population(axes: str, cost: str) -> NormPopulation:
 
 @pytest.mark.parametrize("axes", ["sensing", "body"])
 @pytest.mark.parametrize("cost", ["absolute", "squares", "weighted"])
-def test_fast_costs_equal_the_plain_ones(axes: str, cost: str) -> None:
+def test_fast_costs_equal_the_plain_ones(axes: QuadraticAxes, cost: CostName) -> None:
     fast = population(axes, cost)
     plain = NormProblem(
         fast.raw, fast.gravity_m_s2, fast.sigma_m_s2, fast.origin, fast.basis, fast.quadratic_axes, fast.cost_name
@@ -41,7 +43,7 @@ def test_fast_costs_equal_the_plain_ones(axes: str, cost: str) -> None:
 
 
 @pytest.mark.parametrize("axes", ["sensing", "body"])
-def test_wild_candidates_cost_infinity_and_do_not_spoil_their_neighbours(axes: str) -> None:
+def test_wild_candidates_cost_infinity_and_do_not_spoil_their_neighbours(axes: QuadraticAxes) -> None:
     problem = population(axes, "absolute")
     z = np.zeros((3, 15))
     z[1, 12:] = 1e9
@@ -59,14 +61,14 @@ def test_a_singular_alignment_costs_infinity() -> None:
     assert costs[1] > 1e3
 
 
-def numeric_jacobian(residuals, z: FloatArray, step: FloatArray) -> FloatArray:
+def numeric_jacobian(residuals: Callable[[FloatArray], FloatArray], z: FloatArray, step: FloatArray) -> FloatArray:
     return np.stack(
         [(residuals(z + e) - residuals(z - e)) / (2 * size) for e, size in zip(np.diag(step), step, strict=True)], axis=1
     )
 
 
 @pytest.mark.parametrize("cost", ["weighted", "squares"])
-def test_derivatives_of_the_norm_problem(cost: str) -> None:
+def test_derivatives_of_the_norm_problem(cost: CostName) -> None:
     problem = population("body", cost)
     z = np.random.default_rng(3).standard_normal(15)
     expected = numeric_jacobian(problem.residuals, z, np.full(15, 1e-2))

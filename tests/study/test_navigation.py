@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from imufield.samples import FloatArray
 from imufield.study.navigation import DOWN_UP, Noise, align, navigate_at_rest, rest_inputs
 
 pytest.importorskip("pyins", reason="needs the nav extra")
@@ -13,7 +14,7 @@ LATITUDE = 45.0
 SILENT = Noise(0.0, 0.0)
 
 
-def rest(heading_deg: float = 0.0):
+def rest(heading_deg: float = 0.0) -> tuple[FloatArray, FloatArray]:
     return rest_inputs(LATITUDE, heading_deg)
 
 
@@ -32,7 +33,8 @@ def test_alignment_finds_the_heading() -> None:
 
 
 def test_a_perfect_unit_stays_where_it_is() -> None:
-    errors = navigate_at_rest(*rest(30.0), LATITUDE, hours=5, noise=SILENT, rng=np.random.default_rng(0))
+    force, rate = rest(30.0)
+    errors = navigate_at_rest(force, rate, LATITUDE, hours=5, noise=SILENT, rng=np.random.default_rng(0))
     assert errors.hours[-1] == pytest.approx(5.0)
     assert errors.position_nmi.max() < 1e-3
 

@@ -4,8 +4,9 @@ All share initialisation within the bounds (eq. 9), crossover (eq. 12) and selec
 made. The paper maximises ``f = 1 / L``; here ``L`` itself is minimised, and ``1 / f_min - 1 / f_max`` of eq. 17 is the
 difference between the largest and smallest cost of the population.
 
-What the paper does not print: ``F_max`` and ``F_min`` (1.2 and 0.3 work, with 0.1 the population freezes before it arrives),
-and what becomes of a candidate outside the bounds (its offending entries are drawn anew within them).
+What the paper does not print: ``F_max`` and ``F_min``, and what becomes of a candidate outside the bounds (its offending
+entries are drawn anew within them). With 1.2 and 0.35 all of 300 runs in the setting of Table 2 ended within 3e-8 of the
+optimum; with 0.3 one of 100 froze 6e-5 above it, with 0.5 half had not quite arrived.
 
 References
 ----------
@@ -43,7 +44,7 @@ class DeSettings:
     CR: float = 0.6
     """Crossover probability."""
     F_max: float = 1.2
-    F_min: float = 0.3
+    F_min: float = 0.35
     alpha: float = 0.1
     beta: float = 0.15
     tolerance: float = 1e-6

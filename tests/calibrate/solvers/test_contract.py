@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,8 +56,8 @@ class SolverContract:
     tolerance = 1e-3
     """Distance from the centre of the bowl that counts as found."""
 
-    def solve(self, problem: Problem, seed: int = 1, **options: object) -> SolverResult:
-        chosen = {} if self.settings is None else {"settings": self.settings}
+    def solve(self, problem: Problem, seed: int = 1, **options: Any) -> SolverResult:
+        chosen: dict[str, Any] = {} if self.settings is None else {"settings": self.settings}
         return load_solver(self.name)(problem, rng=np.random.default_rng(seed), **{**chosen, **options})
 
     def test_finds_the_bottom_of_a_bowl(self) -> None:

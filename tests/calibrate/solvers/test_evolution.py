@@ -49,7 +49,7 @@ def test_weights_follow_equations_16_and_17() -> None:
     settings = DeSettings()
     start = evolution._Weights.at(0, np.array([1.0, 3.0]), "adaptive", settings)
     assert start.b == 0
-    assert pytest.approx(1.2 - 0.9 / (1 + 0.1 * 2 + 0.15)) == start.F
+    assert pytest.approx(1.2 - 0.85 / (1 + 0.1 * 2 + 0.15)) == start.F
     end = evolution._Weights.at(settings.EG, np.array([1.0, 1.0]), "adaptive", settings)
     assert end.b == 1
     assert pytest.approx(settings.F_min) == end.F

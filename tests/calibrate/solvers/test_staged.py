@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import CONVERGED, SolverResult
+from imufield.calibrate.solvers.base import CONVERGED, Callback, Problem, SolverResult
 from imufield.calibrate.solvers.staged import (
     PAPER_CATEGORIES,
     CategoryProblem,
@@ -59,7 +59,7 @@ def test_realistic_presets_stall_far_above_and_are_not_called_converged() -> Non
 def test_stages_follow_one_another_for_any_solver() -> None:
     calls: list[int] = []
 
-    def count(problem, *, rng=None, callback=None) -> SolverResult:
+    def count(problem: Problem, *, rng: np.random.Generator | None = None, callback: Callback | None = None) -> SolverResult:
         calls.append(len(problem.start))
         return SolverResult(problem.start, 1.0, CONVERGED, "", 1, np.ones(1))
 
