@@ -427,6 +427,24 @@ def report(
 
 
 @app.command()
+def history(
+    folder: Annotated[Path, typer.Argument(help="Folder of parameter files, searched below too.")] = Path("imufield-sessions"),
+    serial: Annotated[str | None, typer.Option(help="Only this serial number.")] = None,
+    stale_days: Annotated[float, typer.Option(help="Age at which a calibration is old.", min=0)] = 365.0,
+    csv: Annotated[Path | None, typer.Option(help="Write every number of every calibration to this file.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw one instrument over time, SVG.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show how the parameters of each instrument changed from calibration to calibration, in units of sigma.
+
+    Example: imufield history calibrations --serial 1234 --plot drift.svg
+    """
+    from imufield.commands.history import HistoryOptions, run_history
+
+    run_history(HistoryOptions(folder, serial, stale_days, csv, plot, as_json))
+
+
+@app.command()
 def emulate(
     driver: Annotated[str, typer.Argument(help="Instrument family, see `imufield devices`.")],
     rate_hz: Annotated[float | None, typer.Option(help="Sample rate (default: the instrument's usual one).", min=1)] = None,

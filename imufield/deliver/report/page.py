@@ -101,6 +101,7 @@ def _facts(data: ReportData) -> dict[str, Any]:
         "requirements": _requirements(data.verification),
         "passed": None if data.verification is None else data.verification.get("passed"),
         "provenance": [*_provenance(data), *data.provenance],
+        "record_provenance": [*_provenance(data), *data.provenance[:2]],
         "operator": data.operator,
         "sha256": content_sha256(parameters.document),
     }
@@ -148,7 +149,7 @@ def _quality(calibration: Calibration) -> Iterator[tuple[str, str]]:
     yield "Residual, RMS", f"{quality.residual_rms_m_s2 / size:.3g} {unit}"
     yield "Residual, largest", f"{quality.residual_max_m_s2 / size:.3g} {unit}"
     if math.isfinite(quality.leave_one_out_rms_m_s2):
-        yield "Each position left out once, RMS", f"{quality.leave_one_out_rms_m_s2 / size:.3g} {unit}"
+        yield "Left out once, RMS", f"{quality.leave_one_out_rms_m_s2 / size:.3g} {unit}"
     yield "Scatter between positions", f"{quality.between_position_sigma_m_s2 / size:.3g} {unit}"
     yield "Positions to spare", str(quality.degrees_of_freedom)
     if math.isfinite(quality.condition):
@@ -160,21 +161,25 @@ def _checks(verification: Document | None) -> Iterator[tuple[str, str]]:
     positions, navigation = ((verification or {}).get(key) for key in ("positions", "navigation"))
     if positions:
         sigma = positions["forecast_rms_m_s2"]
-        words = f"{positions['rms_m_s2'] / MICRO_G:.3g} µg RMS"
+        words = f"{_short(positions['rms_m_s2'] / MICRO_G)} µg RMS"
         if positions["before_rms_m_s2"] is not None:
-            words += f", before {positions['before_rms_m_s2'] / MICRO_G:.3g} µg"
+            words += f", before {_short(positions['before_rms_m_s2'] / MICRO_G)} µg"
         if sigma is not None:
             verdict = "as forecast" if positions["as_forecast"] else "larger than forecast"
-            words += f"; forecast {sigma / MICRO_G:.3g} µg: {verdict}"
+            words += f"; forecast {_short(sigma / MICRO_G)} µg: {verdict}"
         yield f"Held-out positions ({positions['how']})", words
     if navigation:
-        drifts = ", ".join(f"{name} {drift['rate_nmi_per_h']:.3g} nmi/h" for name, drift in navigation["drift"].items())
+        drifts = ", ".join(f"{name} {_short(drift['rate_nmi_per_h'])} nmi/h" for name, drift in navigation["drift"].items())
         forecast = navigation.get("forecast")
         if forecast:
             verdict = "as forecast" if forecast["as_forecast"] else "more than forecast"
-            drifts += f"; forecast at most {forecast['rate_95_nmi_per_h']:.3g} nmi/h (95 %): {verdict}"
+            drifts += f"; forecast at most {_short(forecast['rate_95_nmi_per_h'])} nmi/h (95 %): {verdict}"
         turned = ", turned over after the alignment" if navigation["turned"] else ""
         yield f"Static navigation, {navigation['navigated_s'] / 3600:.2f} h{turned}", drifts
+
+
+def _short(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def _requirements(verification: Document | None) -> list[dict[str, str]]:
@@ -253,7 +258,7 @@ def _ended(found: tuple[Convergence, ...]) -> str:
 
 def _check_figures(verification: Document) -> Iterator[Figure]:
     positions, navigation = verification.get("positions"), verification.get("navigation")
-    if positions and positions["forecast_rms_m_s2"] is not None:
+    if positions and positions["forecast_rms_m_s2"] is not None and len(positions["name"]) > 1:
         yield Figure(
             "Held-out positions",
             plots.held_out(positions),

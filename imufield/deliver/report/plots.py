@@ -134,12 +134,12 @@ def _hemisphere(axes: Any, upper: bool) -> None:
     for tilt, style in ((90, "-"), (45, ":")):
         radius = np.sqrt(2) * np.sin(np.radians(tilt) / 2)
         axes.plot(radius * np.cos(angle), radius * np.sin(angle), style, color=GREY, linewidth=0.8)
-    for label, x, y in (("+x", 1.1, 0), ("-x", -1.1, 0), ("+y", 0, 1.1), ("-y", 0, -1.1)):
+    for label, x, y in (("+x", 1.2, 0), ("-x", -1.2, 0), ("+y", 0, 1.24), ("-y", 0, -1.2)):
         axes.text(x, y, label, ha="center", va="center", fontsize=8, color=GREY)
     axes.set_title("z axis up or level" if upper else "z axis down")
     axes.set_aspect("equal")
-    axes.set_xlim(-1.28, 1.28)
-    axes.set_ylim(-1.28, 1.28)
+    axes.set_xlim(-1.32, 1.32)
+    axes.set_ylim(-1.32, 1.36)
     axes.axis("off")
 
 
@@ -188,8 +188,10 @@ def held_out(document: Document) -> str:
 
 
 def _position_axis(axes: Any, names: tuple[str, ...], unit: str) -> None:
-    axes.set_xticks(np.arange(len(names)), names, rotation=90 if len(names) > 8 else 0, fontsize=7)
-    axes.set_xlim(-0.7, len(names) - 0.3)
+    # "free 7: near +x" stands for a position nobody planned.
+    short = [name.removeprefix("free ").replace(": near", "") for name in names]
+    axes.set_xticks(np.arange(len(names)), short, rotation=90 if len(names) > 8 else 0, fontsize=7)
+    axes.set_xlim(-0.7, max(len(names), 8) - 0.3)
     axes.set_ylabel(unit)
     axes.legend(loc="upper left", bbox_to_anchor=(0, 1.18), ncols=3)
 
@@ -208,10 +210,17 @@ def stillness(trace: Trace, start_s: FloatArray, duration_s: FloatArray) -> str:
         panels[1].set_ylabel("turning, °/s")
     for axes in panels:
         axes.set_yscale("log")
+        _plain_ticks(axes.yaxis)
         for begin, length in zip(start_s / 60, duration_s / 60, strict=True):
             axes.axvspan(begin, begin + length, facecolor="#e4edf6", edgecolor=GREY, hatch="....", linewidth=0.3, zorder=0)
     panels[-1].set_xlabel("minutes; shaded: taken as a position")
     return to_svg(drawn, "stillness")
+
+
+def _plain_ticks(*axes: Any) -> None:
+    """Write 0.01 where matplotlib would write a power of ten in a font of its own."""
+    for axis in axes:
+        axis.set_major_formatter("{x:g}")
 
 
 def convergence(found: tuple[Convergence, ...]) -> str:
@@ -228,6 +237,7 @@ def convergence(found: tuple[Convergence, ...]) -> str:
         )
     axes.set_xscale("log")
     axes.set_yscale("log")
+    _plain_ticks(axes.xaxis, axes.yaxis)
     axes.set_xlabel("iteration")
     axes.set_ylabel("cost over best, less 1")
     axes.legend(loc="lower left")

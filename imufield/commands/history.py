@@ -1,0 +1,122 @@
+"""``imufield history``: parameters of instruments over time, from a folder of parameter files."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from imufield.acquire.session import DEFAULT_ROOT
+from imufield.deliver.history import (
+    STALE_DAYS,
+    Change,
+    History,
+    InstrumentHistory,
+    Number,
+    plot_history,
+    read_history,
+    sentences,
+    to_csv,
+)
+from imufield.deliver.numbers import to_ascii, with_sigma
+from imufield.errors import Reason, UsageError
+from imufield.files import write_atomically
+
+
+@dataclass(frozen=True, slots=True)
+class HistoryOptions:
+    """Options of the command."""
+
+    folder: Path = DEFAULT_ROOT
+    serial_number: str | None = None
+    stale_days: float = STALE_DAYS
+    csv: Path | None = None
+    plot: Path | None = None
+    as_json: bool = False
+
+
+def run_history(options: HistoryOptions, now: datetime | None = None) -> History:
+    """Print the history of every instrument, and write the table and the plot where asked.
+
+    Raises
+    ------
+    UsageError
+        If the folder holds no parameter file, a file cannot be written, or several instruments are to be plotted at once.
+    """
+    now = now or datetime.now(UTC)
+    history = read_history(options.folder, options.serial_number)
+    if options.plot is not None and len(history.instruments) > 1:
+        names = ", ".join(one.serial_number or one.title for one in history.instruments)
+        raise UsageError(f"--plot shows one instrument and {options.folder} holds {names}; choose one with --serial")
+    if options.csv is not None:
+        _write(options.csv, to_csv(history).encode("utf-8"))
+    if options.plot is not None:
+        _write(options.plot, plot_history(history.instruments[0]))
+    if options.as_json:
+        typer.echo(json.dumps(_document(history, options, now)))
+    else:
+        _print(history, options, now)
+    for fault in history.faults:
+        typer.echo(f"left out: {fault}", err=True)
+    return history
+
+
+def _print(history: History, options: HistoryOptions, now: datetime) -> None:
+    for instrument in history.instruments:
+        count = len(instrument.entries)
+        typer.echo(f"{instrument.title}: {count} calibration{'s' if count > 1 else ''}")
+        for entry in instrument.entries:
+            typer.echo(f"  {entry.created[:10]}  {entry.verdict:<7} {entry.path}")
+        changes = {one.name: one for one in instrument.changes()}
+        for number in instrument.entries[-1].numbers:
+            typer.echo(_line(number, changes.get(number.name)))
+        for sentence in sentences(instrument, now, options.stale_days):
+            typer.echo(f"  - {sentence}")
+        typer.echo("")
+
+
+def _line(number: Number, change: Change | None) -> str:
+    moved = "" if change is None or math.isnan(change.in_sigma) else f"{change.in_sigma:+6.1f} sigma"
+    value = to_ascii(with_sigma(number.value, number.sigma, sign=True))
+    return f"    {number.name:<18} {value:>24} {number.unit:<18}{moved}".rstrip()
+
+
+def _document(history: History, options: HistoryOptions, now: datetime) -> dict[str, Any]:
+    return {
+        "folder": str(history.folder),
+        "instruments": [_instrument(one, options, now) for one in history.instruments],
+        "faults": list(history.faults),
+    }
+
+
+def _instrument(instrument: InstrumentHistory, options: HistoryOptions, now: datetime) -> dict[str, Any]:
+    return {
+        "instrument": instrument.instrument,
+        "serial_number": instrument.serial_number,
+        "age_days": instrument.age_days(now),
+        "stale": instrument.age_days(now) > options.stale_days,
+        "sentences": list(sentences(instrument, now, options.stale_days)),
+        "calibrations": [
+            {
+                "created": entry.created,
+                "verdict": entry.verdict,
+                "file": entry.path,
+                "parameters": {one.name: {"value": one.value, "sigma": one.sigma, "unit": one.unit} for one in entry.numbers},
+            }
+            for entry in instrument.entries
+        ],
+    }
+
+
+def _write(path: Path, data: bytes) -> None:
+    try:
+        write_atomically(path, data)
+    except OSError as error:
+        raise UsageError(
+            f"{path} cannot be written ({error.strerror}); choose another place", Reason.NO_PERMISSION, path=str(path)
+        ) from error
