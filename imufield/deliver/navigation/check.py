@@ -19,7 +19,7 @@ from imufield.deliver.navigation.alignment import Alignment, RestMeans, align
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.forecast import RUNS, Forecast, RandomErrors, Scene, forecast
 from imufield.deliver.navigation.mechanise import Mechanisation, load_pyins
-from imufield.deliver.navigation.rest import SECOND_S, RestNoise, IntervalMeans, fill_gaps, measure_noise, moving_seconds
+from imufield.deliver.navigation.rest import SECOND_S, IntervalMeans, RestNoise, fill_gaps, measure_noise, moving_seconds
 from imufield.deliver.parameters import Corrected
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
 from imufield.samples import FloatArray, Samples
