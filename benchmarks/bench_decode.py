@@ -1,10 +1,14 @@
-"""Bytes to samples of the STIM300, against a careful parser of one frame at a time, both timed in this run.
+"""Bytes to samples of every byte-stream format.
 
-The stream is made here: datagrams 0x93 with CR LF (40 bytes), counter stepping as at 2000 Hz.
+The STIM300 is timed against a careful parser of one frame at a time, MicroStrain against the maker's own C++ library
+(``pip install pymscl``; left out where it is not there), both in this run. All streams are made here: those of the STIM300
+are datagrams 0x93 with CR LF (40 bytes), counter stepping as at 2000 Hz.
 """
 
 from __future__ import annotations
 
+import multiprocessing
+import socket
 import struct
 import time
 from collections.abc import Callable, Iterator
@@ -12,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.wire_streams import STREAMS, Stream, microstrain
 from imufield.acquire.checksum import make_checksum
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol import load_protocol
+from imufield.acquire.protocol import Protocol, load_protocol
 
 FRAMES = 200_000
 PEER_FRAMES = 20_000
@@ -88,8 +93,8 @@ def _blocks(data: bytes, size: int) -> Iterator[bytes]:
     return (data[at : at + size] for at in range(0, len(data), size))
 
 
-def _decode(data: bytes, size: int) -> int:
-    decoder = Decoder(load_protocol("stim300"))
+def _decode(data: bytes, size: int, protocol: Protocol | None = None) -> int:
+    decoder = Decoder(protocol or load_protocol("stim300"))
     count = 0
     for number, block in enumerate(_blocks(data, size)):
         count += len(decoder.feed(block, number * size / 80_000))
@@ -109,8 +114,61 @@ def _row(name: str, value: float, unit: str, peer: float | None = None) -> dict[
     return {"name": name, "value": value, "unit": unit, "peer": peer, "ratio": None if peer is None else value / peer}
 
 
+def _format_rows(make: Callable[[int], Stream], peer: float | None) -> Iterator[dict[str, Any]]:
+    stream = make(FRAMES)
+    protocol = load_protocol(stream.protocol, stream.settings)
+    size = len(stream.data) // stream.frames
+    frames = stream.frames
+    large = frames / _best_s(lambda: _decode(stream.data, BLOCK_BYTES, protocol)) / 1e6
+    yield _row(f"{stream.name}, 64 KiB blocks", large, "million frames/s", peer)
+    small = stream.data[: 80 * size * (frames // 800)]
+    rate = len(small) / size / _best_s(lambda: _decode(small, 80 * size, protocol)) / 1e6
+    yield _row(f"{stream.name}, blocks of 80 frames", rate, "million frames/s", peer)
+
+
+def _serve(data: bytes, port: Any) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port.put(server.getsockname()[1])
+        connection, _ = server.accept()
+        time.sleep(0.5)
+        connection.sendall(data)
+        time.sleep(10)
+
+
+def mscl_rate() -> float | None:
+    """Return packets per second of the maker's library in millions, None where it is not installed.
+
+    Only the time of this process counts, so that waiting for the socket costs nothing; values are not even asked for.
+    """
+    try:
+        import mscl
+    except ImportError:
+        return None
+    port: Any = multiprocessing.Queue()
+    stream = microstrain(100_000)
+    server = multiprocessing.Process(target=_serve, args=(stream.data, port), daemon=True)
+    server.start()
+    node = mscl.InertialNode(mscl.Connection.TcpIp("127.0.0.1", port.get()))
+    packets, begin = 0, time.process_time()
+    while packets < 0.9 * stream.frames and (found := len(node.getDataPackets(2000))):
+        packets += found
+    used_s = time.process_time() - begin
+    server.terminate()
+    return packets / used_s / 1e6 if packets else None
+
+
 def run() -> list[dict[str, Any]]:
     """Return one row for each figure: name, value, unit, peer's value and ratio (None where there is no peer)."""
+    return [*_stim300_rows(), *_all_format_rows()]
+
+
+def _all_format_rows() -> Iterator[dict[str, Any]]:
+    mscl_peer = mscl_rate()
+    for make in STREAMS:
+        yield from _format_rows(make, mscl_peer if make.__name__.startswith("microstrain") else None)
+
+
+def _stim300_rows() -> list[dict[str, Any]]:
     clean = make_stream(FRAMES)
     short = clean[: 40 * PEER_FRAMES]
     parser = PerFrameParser()
