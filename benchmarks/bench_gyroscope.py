@@ -10,10 +10,10 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from gyroscope_sessions import Session, rolled, simulate
 
 from imufield.calibrate.accelerometer import calibrate_accelerometer
 from imufield.calibrate.gyroscope_fit import fit_turns_only
@@ -32,8 +32,15 @@ from imufield.guide.free import StillIntervalFinder, find_still_intervals
 from imufield.guide.positions import scheme
 from imufield.guide.scale import RoughScale
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
+from imufield.simulate.grades import GRADES, draw_truth
+from imufield.simulate.imu import Imu, ImuSettings
+from imufield.simulate.operator import Operator, OperatorSettings
 
-SHARED = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
+PROJECT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(PROJECT / "tests" / "calibrate"))
+from gyroscope_sessions import BLOCK, Session, rolled, simulate, steady  # noqa: E402 (it lies beside the tests)
+
+SHARED = PROJECT.parent / "shared" / "data"
 DEG_PER_HOUR = np.radians(1.0) / 3600
 
 
@@ -56,14 +63,12 @@ def prepare(samples: Samples, zero: float, gravity: float) -> GyroscopeInput:
 
 def as_imu_tk(samples: Samples, given: GyroscopeInput) -> FloatArray:
     """K E on imu_tk's model: bias of the first 50 s, no g-sensitivity, moves unweighted."""
-    from dataclasses import replace
-
     first = samples.gyroscope[samples.time_s < 50].mean(axis=0)
     observations = replace(given.observations, gyroscope_mean_raw=np.tile(first, (len(given.observations), 1)))
     data = make_data(replace(given, observations=observations))
     p = np.zeros(data.parameters)
     p[:9] = rough_inverse(data.slots).ravel()
-    return np.linalg.inv(fit_turns_only(data, p)[:9].reshape(3, 3))
+    return np.asarray(np.linalg.inv(fit_turns_only(data, p)[:9].reshape(3, 3)), dtype=np.float64)
 
 
 def real() -> None:
@@ -128,7 +133,7 @@ def static_session(seed: int, seconds: float) -> tuple[StaticData, FloatArray, F
     raw = rate @ M.T + bias + sigma * rng.standard_normal((24, 3))
     seen = up + 1e-5 * rng.standard_normal((24, 3))
     seen /= np.linalg.norm(seen, axis=1)[:, None]
-    return StaticData(raw, np.tile(sigma**2 * np.eye(3), (24, 1, 1)), seen, np.arange(24) * (seconds + 10)), M, bias
+    return StaticData(raw, np.tile(sigma**2 * np.eye(3), (24, 1, 1)), seen, np.arange(24) * (seconds + 10.0)), M, bias
 
 
 def navigation(count: int = 100) -> None:
@@ -137,7 +142,7 @@ def navigation(count: int = 100) -> None:
         errors, contradiction = [], []
         for seed in range(count):
             data, M, bias = static_session(seed, seconds)
-            A = np.linalg.inv(M) if free == "bias" else np.eye(3)
+            A: FloatArray = np.asarray(np.linalg.inv(M)) if free == "bias" else np.eye(3)
             fitted = fit_static(data, A, 45.0, free)
             found = np.linalg.inv(fitted.x[:9].reshape(3, 3)) @ fitted.x[9:12]
             errors.append((found - bias) / DEG_PER_HOUR)
@@ -173,17 +178,11 @@ def turntable(count: int = 30) -> None:
 
 
 def _off_diagonal(M: FloatArray) -> FloatArray:
-    return (M / np.diag(M)[:, None])[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS]
+    return np.asarray(M / np.diag(M)[:, None])[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS]
 
 
 def speed() -> None:
     """A 40-minute session at 2000 Hz: the samples are made beforehand, block by block, and only our part is timed."""
-    from gyroscope_sessions import BLOCK, steady
-
-    from imufield.simulate.grades import GRADES, draw_truth
-    from imufield.simulate.imu import Imu, ImuSettings
-    from imufield.simulate.operator import Operator, OperatorSettings
-
     instrument = steady(draw_truth(GRADES["mems"], np.random.default_rng(1)))
     operator = Operator(scheme("paper24").directions(), 1, OperatorSettings(hold_s=97.0, initial_still_s=20.0))
     imu = Imu(instrument, 1, ImuSettings(rate_hz=2000.0))

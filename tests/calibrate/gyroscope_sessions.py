@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,11 +22,12 @@ from imufield.samples import FloatArray, Samples
 from imufield.simulate.drift import Drift
 from imufield.simulate.grades import GRADES, Instrument, draw_truth
 from imufield.simulate.imu import Imu, ImuSettings
-from imufield.simulate.motion import Site, conjugate, multiply
+from imufield.simulate.motion import Site, conjugate, logarithm, multiply
 from imufield.simulate.operator import Operator, OperatorSettings
 from imufield.simulate.pieces import Piece
 
 BLOCK = 4000
+Damage = Callable[[Samples], Samples]
 
 
 @dataclass(frozen=True)
@@ -34,41 +35,56 @@ class Session:
     given: GyroscopeInput
     truth: GyroscopeParameters
     calibration: Calibration
+    turn_times_s: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A whole turn that the operator makes at the end."""
+
+    axis: FloatArray
+    """Body axis, unit."""
+    angle_rad: float = 2 * np.pi
+    upright: bool = False
+    """About the vertical instead of a horizontal axis."""
 
 
 class Turner(Operator):
-    """An operator who, at the end, rolls the unit over: whole turns about each axis, both ways."""
+    """An operator who, at the end, turns the unit over: whole turns about body axes."""
 
-    def __init__(self, directions, seed, settings, site, turns: tuple[tuple[FloatArray, float], ...]) -> None:
+    def __init__(
+        self, directions: FloatArray, seed: int, settings: OperatorSettings, site: Site, turns: tuple[Turn, ...]
+    ) -> None:
         super().__init__(directions, seed, settings, site)
         self._turns = turns
+        self.turn_times_s: list[float] = []
 
     def plan_all(self) -> float:
-        super().plan_all()
+        end_s = super().plan_all()
+        if not self._turns:
+            return end_s
         last = self._pieces.pop()
         self._stills[-1] = replace(self._stills[-1], end_s=last.start_s)
         rng = np.random.default_rng([self._seed, 303])
         at, end_s = last.quaternion_nb, last.start_s
-        for axis, turn_rad in self._turns:
-            at, end_s = self._place(axis, rng, at, end_s)
+        for turn in self._turns:
+            at, end_s = self._place(turn, rng, at, end_s)
             wobble = self.settings.wobble_rad * rng.standard_normal(3)
-            piece = Piece(
-                end_s, end_s + rng.uniform(3.0, 4.0), at, turn_rad * axis, wobble, 1.0, 0.05, (0.05, 0.02, 0.0), self._hand
-            )
-            end_s = self._then_rest(piece)
-            at = piece.final_quaternion
+            stop_s = end_s + rng.uniform(3.0, 4.0)
+            piece = Piece(end_s, stop_s, at, turn.angle_rad * turn.axis, wobble, 1.0, 0.05, (0.05, 0.02, 0.0), self._hand)
+            self.turn_times_s.append((end_s + stop_s) / 2)
+            end_s, at = self._then_rest(piece), piece.final_quaternion
         self._pieces.append(replace(last, start_s=end_s, quaternion_nb=at))
         self._finished_s = end_s
         return end_s
 
-    def _place(self, axis: FloatArray, rng: np.random.Generator, at: FloatArray, end_s: float) -> tuple[FloatArray, float]:
-        """Lay the unit so that ``axis`` is horizontal, unless it is."""
-        up = np.roll(axis, 1)
+    def _place(self, turn: Turn, rng: np.random.Generator, at: FloatArray, end_s: float) -> tuple[FloatArray, float]:
+        """Lay the unit so that the axis is horizontal, or upright."""
+        up = turn.axis if turn.upright else np.roll(turn.axis, 1)
         target = self._target(at, up, rng)
-        from imufield.simulate.motion import logarithm
-
-        turn = logarithm(multiply(conjugate(at), target))
-        piece = Piece(end_s, end_s + 3.0, at, turn, np.zeros(3), lift_m=0.05, hand=self._hand)
+        piece = Piece(
+            end_s, end_s + 3.0, at, logarithm(multiply(conjugate(at), target)), np.zeros(3), lift_m=0.05, hand=self._hand
+        )
         return piece.final_quaternion, self._then_rest(piece)
 
     def _then_rest(self, piece: Piece) -> float:
@@ -77,9 +93,9 @@ class Turner(Operator):
         return rest_s
 
 
-def rolled(times: int = 3) -> tuple[tuple[FloatArray, float], ...]:
+def rolled(times: int = 3) -> tuple[Turn, ...]:
     """Whole turns about each axis, both ways, as often as asked."""
-    return tuple((np.eye(3)[axis], way * 2 * np.pi) for _ in range(times) for axis in range(3) for way in (1.0, -1.0))
+    return tuple(Turn(np.eye(3)[axis], way * 2 * np.pi) for _ in range(times) for axis in range(3) for way in (1.0, -1.0))
 
 
 def steady(instrument: Instrument) -> Instrument:
@@ -90,13 +106,9 @@ def steady(instrument: Instrument) -> Instrument:
 def mean_drift(instrument: Instrument, seed: int, observations: Observations) -> FloatArray:
     """Return the mean drift of the gyroscope over the stills, rad/s: the bias of a session is what it was in that session."""
     grade = instrument.grade
-    figures = [
-        np.repeat([a, g], 3)
-        for a, g in zip(
-            *((triad.bias_instability, triad.random_walk) for triad in (grade.accelerometer, grade.gyroscope)), strict=True
-        )
-    ]
-    drift = Drift(*figures, np.random.default_rng([seed, 102]))
+    instability = np.repeat([grade.accelerometer.bias_instability, grade.gyroscope.bias_instability], 3)
+    walk = np.repeat([grade.accelerometer.random_walk, grade.gyroscope.random_walk], 3)
+    drift = Drift(instability, walk, np.random.default_rng([seed, 102]))
     centre_s = np.sort(observations.start_s + observations.duration_s / 2)
     return np.asarray(np.mean([drift.at(np.array([time_s]))[0, 3:] for time_s in centre_s], axis=0))
 
@@ -113,32 +125,27 @@ def simulate(
     grade: str = "mems",
     rate_hz: float = 200.0,
     hold_s: float = 12.0,
-    turns: tuple[tuple[FloatArray, float], ...] = (),
+    turns: tuple[Turn, ...] = (),
     settings: ImuSettings | None = None,
     latitude_deg: float | None = 45.0,
-    instrument: Instrument | None = None,
     positions: FloatArray | None = None,
-    quadratic: bool = True,
+    damage: Damage | None = None,
 ) -> Session:
-    """Simulate a session and bring it to where the gyroscope is calibrated."""
-    drawn = instrument or steady(draw_truth(GRADES[grade], np.random.default_rng([seed, 7])))
-    if not quadratic:
-        drawn = replace(drawn, accelerometer=replace(drawn.accelerometer, quadratic=np.zeros(3)))
+    """Simulate a session and bring it to where the gyroscope is calibrated; ``damage`` is done to every block."""
+    drawn = steady(draw_truth(GRADES[grade], np.random.default_rng([seed, 7])))
     habits = OperatorSettings(hold_s=hold_s, initial_still_s=hold_s)
     directions = scheme("paper24").directions() if positions is None else positions
-    operator = Turner(directions, seed, habits, Site(), turns) if turns else Operator(directions, seed, habits, Site())
+    operator = Turner(directions, seed, habits, Site(), turns)
     imu = Imu(drawn, seed, settings or ImuSettings(rate_hz=rate_hz))
-    units = drawn.grade.units
-    finder = StillIntervalFinder(units, RoughScale.of_units(units))
-    collector = MoveCollector(units)
+    finder = StillIntervalFinder(drawn.grade.units, RoughScale.of_units(drawn.grade.units))
+    collector = MoveCollector(drawn.grade.units)
     for block in blocks(imu, operator):
         finder.feed(block)
-        collector.feed(block)
+        collector.feed(block if damage is None else damage(block))
     observations = finder.finish().observations
-    gravity = Gravity(Site().gravity_m_s2, 1e-5, "typed", 45.0)
-    calibration = calibrate_accelerometer(observations, gravity)
+    calibration = calibrate_accelerometer(observations, Gravity(Site().gravity_m_s2, 1e-5, "typed", 45.0))
     moves = collector.finish(observations.start_s, observations.duration_s)
     truth = replace(drawn.gyroscope, bias=drawn.gyroscope.bias + drawn.gyroscope.scale * mean_drift(drawn, seed, observations))
     rotation = change_gauge(to_vector(drawn.accelerometer), "lower").rotation
     given = GyroscopeInput(observations, moves, calibration, latitude_deg=latitude_deg)
-    return Session(given, turn_gyroscope(truth, rotation), calibration)
+    return Session(given, turn_gyroscope(truth, rotation), calibration, tuple(operator.turn_times_s))
