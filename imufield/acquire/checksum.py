@@ -26,6 +26,8 @@ Bytes = NDArray[np.uint8]
 Values = NDArray[np.uint64]
 Positions = NDArray[np.intp]
 
+_EXACT_IN_SINGLE = 361
+"""Longest message whose weighted sum, at most 255 n (n + 1) / 2, stays below 2^24, so that single precision is exact."""
 _ROWS_AT_ONCE = 1024
 """Rows looked up together: keeps the index array (8 bytes for each byte of a frame) in the second-level cache."""
 
@@ -197,6 +199,8 @@ class Sum(Checksum):
         self._words = words
 
     def _rows(self, rows: Bytes) -> Values:
+        if self.size == 1:
+            return self._finish(np.add.reduce(rows, axis=1, dtype=np.uint8).astype(np.uint64))
         total = rows.sum(axis=1, dtype=np.uint64)
         if self._words:
             total += np.uint64(255) * rows[:, 1::2].sum(axis=1, dtype=np.uint64)
@@ -234,6 +238,10 @@ class Fletcher(Checksum):
 
     def _rows(self, rows: Bytes) -> Values:
         weights = np.arange(rows.shape[1], 0, -1, dtype=np.uint64)
+        if rows.shape[1] <= _EXACT_IN_SINGLE:
+            both = np.stack([np.ones(len(weights)), weights], axis=1).astype(np.float32)
+            sums = (rows.astype(np.float32) @ both).astype(np.uint64)
+            return self._join(sums[:, 0], sums[:, 1])
         return self._join(rows.sum(axis=1, dtype=np.uint64), (rows * weights).sum(axis=1, dtype=np.uint64))
 
     def _spans(self, span: _Ragged, lengths: Positions) -> Values:  # noqa: ARG002  the weights say it

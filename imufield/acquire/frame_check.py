@@ -193,7 +193,6 @@ class FrameCheck:
         self.longest = min(max(form.longest for form in self._forms), LONGEST_FRAME)
         self.mixes_lengths = any(form.form.length or form.form.masks for form in self._forms) or len(self._forms) > 1
         """Whether frames of several lengths are usual in one stream."""
-        self._has_structure = any(form.form.has_structure for form in self._forms)
         self._shapes: dict[int, Shape] = {}
         self._families: dict[int, list[int]] = {}
         self._next = 0
@@ -242,26 +241,28 @@ class FrameCheck:
         judged = np.full(len(starts), INVALID if last else INCOMPLETE, dtype=np.int8)
         judged[lengths == NONE] = INVALID
         complete = (lengths > 0) & (starts + lengths <= len(buffer))
-        judged[complete] = self.fit(buffer, starts[complete], lengths[complete])
+        judged[complete] = self.fit(buffer, starts[complete], lengths[complete]) != NO_SHAPE
         return judged
 
-    def rows_fit(self, rows: Rows) -> NDArray[np.bool_]:
-        """Return which frames of one length are good and, where that may differ, have the shape of the first. Shape (n,)."""
+    def rows_fit(self, rows: Rows) -> tuple[NDArray[np.bool_], int]:
+        """Return which frames of one length are good, shape (n,), and the shape they have in common.
+
+        Where parts of frames may differ, a good frame has the shape of the first one. Elsewhere there may be several shapes,
+        and ``NO_SHAPE`` is returned.
+        """
         one = len(self._forms) == 1
         form = self._forms[0 if one else int(self._form_of(rows[0], np.zeros(1, dtype=np.intp))[0])]
-        good = form.same_length(rows)
+        good, number = form.same_length(rows), NO_SHAPE
         if form.form.has_structure:
-            shape = form.form.shape(rows[0].tobytes())
-            if shape is None:
-                return np.zeros(len(rows), dtype=np.bool_)
-            good &= _have(rows, shape)
+            number = int(self.shapes(rows[0], np.zeros(1, dtype=np.intp), np.array([rows.shape[1]]))[0])
+            if number == NO_SHAPE:
+                return np.zeros(len(rows), dtype=np.bool_), NO_SHAPE
+            good &= _have(rows, self._shapes[number])
         good &= form.fits(rows)
-        return good
+        return good, number
 
-    def fit(self, buffer: Bytes, starts: Positions, lengths: Positions) -> NDArray[np.bool_]:
-        """Return which whole frames are good, shape (n,)."""
-        if len(starts) == 0:
-            return np.empty(0, dtype=np.bool_)
+    def fit(self, buffer: Bytes, starts: Positions, lengths: Positions) -> NDArray[np.int64]:
+        """Return the shapes of whole frames, ``NO_SHAPE`` where they are not good. Shape (n,)."""
         good = np.zeros(len(starts), dtype=np.bool_)
         for form, mine in self._by_form(buffer, starts):
             ordered = lengths[mine]
@@ -272,9 +273,12 @@ class FrameCheck:
             for length in different:
                 group = mine[lengths[mine] == length]
                 good[group] = form.fits(rows_at(buffer, starts[group], length))
-        if self._has_structure and good.any():
-            good[good] = self.shapes(buffer, starts[good], lengths[good]) != NO_SHAPE
-        return good
+        shapes = np.full(len(starts), NO_SHAPE, dtype=np.int64)
+        if good.all():
+            shapes = self.shapes(buffer, starts, lengths)
+        elif good.any():
+            shapes[good] = self.shapes(buffer, starts[good], lengths[good])
+        return shapes
 
     def shapes(self, buffer: Bytes, starts: Positions, lengths: Positions) -> NDArray[np.int64]:
         """Return the number of the shape of each frame, ``NO_SHAPE`` where its parts do not add up. Shape (n,)."""
@@ -288,7 +292,8 @@ class FrameCheck:
     def _by_form(self, buffer: Bytes, starts: Positions) -> Iterator[tuple[FormCheck, Positions]]:
         """Yield each form that stands at some of the positions, and at which."""
         if len(self._forms) == 1:
-            yield self._forms[0], np.arange(len(starts))
+            if len(starts):
+                yield self._forms[0], np.arange(len(starts))
             return
         which = self._form_of(buffer, starts)
         for number, form in enumerate(self._forms):

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from imufield.acquire.frame_check import INVALID, FrameCheck, rows_at
+from imufield.acquire.frame_check import INVALID, NO_SHAPE, FrameCheck, rows_at
 from imufield.acquire.frame_schema import FrameRule
 from imufield.acquire.layout import Layout, Rows
 
@@ -70,7 +70,7 @@ class _Found:
     """What one feed has found so far."""
 
     starts: list[Positions] = field(default_factory=list)
-    lengths: list[Positions] = field(default_factory=list)
+    shapes: list[NDArray[np.int64]] = field(default_factory=list)
     skipped_before: list[tuple[Positions, NDArray[np.int64]]] = field(default_factory=list)
     """Offsets of frames that follow skipped bytes, and how many."""
 
@@ -157,15 +157,15 @@ class Framer:
         behind = at + length
         step = length + len(trailer) * (buffer[behind : behind + len(trailer)].tobytes() == trailer)
         count = min((len(buffer) - behind) // step + 1, self._run)
-        good = self._check.rows_fit(as_strided(buffer[at:], (count, length), (step, 1), writeable=False))
+        good, shape = self._check.rows_fit(as_strided(buffer[at:], (count, length), (step, 1), writeable=False))
         joined = np.ones(count, dtype=np.bool_)
         for offset, byte in enumerate(trailer[: step - length]):
             joined[:-1] &= buffer[behind + offset : len(buffer) - length : step][: count - 1] == byte
         starts = np.arange(at, at + count * step, step, dtype=np.intp)
         if good.all() and joined.all():
             self._run = min(2 * self._run, _LONGEST_RUN)
-            return self._accept(found, starts, np.full(count, length, dtype=np.intp))
-        return self._take_broken_run(buffer, _Run(starts, length, step, good, joined), found)
+            return self._accept(found, starts, self._run_shapes(buffer, starts, length, shape), length)
+        return self._take_broken_run(buffer, _Run(starts, length, step, shape, good, joined), found)
 
     def _take_broken_run(self, buffer: Bytes, run: _Run, found: _Found) -> int:
         """Take the good frames of a run up to where it ends, single bad ones between them left out."""
@@ -188,7 +188,12 @@ class Framer:
         self.frames_bad_checksum += int(np.count_nonzero(self._check.lengths(buffer, suspects) > 0))
         starts = run.starts[taken]
         found.skipped_before.append((starts[1:], skipped))
-        return self._accept(found, starts, np.full(len(starts), run.length, dtype=np.intp))
+        return self._accept(found, starts, self._run_shapes(buffer, starts, run.length, run.shape), run.length)
+
+    def _run_shapes(self, buffer: Bytes, starts: Positions, length: int, shape: int) -> NDArray[np.int64]:
+        if shape != NO_SHAPE:
+            return np.full(len(starts), shape, dtype=np.int64)
+        return self._check.shapes(buffer, starts, np.full(len(starts), length, dtype=np.intp))
 
     def _take_chain(self, buffer: Bytes, at: int, found: _Found) -> int:
         """Take frames of any length from ``at`` on, each beginning where the one before ends; return where that ends."""
@@ -200,13 +205,14 @@ class Framer:
             return at
         chain = _follow(places, places + lengths)
         starts, lengths = places[chain], lengths[chain]
-        good = self._check.fit(buffer, starts, lengths)
-        count = len(good) if good.all() else int(np.argmin(good))
-        self._chain = min(2 * self._chain, _LONGEST_CHAIN) if count == len(good) else _FIRST_CHAIN
+        shapes = self._check.fit(buffer, starts, lengths)
+        bad = np.flatnonzero(shapes == NO_SHAPE)
+        count = int(bad[0]) if len(bad) else len(shapes)
+        self._chain = _FIRST_CHAIN if len(bad) else min(2 * self._chain, _LONGEST_CHAIN)
         if count == 0:
             return at
         self._is_mixed = count < _SAME_AGAIN or bool((lengths[:count] != lengths[0]).any())
-        return self._accept(found, starts[:count], lengths[:count])
+        return self._accept(found, starts[:count], shapes[:count], int(lengths[count - 1]))
 
     def _end_of_run(self, buffer: Bytes, run: _Run) -> int:
         """Return how many frames of the run to look at: up to two bad ones in a row, or to another frame in a bad one."""
@@ -224,14 +230,14 @@ class Framer:
             return limit
         return int(others.min() - run.starts[0] - run.length) // run.step + 1
 
-    def _accept(self, found: _Found, starts: Positions, lengths: Positions) -> int:
+    def _accept(self, found: _Found, starts: Positions, shapes: NDArray[np.int64], last_length: int) -> int:
         if self._skipped_here:
             found.skipped_before.append((starts[:1], np.array([self._skipped_here])))
         self._skipped_here = 0
         self._behind_frame = True
         found.starts.append(starts)
-        found.lengths.append(lengths)
-        return int(starts[-1] + lengths[-1])
+        found.shapes.append(shapes)
+        return int(starts[-1]) + last_length
 
     def _search(self, buffer: Bytes, at: int, last: bool) -> int:
         """Go to the next position that is a frame or may become one, at most to the end of the window."""
@@ -255,11 +261,10 @@ class Framer:
     def _block(self, buffer: Bytes, found: _Found) -> FrameBlock:
         nothing = np.empty(0, dtype=np.intp)
         starts = found.starts[0] if len(found.starts) == 1 else np.concatenate([*found.starts, nothing])
-        lengths = found.lengths[0] if len(found.lengths) == 1 else np.concatenate([*found.lengths, nothing])
+        shapes = found.shapes[0] if len(found.shapes) == 1 else np.concatenate([*found.shapes, nothing])
         skipped_before = np.zeros(len(starts), dtype=np.int64)
         for offsets, skipped in found.skipped_before:
             skipped_before[np.searchsorted(starts, offsets)] = skipped
-        shapes = self._check.shapes(buffer, starts, lengths) if len(starts) else np.empty(0, dtype=np.int64)
         return FrameBlock(buffer, starts, shapes, skipped_before, self._origin)
 
 
@@ -282,6 +287,8 @@ class _Run:
     starts: Positions
     length: int
     step: int
+    shape: int
+    """What all have in common, ``NO_SHAPE`` where there may be several."""
     good: NDArray[np.bool_]
     joined: NDArray[np.bool_]
     """Whether the trailer behind each frame is there; true where none is expected."""
