@@ -19,19 +19,24 @@ from imufield.commands.chain import MARK, SCHEME_FILE, Chain, Plan, part_metadat
 from imufield.commands.connect import Connected, ConnectOptions, connect
 from imufield.commands.resume import check_instrument, check_plan, connect_as_before, find_unfinished, site_as_before
 from imufield.commands.site import SiteOptions
-from imufield.commands.views import LinkState, LiveStatus, View, ViewName, make_view
+from imufield.commands.views import LinkState, LiveStatus, Manner, View, ViewName, make_view
 from imufield.errors import ImufieldError, LinkError, UsageError
 from imufield.files import write_atomically
 from imufield.guide.events import Event
 from imufield.guide.keys import Keyboard
 from imufield.guide.positions import SCHEMES, scheme
+from imufield.guide.rotations import HORIZONTAL, VERTICAL
 
 DEFAULT_SCHEME = "paper24"
+ROTATIONS = {"rolled": HORIZONTAL, "table": VERTICAL}
 SILENCE_S = 2.0
 """Host time without a byte after which the screen says so: the slowest instruments send ten times a second."""
 RECONNECT_EVERY_S = 0.5
 REFRESH_EVERY_S = 0.1
-KEYS = {"r": "retake", "s": "skip", "u": "undo", "p": "pause", "f": "finish"}
+KEYS = {"r": "retake", "s": "skip", "u": "undo", "p": "pause", "f": "finish", "g": "go_on"}
+BIG = "b"
+REVISIT_FROM = 12
+"""Schemes with so many positions end with the first one again, as a check for drift; a quick look does without."""
 QUIT = "q"
 
 
@@ -47,6 +52,11 @@ class CaptureOptions:
     site: SiteOptions = field(default_factory=SiteOptions)
     view: ViewName = "auto"
     root: Path = DEFAULT_ROOT
+    target_bias_ug: float | None = None
+    target_scale_ppm: float | None = None
+    rotations: str | None = None
+    """"rolled" or "table"; None without."""
+    manner: Manner = field(default_factory=Manner)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,20 +93,20 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
         if earlier is not None:
             check_instrument(session, connected)
             session.update(site=site.table())
-        captured = _capture(session, connected, clock, options.view)
+        captured = _capture(session, connected, clock, options)
     _farewell(captured, options.view)
     return captured
 
 
-def _capture(session: Session, connected: Connected, clock: HostClock, view: ViewName) -> Captured:
+def _capture(session: Session, connected: Connected, clock: HostClock, options: CaptureOptions) -> Captured:
     """Run the loop; where it is broken off, say what there is and how to go on, and pass the reason on."""
     loop = None
     try:
-        with open_loop(session, connected, clock, view) as loop:
+        with open_loop(session, connected, clock, options.view, options.manner) as loop:
             return loop.run()
     except (KeyboardInterrupt, ImufieldError):
         if loop is not None:
-            _farewell(loop.captured(), view)
+            _farewell(loop.captured(), options.view)
         raise
 
 
@@ -122,7 +132,7 @@ def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions
         **connected.session_tables(),
         "kind": "capture",
         "scheme": name if positions is None else SCHEME_FILE,
-        "guide": {} if options.hold_s is None else {"hold_s": options.hold_s},
+        "guide": _guide_table(options),
         "site": site.table(),
     }
     if options.session is not None:
@@ -134,6 +144,27 @@ def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions
     return session
 
 
+def _guide_table(options: CaptureOptions) -> dict[str, object]:
+    """Return what is kept of the options of the guide.
+
+    Raises
+    ------
+    UsageError
+        If the rotations are of no known kind.
+    """
+    if options.rotations is not None and options.rotations not in ROTATIONS:
+        raise UsageError(f"--rotations {options.rotations!r} is unknown; choose one of {', '.join(ROTATIONS)}")
+    long = len(scheme(options.positions or DEFAULT_SCHEME)) >= REVISIT_FROM
+    values = {
+        "hold_s": options.hold_s,
+        "target_bias_ug": options.target_bias_ug,
+        "target_scale_ppm": options.target_scale_ppm,
+        "revisit_first": long or None,
+        "rotations": None if options.rotations is None else ROTATIONS[options.rotations],
+    }
+    return {key: value for key, value in values.items() if value is not None}
+
+
 def _read_positions(path: str) -> bytes:
     try:
         return Path(path).read_bytes()
@@ -142,7 +173,9 @@ def _read_positions(path: str) -> bytes:
 
 
 @contextmanager
-def open_loop(session: Session, connected: Connected, clock: HostClock, view_name: ViewName) -> Iterator[CaptureLoop]:
+def open_loop(
+    session: Session, connected: Connected, clock: HostClock, view_name: ViewName, manner: Manner | None = None
+) -> Iterator[CaptureLoop]:
     """Open recorder, view and keyboard, and close them whatever happens."""
     chain = Chain(Plan.of(session))
     damage: list[Damage] = []
@@ -151,7 +184,7 @@ def open_loop(session: Session, connected: Connected, clock: HostClock, view_nam
     with ExitStack() as stack:
         recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
         keyboard = stack.enter_context(Keyboard())
-        view = stack.enter_context(make_view(view_name, session.folder, scheme(chain.plan.scheme or DEFAULT_SCHEME)))
+        view = stack.enter_context(make_view(view_name, session.folder, scheme(chain.plan.scheme or DEFAULT_SCHEME), manner))
         yield CaptureLoop(session, connected, chain, recorder, view, keyboard, clock)
 
 
@@ -235,6 +268,8 @@ class CaptureLoop:
         for key in self.keyboard.read():
             if key == QUIT:
                 return True
+            if key == BIG:
+                self.view.toggle_big()
             if key in KEYS and self.chain.guide is not None:
                 time_s = self.chain.guide.time_s
                 self.recorder.write_event({"event": MARK, "action": KEYS[key], "time_s": time_s})

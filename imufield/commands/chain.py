@@ -7,7 +7,7 @@ session. It reads no clock: arrival times come with the bytes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from imufield.acquire.recording import Damage, PartStart, RecordedBlock, Recorde
 from imufield.acquire.session import Session
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.calibrate.observations import Observations
+from imufield.earth import choose_gravity
 from imufield.errors import ProtocolError, Reason, RecordingError
 from imufield.guide.events import Event
 from imufield.guide.free import StillIntervalFinder, StillIntervals
@@ -42,7 +43,7 @@ class Plan:
     """How a session is read: guided through a scheme, or every still interval for itself (``scheme`` is None)."""
 
     scheme: str | None
-    hold_s: float | None = None
+    guide: GuideSettings = field(default_factory=GuideSettings)
     raw_zero: tuple[float, ...] | None = None
     """Mid-scale of the accelerometer, where the protocol does not tell it."""
 
@@ -50,13 +51,31 @@ class Plan:
     def of(cls, session: Session) -> Plan:
         """Return the plan written in ``session.toml``; positions of the user's own lie beside it."""
         name = session.metadata.get("scheme") or None
-        hold_s = session.metadata.get("guide", {}).get("hold_s")
         raw_zero = session.metadata.get("nominal", {}).get("raw_zero")
         return cls(
             str(session.folder / SCHEME_FILE) if name == SCHEME_FILE else name,
-            None if hold_s is None else float(hold_s),
+            guide_settings(session.metadata),
             None if raw_zero is None else tuple(raw_zero),
         )
+
+
+def guide_settings(metadata: Mapping[str, Any]) -> GuideSettings:
+    """Return the settings of the guide written in ``session.toml``."""
+    table = metadata.get("guide", {})
+
+    def number(key: str) -> float | None:
+        return None if table.get(key) is None else float(table[key])
+
+    site = metadata.get("site", {})
+    gravity = choose_gravity(site.get("gravity_m_s2"), site.get("latitude_deg"), site.get("height_m"))
+    return GuideSettings(
+        hold_s=number("hold_s"),
+        target_bias_ug=number("target_bias_ug"),
+        target_scale_ppm=number("target_scale_ppm"),
+        revisit_first=bool(table.get("revisit_first", False)),
+        rotations=table.get("rotations"),
+        gravity_m_s2=gravity.gravity_m_s2,
+    )
 
 
 class Chain:
@@ -186,8 +205,7 @@ class Chain:
         if self.plan.scheme is None:
             self.finder = StillIntervalFinder(protocol.units, scale)
             return
-        settings = GuideSettings() if self.plan.hold_s is None else GuideSettings(hold_s=self.plan.hold_s)
-        self.guide = Guide(scheme(self.plan.scheme), protocol.units, scale=scale, settings=settings)
+        self.guide = Guide(scheme(self.plan.scheme), protocol.units, scale=scale, settings=self.plan.guide)
 
     def _on_session_clock(self, samples: Samples, utc_ns: int) -> Samples:
         """Shift the samples of a later part behind those of the parts before, as far as the host's clock says."""

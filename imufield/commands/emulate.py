@@ -10,6 +10,7 @@ from typing import Any, get_args
 
 import typer
 
+from imufield.commands.capture import REVISIT_FROM
 from imufield.errors import UsageError
 from imufield.guide.positions import scheme
 from imufield.simulate.emulate import DeviceName, emulate, make_virtual_imu
@@ -63,7 +64,9 @@ def make_emulation(options: EmulateOptions) -> Emulation:
         raise UsageError(f"there is no emulator for {options.driver!r}; choose one of {', '.join(get_args(DeviceName))}")
     if options.style not in ("placed", "held"):
         raise UsageError(f"--style {options.style!r} is neither placed nor held")
-    directions = () if options.positions == STANDS_STILL else scheme(options.positions).directions()
+    positions = None if options.positions == STANDS_STILL else scheme(options.positions)
+    # A long session ends with the first position again, as ``capture`` asks for it.
+    directions = () if positions is None else positions.directions()[_order(len(positions))]
     return Emulation(
         device=options.driver,  # type: ignore[arg-type]  # checked above
         rate_hz=options.rate_hz,
@@ -82,6 +85,10 @@ def make_emulation(options: EmulateOptions) -> Emulation:
         ),
         truth=options.truth,
     )
+
+
+def _order(count: int) -> list[int]:
+    return [*range(count), *([0] if count >= REVISIT_FROM else [])]
 
 
 def parse_faults(texts: list[str]) -> Faults:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import typer
 
+from imufield.errors import UsageError
 from imufield.guide.events import EVENT_VERSION, Event
 from imufield.guide.guide import Snapshot
 from imufield.guide.jsonlines import JsonLinesView
@@ -19,9 +20,11 @@ from imufield.guide.plain import PlainView
 from imufield.guide.positions import Scheme
 
 if TYPE_CHECKING:
+    from imufield.guide.sound import SoundView
     from imufield.guide.terminal import TerminalView
 
 ViewName = Literal["auto", "plain", "json"]
+SIDES = ("+x", "-x", "+y", "-y", "+z", "-z")
 LinkState = Literal["ok", "silent", "lost"]
 
 
@@ -35,6 +38,30 @@ class LiveStatus:
     samples_lost: int
 
 
+@dataclass(frozen=True, slots=True)
+class Manner:
+    """How the views behave."""
+
+    quiet: bool = False
+    speak: bool = False
+    big: bool = False
+    cable: str | None = None
+    """Face of the unit where the cable leaves."""
+
+
+def parse_side(text: str | None) -> str | None:
+    """Return the side of the unit that an option names.
+
+    Raises
+    ------
+    UsageError
+        If it is none of the six.
+    """
+    if text is not None and text not in SIDES:
+        raise UsageError(f"--cable {text!r} is no side of the unit; write one of {', '.join(SIDES)}, e.g. --cable=-x")
+    return text
+
+
 class View(Protocol):
     """A front end."""
 
@@ -46,6 +73,10 @@ class View(Protocol):
         """Draw the state between events."""
         ...
 
+    def toggle_big(self) -> None:
+        """Change between big letters and pictures."""
+        ...
+
 
 class _Lines:
     """A view that has nothing to draw between events, but says when the wire falls silent."""
@@ -54,6 +85,9 @@ class _Lines:
         self._inner = inner
         self._says_silence = says_silence
         self._link: LinkState = "ok"
+
+    def toggle_big(self) -> None:
+        """Lines have one size."""
 
     def show(self, events: list[Event]) -> None:
         self._inner.show(events)
@@ -71,6 +105,9 @@ class _Pictures:
         self._inner = inner
         self._events: list[Event] = []
 
+    def toggle_big(self) -> None:
+        self._inner.big = not self._inner.big
+
     def show(self, events: list[Event]) -> None:
         self._events += events
 
@@ -80,8 +117,41 @@ class _Pictures:
 
 
 @contextmanager
-def make_view(name: ViewName, session: Path, positions: Scheme) -> Iterator[View]:
-    """Yield the view asked for; "auto" is the terminal view where there is a terminal, else plain lines."""
+def make_view(name: ViewName, session: Path, positions: Scheme, manner: Manner | None = None) -> Iterator[View]:
+    """Yield the view asked for; "auto" is the terminal view where there is a terminal, else plain lines.
+
+    Sound goes with every view that a person reads.
+    """
+    manner = manner or Manner()
+    if name == "json" or manner.quiet:
+        with _silent_view(name, session, positions, manner) as view:
+            yield view
+        return
+    from imufield.guide.sound import open_sound
+
+    with _silent_view(name, session, positions, manner) as view, open_sound(speak=manner.speak) as sound:
+        yield _WithSound(view, sound)
+
+
+class _WithSound:
+    """A view and the sound that goes with it."""
+
+    def __init__(self, view: View, sound: SoundView) -> None:
+        self._view, self._sound = view, sound
+
+    def show(self, events: list[Event]) -> None:
+        self._sound.show(events)
+        self._view.show(events)
+
+    def refresh(self, status: LiveStatus) -> None:
+        self._view.refresh(status)
+
+    def toggle_big(self) -> None:
+        self._view.toggle_big()
+
+
+@contextmanager
+def _silent_view(name: ViewName, session: Path, positions: Scheme, manner: Manner) -> Iterator[View]:
     if name == "json":
         typer.echo(json.dumps({"version": EVENT_VERSION, "event": "session", "session": str(session)}))
         yield _Lines(JsonLinesView(typer.echo), says_silence=False)
@@ -91,5 +161,5 @@ def make_view(name: ViewName, session: Path, positions: Scheme) -> Iterator[View
     else:
         from imufield.guide.terminal import TerminalView
 
-        with TerminalView(positions) as view:
+        with TerminalView(positions, big=manner.big, cable=manner.cable) as view:
             yield _Pictures(view)

@@ -27,6 +27,7 @@ from imufield.guide.events import (
     Turn,
     Turned,
     Turning,
+    Vector,
 )
 from imufield.guide.held import HeldMean, held_mean
 from imufield.guide.hold_time import SHORTEST_S, AllanMinimum, is_long_enough, sigma_along
@@ -88,6 +89,8 @@ class GuideActions:
         self.go_cold = False
         """The operator said to go on although the temperature changes."""
         self.fit: RunningFit | None = None
+        self.doubtful_now: list[Disagreement] = []
+        """Positions that the others contradict, the worst first."""
         self.turns_left = plan_turns(settings.rotations, settings.turns_each_way)
         self.turns_planned = len(self.turns_left)
         self._turn = TurnFollower(detector.settings.cell_s)
@@ -157,6 +160,13 @@ class GuideActions:
         force = self.detector.scale.specific_force(mean_raw)
         norm = np.linalg.norm(force)
         return force / norm if norm > 0 else np.full(3, np.nan)
+
+    def direction_now(self) -> Vector | None:
+        """Return where up is in the body by the latest cell, None while not known."""
+        if self.judgement is None:
+            return None
+        direction = self._direction(self.judgement.cells.mean[self.judgement.row, :3])
+        return vector(direction) if np.isfinite(direction).all() else None
 
     def announce_floor(self) -> None:
         """Say the noise floor, and what comes first."""
@@ -367,7 +377,7 @@ class GuideActions:
 
     def _ask_again(self) -> None:
         """Ask for doubtful positions once more, each once, and then for the first one, as a check for drift."""
-        for one in self.doubtful():
+        for one in self.doubtful_now:
             index = self.plan.find(one.name)
             if index is not None and f"again {one.name}" not in self._advised:
                 self._advised.add(f"again {one.name}")
@@ -378,15 +388,12 @@ class GuideActions:
             self._advised.add("revisit")
             self.plan.revisiting = first
 
-    def doubtful(self) -> list[Disagreement]:
-        """Return the positions that the others contradict, the worst first."""
-        found = [] if self.fit is None else [one for one in self.fit.disagreements() if one.doubtful]
-        return sorted(found, key=lambda one: -abs(one.sigmas))
-
     def _fit_again(self) -> None:
         """Fit everything measured so far, and choose the next position where another helps clearly more."""
         observations = list(self.plan.accepted.values())
         self.fit = running_fit(observations, self.detector.scale, self.settings.gravity_m_s2)
+        found = [] if self.fit is None else [one for one in self.fit.disagreements() if one.doubtful]
+        self.doubtful_now = sorted(found, key=lambda one: -abs(one.sigmas))
         self.plan.preferred = None
         pending = self.plan.pending()
         if self.fit is None or len(pending) < 2:
@@ -400,7 +407,7 @@ class GuideActions:
         """Say what the running fit shows that the operator may want to act on; each thing once."""
         if self.fit is None:
             return
-        worst = self.doubtful()[:1]
+        worst = self.doubtful_now[:1]
         for advice in (
             *(doubtful_advice(self.now_s, one) for one in worst),
             target_advice(self.now_s, self.fit, self.settings),

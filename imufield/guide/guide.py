@@ -18,7 +18,7 @@ from imufield.guide.actions import GuideActions
 from imufield.guide.axes_check import ENOUGH_MOVES, AxesCheck, MoveLog, check_axes
 from imufield.guide.cells import CellBuilder, Cells, join_cells
 from imufield.guide.checks import explain_flags
-from imufield.guide.events import Event, Marked
+from imufield.guide.events import Event, Marked, Vector
 from imufield.guide.observe import gather
 from imufield.guide.plan import Plan
 from imufield.guide.positions import Scheme
@@ -26,7 +26,7 @@ from imufield.guide.scale import RoughScale
 from imufield.guide.settings import GuideSettings
 from imufield.guide.state_table import TABLE, Input, State
 from imufield.guide.stillness import Activity, Judgement, Phase, StillnessDetector
-from imufield.guide.wording import axes_refusal, clock_refusal, not_quiet_refusal, rate_refusal
+from imufield.guide.wording import axes_refusal, clock_refusal, not_quiet_refusal, rate_refusal, vector
 from imufield.samples import Samples, SampleUnits
 
 _BAD_IN_A_ROW = 3
@@ -60,6 +60,13 @@ class Snapshot:
     accepted: tuple[str, ...]
     skipped: tuple[str, ...]
     planned: int
+    direction: Vector | None = None
+    """Where up is in the body now, unit vector; None before the first sample, or in free fall."""
+    target_direction: Vector | None = None
+    in_hand: bool = False
+    doubtful: tuple[str, ...] = ()
+    forecast: dict[str, float] | None = None
+    """1 sigma of the parameters now, see ``Accepted``; None until there are four positions."""
 
 
 class Guide:
@@ -180,6 +187,11 @@ class Guide:
             accepted=tuple(self.plan.position(i).name for i in self.plan.accepted),
             skipped=tuple(self.plan.position(i).name for i in sorted(self.plan.skipped)),
             planned=len(self.plan.scheme),
+            direction=self._do.direction_now(),
+            target_direction=None if target is None else vector(self.plan.position(target).direction),
+            in_hand=self.detector.in_hand,
+            doubtful=tuple(one.name for one in self._do.doubtful_now),
+            forecast=None if self._do.fit is None else self._do.fit.forecast(),
         )
 
     def _said_now(self) -> list[Event]:
@@ -334,7 +346,7 @@ class Guide:
             self._handle(Input.COMPLETE)
 
     def _retake(self, name: str | None) -> tuple[int | None, str]:
-        doubtful = [one.name for one in self._do.doubtful() if self.plan.find(one.name) not in self.plan.wanted_again]
+        doubtful = [one.name for one in self._do.doubtful_now if self.plan.find(one.name) not in self.plan.wanted_again]
         named = name or next(iter(doubtful), None)
         index = self.plan.last_accepted if named is None else self.plan.find(named)
         if index is None or index not in self.plan.accepted:

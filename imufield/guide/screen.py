@@ -10,27 +10,60 @@ import re
 from collections import deque
 from dataclasses import dataclass, field
 
+import numpy as np
 from rich.box import ROUNDED
 from rich.console import Group, RenderableType
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from imufield.guide.events import Accepted, Done, Event, Hold, Holding, LinkBack, LinkLost, Marked, Move, Rejected, Turning
+from imufield.guide.advice import MILLI_G
+from imufield.guide.big_letters import big_lines
+from imufield.guide.box_picture import draw_box, turn_shortest
+from imufield.guide.events import (
+    Accepted,
+    Done,
+    Event,
+    Hold,
+    Holding,
+    LinkBack,
+    LinkLost,
+    Marked,
+    Move,
+    Rejected,
+    Turn,
+    Turned,
+    Turning,
+)
 from imufield.guide.guide import Snapshot
 from imufield.guide.plain import words
-from imufield.guide.positions import Scheme
+from imufield.guide.positions import Scheme, nearest_cube_direction
 from imufield.guide.state_table import State
 from imufield.guide.wording import quantity
+from imufield.samples import FloatArray
 
 WIDTH, HEIGHT = 80, 24
 MAP_WIDTH = 34
-BAR_WIDTH = 20
+LEFT_WIDTH = WIDTH - MAP_WIDTH
+PANEL_HEIGHT = 18
+PICTURE_WIDTH, PICTURE_HEIGHT = 20, 8
+BAR_WIDTH = 16
 MAP_ROWS = 12
-MESSAGES = 5
+MESSAGES = 4
 READ_S = 4.0
 """A refusal stays on the screen for this long although the unit moves on."""
-KEYS = "r retake   s skip   u undo   p pause   f finish early   q quit (resume later)"
+KEYS = "r retake  s skip  u undo  p pause  f finish  b big  q quit (resume later)"
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """What the view is told about the link."""
+
+    lost_samples: int | None = None
+    silent: bool = False
+    """The port is there, but nothing arrives."""
+    cable: str | None = None
+    """Face of the unit where the cable leaves, "-x"; None where nobody said."""
 
 
 @dataclass(slots=True)
@@ -43,16 +76,19 @@ class Screen:
     position_words: str = ""
     angle_deg: float = math.nan
     remaining_s: float = math.nan
+    turn: Turn | None = None
     refused: Rejected | None = None
     link: bool = True
+    attitude: FloatArray = field(default_factory=lambda: np.eye(3))
+    """Of the box as it is drawn; its heading is kept from frame to frame."""
     messages: deque[str] = field(default_factory=lambda: deque(maxlen=MESSAGES))
 
     def follow(self, events: list[Event]) -> None:
         """Take the events in order."""
         for event in events:
             self._take(event)
-            if not isinstance(event, (Turning, Hold, Holding, Move)):
-                self.messages.append(words(event))
+            if not isinstance(event, (Turning, Hold, Holding, Move, Turn)):
+                self.messages.append(_message(event))
 
     def _take(self, event: Event) -> None:
         if isinstance(event, Move):
@@ -70,23 +106,73 @@ class Screen:
             self.refused = event
         elif isinstance(event, (Accepted, Marked, Done)):
             self.refused = None
+        elif isinstance(event, (Turn, Turned)):
+            self.turn, self.refused = event if isinstance(event, Turn) else self.turn, None
         elif isinstance(event, (LinkLost, LinkBack)):
             self.link = isinstance(event, LinkBack)
 
 
+def _message(event: Event) -> str:
+    """Return an event in one short line."""
+    if not isinstance(event, Accepted):
+        return words(event)
+    fits = "" if event.leave_one_out_m_s2 is None else f", {event.leave_one_out_m_s2 / MILLI_G:+.2f} mg off the others' fit"
+    held = ", in the hand" if event.held else ""
+    return f"accepted {event.position}{held}: {event.duration_s:.1f} s{fits}"
+
+
 def draw(
-    screen: Screen, snapshot: Snapshot, scheme: Scheme, lost_samples: int | None = None, *, silent: bool = False
+    screen: Screen, snapshot: Snapshot, scheme: Scheme, wire: Wire | None = None, *, ascii_only: bool = False
 ) -> RenderableType:
     """Return the whole screen."""
+    wire = wire or Wire()
     middle = Table.grid(padding=0, expand=False)
-    middle.add_column(width=WIDTH - MAP_WIDTH)
+    middle.add_column(width=LEFT_WIDTH)
     middle.add_column(width=MAP_WIDTH)
-    left = Panel(_now(screen, snapshot), box=ROUNDED, title=_title(snapshot, scheme), title_align="left", height=14)
-    right = Panel(_map(snapshot, scheme), box=ROUNDED, title="positions", title_align="left", height=14)
+    now = _now(screen, snapshot, wire.cable, ascii_only=ascii_only)
+    left = Panel(now, box=ROUNDED, title=_title(snapshot, scheme), title_align="left", height=PANEL_HEIGHT)
+    right = Panel(_right(snapshot, scheme), box=ROUNDED, title="positions", title_align="left", height=PANEL_HEIGHT)
     middle.add_row(left, right)
     return Group(
-        middle, _link_line(screen, snapshot, lost_samples, silent), _messages(screen), Text(KEYS, style="dim", no_wrap=True)
+        middle, _link_line(screen, snapshot, wire), *_messages(screen, MESSAGES), Text(KEYS, style="dim", no_wrap=True)
     )
+
+
+def draw_big(screen: Screen, snapshot: Snapshot, wire: Wire | None = None) -> RenderableType:
+    """Return the screen in letters to be read from three metres."""
+    big, small, style = headline(screen, snapshot)
+    first, second = big_words(screen, snapshot)
+    lines = [Text(line, style=style, no_wrap=True) for line in (*big_lines(first, WIDTH), "", *big_lines(second, WIDTH))]
+    said = Text(f"{big}: {small}", overflow="ellipsis", no_wrap=True)
+    done = f"{len(snapshot.accepted)} of {snapshot.planned} done"
+    bars = Text.assemble(" still ", _stillness_bar(snapshot), "  hold ", bar(snapshot.fraction, "green"), f"  {done}")
+    return Group(
+        *lines,
+        Text(),
+        said,
+        bars,
+        Text(),
+        _link_line(screen, snapshot, wire or Wire()),
+        *_messages(screen, 2),
+        Text(KEYS, style="dim"),
+    )
+
+
+def big_words(screen: Screen, snapshot: Snapshot) -> tuple[str, str]:
+    """Return two words of six letters at most: what to do, and the side or the seconds left."""
+    side = screen.target
+    if snapshot.target_direction is not None:
+        side = nearest_cube_direction(np.array(snapshot.target_direction))
+    if snapshot.state is State.LEARNING:
+        return "LEAVE", "IT"
+    if snapshot.state is State.HOLDING:
+        return "HOLD", f"{screen.remaining_s:.0f}" if math.isfinite(screen.remaining_s) else ""
+    if screen.refused is not None and snapshot.state in (State.RESTING, State.TURNING, State.ROLLING):
+        return "AGAIN", side
+    if snapshot.state is State.ROLLING and screen.turn is not None:
+        return "ROLL", f"{'+' if screen.turn.sense > 0 else '-'}{screen.turn.axis}"
+    fixed = {State.PAUSED: ("PAUSED", ""), State.LOST: ("NO", "LINK"), State.DONE: ("DONE", "")}
+    return fixed.get(snapshot.state, ("GOOD" if snapshot.state is State.RESTING else "TURN", side))
 
 
 def _title(snapshot: Snapshot, scheme: Scheme) -> str:
@@ -98,12 +184,15 @@ def headline(screen: Screen, snapshot: Snapshot) -> tuple[str, str, str]:
     target = f"{screen.target}: {screen.target_words}"
     if snapshot.state is State.LEARNING:
         return "LEAVE IT STILL", "measuring the noise floor; hands off for some seconds", "bold yellow"
-    if screen.refused is not None and snapshot.state in (State.RESTING, State.TURNING):
+    if screen.refused is not None and snapshot.state in (State.RESTING, State.TURNING, State.ROLLING):
         return "NOT TAKEN", f"{screen.refused.words}; {screen.refused.remedy}", "bold red"
     if snapshot.state is State.HOLDING:
-        return "HOLD STILL", f"{screen.position}: {screen.position_words}", "bold yellow"
+        where = " (in the hand)" if snapshot.in_hand else ""
+        return "HOLD STILL", f"{screen.position}: {screen.position_words}{where}", "bold yellow"
     if snapshot.state is State.RESTING:
         return "GOOD - TURN", target, "bold green"
+    if snapshot.state is State.ROLLING and screen.turn is not None:
+        return "ROLL", screen.turn.words, "bold cyan"
     fixed = {
         State.PAUSED: ("PAUSED", "press p to go on", "bold"),
         State.LOST: ("NO LINK", "plug it in again; nothing measured is lost", "bold red"),
@@ -112,9 +201,59 @@ def headline(screen: Screen, snapshot: Snapshot) -> tuple[str, str, str]:
     return fixed.get(snapshot.state, ("TURN", target, "bold cyan"))
 
 
-def _now(screen: Screen, snapshot: Snapshot) -> RenderableType:
-    """Return the left panel: what to do, and three bars."""
+def _now(screen: Screen, snapshot: Snapshot, cable: str | None, *, ascii_only: bool) -> RenderableType:
+    """Return the left panel: what to do, how it is held and should be, and three bars."""
     big, small, style = headline(screen, snapshot)
+    what = Text("\n".join(_wrap(small, LEFT_WIDTH - 4, 3)), no_wrap=True)
+    return Group(
+        Text(" ".join(big), style=style, no_wrap=True),
+        what,
+        _pictures(screen, snapshot, cable, ascii_only=ascii_only),
+        _bars(screen, snapshot),
+    )
+
+
+def _wrap(text: str, width: int, rows: int) -> list[str]:
+    """Return exactly so many rows of whole words; what does not fit ends in an ellipsis."""
+    lines, rest = [""], text.split()
+    for word in rest:
+        if len(lines[-1]) + len(word) + 1 <= width or not lines[-1]:
+            lines[-1] = f"{lines[-1]} {word}".strip()
+        else:
+            lines.append(word)
+    if len(lines) > rows:
+        lines = [*lines[: rows - 1], f"{lines[rows - 1][: width - 3]}..."]
+    return [line[:width] for line in (*lines, *[""] * (rows - len(lines)))]
+
+
+def _pictures(screen: Screen, snapshot: Snapshot, cable: str | None, *, ascii_only: bool) -> Text:
+    """Return two boxes side by side: how the unit is held, and how it should be."""
+    now: list[str] = [""] * PICTURE_HEIGHT
+    goal = list(now)
+    if snapshot.direction is not None:
+        screen.attitude = turn_shortest(screen.attitude, np.array(snapshot.direction))
+        now = draw_box(screen.attitude, PICTURE_WIDTH, PICTURE_HEIGHT, cable=cable, ascii_only=ascii_only)
+    if snapshot.target_direction is not None and snapshot.state is not State.HOLDING:
+        wanted = turn_shortest(screen.attitude, np.array(snapshot.target_direction))
+        goal = draw_box(wanted, PICTURE_WIDTH, PICTURE_HEIGHT, cable=cable, ascii_only=ascii_only)
+    text = Text(no_wrap=True)
+    shows_goal = any(goal)
+    for row in range(PICTURE_HEIGHT):
+        between = "->" if shows_goal and row == PICTURE_HEIGHT // 2 else "  "
+        head = ("now ", "goal") if row == 0 else ("", "")
+        left, right = (_under(head[k], one[row]) for k, one in enumerate((now, goal)))
+        text.append(left).append(between, style="bold").append(right if shows_goal else "", style="cyan")
+        text.append("\n" if row < PICTURE_HEIGHT - 1 else "")
+    return text
+
+
+def _under(head: str, line: str) -> str:
+    """Return a row of a picture with a word in its left corner where nothing is drawn."""
+    line = line.ljust(PICTURE_WIDTH)
+    return head + line[len(head) :] if head and not line[: len(head)].strip() else line
+
+
+def _bars(screen: Screen, snapshot: Snapshot) -> RenderableType:
     table = Table.grid(padding=(0, 1))
     table.add_column(width=9, no_wrap=True)
     table.add_column(width=BAR_WIDTH, no_wrap=True)
@@ -126,9 +265,7 @@ def _now(screen: Screen, snapshot: Snapshot) -> RenderableType:
     table.add_row("to target", bar(1 - screen.angle_deg / 180 if turning else 0.0, "cyan"), angle)
     table.add_row("hold", bar(snapshot.fraction if holding else 0.0, "green"), left)
     table.add_row("stillness", _stillness_bar(snapshot), _stillness_words(snapshot))
-    what = Text(small, overflow="fold")
-    what.truncate(4 * (WIDTH - MAP_WIDTH - 4), overflow="ellipsis")
-    return Group(Text(), Text("  ".join((" ".join(big), "")), style=style), Text(), what, Text(), table, _cause(snapshot))
+    return Group(table, _cause(snapshot))
 
 
 def bar(fraction: float, style: str) -> Text:
@@ -152,12 +289,15 @@ def _stillness_words(snapshot: Snapshot) -> str:
 
 
 def _cause(snapshot: Snapshot) -> Text:
-    """Return the largest activity in physical units against its limit, two lines under the bar."""
+    """Return the largest activity in physical units against its limit."""
     activity = snapshot.activity
     if activity is None:
         return Text()
     measured, limit = quantity(activity.measured, activity.unit), quantity(activity.limit, activity.unit)
-    return Text(f"{'':10}{measured}, limit {limit}\n{'':10}{activity.triad} {activity.axis}, {activity.kind}", no_wrap=True)
+    if measured.split()[1:] == limit.split()[1:]:
+        measured = measured.split()[0]
+    triad = {"accelerometer": "acc", "gyroscope": "gyro"}[activity.triad]
+    return Text(f"{triad} {activity.axis} {activity.kind} {measured} of {limit}", no_wrap=True, style="dim")
 
 
 _SIGNS = {
@@ -165,8 +305,30 @@ _SIGNS = {
     "here": ("@", "bold yellow"),
     "next": (">", "bold cyan"),
     "skipped": ("-", "dim"),
+    "doubtful": ("?", "bold red"),
     "open": (" ", ""),
 }
+
+
+def _right(snapshot: Snapshot, scheme: Scheme) -> RenderableType:
+    """Return the right panel: the map, its legend, and how well the parameters are known."""
+    found = snapshot.forecast
+    lines = [Text("x done > next @ here ? doubt", style="dim", no_wrap=True)]
+    if found is not None:
+        lines += [
+            Text(
+                f"bias {_known(found['bias_ug'], 'ug', 'mg')}, scale {_known(found['scale_ppm'], 'ppm', 'permil')}",
+                no_wrap=True,
+            ),
+            Text(f"angles {_known(found['misalignment_urad'], 'urad', 'mrad')}  (1 sigma now)", no_wrap=True),
+        ]
+    else:
+        lines.append(Text("known from the 4th position on", style="dim", no_wrap=True))
+    return Group(_map(snapshot, scheme), *lines)
+
+
+def _known(value: float, unit: str, thousand: str) -> str:
+    return f"{value:.0f} {unit}" if value < 1000 else f"{value / 1000:.1f} {thousand}"
 
 
 def _map(snapshot: Snapshot, scheme: Scheme) -> RenderableType:
@@ -178,8 +340,7 @@ def _map(snapshot: Snapshot, scheme: Scheme) -> RenderableType:
     table = Table.grid(padding=0)
     for row in range(rows):
         table.add_row(*(_cell(names[i], snapshot, width) for i in range(row, len(names), rows)[:columns]))
-    legend = Text("[x] done [>] next [@] here", style="dim", no_wrap=True)
-    return Group(table, legend) if rows < MAP_ROWS else table
+    return table
 
 
 def _natural(name: str) -> tuple[int, str, int]:
@@ -192,6 +353,8 @@ def _cell(name: str, snapshot: Snapshot, width: int) -> Text:
     kind = "open"
     if name in snapshot.accepted:
         kind = "done"
+    if name in snapshot.doubtful:
+        kind = "doubtful"
     if name in snapshot.skipped:
         kind = "skipped"
     if name == snapshot.target:
@@ -202,15 +365,17 @@ def _cell(name: str, snapshot: Snapshot, width: int) -> Text:
     return Text(f"[{sign}]{name}".ljust(width), style=style, no_wrap=True)
 
 
-def _link_line(screen: Screen, snapshot: Snapshot, lost_samples: int | None, silent: bool) -> Text:
+def _link_line(screen: Screen, snapshot: Snapshot, wire: Wire) -> Text:
     rate = f"{snapshot.rate_hz:.0f} Hz" if math.isfinite(snapshot.rate_hz) else "- Hz"
-    lost = f"{lost_samples} samples lost" if lost_samples is not None else f"{snapshot.lost_cells} gaps"
+    lost = f"{wire.lost_samples} samples lost" if wire.lost_samples is not None else f"{snapshot.lost_cells} gaps"
     warmth = f"{snapshot.temperature_degc:.1f} degC" if math.isfinite(snapshot.temperature_degc) else "no temperature"
-    bad = silent or not screen.link
+    bad = wire.silent or not screen.link
     link = "link ok" if not bad else "NOTHING ARRIVES: check power and cable" if screen.link else "LINK LOST"
-    return Text(f" {link}   {rate}   {lost}   {warmth}", style="bold red" if bad else "", no_wrap=True)
+    return Text(f" {link}   {rate}   {lost}   {warmth}", style="bold red" if bad else "bold", no_wrap=True)
 
 
-def _messages(screen: Screen) -> Panel:
-    lines = [Text(message, no_wrap=True, overflow="ellipsis") for message in screen.messages]
-    return Panel(Group(*lines, *[Text()] * (MESSAGES - len(lines))), box=ROUNDED, height=MESSAGES + 2)
+def _messages(screen: Screen, count: int) -> list[Text]:
+    """Return the newest messages, each on one line, the newest last."""
+    newest = list(screen.messages)[-count:]
+    lines = [Text(f" {message}", no_wrap=True, overflow="ellipsis") for message in newest]
+    return [*lines, *[Text()] * (count - len(lines))]

@@ -469,7 +469,7 @@ class StillnessDetector:
         return table if hand.phase is Phase.MOVING else hand
 
     def _was_put_down(self) -> bool:
-        """Whether a hold that began in the hand goes on upon a table: looked at once a second, from the table's stretch alone."""
+        """Whether a hold that began in the hand goes on upon a table: looked at once a second."""
         stretch = self._table.stretch
         return stretch.judged % self.settings.cells(1.0) == 0 and not self.is_hand_like(stretch.cells())
 

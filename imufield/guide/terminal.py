@@ -12,7 +12,7 @@ from rich.text import Text
 from imufield.guide.events import Event
 from imufield.guide.guide import Snapshot
 from imufield.guide.positions import Scheme
-from imufield.guide.screen import Screen, draw
+from imufield.guide.screen import Screen, Wire, draw, draw_big
 
 
 class TerminalView:
@@ -22,11 +22,17 @@ class TerminalView:
     ----------
     scheme : Scheme
     console : rich.console.Console, optional
+    big : bool
+    cable : str, optional
+        Face where the cable leaves, "-x".
     """
 
     FRAMES_PER_SECOND = 10
 
-    def __init__(self, scheme: Scheme, console: Console | None = None) -> None:
+    def __init__(self, scheme: Scheme, console: Console | None = None, *, big: bool = False, cable: str | None = None) -> None:
+        self._cable = cable
+        self.big = big
+        """Big letters instead of pictures."""
         self._scheme = scheme
         self._screen = Screen()
         self._live = Live(
@@ -50,4 +56,10 @@ class TerminalView:
         ``silent`` says that the port is there, but nothing arrives.
         """
         self._screen.follow(events)
-        self._live.update(draw(self._screen, snapshot, self._scheme, lost_samples, silent=silent), refresh=True)
+        wire = Wire(lost_samples, silent, self._cable)
+        if self.big:
+            picture = draw_big(self._screen, snapshot, wire)
+        else:
+            ascii_only = self._live.console.options.ascii_only
+            picture = draw(self._screen, snapshot, self._scheme, wire, ascii_only=ascii_only)
+        self._live.update(picture, refresh=True)

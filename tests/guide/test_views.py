@@ -14,7 +14,7 @@ from imufield.guide.guide import Guide
 from imufield.guide.jsonlines import JsonLinesView
 from imufield.guide.plain import PlainView, line
 from imufield.guide.positions import SCHEMES, scheme
-from imufield.guide.screen import HEIGHT, WIDTH, Screen, draw
+from imufield.guide.screen import HEIGHT, WIDTH, Screen, Wire, draw, draw_big
 from imufield.guide.settings import GuideSettings
 from imufield.guide.terminal import TerminalView
 
@@ -37,7 +37,7 @@ def session(make_path: Any) -> Any:
 
 def picture(screen: Any, guide: Any, **options: Any) -> Any:
     console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing(), **options)
-    console.print(draw(screen, guide.snapshot(), guide.plan.scheme, 0))
+    console.print(draw(screen, guide.snapshot(), guide.plan.scheme, Wire(0)))
     return console.export_text()
 
 
