@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -209,12 +210,14 @@ class FrameCheck:
 
     def candidates(self, buffer: Bytes, positions: Positions) -> Positions:
         """Return those positions whose first byte can begin a frame."""
-        return positions[self._can_begin[buffer[positions]]]
+        found: Positions = positions[self._can_begin[buffer[positions]]]
+        return found
 
     def headers(self, buffer: Bytes, begin: int, end: int) -> Positions:
         """Return the positions from ``begin`` to ``end`` where sync bytes stand."""
         places = np.flatnonzero(self._can_begin[buffer[begin:end]]) + begin
-        return places[self._form_of(buffer, places) >= 0]
+        found: Positions = places[self._form_of(buffer, places) >= 0]
+        return found
 
     def length_at(self, buffer: Bytes, at: int) -> int:
         """Return the length of the frame whose header stands at ``at``; 0 where there is none or it is incomplete."""
@@ -387,7 +390,7 @@ def _sent_is(
     return np.asarray(values == _numbers_of_rows(tails, form.checksum_big_endian))
 
 
-def _order(big_endian: bool) -> str:
+def _order(big_endian: bool) -> Literal["big", "little"]:
     return "big" if big_endian else "little"
 
 

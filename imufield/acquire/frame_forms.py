@@ -242,8 +242,10 @@ class FrameForm:
         return _shape(Layout("masks " + header.hex(" ").upper(), tuple(placed), len(row)), columns, row)
 
     def _shape_of_fields(self, rule: FieldsRule, row: bytes, key: int) -> Shape | None:
-        order = "big" if rule.big_endian else "little"
-        number_of = lambda at, size: int.from_bytes(row[at : at + size], order)  # noqa: E731  two numbers of each field
+
+        def number_of(at: int, size: int) -> int:
+            return int.from_bytes(row[at : at + size], "big" if rule.big_endian else "little")
+
         at = rule.at
         if self.length and number_of(self.length.at, self.length.size) == self.length.extended_when:
             at += self.length.extended_size

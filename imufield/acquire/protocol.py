@@ -297,8 +297,8 @@ def _unit_of(top: Table, part: str, frame: FrameRule | None, samples: SampleRule
     quantity: Quantity = getattr(samples, part)
     written = quantity.unit
     if written is None:
-        known = {field.name: field for field in reversed(frame.all_fields())} if frame else {}
-        written = next((known[name].unit for name in quantity.fields if name in known), _MEANING[part][0])
+        fields = {field.name: field for field in reversed(frame.all_fields())} if frame else {}
+        written = next((fields[name].unit for name in quantity.fields if name in fields), _MEANING[part][0])
     table = top.table("samples")
     unit, factor = TO_SI.get(written, ("", 0.0))
     if unit not in _MEANING[part]:

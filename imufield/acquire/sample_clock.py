@@ -134,8 +134,8 @@ class SampleClock:
         self._chosen = True
         first = join([block for block, _ in self._early])[: LEARN_FROM + 1]
         missing = np.isnan(first.ticks) if first.ticks.dtype.kind == "f" else first.ticks == NO_TICKS
-        self._has_time = self._has_time and 2 * np.count_nonzero(~missing) > len(first)
-        counted = 2 * np.count_nonzero(first.counter != NO_COUNTER) > len(first)
+        self._has_time = self._has_time and bool(2 * np.count_nonzero(~missing) > len(first))
+        counted = bool(2 * np.count_nonzero(first.counter != NO_COUNTER) > len(first))
         others = self._has_time and self._rule.counter_counts_others
         self._has_counter = self._has_counter and counted and not others
         by_stamps = self._has_time and not self._has_counter
