@@ -13,12 +13,15 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
 from imufield import __version__
 from imufield.errors import ImufieldError, RecordingError
+
+if TYPE_CHECKING:
+    from imufield.commands.site import SiteOptions
 
 EXIT_INTERRUPTED = 130
 """What typer leaves with after Ctrl-C; SIGTERM and SIGHUP take the same way."""
@@ -84,6 +87,18 @@ def root(
     context.default_map = default_map()
 
 
+def _site(context: typer.Context, gravity: float | None, latitude: float | None, height: float | None) -> SiteOptions:
+    """Return the site: what was typed; without that the defaults of file and variables, which a session's own site beats."""
+    from imufield.commands.site import SiteOptions
+
+    values = {"gravity": gravity, "latitude": latitude, "height": height}
+    sources = {name: context.get_parameter_source(name) for name in values}
+    typed = {name: value for name, value in values.items() if str(getattr(sources[name], "name", "")) == "COMMANDLINE"}
+    if "gravity" in typed or "latitude" in typed:
+        return SiteOptions(typed.get("gravity"), typed.get("latitude"), typed.get("height"))
+    return SiteOptions(gravity, latitude, height, is_default="height" not in typed)
+
+
 @app.command()
 def demo(
     seed: Annotated[int, typer.Option(help="Seed of the simulated instrument and operator.")] = 1,
@@ -112,6 +127,7 @@ def devices(as_json: AsJson = False) -> None:
 
 @app.command()
 def capture(
+    context: typer.Context,
     port: Port = None,
     driver: DriverName = None,
     baud: Baud = None,
@@ -150,7 +166,6 @@ def capture(
     from imufield.commands.capture import CaptureOptions, run_capture
     from imufield.commands.configuration import parse_settings
     from imufield.commands.connect import ConnectOptions, host_clock
-    from imufield.commands.site import SiteOptions
     from imufield.commands.views import Manner, parse_side
 
     options = CaptureOptions(
@@ -159,7 +174,7 @@ def capture(
         hold_s=hold_s,
         session=session,
         resume=resume,
-        site=SiteOptions(gravity, latitude, height),
+        site=_site(context, gravity, latitude, height),
         view="json" if as_json else "plain" if plain else "auto",
         target_bias_ug=target_bias_ug,
         target_scale_ppm=target_scale_ppm,
@@ -234,6 +249,7 @@ def replay(
 
 @app.command()
 def solve(
+    context: typer.Context,
     session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
     observations: Annotated[Path | None, typer.Option(help="CSV of position means instead of a session.")] = None,
     gravity: GravityValue = None,
@@ -255,13 +271,12 @@ def solve(
 
     Example: imufield solve --latitude 48.1 --height 520
     """
-    from imufield.commands.site import SiteOptions
     from imufield.commands.solve import SolveOptions, run_solve
 
     options = SolveOptions(
         session=session,
         observations=observations,
-        site=SiteOptions(gravity, latitude, height),
+        site=_site(context, gravity, latitude, height),
         model=model,
         gauge=gauge,
         preset=preset,
@@ -365,6 +380,7 @@ def export_data(
 
 @app.command()
 def verify(
+    context: typer.Context,
     parameters: Annotated[Path, typer.Argument(help="Parameter file under test.")],
     session: Annotated[Path | None, typer.Argument(help="Session they have not seen (default: the newest).")] = None,
     preset: Annotated[Path | None, typer.Option(help="Parameter file to compare with (default: no correction).")] = None,
@@ -387,7 +403,6 @@ def verify(
 
     Example: imufield verify parameters.toml rest-of-5-hours --require nav-nmi-per-h=1
     """
-    from imufield.commands.site import SiteOptions
     from imufield.commands.verify import VerifyOptions, run_verify
 
     options = VerifyOptions(
@@ -397,7 +412,7 @@ def verify(
         hold_out,
         turned,
         align_s,
-        SiteOptions(gravity, latitude, height),
+        _site(context, gravity, latitude, height),
         require,
         turn_on_ug,
         turn_on_deg_per_h,

@@ -134,4 +134,4 @@ def check_instrument(session: Session, connected: Connected) -> None:
 
 def site_as_before(site: SiteOptions, session: Session) -> SiteOptions:
     """Return the site that was given, else the one the session knows."""
-    return site if site.is_known else SiteOptions(**session.metadata.get("site", {}))
+    return site.over(session.metadata.get("site", {}))

@@ -12,11 +12,15 @@ from imufield.errors import UsageError
 
 @dataclass(frozen=True, slots=True)
 class SiteOptions:
-    """Options of the command line; None where not given."""
+    """Options of the command line; None where not given.
+
+    ``is_default`` says that they are defaults of file and variables: what a session knows of its own site goes before them.
+    """
 
     gravity_m_s2: float | None = None
     latitude_deg: float | None = None
     height_m: float | None = None
+    is_default: bool = False
 
     @property
     def is_known(self) -> bool:
@@ -36,11 +40,15 @@ class SiteOptions:
         UsageError, CalibrationError
             If a value exists nowhere on Earth, or a height stands alone.
         """
-        if self.height_m is not None and not self.is_known:
+        if self.height_m is not None and not (self.is_known or self.is_default):
             raise UsageError(f"a height of {self.height_m:g} m alone tells no gravity; give --latitude too, or --gravity")
-        if self.is_known or not recorded:
-            return choose_gravity(self.gravity_m_s2, self.latitude_deg, self.height_m)
-        return choose_gravity(recorded.get("gravity_m_s2"), recorded.get("latitude_deg"), recorded.get("height_m"))
+        site = self.over(recorded or {})
+        return choose_gravity(site.gravity_m_s2, site.latitude_deg, site.height_m)
+
+    def over(self, recorded: Mapping[str, Any]) -> SiteOptions:
+        """Return these, or what a session recorded where that goes before them."""
+        known = SiteOptions(*(recorded.get(key) for key in ("gravity_m_s2", "latitude_deg", "height_m")))
+        return known if known.is_known and (self.is_default or not self.is_known) else self
 
     def table(self) -> dict[str, float]:
         """Return the session's ``site`` table: what was typed, nothing computed."""

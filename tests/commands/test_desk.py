@@ -67,6 +67,24 @@ def test_solve_twice_keeps_the_first_and_gives_the_same(program: Program, whole:
     assert first["quality"]["verdict"] == "good"
 
 
+def test_the_site_typed_goes_before_the_sessions_own_and_that_before_defaults(program: Program, whole: Path) -> None:
+    (program.folder / "imufield.toml").write_text("latitude = 10\n")
+    variables = {"IMUFIELD_GRAVITY_M_S2": "9.79"}
+
+    def site(*options: object) -> dict[str, Any]:
+        ended = program.run("solve", "whole", "--json", *options, variables=variables)
+        assert ended.returncode == 0, ended.stderr
+        found: dict[str, Any] = json.loads(ended.stdout)["site"]
+        return found
+
+    assert site()["gravity_m_s2"] == 9.80665
+    assert site("--latitude", 60)["latitude_deg"] == 60
+    assert site("--latitude", 60)["gravity_source"] == "normal"
+    settings = (whole / "session.toml").read_text()
+    (whole / "session.toml").write_text(settings.replace("gravity_m_s2 = 9.80665\n", ""))
+    assert site()["gravity_m_s2"] == 9.79
+
+
 def test_solve_takes_the_newest_session(program: Program, whole: Path) -> None:
     root = program.folder / "imufield-sessions"
     root.mkdir()
