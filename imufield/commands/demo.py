@@ -42,6 +42,8 @@ OPERATOR_HOLD_S = 8.5
 """The guide trims both ends of a still stretch and needs some cells to be sure of it."""
 ROUNDS = 20
 LIMIT_SIGMA = 4.0
+LONGEST_S = 1800.0
+"""Of sample time; the emulator ends then even if the demonstration was killed and cannot end it."""
 
 INTRINSIC_NAMES = (
     *(f"scale {axis}" for axis in "xyz"),
@@ -113,7 +115,18 @@ def _rounds() -> str:
 def _emulator(seed: int, speed: float, truth: Path, positions: Path) -> Iterator[str]:
     """Run ``imufield emulate`` in a process of its own; yield the port."""
     command = [sys.executable, "-m", "imufield", "emulate", "stim300", "--json", "--wait", "--truth", str(truth)]
-    command += ["--seed", str(seed), "--speed", str(speed), "--rate-hz", str(RATE_HZ), "--hold-s", str(OPERATOR_HOLD_S)]
+    command += [
+        "--seed",
+        str(seed),
+        "--speed",
+        str(speed),
+        "--rate-hz",
+        str(RATE_HZ),
+        "--hold-s",
+        str(OPERATOR_HOLD_S),
+        "--duration-s",
+        str(LONGEST_S),
+    ]
     command += ["--positions", str(positions)]
     # What it says when it is ended is nobody's concern here; that it did not start is said below.
     quiet = subprocess.DEVNULL
