@@ -27,8 +27,11 @@ _OPEN_FRAMES = 4096
 _LATE_FRAMES = 32
 """By counter: how many frames of samples a frame may come late or early where time stamps tell nothing."""
 _PERIOD_PART = 0.75
-_LEAST_LIMIT_S = 0.02
-"""A host under load stamps the second frame of a sample so much later, whatever the period."""
+_LEAST_LIMIT_S, _LOOSE_LIMIT_S = 0.05, 0.2
+"""A host under load hands over the second frame of a sample so much later, whatever the period; the latter where stamps are
+made when a buffer is read."""
+_DOUBLED_PART = 0.25
+"""Two equal frames in a row are the same one if the second comes within this part of the period."""
 _CLEAR = 2.0
 """Factor by which the longest pause must exceed all others; stamps made while reading a buffer show none."""
 _FEWEST = 4
@@ -88,7 +91,7 @@ class Assembler:
         self._kinds = len(identifiers)
         self._identifiers = np.array(identifiers)
         self._start = 0 if self._kinds == 1 else rule.starts_with
-        self._limit_s = rule.limit_s
+        self._limit_s = self._doubled_s = rule.limit_s
         self._learned = self._kinds == 1 or (self._start is not None and self._limit_s > 0)
         self._done = 0
         """By counter: samples given out of those that begin with the first frames of the next block."""
@@ -126,18 +129,25 @@ class Assembler:
         if len(frames) == 0:
             return
         counts = np.bincount(frames.kind, minlength=self._kinds)
+        longest, is_clear = self._longest_pause(frames, counts)
         if self._start is None:
-            pause_s = np.maximum(np.diff(frames.time_s, prepend=frames.time_s[0]), 0.0)
-            mean_s = np.bincount(frames.kind, weights=pause_s, minlength=self._kinds) / np.maximum(counts, 1)
             usual = np.flatnonzero(counts >= _USUAL_PART * counts.max())
-            longest = int(usual[np.argmax(mean_s[usual])])
-            others = usual[usual != longest]
-            is_clear = mean_s[longest] > _CLEAR * float(mean_s[others].max(initial=0.0)) and counts[usual].min() >= _FEWEST
             self._start = longest if is_clear else int(usual[np.argmin(self._identifiers[usual])])
+        number = max(int(counts[self._start]) - 1, 1)
+        period_s = max(float(frames.time_s[-1] - frames.time_s[0]), 0.0) / number
         if not self._limit_s:
-            number = max(int(counts[self._start]) - 1, 1)
-            period_s = max(float(frames.time_s[-1] - frames.time_s[0]), 0.0) / number
-            self._limit_s = max(_PERIOD_PART * period_s, _LEAST_LIMIT_S)
+            self._limit_s = max(_PERIOD_PART * period_s, _LEAST_LIMIT_S if is_clear else _LOOSE_LIMIT_S)
+        self._doubled_s = _DOUBLED_PART * period_s if is_clear else self._limit_s
+
+    def _longest_pause(self, frames: SampleFrames, counts: IntArray) -> tuple[int, bool]:
+        """Return the kind that usually comes after the longest pause, and whether there is no doubt."""
+        pause_s = np.maximum(np.diff(frames.time_s, prepend=frames.time_s[0]), 0.0)
+        usual = np.flatnonzero(counts >= _USUAL_PART * counts.max())
+        # The median: a pause between two reads of a buffer comes at any place, but not before most frames of a kind.
+        median_s = {int(kind): float(np.median(pause_s[frames.kind == kind])) for kind in usual}
+        longest = max(median_s, key=lambda kind: median_s[kind])
+        others_s = max((pause for kind, pause in median_s.items() if kind != longest), default=0.0)
+        return longest, bool(counts[usual].min() >= _FEWEST and median_s[longest] > _CLEAR * others_s)
 
     def _by_order(self, frames: SampleFrames, last: bool) -> Groups:
         regular = self._all_complete(frames)
@@ -148,7 +158,7 @@ class Assembler:
         again = starts[1:][np.diff(starts) == 1]
         if len(again):
             # The same frame twice in a row, at once: sent again, or doubled on the way.
-            again = again[frames.is_repeated(again) & (time_s[again] - time_s[again - 1] <= self._limit_s)]
+            again = again[frames.is_repeated(again) & (time_s[again] - time_s[again - 1] <= self._doubled_s)]
             starts = np.setdiff1d(starts, again, assume_unique=True)
         rows = np.full((len(starts), self._kinds), NO_FRAME)
         used = len(starts)

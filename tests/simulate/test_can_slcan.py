@@ -1,0 +1,71 @@
+"""The ASCII protocol of slcan adapters, against the letters of Lawicel's manual."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tty
+from collections.abc import Iterator
+
+import pytest
+
+from imufield.acquire.can_frames import ERROR, EXTENDED, FD, REMOTE, Frame
+from imufield.simulate.slcan import SlcanDevice, format_frame, parse_frame
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="this system has no pseudo-terminals")
+
+
+@pytest.fixture
+def adapter() -> Iterator[tuple[SlcanDevice, int]]:
+    device = SlcanDevice()
+    host = os.open(device.port.port, os.O_RDWR | os.O_NOCTTY)
+    tty.setraw(host)
+    os.set_blocking(host, False)
+    yield device, host
+    os.close(host)
+    device.close()
+
+
+def ask(adapter: tuple[SlcanDevice, int], text: bytes) -> tuple[list[Frame], bytes]:
+    device, host = adapter
+    os.write(host, text)
+    frames = device.receive()
+    try:
+        return frames, os.read(host, 4096)
+    except BlockingIOError:
+        return frames, b""
+
+
+def test_commands(adapter: tuple[SlcanDevice, int]) -> None:
+    device, host = adapter
+    assert ask(adapter, b"S5\r") == ([], b"\r")
+    assert ask(adapter, b"V\rN\r") == ([], b"V1013\rNA123\r")
+    assert ask(adapter, b"q\r") == ([], b"\a")
+    device.send([Frame(1, b"a")])
+    assert device.frames_dropped == 1, "the channel is closed"
+    assert ask(adapter, b"O\r") == ([], b"\r")
+    device.send([Frame(0x123, b"\x01\x02"), Frame(ERROR | 8, bytes(8))])
+    assert os.read(host, 100) == b"t12320102\r"
+    assert ask(adapter, b"T18EAFF80353") == ([], b"")
+    assert ask(adapter, b"FF00\r") == ([Frame(0x18EAFF80 | EXTENDED, b"\x53\xff\x00")], b"Z\r")
+    ask(adapter, b"C\r")
+    assert not device.is_open
+
+
+@pytest.mark.parametrize(
+    ("frame", "text"),
+    [
+        (Frame(0x123, b"\x11\x22"), "t12321122\r"),
+        (Frame(0x08F02D80 | EXTENDED, bytes(8)), "T08F02D8080000000000000000\r"),
+        (Frame(0x7 | REMOTE, b""), "r0070\r"),
+        (Frame(0x9, bytes(12), flags=FD), "d0099" + "00" * 12 + "\r"),
+    ],
+)
+def test_frames_both_ways(frame: Frame, text: str) -> None:
+    assert format_frame(frame) == text
+    assert parse_frame(text[:-1].encode()) == frame
+
+
+@pytest.mark.parametrize("line", [b"", b"t", b"t12", b"t1239", b"tXYZ1", b"t1232aa", b"t1232aazz", b"x" * 500, b"\xff\xfe"])
+def test_no_frames(line: bytes) -> None:
+    assert parse_frame(line) is None
