@@ -24,6 +24,8 @@ _SHAPES_TRIED = 16
 _SHAPES_KEPT = 1024
 _GROUPS_OF_LENGTHS = 8
 """Frames of so many lengths are checked length by length; more (candidates in noise) all at once."""
+_BYTES_CHECKED_AT_ONCE = 1 << 19
+"""Bytes of frames of many lengths checked together: bounds memory to some 20 MB, 40 bytes for each."""
 _LENGTH_BITS, _KEY_BITS = 17, 32
 
 
@@ -141,7 +143,10 @@ class FormCheck:
             return good
         covered = ends - form.checksum.size - starts - form.checksum_from
         good &= covered > 0
-        good[good] &= _sent_is(form.checksum, form, buffer, starts[good], ends[good], covered[good])
+        places = np.flatnonzero(good)
+        batch = np.cumsum(covered[places]) // _BYTES_CHECKED_AT_ONCE
+        for part in np.split(places, np.flatnonzero(np.diff(batch)) + 1):
+            good[part] = _sent_is(form.checksum, form, buffer, starts[part], ends[part], covered[part])
         return good
 
     def _lengths_of(self, buffer: Bytes, starts: Positions) -> Positions:

@@ -34,8 +34,6 @@ _FIRST_RUN, _LONGEST_RUN = 32, 8192
 """Frames checked together: the first guess after a disturbance, and the bound on memory (8 bytes for each byte checked)."""
 _FIRST_WINDOW, _LONGEST_WINDOW = 128, 8192
 """Positions searched together: about three frames after a disturbance, many in noise."""
-_BYTES_CHECKED_AT_ONCE = 1 << 20
-"""Bound on positions searched times the longest frame: memory for a search stays below about 40 MB."""
 _FIRST_CHAIN, _LONGEST_CHAIN = 1 << 10, 1 << 16
 """Bytes in which headers are followed from one to the next."""
 _SAME_AGAIN = 64
@@ -86,7 +84,6 @@ class Framer:
     def __init__(self, rule: FrameRule) -> None:
         self._rule = rule
         self._check = FrameCheck(rule)
-        self._longest_window = max(_FIRST_WINDOW, min(_LONGEST_WINDOW, _BYTES_CHECKED_AT_ONCE // self._check.longest))
         self._rest = b""
         self._origin = 0
         self._run = _FIRST_RUN
@@ -242,14 +239,14 @@ class Framer:
     def _search(self, buffer: Bytes, at: int, last: bool) -> int:
         """Go to the next position that is a frame or may become one, at most to the end of the window."""
         until = min(at + self._window, len(buffer))
-        candidates = self._check.candidates(buffer, np.arange(at, until, dtype=np.intp))
+        candidates = self._check.headers(buffer, at, until)
         judged = self._check.judge(buffer, candidates, last)
         hits = candidates[judged != INVALID]
         if len(hits):
             self._window = _FIRST_WINDOW
             until = int(hits[0])
         else:
-            self._window = min(2 * self._window, self._longest_window)
+            self._window = min(2 * self._window, _LONGEST_WINDOW)
         if until > at:
             if self._skipped_here == 0 and self._check.length_at(buffer, at):
                 self.frames_bad_checksum += 1
