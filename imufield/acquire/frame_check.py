@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from imufield.acquire.checksum import Checksum
 from imufield.acquire.frame_forms import MORE, NONE, FrameForm, Shape
-from imufield.acquire.frame_schema import LONGEST_FRAME, FrameRule
+from imufield.acquire.frame_schema import FrameRule
 from imufield.acquire.layout import Layout, Rows
 
 Bytes = NDArray[np.uint8]
@@ -45,23 +45,12 @@ class FormCheck:
         self._is_fixed = fixed
         self._by_byte = self._table() if fixed and form.key_size == 1 else None
         self._shortest = form.header + form.tail
-        self.longest = self._longest()
 
     def _table(self) -> Positions:
         """Return the length of frames by their key of one byte; 0 where there is no such key."""
         table = np.zeros(256, dtype=np.intp)
         table[self._keys] = self._lengths
         return table
-
-    def _longest(self) -> int:
-        rule, masks = self.form.length, self.form.masks
-        if masks:
-            bits = [len(masks.groups.get(bit, ())) for bit in range(8)]
-            body = sum(one.size + 255 * one.repeat for fields in masks.groups.values() for each in fields for one in each)
-            return masks.at + 1 + 2 * sum(map(bool, bits)) + body + self.form.tail
-        if rule:
-            return rule.maximum + rule.add + rule.extended_size
-        return int(self._lengths.max())
 
     def first_bytes(self) -> NDArray[np.bool_]:
         """Return which byte values can begin a frame, shape (256,)."""
@@ -196,7 +185,6 @@ class FrameCheck:
     def __init__(self, rule: FrameRule) -> None:
         self._forms = [FormCheck(form) for form in rule.forms]
         self._can_begin = np.logical_or.reduce([form.first_bytes() for form in self._forms])
-        self.longest = min(max(form.longest for form in self._forms), LONGEST_FRAME)
         self.mixes_lengths = any(form.form.length or form.form.masks for form in self._forms) or len(self._forms) > 1
         """Whether frames of several lengths are usual in one stream."""
         self._shapes: dict[int, Shape] = {}
