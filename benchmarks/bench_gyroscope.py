@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +42,7 @@ sys.path.insert(0, str(PROJECT / "tests" / "calibrate"))
 from gyroscope_sessions import BLOCK, Session, rolled, simulate, steady  # noqa: E402 (it lies beside the tests)
 
 SHARED = PROJECT.parent / "shared" / "data"
+LONG: dict[str, Any] = {"rate_hz": 200.0, "hold_s": 12.0}
 DEG_PER_HOUR = np.radians(1.0) / 3600
 
 
@@ -104,7 +106,7 @@ def campaign(sessions: Iterable[Session]) -> tuple[FloatArray, FloatArray]:
 
 
 def seeds(count: int = 200) -> None:
-    ratios, sigmas = campaign(simulate(seed) for seed in range(count))
+    ratios, sigmas = campaign(simulate(seed, **LONG) for seed in range(count))
     rms = np.sqrt(np.nanmean(ratios**2, axis=0))
     for name, value, sigma in zip(GYROSCOPE_NAMES, rms, np.nanmean(sigmas, axis=0), strict=True):
         print(f"  {name:34s} RMS(error/sigma) {value:.3f}   sigma {sigma:.3g}")
@@ -112,8 +114,8 @@ def seeds(count: int = 200) -> None:
 
 
 def turns(count: int = 20) -> None:
-    _, plain = campaign(simulate(seed) for seed in range(count))
-    ratios, rolled_over = campaign(simulate(seed, turns=rolled(3)) for seed in range(count))
+    _, plain = campaign(simulate(seed, **LONG) for seed in range(count))
+    ratios, rolled_over = campaign(simulate(seed, turns=rolled(3), **LONG) for seed in range(count))
     gain = plain[:, :3].mean(axis=0) / rolled_over[:, :3].mean(axis=0)
     rms = np.sqrt(np.mean(ratios[:, :3] ** 2))
     print(f"three rolled whole turns each way and axis: scale sigma {gain.round(2)} times smaller, error/sigma {rms:.2f} RMS")
@@ -133,7 +135,11 @@ def static_session(seed: int, seconds: float) -> tuple[StaticData, FloatArray, F
     raw = rate @ M.T + bias + sigma * rng.standard_normal((24, 3))
     seen = up + 1e-5 * rng.standard_normal((24, 3))
     seen /= np.linalg.norm(seen, axis=1)[:, None]
-    return StaticData(raw, np.tile(sigma**2 * np.eye(3), (24, 1, 1)), seen, np.arange(24) * (seconds + 10.0)), M, bias
+    return (
+        StaticData(raw, np.tile(sigma**2 * np.eye(3), (24, 1, 1)), seen, np.asarray(np.arange(24) * (seconds + 10.0))),
+        M,
+        bias,
+    )
 
 
 def navigation(count: int = 100) -> None:

@@ -18,11 +18,12 @@ from imufield.calibrate.move_integration import INVERSE, PARAMETERS, SENSITIVITY
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray, IntArray
 
-WORST_SCALE = 0.2
-"""Relative sigma, with a start that may be off by a few per cent, above which an entry of K E counts as not seen."""
+WORST_SCALE = 0.05
+"""Relative sigma above which an entry of K E counts as not seen: a driver's nominal scale is as good."""
 WORST_SENSITIVITY = 2e-3
 """The same for g-sensitivity, rad/s per m/s^2: 1.1 deg/s per g."""
-_NOISIEST_TURN_RAD = 0.05
+_TURN_RAD = (0.002, 0.05)
+"""Turns are taken to be as wrong as this, at least and at most: what a start off by a few per cent leaves may be either."""
 _ORDER = (0, 4, 8, 9, 10, 11, 1, 2, 3, 5, 6, 7)
 """Scales, biases, then misalignment."""
 
@@ -76,7 +77,7 @@ def look(p: FloatArray, data: GyroscopeData, errors: ForceErrors, *, known: bool
     """
     now = evaluate(p, data)
     generous = first_scatter(now)
-    scatter = Scatter(generous.drift_rad_s, 0.0, min(generous.turn_rad, _NOISIEST_TURN_RAD))
+    scatter = Scatter(generous.drift_rad_s, 0.0, float(np.clip(generous.turn_rad, *_TURN_RAD)))
     S = covariances(now, p[:PARAMETERS], data, errors).total(scatter)
     scale = _natural_scale(p)
     whitened = np.linalg.solve(np.linalg.cholesky(S), now.jacobian[:, :PARAMETERS] * scale)

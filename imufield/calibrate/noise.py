@@ -332,7 +332,7 @@ def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, unit: s
     low, high = interval_95(deviation, freedom)
     step = float(best.step[column])
     sigma = math.sqrt(best.squares[column] / max(2 * (best.stream.samples - 1), 1))
-    quantised = sigma < QUANTISED * step
+    quantised = math.isfinite(step) and sigma < QUANTISED * step
     model = None
     if len(deviation) >= _IDENTIFIED_POINTS and deviation.min() > 0:
         model = identify(allan.tau_s, deviation, freedom)

@@ -11,7 +11,7 @@ from imufield.calibrate.accelerometer import calibrate_accelerometer
 from imufield.calibrate.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.gyroscope_paths import GyroscopeInput
 from imufield.calibrate.models import to_vector
-from imufield.calibrate.moves import MoveCollector
+from imufield.calibrate.moves import MoveCollector, Moves
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import Calibration, GyroscopeParameters
 from imufield.earth import Gravity
@@ -119,12 +119,29 @@ def blocks(imu: Imu, operator: Operator) -> Iterator[Samples]:
         yield imu.feed(operator.block(first, min(BLOCK, total - first), imu.interval_s))
 
 
+def record(seed: int, directions: FloatArray) -> tuple[Observations, Moves]:
+    """Return the stills and moves of a session that need not be enough for an accelerometer."""
+    drawn = steady(draw_truth(GRADES["mems"], np.random.default_rng([seed, 7])))
+    habits = OperatorSettings(
+        hold_s=8.0, initial_still_s=12.0, placement_error_rad=0.0, random_headings=False, wobble_rad=0.0, sway_rad=0.0
+    )
+    operator = Operator(directions, seed, habits, Site())
+    imu = Imu(drawn, seed, ImuSettings(rate_hz=200.0))
+    finder = StillIntervalFinder(drawn.grade.units, RoughScale.of_units(drawn.grade.units))
+    collector = MoveCollector(drawn.grade.units)
+    for block in blocks(imu, operator):
+        finder.feed(block)
+        collector.feed(block)
+    observations = finder.finish().observations
+    return observations, collector.finish(observations.start_s, observations.duration_s)
+
+
 def simulate(
     seed: int,
     *,
     grade: str = "mems",
-    rate_hz: float = 200.0,
-    hold_s: float = 12.0,
+    rate_hz: float = 100.0,
+    hold_s: float = 8.0,
     turns: tuple[Turn, ...] = (),
     settings: ImuSettings | None = None,
     latitude_deg: float | None = 45.0,

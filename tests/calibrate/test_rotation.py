@@ -61,7 +61,7 @@ def test_right_jacobian_is_the_derivative() -> None:
 def test_running_turns_of_chains_of_any_length() -> None:
     lengths = [1, 2, 5, 37]
     turns = exponential(RNG.standard_normal((sum(lengths), 3)))
-    first = np.cumsum(lengths) - lengths
+    first = (np.cumsum(lengths) - lengths).astype(np.int64)
     running = running_turns(turns, first)
     for start, length in zip(first, lengths, strict=True):
         product = np.array([1.0, 0, 0, 0])
