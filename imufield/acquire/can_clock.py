@@ -125,8 +125,8 @@ class CanClock:
             self._last_stamp_s = float(stamp_s[0])
         step_s = np.diff(stamp_s, prepend=self._last_stamp_s)
         self._last_stamp_s = float(stamp_s[-1])
-        jumps = ~((step_s >= -_RESET_S) & (step_s <= _LONGEST_PAUSE_S))
-        if jumps.any():
+        if not (step_s.min() >= -_RESET_S and step_s.max() <= _LONGEST_PAUSE_S):
+            jumps = ~((step_s >= -_RESET_S) & (step_s <= _LONGEST_PAUSE_S))
             self._statistics.clock_resets += int(np.count_nonzero(jumps))
             step_s = np.where(np.isfinite(step_s), step_s, 0.0)
             regular_s = self._phase.period_s if self._phase else 0.0

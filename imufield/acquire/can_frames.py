@@ -258,6 +258,8 @@ def _further_units(size: Units) -> IntArray:
 
 def _whole_units(units: Units) -> int:
     """Return how many units belong to frames that are complete."""
+    if not len(units) or (units[-1, 4] <= _FIRST and units[-1, 3] != _CONTINUATION >> 24):
+        return len(units)
     tail = units[-4:]
     words = tail.view("<u4")[:, 0]
     for back in range(1, len(tail) + 1):

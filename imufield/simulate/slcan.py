@@ -8,7 +8,7 @@ Frames come the other way in the same form. Error frames have no form at all.
 from __future__ import annotations
 
 from imufield.acquire.can_frames import ERROR, EXTENDED, FD, ID_MASK, REMOTE, Frame
-from imufield.simulate.port import PseudoTerminal
+from imufield.simulate.port import BUFFER_BYTES, PseudoTerminal
 
 _END, _BELL = b"\r", b"\a"
 _LONGEST_LINE = 200
@@ -25,7 +25,7 @@ class SlcanDevice:
         """Whether the host has opened the channel."""
         self.bit_rate_code = ""
         self.frames_dropped = 0
-        """Frames that came while the channel was closed."""
+        """Frames that came while the channel was closed, or the host did not read."""
         self._line = b""
 
     def send(self, frames: list[Frame]) -> None:
@@ -33,8 +33,19 @@ class SlcanDevice:
         if not self.is_open:
             self.frames_dropped += len(frames)
             return
-        text = "".join(format_frame(frame) for frame in frames if not frame.can_id & ERROR)
-        self.port.write(text.encode("ascii"))
+        room = BUFFER_BYTES - self.port.bytes_waiting
+        lines = []
+        for frame in frames:
+            if frame.can_id & ERROR:
+                continue
+            line = format_frame(frame).encode("ascii")
+            # An adapter whose host is late drops frames, never parts of one.
+            room -= len(line)
+            if room < 0:
+                self.frames_dropped += 1
+            else:
+                lines.append(line)
+        self.port.write(b"".join(lines))
 
     def receive(self) -> list[Frame]:
         """Answer what the host asks; return the frames it sends."""
