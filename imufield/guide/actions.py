@@ -513,11 +513,11 @@ class GuideActions:
         """Stop measuring."""
         self.events.append(Marked(self.now_s, "pause", None, "paused; nothing is measured until you go on"))
 
-    def resume(self) -> None:
+    def resume(self) -> Input | None:
         """Go on measuring."""
         self.detector.restart()
         self.events.append(Marked(self.now_s, "pause", None, "going on"))
-        self.propose()
+        return self.go_on()
 
     def lose_link(self) -> None:
         """Say that the link is gone; a hold under way is given up."""
@@ -529,13 +529,13 @@ class GuideActions:
         self._forget_hold()
         self.events.append(LinkLost(self.now_s, len(self.plan.accepted), len(self.plan.scheme)))
 
-    def find_link(self) -> None:
+    def find_link(self) -> Input | None:
         """Say that the link is back."""
         self.events.append(LinkBack(self.now_s))
-        if self.announced:
-            self.propose()
+        answer = self.go_on() if self.announced else None
         # The sample clock may start anew.
         self.now_s = math.nan
+        return answer
 
     def finish(self) -> None:
         """Say that the session is over."""

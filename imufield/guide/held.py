@@ -33,6 +33,7 @@ STEP_S = 0.004
 """Samples closer than this are averaged first: tremor of 0.1 deg turns 0.03 deg in it."""
 TREMOR_S = 0.25
 """A running mean this long parts tremor (above 4 Hz) from sway."""
+EDGE_S = 0.4
 _CYCLES = (2, 3, 4, 5)
 _PASSES = 3
 _LEFT_OF_TREMOR = 0.3
@@ -73,7 +74,7 @@ class _Steps:
     force: FloatArray
     rate: FloatArray
     keep: FloatArray
-    """1 where the step counts, 0 where it is knocked, shape (n,)."""
+    """Share by which the step counts: 0 where it is knocked, shape (n,)."""
 
 
 def held_mean(
@@ -131,12 +132,14 @@ def _average(samples: Samples, scale: RoughScale, knocks_s: FloatArray) -> _Step
     if len(first) < _FEWEST:
         return None
     mean_s = np.add.reduceat(time_s, first) / count[:, 0]
-    inside = (mean_s[:, None] >= knocks_s[:, 0] - STEP_S) & (mean_s[:, None] <= knocks_s[:, 1] + STEP_S)
+    # A sharp hole in the taper would let the tremor through; its edges are ``EDGE_S`` wide.
+    away = np.maximum(knocks_s[:, 0] - STEP_S - mean_s[:, None], mean_s[:, None] - knocks_s[:, 1] - STEP_S)
+    keep = np.sin(np.pi / 2 * np.clip(away / EDGE_S, 0.0, 1.0)) ** 2
     return _Steps(
         mean_s,
         np.add.reduceat(force[good] - scale.raw_zero, first, axis=0) / count,
         np.add.reduceat(rate[good], first, axis=0) / count / scale.gyroscope,
-        np.where(inside.any(axis=1), 0.0, 1.0),
+        keep.min(axis=1, initial=1.0),
     )
 
 

@@ -143,7 +143,7 @@ def draw_big(screen: Screen, snapshot: Snapshot, wire: Wire | None = None) -> Re
     big, small, style = headline(screen, snapshot)
     first, second = big_words(screen, snapshot)
     lines = [Text(line, style=style, no_wrap=True) for line in (*big_lines(first, WIDTH), "", *big_lines(second, WIDTH))]
-    said = Text(f"{big}: {small}", overflow="ellipsis", no_wrap=True)
+    said = _line(f"{big}: {small}")
     done = f"{len(snapshot.accepted)} of {snapshot.planned} done"
     bars = Text.assemble(" still ", _stillness_bar(snapshot), "  hold ", bar(snapshot.fraction, "green"), f"  {done}")
     return Group(
@@ -374,8 +374,13 @@ def _link_line(screen: Screen, snapshot: Snapshot, wire: Wire) -> Text:
     return Text(f" {link}   {rate}   {lost}   {warmth}", style="bold red" if bad else "bold", no_wrap=True)
 
 
+def _line(text: str) -> Text:
+    """Return one line of the screen; dots say that it goes on."""
+    return Text(text if len(text) <= WIDTH else f"{text[: WIDTH - 3]}...", no_wrap=True, overflow="crop")
+
+
 def _messages(screen: Screen, count: int) -> list[Text]:
     """Return the newest messages, each on one line, the newest last."""
     newest = list(screen.messages)[-count:]
-    lines = [Text(f" {message}", no_wrap=True, overflow="ellipsis") for message in newest]
+    lines = [_line(f" {message}") for message in newest]
     return [*lines, *[Text()] * (count - len(lines))]

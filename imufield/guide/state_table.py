@@ -122,3 +122,17 @@ TABLE: dict[State, dict[Input, Transition]] = {
     },
     State.DONE: {Input.REOPENED: Transition("propose", State.TURNING)},
 }
+
+
+def mermaid() -> str:
+    """Return the table as a state diagram in Mermaid, inputs that lead to the same state joined."""
+    lines = ["stateDiagram-v2", f"    [*] --> {State.LEARNING.value}"]
+    everywhere = set(_ANY)
+    for state, row in TABLE.items():
+        by_target: dict[State, list[str]] = {}
+        for happened, transition in row.items():
+            if happened in everywhere and row[happened] == _ANY[happened] and state is not State.LEARNING:
+                continue
+            by_target.setdefault(transition.to, []).append(f"{happened.value} / {transition.action.replace('_', ' ')}")
+        lines += [f"    {state.value} --> {to.value}: {', '.join(said)}" for to, said in by_target.items()]
+    return "\n".join(lines)

@@ -3,18 +3,19 @@
 import json
 import math
 import re
-from io import StringIO
+from io import BytesIO, StringIO, TextIOWrapper
 from typing import Any
 
 import pytest
 from rich.console import Console
 
+from imufield.guide.big_letters import big_lines
 from imufield.guide.events import EVENT_VERSION, EVENTS, LinkLost, Rejected, Turning
 from imufield.guide.guide import Guide
 from imufield.guide.jsonlines import JsonLinesView
 from imufield.guide.plain import PlainView, line
 from imufield.guide.positions import SCHEMES, scheme
-from imufield.guide.screen import HEIGHT, WIDTH, Screen, Wire, draw, draw_big
+from imufield.guide.screen import HEIGHT, WIDTH, Screen, Wire, big_words, draw, draw_big
 from imufield.guide.settings import GuideSettings
 from imufield.guide.terminal import TerminalView
 
@@ -156,28 +157,57 @@ def test_live_view_draws_through_rich(session: Any) -> None:
     assert "H O L D" in drawn.getvalue()
 
 
+@pytest.mark.parametrize(
+    ("until_s", "first"),
+    [(1.0, "LEAVE"), (3.35, "HOLD"), (5.0, "GOOD"), (6.8, "TURN"), (12.5, "AGAIN")],
+)
+def test_big_letters_say_the_same_and_fit(session: Any, until_s: Any, first: Any) -> None:
+    screen = Screen()
+    played = list(session(until_s))
+    for events, _ in played:
+        screen.follow(events)
+    snapshot = played[-1][1].snapshot()
+    assert big_words(screen, snapshot)[0] == first
+    console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing())
+    console.print(draw_big(screen, snapshot, Wire(0)))
+    lines = console.export_text().rstrip("\n").split("\n")
+    assert len(lines) <= HEIGHT
+    assert max(map(len, lines)) <= WIDTH
+    assert lines[0].rstrip() == big_lines(first, WIDTH)[0]
+
+
+def test_the_screen_is_ascii_where_the_terminal_is(session: Any) -> None:
+    drawn = TextIOWrapper(BytesIO(), encoding="ascii", errors="strict")
+    console = Console(width=WIDTH, height=HEIGHT, file=drawn, force_terminal=True, color_system=None)
+    with TerminalView(scheme("faces6"), console) as view:
+        for events, guide in session(7.0):
+            view.show(events, guide.snapshot())
+    drawn.flush()
+
+
 SNAPSHOT = """\
 ╭─ faces6: 1 of 6 done ──────────────────────╮╭─ positions ────────────────────╮
-│                                            ││ [ ]+x [x]+z [ ]-y              │
-│ G O O D   -   T U R N                      ││ [>]+y [ ]-x [ ]-z              │
-│                                            ││ [x] done [>] next [@] here     │
-│ +y: +y up, standing on the -y face         ││                                │
+│ G O O D   -   T U R N                      ││ [ ]+x [x]+z [ ]-y              │
+│ +y: +y up, standing on the -y face         ││ [>]+y [ ]-x [ ]-z              │
+│                                            ││ x done > next @ here ? doubt   │
+│                                            ││ known from the 4th position on │
+│ now                   goal                 ││                                │
+│          ⢀⣀⡠⠤⡀              ⢀⣀⡠⠤⠔⠒⠊⠑⠢⢄⡀    ││                                │
+│    ⣀⠤⠤⠒⠒⠉+z  ⠈⠑⠤⣀        ⢰⠮⣉⠁ ⣀+y⠤⠒⠒⠉⠁⡇    ││                                │
+│    ⡏⠑⠢⣀  ⣀⣀⠤⠤⠒⠊⠉⢹        ⢸  ⢹⠉        ⡇    ││                                │
+│    ⡇-x⠈⡏⠉  -y   ⢸   ->   ⢸-x⢸   +z    ⡇    ││                                │
+│    ⠉⠒⢄⡀⡇  ⢀⣀⠤⠤⠒⠒⠉        ⢸  ⢸      ⢀⣀⡠⠇    ││                                │
+│       ⠈⠓⠊⠉⠁              ⠈⠑⠢⢼⡠⠤⠔⠒⠊⠉⠁       ││                                │
 │                                            ││                                │
-│ to target ....................             ││                                │
-│ hold      ....................             ││                                │
-│ stillness ##........|......... still       ││                                │
-│           11 mm/s^2, limit 50 mm/s^2       ││                                │
-│           accelerometer z, vibration       ││                                │
-│                                            ││                                │
-│                                            ││                                │
+│ to target ................                 ││                                │
+│ hold      ................                 ││                                │
+│ stillness ##......|....... still           ││                                │
+│ acc z vibration 11 of 50 mm/s^2            ││                                │
 ╰────────────────────────────────────────────╯╰────────────────────────────────╯
  link ok   100 Hz   0 samples lost   no temperature
-╭──────────────────────────────────────────────────────────────────────────────╮
-│ noise floor: accelerometer 9.62 mm/s^2 rms per axis, gyroscope 0.057 deg/s;… │
-│ accepted +z: 3.0 s, mean known to 0.85 mm/s^2; 1 of 6 done                   │
-│                                                                              │
-│                                                                              │
-│                                                                              │
-╰──────────────────────────────────────────────────────────────────────────────╯
-r retake   s skip   u undo   p pause   f finish early   q quit (resume later)
+ noise floor: accelerometer 9.62 mm/s^2 rms per axis, gyroscope 0.057 deg/s; ...
+ accepted +z: 3.0 s
+
+
+r retake  s skip  u undo  p pause  f finish  b big  q quit (resume later)
 """

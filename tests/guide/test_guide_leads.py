@@ -1,0 +1,218 @@
+"""What the guide does beyond the positions: hands, doubt, targets, drift check, warm-up, clocks."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imufield.guide.events import Accepted, Advice, Done, Event, Move, RefusalCode, Rejected, Topic
+from imufield.guide.guide import Guide
+from imufield.guide.positions import scheme
+from imufield.guide.settings import GuideSettings
+from imufield.samples import Samples
+from imufield.simulate.grades import TACTICAL, perfect_instrument
+from imufield.simulate.imu import Imu, ImuSettings
+from imufield.simulate.operator import Operator, OperatorSettings
+
+FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
+ORDER = ("+z", "+x", "-z", "+y", "-x", "-y")
+
+
+def of(events: list[Event], kind: type[Any]) -> Any:
+    return [event for event in events if isinstance(event, kind)]
+
+
+def feed(samples: Samples, name: str = "faces6", cuts: int = 1, **settings: Any) -> tuple[Guide, list[Event]]:
+    guide = Guide(scheme(name), samples.units, settings=GuideSettings(**{"hold_s": 3.0, **settings}))
+    events: list[Event] = []
+    for part in np.array_split(np.arange(len(samples)), cuts):
+        events += guide.feed(samples[int(part[0]) : int(part[-1]) + 1])
+    return guide, events + guide.flush()
+
+
+def hand_session(tremor_deg: float = 0.08, sway_deg: float = 0.3, seed: int = 5) -> tuple[Samples, Operator, Imu]:
+    habits = OperatorSettings(
+        style="held",
+        hold_s=9.0,
+        initial_still_s=5.0,
+        turn_s=(1.0, 2.5),
+        tremor_rad=math.radians(tremor_deg),
+        sway_rad=math.radians(sway_deg),
+        sway_m=0.001,
+    )
+    operator = Operator([FACES[name] for name in ORDER[:4]], seed, habits)
+    imu = Imu(perfect_instrument(TACTICAL), seed, ImuSettings(rate_hz=125, drift=False, loss_probability=0.001))
+    count = round((operator.plan_all() - 0.5) * 125)
+    return imu.feed(operator.block(0, count, imu.interval_s)), operator, imu
+
+
+def test_a_unit_in_the_hand_is_measured_as_such() -> None:
+    samples, operator, imu = hand_session()
+    guide, events = feed(samples, hold_s=5.0)
+    taken = of(events, Accepted)
+    assert sorted(guide.observations().name) == sorted(ORDER[:4])
+    held = [event for event in taken if event.held]
+    assert len(held) >= 3
+    assert all(0.05 < event.tremor_deg < 0.12 for event in held)
+    for event in held:
+        end_s = event.start_s + event.duration_s
+        assert not any(
+            imu.to_sample_clock(move.start_s) < end_s and imu.to_sample_clock(move.end_s) > event.start_s
+            for move in operator.moves
+        )
+    norm = np.linalg.norm(guide.observations().mean_raw, axis=1)
+    np.testing.assert_allclose(norm, operator.site.gravity_m_s2, atol=300e-6 * 9.8)
+
+
+def test_events_of_a_hand_do_not_depend_on_the_cuts() -> None:
+    samples, _, _ = hand_session()
+    told = [event.to_dict() for event in feed(samples, hold_s=5.0)[1]]
+    for cuts in (7, 611):
+        assert [event.to_dict() for event in feed(samples, hold_s=5.0, cuts=cuts)[1]] == told
+
+
+@pytest.mark.parametrize(("tremor_deg", "sway_deg"), [(0.35, 0.2), (0.05, 4.0)])
+def test_larger_movement_is_refused_with_the_value(tremor_deg: float, sway_deg: float) -> None:
+    samples, _, _ = hand_session(tremor_deg, sway_deg)
+    guide, events = feed(samples, hold_s=5.0)
+    refused = of(events, Rejected)
+    reasons = {event.reason for event in refused}
+    assert reasons & {RefusalCode.TREMBLING, RefusalCode.SWAYING, RefusalCode.NOT_STILL, RefusalCode.MOVED}
+    assert all(event.measured > event.limit > 0 for event in refused if event.reason is not RefusalCode.ALREADY_DONE)
+    assert not any(event.held for event in of(events, Accepted))
+    assert len(guide.observations()) <= 1
+
+
+def corners(make_path: Any, spoil: int | None = None, again: tuple[int, ...] = (), hold_s: float = 4.5) -> Samples:
+    """All of corners24, then some of its positions again; one reading is 3 mg long."""
+    positions = scheme("corners24").positions
+    path = make_path(100.0).hold(positions[0].direction, 8)
+    starts = [0.0]
+    for index in (*range(1, 24), *again):
+        path.turn(positions[index].direction, 1.2)
+        starts.append(path.time_s)
+        path.hold(positions[index].direction, hold_s)
+    samples = path.samples(2e-3, 5e-4)
+    if spoil is not None:
+        rows = (samples.time_s >= starts[spoil] - 0.6) & (samples.time_s < starts[spoil] + hold_s)
+        samples.accelerometer[rows] *= 1.003
+    return samples
+
+
+def test_a_position_that_disagrees_is_named_and_asked_for_again(make_path: Any) -> None:
+    name = scheme("corners24").positions[14].name
+    guide, events = feed(corners(make_path, spoil=14, again=(14,)), "corners24")
+    doubt = next(event for event in of(events, Advice) if event.topic is Topic.DOUBTFUL)
+    assert doubt.position == name
+    assert doubt.measured == pytest.approx(3e-3 * 9.8, rel=0.25)
+    assert "mg" in doubt.words
+    assert "sigma" in doubt.words
+    assert of(events, Move)[-1].position == name
+    assert [event.position for event in of(events, Accepted) if event.replaces] == [name]
+    assert guide.done
+    assert guide.snapshot().doubtful == ()
+
+
+def test_retake_means_the_doubtful_position(make_path: Any) -> None:
+    guide, _ = feed(corners(make_path, spoil=14), "corners24")
+    assert not guide.done
+    assert guide.plan.wanted_again == {14}
+
+
+def test_accepted_tells_how_it_fits_and_what_is_known(make_path: Any) -> None:
+    _, events = feed(corners(make_path), "corners24")
+    taken = of(events, Accepted)
+    assert [event.residual_m_s2 is None for event in taken[:5]] == [True, True, True, False, False]
+    assert taken[-1].rank == 12
+    assert abs(taken[-1].leave_one_out_m_s2) < 5e-3
+    assert taken[-1].forecast["bias_ug"] < taken[10].forecast["bias_ug"]
+    assert not [event for event in of(events, Advice) if event.topic is Topic.DOUBTFUL]
+
+
+def test_finishing_early_is_offered_once_when_the_target_is_met(make_path: Any) -> None:
+    samples = corners(make_path)
+    _, events = feed(samples, "corners24", target_bias_ug=600.0)
+    offers = [event for event in of(events, Advice) if event.topic is Topic.TARGET_MET]
+    assert len(offers) == 1
+    assert offers[0].measured <= offers[0].limit == 600.0
+    assert offers[0].time_s < samples.time_s[-1] - 10
+
+
+def test_the_first_position_is_revisited_and_replaces_nothing(make_path: Any) -> None:
+    guide, events = feed(corners(make_path, again=(0,)), "corners24", revisit_first=True)
+    assert guide.done
+    drift = [event for event in of(events, Advice) if event.topic is Topic.DRIFT]
+    assert len(drift) == 1
+    assert "no drift" in drift[0].words
+    assert len(guide.observations()) == 24
+    assert not any(event.replaces for event in of(events, Accepted))
+    assert of(events, Move)[-1].why.startswith("the first one again")
+
+
+def test_drift_is_seen_at_the_revisit(make_path: Any) -> None:
+    samples = corners(make_path, again=(0,))
+    samples.accelerometer[-500:] *= 1.002
+    _, events = feed(samples, "corners24", revisit_first=True)
+    drift = next(event for event in of(events, Advice) if event.topic is Topic.DRIFT)
+    assert "it has drifted" in drift.words
+    assert drift.measured == pytest.approx(2e-3 * 9.8, rel=0.2)
+
+
+def test_a_wrong_common_scale_is_told(make_path: Any) -> None:
+    samples = corners(make_path)
+    samples.accelerometer[:] *= 1.05
+    _, events = feed(samples, "corners24")
+    told = [event for event in of(events, Advice) if event.topic is Topic.SCALE]
+    assert len(told) == 1
+    assert told[0].measured == pytest.approx(0.05, abs=0.002)
+
+
+def warming(make_path: Any, slope_degc_min: float) -> Samples:
+    samples = make_path(100.0).hold([0, 0, 1], 40).samples()
+    samples.temperature_degc[:] = 20 + np.round(slope_degc_min / 60 * samples.time_s, 2)
+    return samples
+
+
+def test_nothing_is_accepted_while_the_unit_warms_up_unless_the_operator_says_so(make_path: Any) -> None:
+    guide, events = feed(warming(make_path, 2.0), hold_s=8.0)
+    refused = of(events, Rejected)
+    assert {event.reason for event in refused} == {RefusalCode.WARMING_UP}
+    assert refused[0].measured == pytest.approx(2.0, rel=0.2)
+    assert len(guide.observations()) == 0
+    assert len(feed(warming(make_path, 0.3), hold_s=8.0)[0].observations()) == 1
+    samples = warming(make_path, 2.0)
+    guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=8.0))
+    guide.mark("go_on", 10.0)
+    guide.feed(samples)
+    assert len(guide.observations()) == 1
+
+
+def test_a_jump_of_the_clock_is_told(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 20).samples()
+    samples.time_s[500:] += 3600
+    guide, events = feed(samples, hold_s=8.0)
+    told = [event for event in of(events, Rejected) if event.reason is RefusalCode.CLOCK_JUMP]
+    assert [event.measured for event in told] == [pytest.approx(3600, abs=1)]
+    assert len(guide.observations()) == 1
+    assert guide.observations().start_s[0] > 3600
+
+
+def test_a_changed_sample_rate_is_told(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 30).samples()
+    thinned = np.ones(len(samples), dtype=bool)
+    thinned[1000::5] = False
+    _, events = feed(samples[thinned], hold_s=20.0)
+    told = [event for event in of(events, Rejected) if event.reason is RefusalCode.RATE]
+    assert len(told) == 1
+    assert "-20 %" in told[0].words
+
+
+def test_finish_ends_a_session_with_turns_left(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 10).samples()
+    guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=3.0, rotations="horizontal"))
+    guide.feed(samples)
+    assert of(guide.mark("finish", math.nan), Done)
+    assert guide.done

@@ -1,0 +1,94 @@
+import numpy as np
+import pytest
+
+from imufield.calibrate.models import predict
+from imufield.guide.observe import Observation
+from imufield.guide.positions import scheme
+from imufield.guide.running_fit import FEWEST, running_fit
+from imufield.guide.scale import RoughScale
+from imufield.simulate.grades import GRADES, draw_truth
+
+G = 9.80665
+SI = RoughScale(1.0, 1.0)
+BUMPED = 16
+
+
+def observations(grade: str, seed: int, bump: float = 0.0, scatter: float = 2e-4) -> list[Observation]:
+    rng = np.random.default_rng(seed)
+    instrument = draw_truth(GRADES[grade], rng)
+    found = []
+    for i, up in enumerate(scheme("paper24").directions()):
+        placed = up + 0.1 * rng.normal(size=3)
+        placed /= np.linalg.norm(placed)
+        mean = predict(instrument.accelerometer, G * placed) + rng.normal(0, scatter, 3)
+        if i == BUMPED:
+            mean = mean * (1 + bump)
+        found.append(Observation(f"p{i}", placed, mean, np.eye(3) * scatter**2, np.zeros(3), np.eye(3), 0.0, 10.0, 20.0))
+    return found
+
+
+def test_there_is_none_before_the_fourth() -> None:
+    some = observations("tactical", 0)
+    assert running_fit(some[: FEWEST - 1], SI, G) is None
+    fit = running_fit(some[:FEWEST], SI, G)
+    assert fit is not None
+    assert 0 < fit.rank < 9
+    assert running_fit(some, RoughScale(), G) is None
+
+
+@pytest.mark.parametrize("grade", GRADES)
+def test_the_forecast_shrinks_and_holds(grade: str) -> None:
+    some = observations(grade, 1)
+    fits = [running_fit(some[:count], SI, G) for count in (6, 12, 24)]
+    known = [fit.forecast() for fit in fits if fit is not None]
+    assert len(known) == 3
+    for key in known[0]:
+        assert known[0][key] > known[1][key] > known[2][key] > 0
+    assert fits[2].rank == 12
+    assert fits[2].condition < 20
+
+
+@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize("seed", range(3))
+def test_a_bumped_position_is_found_and_no_other(grade: str, seed: int) -> None:
+    fit = running_fit(observations(grade, seed, bump=3e-3), SI, G)
+    doubtful = [one for one in fit.disagreements() if one.doubtful]
+    assert [one.name for one in doubtful] == [f"p{BUMPED}"]
+    assert doubtful[0].leave_one_out_m_s2 == pytest.approx(3e-3 * G, rel=0.2)
+    assert not any(one.doubtful for one in running_fit(observations(grade, seed), SI, G).disagreements())
+
+
+def test_leave_one_out_is_that_of_a_fit_without_it() -> None:
+    some = observations("tactical", 3)
+    fit = running_fit(some, SI, G)
+    without = running_fit(some[1:], SI, G)
+    from imufield.calibrate.models import norm_derivatives
+
+    norm = norm_derivatives(without.vector, some[0].mean_raw[None, :]).norm[0]
+    assert fit.disagreements()[0].leave_one_out_m_s2 == pytest.approx(norm - G, rel=0.15, abs=3e-5)
+
+
+def test_the_gain_is_largest_where_nothing_was_measured() -> None:
+    some = [one for one in observations("tactical", 4) if one.direction[0] < 0.5]
+    fit = running_fit(some, SI, G)
+    gain = fit.gain(np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0]]))
+    assert np.argmax(gain) == 0
+    assert np.all(gain > 0)
+
+
+def test_quadratic_terms_that_matter_show() -> None:
+    some = observations("navigation", 5, scatter=1e-5)
+    bent = [Observation(one.name, one.direction, one.mean_raw + 2e-4 * one.mean_raw**2 / G, *_rest(one)) for one in some]
+    assert running_fit(bent, SI, G).quadratic_sigmas() > 3
+    assert running_fit(some, SI, G).quadratic_sigmas() < 3
+
+
+def _rest(one: Observation) -> tuple[object, ...]:
+    return (
+        one.covariance_raw,
+        one.gyroscope_mean_raw,
+        one.gyroscope_covariance_raw,
+        one.start_s,
+        one.duration_s,
+        one.temperature_degc,
+    )
