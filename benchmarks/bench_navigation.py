@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import resource
+import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
-from gyroscope_sessions import simulate, steady
 
 from imufield.calibrate.gyroscope_paths import calibrate_gyroscope
 from imufield.calibrate.result import AccelerometerParameters, Calibration, GyroscopeParameters
@@ -20,6 +21,9 @@ from imufield.simulate.grades import GRADES, Instrument, draw_truth
 from imufield.simulate.imu import Imu, ImuSettings
 from imufield.simulate.motion import Site, exponential, multiply, sample_motion
 from imufield.simulate.pieces import Piece
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "calibrate"))
+from gyroscope_sessions import simulate, steady
 
 HOURS = 5.0
 SEEDS = 100

@@ -156,8 +156,8 @@ def _check_serial(parameters: Parameters, session: Session) -> None:
 def _held_out(task: _Task, chain: Chain, problems: list[ImufieldError]) -> HeldOut | None:
     """Check the positions; what stands in the way goes to ``problems``, except where it is the user's mistake."""
     try:
-        observations = chain.observations() if chain.guide is not None else chain.still_intervals().observations
         _check_unit(task, chain)
+        observations = chain.observations() if chain.guide is not None else chain.still_intervals().observations
         return _check(task, observations, chain)
     except CalibrationError as error:
         if task.options.hold_out is not None or "residual-ug" in task.limits:

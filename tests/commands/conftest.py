@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ from imufield.acquire.link import Chunk
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.registry import load_driver
 from imufield.acquire.session import Session
+from imufield.cli import run
 from imufield.commands.chain import part_metadata
 from imufield.guide.positions import scheme
 from imufield.samples import Samples
@@ -150,3 +152,12 @@ def make_session(tmp_path: Path) -> Callable[..., Session]:
 def whole_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of one finished session of 24 positions; copy it before changing anything."""
     return simulated_session(tmp_path_factory.mktemp("whole") / "session").folder
+
+
+@pytest.fixture(scope="session")
+def solved_session(whole_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the same session with its parameters; copy it before changing anything."""
+    folder = tmp_path_factory.mktemp("solved") / "session"
+    shutil.copytree(whole_session, folder)
+    assert run(["solve", str(folder), "--latitude", "48"]) == 0
+    return folder

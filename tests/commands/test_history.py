@@ -1,0 +1,65 @@
+"""``imufield history`` over a folder of sessions."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from imufield.cli import run
+from imufield.commands.history import HistoryOptions, run_history
+from imufield.errors import UsageError
+
+
+@pytest.fixture
+def folder(solved_session: Path, tmp_path: Path) -> Path:
+    shutil.copytree(solved_session, tmp_path / "sessions" / "one")
+    return tmp_path / "sessions"
+
+
+def test_history_is_printed_and_written(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table, plot = tmp_path / "history.csv", tmp_path / "history.svg"
+    run_history(HistoryOptions(folder, csv=table, plot=plot), now=datetime(2100, 1, 1, tzinfo=UTC))
+    text = capsys.readouterr().out
+    assert "stim300: 1 calibration" in text
+    assert "one/parameters.toml" in text
+    assert "days old (limit 365): calibrate again" in text
+    assert table.read_text().startswith("instrument,serial_number,created")
+    assert plot.read_text().startswith("<svg")
+
+
+def test_json_is_one_document(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    assert run(["history", str(folder), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    (instrument,) = document["instruments"]
+    assert instrument["stale"] is False
+    assert set(instrument["calibrations"][0]["parameters"]["bias x"]) == {"value", "sigma", "unit"}
+
+
+def test_damaged_file_is_told_and_left_out(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good = folder / "one" / "parameters.toml"
+    (folder / "cut.toml").write_text(good.read_text()[:2000])
+    assert run(["history", str(folder)]) == 0
+    assert "left out: " in capsys.readouterr().err
+
+
+def test_one_instrument_at_a_time_is_drawn(folder: Path, tmp_path: Path) -> None:
+    from imufield.deliver.parameters import load
+    from imufield.deliver.parameters_write import to_toml
+
+    document = load(folder / "one" / "parameters.toml").document
+    document["instrument"] = document["instrument"] | {"serial_number": "X"}
+    document.pop("integrity", None)
+    (folder / "other.toml").write_text(to_toml(document))
+    with pytest.raises(UsageError, match="choose one with --serial"):
+        run_history(HistoryOptions(folder, plot=tmp_path / "x.svg"))
+    run_history(HistoryOptions(folder, serial_number="X", plot=tmp_path / "x.svg"))
+    assert (tmp_path / "x.svg").is_file()
+
+
+def test_empty_folder_is_a_usage_error(tmp_path: Path) -> None:
+    assert run(["history", str(tmp_path)]) == 2

@@ -1,0 +1,83 @@
+"""``imufield report`` of a solved session."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from imufield.cli import run
+from imufield.commands.report import ReportOptions, gather, run_report
+from imufield.errors import ParameterFileError
+
+MIB = 2**20
+
+
+@pytest.fixture
+def solved(solved_session: Path, tmp_path: Path) -> Path:
+    """Return a solved session of 24 positions of one's own."""
+    return Path(shutil.copytree(solved_session, tmp_path / "solved"))
+
+
+def test_pages_are_written_into_the_session(solved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    report, record = run_report(ReportOptions(solved, operator="A. Person"))
+    assert (report, record) == (solved / "report.html", solved / "calibration-record.html")
+    assert capsys.readouterr().out.count("written to") == 2
+    assert report.stat().st_size < 3 * MIB
+    text = report.read_text(encoding="utf-8")
+    for title in ("Residual on the sphere", "Residual by position", "Stillness", "Convergence", "Gyroscope closure"):
+        assert f"<h3>{title}</h3>" in text
+    assert "A. Person" in record.read_text(encoding="utf-8")
+
+
+def test_recording_tells_what_the_file_cannot(solved: Path) -> None:
+    data, _ = gather(ReportOptions(solved))
+    assert data.trace is not None
+    tables = data.parameters.document["position"]
+    inside = [
+        any(table["start_s"] + 0.5 < time_s < table["start_s"] + table["duration_s"] - 0.5 for table in tables)
+        for time_s in data.trace.time_s
+    ]
+    still = data.trace.scatter_m_s2[inside]
+    moving = data.trace.scatter_m_s2[[not one for one in inside]]
+    assert still.max() < 0.2 * moving.max()
+    assert data.closure is not None
+    assert len(data.closure.after_deg) == 23
+    assert data.closure.after_deg.mean() < 0.3 * data.closure.before_deg.mean()
+    assert [one.method for one in data.convergence] == ["bsas", "ide"]
+    assert all(one.converged for one in data.convergence)
+
+
+def test_parameters_alone_make_a_page_and_presets_a_column(solved: Path, tmp_path: Path) -> None:
+    file = solved / "parameters.toml"
+    pages = ["-o", str(tmp_path / "page.html"), "--record", str(tmp_path / "record.html")]
+    assert run(["report", "--parameters", str(file), "--preset", str(file), *pages]) == 0
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "<th>preset</th>" in text
+    assert "<h3>Stillness</h3>" not in text
+
+
+def test_verification_gets_into_the_page(solved: Path) -> None:
+    assert run(["verify", str(solved / "parameters.toml"), str(solved), "--require", "residual-ug=5000"]) == 0
+    report, _ = run_report(ReportOptions(solved))
+    text = report.read_text(encoding="utf-8")
+    assert "<b>PASS</b>" in text
+    assert "<h3>Held-out positions</h3>" in text
+
+
+def test_parameters_of_another_recording_are_refused(solved: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(solved, other)
+    part = next(other.glob("part-*.mcap"))
+    part.write_bytes(part.read_bytes()[:-4096])
+    with pytest.raises(ParameterFileError, match="solved from another recording"):
+        gather(ReportOptions(other))
+
+
+def test_unwritable_page_is_one_sentence(solved: Path, tmp_path: Path) -> None:
+    assert run(["report", str(solved), "-o", str(tmp_path / "nowhere" / "page.html")]) == 2
+
+
+def test_unsolved_session_is_refused(whole_session: Path) -> None:
+    assert run(["report", str(whole_session)]) == 5

@@ -1,0 +1,165 @@
+"""``imufield verify`` as a user runs it: positions, hours of rest, and what is refused with which exit code."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+
+from imufield.acquire.protocol import load_protocol
+from imufield.acquire.recorder import Recorder
+from imufield.acquire.session import Session
+from imufield.acquire.tables import write_rows
+from imufield.cli import run
+from imufield.commands.chain import part_metadata
+from imufield.commands.verify import VerifyOptions, run_verify
+from imufield.deliver.parameters import load
+from imufield.deliver.parameters_write import to_toml
+from imufield.earth import EARTH_RATE_RAD_S
+from imufield.errors import ParameterFileError, Reason, VerificationError
+from imufield.samples import FloatArray
+
+GRAVITY_M_S2 = 9.80665
+LATITUDE_DEG = 48.0
+
+
+@pytest.fixture
+def solved(solved_session: Path, tmp_path: Path) -> Path:
+    """Return a solved session of 24 positions of one's own."""
+    return Path(shutil.copytree(solved_session, tmp_path / "solved"))
+
+
+def rest_session(folder: Path, duration_s: float = 500.0, unit: str = "m/s^2", **metadata: Any) -> Session:
+    """Record an instrument at rest, level, heading east of north, with the noise of a good one."""
+    rate_hz, rng = 20.0, np.random.default_rng(1)
+    n = round(duration_s * rate_hz)
+    latitude = np.radians(LATITUDE_DEG)
+    north, up = EARTH_RATE_RAD_S * np.cos(latitude), EARTH_RATE_RAD_S * np.sin(latitude)
+    rows: FloatArray = np.zeros((n, 8))
+    rows[:, 0] = np.arange(n) / rate_hz
+    rows[:, 1:4] = [0.001, 0.002, GRAVITY_M_S2] + 1e-4 * rng.standard_normal((n, 3))
+    rows[:, 4:7] = [0.8 * north, 0.6 * north, up] + 1e-6 * rng.standard_normal((n, 3))
+    rows[:, 7] = np.nan
+    protocol = load_protocol("rows_f64", {"accelerometer_unit": unit, "gyroscope_unit": "rad/s", "rate_hz": rate_hz})
+    content: dict[str, Any] = {
+        "kind": "import",
+        "instrument": {"driver": "rows_f64", "model": "bench"},
+        "site": {"gravity_m_s2": GRAVITY_M_S2, "latitude_deg": LATITUDE_DEG},
+        "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
+        "settings": {name: {"value": one.value, "origin": one.origin} for name, one in protocol.settings.items()},
+        "finished": True,
+    }
+    session = Session.create_in(folder, "bench", content | metadata)
+    with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
+        write_rows(recorder, rows)
+    return session
+
+
+def with_document(path: Path, target: Path, **changes: Any) -> Path:
+    """Write a parameter file with tables of it changed, hash and all."""
+    document = load(path).document
+    for table, values in changes.items():
+        document[table] = document[table] | values
+    document.pop("integrity", None)
+    target.write_text(to_toml(document))
+    return target
+
+
+def test_own_session_is_cross_validated(solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "found.json"
+    found = run_verify(VerifyOptions(solved / "parameters.toml", solved, output=output))
+    assert found.held_out is not None
+    assert len(found.held_out.name) == 24
+    assert "up to 4 at a time" in found.held_out.how
+    assert found.held_out.before_rms_m_s2 > 3 * found.held_out.rms_m_s2
+    assert found.navigation is None
+    assert "as forecast" in capsys.readouterr().out
+    assert json.loads(output.read_text())["positions"]["as_forecast"]
+
+
+def test_results_are_kept_beside_the_parameters(solved: Path) -> None:
+    run_verify(VerifyOptions(solved / "parameters.toml", solved, hold_out=6, as_json=True))
+    assert (solved / "parameters.verification.json").is_file()
+
+
+def test_failed_requirement_leaves_with_7_and_says_what(solved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(VerificationError, match=r"residual-ug is .* at most 1 is required") as caught:
+        run_verify(VerifyOptions(solved / "parameters.toml", solved, require="residual-ug=1"))
+    assert caught.value.reason is Reason.FAILED_REQUIREMENT
+    assert run(["verify", str(solved / "parameters.toml"), str(solved), "--require", "residual-ug=1"]) == 7
+    output = capsys.readouterr()
+    assert "Verdict: FAIL" in output.out
+    assert run(["verify", str(solved / "parameters.toml"), str(solved), "--require", "residual-ug=5000"]) == 0
+
+
+def test_rest_is_navigated_before_and_after(solved: Path, tmp_path: Path) -> None:
+    session = rest_session(tmp_path / "rest")
+    options = VerifyOptions(solved / "parameters.toml", session.folder, align_s=200.0, output=tmp_path / "found.json")
+    found = run_verify(options)
+    assert found.navigation is not None
+    assert list(found.navigation.drifts) == ["before", "after"]
+    assert found.navigation.navigated_s == pytest.approx(299, abs=2)
+    # The simulated rest has no errors, the file of another instrument puts some in.
+    drifts = found.navigation.drifts
+    assert drifts["before"].position_nmi.max() < drifts["after"].position_nmi.max()
+    document = json.loads(options.output.read_text())
+    assert set(document["navigation"]["drift"]) == {"before", "after"}
+
+
+def test_short_rest_is_checked_as_a_position_and_the_reason_told(
+    solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = rest_session(tmp_path / "rest", 60.0)
+    arguments = ["verify", str(solved / "parameters.toml"), str(session.folder), "-o", str(tmp_path / "found.json")]
+    assert run(arguments) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "the recording holds 60 s and static navigation needs 660 s" in text
+    assert run([*arguments, "--require", "nav-nmi-per-h=1"]) == 4
+
+
+def test_unannounced_options_are_refused(solved: Path, tmp_path: Path) -> None:
+    session = rest_session(tmp_path / "rest")
+    common = ["verify", str(solved / "parameters.toml"), str(session.folder), "-o", str(tmp_path / "found.json")]
+    assert run([*common, "--turned", "--align-s", "200"]) == 4
+    assert run([*common, "--require", "speed=1"]) == 2
+    assert run([*common, "--hold-out", "3"]) == 2
+
+
+def test_parameters_of_another_instrument_are_refused(solved: Path, tmp_path: Path) -> None:
+    other = with_document(solved / "parameters.toml", tmp_path / "other.toml", instrument={"serial_number": "A1"})
+    session = rest_session(tmp_path / "rest", instrument={"driver": "rows_f64", "model": "bench", "serial_number": "B2"})
+    with pytest.raises(ParameterFileError, match="serial number A1, the session for B2") as caught:
+        run_verify(VerifyOptions(other, session.folder))
+    assert caught.value.reason is Reason.FOREIGN
+
+
+def test_parameters_in_other_units_are_refused(solved: Path, tmp_path: Path) -> None:
+    session = rest_session(tmp_path / "rest", unit="count")
+    with pytest.raises(ParameterFileError, match=r"values in m/s\^2, these samples are in count") as caught:
+        run_verify(VerifyOptions(solved / "parameters.toml", session.folder))
+    assert caught.value.reason is Reason.UNITS
+
+
+def test_edited_file_is_refused_and_the_results_left_alone(solved: Path, tmp_path: Path) -> None:
+    path = tmp_path / "parameters.toml"
+    path.write_text((solved / "parameters.toml").read_text().replace("bias_m_s2 = [", "bias_m_s2 = [1.", 1))
+    old = tmp_path / "parameters.verification.json"
+    old.write_text("old")
+    assert run(["verify", str(path), str(solved)]) == 5
+    assert old.read_text() == "old"
+
+
+def test_latitude_is_asked_for(solved: Path, tmp_path: Path) -> None:
+    session = rest_session(tmp_path / "rest")
+    metadata = dict(session.metadata)
+    metadata["site"] = {"gravity_m_s2": GRAVITY_M_S2}
+    (session.folder / "session.toml").write_bytes(tomli_w.dumps(metadata).encode())
+    nowhere = with_document(solved / "parameters.toml", tmp_path / "nowhere.toml", site={"latitude_deg": float("nan")})
+    arguments = ["verify", str(nowhere), str(session.folder), "--align-s", "200", "-o", str(tmp_path / "found.json")]
+    assert run([*arguments, "--require", "nav-nmi-per-h=100"]) == 2
+    assert run([*arguments, "--require", "nav-nmi-per-h=1000000", "--latitude", "48"]) == 0

@@ -1,0 +1,62 @@
+"""Means, stillness and noise of an instrument at rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imufield.deliver.navigation.rest import IntervalMeans, fill_gaps, measure_noise, moving_seconds
+from imufield.samples import FloatArray
+
+RNG_SEED = 3
+
+
+def test_means_do_not_depend_on_how_the_stream_is_cut() -> None:
+    time_s = np.arange(0, 20, 0.03)
+    values = np.random.default_rng(RNG_SEED).normal(size=(len(time_s), 6))
+    slot = np.floor(time_s).astype(int)
+    expected = np.array([values[slot == k].mean(axis=0) for k in range(19)])
+    for size in (1, 7, 1000):
+        means = IntervalMeans(0.0)
+        for first in range(0, len(time_s), size):
+            means.feed(time_s[first : first + size], values[first : first + size])
+        np.testing.assert_allclose(means.finish(), expected, atol=1e-12)
+
+
+def test_a_second_without_samples_is_not_a_number_and_is_filled() -> None:
+    means = IntervalMeans(0.0)
+    time_s = np.array([0.1, 0.2, 2.5, 3.5])
+    means.feed(time_s, np.repeat(time_s[:, None], 6, axis=1))
+    found = means.finish()
+    assert np.isnan(found[1]).all()
+    np.testing.assert_allclose(fill_gaps(found)[1], (0.15 + 2.5) / 2)
+
+
+def rest(n: int = 2000, seed: int = RNG_SEED) -> FloatArray:
+    sigma = np.repeat([5e-5, 6e-7], 3)
+    return np.array([0, 0, 9.8, 1e-5, 5e-5, 0]) + sigma * np.random.default_rng(seed).standard_normal((n, 6))
+
+
+def test_rest_is_still_and_a_turn_is_not() -> None:
+    means = rest()
+    assert not moving_seconds(means).any()
+    means[700:703, 3] += 1.0
+    means[703:, :3] = [0, 9.8, 0]
+    moving = np.flatnonzero(moving_seconds(means))
+    assert moving.min() == 700
+    assert moving.max() < 715
+
+
+def test_noise_density_is_that_of_the_second_means() -> None:
+    noise = measure_noise(rest())
+    np.testing.assert_allclose(noise.density, np.repeat([5e-5, 6e-7], 3), rtol=0.06)
+    assert noise.triads().force == pytest.approx(5e-5, rel=0.04)
+    assert noise.triads().rate == pytest.approx(6e-7, rel=0.04)
+
+
+def test_instability_is_an_upper_limit_and_unknown_in_minutes() -> None:
+    flicker = 3e-6
+    means = rest(18_000)
+    found = measure_noise(means).instability
+    assert np.all(found[:3] < flicker)
+    assert np.isnan(measure_noise(means[:500]).instability).all()

@@ -1,0 +1,183 @@
+"""The pages: complete, self-contained, valid, and honest about what is missing."""
+
+from __future__ import annotations
+
+import re
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.observations import Observations
+from imufield.calibrate.result import Calibration
+from imufield.deliver.context import Context, Instrument
+from imufield.deliver.parameters import Parameters, from_document, to_document
+from imufield.deliver.report.data import Closure, Convergence, ReportData, Trace
+from imufield.deliver.report.page import render_record, render_report
+from imufield.deliver.report.rows import Row, parameter_rows
+from imufield.errors import Reason, UsageError
+
+VOID = {"meta", "link", "br"}
+MIB = 2**20
+
+
+class Page(HTMLParser):
+    """Checks nesting, and collects ids, addresses and text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.addresses: list[str] = []
+        self.text: list[str] = []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+        for name, value in attrs:
+            if name == "id":
+                self.ids.append(value or "")
+            if name in ("src", "href", "xlink:href", "action"):
+                self.addresses.append(value or "")
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] not in ("style", "script"):
+            self.text.append(data)
+
+
+@pytest.fixture
+def loaded(calibration: Calibration, observations: Observations, context: Context) -> Parameters:
+    return from_document(to_document(calibration, observations, context))
+
+
+@pytest.fixture
+def data(loaded: Parameters) -> ReportData:
+    time_s = np.arange(0, 400, 0.5)
+    moves = np.arange(10.0, 300.0, 14.0)
+    curve = Convergence("bsas", np.arange(1.0, 50.0), np.logspace(1, -8, 49), 1000, True)
+    return ReportData(
+        loaded,
+        loaded,
+        Trace(time_s, np.full(len(time_s), 1e-3), np.full(len(time_s), np.nan)),
+        Closure(moves, np.full(len(moves), 0.2), np.full(len(moves), 0.02)),
+        (curve, replace(curve, method="ide")),
+        None,
+        (("Parameter file", "parameters.toml"),),
+        "A. Person",
+    )
+
+
+def test_page_is_self_contained_and_well_formed(data: ReportData) -> None:
+    text = render_report(data)
+    page = Page(text)
+    assert [one for one in page.addresses if not one.startswith(("#", "data:,"))] == []
+    assert "url(http" not in text
+    assert "@import" not in text
+    assert "<script" not in text
+    assert len(page.ids) == len(set(page.ids))
+    assert {one[1:] for one in page.addresses if one.startswith("#")} <= set(page.ids)
+    assert len(text) < 3 * MIB
+
+
+def test_page_says_who_when_where_and_how_good(data: ReportData) -> None:
+    words = " ".join(Page(render_report(data)).text)
+    for expected in (
+        "N25581234567890",
+        "2025-03-01 10:55:00 UTC",
+        "latitude 48.1°",
+        "30.9 to 33.4 °C",
+        "A. Person",
+        "fit for use",
+    ):
+        assert expected in words
+    for title in ("Residual on the sphere", "Stillness", "Convergence", "Gyroscope closure"):
+        assert title in words
+    assert "a" * 64 in words
+
+
+def test_names_cannot_break_out_of_the_page(data: ReportData, calibration: Calibration, observations: Observations) -> None:
+    evil = '<script>alert("x")</script>&'
+    context = Context(Instrument("d", evil, evil))
+    named = replace(observations, name=tuple(f"{evil}{k}" for k in range(len(observations))))
+    parameters = from_document(to_document(calibration, named, context))
+    text = render_report(replace(data, parameters=parameters, operator=evil))
+    Page(text)
+    assert "<script" not in text
+    assert "<script" not in render_record(replace(data, parameters=parameters, operator=evil))
+
+
+def test_least_of_all_is_still_a_page(loaded: Parameters) -> None:
+    page = Page(render_report(ReportData(loaded)))
+    words = " ".join(page.text)
+    assert "Stillness" not in words
+    assert "preset" not in words.split("Parameters")[1][:200]
+
+
+def test_verification_is_shown(data: ReportData) -> None:
+    positions = {
+        "how": "2 positions of another session",
+        "rms_m_s2": 4e-4,
+        "before_rms_m_s2": None,
+        "forecast_rms_m_s2": 5e-4,
+        "as_forecast": True,
+        "name": ["a", "b"],
+        "residual_m_s2": [4e-4, -4e-4],
+        "before_m_s2": [None, None],
+        "sigma_m_s2": [5e-4, 5e-4],
+    }
+    curves = {key: [0.0, 1.0] for key in ("time_s", "latitude_deg", "longitude_deg", "north_velocity_m_s", "east_velocity_m_s")}
+    drift = {"rate_nmi_per_h": 0.4, "position_nmi": [0.0, 1.0], **curves}
+    navigation = {"turned": True, "navigated_s": 3600.0, "drift": {"before": drift, "after": drift}}
+    requirement = [{"name": "residual-ug", "limit": 50.0, "measured": 41.0, "passed": True}]
+    verification = {"positions": positions, "navigation": navigation, "passed": True, "requirement": requirement}
+    words = " ".join(Page(render_report(replace(data, verification=verification))).text)
+    assert "PASS" in words
+    assert "40.8 µg RMS; forecast 51 µg: as forecast" in words
+    assert "turned over after the alignment" in words
+    assert "PASS" in " ".join(Page(render_record(replace(data, verification=verification))).text)
+
+
+def test_record_has_all_parameters_and_lines_to_sign(data: ReportData) -> None:
+    words = " ".join(Page(render_record(data)).text)
+    for row in parameter_rows(data.parameters.calibration, None):
+        assert re.search(re.escape(row.shown), words)
+    for expected in ("Approved by", "A. Person", "a" * 64):
+        assert expected in words
+
+
+def test_the_same_data_give_the_same_page(data: ReportData) -> None:
+    assert render_report(data) == render_report(data)
+
+
+@pytest.mark.parametrize("package", ["matplotlib", "jinja2"])
+def test_missing_package_is_named(data: ReportData, monkeypatch: pytest.MonkeyPatch, package: str) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(UsageError, match=rf"{package}; install it with `pip install imufield\[report\]`") as caught:
+        render_report(data)
+    assert caught.value.reason is Reason.MISSING_PACKAGE
+
+
+def test_rows_show_value_interval_preset_and_change() -> None:
+    row = Row("Accelerometer", "bias x", "mg", 1.2345, 0.021, 1.3)
+    assert (row.shown, row.expanded(2.18), row.preset_shown, row.change) == ("+1.234 ± 0.021", "0.046", "+1.300", "-3.1")
+    fixed = Row("Accelerometer", "bias x", "mg", 1.2345, 0.0, float("nan"))
+    assert (fixed.expanded(2.0), fixed.preset_shown, fixed.change) == ("", "", "")
+
+
+def test_rows_leave_out_what_the_gauge_fixes(calibration: Calibration) -> None:
+    names = [row.name for row in parameter_rows(calibration, None) if row.triad == "Accelerometer"]
+    assert "misalignment xy" not in names
+    assert {"misalignment yx", "misalignment zx", "misalignment zy", "quadratic x"} <= set(names)

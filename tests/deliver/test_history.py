@@ -1,0 +1,163 @@
+"""A folder of parameter files: index, changes in sigma, what is left out, staleness."""
+
+from __future__ import annotations
+
+import csv
+import io
+import sqlite3
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.observations import Observations
+from imufield.calibrate.result import Calibration
+from imufield.deliver.context import Context
+from imufield.deliver.history import INDEX_FILE, numbers_of, plot_history, read_history, sentences, to_csv
+from imufield.deliver.parameters import write_parameters
+from imufield.errors import UsageError
+
+NOW = datetime(2026, 9, 1, tzinfo=UTC)
+
+
+@pytest.fixture
+def write(tmp_path: Path, calibration: Calibration, observations: Observations, context: Context):  # type: ignore[no-untyped-def]
+    """Return a writer of calibrations: date, bias y moved by so many sigma, serial number."""
+
+    def writer(name: str, created: str, moved: float = 0.0, serial: str = "N1", session: str = "") -> Path:
+        found = calibration.intrinsic
+        raw = found.bias_raw + moved * found.bias_raw_sigma * np.array([0.0, 1.0, 0.0])
+        changed = replace(calibration, intrinsic=replace(found, bias_raw=raw))
+        facts = replace(context.session, sha256=session or f"{hash(name) % 16:x}" * 64)
+        where = replace(
+            context, created=f"{created}T10:00:00Z", instrument=replace(context.instrument, serial_number=serial), session=facts
+        )
+        path = tmp_path / name / "parameters.toml"
+        path.parent.mkdir(exist_ok=True)
+        write_parameters(path, changed, observations, where)
+        return path
+
+    return writer
+
+
+def test_a_move_is_told_in_sigma_of_the_difference(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    write("b", "2026-08-01", moved=-4.1 * np.sqrt(2), session="b" * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    assert [entry.created[:10] for entry in instrument.entries] == ["2026-03-04", "2026-08-01"]
+    change = {one.name: one for one in instrument.changes()}["bias y"]
+    assert change.in_sigma == pytest.approx(-4.1, rel=1e-6)
+    told = list(sentences(instrument, NOW))
+    assert told[0].startswith("bias y moved 4.1 sigma since 4 March 2026 (")
+    assert len(told) == 1
+
+
+def test_slow_drift_is_told_against_the_first(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    for k in range(4):
+        write(f"s{k}", f"2026-0{k + 1}-01", moved=2.0 * k, session=f"{k}" * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    assert any("since 1 January 2026" in one for one in sentences(instrument, NOW))
+
+
+def test_gravity_is_common_to_both_scales(calibration: Calibration) -> None:
+    scale = {one.name: one for one in numbers_of(calibration)}["scale x"]
+    assert scale.common == pytest.approx(5e-4 / 9.8071, rel=1e-3)
+    assert scale.common < scale.sigma
+
+
+def test_an_old_calibration_is_called_old(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2025-08-01")
+    (instrument,) = read_history(tmp_path).instruments
+    assert "396 days old (limit 365)" in next(iter(sentences(instrument, NOW)))
+    assert not list(sentences(instrument, NOW, stale_days=400))
+
+
+def test_only_the_newest_solution_of_a_recording_counts(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    write("a", "2026-03-05", session="a" * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    assert [entry.path for entry in instrument.entries] == ["a/parameters.toml"]
+
+
+def test_instruments_are_kept_apart_and_one_can_be_chosen(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", serial="N1")
+    write("b", "2026-03-05", serial="N2")
+    assert [one.serial_number for one in read_history(tmp_path).instruments] == ["N1", "N2"]
+    assert [one.serial_number for one in read_history(tmp_path, "N2").instruments] == ["N2"]
+    with pytest.raises(UsageError, match="of serial number N3"):
+        read_history(tmp_path, "N3")
+
+
+def test_unknown_serial_numbers_are_not_trusted(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", serial="", session="a" * 64)
+    write("b", "2026-03-05", serial="", session="b" * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    assert "may be of several instruments" in next(iter(sentences(instrument, NOW)))
+
+
+def test_files_are_read_once_and_again_after_a_change(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    path = write("a", "2026-03-04")
+    write("b", "2026-03-05", session="b" * 64)
+    (tmp_path / "a" / "session.toml").write_text('format = "imufield-session"\n')
+    assert [read_history(tmp_path).read for _ in range(2)] == [3, 0]
+    path.unlink()
+    write("b", "2026-04-05", session="b" * 64)
+    history = read_history(tmp_path)
+    assert history.read >= 1
+    assert [entry.created[:10] for entry in history.instruments[0].entries] == ["2026-04-05"]
+
+
+def test_damaged_files_are_named_and_left_out(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    path = write("a", "2026-03-04")
+    text = write("b", "2026-03-05").read_text()
+    path.write_text(text[: len(text) // 2])
+    history = read_history(tmp_path)
+    assert len(history.instruments[0].entries) == 1
+    assert len(history.faults) == 1
+    assert "a/parameters.toml" in history.faults[0]
+
+
+@pytest.mark.parametrize("content", [b"", b"no database at all, and long enough to be looked at" * 20])
+def test_a_spoilt_index_does_no_harm(tmp_path: Path, write, content: bytes) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04")
+    (tmp_path / INDEX_FILE).write_bytes(content)
+    assert len(read_history(tmp_path).instruments) == 1
+
+
+def test_an_index_of_another_version_is_made_anew(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04")
+    read_history(tmp_path)
+    with sqlite3.connect(tmp_path / INDEX_FILE) as index:
+        index.execute("PRAGMA user_version = 99")
+        index.execute("DROP TABLE entry")
+        index.execute("CREATE TABLE entry (other TEXT)")
+    index.close()
+    assert read_history(tmp_path).read == 1
+
+
+def test_empty_and_missing_folders_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="holds no parameter file"):
+        read_history(tmp_path)
+    with pytest.raises(UsageError, match="is no folder"):
+        read_history(tmp_path / "nowhere")
+
+
+def test_table_has_a_row_for_every_number(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    write("b", "2026-08-01", moved=5.0, session="b" * 64)
+    rows = list(csv.DictReader(io.StringIO(to_csv(read_history(tmp_path)))))
+    numbers = len(read_history(tmp_path).instruments[0].entries[0].numbers)
+    assert len(rows) == 2 * numbers
+    moved = [row for row in rows if row["parameter"] == "bias y"]
+    assert [row["change_sigma"] for row in moved] == ["", "3.54"]
+    assert float(moved[0]["value"]) == read_history(tmp_path).instruments[0].entries[0].numbers[1].value
+
+
+def test_plot_is_a_drawing_of_every_kind(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    write("b", "2026-08-01", session="b" * 64)
+    drawn = plot_history(read_history(tmp_path).instruments[0]).decode()
+    assert drawn.startswith("<svg")
+    assert all(f">{kind}<" in drawn for kind in ("bias", "scale", "angle"))
