@@ -15,7 +15,7 @@ from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import Calibration, Gauge, ModelChoice
 from imufield.deliver.parameters import Context, Parameters, from_document, to_document
 from imufield.earth import Gravity
-from imufield.errors import ParameterFileError, Reason, UsageError
+from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError
 from imufield.samples import FloatArray, Samples
 
 
@@ -125,7 +125,13 @@ def _with_gyroscope(calibration: Calibration, measured: Measured, wishes: Wishes
         preset=None if before is None else before.parameters,
         nominal_scale=measured.gyroscope_scale,
     )
-    return calibrate_gyroscope(given, wishes.gyroscope_model).join(calibration)
+    try:
+        return calibrate_gyroscope(given, wishes.gyroscope_model).join(calibration)
+    except CalibrationError as error:
+        # The accelerometer is known all the same; axes that contradict it were refused before.
+        sentence = f"the gyroscope is not calibrated: {error.message}"
+        quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, sentence))
+        return replace(calibration, quality=quality)
 
 
 def _check_preset(preset: Parameters, measured: Measured) -> None:

@@ -122,4 +122,6 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: Emulator)
         return
     typer.echo(f"{options.driver} at {rate_hz:.0f} Hz, {options.speed:g} times real time, on {port}")
     clock = "" if options.speed == 1 else f"IMUFIELD_CLOCK_SPEED={max(options.speed, 1):g} "
-    typer.echo(f"read it with:  {clock}imufield capture --port {port}       (Ctrl-C ends the emulator)")
+    # The right latitude matters: the scale of the accelerometer is as good as the gravity it is given.
+    typer.echo(f"read it with:  {clock}imufield capture --port {port} --latitude {emulation.site.latitude_deg:g}")
+    typer.echo("Ctrl-C ends it")

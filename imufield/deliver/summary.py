@@ -154,7 +154,7 @@ def _misalignment(table: Table, matrix: np.ndarray, sigma: np.ndarray) -> None:
         name = "misalignment" if start == 0 else ""
         cells = [f"{AXES[i]}{AXES[j]} {with_sigma(matrix[i, j] * 1e3, sigma[i, j] * 1e3, sign=True)}" for i, j in pairs]
         table.add_row(name, "mrad", *cells)
-        minutes = [f"{matrix[i, j] / ARC_MINUTE_RAD:+.1f}" for i, j in pairs]
+        minutes = [f"{matrix[i, j] / ARC_MINUTE_RAD:+.1f}" if np.isfinite(sigma[i, j]) else "" for i, j in pairs]
         table.add_row("", "arcmin", *minutes, style="dim")
 
 
