@@ -45,7 +45,12 @@ def _object(kind: str, properties: dict[str, Any]) -> dict[str, Any]:
 
 def _type(hint: Any) -> dict[str, Any]:
     """Return the schema of one annotation; a float may be null, because what is not finite is."""
-    simple = {str: {"type": "string"}, bool: {"type": "boolean"}, int: {"type": "integer"}, float: {"type": ["number", "null"]}}
+    simple: dict[Any, dict[str, Any]] = {
+        str: {"type": "string"},
+        bool: {"type": "boolean"},
+        int: {"type": "integer"},
+        float: {"type": ["number", "null"]},
+    }
     if hint in simple:
         return dict(simple[hint])
     if isinstance(hint, type) and issubclass(hint, Enum):

@@ -35,7 +35,7 @@ TREMOR_S = 0.25
 """A running mean this long parts tremor (above 4 Hz) from sway."""
 EDGE_S = 0.4
 _CYCLES = (2, 3, 4, 5)
-_PASSES = 3
+_PASSES = 2
 _LEFT_OF_TREMOR = 0.3
 """Share of the squared tremor (rad, each axis) that is left in the mean: 0.9 ug at 0.1 deg, measured on simulated hands."""
 _FEWEST = 20
@@ -159,13 +159,18 @@ def _turn(steps: _Steps, taper: FloatArray) -> tuple[FloatArray, FloatArray, Flo
     since = steps.time_s - taper @ steps.time_s
     slope_weight = taper * since / (taper @ since**2)
     for _ in range(_PASSES):
-        attitude = _about_mean(exponential((between - rest) * interval), taper)
-        turned = (matrix(attitude) @ steps.force[:, :, None])[:, :, 0]
+        turned, _ = _with_rest(steps, between - rest, interval, taper)
         mean = taper @ turned
         # What is left of the rate turns the force at e x f: its part across f follows from the drift.
         drift = slope_weight @ turned
         rest = rest + np.cross(mean, drift) / (mean @ mean)
-    return rest, turned, attitude
+    return rest, *_with_rest(steps, between - rest, interval, taper)
+
+
+def _with_rest(steps: _Steps, rate: FloatArray, interval: FloatArray, taper: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the forces turned into the mean attitude (n, 3), and the attitudes (n, 4), for rates between steps."""
+    attitude = _about_mean(exponential(rate * interval), taper)
+    return (matrix(attitude) @ steps.force[:, :, None])[:, :, 0], attitude
 
 
 def _about_mean(turn: FloatArray, taper: FloatArray) -> FloatArray:

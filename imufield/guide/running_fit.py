@@ -76,7 +76,7 @@ class RunningFit:
     @cached_property
     def covariance(self) -> FloatArray:
         """Forecast covariance, shape (12, 12)."""
-        return np.asarray(np.linalg.inv(self.information))
+        return np.asarray(np.linalg.inv(self.information), dtype=np.float64)
 
     def forecast(self) -> dict[str, float]:
         """Return 1 sigma of the groups of parameters, the largest axis of each, in the units people use."""
@@ -148,15 +148,24 @@ def running_fit(observations: list[Observation], scale: RoughScale, gravity_m_s2
     prior = _prior_sigma(scale)
     sigma = np.full(len(raw), EXPECTED_SCATTER_M_S2)
     try:
-        for _ in range(2):
-            vector, residual, jacobian, across = _minimise(start, raw, sigma, prior, gravity_m_s2)
-            own = np.einsum("mi,mij,mj->m", across, within, across)
-            sigma = np.sqrt(np.maximum(own, 0.0) + EXPECTED_SCATTER_M_S2**2 * _scatter(residual, jacobian, own, prior))
+        vector, residual, jacobian, across = _minimise(start, raw, sigma, prior, gravity_m_s2)
+        own = np.einsum("mi,mij,mj->m", across, within, across)
+        # Weights from the first fit, the fit again, and the weights that belong to it.
+        sigma = _sigma(residual, jacobian, own, prior)
+        vector, residual, jacobian, _ = _minimise(start, raw, sigma, prior, gravity_m_s2)
+        sigma = _sigma(residual, jacobian, own, prior)
         seen = observe(norm_derivatives(vector, raw), vector, gravity_m_s2, quadratic=True)
     except (CalibrationError, np.linalg.LinAlgError):
         return None
     names = tuple(one.name for one in observations)
     return RunningFit(names, vector, scale, residual, sigma, jacobian, prior, seen.rank, seen.condition)
+
+
+def _sigma(residual: FloatArray, jacobian: FloatArray, own: FloatArray, prior: FloatArray) -> FloatArray:
+    """Return 1 sigma of each norm: of its mean, and between positions."""
+    between = EXPECTED_SCATTER_M_S2**2 * _scatter(residual, jacobian, own, prior)
+    sigma: FloatArray = np.sqrt(np.maximum(own, 0.0) + between)
+    return sigma
 
 
 def _prior_sigma(scale: RoughScale) -> FloatArray:
@@ -174,15 +183,14 @@ def _minimise(
     """Return vector (15,), residuals (m,), Jacobian (m, 12) and d norm / d raw (m, 3): Gauss-Newton with priors."""
     columns = list(LOWER_GAUGE_COLUMNS)
     vector = start.copy()
-    for step in range(_STEPS + 1):
+    for _ in range(_STEPS):
         derivatives = norm_derivatives(vector, raw)
-        residual, jacobian = derivatives.norm - gravity_m_s2, derivatives.jacobian[:, columns]
-        if step == _STEPS:
-            break
-        rows = np.vstack([jacobian / sigma[:, None], np.diag(1 / prior)])
+        rows = np.vstack([derivatives.jacobian[:, columns] / sigma[:, None], np.diag(1 / prior)])
+        residual = derivatives.norm - gravity_m_s2
         goal = -np.concatenate([residual / sigma, (vector - start)[columns] / prior])
         vector[columns] += np.linalg.lstsq(rows, goal, rcond=None)[0]
-    return vector, residual, jacobian, derivatives.raw_gradient
+    found = norm_derivatives(vector, raw)
+    return vector, found.norm - gravity_m_s2, found.jacobian[:, columns], found.raw_gradient
 
 
 def _scatter(residual: FloatArray, jacobian: FloatArray, within: FloatArray, prior: FloatArray) -> float:

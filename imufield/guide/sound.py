@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import queue
 import shutil
 import subprocess
@@ -218,8 +219,6 @@ def _find(names: tuple[str, ...]) -> str | None:
 
 def _has_sound_card() -> bool:
     """Whether sound may come out: a card of this computer; over SSH the bell reaches the person, the card does not."""
-    import os
-
     if os.environ.get("SSH_CONNECTION"):
         return False
     return sys.platform == "darwin" or any(Path("/dev/snd").glob("pcm*p"))
@@ -227,13 +226,14 @@ def _has_sound_card() -> bool:
 
 def _ring(cue: Cue) -> None:
     """Ring the terminal's bell; it moves no cursor and prints nothing."""
-    if not sys.stdout.isatty():
+    # The live view keeps what is written to ``sys.stdout`` until a line ends; the bell goes to the terminal itself.
+    screen = sys.__stdout__
+    if screen is None or not screen.isatty():
         return
     for stroke in range(cue.strokes):
         if stroke:
             threading.Event().wait(0.18)
-        sys.stdout.write("\a")
-        sys.stdout.flush()
+        os.write(screen.fileno(), b"\a")
 
 
 def _card_player(program: str, folder: Path) -> Callable[[Cue], None]:

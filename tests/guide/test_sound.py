@@ -68,7 +68,7 @@ def test_the_guide_never_waits_and_late_sounds_are_left_out() -> None:
 
 
 def test_a_broken_player_harms_nobody() -> None:
-    said = []
+    said: list[str] = []
 
     def play(_cue: Cue) -> None:
         raise OSError("no card")

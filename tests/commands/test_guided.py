@@ -1,0 +1,164 @@
+"""The guided capture in a terminal: keys in, screen out, against emulated instruments; cables pulled, processes killed."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import select
+import signal
+import struct
+import subprocess
+import termios
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+from imufield.acquire.session import Session
+
+if TYPE_CHECKING:
+    from tests.commands.conftest import Program
+
+WAIT_S = 60.0
+
+
+class Terminal:
+    """A terminal of 80 by 24 with the program in it."""
+
+    def __init__(self, program: Program, *arguments: object, variables: dict[str, str] | None = None) -> None:
+        self._master, slave = pty.openpty()
+        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        streams = {"stdin": slave, "stdout": slave, "stderr": slave, "start_new_session": True}
+        self.process: subprocess.Popen[str] = program.start(
+            *arguments, variables={"TERM": "xterm-256color", **(variables or {})}, **streams
+        )
+        os.close(slave)
+        self.text = ""
+
+    def read(self, seconds: float = 0.1) -> None:
+        ready, _, _ = select.select([self._master], [], [], seconds)
+        if ready:
+            try:
+                self.text += os.read(self._master, 65536).decode("utf-8", "replace")
+            except OSError:
+                return
+
+    def expect(self, words: str, *, after: int = 0) -> int:
+        """Wait for words on the screen; return where they ended."""
+        limit = time.monotonic() + WAIT_S
+        while words not in self.text[after:]:
+            assert time.monotonic() < limit, f"{words!r} is not in {self.text[-3000:]!r}"
+            self.read()
+        return self.text.index(words, after) + len(words)
+
+    def type(self, keys: str) -> None:
+        os.write(self._master, keys.encode())
+
+    def wait(self) -> int:
+        limit = time.monotonic() + WAIT_S
+        while self.process.poll() is None and time.monotonic() < limit:
+            self.read()
+        self.read()
+        return self.process.wait(5)
+
+    def close(self) -> None:
+        os.close(self._master)
+
+
+def newest(program: Program) -> Session:
+    return Session.newest(program.folder / "imufield-sessions")
+
+
+@pytest.fixture
+def terminals() -> Iterator[list[Terminal]]:
+    opened: list[Terminal] = []
+    yield opened
+    for one in opened:
+        one.close()
+
+
+def open_terminal(opened: list[Terminal], program: Program, *arguments: object, **variables: str) -> Terminal:
+    terminal = Terminal(program, *arguments, variables=variables)
+    opened.append(terminal)
+    return terminal
+
+
+def test_a_session_with_pictures_keys_big_letters_and_bell(program: Program, terminals: list[Terminal]) -> None:
+    port = program.emulate("--positions", "faces6", "--hold-s", 8, "--wait", speed=8.0)
+    options = ("--positions", "faces6", "--hold-s", 2, "--clock-speed", 8, "--latitude", 48)
+    terminal = open_terminal(terminals, program, "capture", "--port", port, "--driver", "stim300", *options, SSH_CONNECTION="1")
+    terminal.expect("positions")
+    terminal.expect("goal")
+    place = terminal.expect("accepted")
+    terminal.type("b")
+    terminal.expect("##      ##", after=place)
+    terminal.type("b")
+    place = terminal.expect("stillness", after=len(terminal.text))
+    terminal.type("u")
+    terminal.expect("is undone", after=place)
+    terminal.type("f")
+    assert terminal.wait() == 0
+    assert "\a" in terminal.text
+    assert "imufield solve" in terminal.text
+    assert newest(program).finished
+
+
+def test_quiet_is_quiet_and_no_colour_is_none(program: Program, terminals: list[Terminal]) -> None:
+    port = program.emulate("--positions", "faces6", "--hold-s", 6, "--wait")
+    arguments = program.capture(port, "--quiet", "--latitude", 48)
+    terminal = open_terminal(terminals, program, *arguments, NO_COLOR="1")
+    terminal.expect("accepted")
+    terminal.type("q")
+    assert terminal.wait() == 0
+    assert "\a" not in terminal.text
+    assert "\x1b[32m" not in terminal.text
+    assert "\x1b[1;32m" not in terminal.text
+
+
+def test_a_killed_capture_goes_on_where_it_was(program: Program, terminals: list[Terminal]) -> None:
+    port = program.emulate("--positions", "faces6", "--hold-s", 6)
+    terminal = open_terminal(terminals, program, *program.capture(port, "--latitude", 48))
+    terminal.expect("2 of 6 done")
+    terminal.process.send_signal(signal.SIGKILL)
+    assert terminal.wait() == -signal.SIGKILL
+    again = open_terminal(
+        terminals, program, "capture", "--resume", "--session", newest(program).folder, IMUFIELD_CLOCK_SPEED="16"
+    )
+    again.expect("2 of 6 done")
+    again.type("f")
+    assert again.wait() == 0
+    assert len(newest(program).parts) == 2
+
+
+def test_unplugged_and_plugged_in_again(program: Program, terminals: list[Terminal]) -> None:
+    link = program.folder / "imu"
+    first = program.emulate("--positions", "faces6", "--hold-s", 6, "--link", link)
+    emulator = program.started[-1]
+    terminal = open_terminal(terminals, program, *program.capture(first, "--latitude", 48))
+    place = terminal.expect("1 of 6 done")
+    emulator.kill()
+    emulator.wait()
+    place = terminal.expect("N O   L I N K", after=place)
+    link.unlink(missing_ok=True)
+    program.emulate("--positions", "faces6", "--hold-s", 6, "--link", link)
+    place = terminal.expect("link ok", after=place)
+    terminal.expect("of 6 done", after=place)
+    terminal.type("q")
+    assert terminal.wait() == 0
+    assert not newest(program).finished
+
+
+def test_whole_turns_are_asked_for_after_the_positions(program: Program, terminals: list[Terminal]) -> None:
+    port = program.emulate("--positions", "none")
+    terminal = open_terminal(terminals, program, *program.capture(port, "--rotations", "rolled", "--latitude", 48))
+    terminal.expect("accepted")
+    terminal.type("sssss")
+    terminal.expect("R O L L")
+    terminal.type("f")
+    assert terminal.wait() == 0
+    assert newest(program).metadata["guide"]["rotations"] == "horizontal"
+    refused = program.run(*program.capture(port, "--rotations", "sideways"))
+    assert refused.returncode == 2
+    assert "rolled, table" in refused.stderr
