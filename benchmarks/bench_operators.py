@@ -97,9 +97,7 @@ def play(operator: Operator, imu: Imu, guide: Guide) -> list[Event]:
         for event in said:
             if isinstance(event, Move):
                 target = names.index(event.position)
-        leave = any(
-            isinstance(event, Accepted) or (isinstance(event, Rejected) and event.reason in _LEAVE) for event in said
-        )
+        leave = any(isinstance(event, Accepted) or (isinstance(event, Rejected) and event.reason in _LEAVE) for event in said)
         resting_s = 0.0 if guide.state is not State.RESTING else resting_s + BLOCK_S
         # Whoever lingers on a side that is done reads the screen and goes on.
         if leave or resting_s > 3.0:
