@@ -56,7 +56,8 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
     if options.csv is not None:
         _write(options.csv, to_csv(history).encode("utf-8"))
     if options.plot is not None:
-        _write(options.plot, plot_history(history.instruments[0]))
+        for instrument in history.instruments:  # the only one
+            _write(options.plot, plot_history(instrument))
     if options.as_json:
         typer.echo(json.dumps(_document(history, options, now)))
     else:

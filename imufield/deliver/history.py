@@ -216,6 +216,9 @@ def _open_index(folder: Path) -> sqlite3.Connection:
     for place in (folder / INDEX_FILE, ":memory:"):
         try:
             connection = sqlite3.connect(place)
+        except sqlite3.Error:
+            continue
+        try:
             version = connection.execute("PRAGMA user_version").fetchone()[0]
             if version != INDEX_VERSION:
                 connection.execute("DROP TABLE IF EXISTS entry")

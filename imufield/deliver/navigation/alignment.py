@@ -154,7 +154,7 @@ def _fine(means: RestMeans, latitude_deg: float, noise: NoiseDensity) -> tuple[F
     earth = earth_rate(latitude_deg)
     steps = [rotation(rate * means.interval_s) for rate in means.rate]
     back = rotation(-earth * means.interval_s)
-    attitude = coarse_attitude(means.force.mean(axis=0), means.rate.mean(axis=0))
+    attitude, covariance = coarse_attitude(means.force.mean(axis=0), means.rate.mean(axis=0)), np.eye(3)
     for number in range(_PASSES):
         if number:
             for step in reversed(steps):

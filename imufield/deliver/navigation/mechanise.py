@@ -11,6 +11,7 @@ Angular rate and specific force are taken as linear between samples. At rest tha
 from __future__ import annotations
 
 import importlib
+import warnings
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -110,7 +111,10 @@ class Mechanisation:
         imu = pandas.DataFrame(rows[:, 1:], index=rows[:, 0], columns=[*util.GYRO_COLS, *util.ACCEL_COLS])
         increments = self._pyins.strapdown.compute_increments_from_imu(imu, "rate")
         state = pandas.Series(self._state, index=util.TRAJECTORY_COLS, name=rows[0, 0])
-        trajectory = self._pyins.strapdown.Integrator(state, with_altitude=False).integrate(increments)
+        with warnings.catch_warnings():
+            # python-ins 1.0 uses a keyword that newer pandas does without.
+            warnings.filterwarnings("ignore", "The copy keyword", DeprecationWarning)
+            trajectory = self._pyins.strapdown.Integrator(state, with_altitude=False).integrate(increments)
         self._state = trajectory.iloc[-1].to_numpy()
         self._keep(trajectory)
 
