@@ -269,8 +269,8 @@ class TurnsProblem:
     upper: FloatArray
     form: Literal["norm", "vector"] = "vector"
     unit: float = 1.0
-    """Raw units in which the cost is expressed: with the nominal K it is in (deg/s)^2 or deg/s where rates are in deg/s. Eq. 17 of
-    [2]_ is not free of units, so a cost in squared pulses would keep its mutation factor up."""
+    """Raw units in which the cost is expressed: with the nominal K it is in (deg/s)^2 or deg/s where rates are in deg/s.
+    Eq. 17 of [2]_ is not free of units, so a cost in squared pulses would keep its mutation factor up."""
 
     @property
     def start(self) -> FloatArray:

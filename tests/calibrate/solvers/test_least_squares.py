@@ -50,7 +50,7 @@ def test_the_signature_is_that_of_every_solver() -> None:
 
 def test_minimum_is_that_of_the_normal_equations(line: Line) -> None:
     result = solve_least_squares(line)
-    expected = np.linalg.lstsq(line.jacobian(line.start), line.y, rcond=None)[0]
+    expected = np.asarray(np.linalg.lstsq(line.jacobian(line.start), line.y, rcond=None)[0], dtype=np.float64)
     assert result.x == pytest.approx(expected, rel=1e-9)
     assert result.cost == pytest.approx(float(line.cost(expected[None])[0]))
     assert result.converged
