@@ -16,8 +16,8 @@ _HEAD = """# The papers' tables and figures, reproduced
 Every table and figure of the two papers that can be computed, the paper's figure beside ours. Where the paper used
 hardware, a simulated instrument stands in its place, and the setting says so.
 
-From {size} of `imufield study all --seed {seed}` with imufield {version}. The same seed gives the same figures on any
-number of workers.
+From {size} of all studies with seed {seed} and imufield {version}. The same seed gives the same figures on any number of
+workers.
 
 * BSAS: P. Wang et al., "In-Field Calibration of Triaxial Accelerometer Based on Beetle Swarm Antenna Search Algorithm",
   Sensors, 2020.
