@@ -119,13 +119,7 @@ def cross_validate(
     """
     _require_finite(observations)
     m = len(observations)
-    if not 1 <= hold_out <= m - FEWEST_LEFT:
-        raise UsageError(
-            f"--hold-out {hold_out} of {m} positions is not possible, {FEWEST_LEFT} must be left to calibrate from; give 1 to "
-            f"{max(m - FEWEST_LEFT, 1)}",
-            hold_out=hold_out,
-            positions=m,
-        )
+    _require_enough(m, hold_out)
     groups = -(-m // hold_out)
     residual, misfit, sigma = np.empty(m), 0.0, np.empty(m)
     for first in range(groups):
@@ -159,6 +153,16 @@ def _require_finite(observations: Observations) -> None:
             "is not finite; remove or retake it",
             Reason.NOT_FINITE,
             position=observations.name[row],
+        )
+
+
+def _require_enough(m: int, hold_out: int) -> None:
+    if not 1 <= hold_out <= m - FEWEST_LEFT:
+        raise UsageError(
+            f"--hold-out {hold_out} of {m} positions is not possible, {FEWEST_LEFT} must be left to calibrate from; give 1 to "
+            f"{max(m - FEWEST_LEFT, 1)}",
+            hold_out=hold_out,
+            positions=m,
         )
 
 
