@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 from imufield.acquire.driver import Driver, Evidence, Wire
@@ -21,7 +22,7 @@ class Mv5Can(Driver):
     bauds: ClassVar[tuple[int, ...]] = (250_000, 500_000)
     status: ClassVar[Evidence] = "document only"
     manual: ClassVar[str] = "SAE J1939-71 PGN 61481, 61482, 61485; signal names of an open-source MV5 driver"
-    settings: ClassVar[dict[str, object]] = {"axes": "sae"}
+    settings: ClassVar[Mapping[str, object]] = {"axes": "sae"}
 
 
 DRIVER = Mv5Can

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 from imufield.acquire.driver import Driver, Evidence, Wire
@@ -22,7 +23,7 @@ class TarsCan(Driver):
     bauds: ClassVar[tuple[int, ...]] = (250_000, 500_000)
     status: ClassVar[Evidence] = "verified on real bytes"
     manual: ClassVar[str] = "SAE J1939-71 PGN 61481, 61482, 61485; frames of a public logger"
-    settings: ClassVar[dict[str, object]] = {"axes": "sae"}
+    settings: ClassVar[Mapping[str, object]] = {"axes": "sae"}
 
 
 DRIVER = TarsCan

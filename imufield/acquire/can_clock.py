@@ -332,7 +332,7 @@ def _forward(time_s: FloatArray, phase: _Phase) -> FloatArray:
         phase.last_time_s = float(time_s[-1])
         return time_s
     ramp = np.arange(1, len(time_s) + 1) * least_s
-    kept: FloatArray = np.maximum.accumulate(np.maximum(time_s - ramp, phase.last_time_s)) + ramp
+    kept: FloatArray = np.asarray(np.maximum.accumulate(np.maximum(time_s - ramp, phase.last_time_s)) + ramp, dtype=np.float64)
     phase.last_time_s = float(kept[-1])
     return kept
 

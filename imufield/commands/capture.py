@@ -218,6 +218,22 @@ class CaptureLoop:
         self._publish(self.chain.start_part(self.connected.protocol))
         for heard in self.connected.chunks:
             self._take(heard)
+        try:
+            self._follow()
+        except KeyboardInterrupt:
+            # What waits to be decoded is recorded all the same.
+            for chunk in self.connected.link.drain():
+                self.recorder.write_chunk(chunk)
+            raise
+        for chunk in self.connected.link.drain():
+            self._take(chunk)
+        self._publish(self.chain.finish())
+        if self._done:
+            self.session.update(finished=True)
+        return self.captured()
+
+    def _follow(self) -> None:
+        """Take what comes from port and keyboard until all is done or the operator quits."""
         quitting = False
         while not (quitting or self._done):
             chunk = self._next_chunk()
@@ -225,10 +241,6 @@ class CaptureLoop:
                 self._take(chunk)
             quitting = self._follow_keys()
             self._refresh()
-        self._publish(self.chain.finish())
-        if self._done:
-            self.session.update(finished=True)
-        return self.captured()
 
     def captured(self) -> Captured:
         """Return how far the session has come."""

@@ -13,6 +13,7 @@ from typing import Any
 
 import typer
 
+from imufield.acquire.background_link import BackgroundLink
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver
 from imufield.acquire.host_clock import HostClock, ScaledClock, SystemClock
@@ -55,9 +56,9 @@ class ConnectOptions:
 
 @dataclass(frozen=True, slots=True)
 class Connected:
-    """An open link with an instrument that was understood."""
+    """An open link with an instrument that was understood; it is read in the background from now on."""
 
-    link: SerialLink
+    link: BackgroundLink
     protocol: Protocol
     driver: str
     model: str
@@ -284,7 +285,7 @@ def _connected(
         say(f"bit rate {baud} (assumed)")
     for sentence in assumed(protocol):
         say(sentence)
-    return Connected(hearing.link, protocol, found.name, model, baud, hearing.chunks, identity)
+    return Connected(BackgroundLink(hearing.link), protocol, found.name, model, baud, hearing.chunks, identity)
 
 
 def assumed(protocol: Protocol) -> list[str]:

@@ -12,6 +12,7 @@ import typer
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.host_clock import HostClock, SystemClock
+from imufield.acquire.link import Chunk
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.session import DEFAULT_ROOT, Session
 from imufield.commands.chain import part_metadata
@@ -49,7 +50,12 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
         recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
         decoder = Decoder(connected.protocol)
         try:
-            _record(connected, decoder, recorder, clock, options)
+            try:
+                _record(connected, decoder, recorder, clock, options)
+            except KeyboardInterrupt:
+                _take(connected.link.drain(), decoder, recorder)
+                raise
+            _take(connected.link.drain(), decoder, recorder)
         finally:
             # Ctrl-C and a pulled cable end a recording, too: whatever it is, it is complete up to here.
             session.update(finished=True)
@@ -71,12 +77,17 @@ def _record(connected: Connected, decoder: Decoder, recorder: Recorder, clock: H
     while options.duration_s is None or clock.monotonic_s() - start_s < options.duration_s:
         chunk = next(chunks, None) or connected.link.read()
         if chunk is not None:
-            recorder.write_chunk(chunk)
-            decoder.feed(chunk.data, chunk.monotonic_s)
+            _take([chunk], decoder, recorder)
         now_s = clock.monotonic_s()
         if now_s - told_s >= TELL_EVERY_S:
             told_s = now_s
             _tell_progress(decoder, now_s - start_s, options.as_json)
+
+
+def _take(chunks: list[Chunk], decoder: Decoder, recorder: Recorder) -> None:
+    for chunk in chunks:
+        recorder.write_chunk(chunk)
+        decoder.feed(chunk.data, chunk.monotonic_s)
 
 
 def _tell_progress(decoder: Decoder, elapsed_s: float, as_json: bool) -> None:

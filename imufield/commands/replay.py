@@ -63,11 +63,11 @@ def _replay_to_pty(session: Session, speed: float) -> None:
 
     link = RecordingLink(session, pace=speed or None)
     port = PseudoTerminal()
+    sent = 0
     try:
         typer.echo(f"waiting for a reader of {port.port}  (Ctrl-C ends)")
         while not port.has_reader():
             time.sleep(WAIT_S)
-        sent = 0
         while True:
             sent += _send(port, link.read())
     except EndOfRecordingError:

@@ -47,7 +47,7 @@ class SiteOptions:
 
     def over(self, recorded: Mapping[str, Any]) -> SiteOptions:
         """Return these, or what a session recorded where that goes before them."""
-        known = SiteOptions(*(recorded.get(key) for key in ("gravity_m_s2", "latitude_deg", "height_m")))
+        known = SiteOptions(recorded.get("gravity_m_s2"), recorded.get("latitude_deg"), recorded.get("height_m"))
         return known if known.is_known and (self.is_default or not self.is_known) else self
 
     def table(self) -> dict[str, float]:

@@ -130,8 +130,8 @@ def table_5(context: StudyContext) -> StudyReport:
             ),
             (
                 "Equation 26 is rank 3 of 9. Its six flat directions keep the population of a differential "
-                "evolution spread, so here IDE is the one that stops short, by a few to some ten per cent; GA and "
-                "PSO contract anyway."
+                "evolution spread, so here IDE is the one that stops short, by a third in the median; GA and PSO "
+                "contract anyway."
             ),
             (
                 "In the vector form, which determines all nine entries, IDE and PSO end on the optimum in every "
@@ -251,10 +251,11 @@ def figure_10(context: StudyContext) -> StudyReport:
         tuple(comparisons),
         (
             (
-                "Size and direction are the paper's: velocity errors of metres per second. Most of it is the "
-                "gyroscope's, and not by lack of search: eq. 26 leaves misalignments undetermined within the "
-                "bounds of 0.01 rad, and 0.01 rad of the Earth's rate is 0.15 deg/h. Which method comes out "
-                "smallest is therefore chance; the vector form removes it."
+                "The size is the paper's, velocity errors of metres per second; that IDE comes out smallest is "
+                "not reproduced. Most of the error is the gyroscope's, and not by lack of search: eq. 26 leaves "
+                "misalignments undetermined within the bounds of 0.01 rad, and 0.01 rad of the Earth's rate is "
+                "0.15 deg/h. Which method comes out smallest is therefore chance; the vector form removes that "
+                "error."
             ),
             (
                 "With the attitude given, an accelerometer error is a tilt that alignment would have absorbed, so "

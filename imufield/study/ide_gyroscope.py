@@ -129,7 +129,7 @@ def table_4(context: StudyContext) -> StudyReport:
         (
             (
                 "The paper's L_g and L_gm have no unit. In (deg/h)^2 and (deg/s)^2, for a gyroscope of 0.003 "
-                "deg/sqrt(h), ours come out near them."
+                "deg/sqrt(h), L_g comes out near the paper's and L_gm at a fifth of it."
             ),
             (
                 "At rest the Earth's rate is too weak to tell scale and misalignment from noise: they are wrong "
@@ -139,7 +139,7 @@ def table_4(context: StudyContext) -> StudyReport:
                 "Equation 26 as printed holds only the three column norms of K E when the turns are about the "
                 "sensor axes: rank 3 of 9. Its cost comes down to the noise, yet the misalignments are as "
                 "undetermined as before: a small L_gm is no proof of a calibration. The six flat directions also "
-                "keep the population spread, so IDE stops a little above the optimum."
+                "keep the population spread, so IDE stops a third above the optimum in the median."
             ),
             "The vector form of eq. 25 uses the same turns and observes all nine entries; there IDE ends on the optimum.",
             "The paper's SD of 4e-6 for L_g means runs on one data set; here every run has fresh noise.",

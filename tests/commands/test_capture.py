@@ -15,10 +15,12 @@ import termios
 import time
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from imufield.acquire.recording import RecordedEvent, read_session
 from imufield.acquire.session import Session
+from imufield.commands.chain import session_samples
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
@@ -193,12 +195,12 @@ def test_defaults_from_file_and_variables(program: Program) -> None:
 class Terminal:
     """The program on a terminal of 80 columns and 24 lines."""
 
-    def __init__(self, program: Program, *arguments: str) -> None:
+    def __init__(self, program: Program, *arguments: str, variables: dict[str, str] | None = None) -> None:
         self.master, slave = pty.openpty()
         fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
         self.process = program.start(
             *arguments,
-            variables={"TERM": "xterm-256color", "IMUFIELD_CLOCK_SPEED": "16"},
+            variables={"TERM": "xterm-256color", "IMUFIELD_CLOCK_SPEED": "16", **(variables or {})},
             stdin=slave,
             stdout=slave,
             stderr=subprocess.STDOUT,
@@ -214,17 +216,25 @@ class Terminal:
         end_s = time.monotonic() + within_s
         while words not in self.text:
             assert time.monotonic() < end_s, f"{words!r} is not in {self.text[-2000:]}"
-            if select.select([self.master], [], [], 0.2)[0]:
-                data = os.read(self.master, 65536).decode(errors="replace")
-                self.text += re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", data)
+            self.read()
         shown, self.text = self.text, ""
         return shown
+
+    def read(self) -> None:
+        if select.select([self.master], [], [], 0.2)[0]:
+            data = os.read(self.master, 65536).decode(errors="replace")
+            self.text += re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", data)
 
     def type(self, keys: str) -> None:
         os.write(self.master, keys.encode())
 
     def ended(self) -> int:
-        code = self.process.wait(20)
+        end_s = time.monotonic() + 20
+        while self.process.poll() is None:
+            # A program that writes to a terminal nobody reads would wait for ever.
+            self.read()
+            assert time.monotonic() < end_s
+        code = self.process.returncode
         assert termios.tcgetattr(self.slave) == self.before, "the terminal is not as it was"
         os.close(self.slave)
         os.close(self.master)
@@ -290,6 +300,20 @@ def test_a_terminal_that_is_closed(program: Program, screen: Terminal) -> None:
     assert not session.finished
     assert "accepted" in {event["event"] for event in events(session)}
     assert program.run("replay").returncode == 0
+
+
+def test_a_terminal_that_stands_still_loses_nothing_of_the_wire(program: Program) -> None:
+    port = program.emulate("--positions", "none", "--wait", rate_hz=2000, speed=1)
+    variables = {"IMUFIELD_CLOCK_SPEED": "1"}
+    screen = Terminal(program, "capture", "--port", port, "--driver", "stim300", "--latitude", "48", variables=variables)
+    screen.wait_for("link ok")
+    time.sleep(5)  # a terminal takes a few kilobytes; this is 400 kB of wire
+    screen.type("q")
+    screen.wait_for("go on: imufield capture")
+    assert screen.ended() == 0
+    counter = np.concatenate([block.counter for block in session_samples(newest(program), [])])
+    assert len(counter) > 5 * 2000
+    assert set(np.diff(counter) % 256) == {1}
 
 
 def test_a_latitude_that_is_none(program: Program, screen: Terminal) -> None:

@@ -7,7 +7,7 @@ import json
 import re
 import shutil
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -150,15 +150,17 @@ def test_a_dump_of_the_bytes_gives_the_same_samples(program: Program, whole: Pat
     assert np.array_equal(samples[0].accelerometer, samples[1].accelerometer)
 
 
-def test_replayed_to_a_port_a_capture_measures_the_same(program: Program, whole: Path) -> None:
-    process = program.start("replay", "whole", "--to-pty", "--speed", 64)
+def test_replayed_to_a_port_a_capture_measures_the_same(program: Program, make_session: Callable[..., Session]) -> None:
+    session = make_session("faces6")
+    process = program.start("replay", session.folder, "--to-pty", "--speed", 16)
     assert process.stdout is not None
     found = re.search(r"waiting for a reader of (\S+)", process.stdout.readline())
     assert found is not None
     common = ("--driver", "stim300", "--set", "accelerometer_range_g=10", "--set", "rate_hz=125")
-    ended = program.run("capture", "--port", found[1], *common, "--hold-s", 4, "--session", "again", "--clock-speed", 64)
+    plan = ("--positions", "faces6", "--hold-s", 4, "--session", "again", "--clock-speed", 16)
+    ended = program.run("capture", "--port", found[1], *common, *plan)
     assert ended.returncode == 0, ended.stderr
-    original, again = (positions(Session.open(folder)) for folder in (whole, program.folder / "again"))
+    original, again = positions(session), positions(Session.open(program.folder / "again"))
     assert original.keys() == again.keys()
     for name, mean in original.items():
         assert np.array_equal(mean, again[name]), name
