@@ -101,7 +101,7 @@ def _site(context: typer.Context, gravity: float | None, latitude: float | None,
 
 @app.command()
 def demo(
-    seed: Annotated[int, typer.Option(help="Seed of the simulated instrument and operator.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the simulated instrument and operator.", min=0)] = 1,
     speed: Annotated[float, typer.Option(help="Times real time.", min=1)] = 8.0,
     plain: Annotated[bool, typer.Option("--plain", help="Plain lines instead of pictures.")] = False,
 ) -> None:
@@ -263,7 +263,7 @@ def solve(
     polish: Annotated[bool, typer.Option(help="Finish another method by least squares.")] = True,
     cross_check: Annotated[bool, typer.Option("--cross-check", help="Solve by bsas, ide and least squares, compare.")] = False,
     gyro_model: Annotated[str, typer.Option(help="auto, basic or g-sensitive.")] = "auto",
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Where to write the parameter file.")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -332,7 +332,7 @@ def noise(
     to: Annotated[str, typer.Option(help="Form of --output: kalibr, openvins or vins.")] = "kalibr",
     output: Annotated[Path | None, typer.Option("-o", "--output", help="YAML for a navigation filter.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the Allan deviation into this file (needs matplotlib).")] = None,
-    parameters: Annotated[Path | None, typer.Option(help="Parameter file to write the table [noise] into.")] = None,
+    parameters: Annotated[Path | None, typer.Option(help="Parameter file to write the table `noise` into.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure the noise of hours of standstill by Allan deviation.
@@ -348,7 +348,7 @@ def noise(
 def study(
     name: Annotated[str, typer.Argument(help="A study, e.g. bsas-table3, or bsas, ide, all.")],
     quick: Annotated[bool, typer.Option("--quick", help="Few runs, to see that it works.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of all runs.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of all runs.", min=0)] = 1,
     workers: Annotated[int | None, typer.Option(help="Processes (default: all cores).", min=1)] = None,
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for CSV files and plots.")] = None,
@@ -395,7 +395,7 @@ def verify(
     require: Annotated[str | None, typer.Option(help="Limits, e.g. residual-ug=50,nav-nmi-per-h=1.")] = None,
     turn_on_ug: Annotated[float | None, typer.Option(help="Turn-on bias of the accelerometer, 1 sigma.", min=0)] = None,
     turn_on_deg_per_h: Annotated[float | None, typer.Option(help="Turn-on bias of the gyroscope, 1 sigma.", min=0)] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the forecast.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the forecast.", min=0)] = 0,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Where to keep the results for the report.")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -465,7 +465,7 @@ def emulate(
     rate_hz: Annotated[float | None, typer.Option(help="Sample rate (default: the instrument's usual one).", min=1)] = None,
     speed: Annotated[float, typer.Option(help="Times real time.", min=0.1)] = 1.0,
     grade: Annotated[str, typer.Option(help="navigation, tactical, industrial or mems.")] = "tactical",
-    seed: Annotated[int, typer.Option(help="Seed of instrument, operator and faults.")] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of instrument, operator and faults.", min=0)] = 1,
     positions: Annotated[str, typer.Option(help="Scheme the operator works through; `none`: it lies still.")] = "paper24",
     style: Annotated[str, typer.Option(help="placed (on a surface) or held (in the hand).")] = "placed",
     hold_s: Annotated[float, typer.Option(help="Seconds the virtual operator holds each position.", min=1)] = 14.0,

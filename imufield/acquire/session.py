@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import re
 import sys
@@ -49,6 +50,12 @@ KEYS: Mapping[str, type | tuple[type, ...]] = {
     "import": dict,
 }
 """What ``session.toml`` may hold: ``kind`` is "capture", "record" or "import"; tables are filled by those who use them."""
+
+NUMBERS: Mapping[str, tuple[str, ...]] = {
+    "site": ("gravity_m_s2", "latitude_deg", "height_m"),
+    "guide": ("hold_s", "target_bias_ug", "target_scale_ppm"),
+}
+"""Keys inside the tables that a person may edit and a program computes with; those of the guide are larger than zero."""
 
 _PART = re.compile(r"part-(\d{3,})\.mcap")
 _FOLDER = re.compile(r"\d{8}T\d{6}Z-.+")
@@ -339,6 +346,24 @@ def _check(content: Mapping[str, Any], path: Path) -> None:
     for key in ("created", "model", "finished"):
         if key not in content:
             raise RecordingError(f"{path} lacks the key `{key}`: restore it.", Reason.DAMAGED, path=str(path), key=key)
+    _check_numbers(content, path)
+
+
+def _check_numbers(content: Mapping[str, Any], path: Path) -> None:
+    """Refuse what nothing can be computed with."""
+    entries = [(f"{table}.{key}", content.get(table, {}).get(key)) for table, keys in NUMBERS.items() for key in keys]
+    entries += [("nominal.raw_zero", value) for value in content.get("nominal", {}).get("raw_zero", ())]
+    for key, value in entries:
+        if value is None:
+            continue
+        is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        if not is_number or (key.startswith("guide.") and value <= 0):
+            raise RecordingError(
+                f"{path} has {value!r} under `{key}`, which is no possible value: correct it, or remove the line.",
+                Reason.DAMAGED,
+                path=str(path),
+                key=key,
+            )
 
 
 def _cannot_write(path: Path, error: OSError) -> RecordingError:

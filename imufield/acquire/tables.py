@@ -32,6 +32,8 @@ from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArra
 
 ROWS_PROTOCOL = "rows_f64"
 ROW_BYTES = 8 * len(FIELDS)
+LATEST_NS = 2**63 - 1
+"""What a recording's time stamps hold: 292 years. Times beyond are kept in the rows themselves."""
 _ROWS_A_CHUNK = 4096
 """256 KiB: few messages, and well below what one damaged byte may cost."""
 _COLUMN = {field: place for place, field in enumerate(FIELDS)}
@@ -150,7 +152,9 @@ def write_rows(recorder: ChunkWriter, rows: FloatArray | Samples) -> None:
     for start in range(0, len(table), _ROWS_A_CHUNK):
         part = table[start : start + _ROWS_A_CHUNK]
         last_s = float(part[-1, 0])
-        recorder.write_chunk(Chunk(part.astype("<f8").tobytes(), last_s, max(0, round((last_s - start_s) * 1e9))))
+        recorder.write_chunk(
+            Chunk(part.astype("<f8").tobytes(), last_s, min(max(0, round((last_s - start_s) * 1e9)), LATEST_NS))
+        )
 
 
 def rows_of(samples: Samples) -> FloatArray:

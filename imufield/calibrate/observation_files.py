@@ -152,7 +152,7 @@ def _number(path: Path, line: int, column: str, cell: str) -> float:
             line=line,
             column=column,
         ) from error
-    if not math.isfinite(value) or (column.startswith("sigma_") and value < 0):
+    if not math.isfinite(value) or (column.startswith("sigma_") and value <= 0):
         raise CalibrationError(
             f"{path}, line {line}, column {column}: {cell.strip()} is no possible value; correct or remove the row",
             Reason.NOT_FINITE,

@@ -184,9 +184,13 @@ def _sigma_sentences(evidence: Evidence) -> list[str]:
     reasons = []
     # Written so that NaN (no uncertainty at all) counts as too large.
     if not np.all(relative <= USABLE_SCALE_SIGMA) and evidence.gravity.source != "assumed":
-        reasons.append(f"scale is known to {relative.max() * 1e6:.0f} ppm only (limit {USABLE_SCALE_SIGMA * 1e6:.0f} ppm)")
+        known = (
+            f"is known to {relative.max() * 1e6:.0f} ppm only" if np.isfinite(relative).all() else "has no known uncertainty"
+        )
+        reasons.append(f"scale {known} (limit {USABLE_SCALE_SIGMA * 1e6:.0f} ppm)")
     if not np.all(bias <= USABLE_BIAS_SIGMA_M_S2):
-        reasons.append(f"bias is known to {bias.max() / MG:.2f} mg only (limit {USABLE_BIAS_SIGMA_M_S2 / MG:.0f} mg)")
+        known = f"is known to {bias.max() / MG:.2f} mg only" if np.isfinite(bias).all() else "has no known uncertainty"
+        reasons.append(f"bias {known} (limit {USABLE_BIAS_SIGMA_M_S2 / MG:.0f} mg)")
     return reasons
 
 

@@ -6,6 +6,7 @@ before both, options before everything.
 
 from __future__ import annotations
 
+import math
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,7 @@ def parse_zero(text: str | None) -> list[float] | None:
         values = [float(part) for part in text.replace(",", " ").split()]
     except ValueError:
         values = []
-    if len(values) not in (1, 3):
+    if len(values) not in (1, 3) or not all(math.isfinite(value) for value in values):
         raise UsageError(f"--zero {text!r} is neither one number nor three; write e.g. --zero 32768", zero=text)
     return values * 3 if len(values) == 1 else values
 

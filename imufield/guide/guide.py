@@ -144,6 +144,9 @@ class Guide:
         while self._marks:
             self._apply_mark(*self._marks.pop(0)[1:])
         self._builder = CellBuilder(self.detector.settings.cell_s)
+        # What comes next may be of another clock and another rate: a pause is no jump.
+        self._slot = None
+        self._counts.clear()
         self._handle(Input.LINK_LOST)
         return self._said_now()
 

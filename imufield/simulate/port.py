@@ -33,6 +33,8 @@ class PseudoTerminal:
     """
 
     def __init__(self, link: Path | None = None) -> None:
+        if link is not None and not link.parent.is_dir():
+            raise UsageError(f"{link.parent} is no folder; choose another name for the port", path=str(link))
         if link is not None and link.exists() and not link.is_symlink():
             raise UsageError(f"{link} exists and is not a symbolic link; choose another name for the port", path=str(link))
         self._link = link
