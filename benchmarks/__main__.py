@@ -14,7 +14,8 @@ def main() -> int:
     failed = []
     for script in sorted(Path(__file__).parent.glob("bench_*.py")):
         print(f"\n== {script.stem}", flush=True)
-        if subprocess.run([sys.executable, script], check=False).returncode:
+        command = [sys.executable, "-m", f"{script.parent.name}.{script.stem}"]
+        if subprocess.run(command, cwd=script.parent.parent, check=False).returncode:
             failed.append(script.stem)
     if failed:
         print(f"\nfailed: {', '.join(failed)}")
