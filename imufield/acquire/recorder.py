@@ -31,7 +31,8 @@ from imufield.acquire.mcap_format import (
 from imufield.errors import Reason, RecordingError
 from imufield.files import sync_folder
 
-SYNC_INTERVAL_S = 0.5
+SYNC_INTERVAL_S = 0.3
+"""With the time of one fsync, well below the one second that a crash may cost."""
 BLOCK_BYTES = 1 << 20
 """A block is packed early when this much waits: bounds the memory, and what one damaged byte can cost."""
 BACKLOG_LIMIT_BYTES = 16 << 20
@@ -152,7 +153,7 @@ class Recorder:
                 os.close(self._file)
 
     def _write_waiting(self) -> bool:
-        """Wait half a second, or for a full block, then write; return whether to go on."""
+        """Wait for the interval, or for a full block, then write; return whether to go on."""
         with self._changed:
             self._changed.wait_for(lambda: self._closing or self._waiting_bytes >= BLOCK_BYTES, SYNC_INTERVAL_S)
             taken, self._waiting, self._waiting_bytes = self._waiting, [], 0

@@ -15,6 +15,7 @@ from imufield.calibrate.gyroscope_noise import Covariances, ForceErrors, Scatter
 from imufield.calibrate.move_integration import PARAMETERS
 from imufield.calibrate.solvers.base import CONVERGED, ITERATION_LIMIT, SolverResult
 from imufield.earth import EARTH_RATE_RAD_S
+from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray, IntArray
 
 _ITERATIONS = 60
@@ -225,8 +226,28 @@ def first_scatter(evaluation: Evaluation) -> Scatter:
     return Scatter(drift, drift / _SESSION_ROOT_S, min(turn, 0.1))
 
 
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return the Cholesky factor of the covariance of all residuals.
+
+    Raises
+    ------
+    CalibrationError
+        If the scatter that explains the residuals has grown past all noise: the moves do not fit the model at all.
+    """
+    try:
+        return np.asarray(np.linalg.cholesky(covariance))
+    except np.linalg.LinAlgError as error:
+        spread = float(np.sqrt(np.diagonal(covariance).max()))
+        raise CalibrationError(
+            f"the moves contradict one another: their residuals scatter by {spread:.3g}, far beyond the noise, so "
+            "no gyroscope fits them; repeat the session with slower turns, or give the right raw unit",
+            Reason.NOT_CONVERGED,
+            scatter=spread,
+        ) from error
+
+
 def _linear_step(now: Evaluation, parts: Covariances, scatter: Scatter, p: FloatArray, free: IntArray, prior: _Prior) -> _Step:
-    L = np.linalg.cholesky(parts.total(scatter))
+    L = _root(parts.total(scatter))
     whitened = np.linalg.solve(L, np.column_stack([now.residual, now.jacobian[:, free]]))
     prior_residual, prior_jacobian = prior.rows(p, free)
     residual = np.concatenate([whitened[:, 0], prior_residual])
@@ -247,7 +268,7 @@ def _walk(
 ) -> tuple[FloatArray, Evaluation, int]:
     """Take the step, or the half of it that first lowers the cost."""
     parts, scatter, prior = weights
-    L = np.linalg.cholesky(parts.total(scatter))
+    L = _root(parts.total(scatter))
     share, tried = 1.0, 0
     while True:
         trial, tried = p.copy(), tried + 1

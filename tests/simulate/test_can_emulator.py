@@ -81,8 +81,9 @@ def test_everything_arrives(channel: str, driver: str) -> None:
     assert emulator.failure is None
     assert emulator.samples_sent == len(samples) == 600
     np.testing.assert_allclose(samples.accelerometer[:, 0], 0.01 * np.arange(600), atol=0.005)
-    assert not (samples.status & ~np.uint32(Status.TIME_ESTIMATED)).any()
-    assert opened.decoder.statistics.losses_estimated == 0
+    # The stamps are of this machine's clock: a pause of the sender may pass for a loss, and is then said to be estimated.
+    assert not (samples.status & ~np.uint32(Status.TIME_ESTIMATED | Status.GAP_ESTIMATED)).any()
+    assert opened.decoder.statistics.samples_lost == 0
     assert np.diff(samples.time_s).min() > 0
 
 
