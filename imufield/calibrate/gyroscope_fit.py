@@ -235,7 +235,7 @@ def _root(covariance: FloatArray) -> FloatArray:
         If the scatter that explains the residuals has grown past all noise: the moves do not fit the model at all.
     """
     try:
-        return np.asarray(np.linalg.cholesky(covariance))
+        return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError as error:
         spread = float(np.sqrt(np.diagonal(covariance).max()))
         raise CalibrationError(
