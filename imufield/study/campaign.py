@@ -203,7 +203,7 @@ def _on_cluster(
 
 def _distributed() -> Any:
     try:
-        import distributed
+        import distributed  # pyright: ignore[reportMissingImports]  (of the study extra)
     except ModuleNotFoundError as error:
         raise UsageError(
             f"--scheduler needs the package distributed, which is not installed ({error}); install imufield[study]",
