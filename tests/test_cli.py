@@ -11,10 +11,13 @@ import pytest
 import typer
 from typer.main import get_command
 
-from imufield import __version__, cli
+from imufield import __version__
+from imufield.cli import EXIT_INTERRUPTED
+from imufield.cli.app import app
+from imufield.cli.run import run
 from imufield.errors import ImufieldError
 
-COMMANDS = sorted(get_command(cli.app).commands)  # type: ignore[attr-defined]  # the app is a group
+COMMANDS = sorted(get_command(app).commands)  # type: ignore[attr-defined]  # the app is a group
 
 
 def imufield(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
@@ -25,14 +28,14 @@ def imufield(*arguments: str, **options: object) -> subprocess.CompletedProcess[
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_has_an_example(command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    assert cli.run([command, "--help"]) == 0
+    assert run([command, "--help"]) == 0
     shown = capsys.readouterr().out
     assert f"Example: imufield {command}" in " ".join(shown.split())
     assert max(map(len, shown.splitlines())) <= 80
 
 
 def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.run(["--help"]) == 0
+    assert run(["--help"]) == 0
     shown = capsys.readouterr().out
     assert all(command in shown for command in COMMANDS)
 
@@ -45,7 +48,7 @@ def test_version() -> None:
 def test_help_imports_nothing_heavy(tmp_path: Path) -> None:
     code = """
 import sys
-from imufield.cli import run
+from imufield.cli.run import run
 for command in sys.argv[1:]:
     run([command, "--help"])
 print(sorted({"numpy", "scipy", "serial", "can", "cantools", "mcap", "matplotlib", "rich.live"} & set(sys.modules)))
@@ -81,7 +84,7 @@ def test_every_error_has_its_exit_code(
         raise error("this is wrong: do that instead")
 
     monkeypatch.setattr("imufield.commands.devices.list_devices", fail)
-    assert cli.run(["devices"]) == error.exit_code
+    assert run(["devices"]) == error.exit_code
     told = capsys.readouterr()
     assert told.out == ""
     assert told.err == "imufield: this is wrong: do that instead.\n"
@@ -92,7 +95,7 @@ def test_interrupted_at_a_prompt(monkeypatch: pytest.MonkeyPatch, capsys: pytest
         raise typer.Abort
 
     monkeypatch.setattr("imufield.commands.devices.list_devices", interrupt)
-    assert cli.run(["devices"]) == cli.EXIT_INTERRUPTED
+    assert run(["devices"]) == EXIT_INTERRUPTED
     assert "interrupted" in capsys.readouterr().err
 
 
@@ -110,7 +113,7 @@ def test_a_reader_that_goes_away(tmp_path: Path) -> None:
         )
     finally:
         os.close(write)
-    assert ended.returncode == cli.EXIT_INTERRUPTED
+    assert ended.returncode == EXIT_INTERRUPTED
     assert ended.stderr == ""
 
 

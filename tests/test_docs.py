@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.main import get_command
 
+from imufield.cli.app import app
 from imufield.deliver.parameters import parameter_schema
 from imufield.errors import ImufieldError, Reason
 
@@ -41,16 +43,13 @@ def test_code_is_code(path: Path) -> None:
 
 @page
 def test_commands_and_options_exist(path: Path) -> None:
-    source = (PROJECT / "imufield" / "cli.py").read_text(encoding="utf-8")
-    commands = {(named or function).replace("_", "-") for named, function in _commands(source)}
-    assert {"capture", "import", "export-data"} <= commands
+    commands = get_command(app).commands  # type: ignore[attr-defined]  # the app is a group
     text = path.read_text(encoding="utf-8")
-    for command in re.findall(r"(?:^\s{4,}|`)imufield ([a-z][a-z-]*)", text, flags=re.MULTILINE):
+    for command, rest in re.findall(r"(?:^\s{4,}|`)imufield ([a-z][a-z-]*)([^`\n]*)", text, flags=re.MULTILINE):
         assert command in commands, f"imufield {command}"
-
-
-def _commands(source: str) -> list[tuple[str, str]]:
-    return re.findall(r'^@app\.command\((?:name="([a-z-]+)")?\)\ndef (\w+)\(', source, flags=re.MULTILINE)
+        known = {option for parameter in commands[command].params for option in parameter.opts} | {"--help"}
+        for option in re.findall(r"(?<=\s)--[a-z][a-z-]*", rest):
+            assert option in known, f"imufield {command} {option}"
 
 
 def test_every_reason_and_exit_code_has_a_row() -> None:

@@ -1,1 +1,1 @@
-"""What each command does, without the terminal's argument parsing (that is cli.py)."""
+"""What each command does, without the terminal's argument parsing (that is imufield.cli)."""

@@ -18,7 +18,7 @@ from imufield.acquire.link import Chunk
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.registry import load_driver
 from imufield.acquire.session import Session
-from imufield.cli import run
+from imufield.cli.run import run
 from imufield.commands.chain import part_metadata
 from imufield.guide.positions import scheme
 from imufield.samples import Samples

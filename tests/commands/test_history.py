@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from imufield.cli import run
+from imufield.cli.run import run
 from imufield.commands.history import HistoryOptions, run_history
 from imufield.errors import UsageError
 

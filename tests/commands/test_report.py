@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from imufield.cli import run
+from imufield.cli.run import run
 from imufield.commands.report import ReportOptions, gather, run_report
 from imufield.errors import ParameterFileError
 

@@ -15,7 +15,7 @@ from imufield.acquire.protocol import load_protocol
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.session import Session
 from imufield.acquire.tables import write_rows
-from imufield.cli import run
+from imufield.cli.run import run
 from imufield.commands.chain import part_metadata
 from imufield.commands.verify import VerifyOptions, run_verify
 from imufield.deliver.parameters import load

@@ -1,0 +1,193 @@
+"""Arguments of the commands that get samples: from hardware, from files, from a virtual instrument."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from imufield.cli.options import (
+    AsJson,
+    Baud,
+    ClockSpeed,
+    DriverName,
+    GravityValue,
+    Height,
+    Latitude,
+    Port,
+    ProtocolFile,
+    SessionFolder,
+    Settings,
+    site,
+)
+
+
+def demo(
+    seed: Annotated[int, typer.Option(help="Seed of the simulated instrument and operator.", min=0)] = 1,
+    speed: Annotated[float, typer.Option(help="Times real time.", min=1)] = 8.0,
+    plain: Annotated[bool, typer.Option("--plain", help="Plain lines instead of pictures.")] = False,
+) -> None:
+    """Run the whole chain with no hardware: virtual IMU and operator, capture, solve.
+
+    Example: imufield demo
+    """
+    from imufield.commands.demo import run_demo
+
+    run_demo(seed=seed, speed=speed, plain=plain)
+
+
+def devices(as_json: AsJson = False) -> None:
+    """List serial ports and the instruments that have a driver.
+
+    Example: imufield devices
+    """
+    from imufield.commands.devices import list_devices
+
+    list_devices(as_json=as_json)
+
+
+def capture(
+    context: typer.Context,
+    port: Port = None,
+    driver: DriverName = None,
+    baud: Baud = None,
+    protocol: ProtocolFile = None,
+    settings: Settings = None,
+    positions: Annotated[str | None, typer.Option(help="Scheme: paper24, paper36, corners24, faces6 or a TOML list.")] = None,
+    hold_s: Annotated[float | None, typer.Option(help="Seconds to hold each position.", min=1, max=600)] = None,
+    session: SessionFolder = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an unfinished session.")] = False,
+    gravity: GravityValue = None,
+    latitude: Latitude = None,
+    height: Height = None,
+    plain: Annotated[bool, typer.Option("--plain", help="Plain lines instead of pictures.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Events as JSON lines on standard output.")] = False,
+    target_bias_ug: Annotated[
+        float | None, typer.Option("--target-bias-ug", help="Hold and go on until biases are known so well, 1 sigma.", min=0.1)
+    ] = None,
+    target_scale_ppm: Annotated[
+        float | None, typer.Option("--target-scale-ppm", help="The same for scale factors.", min=0.1)
+    ] = None,
+    rotations: Annotated[
+        str | None, typer.Option(help="Whole turns for the gyroscope: rolled (edge over edge) or table (against a stop).")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No sound.")] = False,
+    speak: Annotated[bool, typer.Option("--speak", help="Say it aloud, where a speech program is installed.")] = False,
+    big: Annotated[bool, typer.Option("--big", help="Big letters, to be read from three metres.")] = False,
+    cable: Annotated[
+        str | None, typer.Option(help="Side of the unit where the cable leaves, for the pictures: +x ... -z.")
+    ] = None,
+    clock_speed: ClockSpeed = 1.0,
+) -> None:
+    """Record a guided session: the screen leads you through 24 positions, hands-free.
+
+    Example: imufield capture --port /dev/ttyUSB0 --latitude 48.1 --height 520
+    """
+    from imufield.commands.capture import CaptureOptions, run_capture
+    from imufield.commands.configuration import parse_settings
+    from imufield.commands.connect import ConnectOptions, host_clock
+    from imufield.commands.views import Manner, parse_side
+
+    options = CaptureOptions(
+        connect=ConnectOptions(port, driver, baud, protocol, parse_settings(settings)),
+        positions=positions,
+        hold_s=hold_s,
+        session=session,
+        resume=resume,
+        site=site(context, gravity, latitude, height),
+        view="json" if as_json else "plain" if plain else "auto",
+        target_bias_ug=target_bias_ug,
+        target_scale_ppm=target_scale_ppm,
+        rotations=rotations,
+        manner=Manner(quiet, speak, big, parse_side(cable)),
+    )
+    run_capture(options, host_clock(clock_speed))
+
+
+def record(
+    port: Port = None,
+    driver: DriverName = None,
+    baud: Baud = None,
+    protocol: ProtocolFile = None,
+    settings: Settings = None,
+    session: SessionFolder = None,
+    duration_s: Annotated[float | None, typer.Option(help="Stop after so many seconds (default: Ctrl-C).", min=0.1)] = None,
+    as_json: AsJson = False,
+    clock_speed: ClockSpeed = 1.0,
+) -> None:
+    """Record without a guide, e.g. hours of standstill.
+
+    Example: imufield record --port /dev/ttyUSB0 --duration-s 3600
+    """
+    from imufield.commands.configuration import parse_settings
+    from imufield.commands.connect import ConnectOptions, host_clock
+    from imufield.commands.record import RecordOptions, run_record
+
+    connect = ConnectOptions(port, driver, baud, protocol, parse_settings(settings))
+    run_record(RecordOptions(connect, session, duration_s, as_json), host_clock(clock_speed))
+
+
+def import_files(
+    files: Annotated[list[Path], typer.Argument(help="Files of one recording; several are joined by time.")],
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder of the new session.")] = None,
+    driver: DriverName = None,
+    protocol: Annotated[str | None, typer.Option(help="For a raw byte dump: protocol name or TOML file.")] = None,
+    settings: Settings = None,
+    columns: Annotated[str | None, typer.Option(help="Columns of a table, e.g. time,ax,ay,az,gx,gy,gz.")] = None,
+    rate_hz: Annotated[float | None, typer.Option(help="Sample rate of a table without a time column.", min=1e-3)] = None,
+    zero: Annotated[str | None, typer.Option(help="Raw output at zero input, one or three numbers (mid-scale).")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Turn files of another program into a session.
+
+    Example: imufield import acc.txt.gz gyro.txt.gz --zero 32768 -o my-session
+    """
+    from imufield.commands.configuration import parse_settings
+    from imufield.commands.import_files import ImportOptions, run_import
+
+    options = ImportOptions(files, output, protocol or driver, parse_settings(settings), columns, rate_hz, zero, as_json)
+    run_import(options)
+
+
+def replay(
+    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
+    to_pty: Annotated[bool, typer.Option("--to-pty", help="Replay the bytes to a virtual serial port.")] = False,
+    speed: Annotated[float, typer.Option(help="Times real time for --to-pty; 0 is as fast as possible.", min=0)] = 1.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Events as JSON lines on standard output.")] = False,
+) -> None:
+    """Run a recorded session through the same chain again, or to a port for other programs.
+
+    Example: imufield replay imufield-sessions/20260301T101500Z-stim300
+    """
+    from imufield.commands.replay import run_replay
+
+    run_replay(session, to_pty=to_pty, speed=speed, as_json=as_json)
+
+
+def emulate(
+    driver: Annotated[str, typer.Argument(help="Instrument family, see `imufield devices`.")],
+    rate_hz: Annotated[float | None, typer.Option(help="Sample rate (default: the instrument's usual one).", min=1)] = None,
+    speed: Annotated[float, typer.Option(help="Times real time.", min=0.1)] = 1.0,
+    grade: Annotated[str, typer.Option(help="navigation, tactical, industrial or mems.")] = "tactical",
+    seed: Annotated[int, typer.Option(help="Seed of instrument, operator and faults.", min=0)] = 1,
+    positions: Annotated[str, typer.Option(help="Scheme the operator works through; `none`: it lies still.")] = "paper24",
+    style: Annotated[str, typer.Option(help="placed (on a surface) or held (in the hand).")] = "placed",
+    hold_s: Annotated[float, typer.Option(help="Seconds the virtual operator holds each position.", min=1)] = 14.0,
+    wait: Annotated[bool, typer.Option("--wait", help="Power on when a program opens the port.")] = False,
+    link: Annotated[Path | None, typer.Option(help="Make a symbolic link to the port here.")] = None,
+    truth: Annotated[Path | None, typer.Option(help="Write the true parameters and stills to this file.")] = None,
+    duration_s: Annotated[float | None, typer.Option(help="Stop after so many seconds of sample time.", min=0.1)] = None,
+    fault: Annotated[list[str] | None, typer.Option(help="E.g. bit_flip_probability=1e-4; may be repeated.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Pretend to be an instrument on a virtual serial port.
+
+    Example: imufield emulate stim300 --wait --link /tmp/imu
+    """
+    from imufield.commands.emulate import EmulateOptions, run_emulate
+
+    options = EmulateOptions(
+        driver, rate_hz, speed, grade, seed, positions, hold_s, link, truth, duration_s, fault or [], wait, style, as_json
+    )
+    run_emulate(options)

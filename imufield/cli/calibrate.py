@@ -1,0 +1,89 @@
+"""Arguments of the commands that turn samples into numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from imufield.cli.options import AsJson, GravityValue, Height, Latitude, site
+
+
+def solve(
+    context: typer.Context,
+    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
+    observations: Annotated[Path | None, typer.Option(help="CSV of position means instead of a session.")] = None,
+    gravity: GravityValue = None,
+    latitude: Latitude = None,
+    height: Height = None,
+    model: Annotated[str, typer.Option(help="auto, linear or quadratic.")] = "auto",
+    gauge: Annotated[str | None, typer.Option(help="preset, lower, upper or symmetric.")] = None,
+    preset: Annotated[Path | None, typer.Option(help="Parameter file in force before.")] = None,
+    zero: Annotated[str | None, typer.Option(help="Raw output at zero input, one or three numbers.")] = None,
+    method: Annotated[str, typer.Option(help="least-squares, bsas, ide and others, see docs/study.md.")] = "least-squares",
+    polish: Annotated[bool, typer.Option(help="Finish another method by least squares.")] = True,
+    cross_check: Annotated[bool, typer.Option("--cross-check", help="Solve by bsas, ide and least squares, compare.")] = False,
+    gyro_model: Annotated[str, typer.Option(help="auto, basic or g-sensitive.")] = "auto",
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Where to write the parameter file.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Solve a session: parameters with uncertainty, and a verdict in words.
+
+    Example: imufield solve --latitude 48.1 --height 520
+    """
+    from imufield.commands.solve import SolveOptions, run_solve
+
+    options = SolveOptions(
+        session=session,
+        observations=observations,
+        site=site(context, gravity, latitude, height),
+        model=model,
+        gauge=gauge,
+        preset=preset,
+        zero=zero,
+        method=method,
+        polish=polish,
+        cross_check=cross_check,
+        gyroscope_model=gyro_model,
+        seed=seed,
+        output=output,
+        as_json=as_json,
+    )
+    run_solve(options)
+
+
+def noise(
+    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
+    to: Annotated[str, typer.Option(help="Form of --output: kalibr, openvins or vins.")] = "kalibr",
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="YAML for a navigation filter.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the Allan deviation into this file (needs matplotlib).")] = None,
+    parameters: Annotated[Path | None, typer.Option(help="Parameter file to write the table `noise` into.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the noise of hours of standstill by Allan deviation.
+
+    Example: imufield noise my-standstill --plot allan.png
+    """
+    from imufield.commands.noise import NoiseOptions, run_noise
+
+    run_noise(NoiseOptions(session, to, output, plot, parameters, as_json))
+
+
+def study(
+    name: Annotated[str, typer.Argument(help="A study, e.g. bsas-table3, or bsas, ide, all.")],
+    quick: Annotated[bool, typer.Option("--quick", help="Few runs, to see that it works.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of all runs.", min=0)] = 1,
+    workers: Annotated[int | None, typer.Option(help="Processes (default: all cores).", min=1)] = None,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for CSV files and plots.")] = None,
+    document: Annotated[Path | None, typer.Option(help="Write all as one Markdown document.")] = None,
+) -> None:
+    """Reproduce a table or figure of the papers, paper's and our figures side by side.
+
+    Example: imufield study bsas-table3 --quick
+    """
+    from imufield.commands.study import run_study_command
+
+    run_study_command(name, quick=quick, seed=seed, workers=workers, scheduler=scheduler, output=output, document=document)

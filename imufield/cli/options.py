@@ -1,0 +1,55 @@
+"""Options that several commands share, and where a value of them came from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from imufield.commands.site import SiteOptions
+
+Port = Annotated[
+    str | None,
+    typer.Option(help="Serial port or pyserial URL, e.g. /dev/ttyUSB0, COM3, socket://host:4001.", envvar="IMUFIELD_PORT"),
+]
+DriverName = Annotated[
+    str | None, typer.Option("--driver", help="Instrument family, see `imufield devices`.", envvar="IMUFIELD_DRIVER")
+]
+Baud = Annotated[int | None, typer.Option(help="Bit rate of the port.", min=50, envvar="IMUFIELD_BAUD")]
+ProtocolFile = Annotated[Path | None, typer.Option("--protocol", help="Your own wire format, a TOML file.")]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", help="What the wire does not tell, e.g. accelerometer_range_g=30.")
+]
+SessionFolder = Annotated[Path | None, typer.Option("--session", help="Folder of the session (default: a new one).")]
+AsJson = Annotated[bool, typer.Option("--json", help="JSON on standard output and nothing else.")]
+GravityValue = Annotated[
+    float | None, typer.Option("--gravity", help="Local gravity, m/s^2, measured.", envvar="IMUFIELD_GRAVITY_M_S2")
+]
+Latitude = Annotated[
+    float | None, typer.Option(help="Latitude, decimal degrees: gravity by WGS-84.", envvar="IMUFIELD_LATITUDE_DEG")
+]
+Height = Annotated[float | None, typer.Option(help="Height above the ellipsoid, m.", envvar="IMUFIELD_HEIGHT_M")]
+ClockSpeed = Annotated[
+    float,
+    typer.Option(
+        help="Times real time the instrument runs: only for an emulated one.",
+        envvar="IMUFIELD_CLOCK_SPEED",
+        hidden=True,
+        min=1,
+        max=1000,
+    ),
+]
+
+
+def site(context: typer.Context, gravity: float | None, latitude: float | None, height: float | None) -> SiteOptions:
+    """Return the site: what was typed; without that the defaults of file and variables, which a session's own site beats."""
+    from imufield.commands.site import SiteOptions
+
+    values = {"gravity": gravity, "latitude": latitude, "height": height}
+    sources = {name: context.get_parameter_source(name) for name in values}
+    typed = {name: value for name, value in values.items() if str(getattr(sources[name], "name", "")) == "COMMANDLINE"}
+    if "gravity" in typed or "latitude" in typed:
+        return SiteOptions(typed.get("gravity"), typed.get("latitude"), typed.get("height"))
+    return SiteOptions(gravity, latitude, height, is_default="height" not in typed)

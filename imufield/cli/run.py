@@ -1,0 +1,92 @@
+"""Running a command line: interrupts, errors in one sentence, exit codes."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from types import FrameType
+from typing import Any, TextIO
+
+import typer
+
+from imufield.cli import EXIT_INTERRUPTED
+from imufield.cli.app import app
+from imufield.errors import ImufieldError, RecordingError
+
+
+class Interrupted(KeyboardInterrupt):
+    """SIGTERM or SIGHUP, handled as Ctrl-C is."""
+
+
+def _raise_interrupted(signal_number: int, frame: FrameType | None) -> None:  # noqa: ARG001  (signature of a handler)
+    raise Interrupted(signal.Signals(signal_number).name)
+
+
+@contextlib.contextmanager
+def _signals_as_interrupts() -> Iterator[None]:
+    """Turn SIGTERM and SIGHUP into the exception of Ctrl-C, so that every path closes its files."""
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    previous: list[tuple[int, Any]] = [(number, signal.signal(number, _raise_interrupted)) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in previous:
+            signal.signal(number, handler)
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command and return its exit code; a defect of ours leaves its traceback (code 1)."""
+    try:
+        return _run(arguments)
+    except OSError as error:
+        # Files and ports have errors of their own kind: what comes here is about standard output.
+        if error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT):
+            _forget(sys.stdout)
+            _complain(f"standard output cannot be written ({error.strerror}); free some space, or send it elsewhere")
+            return RecordingError.exit_code
+        # The reader of our output went away (`imufield ... | head`), or the terminal was closed: there is nobody to tell.
+        closed = error.errno == errno.EIO and _was_interrupted(error)
+        if not (closed or isinstance(error, BrokenPipeError)):
+            raise
+        _forget(sys.stdout)
+        _forget(sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def _forget(stream: TextIO) -> None:
+    """Let nothing more be said there, by the interpreter on its way out either."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _complain(message: str) -> None:
+    typer.secho(f"imufield: {message.rstrip('.')}.", fg="red", err=True)
+
+
+def _run(arguments: list[str]) -> int:
+    try:
+        with _signals_as_interrupts():
+            app(arguments, prog_name="imufield")
+    except ImufieldError as error:
+        _complain(error.message)
+        return error.exit_code
+    except SystemExit as leave:
+        if isinstance(leave.__context__, BrokenPipeError):
+            # typer leaves with 1 then, which is kept for defects.
+            raise leave.__context__ from None
+        if leave.code == EXIT_INTERRUPTED or isinstance(leave.__context__, typer.Abort):
+            typer.secho("imufield: interrupted; what was recorded is on disk.", err=True)
+            return EXIT_INTERRUPTED
+        return leave.code if isinstance(leave.code, int) else 0
+    return 0
+
+
+def _was_interrupted(error: BaseException) -> bool:
+    """Whether an error came up while an interrupt was on its way out."""
+    cause: BaseException | None = error
+    while cause is not None and not isinstance(cause, KeyboardInterrupt | typer.Abort):
+        cause = cause.__context__
+    return cause is not None
