@@ -9,12 +9,13 @@ TEST := $(VENV)/.test
 DEV := $(VENV)/.dev
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench lint docs wheel clean
+.PHONY: help demo test bench study lint docs wheel clean
 
 help:
 	@echo "make demo    the whole chain on a virtual instrument, about a minute"
 	@echo "make test    the tests"
 	@echo "make bench   speed, memory and accuracy, measured"
+	@echo "make study   the papers' tables and figures in full, about STUDYTIME on two cores; writes docs/study.md"
 	@echo "make lint    style, types"
 	@echo "make docs    check the documentation: links, examples, lists of errors and keys"
 	@echo "make wheel   build source archive and wheel into dist/, check what is in them"
@@ -28,6 +29,10 @@ test: $(TEST)
 
 bench: $(TEST)
 	$(BIN)/python -m benchmarks
+
+# Without --seed: the page must be what "imufield study all" gives.
+study: $(TEST)
+	$(BIN)/imufield study all --document docs/study.md --output build/study
 
 lint: $(DEV)
 	$(BIN)/ruff check .

@@ -7,12 +7,14 @@ from typing import Annotated
 
 import typer
 
-from imufield.cli.options import AsJson, GravityValue, Height, Latitude, site
+from imufield.cli.options import AsJson, GravityValue, Height, Latitude, Scheduler, Workers, site
 
 
 def solve(
     context: typer.Context,
-    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
+    sessions: Annotated[
+        list[Path] | None, typer.Argument(metavar="[SESSION]...", help="Session folders (default: the newest).")
+    ] = None,
     observations: Annotated[Path | None, typer.Option(help="CSV of position means instead of a session.")] = None,
     gravity: GravityValue = None,
     latitude: Latitude = None,
@@ -26,17 +28,19 @@ def solve(
     cross_check: Annotated[bool, typer.Option("--cross-check", help="Solve by bsas, ide and least squares, compare.")] = False,
     gyro_model: Annotated[str, typer.Option(help="auto, basic or g-sensitive.")] = "auto",
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Where to write the parameter file.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Solve a session: parameters with uncertainty, and a verdict in words.
+    """Solve a session: parameters with uncertainty, and a verdict in words. Several: on all cores, with a table of verdicts.
 
     Example: imufield solve --latitude 48.1 --height 520
     """
     from imufield.commands.solve import SolveOptions, run_solve
 
     options = SolveOptions(
-        session=session,
+        session=sessions[0] if sessions and len(sessions) == 1 else None,
         observations=observations,
         site=site(context, gravity, latitude, height),
         model=model,
@@ -51,6 +55,10 @@ def solve(
         output=output,
         as_json=as_json,
     )
+    if scheduler is not None or len(sessions or ()) > 1:
+        from imufield.commands.solve_many import run_solve_many
+
+        raise typer.Exit(run_solve_many(sessions or (), options, workers=workers, scheduler=scheduler))
     run_solve(options)
 
 
@@ -74,9 +82,9 @@ def noise(
 def study(
     name: Annotated[str, typer.Argument(help="A study, e.g. bsas-table3, or bsas, ide, all.")],
     quick: Annotated[bool, typer.Option("--quick", help="Few runs, to see that it works.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of all runs.", min=0)] = 1,
-    workers: Annotated[int | None, typer.Option(help="Processes (default: all cores).", min=1)] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of all runs.", min=0)] = 0,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for CSV files and plots.")] = None,
     document: Annotated[Path | None, typer.Option(help="Write all as one Markdown document.")] = None,
 ) -> None:

@@ -31,6 +31,8 @@ Latitude = Annotated[
     float | None, typer.Option(help="Latitude, decimal degrees: gravity by WGS-84.", envvar="IMUFIELD_LATITUDE_DEG")
 ]
 Height = Annotated[float | None, typer.Option(help="Height above the ellipsoid, m.", envvar="IMUFIELD_HEIGHT_M")]
+Workers = Annotated[int | None, typer.Option(help="Processes (default: all cores).", min=1)]
+Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask scheduler, e.g. tcp://host:8786.")]
 ClockSpeed = Annotated[
     float,
     typer.Option(

@@ -14,7 +14,8 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any, TypeVar
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -26,9 +27,11 @@ Run = Callable[[Argument, np.random.Generator], Result]
 Progress = Callable[[int, int], None]
 
 BLAS_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS")
-_BATCHES_PER_WORKER = 8
-"""Enough that no worker waits long for another at the end, few enough that sending them costs nothing."""
-_LARGEST_BATCH = 64
+_SHARE_OF_REST = 4
+"""A batch is at most this part of a worker's share of what is left: batches shrink to single runs, so that at the end no
+worker waits longer for another than one run takes."""
+LARGEST_BATCH = 16
+"""Sending a batch costs about a millisecond."""
 _KILLS_ACCEPTED = 5
 """A worker killed more often than this is killed by the run itself, or by lack of memory."""
 _CONNECT_TIMEOUT_S = 10.0
@@ -45,6 +48,8 @@ def run_campaign(
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Progress | None = None,
+    on_killed: Callable[[Argument], Result] | None = None,
+    largest_batch: int = LARGEST_BATCH,
 ) -> list[Result]:
     """Return ``run(argument, generator)`` of every argument, in their order.
 
@@ -61,6 +66,10 @@ def run_campaign(
         Address of a Dask scheduler ("tcp://host:8786"); ``workers`` then is the cluster's business.
     progress : callable, optional
         Told runs done and runs in all.
+    on_killed : callable, optional
+        What takes the place of a result that kills its worker again and again; without it that ends the campaign.
+    largest_batch : int
+        Runs sent at once; 1 where a run takes seconds, or may kill its worker.
 
     Raises
     ------
@@ -71,14 +80,46 @@ def run_campaign(
     """
     seeds = np.random.SeedSequence(seed).spawn(len(arguments))
     tell = progress or _silent
-    if scheduler is not None:
-        return _on_cluster(run, arguments, seeds, scheduler, tell)
     if workers is not None and workers < 1:
         raise UsageError(f"{workers} workers can do nothing; use 1 or more, or leave it out for one per core", workers=workers)
     count = min(workers or os.cpu_count() or 1, max(len(arguments), 1))
-    if count == 1:
+    if scheduler is None and count == 1:
         return _here(run, arguments, seeds, tell)
-    return _on_processes(run, arguments, seeds, count, tell)
+    campaign = _Campaign(run, tuple(arguments), tuple(seeds), tell, on_killed, largest_batch)
+    return _on_processes(campaign, count) if scheduler is None else _on_cluster(campaign, scheduler)
+
+
+@dataclass(frozen=True, slots=True)
+class _Campaign(Generic[Argument, Result]):
+    """What both kinds of workers are given, and what has come back."""
+
+    run: Run[Argument, Result]
+    arguments: tuple[Argument, ...]
+    seeds: tuple[np.random.SeedSequence, ...]
+    tell: Progress
+    on_killed: Callable[[Argument], Result] | None
+    largest_batch: int
+    results: dict[int, list[Result]] = field(default_factory=dict)
+    """By the number of the batch's first run."""
+
+    def batches(self, workers: int) -> list[_Batch]:
+        """Return the runs in batches that get smaller to the end."""
+        batches: list[_Batch] = []
+        first, count = 0, len(self.arguments)
+        while first < count:
+            size = min(math.ceil((count - first) / (workers * _SHARE_OF_REST)), self.largest_batch)
+            batches.append((first, list(self.arguments[first : first + size]), list(self.seeds[first : first + size])))
+            first += size
+        return batches
+
+    def take(self, first: int, results: list[Result]) -> None:
+        """Keep the results of a batch."""
+        self.results[first] = results
+        self.tell(sum(len(done) for done in self.results.values()), len(self.arguments))
+
+    def in_order(self) -> list[Result]:
+        """Return all results."""
+        return [result for first in sorted(self.results) for result in self.results[first]]
 
 
 def _silent(_done: int, _total: int) -> None:
@@ -100,26 +141,16 @@ def run_batch(run: Run[Argument, Result], batch: _Batch) -> list[Result]:
     return [run(argument, np.random.default_rng(seed)) for argument, seed in zip(batch[1], batch[2], strict=True)]
 
 
-def _batches(arguments: Sequence[Any], seeds: list[np.random.SeedSequence], workers: int) -> list[_Batch]:
-    size = min(max(math.ceil(len(arguments) / (workers * _BATCHES_PER_WORKER)), 1), _LARGEST_BATCH)
-    return [(i, list(arguments[i : i + size]), seeds[i : i + size]) for i in range(0, len(arguments), size)]
-
-
-def _on_processes(
-    run: Run[Argument, Result],
-    arguments: Sequence[Argument],
-    seeds: list[np.random.SeedSequence],
-    workers: int,
-    tell: Progress,
-) -> list[Result]:
-    results: dict[int, list[Result]] = {}
-    open_batches = _batches(arguments, seeds, workers)
+def _on_processes(campaign: _Campaign[Argument, Result], workers: int) -> list[Result]:
+    open_batches = campaign.batches(workers)
     for _ in range(_KILLS_ACCEPTED + 1):
         with contextlib.suppress(BrokenProcessPool), one_blas_thread():
-            _pool_pass(run, open_batches, workers, results, lambda done: tell(done, len(arguments)))
-        open_batches = [batch for batch in open_batches if batch[0] not in results]
+            _pool_pass(campaign, open_batches, workers)
+        open_batches = [batch for batch in open_batches if batch[0] not in campaign.results]
         if not open_batches:
-            return [result for first in sorted(results) for result in results[first]]
+            return campaign.in_order()
+    if campaign.on_killed is not None:
+        return _one_by_one(campaign, open_batches, campaign.on_killed)
     raise UsageError(
         f"workers of the campaign were killed {_KILLS_ACCEPTED + 1} times, {len(open_batches)} batches are not "
         "done; use fewer workers (the usual reason is lack of memory)",
@@ -128,22 +159,28 @@ def _on_processes(
     )
 
 
-def _pool_pass(
-    run: Run[Argument, Result],
-    batches: list[_Batch],
-    workers: int,
-    results: dict[int, list[Result]],
-    tell: Callable[[int], None],
-) -> None:
+def _one_by_one(
+    campaign: _Campaign[Argument, Result], batches: list[_Batch], on_killed: Callable[[Argument], Result]
+) -> list[Result]:
+    """Give each run that is left a worker of its own, to find those that kill it."""
+    for first, arguments, seeds in batches:
+        for number, argument, seed in zip(range(first, first + len(arguments)), arguments, seeds, strict=True):
+            with contextlib.suppress(BrokenProcessPool), one_blas_thread():
+                _pool_pass(campaign, [(number, [argument], [seed])], 1)
+            if number not in campaign.results:
+                campaign.take(number, [on_killed(argument)])
+    return campaign.in_order()
+
+
+def _pool_pass(campaign: _Campaign[Argument, Result], batches: list[_Batch], workers: int) -> None:
     """Send batches to a pool until all are done or a worker dies, which breaks the pool."""
     # "spawn": a forked child would inherit BLAS with the threads the parent started it with.
     pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
     try:
-        waiting: dict[Future[list[Result]], _Batch] = {pool.submit(run_batch, run, batch): batch for batch in batches}
+        waiting: dict[Future[list[Result]], _Batch] = {pool.submit(run_batch, campaign.run, batch): batch for batch in batches}
         while waiting:
             for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                results[waiting.pop(future)[0]] = future.result()
-                tell(sum(len(done) for done in results.values()))
+                campaign.take(waiting.pop(future)[0], future.result())
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
@@ -163,13 +200,7 @@ def one_blas_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _on_cluster(
-    run: Run[Argument, Result],
-    arguments: Sequence[Argument],
-    seeds: list[np.random.SeedSequence],
-    scheduler: str,
-    tell: Progress,
-) -> list[Result]:
+def _on_cluster(campaign: _Campaign[Argument, Result], scheduler: str) -> list[Result]:
     distributed = _distributed()
     try:
         client = distributed.Client(scheduler, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
@@ -181,24 +212,35 @@ def _on_cluster(
             scheduler=scheduler,
         ) from error
     with client:
-        workers = len(client.nthreads())
-        batches = _batches(arguments, seeds, max(workers, 1))
+        batches = campaign.batches(max(len(client.nthreads()), 1))
         # Not pure: two campaigns with the same arguments are two campaigns. Tasks of a worker that dies go to another.
-        futures = client.map(run_batch, [run] * len(batches), batches, pure=False, retries=_KILLS_ACCEPTED)
-        results: dict[int, list[Result]] = {}
-        numbers = {future.key: batch[0] for future, batch in zip(futures, batches, strict=True)}
+        futures = client.map(run_batch, [campaign.run] * len(batches), batches, pure=False, retries=_KILLS_ACCEPTED)
+        of_key = {future.key: batch for future, batch in zip(futures, batches, strict=True)}
         try:
-            for future, result in distributed.as_completed(futures, loop=client.loop, with_results=True):
-                results[numbers[future.key]] = result
-                tell(sum(len(done) for done in results.values()), len(arguments))
+            for future in distributed.as_completed(futures, loop=client.loop):
+                first, arguments, _ = of_key[future.key]
+                campaign.take(first, _result(future, arguments, campaign.on_killed, distributed.KilledWorker))
         except (distributed.KilledWorker, OSError) as error:
             raise LinkError(
-                f"the Dask cluster at {scheduler!r} lost {len(batches) - len(results)} of {len(batches)} batches "
+                f"the Dask cluster at {scheduler!r} lost {len(batches) - len(campaign.results)} of {len(batches)} batches "
                 f"({error}); check its workers and start again, the result will be the same",
                 Reason.DISCONNECTED,
                 scheduler=scheduler,
             ) from error
-    return [result for first in sorted(results) for result in results[first]]
+    return campaign.in_order()
+
+
+def _result(
+    future: Any, arguments: list[Argument], on_killed: Callable[[Argument], Result] | None, killed: type[Exception]
+) -> list[Result]:
+    """Return the result of a batch on a cluster, or what stands for a batch that kills its workers."""
+    try:
+        results: list[Result] = future.result()
+    except killed:
+        if on_killed is None:
+            raise
+        return [on_killed(argument) for argument in arguments]
+    return results
 
 
 def _distributed() -> Any:

@@ -1,0 +1,187 @@
+"""``imufield solve A B C``: many sessions, each as if it were solved alone, on all cores or a Dask cluster.
+
+A worker replays and solves; this process writes the parameter files, so a session whose worker was killed and that is solved
+again is written once.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from imufield.acquire.session import Session
+from imufield.commands.solve import PARAMETER_FILE, SolveOptions, solve_session
+from imufield.deliver.numbers import MICRO_G
+from imufield.deliver.parameters import Parameters, from_document, json_ready, write_document
+from imufield.errors import ImufieldError, UsageError
+from imufield.samples import FloatArray
+from imufield.study.campaign import run_campaign
+
+FAILED = "failed"
+WIDTH = 80
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one session; goes from a worker to the process that writes."""
+
+    session: Path
+    exit_code: int = 0
+    error: str = ""
+    document: dict[str, Any] | None = None
+    notes: tuple[str, ...] = ()
+    written: Path | None = None
+
+
+def run_solve_many(
+    sessions: Sequence[Path], options: SolveOptions, *, workers: int | None = None, scheduler: str | None = None
+) -> int:
+    """Solve every session, write its parameter file, print a table of verdicts; return the exit code of the worst.
+
+    Raises
+    ------
+    UsageError
+        If an option belongs to one session only, or Dask is not installed.
+    LinkError
+        If the scheduler does not answer.
+    """
+    _check(sessions, options)
+    # Workers on a cluster have a working folder of their own.
+    preset = None if options.preset is None else options.preset.resolve()
+    folders = dict.fromkeys(folder.resolve() for folder in sessions)
+    jobs = [replace(options, session=folder, preset=preset) for folder in folders]
+    found = run_campaign(
+        solve_job,
+        jobs,
+        seed=options.seed,
+        workers=workers,
+        scheduler=scheduler,
+        progress=_tell,
+        on_killed=_killed,
+        largest_batch=1,
+    )
+    outcomes = [_write(outcome) for outcome in found]
+    _print(outcomes, as_json=options.as_json)
+    return max(outcome.exit_code for outcome in outcomes)
+
+
+def _check(sessions: Sequence[Path], options: SolveOptions) -> None:
+    if options.observations is not None:
+        raise UsageError("give sessions or --observations, not both")
+    if not sessions:
+        raise UsageError("--scheduler needs the folders of the sessions to solve; name them")
+    if options.output is not None:
+        raise UsageError(
+            f"--output {options.output} names one file for several sessions; leave it out, each gets its {PARAMETER_FILE}"
+        )
+
+
+def solve_job(options: SolveOptions, _rng: np.random.Generator) -> Outcome:
+    """Solve one session; the function that workers are sent. Random numbers are those of ``--seed``, as for one session."""
+    folder = options.session or Path()
+    try:
+        solved = solve_session(Session.open(folder), options)
+    except ImufieldError as error:
+        return Outcome(folder, error.exit_code, error.message)
+    return Outcome(folder, document=solved.parameters.document, notes=solved.notes)
+
+
+def _killed(options: SolveOptions) -> Outcome:
+    sentence = "its worker was killed again and again, most likely for lack of memory; solve it alone, with more memory"
+    return Outcome(options.session or Path(), UsageError.exit_code, sentence)
+
+
+def _write(outcome: Outcome) -> Outcome:
+    if outcome.document is None:
+        return outcome
+    path = outcome.session / PARAMETER_FILE
+    try:
+        write_document(path, outcome.document)
+    except ImufieldError as error:
+        return replace(outcome, exit_code=error.exit_code, error=error.message)
+    return replace(outcome, written=path)
+
+
+def _print(outcomes: list[Outcome], *, as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps([_as_json(outcome) for outcome in outcomes]))
+        return
+    console = Console() if sys.stdout.isatty() else Console(width=WIDTH, color_system=None, legacy_windows=False)
+    console.print(_table(outcomes))
+    for outcome in outcomes:
+        for sentence in _sentences(outcome):
+            typer.echo(f"{_name(outcome)}: {sentence}")
+    failed = sum(outcome.error != "" for outcome in outcomes)
+    typer.echo(f"{len(outcomes)} sessions, {failed} of them failed; the others have their {PARAMETER_FILE}.")
+
+
+def _as_json(outcome: Outcome) -> dict[str, Any]:
+    shown = {"session": str(outcome.session), "verdict": _verdict(outcome), "exit_code": outcome.exit_code}
+    if outcome.error:
+        return {**shown, "error": outcome.error}
+    return {**shown, "file": str(outcome.written), "parameters": json_ready(outcome.document or {})}
+
+
+def _name(outcome: Outcome) -> str:
+    return outcome.session.name
+
+
+def _parameters(outcome: Outcome) -> Parameters | None:
+    return None if outcome.document is None else from_document(outcome.document)
+
+
+def _verdict(outcome: Outcome) -> str:
+    found = _parameters(outcome)
+    return FAILED if found is None or outcome.error else found.calibration.quality.verdict
+
+
+def _sentences(outcome: Outcome) -> tuple[str, ...]:
+    """Return what is to be read of a session beside its row: an error, or why it is not good."""
+    if outcome.error:
+        return (outcome.error,)
+    found = _parameters(outcome)
+    if found is None or found.calibration.quality.verdict == "good":
+        return outcome.notes
+    return (*found.calibration.quality.reasons[:1], *outcome.notes)
+
+
+def _table(outcomes: list[Outcome]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("session", overflow="fold")
+    for heading in ("verdict", "positions", "residual", "bias sigma", "scale sigma"):
+        table.add_column(heading, justify="left" if heading == "verdict" else "right", no_wrap=True)
+    for outcome in outcomes:
+        table.add_row(_name(outcome), _verdict(outcome), *_figures(outcome))
+    return table
+
+
+def _figures(outcome: Outcome) -> tuple[str, ...]:
+    found = _parameters(outcome)
+    if found is None:
+        return ()
+    calibration = found.calibration
+    sigma = calibration.accelerometer_sigma
+    return (
+        str(len(calibration.positions.residual_m_s2)),
+        f"{calibration.quality.residual_rms_m_s2 / MICRO_G:.3g} µg",
+        f"{_largest(sigma.bias_m_s2) / MICRO_G:.3g} µg",
+        f"{_largest(sigma.scale / np.abs(calibration.accelerometer.scale)) * 1e6:.3g} ppm",
+    )
+
+
+def _largest(values: FloatArray) -> float:
+    return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
+
+
+def _tell(done: int, total: int) -> None:
+    if sys.stderr.isatty():
+        typer.echo(f"\r{done} of {total} sessions", nl=done == total, err=True)

@@ -1,0 +1,132 @@
+"""``imufield solve`` over several sessions: as one by one, whoever works, and one that fails does not stop the others."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from imufield.commands import solve_many
+from imufield.commands.solve import SolveOptions
+from imufield.commands.solve_many import run_solve_many
+from imufield.deliver.parameters import load
+from imufield.errors import UsageError
+
+if TYPE_CHECKING:
+    from tests.commands.conftest import Program
+
+NAMES = ("a", "b", "c")
+
+
+@pytest.fixture
+def sessions(tmp_path: Path, whole_session: Path) -> list[Path]:
+    """Three sessions, the last of which takes every still interval for itself."""
+    folders = [tmp_path / name for name in NAMES]
+    for folder in folders:
+        shutil.copytree(whole_session, folder)
+    settings = (folders[2] / "session.toml").read_text()
+    (folders[2] / "session.toml").write_text(settings.replace('scheme = "paper24"\n', ""))
+    return folders
+
+
+def alone(program: Program, folder: Path) -> list[str]:
+    """Return what the same session gives when it is solved by itself."""
+    ended = program.run("solve", folder, "-o", f"{folder.name}.toml")
+    assert ended.returncode == 0, ended.stderr
+    return numbers(program.folder / f"{folder.name}.toml")
+
+
+def numbers(path: Path) -> list[str]:
+    """Return the lines of a parameter file, less the time of its making and the hash over it."""
+    return [line for line in path.read_text().splitlines() if not line.startswith(("created", "sha256", "integrity"))]
+
+
+def written(folder: Path) -> list[str]:
+    assert [path.name for path in folder.glob("parameters*.toml")] == ["parameters.toml"]
+    return numbers(folder / "parameters.toml")
+
+
+def test_one_that_fails_does_not_stop_the_others(program: Program, sessions: list[Path]) -> None:
+    part = next(sessions[1].glob("part-*.mcap"))
+    part.write_bytes(b"nothing")
+    ended = program.run("solve", *sessions, "nowhere", "--workers", 2)
+    assert ended.returncode in (4, 6), ended.stderr
+    assert "Traceback" not in ended.stderr
+    rows = {line.split()[0]: line.split()[1] for line in ended.stdout.splitlines()[1:5]}
+    assert rows == {"a": "good", "b": "failed", "c": rows["c"], "nowhere": "failed"}
+    assert rows["c"] in ("good", "usable")
+    assert "4 sessions, 2 of them failed" in ended.stdout
+    assert max(map(len, ended.stdout.splitlines()[:5])) <= 80
+    assert written(sessions[0]) == alone(program, sessions[0])
+    assert written(sessions[2]) == alone(program, sessions[2])
+    assert not (sessions[1] / "parameters.toml").exists()
+
+
+def test_json_has_one_entry_a_session(program: Program, sessions: list[Path]) -> None:
+    ended = program.run("solve", *sessions[:2], sessions[0], "--json", "--workers", 1)
+    assert ended.returncode == 0, ended.stderr
+    entries = json.loads(ended.stdout)
+    assert [Path(entry["session"]).name for entry in entries] == ["a", "b"]
+    assert {entry["verdict"] for entry in entries} == {"good"}
+    scale = load(entries[0]["file"]).document["accelerometer"]["scale"]
+    assert entries[0]["parameters"]["accelerometer"]["scale"] == pytest.approx(scale, rel=1e-12)
+
+
+def test_options_of_one_session_are_refused(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in NAMES]
+    with pytest.raises(UsageError, match="names one file for several sessions"):
+        run_solve_many(folders, SolveOptions(output=tmp_path / "p.toml"))
+    with pytest.raises(UsageError, match="sessions or --observations"):
+        run_solve_many(folders, SolveOptions(observations=tmp_path / "means.csv"))
+    with pytest.raises(UsageError, match="needs the folders"):
+        run_solve_many([], SolveOptions(), scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    distributed = pytest.importorskip("distributed", reason="needs the study extra")
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        worker_dashboard_address=None,
+        silence_logs=50,
+        env={"PYTHONPATH": str(Path(solve_many.__file__).parents[2])},
+    ) as cluster:
+        yield cluster
+
+
+def test_sessions_of_a_killed_cluster_worker_are_done_again(
+    cluster: Any, program: Program, sessions: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    nanny = next(iter(cluster.workers.values()))
+    killed: list[int] = []
+    killer = threading.Thread(target=kill_when_busy, args=(cluster, nanny, killed))
+    killer.start()
+    code = run_solve_many(sessions, SolveOptions(), scheduler=cluster.scheduler_address)
+    killer.join()
+    assert killed
+    assert code == 0, capsys.readouterr().out
+    for folder in sessions:
+        assert written(folder) == alone(program, folder)
+
+
+def kill_when_busy(cluster: Any, nanny: Any, killed: list[int]) -> None:
+    """Kill a worker as soon as it has a session to solve."""
+    pid, worker = nanny.pid, cluster.scheduler.workers[nanny.worker_address]
+    deadline_s = time.monotonic() + 60
+    while time.monotonic() < deadline_s:
+        if worker.processing:
+            os.kill(pid, signal.SIGKILL)
+            killed.append(pid)
+            return
+        time.sleep(0.01)
