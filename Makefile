@@ -15,7 +15,7 @@ help:
 	@echo "make demo    the whole chain on a virtual instrument, about a minute"
 	@echo "make test    the tests"
 	@echo "make bench   speed, memory and accuracy, measured"
-	@echo "make study   the papers' tables and figures in full, about STUDYTIME on two cores; writes docs/study.md"
+	@echo "make study   the papers' tables and figures in full, minutes on all cores; writes docs/study.md"
 	@echo "make lint    style, types"
 	@echo "make docs    check the documentation: links, examples, lists of errors and keys"
 	@echo "make wheel   build source archive and wheel into dist/, check what is in them"
