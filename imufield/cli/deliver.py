@@ -66,6 +66,10 @@ def verify(
     ] = None,
     turned: Annotated[bool, typer.Option("--turned", help="The instrument was turned over after the alignment.")] = False,
     align_s: Annotated[float, typer.Option(help="Seconds of rest at the start to align with.", min=1)] = 600.0,
+    heading: Annotated[
+        float | None, typer.Option(help="Known heading of the body x axis, degrees clockwise from north.", min=-360, max=360)
+    ] = None,
+    heading_sigma: Annotated[float, typer.Option(help="1 sigma of that heading, degrees.", min=0, max=30)] = 0.0,
     gravity: GravityValue = None,
     latitude: Latitude = None,
     height: Height = None,
@@ -89,6 +93,8 @@ def verify(
         hold_out,
         turned,
         align_s,
+        heading,
+        heading_sigma,
         site(context, gravity, latitude, height),
         require,
         turn_on_ug,

@@ -19,6 +19,7 @@ from imufield.commands.chain import Chain, Plan, recorded_protocol, replay_into
 from imufield.commands.site import SiteOptions
 from imufield.commands.solve import session_sha256
 from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
+from imufield.deliver.navigation.alignment import Heading
 from imufield.deliver.navigation.check import ALIGN_S, Apply, CheckSettings, NavigationResult, StaticNavigation
 from imufield.deliver.numbers import DEG_PER_HOUR_RAD_S, MICRO_G, to_ascii
 from imufield.deliver.parameters import Corrected, Parameters, json_ready, load
@@ -52,6 +53,8 @@ class VerifyOptions:
     hold_out: int | None = None
     turned: bool = False
     align_s: float = ALIGN_S
+    heading_deg: float | None = None
+    heading_sigma_deg: float = 0.0
     site: SiteOptions = field(default_factory=SiteOptions)
     require: str | None = None
     turn_on_ug: float | None = None
@@ -76,7 +79,7 @@ class _Task:
     @property
     def wants_navigation(self) -> bool:
         """Whether the user asked for it."""
-        return self.options.turned or "nav-nmi-per-h" in self.limits
+        return self.options.turned or self.options.heading_deg is not None or "nav-nmi-per-h" in self.limits
 
     @property
     def is_its_own(self) -> bool:
@@ -247,6 +250,7 @@ class _Navigation:
             task.gravity.gravity_m_s2,
             options.align_s,
             options.turned,
+            _heading(options),
             turn_on=_turn_on(options),
             instability=_instability(task.parameters),
             seed=options.seed,
@@ -276,6 +280,12 @@ def _nominal(task: _Task) -> Apply | None:
         return Corrected(samples.time_s, force, correct_gyroscope(plain, samples.gyroscope_rate()))
 
     return apply
+
+
+def _heading(options: VerifyOptions) -> Heading | None:
+    if options.heading_deg is None:
+        return None
+    return Heading(np.radians(options.heading_deg), np.radians(options.heading_sigma_deg))
 
 
 def _turn_on(options: VerifyOptions) -> FloatArray | None:

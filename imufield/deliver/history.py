@@ -23,22 +23,18 @@ from typing import Any
 
 import numpy as np
 
-from imufield.calibrate.result import Calibration
-from imufield.deliver.document import gyroscope_bias_rad_s
-from imufield.deliver.numbers import DEG_PER_HOUR_RAD_S, MILLI_G
+from imufield.deliver.gauge_free import Number, numbers_of
 from imufield.deliver.parameters import Parameters, load
-from imufield.earth import STANDARD_GRAVITY_M_S2
-from imufield.errors import ParameterFileError, Reason, UsageError
-from imufield.samples import AXES, FloatArray
+from imufield.errors import ImufieldError, Reason, UsageError
 
 INDEX_FILE = ".imufield-history.sqlite"
-INDEX_VERSION = 1
+INDEX_VERSION = 2
 STALE_DAYS = 365.0
 MOVED_SIGMA = 3.0
 """A change beyond this is said aloud."""
-_PAIRS = ("xy", "xz", "yz")
 _SAME_GRAVITY_M_S2 = 1e-7
 _COLORS = ("#111111", "#0b5394", "#b45f06")
+_MARKERS = "osD^v<>Px"
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS entry (
     path TEXT PRIMARY KEY, size INTEGER, changed_ns INTEGER, fault TEXT,
@@ -48,18 +44,6 @@ CREATE TABLE IF NOT EXISTS entry (
 CREATE INDEX IF NOT EXISTS by_instrument ON entry (serial_number, created);
 """
 _COLUMNS = ("path", "size", "changed_ns", "fault", "instrument", "serial_number", "created", "verdict", "session", "raw_unit")
-
-
-@dataclass(frozen=True, slots=True)
-class Number:
-    """One gauge-free number of a calibration."""
-
-    name: str
-    unit: str
-    value: float
-    sigma: float
-    common: float = 0.0
-    """Part of sigma that comes from gravity."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,38 +163,6 @@ def compare(old: Entry, new: Entry) -> tuple[Change, ...]:
     return tuple(found)
 
 
-def numbers_of(calibration: Calibration) -> tuple[Number, ...]:
-    """Return the gauge-free numbers of a calibration, those that were estimated."""
-    found = calibration.intrinsic
-    K, g = found.scale, calibration.gravity
-    unit = calibration.accelerometer_raw_unit
-    common = np.abs(K) * g.sigma_m_s2 / g.gravity_m_s2
-    bias, spread = found.bias_raw / K, found.bias_raw_sigma / np.abs(K)
-    size = STANDARD_GRAVITY_M_S2 / K * 1e6
-    groups = [
-        _numbers("bias", AXES, "mg", bias / MILLI_G, spread / MILLI_G),
-        _numbers("scale", AXES, f"{unit} per m/s^2", K, found.scale_sigma, common),
-        _numbers("angle", _PAIRS, "mrad", found.angle_rad * 1e3, found.angle_sigma_rad * 1e3),
-        _numbers("quadratic", AXES, "ug/g^2", found.quadratic * size, found.quadratic_sigma * np.abs(size)),
-    ]
-    gyroscope = calibration.gyroscope
-    if gyroscope is not None and np.isfinite(gyroscope.parameters.scale).all():
-        rate, sigma = (values / DEG_PER_HOUR_RAD_S for values in gyroscope_bias_rad_s(gyroscope))
-        groups.append(_numbers("gyroscope bias", AXES, "deg/h", rate, sigma))
-        scale = gyroscope.parameters.scale
-        groups.append(_numbers("gyroscope scale", AXES, f"{gyroscope.raw_unit} per rad/s", scale, gyroscope.sigma.scale))
-    return tuple(number for group in groups for number in group)
-
-
-def _numbers(
-    what: str, places: tuple[str, ...], unit: str, values: FloatArray, sigmas: FloatArray, common: FloatArray | None = None
-) -> Iterator[Number]:
-    shared = np.zeros(len(values)) if common is None else common
-    for place, value, sigma, part in zip(places, values, sigmas, shared, strict=True):
-        if sigma > 0 and math.isfinite(value):
-            yield Number(f"{what} {place}", unit, float(value), float(sigma), min(float(part), float(sigma)))
-
-
 def _open_index(folder: Path) -> sqlite3.Connection:
     """Open the index; in memory where the folder cannot be written or the file is none of ours."""
     for place in (folder / INDEX_FILE, ":memory:"):
@@ -254,7 +206,7 @@ def _refresh(index: sqlite3.Connection, folder: Path) -> int:
 def _put(index: sqlite3.Connection, name: str, size: int, changed_ns: int, path: Path) -> None:
     try:
         values = _values(load(path))
-    except ParameterFileError as error:
+    except ImufieldError as error:
         # Session files and configurations are TOML too, and nobody's fault.
         fault = "" if error.reason is Reason.FOREIGN else error.message
         values = (fault, "", "", "", "", "", "", 0.0, "[]")
@@ -358,7 +310,7 @@ def plot_history(instrument: InstrumentHistory) -> bytes:
 
 def _plot_kind(axes: Any, instrument: InstrumentHistory, kind: str, names: list[str]) -> None:
     unit = ""
-    for name, marker, style, color in zip(names, "osD", ("-", "--", ":"), _COLORS, strict=False):
+    for name, marker, style, color in zip(names, _MARKERS, ("-", "--", ":") * 3, _COLORS * 3, strict=False):
         found = [(entry.time, number) for entry in instrument.entries for number in entry.numbers if number.name == name]
         first, unit = found[0][1], found[0][1].unit
         values = np.array([number.value - first.value for _, number in found])

@@ -154,6 +154,7 @@ def _navigation(result: NavigationResult) -> Document:
         "align_s": settings.align_s,
         "navigated_s": result.navigated_s,
         "turned": settings.turned,
+        "heading_deg": None if settings.heading is None else math.degrees(settings.heading.angle_rad),
         "latitude_deg": settings.latitude_deg,
         "seed": settings.seed,
         "samples": result.samples,
@@ -268,7 +269,9 @@ def _cell(value: float, sign: str = "+") -> str:
 def _navigation_lines(result: NavigationResult) -> Iterator[str]:
     hours = result.navigated_s / 3600
     turned = ", turned over after it" if result.settings.turned else ""
-    yield f"Static navigation: {hours:.2f} h after an alignment of {result.settings.align_s:g} s{turned}"
+    told = result.settings.heading
+    heading = "" if told is None else f", heading {math.degrees(told.angle_rad):g} deg as told"
+    yield f"Static navigation: {hours:.2f} h after an alignment of {result.settings.align_s:g} s{heading}{turned}"
     yield f"  {'time':>8} {'latitude':>12} {'longitude':>12} {'v north':>9} {'v east':>9} {'position':>9}  95 %"
     yield f"  {'h':>8} {'deg':>12} {'deg':>12} {'m/s':>9} {'m/s':>9} {'nmi':>9}  {'nmi' if result.forecast else ''}"
     for name, drift in result.drifts.items():

@@ -163,3 +163,14 @@ def test_latitude_is_asked_for(solved: Path, tmp_path: Path) -> None:
     arguments = ["verify", str(nowhere), str(session.folder), "--align-s", "200", "-o", str(tmp_path / "found.json")]
     assert run([*arguments, "--require", "nav-nmi-per-h=100"]) == 2
     assert run([*arguments, "--require", "nav-nmi-per-h=1000000", "--latitude", "48"]) == 0
+
+
+def test_a_known_heading_is_taken_instead_of_found(solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    session = rest_session(tmp_path / "rest")
+    output = tmp_path / "found.json"
+    common = ["verify", str(solved / "parameters.toml"), str(session.folder), "--align-s", "200", "-o", str(output)]
+    assert run([*common, "--heading", "-36.87", "--heading-sigma", "1"]) == 0
+    assert "heading -36.87 deg as told" in capsys.readouterr().out
+    document = json.loads(output.read_text())
+    assert document["navigation"]["heading_deg"] == pytest.approx(-36.87)
+    assert run([*common, "--heading", "400"]) == 2

@@ -15,7 +15,8 @@ import pytest
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import Calibration
 from imufield.deliver.context import Context
-from imufield.deliver.history import INDEX_FILE, numbers_of, plot_history, read_history, sentences, to_csv
+from imufield.deliver.gauge_free import numbers_of
+from imufield.deliver.history import INDEX_FILE, plot_history, read_history, sentences, to_csv
 from imufield.deliver.parameters import write_parameters
 from imufield.errors import UsageError
 

@@ -16,6 +16,9 @@ tilting. Its covariance contains white noise alone; what constant errors of the 
 accelerometer error along north tilts, a gyroscope error along east turns the heading by ``error / (rate cos latitude)``.
 Both cannot be told from true attitude at rest, which is why alignment hides the accelerometer.
 
+Known heading. A gyroscope that cannot see the Earth turn finds no north. Where the heading is told (a marked line, a compass,
+another system), phi_D is what the teller does not know, nothing is learned about it, and the filter finds the two tilts alone.
+
 References
 ----------
 .. [1] D. H. Titterton, J. L. Weston, "Strapdown Inertial Navigation Technology", 2nd edition, 2004: section 10.3.
@@ -42,6 +45,8 @@ _OPEN = 10.0
 _LEAST_FORCE_DENSITY = 1e-9
 _LEAST_RATE_DENSITY = 1e-13
 """Noise-free simulations have none, and a filter without noise divides by zero."""
+STEEPEST_X_DEG = 80.0
+"""Beyond, the horizontal part of the body x axis is too short to have a heading."""
 _RESPONSE_STEPS = np.repeat([1e-5, 1e-12], 3)
 """m/s^2 and rad/s: far above rounding, far below what makes the response bend."""
 
@@ -66,24 +71,32 @@ class NoiseDensity:
 
 
 @dataclass(frozen=True, slots=True)
+class Heading:
+    """Direction of the body x axis, seen from above: clockwise from true north, known from elsewhere."""
+
+    angle_rad: float
+    sigma_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Alignment:
     """Attitude at the end of an alignment."""
 
     attitude: FloatArray
     """C_nb: body to north, east, down; shape (3, 3)."""
     covariance: FloatArray
-    """Of phi from white noise, shape (3, 3), rad^2."""
+    """Of phi from white noise and a told heading's own uncertainty, shape (3, 3), rad^2."""
     response: FloatArray
     """d phi / d (force error, rate error) in the body frame, shape (3, 6)."""
 
 
-def align(means: RestMeans, latitude_deg: float, noise: NoiseDensity) -> Alignment:
-    """Align coarsely, then finely.
+def align(means: RestMeans, latitude_deg: float, noise: NoiseDensity, heading: Heading | None = None) -> Alignment:
+    """Align coarsely, then finely; with a heading, only level.
 
     Raises
     ------
     UsageError
-        If the latitude is too near to a pole.
+        If the latitude is too near to a pole, or the body x axis too steep to have a heading.
     RecordingError
         If there is no specific force, or no rate at right angles to it.
     """
@@ -94,8 +107,8 @@ def align(means: RestMeans, latitude_deg: float, noise: NoiseDensity) -> Alignme
             latitude_deg=latitude_deg,
         )
     means = _thinned(means)
-    attitude, covariance = _fine(means, latitude_deg, noise)
-    return Alignment(attitude, covariance, _response(means, latitude_deg, noise, attitude))
+    attitude, covariance = _fine(means, latitude_deg, noise, heading)
+    return Alignment(attitude, covariance, _response(means, latitude_deg, noise, attitude, heading))
 
 
 def coarse_attitude(force: FloatArray, rate: FloatArray) -> FloatArray:
@@ -116,6 +129,33 @@ def coarse_attitude(force: FloatArray, rate: FloatArray) -> FloatArray:
         )
     down = -force / length
     north = north / np.linalg.norm(north)
+    return np.array([north, np.cross(down, north), down])
+
+
+def level_attitude(force: FloatArray, heading: Heading) -> FloatArray:
+    """Return C_nb from mean specific force at rest and the heading of the body x axis, shape (3, 3).
+
+    Raises
+    ------
+    UsageError
+        If the body x axis is steeper than ``STEEPEST_X_DEG``.
+    RecordingError
+        If there is no specific force.
+    """
+    length = float(np.linalg.norm(force))
+    if not length > 0:
+        raise RecordingError("there is no specific force to level with; record the accelerometer at rest", Reason.BAD_DATA)
+    down = -force / length
+    steep_deg = float(np.degrees(np.arcsin(min(abs(down[0]), 1.0))))
+    if steep_deg > STEEPEST_X_DEG:
+        raise UsageError(
+            f"the body x axis stands {steep_deg:.0f} deg steep and has a heading up to {STEEPEST_X_DEG:g} deg only; record "
+            "with another side down, or leave --heading out",
+            steep_deg=steep_deg,
+        )
+    ahead = np.array([1.0, 0.0, 0.0]) - down[0] * down
+    ahead /= np.linalg.norm(ahead)
+    north = np.cos(heading.angle_rad) * ahead - np.sin(heading.angle_rad) * np.cross(down, ahead)
     return np.array([north, np.cross(down, north), down])
 
 
@@ -149,32 +189,44 @@ def _thinned(means: RestMeans) -> RestMeans:
     return RestMeans(means.interval_s * factor, force, rate)
 
 
-def _fine(means: RestMeans, latitude_deg: float, noise: NoiseDensity) -> tuple[FloatArray, FloatArray]:
+def _fine(means: RestMeans, latitude_deg: float, noise: NoiseDensity, heading: Heading | None) -> tuple[FloatArray, FloatArray]:
     """Return attitude at the end and covariance of phi."""
     earth = earth_rate(latitude_deg)
     steps = [rotation(rate * means.interval_s) for rate in means.rate]
     back = rotation(-earth * means.interval_s)
-    attitude, covariance = coarse_attitude(means.force.mean(axis=0), means.rate.mean(axis=0)), np.eye(3)
+    force = means.force.mean(axis=0)
+    attitude = coarse_attitude(force, means.rate.mean(axis=0)) if heading is None else level_attitude(force, heading)
+    learns = np.diag([1.0, 1.0, 0.0 if heading is not None else 1.0])
+    covariance = np.eye(3)
     for number in range(_PASSES):
         if number:
             for step in reversed(steps):
                 attitude = back.T @ attitude @ step.T
-        attitude, phi, covariance = _filter(means, attitude, steps, earth, noise)
+        attitude, phi, covariance = _filter(means, attitude, steps, earth, noise, learns)
         attitude = rotation(phi) @ attitude
-    return _orthonormal(attitude), covariance
+    if heading is None:
+        return _orthonormal(attitude), covariance
+    # At rest the heading at the end is the one that was told; what the gyroscope made of it meanwhile is its error.
+    covariance[2, 2] = heading.sigma_rad**2
+    return level_attitude(-_orthonormal(attitude)[2], heading), covariance
 
 
 def _filter(
-    means: RestMeans, attitude: FloatArray, steps: list[FloatArray], earth: FloatArray, noise: NoiseDensity
+    means: RestMeans,
+    attitude: FloatArray,
+    steps: list[FloatArray],
+    earth: FloatArray,
+    noise: NoiseDensity,
+    learns: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Carry an attitude from start to end; return it, phi and its covariance there."""
+    """Carry an attitude from start to end; return it, phi and its covariance there. ``learns`` has 0 where phi is known."""
     dt = means.interval_s
     back = rotation(-earth * dt)
     # Half an interval before and after each mean, which belongs to its middle.
-    half = np.eye(3) - cross_matrix(earth) * dt / 2
-    Q = np.eye(3) * max(noise.rate, _LEAST_RATE_DENSITY) ** 2 * dt / 2
+    half = np.eye(3) - learns @ cross_matrix(earth) * dt / 2
+    Q = learns * max(noise.rate, _LEAST_RATE_DENSITY) ** 2 * dt / 2
     R = np.eye(2) * max(noise.force, _LEAST_FORCE_DENSITY) ** 2 / dt
-    phi, P = np.zeros(3), np.eye(3) * _OPEN**2
+    phi, P = np.zeros(3), learns * _OPEN**2
     for step, force in zip(steps, means.force, strict=True):
         after = back @ attitude @ step
         phi, P = half @ phi, half @ P @ half.T + Q
@@ -190,14 +242,16 @@ def _filter(
     return attitude, phi, P
 
 
-def _response(means: RestMeans, latitude_deg: float, noise: NoiseDensity, attitude: FloatArray) -> FloatArray:
+def _response(
+    means: RestMeans, latitude_deg: float, noise: NoiseDensity, attitude: FloatArray, heading: Heading | None
+) -> FloatArray:
     """Return d phi / d instrument errors by running the filter on data with each error added."""
     response = np.zeros((3, 6))
     for k, size in enumerate(_RESPONSE_STEPS):
         error = np.zeros(6)
         error[k] = size
         changed = RestMeans(means.interval_s, means.force + error[:3], means.rate + error[3:])
-        turned = _fine(changed, latitude_deg, noise)[0] @ attitude.T
+        turned = _fine(changed, latitude_deg, noise, heading)[0] @ attitude.T
         # turned = I - [phi x]
         phi = np.array([turned[1, 2] - turned[2, 1], turned[2, 0] - turned[0, 2], turned[0, 1] - turned[1, 0]]) / 2
         response[:, k] = phi / size

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imufield.calibrate.result import Calibration
-from imufield.deliver.navigation.alignment import Alignment, RestMeans, align
+from imufield.deliver.navigation.alignment import Alignment, Heading, RestMeans, align
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.forecast import RUNS, Forecast, RandomErrors, Scene, forecast
 from imufield.deliver.navigation.mechanise import Mechanisation, load_pyins
@@ -49,6 +49,8 @@ class CheckSettings:
     align_s: float = ALIGN_S
     turned: bool = False
     """Somebody turned the instrument over after the alignment."""
+    heading: Heading | None = None
+    """During the alignment, where it is known; None: found from the Earth's rate."""
     turn_on: FloatArray | None = None
     """1 sigma of a bias that is new at each power-on, shape (6,), m/s^2 and rad/s; None: the bias instability."""
     instability: FloatArray | None = None
@@ -222,9 +224,8 @@ class StaticNavigation:
         found = forecast(calibration, scene, random, np.random.default_rng(settings.seed), settings.runs)
         if found.heading_sigma_rad > LARGEST_HEADING_SIGMA_RAD:
             sigma_deg = np.degrees(found.heading_sigma_rad)
-            return None, (
-                f"no forecast: this gyroscope finds north to {sigma_deg:.0f} deg only, and the equations hold for small angles",
-            )
+            what = f"this gyroscope finds north to {sigma_deg:.0f} deg only, and the equations hold for small angles"
+            return None, (f"no forecast: {what}; give --heading where it is known",)
         return found, ()
 
 
@@ -274,7 +275,7 @@ class _OneSet:
                 at_s=int(np.argmax(moving)),
             )
         rest = RestMeans(SECOND_S, means[:, :3], means[:, 3:])
-        self.alignment = align(rest, settings.latitude_deg, measure_noise(means).triads())
+        self.alignment = align(rest, settings.latitude_deg, measure_noise(means).triads(), settings.heading)
         self.mechanisation = Mechanisation(self.alignment.attitude, end_s, settings.latitude_deg, settings.height_m)
         for corrected in self._waiting:
             after = corrected.time_s >= end_s

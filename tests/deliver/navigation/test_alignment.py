@@ -15,7 +15,7 @@ from at_rest import (
     random_attitude,
 )
 
-from imufield.deliver.navigation.alignment import NoiseDensity, RestMeans, align, coarse_attitude, rotation
+from imufield.deliver.navigation.alignment import Heading, NoiseDensity, RestMeans, align, coarse_attitude, rotation
 from imufield.errors import RecordingError, UsageError
 from imufield.samples import FloatArray
 
@@ -92,3 +92,36 @@ def test_pole_is_refused() -> None:
 def test_no_rate_is_refused() -> None:
     with pytest.raises(RecordingError, match="show no level and north"):
         coarse_attitude(np.array([0.0, 0.0, 9.8]), np.zeros(3))
+
+
+def heading_of(attitude: FloatArray) -> float:
+    """Direction of the body x axis in the north-east plane."""
+    return float(np.arctan2(attitude[1, 0], attitude[0, 0]))
+
+
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_a_told_heading_gives_the_exact_attitude_without_any_rate(seed: int) -> None:
+    attitude = random_attitude(seed)
+    force, _ = inputs(attitude)
+    spinless = RestMeans(1.0, np.tile(force, (300, 1)), np.zeros((300, 3)))
+    told = Heading(heading_of(attitude))
+    # Without the Earth's rate the filter takes its absence for a tilting of 15 deg/h, and the accelerometer takes that off.
+    assert np.abs(phi_of(align(spinless, LATITUDE_DEG, NOISE, told).attitude, attitude)).max() < 2e-3
+    exact = align(means(attitude), LATITUDE_DEG, NOISE, told)
+    assert np.abs(phi_of(exact.attitude, attitude)).max() < 1e-9
+
+
+def test_a_told_heading_is_as_uncertain_as_its_teller() -> None:
+    attitude = rotation(np.array([0.1, -0.2, 0.9]))
+    aligned = align(means(attitude, seed=3), LATITUDE_DEG, NOISE, Heading(heading_of(attitude), 0.01))
+    assert aligned.covariance[2, 2] == pytest.approx(1e-4)
+    assert np.sqrt(aligned.covariance[0, 0]) < 1e-5
+    to_n = np.kron(np.eye(2), attitude.T)
+    # An error of the east gyroscope would turn a found heading by 1 / north rate = 2e4 rad per rad/s.
+    assert abs((aligned.response @ to_n)[2, 4]) < 1e-2 / north_rate()
+
+
+def test_a_told_heading_of_a_vertical_axis_is_refused() -> None:
+    attitude = rotation(np.array([0.0, np.radians(-85), 0.0]))
+    with pytest.raises(UsageError, match="stands 85 deg steep"):
+        align(means(attitude), LATITUDE_DEG, NOISE, Heading(0.0))

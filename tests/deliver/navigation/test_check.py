@@ -10,7 +10,7 @@ import pytest
 from at_rest import DEG_PER_HOUR, GRAVITY_M_S2, LATITUDE_DEG, MICRO_G, as_sent, perfect, random_attitude, recording
 
 from imufield.calibrate.result import Calibration
-from imufield.deliver.navigation.alignment import rotation
+from imufield.deliver.navigation.alignment import Heading, rotation
 from imufield.deliver.navigation.check import CheckSettings, NavigationResult, StaticNavigation
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import Samples, Status, concatenate
@@ -120,6 +120,20 @@ def test_no_forecast_where_north_is_a_guess() -> None:
     result = check(recording(random_attitude(1), 900, 5.0, noise=1.0), calibration=perfect(0.0, 15 * DEG_PER_HOUR))
     assert result.forecast is None
     assert "finds north to" in result.notes[0]
+
+
+def test_a_told_heading_gives_a_poor_gyroscope_its_forecast() -> None:
+    attitude = rotation(np.array([0.0, 0.0, 0.7]))
+    samples = recording(attitude, 1200, 5.0, rate=(8 * DEG_PER_HOUR, -6 * DEG_PER_HOUR, 5 * DEG_PER_HOUR), noise=1.0)
+    calibration = perfect(0.0, 15 * DEG_PER_HOUR)
+    told = check(samples, replace(SETTINGS, heading=Heading(0.7)), calibration)
+    assert told.forecast is not None
+    assert told.forecast.holds(told.drifts["after"])
+    # A rate error b makes g b t^3 / 6 of position; 95 % of two such errors together are within 2.45 sigma.
+    expected_nmi = 2.45 * GRAVITY_M_S2 * 15 * DEG_PER_HOUR * 900**3 / 6 / 1852
+    assert told.forecast.position_95_nmi[-1] == pytest.approx(expected_nmi, rel=0.15)
+    wrong = check(samples, replace(SETTINGS, heading=Heading(0.7 + np.pi)), calibration)
+    assert wrong.drifts["after"].position_nmi.max() != told.drifts["after"].position_nmi.max()
 
 
 def test_no_forecast_without_uncertainty() -> None:
