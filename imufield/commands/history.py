@@ -12,12 +12,12 @@ from typing import Any
 import typer
 
 from imufield.acquire.session import DEFAULT_ROOT
+from imufield.deliver.gauge_free import Number
 from imufield.deliver.history import (
     STALE_DAYS,
     Change,
     History,
     InstrumentHistory,
-    Number,
     plot_history,
     read_history,
     sentences,

@@ -19,6 +19,7 @@ from imufield.calibrate.observations import Observations
 from imufield.commands.calibration import MoveListener
 from imufield.commands.chain import Chain, Plan, replay_into
 from imufield.commands.solve import PARAMETER_FILE, session_sha256
+from imufield.deliver.document import VERSION
 from imufield.deliver.parameters import Parameters, load
 from imufield.deliver.parameters_write import content_sha256
 from imufield.deliver.report.data import (
@@ -92,7 +93,7 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
         found.closure,
         convergence(observations_of(parameters), parameters.calibration, before, seed) if many else (),
         read_verification(verification_path(path), content_sha256(parameters.document)),
-        tuple(_provenance(path, session)),
+        tuple(_provenance(path, parameters, session)),
         options.operator,
         found.notes,
     )
@@ -148,8 +149,9 @@ def _observations(chain: Chain) -> Observations | None:
         return None  # the parameter file came from positions given otherwise; the page does without the moves
 
 
-def _provenance(path: Path, session: Session | None) -> Iterator[tuple[str, str]]:
-    yield "Parameter file", str(path)
+def _provenance(path: Path, parameters: Parameters, session: Session | None) -> Iterator[tuple[str, str]]:
+    converted = "" if parameters.version == VERSION else f", converted from version {parameters.version}"
+    yield "Parameter file", f"{path}{converted}"
     if session is not None:
         protocol = session.metadata.get("protocol", {})
         yield "Protocol", f"{protocol.get('name', '')}, SHA-256 {protocol.get('sha256', 'not known')}"

@@ -5,7 +5,7 @@ The format is DESIGN section 5; ``parameters.schema.json`` beside this file is i
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple, overload
 
@@ -14,7 +14,7 @@ import numpy as np
 from imufield.calibrate.result import Calibration, GyroscopeParameters
 from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.context import Context, Instrument, Noise, SessionFacts
-from imufield.deliver.document import Document, calibration_from_document, context_from_document, to_document
+from imufield.deliver.document import VERSION, Document, calibration_from_document, context_from_document, to_document
 from imufield.deliver.parameters_read import read_document
 from imufield.deliver.parameters_write import EDITED, to_toml, write_document, write_parameters
 from imufield.deliver.schema import json_ready, parameter_schema
@@ -58,10 +58,12 @@ class Parameters:
     calibration: Calibration
     context: Context
     document: Document = field(repr=False)
-    """The file's content; keys as in DESIGN section 5."""
+    """The file's content, in the current version."""
     edited: bool = False
     """Whether somebody changed the file by hand and said so."""
     path: Path | None = None
+    version: int = VERSION
+    """Of the file; an older one was converted."""
 
     def apply_accelerometer(self, raw: FloatArray) -> FloatArray:
         """Return specific force in m/s^2 for raw outputs, both of shape (..., 3); raises as ``correct_accelerometer``."""
@@ -188,4 +190,5 @@ def load(path: str | Path) -> Parameters:
         If the file is not there, cut, damaged, newer than this program, not a parameter file, or edited by hand without
         saying so.
     """
-    return from_document(read_document(path), path=Path(path))
+    found = read_document(path)
+    return replace(from_document(found.document, path=Path(path)), version=found.version)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from imufield.deliver.document import FORMAT, VERSION, Document
 from imufield.deliver.parameters_write import EDITED, content_sha256
 from imufield.deliver.schema import first_fault, shown
+from imufield.deliver.versions import CONVERTERS, to_current
 from imufield.errors import ParameterFileError, Reason
 
 LARGEST_FILE_BYTES = 16 * 2**20
@@ -18,8 +20,15 @@ LARGEST_FILE_BYTES = 16 * 2**20
 _REMEDY = "solve the session again, or take a kept parameters-<n>.toml"
 
 
-def read_document(path: Path | str) -> Document:
-    """Return the content of a parameter file that passed every check.
+class VersionedDocument(NamedTuple):
+    """A document of the current version, and the version the file is of."""
+
+    document: Document
+    version: int
+
+
+def read_document(path: Path | str) -> VersionedDocument:
+    """Return the content of a parameter file that passed every check, converted where it is of an older version.
 
     Raises
     ------
@@ -31,17 +40,29 @@ def read_document(path: Path | str) -> Document:
     return parse_document(_text(path), str(path))
 
 
-def parse_document(text: str, where: str = "parameter file") -> Document:
+def parse_document(text: str, where: str = "parameter file") -> VersionedDocument:
     """Return the content of a parameter file's text; ``where`` names it in errors, which are those of ``read_document``."""
     try:
         document: Document = tomllib.loads(text)
+        version = _check_format(document, where)
+        _check_integrity(document, where)
+        document = _converted(document, version, where)
         _check(document, where)
     except ParameterFileError:
         raise
     except (ValueError, RecursionError) as error:
         # Besides bad TOML: nesting and whole numbers so large that Python gives up on them.
         raise ParameterFileError(f"{where} is damaged or no TOML ({_line(error)}); {_REMEDY}", where=where) from error
-    return document
+    return VersionedDocument(document, version)
+
+
+def _converted(document: Document, version: int, where: str) -> Document:
+    if version == VERSION:
+        return document
+    try:
+        return to_current(document, version)
+    except ParameterFileError as error:
+        raise ParameterFileError(f"{where}: {error.message}", error.reason, where=where, **error.values) from error
 
 
 def _line(error: Exception) -> str:
@@ -49,8 +70,6 @@ def _line(error: Exception) -> str:
 
 
 def _check(document: Document, where: str) -> None:
-    _check_format(document, where)
-    _check_integrity(document, where)
     fault = first_fault(document)
     if fault is not None:
         raise ParameterFileError(f"{where}: {fault.key} {fault.what}; {_REMEDY}", fault.reason, where=where, key=fault.key)
@@ -75,13 +94,14 @@ def _text(path: Path) -> str:
         ) from error
 
 
-def _check_format(document: Document, where: str) -> None:
+def _check_format(document: Document, where: str) -> int:
+    """Return the version."""
     if document.get("format") != FORMAT:
         raise ParameterFileError(
             f'{where} has no line format = "{FORMAT}"; give a parameter file written by imufield solve', Reason.FOREIGN
         )
     version = document.get("version")
-    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+    if not isinstance(version, int) or isinstance(version, bool) or version < min(CONVERTERS):
         raise ParameterFileError(f"{where}: version is {shown(version)} instead of {VERSION}; {_REMEDY}", where=where)
     if version > VERSION:
         raise ParameterFileError(
@@ -89,6 +109,7 @@ def _check_format(document: Document, where: str) -> None:
             Reason.NEWER,
             version=version,
         )
+    return version
 
 
 def _check_integrity(document: Document, where: str) -> None:

@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from imufield.calibrate.result import Calibration, GyroscopeCalibration
-from imufield.deliver.document import gyroscope_bias_rad_s
+from imufield.deliver.document import VERSION, gyroscope_bias_rad_s
 from imufield.deliver.numbers import (
     ARC_MINUTE_RAD,
     DEG_PER_HOUR_RAD_S,
@@ -262,6 +262,8 @@ def _verdict(parameters: Parameters) -> RenderableType:
     line.append(f", {_VERDICT_WORDS[quality.verdict]}", style="not bold")
     if parameters.edited:
         line.append(" (the file was edited by hand)", style="bold yellow")
+    if parameters.version != VERSION:
+        line.append(f" (converted from version {parameters.version} of the file)", style="bold yellow")
     return Group(line, *_bullets(quality.reasons))
 
 

@@ -24,7 +24,9 @@ from imufield.guide.positions import scheme
 from imufield.samples import Samples
 from imufield.simulate.devices import Stim300Device
 from imufield.simulate.emulate import EmulateOptions, make_virtual_imu
+from imufield.simulate.emulator import VirtualImu
 from imufield.simulate.encode import Stim300Format
+from imufield.simulate.imu import Imu
 from imufield.simulate.operator import OperatorSettings
 
 IMUFIELD = [sys.executable, "-m", "imufield"]
@@ -111,14 +113,18 @@ def simulated_session(
     finished: bool = True,
     visits: int | None = None,
     style: str = "placed",
+    day: int = 0,
 ) -> Session:
     """Record a simulated session as ``capture`` would, without a port; ``change`` spoils the samples on purpose.
 
-    ``visits`` lets the operator go home early.
+    ``visits`` lets the operator go home early; on another ``day`` the same instrument has other noise and is in other hands.
     """
     directions = scheme(positions).directions()[:visits]
     habits = OperatorSettings(hold_s=hold_s, initial_still_s=8.0, style=style)  # type: ignore[arg-type]
     source = make_virtual_imu(EmulateOptions(rate_hz=RATE_HZ, seed=3, directions=directions, operator=habits))
+    if day:
+        other = make_virtual_imu(EmulateOptions(rate_hz=RATE_HZ, seed=3 + day, directions=directions, operator=habits))
+        source = VirtualImu(Imu(source.imu.instrument, 3 + day, source.imu.settings), other.operator)
     duration_s = source.operator.plan_all() - 0.5
     protocol = load_driver("stim300").load_protocol({"rate_hz": RATE_HZ})
     device = Stim300Device(Stim300Format(rate_hz=RATE_HZ))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +81,26 @@ def test_own_session_is_cross_validated(solved: Path, tmp_path: Path, capsys: py
     assert found.navigation is None
     assert "as forecast" in capsys.readouterr().out
     assert json.loads(output.read_text())["positions"]["as_forecast"]
+
+
+def test_another_session_of_36_positions_proves_the_parameters(
+    solved: Path, make_session: Callable[..., Session], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The whole way: bytes of another day on the wire, decoded, held still, compared with what the file forecasts."""
+    held_out = make_session("paper36", hold_s=6.0, day=1)
+    output = tmp_path / "found.json"
+    arguments = ["verify", str(solved / "parameters.toml"), str(held_out.folder), "--latitude", "48", "-o", str(output)]
+    assert run([*arguments, "--require", "residual-ug=200"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "36 positions of another session" in text
+    assert "as forecast" in text
+    found = json.loads(output.read_text())["positions"]
+    assert len(found["residual_m_s2"]) == 36
+    assert found["before_rms_m_s2"] > 5 * found["rms_m_s2"]
+    # Forecast: so many micro-g from covariance, hold and scatter. The residual is about that, on data it has never seen.
+    assert 0.6 < found["rms_m_s2"] / found["forecast_rms_m_s2"] < 1.4
+    inside = np.abs(found["residual_m_s2"]) < 1.96 * np.array(found["sigma_m_s2"])
+    assert inside.sum() >= 31
 
 
 def test_results_are_kept_beside_the_parameters(solved: Path) -> None:

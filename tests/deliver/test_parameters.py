@@ -89,7 +89,7 @@ def test_json_and_file_have_one_content(
     file: Path, calibration: Calibration, observations: Observations, context: Context
 ) -> None:
     printed = json.loads(json.dumps(json_ready(to_document(calibration, observations, context)), allow_nan=False))
-    stored = json_ready(read_document(file))
+    stored = json_ready(read_document(file).document)
     del stored["integrity"]
     assert printed == stored
 
@@ -102,7 +102,7 @@ def test_any_float_and_any_text_survive(
     name = name.encode("utf-8", "replace").decode("utf-8")
     with_bias = replace(calibration, accelerometer=replace(calibration.accelerometer, bias_m_s2=np.array(bias)))
     with_name = replace(context, session=replace(context.session, name=name))
-    document = parse_document(to_toml(to_document(with_bias, observations, with_name)))
+    document = parse_document(to_toml(to_document(with_bias, observations, with_name))).document
     assert document["accelerometer"]["bias_m_s2"] == bias
     assert np.signbit(document["accelerometer"]["bias_m_s2"]).tolist() == np.signbit(bias).tolist()
     assert document["session"]["name"] == name
@@ -180,7 +180,8 @@ def edit(file: Path, old: str, new: str) -> None:
     [
         ("version = 1", "version = 2", Reason.NEWER, "update imufield"),
         ("version = 1", "version = true", Reason.DAMAGED, "version is True"),
-        ("version = 1", "version = 0", Reason.DAMAGED, "version is 0"),
+        ("version = 1", "version = -1", Reason.DAMAGED, "version is -1"),
+        ("version = 1", "version = 0", Reason.UNKNOWN_KEY, "accelerometer.raw_zero is not a key of version 0"),
         ('"imufield-parameters"', '"imufield-recording"', Reason.FOREIGN, "no line format"),
         ("gauge = ", 'colour = "red"\ngauge = ', Reason.UNKNOWN_KEY, "accelerometer.colour is not a key"),
         ("positions = 24", "positions = 23", Reason.DAMAGED, "there are 24 [[position]] tables"),
