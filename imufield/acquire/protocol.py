@@ -168,7 +168,7 @@ def _find_text(name_or_path: str | Path) -> tuple[str, str]:
         shipped = importlib.resources.files(FOLDER) / f"{name_or_path}.toml"
         return f"protocol {name_or_path}", shipped.read_text(encoding="utf-8")
     path = Path(name_or_path)
-    if not (path.suffix or path.parent.name):
+    if not (path.suffix or path.parent.name or path.exists()):
         raise ProtocolError(
             f"there is no protocol {str(name_or_path)!r}{near(name_or_path, names)}; "
             f"shipped are {', '.join(names)}, your own is given by its path, ending in .toml",

@@ -15,7 +15,7 @@ import numpy as np
 from imufield.calibrate.allan import AllanDeviation, AllanStream, degrees_of_freedom, interval_95
 from imufield.calibrate.noise_fit import Figure, NoiseModel, identify
 from imufield.calibrate.noise_grid import BRIDGED_S, EvenGrid, EvenRows
-from imufield.errors import CalibrationError, Reason
+from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.samples import AXES, FloatArray, Samples, SampleUnits
 
 MOVED = 0.005
@@ -281,8 +281,10 @@ def measure_noise(
 
     Raises
     ------
+    RecordingError
+        If there are no samples.
     CalibrationError
-        If there are no samples, or no stretch is long enough.
+        If no stretch is long enough.
     UsageError
         If allantools is not installed.
     """
@@ -291,7 +293,7 @@ def measure_noise(
         stream = stream or NoiseStream(block.units, accelerometer_scale, gyroscope_scale)
         stream.feed(block)
     if stream is None:
-        raise CalibrationError("the recording holds no samples; check that it is the right one", Reason.TOO_FEW)
+        raise RecordingError("the recording holds no samples; check that it is the right one", Reason.NOT_A_RECORDING)
     return stream.finish()
 
 

@@ -7,7 +7,7 @@ upper 95 % limit, and a comment says so; zero would make a filter trust a consta
 from __future__ import annotations
 
 import importlib
-from pathlib import Path
+import io
 from typing import Any, Literal
 
 import numpy as np
@@ -73,13 +73,19 @@ def _largest(result: NoiseResult, triad: str, figure: str) -> str:
     return f"{np.nanmax(result.upper_limits(triad, figure)):.6e}  # upper 95 % limit, not seen;"
 
 
-def save_plot(result: NoiseResult, path: Path) -> None:
-    """Draw the Allan deviation of all axes, with 95 % limits and the model.
+def draw_plot(result: NoiseResult, kind: str) -> bytes:
+    """Return a picture of the Allan deviation of all axes, with 95 % limits and the model.
+
+    Parameters
+    ----------
+    result : NoiseResult
+    kind : str
+        Format by the suffix of its file: "png", "svg", "pdf" and what else matplotlib writes.
 
     Raises
     ------
     UsageError
-        If matplotlib is not installed.
+        If matplotlib is not installed, or does not write such files.
     """
     figure = _figure_class()(figsize=(9.0, 4.5), layout="constrained")
     for place, triad in enumerate(("accelerometer", "gyroscope")):
@@ -96,7 +102,12 @@ def save_plot(result: NoiseResult, path: Path) -> None:
         if result.triad(triad):
             axes.legend()
     figure.suptitle(result.source)
-    figure.savefig(path, dpi=150)
+    kinds = figure.canvas.get_supported_filetypes()
+    if kind not in kinds:
+        raise UsageError(f"a plot cannot be a .{kind} file; end its name in one of .{', .'.join(sorted(kinds))}", kind=kind)
+    picture = io.BytesIO()
+    figure.savefig(picture, format=kind, dpi=150)
+    return picture.getvalue()
 
 
 def _figure_class() -> Any:

@@ -2,20 +2,22 @@
 
 The header names the columns, in any order: ``ax,ay,az`` are needed; ``gx,gy,gz``, ``sigma_ax`` to ``sigma_gz`` (1 sigma of the
 mean, raw unit), ``name`` and ``temperature_degc`` are optional, triads as a whole. Lines that start with ``#`` are comments.
-An empty value in an optional column is "not available".
+An empty value in an optional column is "not available". Cells may be separated by semicolons or tabs instead, as spreadsheets
+of many countries write them; numbers may have a decimal comma then.
 """
 
 from __future__ import annotations
 
 import csv
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from imufield.calibrate.observations import Observations
-from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.errors import Reason, RecordingError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, SampleUnits
 
 NAME = "name"
@@ -24,6 +26,11 @@ _SIGMA_ACCELEROMETER = tuple(f"sigma_{column}" for column in ACCELEROMETER_COLUM
 _SIGMA_GYROSCOPE = tuple(f"sigma_{column}" for column in GYROSCOPE_COLUMNS)
 _TRIADS = (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, _SIGMA_ACCELEROMETER, _SIGMA_GYROSCOPE)
 _COLUMNS = (*(column for triad in _TRIADS for column in triad), NAME, TEMPERATURE)
+_SEPARATORS = (",", ";", "\t")
+"""No name of a column has one of these: the header tells which it is."""
+_DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
+_SHOWN = 40
+"""Characters of a cell that a sentence repeats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +61,9 @@ def read_observations(path: str | Path, *, units: SampleUnits | None = None) -> 
 
     Raises
     ------
-    UsageError
-        If the file cannot be read, or a column is unknown, missing or twice there; names file, line and column.
-    CalibrationError
-        If a value is not a number or not finite.
+    RecordingError
+        If the file cannot be read, a column is unknown, missing or twice there, or a value is not a number or not finite;
+        names file, line and column.
     """
     table = _read_table(Path(path))
     mean = _triad(table, ACCELEROMETER_COLUMNS)
@@ -79,53 +85,70 @@ def read_observations(path: str | Path, *, units: SampleUnits | None = None) -> 
 
 
 def _read_table(path: Path) -> _Table:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror}; check the path", path=str(path)) from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is not UTF-8 text (byte {error.start}); save it as CSV", path=str(path)) from error
-    numbered = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]
+    numbered = [
+        (k, line) for k, line in enumerate(_text(path).splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not numbered:
+        raise _refuse(path, None, "it is empty; give a header with ax,ay,az and one row per position")
     lines = [k for k, _ in numbered]
-    rows = [_cells(path, k, line) for k, line in numbered]
-    if not rows:
-        raise UsageError(f"{path} is empty; it needs a header with ax,ay,az and one row per position", path=str(path))
+    separator = next((one for one in _SEPARATORS if one in numbered[0][1]), ",")
+    rows = [_cells(path, k, line, separator) for k, line in numbered]
     header = tuple(cell.strip() for cell in rows[0])
     _check_header(path, lines[0], header)
     for line, row in zip(lines[1:], rows[1:], strict=True):
         if len(row) != len(header):
-            raise UsageError(
-                f"{path}, line {line}: {len(row)} values where the header has {len(header)} columns; complete the row",
-                path=str(path),
-                line=line,
-            )
+            comma = separator == "," and len(row) == 2 * len(header)
+            remedy = "with decimal commas separate the cells by semicolons" if comma else "complete the row"
+            raise _refuse(path, line, f"{len(row)} values where the header has {len(header)} columns; {remedy}")
+    if separator != ",":
+        rows = [
+            [cell if name == NAME else _DECIMAL_COMMA.sub(".", cell) for name, cell in zip(header, row, strict=True)]
+            for row in rows
+        ]
     return _Table(path, header, rows[1:], lines[1:])
 
 
-def _cells(path: Path, number: int, line: str) -> list[str]:
+def _with_points(header: tuple[str, ...], row: list[str]) -> list[str]:
+    """Turn decimal commas into points, but for the names."""
+    return [cell if name == NAME else _DECIMAL_COMMA.sub(".", cell) for name, cell in zip(header, row, strict=True)]
+
+
+def _text(path: Path) -> str:
     try:
-        return next(csv.reader([line], strict=True))
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        what = f"{path} cannot be read ({error.strerror}); check the file name and its permissions"
+        raise RecordingError(what, Reason.NOT_A_RECORDING, path=str(path)) from error
+    except UnicodeDecodeError as error:
+        raise _refuse(path, None, f"it is no UTF-8 text (byte {error.start}); save the means as CSV") from error
+
+
+def _refuse(path: Path, line: int | None, what: str, column: str | None = None) -> RecordingError:
+    where = str(path) + (f", line {line}" if line else "") + (f", column {column}" if column else "")
+    return RecordingError(f"{where}: {what}", Reason.BAD_DATA, path=str(path), line=line, column=column)
+
+
+def _cells(path: Path, number: int, line: str, separator: str) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=separator, strict=True))
     except csv.Error as error:
-        raise UsageError(f"{path}, line {number}: not CSV ({error}); save it as CSV", path=str(path), line=number) from error
+        raise _refuse(path, number, f"it is no CSV ({error}); save the means as CSV") from error
 
 
 def _check_header(path: Path, line: int, header: tuple[str, ...]) -> None:
     for column in header:
         if column not in _COLUMNS:
-            raise UsageError(
-                f"{path}, line {line}: unknown column {column!r}; the columns are {', '.join(_COLUMNS)}",
-                path=str(path),
-                column=column,
-            )
+            blanks = len(column.split()) > 1 and all(word in _COLUMNS for word in column.split())
+            hint = "separate the columns by commas, semicolons or tabs" if blanks else f"the columns are {', '.join(_COLUMNS)}"
+            raise _refuse(path, line, f"unknown column {column[:_SHOWN]!r}; {hint}")
         if header.count(column) > 1:
-            raise UsageError(f"{path}, line {line}: column {column!r} is there twice; keep one", path=str(path), column=column)
+            raise _refuse(path, line, f"column {column!r} is there twice; keep one")
     for triad in _TRIADS:
         present = [column for column in triad if column in header]
         if len(present) < 3 and (present or triad is ACCELEROMETER_COLUMNS):
-            missing = ", ".join(column for column in triad if column not in header)
-            raise UsageError(
-                f"{path}, line {line}: column {missing} is missing; give all of {', '.join(triad)}", path=str(path)
-            )
+            missing = [column for column in triad if column not in header]
+            word = "columns" if len(missing) > 1 else "column"
+            raise _refuse(path, line, f"{word} {', '.join(missing)} missing; give all of {', '.join(triad)}")
 
 
 def _triad(table: _Table, columns: tuple[str, ...]) -> FloatArray:
@@ -146,19 +169,10 @@ def _number(path: Path, line: int, column: str, cell: str) -> float:
     try:
         value = float(cell)
     except ValueError as error:
-        raise CalibrationError(
-            f"{path}, line {line}, column {column}: {cell.strip()!r} is not a number; correct or remove the row",
-            Reason.NOT_FINITE,
-            line=line,
-            column=column,
-        ) from error
+        what = f"{cell.strip()[:_SHOWN]!r} is not a number; correct or remove the row"
+        raise _refuse(path, line, what, column) from error
     if not math.isfinite(value) or (column.startswith("sigma_") and value <= 0):
-        raise CalibrationError(
-            f"{path}, line {line}, column {column}: {cell.strip()} is no possible value; correct or remove the row",
-            Reason.NOT_FINITE,
-            line=line,
-            column=column,
-        )
+        raise _refuse(path, line, f"{cell.strip()} is no possible value; correct or remove the row", column)
     return value
 
 

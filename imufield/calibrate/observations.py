@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from imufield.samples import FloatArray, SampleUnits
 
 
@@ -41,3 +44,36 @@ class Observations:
 
     def __len__(self) -> int:
         return len(self.name)
+
+    def __getitem__(self, rows: NDArray[np.bool_]) -> Observations:
+        return Observations(
+            tuple(name for name, kept in zip(self.name, rows, strict=True) if kept),
+            self.mean_raw[rows],
+            self.covariance_raw[rows],
+            self.gyroscope_mean_raw[rows],
+            self.gyroscope_covariance_raw[rows],
+            self.direction[rows],
+            self.start_s[rows],
+            self.duration_s[rows],
+            self.temperature_degc[rows],
+            self.units,
+        )
+
+
+def count_repeats_once(observations: Observations) -> tuple[Observations, tuple[str, ...]]:
+    """Return the observations without those that repeat the numbers of an earlier one, and a sentence if there were any.
+
+    Two means of a real sensor do not agree to the last digit in three axes: the second is a copy, and as evidence of its own
+    would make every uncertainty too small.
+    """
+    numbers = np.hstack([observations.mean_raw, observations.gyroscope_mean_raw])
+    # NaN where there is no gyroscope: the same in every row.
+    _, first, group = np.unique(np.nan_to_num(numbers), axis=0, return_index=True, return_inverse=True)
+    original = first[group.ravel()]
+    new = original == np.arange(len(observations))
+    if new.all():
+        return observations, ()
+    names = observations.name
+    pairs = ", ".join(f"{names[row]} is {names[original[row]]}" for row in np.flatnonzero(~new))
+    sentence = f"{int((~new).sum())} of {len(new)} rows repeat the numbers of an earlier one and count once: {pairs}"
+    return observations[new], (sentence,)

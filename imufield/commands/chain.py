@@ -18,6 +18,7 @@ from imufield.acquire.recording import Damage, PartStart, RecordedBlock, Recorde
 from imufield.acquire.session import Session
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.calibrate.observations import Observations
+from imufield.commands.damage import require_samples
 from imufield.earth import choose_gravity
 from imufield.errors import ProtocolError, Reason, RecordingError
 from imufield.guide.events import Event
@@ -269,6 +270,11 @@ def replay_into(
         Given the events of each step.
     ended : bool
         Nothing will follow; False where a capture goes on.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read, or has ended without a sample.
     """
     for item in read_blocks(session, damage):
         if isinstance(item, PartStart):
@@ -282,10 +288,12 @@ def replay_into(
     last = chain.finish() if ended else []
     if last and listener is not None:
         listener(last)
+    if ended:
+        require_samples(session, chain.statistics, damage)
 
 
 def session_samples(session: Session, damage: list[Damage]) -> Iterator[Samples]:
-    """Decode a session, block by block, on one sample clock."""
+    """Decode a session, block by block, on one sample clock; raises as ``replay_into``."""
     blocks: list[Samples] = []
     chain = Chain(Plan(None), listeners=(blocks.append,), judging=False)
     for item in read_blocks(session, damage):
@@ -299,6 +307,7 @@ def session_samples(session: Session, damage: list[Damage]) -> Iterator[Samples]
         blocks.clear()
     chain.finish()
     yield from blocks
+    require_samples(session, chain.statistics, damage)
 
 
 def _say_again(chain: Chain, event: Mapping[str, Any]) -> list[Event]:

@@ -12,6 +12,7 @@ from typing import Any
 import typer
 
 from imufield.acquire.session import DEFAULT_ROOT
+from imufield.commands.output import write_output
 from imufield.deliver.gauge_free import Number
 from imufield.deliver.history import (
     STALE_DAYS,
@@ -24,8 +25,7 @@ from imufield.deliver.history import (
     to_csv,
 )
 from imufield.deliver.numbers import to_ascii, with_sigma
-from imufield.errors import Reason, UsageError
-from imufield.files import write_atomically
+from imufield.errors import UsageError
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +45,10 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
 
     Raises
     ------
+    ParameterFileError
+        If the folder holds no parameter file, or a file cannot be written.
     UsageError
-        If the folder holds no parameter file, a file cannot be written, or several instruments are to be plotted at once.
+        If several instruments are to be plotted at once.
     """
     now = now or datetime.now(UTC)
     history = read_history(options.folder, options.serial_number)
@@ -54,10 +56,10 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
         names = ", ".join(one.serial_number or one.title for one in history.instruments)
         raise UsageError(f"--plot shows one instrument and {options.folder} holds {names}; choose one with --serial")
     if options.csv is not None:
-        _write(options.csv, to_csv(history).encode("utf-8"))
+        write_output(options.csv, to_csv(history).encode())
     if options.plot is not None:
         for instrument in history.instruments:  # the only one
-            _write(options.plot, plot_history(instrument))
+            write_output(options.plot, plot_history(instrument))
     if options.as_json:
         typer.echo(json.dumps(_document(history, options, now)))
     else:
@@ -112,12 +114,3 @@ def _instrument(instrument: InstrumentHistory, options: HistoryOptions, now: dat
             for entry in instrument.entries
         ],
     }
-
-
-def _write(path: Path, data: bytes) -> None:
-    try:
-        write_atomically(path, data)
-    except OSError as error:
-        raise UsageError(
-            f"{path} cannot be written ({error.strerror}); choose another place", Reason.NO_PERMISSION, path=str(path)
-        ) from error

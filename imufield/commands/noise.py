@@ -14,12 +14,13 @@ from imufield.acquire.recording import Damage
 from imufield.acquire.session import Session
 from imufield.calibrate.noise import NoiseResult, measure_noise
 from imufield.calibrate.noise_fit import Figure
-from imufield.calibrate.noise_texts import NoiseFormat, noise_text, save_plot
+from imufield.calibrate.noise_texts import NoiseFormat, draw_plot, noise_text
 from imufield.commands.calibration import one_of
 from imufield.commands.chain import recorded_protocol, session_samples
+from imufield.commands.damage import naming_damage
+from imufield.commands.output import write_output
 from imufield.deliver.document import noise_table
-from imufield.deliver.parameters import Noise, load, write_document
-from imufield.files import write_atomically
+from imufield.deliver.parameters import Noise, Parameters, load, write_document
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,27 +44,28 @@ def run_noise(options: NoiseOptions) -> None:
         If the session cannot be read, or is too short.
     """
     form: NoiseFormat = one_of("to", options.to, get_args(NoiseFormat))
+    parameters = None if options.parameters is None else load(options.parameters)
     session = Session.newest() if options.session is None else Session.open(options.session)
     nominal = recorded_protocol({}, session).nominal
     damage: list[Damage] = []
-    result = measure_noise(session_samples(session, damage), nominal.accelerometer_scale, nominal.gyroscope_scale)
+    with naming_damage(session, damage):
+        result = measure_noise(session_samples(session, damage), nominal.accelerometer_scale, nominal.gyroscope_scale)
     for one in damage:
         typer.echo(one.what, err=True)
     if options.output is not None:
-        write_atomically(options.output, noise_text(result, form).encode())
+        write_output(options.output, noise_text(result, form).encode())
     if options.plot is not None:
-        save_plot(result, options.plot)
-    if options.parameters is not None:
-        _write_into(options.parameters, result)
+        write_output(options.plot, draw_plot(result, options.plot.suffix.removeprefix(".").lower() or "png"))
+    if options.parameters is not None and parameters is not None:
+        _write_into(options.parameters, parameters, result)
     if options.as_json:
         typer.echo(json.dumps(_document(result)))
         return
     _print(result)
 
 
-def _write_into(path: Path, result: NoiseResult) -> None:
+def _write_into(path: Path, parameters: Parameters, result: NoiseResult) -> None:
     """Put the figures into the table [noise] of a parameter file; the file as it was is kept."""
-    parameters = load(path)
     noise = Noise(
         result.source,
         result.values("accelerometer", "density"),

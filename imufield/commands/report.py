@@ -18,6 +18,7 @@ from imufield.acquire.session import Session
 from imufield.calibrate.observations import Observations
 from imufield.commands.calibration import MoveListener
 from imufield.commands.chain import Chain, Plan, replay_into
+from imufield.commands.output import write_output
 from imufield.commands.solve import PARAMETER_FILE, session_sha256
 from imufield.deliver.document import VERSION
 from imufield.deliver.parameters import Parameters, load
@@ -34,8 +35,7 @@ from imufield.deliver.report.data import (
 from imufield.deliver.report.page import render_record, render_report
 from imufield.deliver.report.plots import load_matplotlib
 from imufield.deliver.verification import read_verification, verification_path
-from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError
-from imufield.files import write_atomically
+from imufield.errors import CalibrationError, ParameterFileError, Reason
 
 REPORT_FILE = "report.html"
 RECORD_FILE = "calibration-record.html"
@@ -69,7 +69,7 @@ def run_report(options: ReportOptions) -> tuple[Path, Path]:
     data, folder = gather(options)
     pages = (options.output or folder / REPORT_FILE, options.record or folder / RECORD_FILE)
     for path, text in zip(pages, (render_report(data), render_record(data)), strict=True):
-        _write(path, text)
+        write_output(path, text.encode())
         typer.echo(f"written to {path}")
     return pages
 
@@ -162,14 +162,3 @@ def _provenance(path: Path, parameters: Parameters, session: Session | None) -> 
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "matplotlib", "jinja2"))
     yield "Report by", f"imufield {__version__}, Python {platform.python_version()}, {packages}"
     yield "Command", shlex.join(["imufield", *sys.argv[1:]])
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        write_atomically(path, text.encode("utf-8"))
-    except OSError as error:
-        raise UsageError(
-            f"{path} cannot be written ({error.strerror}); choose another place with --output",
-            Reason.NO_PERMISSION,
-            path=str(path),
-        ) from error

@@ -18,11 +18,12 @@ from imufield.acquire.session import Session
 from imufield.calibrate.gyroscope_paths import GyroscopeModel
 from imufield.calibrate.methods import LEAST_SQUARES
 from imufield.calibrate.observation_files import read_observations
-from imufield.calibrate.observations import Observations
+from imufield.calibrate.observations import Observations, count_repeats_once
 from imufield.calibrate.result import Gauge, ModelChoice
 from imufield.commands.calibration import Measured, MoveListener, Wishes, calibrate, one_of
 from imufield.commands.chain import Chain, Plan, replay_into
 from imufield.commands.configuration import parse_zero
+from imufield.commands.damage import naming_damage
 from imufield.commands.site import SiteOptions
 from imufield.deliver.parameters import Context, Instrument, Parameters, SessionFacts, json_ready, load, write_document
 from imufield.deliver.summary import Outcome, print_summary
@@ -99,30 +100,38 @@ def solve_session(session: Session, options: SolveOptions) -> Solved:
     chain = Chain(Plan.of(session), listeners=(moves.feed,))
     refusals: list[Rejected] = []
     replay_into(chain, session, damage, lambda events: refusals.extend(e for e in events if isinstance(e, Rejected)))
-    observations, axes, refused = _observations(chain, refusals)
-    if axes.error is not None:
-        raise axes.error
+    with naming_damage(session, damage):
+        observations, axes, refused = _observations(chain, refusals)
+        if axes.error is not None:
+            raise axes.error
+        reasons = (axes.words, *_loss_sentences(chain, damage))
+        found = _measured(session, chain, observations, moves, options.site, reasons)
+        return Solved(calibrate(found, _wishes(options)), refused)
+
+
+def _measured(
+    session: Session, chain: Chain, observations: Observations, moves: MoveListener, site: SiteOptions, reasons: tuple[str, ...]
+) -> Measured:
     metadata = session.metadata
     instrument = Instrument(**{key: str(value) for key, value in metadata.get("instrument", {}).items()})
     facts = SessionFacts(session.name, session_sha256(session), _true_rate_hz(chain), chain.temperature_degc)
     nominal = chain.protocol.nominal if chain.protocol is not None else None
-    found = Measured(
+    return Measured(
         observations,
-        options.site.gravity(metadata.get("site")),
+        site.gravity(metadata.get("site")),
         Context(instrument, facts),
         moves=moves.between(observations),
         raw_zero=None if chain.protocol is None else chain.raw_zero(chain.protocol),
         gyroscope_scale=None if nominal is None else nominal.gyroscope_scale,
-        reasons=(axes.words, *_loss_sentences(chain, damage)),
+        reasons=reasons,
     )
-    return Solved(calibrate(found, _wishes(options)), refused)
 
 
 def solve_observations(path: Path, options: SolveOptions) -> Solved:
     """Solve position means from a file."""
-    observations = read_observations(path)
+    observations, repeats = count_repeats_once(read_observations(path))
     facts = SessionFacts(path.name, _sha256([path]))
-    found = Measured(observations, options.site.gravity(), Context(session=facts))
+    found = Measured(observations, options.site.gravity(), Context(session=facts), reasons=repeats)
     return Solved(calibrate(found, _wishes(options)), ())
 
 
@@ -142,20 +151,11 @@ def _wishes(options: SolveOptions) -> Wishes:
 
 
 def _observations(chain: Chain, refusals: list[Rejected]) -> tuple[Observations, AxesCheck, tuple[str, ...]]:
-    if chain.statistics and not any(part.samples for part in chain.statistics):
-        total = sum(part.bytes_total for part in chain.statistics)
-        raise CalibrationError(
-            f"the session holds no sample: its {total} bytes are not of the protocol they were recorded with; record it again",
-            Reason.TOO_FEW,
-            bytes=total,
-        )
     if chain.guide is not None:
         observations = chain.observations()
         spoilt = [one for one in refusals if one.position or one.reason in _SPOIL_DATA]
         _check_count(len(observations), [(one.reason, one.words, one.remedy) for one in spoilt])
         return observations, chain.guide.check_axes(), _missing_sentences(chain.guide, refusals)
-    if chain.finder is None:
-        raise CalibrationError("the session holds no data at all; record or import it again", Reason.TOO_FEW)
     found = chain.still_intervals()
     _check_count(len(found.observations), [(one.reason, one.words, one.remedy) for _, one in found.refused])
     sentences = tuple(

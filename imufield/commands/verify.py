@@ -16,6 +16,7 @@ from imufield.acquire.session import Session
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import AccelerometerParameters, GyroscopeParameters
 from imufield.commands.chain import Chain, Plan, recorded_protocol, replay_into
+from imufield.commands.damage import naming_damage
 from imufield.commands.site import SiteOptions
 from imufield.commands.solve import session_sha256
 from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
@@ -118,10 +119,11 @@ def verify_session(task: _Task) -> Verification:
     navigation = _Navigation(task, problems)
     chain = Chain(Plan.of(task.session), (navigation.feed,))
     replay_into(chain, task.session, damage)
-    held_out = _held_out(task, chain, problems)
-    navigated = navigation.finish()
-    if held_out is None and navigated is None:
-        raise problems[0] if problems else CalibrationError("the session holds nothing to check", Reason.TOO_FEW)
+    with naming_damage(task.session, damage):
+        held_out = _held_out(task, chain, problems)
+        navigated = navigation.finish()
+        if held_out is None and navigated is None:
+            raise problems[0] if problems else CalibrationError("the session holds nothing to check", Reason.TOO_FEW)
     notes = (*(one.what for one in damage), *(one.message for one in problems))
     requirements = judge(task.limits, held_out, navigated)
     return Verification(task.parameters, task.session.name, held_out, navigated, requirements, notes)
@@ -180,7 +182,7 @@ def _check(task: _Task, observations: Observations, chain: Chain) -> HeldOut:
 def _check_unit(task: _Task, chain: Chain) -> None:
     """Refuse parameters for other raw units, as applying them would; raises ``ParameterFileError``."""
     if chain.protocol is None:
-        raise CalibrationError("the session holds no data at all; record or import it again", Reason.TOO_FEW)
+        return  # refused before: there is no sample
     units = chain.protocol.units
     for parameters in filter(None, (task.parameters, task.preset)):
         parameters.check_unit("accelerometer", units.accelerometer, units.accelerometer_is_increment)

@@ -125,11 +125,19 @@ def read_history(folder: Path, serial_number: str | None = None) -> History:
 
     Raises
     ------
-    UsageError
+    ParameterFileError
         If there is no such folder, or nothing in it is a parameter file.
     """
     if not folder.is_dir():
-        raise UsageError(f"{folder} is no folder; give the folder that holds the parameter files", folder=str(folder))
+        raise ParameterFileError(
+            f"{folder} is no folder; give the folder that holds the parameter files", Reason.FOREIGN, folder=str(folder)
+        )
+    if next(folder.rglob("*.toml"), None) is None:  # an index of nothing is not left behind
+        raise ParameterFileError(
+            f"{folder} holds no parameter file; give the folder of your sessions, or of parameter files you kept",
+            Reason.FOREIGN,
+            folder=str(folder),
+        )
     with closing(_open_index(folder)) as index, index:
         read = _refresh(index, folder)
         rows = index.execute(f"SELECT {', '.join(_COLUMNS)}, gravity_m_s2, numbers FROM entry").fetchall()  # noqa: S608 (constants)
@@ -139,9 +147,10 @@ def read_history(folder: Path, serial_number: str | None = None) -> History:
     if not chosen:
         what = "" if serial_number is None else f" of serial number {serial_number}"
         first = f"; the first that cannot be read: {faults[0]}" if faults else ""
-        raise UsageError(
+        raise ParameterFileError(
             f"{folder} holds no parameter file{what} ({len(entries)} in all){first}; give the folder of your sessions, or of "
             "parameter files you kept",
+            Reason.FOREIGN,
             folder=str(folder),
         )
     return History(folder, _by_instrument(chosen), faults, read)

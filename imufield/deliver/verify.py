@@ -124,8 +124,8 @@ def cross_validate(
     residual, misfit, sigma = np.empty(m), 0.0, np.empty(m)
     for first in range(groups):
         held = np.arange(m) % groups == first
-        left = _again(calibration, _rows(observations, ~held))
-        residual[held], S = _residual(left, _rows(observations, held), calibration.gravity)
+        left = _again(calibration, observations[~held])
+        residual[held], S = _residual(left, observations[held], calibration.gravity)
         sigma[held] = np.sqrt(np.diag(S))
         misfit += _misfit(residual[held], S) * int(held.sum()) / m
     return HeldOut(
@@ -164,21 +164,6 @@ def _require_enough(m: int, hold_out: int) -> None:
             hold_out=hold_out,
             positions=m,
         )
-
-
-def _rows(observations: Observations, rows: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Observations:
-    return Observations(
-        tuple(name for name, kept in zip(observations.name, rows, strict=True) if kept),
-        observations.mean_raw[rows],
-        observations.covariance_raw[rows],
-        observations.gyroscope_mean_raw[rows],
-        observations.gyroscope_covariance_raw[rows],
-        observations.direction[rows],
-        observations.start_s[rows],
-        observations.duration_s[rows],
-        observations.temperature_degc[rows],
-        observations.units,
-    )
 
 
 def _again(calibration: Calibration, observations: Observations) -> Calibration:

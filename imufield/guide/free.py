@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from imufield.calibrate.observations import Observations
-from imufield.errors import CalibrationError, Reason
+from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.guide.axes_check import AxesCheck, MoveLog, check_axes
 from imufield.guide.cells import CellBuilder, Cells
 from imufield.guide.checks import CheckSettings, HoldUnderTest, Refusal, examine
@@ -137,8 +137,10 @@ def find_still_intervals(
 
     Raises
     ------
+    RecordingError
+        If there are no samples.
     CalibrationError
-        If there are no samples, or no stretch is quiet enough to be a noise floor.
+        If no stretch is quiet enough to be a noise floor.
     """
     finder: StillIntervalFinder | None = None
     for block in blocks:
@@ -146,5 +148,5 @@ def find_still_intervals(
             finder = StillIntervalFinder(block.units, scale, settings=settings, checks=checks, shortest_s=shortest_s)
         finder.feed(block)
     if finder is None:
-        raise CalibrationError("the recording holds no samples; check that it is the right one", Reason.TOO_FEW)
+        raise RecordingError("the recording holds no samples; check that it is the right one", Reason.NOT_A_RECORDING)
     return finder.finish()

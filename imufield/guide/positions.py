@@ -242,6 +242,8 @@ def read_positions(path: Path) -> tuple[tuple[Position, ...], str]:
     try:
         text = path.read_text(encoding="utf-8")
         content = tomllib.loads(text)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read ({error.strerror}); check its permissions", path=str(path)) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"{path.name} is no valid TOML: {error}; correct it and try again", path=str(path)) from error
     tables = content.get("position", [])

@@ -15,8 +15,8 @@ from imufield.calibrate.allan import AllanStream, degrees_of_freedom, interval_9
 from imufield.calibrate.noise import NoiseStream, measure_noise
 from imufield.calibrate.noise_fit import FLICKER, identify, terms
 from imufield.calibrate.noise_grid import EvenGrid
-from imufield.calibrate.noise_texts import noise_text, save_plot
-from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.calibrate.noise_texts import draw_plot, noise_text
+from imufield.errors import CalibrationError, Reason, RecordingError, UsageError
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
 
 pytest.importorskip("allantools")
@@ -109,7 +109,7 @@ def test_too_short_is_said() -> None:
     with pytest.raises(CalibrationError, match="needs 60 s") as caught:
         measure_noise(standstill(0.01))
     assert caught.value.reason is Reason.TOO_FEW
-    with pytest.raises(CalibrationError, match="no samples"):
+    with pytest.raises(RecordingError, match="no samples"):
         measure_noise([])
 
 
@@ -196,8 +196,9 @@ def test_texts_hold_what_filters_read(tmp_path: Path) -> None:
     assert "g_norm: 9.806650" in vins
     assert "upper 95 % limit" in noise_text(measure_noise(standstill(0.1)), "kalibr")
     pytest.importorskip("matplotlib")
-    save_plot(result, tmp_path / "allan.png")
-    assert (tmp_path / "allan.png").read_bytes()[:4] == b"\x89PNG"
+    assert draw_plot(result, "png")[:4] == b"\x89PNG"
+    with pytest.raises(UsageError, match=r"cannot be a \.exe file"):
+        draw_plot(result, "exe")
 
 
 def test_missing_allantools_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imufield.calibrate.observation_files import read_observations
-from imufield.errors import CalibrationError, ImufieldError, UsageError
+from imufield.errors import RecordingError
 from imufield.samples import SampleUnits
 
 
@@ -45,6 +45,15 @@ def test_only_the_accelerometer(tmp_path: Path) -> None:
     assert np.isnan(observations.covariance_raw).all()
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_spreadsheets_with_decimal_commas(tmp_path: Path, separator: str) -> None:
+    rows = [["ax", "name", "ay", "az"], ["1,5", "edge 0,5", "-2,25", "9.81"], ["1e-3", "", "0", "-9,8"]]
+    path = write(tmp_path, "".join(separator.join(row) + "\n" for row in rows))
+    observations = read_observations(path)
+    assert observations.mean_raw.tolist() == [[1.5, -2.25, 9.81], [1e-3, 0, -9.8]]
+    assert observations.name == ("edge 0,5", "p02")
+
+
 @pytest.mark.parametrize(("one_g", "unit"), [(9.81, "m/s^2"), (1.0, "g"), (4096.0, "count")])
 def test_unit_is_seen_in_the_size_or_given(tmp_path: Path, one_g: float, unit: str) -> None:
     rows = "".join(f"{x * one_g},{y * one_g},{z * one_g}\n" for x, y, z in [*np.eye(3), *-np.eye(3)])
@@ -56,9 +65,9 @@ def test_unit_is_seen_in_the_size_or_given(tmp_path: Path, one_g: float, unit: s
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "is empty"),
-        ("ax,ay\n1,2\n", "line 1: column az is missing"),
-        ("ax,ay,az,gx\n1,2,3,4\n", "line 1: column gy, gz is missing"),
+        ("", "it is empty"),
+        ("ax,ay\n1,2\n", "line 1: column az missing"),
+        ("ax,ay,az,gx\n1,2,3,4\n", "line 1: columns gy, gz missing"),
         ("ax,ay,az,foo\n1,2,3,4\n", "line 1: unknown column 'foo'"),
         ("ax,ay,az,ax\n1,2,3,4\n", "line 1: column 'ax' is there twice"),
         ("ax,ay,az\n1,2\n", "line 2: 2 values where the header has 3"),
@@ -66,20 +75,25 @@ def test_unit_is_seen_in_the_size_or_given(tmp_path: Path, one_g: float, unit: s
         ("ax,ay,az\n1,,3\n", "line 2, column ay: '' is not a number"),
         ("ax,ay,az\n1,nan,3\n", "line 2, column ay: nan is no possible value"),
         ("ax,ay,az,sigma_ax,sigma_ay,sigma_az\n1,2,3,1,-1,1\n", "line 2, column sigma_ay: -1 is no possible value"),
-        ('ax,ay,az\n1,2,"3\n4"\n', "line 2: not CSV"),
+        (
+            "ax,ay,az\n1,5,2,5,9,81\n",
+            "line 2: 6 values where the header has 3 columns; .* by semicolons",
+        ),
+        ("ax ay az\n1 2 3\n", "line 1: unknown column 'ax ay az'; separate the columns by commas, semicolons or tabs"),
+        ("ax;ay;az\n1,5;2;1,234,5\n", "line 2, column az: '1.234.5' is not a number"),
+        ('ax,ay,az\n1,2,"3\n4"\n', "line 2: it is no CSV"),
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(ImufieldError, match=message) as caught:
+    with pytest.raises(RecordingError, match=message) as caught:
         read_observations(write(tmp_path, text))
-    assert isinstance(caught.value, UsageError | CalibrationError)
     assert "means.csv" in caught.value.message
 
 
 def test_unreadable_files(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"cannot read .*nowhere\.csv"):
+    with pytest.raises(RecordingError, match=r"nowhere\.csv cannot be read"):
         read_observations(tmp_path / "nowhere.csv")
     binary = tmp_path / "binary.csv"
     binary.write_bytes(b"ax,ay,az\n\xff\xfe\n")
-    with pytest.raises(UsageError, match="not UTF-8"):
+    with pytest.raises(RecordingError, match="no UTF-8"):
         read_observations(binary)

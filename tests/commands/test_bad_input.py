@@ -75,9 +75,9 @@ TYPED = [
     Case("output is a folder", "solve whole -o folder", PARAMETER_FILE, ("folder", "not a file")),
     Case("zero of two numbers", "solve whole --zero 1,2", USAGE, ("1,2", "three")),
     Case("session and means", "solve whole --observations means.csv", USAGE, ("not both",)),
-    Case("NaN in the means", "solve --observations nan.csv", CALIBRATION, ("nan.csv", "line 4", "ay")),
+    Case("NaN in the means", "solve --observations nan.csv", RECORDING, ("nan.csv", "line 4", "ay")),
     Case("too few means", "solve --observations few.csv", CALIBRATION, ("5 positions", "6")),
-    Case("means without columns", "solve --observations notes.txt", USAGE, ("notes.txt",)),
+    Case("means without columns", "solve --observations notes.txt", RECORDING, ("notes.txt",)),
     Case("no such table", "import none.csv", RECORDING, ("none.csv",)),
     Case("bytes as a table", "import noise.bin", RECORDING, ("noise.bin", "--protocol")),
     Case("noise as a dump", "import noise.bin --protocol stim300", RECORDING, ("noise.bin", "100000 bytes", "--protocol")),
@@ -102,7 +102,7 @@ def furnished(program: Program, whole_session: Path) -> Program:
     (folder / "folder").mkdir()
     (folder / "notes.txt").write_text("Dear diary,\n")
     (folder / "noise.bin").write_bytes(np.random.default_rng(5).bytes(100_000))
-    (folder / "few.csv").write_text("ax,ay,az\n" + "0,0,9.8\n" * 5)
+    (folder / "few.csv").write_text("ax,ay,az\n" + "".join(f"0,0.{k},9.8\n" for k in range(5)))
     (folder / "nan.csv").write_text("ax,ay,az\n0,0,9.8\n0,0,-9.8\n0,nan,0\n" + "9.8,0,0\n" * 9)
     return program
 
@@ -311,8 +311,18 @@ def test_interrupted_while_replaying_to_a_port(furnished: Program) -> None:
 
 DAMAGES: dict[str, tuple[Callable[[Path], object], int, tuple[str, ...]]] = {
     "part is foreign": (lambda folder: part(folder).write_bytes(b"hello" * 1000), RECORDING, ("part-001.mcap",)),
-    "part is gone": (lambda folder: part(folder).unlink(), CALIBRATION, ("no data", "record")),
-    "part is empty": (lambda folder: part(folder).write_bytes(b""), CALIBRATION, ("no data", "record")),
+    "part is gone": (lambda folder: part(folder).unlink(), RECORDING, ("part-001.mcap, is gone", "put it back")),
+    "part is empty": (lambda folder: part(folder).write_bytes(b""), RECORDING, ("part-001.mcap is empty", "record or import")),
+    "part is cut to its head": (
+        lambda folder: cut(part(folder), 300),
+        RECORDING,
+        ("holds no sample", "part-001.mcap is cut off at byte", "bytes of an incomplete block"),
+    ),
+    "part is cut to some seconds": (
+        lambda folder: cut(part(folder), 150_000),
+        RECORDING,
+        ("is damaged", "part-001.mcap is cut off at byte", "what is left is not enough", "6"),
+    ),
     "session.toml is cut": (
         lambda folder: cut(folder / "session.toml", 40),
         RECORDING,

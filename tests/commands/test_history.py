@@ -61,5 +61,5 @@ def test_one_instrument_at_a_time_is_drawn(folder: Path, tmp_path: Path) -> None
     assert (tmp_path / "x.svg").is_file()
 
 
-def test_empty_folder_is_a_usage_error(tmp_path: Path) -> None:
-    assert run(["history", str(tmp_path)]) == 2
+def test_empty_folder_is_one_sentence(tmp_path: Path) -> None:
+    assert run(["history", str(tmp_path)]) == 5

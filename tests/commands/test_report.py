@@ -76,7 +76,7 @@ def test_parameters_of_another_recording_are_refused(solved: Path, tmp_path: Pat
 
 
 def test_unwritable_page_is_one_sentence(solved: Path, tmp_path: Path) -> None:
-    assert run(["report", str(solved), "-o", str(tmp_path / "nowhere" / "page.html")]) == 2
+    assert run(["report", str(solved), "-o", str(tmp_path / "nowhere" / "page.html")]) == 5
 
 
 def test_unsolved_session_is_refused(whole_session: Path) -> None:

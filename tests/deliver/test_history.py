@@ -18,7 +18,7 @@ from imufield.deliver.context import Context
 from imufield.deliver.gauge_free import numbers_of
 from imufield.deliver.history import INDEX_FILE, plot_history, read_history, sentences, to_csv
 from imufield.deliver.parameters import write_parameters
-from imufield.errors import UsageError
+from imufield.errors import ParameterFileError
 
 NOW = datetime(2026, 9, 1, tzinfo=UTC)
 
@@ -87,7 +87,7 @@ def test_instruments_are_kept_apart_and_one_can_be_chosen(tmp_path: Path, write)
     write("b", "2026-03-05", serial="N2")
     assert [one.serial_number for one in read_history(tmp_path).instruments] == ["N1", "N2"]
     assert [one.serial_number for one in read_history(tmp_path, "N2").instruments] == ["N2"]
-    with pytest.raises(UsageError, match="of serial number N3"):
+    with pytest.raises(ParameterFileError, match="of serial number N3"):
         read_history(tmp_path, "N3")
 
 
@@ -139,9 +139,9 @@ def test_an_index_of_another_version_is_made_anew(tmp_path: Path, write) -> None
 
 
 def test_empty_and_missing_folders_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="holds no parameter file"):
+    with pytest.raises(ParameterFileError, match="holds no parameter file"):
         read_history(tmp_path)
-    with pytest.raises(UsageError, match="is no folder"):
+    with pytest.raises(ParameterFileError, match="is no folder"):
         read_history(tmp_path / "nowhere")
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from imufield.errors import CalibrationError, Reason
+from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.guide.free import find_still_intervals
 from imufield.guide.scale import RoughScale
 from imufield.samples import SampleUnits, make_samples, no_samples
@@ -96,7 +96,7 @@ def test_a_recording_without_a_quiet_stretch_is_refused(make_path: Any) -> None:
 
 
 def test_an_empty_recording_is_refused() -> None:
-    with pytest.raises(CalibrationError, match="no samples"):
+    with pytest.raises(RecordingError, match="no samples"):
         find_still_intervals([])
     with pytest.raises(CalibrationError, match="quiet"):
         find_still_intervals([no_samples(SampleUnits())])
