@@ -34,6 +34,7 @@ _ALL = (
     Study("bsas-table3", "15 parameters of 50 runs", "bsas_runs", "table_3"),
     Study("bsas-staged", "the staged procedure with presets off the truth", "bsas_stages", "staged"),
     Study("bsas-whitened", "all parameters at once, in whitened coordinates", "bsas_runs", "whitened"),
+    Study("bsas-bound", "least squares against the Cramér-Rao bound", "bsas_bound", "least_squares_bound"),
     Study("bsas-table4", "the instrument", "setups", "bsas_table_4"),
     Study("bsas-table5", "36-position check", "bsas_hardware", "table_5"),
     Study("bsas-fig9", "36-position check, one instrument", "bsas_hardware", "figure_9"),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from imufield.errors import UsageError
-from imufield.study import bsas_runs, instruments
+from imufield.study import bsas_bound, bsas_runs, instruments
 from imufield.study.context import StudyContext
 from imufield.study.instruments import BSAS_TRUTH, bsas_preset, static_rates_deg_s
 from imufield.study.registry import STUDIES, find_studies
@@ -96,6 +96,15 @@ def test_the_whitened_swarm_ends_at_the_exact_minimum_where_the_staged_one_stall
     assert within["runs that converged"] == "4 of 4"
     staged = {c.what: c.ours for c in report_of("bsas-staged").comparisons}
     assert staged["runs that claim to have converged"] == "0 of 4"
+
+
+def test_least_squares_is_efficient_in_one_frame_with_the_truth() -> None:
+    rng = np.random.default_rng(0)
+    runs = [bsas_bound.run_bound(number, rng) for number in range(150)]
+    assert all(run.converged for run in runs)
+    ratio = np.sqrt(np.mean([run.in_true_frame**2 for run in runs], axis=0)) / bsas_bound.bound()
+    # 150 runs tell a ratio to 6 %, and the largest of twelve is three sigma off.
+    assert ratio == pytest.approx(np.ones(12), abs=0.18)
 
 
 def test_ide_ends_at_the_global_optimum(report_of: Callable[[str], StudyReport]) -> None:

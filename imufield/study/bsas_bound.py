@@ -1,0 +1,120 @@
+"""How near least squares comes to the Cramér-Rao bound in the setting of BSAS Table 3, and what the body frame does to it.
+
+With the quadratic term on body axes, as [1]_ prints it, a turn of the body frame is not quite invisible: it moves bias and
+quadratic term. Numbers found in two frames can therefore be compared only after one of them is brought to the other's frame,
+and on body axes that needs a refit. Three comparisons:
+
+* as solved, in the frame of the preset, against the bound for a frame that is known;
+* the same against the bound for a frame known as well as the preset says, which is all that the solver is told;
+* refitted in the frame of the truth, against the bound for a known frame.
+
+References
+----------
+.. [1] P. Wang et al., "In-Field Calibration of Triaxial Accelerometer Based on Beetle Swarm Antenna Search Algorithm",
+   Sensors, 2020: section 4.2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.gauge import change_gauge, intrinsic
+from imufield.calibrate.result import QuadraticAxes
+from imufield.calibrate.solvers.least_squares import solve_least_squares
+from imufield.calibrate.whitening import whitened_problem
+from imufield.samples import FloatArray
+from imufield.study import figures
+from imufield.study.context import StudyContext
+from imufield.study.instruments import (
+    BSAS_AXES,
+    BSAS_GRAVITY_M_S2,
+    BSAS_NOISE_M_S2,
+    BSAS_TRUTH,
+    FIELD_PRESET,
+    bsas_outputs,
+    bsas_preset,
+)
+from imufield.study.optimum import INTRINSIC_NAMES, cramer_rao_bound
+from imufield.study.report import Comparison, StudyReport, Table
+
+TURN_SIGMA_RAD = FIELD_PRESET.misalignment_rad / np.sqrt(6)
+"""1 sigma of the turn in a preset whose misalignments are uniform within their limit: a turn is half a difference of two."""
+
+
+@dataclass(frozen=True, slots=True)
+class BoundRun:
+    """Gauge-free errors of one data set, shape (12,) each."""
+
+    as_solved: FloatArray
+    """In the frame of the preset."""
+    in_true_frame: FloatArray
+    """Refitted in the frame of the truth."""
+    converged: bool
+
+
+def run_bound(_number: int, rng: np.random.Generator) -> BoundRun:
+    """Solve one data set by least squares, then once more in the frame of the truth."""
+    raw, preset = bsas_outputs(rng), bsas_preset(rng)
+    truth = intrinsic(BSAS_TRUTH, BSAS_AXES)[0]
+    found = _solve(preset, raw)
+    again = _solve(change_gauge(found[0], "preset", BSAS_TRUTH).vector, raw)
+    return BoundRun(intrinsic(found[0], BSAS_AXES)[0] - truth, intrinsic(again[0], BSAS_AXES)[0] - truth, found[1] and again[1])
+
+
+def _solve(start: FloatArray, raw: FloatArray) -> tuple[FloatArray, bool]:
+    problem = whitened_problem(start, raw, BSAS_GRAVITY_M_S2, quadratic_axes=BSAS_AXES)
+    found = solve_least_squares(problem)
+    return problem.vector(found.x), found.converged
+
+
+def bound(turn_sigma_rad: float = 0.0, axes: QuadraticAxes = BSAS_AXES) -> FloatArray:
+    """Return the Cramér-Rao bound of the 12 gauge-free numbers for a frame known to this, per axis, shape (12,)."""
+    clean = bsas_outputs(np.random.default_rng(0), 0.0)
+    return cramer_rao_bound(BSAS_TRUTH, clean, BSAS_GRAVITY_M_S2, BSAS_NOISE_M_S2, axes, turn_sigma_rad=turn_sigma_rad)
+
+
+def least_squares_bound(context: StudyContext) -> StudyReport:
+    """Hold least squares against the bounds, over enough data sets that the ratio is known to 2 %."""
+    runs = context.campaign("bsas-bound", run_bound, range(context.runs(2000, 40)))
+    known, as_preset = bound(), bound(TURN_SIGMA_RAD)
+    rmse = {name: np.sqrt(np.mean([getattr(run, name) ** 2 for run in runs], axis=0)) for name in BoundRun.__slots__[:2]}
+    ratios = {
+        "as solved, bound of a known frame": rmse["as_solved"] / known,
+        "as solved, bound of a frame known as the preset": rmse["as_solved"] / as_preset,
+        "in the true frame, bound of a known frame": rmse["in_true_frame"] / known,
+    }
+    comparisons = (
+        Comparison("runs that converged", "not given", f"{sum(run.converged for run in runs)} of {len(runs)}"),
+        *(
+            Comparison(f"RMSE over the bound, largest of 12: {name}", "not given", _largest(ratio))
+            for name, ratio in ratios.items()
+        ),
+        Comparison("bound of a frame known as the preset over that of a known one", "not given", _largest(as_preset / known)),
+    )
+    rows = tuple(
+        (name, known[k], as_preset[k], *(ratio[k] for ratio in ratios.values())) for k, name in enumerate(INTRINSIC_NAMES)
+    )
+    return StudyReport(
+        "bsas-bound",
+        "least squares against the Cramér-Rao bound",
+        "Instrument, noise, positions and presets of bsas-whitened (all 15 parameters off, quadratic term on body axes as "
+        f"printed); {len(runs)} data sets, so a ratio is known to {1 / np.sqrt(2 * len(runs)):.1%} (1 sigma).",
+        comparisons,
+        (
+            (
+                "Least squares is efficient: in one frame with the truth, its errors are those of the bound. As solved, in the "
+                "frame of the preset (off by up to 100 urad), bias y comes out above the bound of a known frame, and so would "
+                "any method's: with a frame known only as the preset says, the bound itself is that much higher."
+            ),
+            "On sensing axes, our default, a turn of the frame changes none of these numbers, and the question does not arise.",
+        ),
+        (Table("ratios", ("number", "bound", "bound with frame as the preset", *ratios), rows),),
+        figures.bars(INTRINSIC_NAMES, ratios, "RMSE over Cramér-Rao bound"),
+    )
+
+
+def _largest(ratio: FloatArray) -> str:
+    worst = int(np.argmax(ratio))
+    return f"{ratio[worst]:.3f} ({INTRINSIC_NAMES[worst]})"
