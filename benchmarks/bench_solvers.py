@@ -15,7 +15,7 @@ from scipy.optimize import differential_evolution
 from imufield.calibrate.solvers.beetles import BasSettings, solve_bas, solve_bsas
 from imufield.calibrate.solvers.evolution import solve_ide
 from imufield.calibrate.solvers.least_squares import solve_least_squares
-from imufield.calibrate.swarm_costs import TriadProblem
+from imufield.calibrate.triad_costs import TriadProblem
 from imufield.calibrate.whitening import whitened_problem
 from imufield.samples import FloatArray
 from imufield.study.bsas_runs import run_whitened

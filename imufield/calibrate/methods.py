@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imufield.calibrate.costs import CostName
+from imufield.calibrate.costs import CostName, NormProblem
 from imufield.calibrate.fit import FitData
 from imufield.calibrate.gauge import change_gauge, intrinsic, make_intrinsic
 from imufield.calibrate.model_choice import find_origin
@@ -26,7 +26,6 @@ from imufield.calibrate.result import AccelerometerParameters, Calibration, Qual
 from imufield.calibrate.solvers.base import Callback, SolverResult
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.registry import find_method, load_solver
-from imufield.calibrate.swarm_costs import NormPopulation
 from imufield.calibrate.uncertainty import known_covariance, within_variance
 from imufield.calibrate.whitening import whitened_problem
 from imufield.samples import FloatArray
@@ -49,13 +48,13 @@ class Restart:
     """A calibration's problem, ready to be solved again by any method."""
 
     calibration: Calibration
-    problem: NormPopulation
+    problem: NormProblem
     """In whitened coordinates, from a start that knows nothing of the calibration; weighted cost."""
     vector: FloatArray
     """The calibration's parameters, shape (15,)."""
     preset: FloatArray | None
 
-    def with_cost(self, cost_name: CostName) -> NormPopulation:
+    def with_cost(self, cost_name: CostName) -> NormProblem:
         """Return the problem with another cost."""
         return replace(self.problem, cost_name=cost_name)
 
@@ -187,14 +186,13 @@ def solve_with(
     return _replaced(again, vector, SolverSummary(method, found.status, found.message, found.cost, found.evaluations, seed))
 
 
-def problem_for(again: Restart, method: str) -> NormPopulation:
+def problem_for(again: Restart, method: str) -> NormProblem:
     """Return the problem with the cost, and for the staged form the coordinates, that the method's paper uses."""
     problem = again.with_cost(find_method(method).cost_name)
     if method != "bsas-staged":
         return problem
     # The paper's own coordinates: the parameters themselves, in their own units.
-    endless = np.full(PARAMETERS, np.inf)
-    return replace(problem, basis=np.eye(PARAMETERS), lower=-endless, upper=endless)
+    return replace(problem, basis=np.eye(PARAMETERS), reach=np.inf)
 
 
 def _polished(again: Restart, found: SolverResult, vector: FloatArray, basis: FloatArray) -> tuple[SolverResult, FloatArray]:
@@ -327,7 +325,7 @@ def cross_check(
     return CrossCheck(_largest(own, sigma), _largest(one, sigma), tuple(dict.fromkeys(open_runs)), own)
 
 
-def _relative(again: Restart, cost_name: CostName, method: str) -> NormPopulation:
+def _relative(again: Restart, cost_name: CostName, method: str) -> NormProblem:
     """Return the problem with weights relative to their median: a swarm's costs should be near those of its paper, in m/s^2."""
     problem = again.with_cost(cost_name)
     if method == LEAST_SQUARES:

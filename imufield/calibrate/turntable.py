@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.gyroscope_model import TableRows
-from imufield.calibrate.swarm_costs import TurnsProblem
+from imufield.calibrate.triad_costs import TurnsProblem
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 

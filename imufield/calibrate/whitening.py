@@ -15,17 +15,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.calibrate.costs import CostName
+from imufield.calibrate.costs import CostName, NormProblem
 from imufield.calibrate.models import MISALIGNMENT, PARAMETERS, norm_derivatives
 from imufield.calibrate.observability import generators, parameter_scale
 from imufield.calibrate.result import ACCELEROMETER_NAMES, QuadraticAxes
-from imufield.calibrate.swarm_costs import NormPopulation
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
 ALL_FREE = tuple(range(PARAMETERS))
 _WORST_CONDITION = 1e6
 """Singular values further apart than this are a direction the positions do not show."""
+_REACH = 5.0
+"""Bounds of the coordinates: the solution is about one unit away, and this leaves room for what is not linear."""
 _WORST_START = 0.5
 """Relative error of the norm at the start that no instrument has: the preset is in another unit or of another instrument."""
 
@@ -79,7 +80,7 @@ def whitened_problem(
     cost_name: CostName = "absolute",
     sigma_m_s2: FloatArray | None = None,
     free: tuple[int, ...] = ALL_FREE,
-) -> NormPopulation:
+) -> NormProblem:
     """Return the problem of finding parameters near a preset, in whitened coordinates.
 
     A unit of the coordinates is the length of the residual vector at the preset: the solution is about one unit away,
@@ -95,9 +96,8 @@ def whitened_problem(
     refuse_foreign_start(norm, gravity_m_s2)
     unit = max(float(np.linalg.norm(norm - gravity_m_s2)), 1e-9 * gravity_m_s2)
     basis = unit * observable_basis(vector, raw, gravity_m_s2, quadratic_axes, free)
-    reach = np.full(basis.shape[1], 5.0)
     sigma = np.ones(len(raw)) if sigma_m_s2 is None else sigma_m_s2
-    return NormPopulation(raw, gravity_m_s2, sigma, vector, basis, -reach, reach, quadratic_axes, cost_name)
+    return NormProblem(raw, gravity_m_s2, sigma, vector, basis, quadratic_axes, cost_name, _REACH)
 
 
 def refuse_foreign_start(norm_m_s2: FloatArray, gravity_m_s2: float) -> None:

@@ -13,10 +13,10 @@ from functools import cache, partial
 
 import numpy as np
 
+from imufield.calibrate.costs import NormProblem
 from imufield.calibrate.models import PARAMETERS
 from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings, solve_bas, solve_bsas
 from imufield.calibrate.solvers.staged import PAPER_CATEGORIES, StagedSettings, solve_bsas_staged, solve_stages
-from imufield.calibrate.swarm_costs import NormPopulation
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext
@@ -51,11 +51,10 @@ _VARIED = (0.2, 0.5, 0.8)
 """Probabilities tried; the paper prints them in its legends only."""
 
 
-def stage_problem(preset: FloatArray, raw: FloatArray) -> NormPopulation:
+def stage_problem(preset: FloatArray, raw: FloatArray) -> NormProblem:
     """Return eq. 13 in the paper's own coordinates: the 15 parameters in their own units, without bounds."""
-    endless = np.full(PARAMETERS, np.inf)
     sigma = np.ones(len(raw))
-    return NormPopulation(raw, BSAS_GRAVITY_M_S2, sigma, preset, np.eye(PARAMETERS), -endless, endless, BSAS_AXES, "absolute")
+    return NormProblem(raw, BSAS_GRAVITY_M_S2, sigma, preset, np.eye(PARAMETERS), BSAS_AXES, "absolute")
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ import numpy as np
 
 from imufield.calibrate.models import BIAS, MISALIGNMENT, PARAMETERS, QUADRATIC, SCALE, from_vector, predict
 from imufield.calibrate.result import QuadraticAxes
-from imufield.calibrate.swarm_costs import TriadProblem, TurnsProblem, unit_diagonal_matrices
+from imufield.calibrate.triad_costs import TriadProblem, TurnsProblem, unit_diagonal_matrices
 from imufield.earth import EARTH_RATE_RAD_S, normal_gravity
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray

@@ -23,13 +23,13 @@ from typing import Any, cast
 
 import numpy as np
 
+from imufield.calibrate.costs import NormProblem
 from imufield.calibrate.gauge import intrinsic
 from imufield.calibrate.models import norm_derivatives
 from imufield.calibrate.observability import generators
 from imufield.calibrate.result import QuadraticAxes
 from imufield.calibrate.solvers.base import Problem
 from imufield.calibrate.solvers.least_squares import solve_least_squares
-from imufield.calibrate.swarm_costs import NormPopulation
 from imufield.calibrate.whitening import observable_basis
 from imufield.samples import FloatArray
 
@@ -41,7 +41,7 @@ INTRINSIC_NAMES = tuple(
 _ROUNDS = 4
 
 
-def exact_absolute_minimum(problem: NormPopulation) -> tuple[float, FloatArray]:
+def exact_absolute_minimum(problem: NormProblem) -> tuple[float, FloatArray]:
     """Return the exact minimum of eq. 13 and the coordinates where it is."""
     z = problem.start
     for _ in range(_ROUNDS):

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from imufield.calibrate.costs import NormProblem
 from imufield.calibrate.solvers.base import STALLED
 from imufield.calibrate.solvers.beetles import WHITENED_SETTINGS, BasSettings, BsasSettings, solve_bas, solve_bsas
-from imufield.calibrate.swarm_costs import NormPopulation
 from imufield.calibrate.whitening import whitened_problem
 from imufield.samples import FloatArray
 from imufield.study.instruments import BSAS_AXES, BSAS_GRAVITY_M_S2, bsas_outputs, bsas_preset
@@ -59,7 +59,7 @@ def test_always_stepping_to_the_best_needs_no_luck_and_still_keeps_the_best_ever
         assert found.cost == found.history.min()
 
 
-def _table_3_problem(seed: int) -> tuple[NormPopulation, np.random.Generator]:
+def _table_3_problem(seed: int) -> tuple[NormProblem, np.random.Generator]:
     rng = np.random.default_rng(seed)
     raw, preset = bsas_outputs(rng), bsas_preset(rng)
     return whitened_problem(preset, raw, BSAS_GRAVITY_M_S2, quadratic_axes=BSAS_AXES), rng

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from imufield.calibrate.costs import NormProblem
 from imufield.calibrate.solvers.base import CONVERGED, Callback, Problem, SolverResult
 from imufield.calibrate.solvers.staged import (
     PAPER_CATEGORIES,
@@ -10,16 +11,12 @@ from imufield.calibrate.solvers.staged import (
     solve_bsas_staged,
     solve_stages,
 )
-from imufield.calibrate.swarm_costs import NormPopulation
 from imufield.samples import FloatArray
 from imufield.study.instruments import BSAS_AXES, BSAS_GRAVITY_M_S2, BSAS_TRUTH, PresetError, bsas_outputs, bsas_preset
 
 
-def staged_problem(preset: FloatArray, raw: FloatArray) -> NormPopulation:
-    endless = np.full(15, np.inf)
-    return NormPopulation(
-        raw, BSAS_GRAVITY_M_S2, np.ones(len(raw)), preset, np.eye(15), -endless, endless, BSAS_AXES, "absolute"
-    )
+def staged_problem(preset: FloatArray, raw: FloatArray) -> NormProblem:
+    return NormProblem(raw, BSAS_GRAVITY_M_S2, np.ones(len(raw)), preset, np.eye(15), BSAS_AXES, "absolute")
 
 
 def test_categories_are_the_four_steps_of_the_paper() -> None:
