@@ -25,7 +25,7 @@ import numpy as np
 
 from imufield.deliver.gauge_free import Number, numbers_of
 from imufield.deliver.parameters import Parameters, load
-from imufield.errors import ImufieldError, Reason, UsageError
+from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 
 INDEX_FILE = ".imufield-history.sqlite"
 INDEX_VERSION = 2
