@@ -11,7 +11,6 @@ from collections.abc import Callable
 import numpy as np
 
 from imufield.guide.advice import doubtful_advice, drift_advice, scale_advice, scheme_advice, target_advice
-from imufield.guide.cells import Cells
 from imufield.guide.checks import HoldUnderTest, Refusal, examine, explain_flags
 from imufield.guide.events import (
     Done,
@@ -24,23 +23,20 @@ from imufield.guide.events import (
     Move,
     RefusalCode,
     Rejected,
-    Turn,
-    Turned,
     Turning,
     Vector,
 )
-from imufield.guide.held import HeldMean, held_mean
-from imufield.guide.hold_time import SHORTEST_S, AllanMinimum, is_long_enough, sigma_along
-from imufield.guide.observe import guard_cells, knocks_of, observe, trim_stretch
+from imufield.guide.observe import observe
 from imufield.guide.plan import Plan
 from imufield.guide.positions import Position, angle_deg
-from imufield.guide.raw_history import RawHistory
-from imufield.guide.rotations import TurnFollower, plan_turns
 from imufield.guide.running_fit import Disagreement, RunningFit, running_fit
 from imufield.guide.settings import GuideSettings
 from imufield.guide.state_table import TABLE, Input
-from imufield.guide.stillness import Judgement, Phase, StillnessDetector
+from imufield.guide.stillness import StillnessDetector
+from imufield.guide.stretch import Judgement, Phase
+from imufield.guide.turn_leader import TurnLeader
 from imufield.guide.warmth import Warmth
+from imufield.guide.weighing import Weighing
 from imufield.guide.wording import (
     accepted_event,
     floor_event,
@@ -50,10 +46,8 @@ from imufield.guide.wording import (
     vector,
     warming_refusal,
 )
-from imufield.samples import AXES, FloatArray
+from imufield.samples import FloatArray
 
-HISTORY_MARGIN_S = 5.0
-WEIGH_EVERY = 5
 CLEARLY_MORE = 1.5
 """A position is proposed before its turn where its gain is so many times larger: the order that drift cannot imitate is worth
 more than a little gain."""
@@ -83,19 +77,15 @@ class GuideActions:
         self.plan = plan
         self.detector = detector
         self.settings = settings
-        self.history = RawHistory(detector.settings.longest_s + HISTORY_MARGIN_S)
-        self.allan = AllanMinimum(detector.settings.cell_s)
+        self.weighing = Weighing(detector, settings)
         self.warmth = Warmth(detector.settings.cell_s)
         self.go_cold = False
         """The operator said to go on although the temperature changes."""
         self.fit: RunningFit | None = None
         self.doubtful_now: list[Disagreement] = []
         """Positions that the others contradict, the worst first."""
-        self.turns_left = plan_turns(settings.rotations, settings.turns_each_way)
-        self.turns_planned = len(self.turns_left)
-        self._turn = TurnFollower(detector.settings.cell_s)
+        self.turns = TurnLeader(settings, detector.settings.cell_s)
         self._advised: set[str] = set()
-        self._first_judged_s = math.nan
         self.events: list[Event] = []
         self.announced = False
         """Whether the noise floor was said."""
@@ -104,7 +94,6 @@ class GuideActions:
         self.judgement: Judgement | None = None
         self.position: int | None = None
         """Where the hold under way belongs."""
-        self.fraction = 0.0
         self.rested: int | None = None
         """Position accepted last, as long as the unit may still lie there."""
         self._rest_direction: FloatArray | None = None
@@ -148,7 +137,8 @@ class GuideActions:
             self.reject(self._refusal, None if self.position is None else self._current().name)
 
     def _forget_hold(self) -> None:
-        self.position, self._hold, self.fraction = None, None, 0.0
+        self.position, self._hold = None, None
+        self.weighing.begin()
 
     def _current(self) -> Position:
         if self.position is None:
@@ -174,7 +164,7 @@ class GuideActions:
         if floor is None:
             return
         self.announced = True
-        self._first_judged_s = floor.start_s
+        self.weighing.first_judged_s = floor.start_s
         self.now_s = floor.start_s + floor.duration_s
         self.events.append(floor_event(self.now_s, floor, self.detector))
         lying = self.plan.nearest(self._direction(floor.mean[:3]), pending=True)
@@ -208,10 +198,7 @@ class GuideActions:
 
     def propose_turn(self) -> None:
         """Say which whole turn comes next."""
-        if self.turns_left:
-            turn, left = self.turns_left[0], len(self.turns_left)
-            done = self.turns_planned - left
-            self.events.append(Turn(self.now_s, AXES[turn.axis], turn.sense, turn.about, turn.words, done, self.turns_planned))
+        self.events += self.turns.next(self.now_s)
 
     def show_turning(self) -> None:
         """Say where the unit points, a few times a second, and what keeps it from being still where it lingers."""
@@ -260,77 +247,21 @@ class GuideActions:
     def begin_hold(self) -> None:
         """Say that the hold begins."""
         self._linger_direction = None
-        self.fraction, self._hold = 0.0, None
+        self.weighing.begin()
+        self._hold = None
         position = self._current()
         direction = self._direction(np.array(self.detector.stretch.mean[:3]))
         angle = angle_deg(position.direction, direction)
-        self.events.append(Hold(self.now_s, position.name, position.words, angle, self._latest_s()))
-
-    def _latest_s(self) -> float:
-        """Return the length at which a hold ends at the latest."""
-        wish = self.settings.wish
-        return wish.fixed_s or max(min(wish.longest_s, self.allan.minimum_s), SHORTEST_S)
-
-    def _guard(self, *, in_hand: bool) -> int:
-        settings = self.detector.settings
-        return settings.cells(self.settings.hand_guard_s) if in_hand else guard_cells(self.detector.limits, settings)
+        self.events.append(Hold(self.now_s, position.name, position.words, angle, self.weighing.latest_s))
 
     def count(self) -> Input | None:
         """Count the cells of a hold; when there are enough, see whether enough remain after trimming."""
-        settings, stretch = self.detector.settings, self.detector.stretch
-        usable = stretch.judged - 2 * self._guard(in_hand=self.detector.in_hand)
-        latest = settings.cells(self._latest_s())
-        earliest = latest if self.settings.wish.fixed_s is not None else settings.cells(SHORTEST_S)
-        self.fraction = min(max(self.fraction, usable / latest), 1.0) if usable > 0 else 0.0
-        # A hold without a fixed time is weighed twice a second.
-        if usable >= latest or (usable >= earliest and usable % WEIGH_EVERY == 0):
-            self._hold = self._weigh(latest)
-            if self._hold is not None:
-                return Input.LONG_ENOUGH
+        self._hold = self.weighing.look()
+        if self._hold is not None:
+            return Input.LONG_ENOUGH
         if self.due("holding", self.settings.repeat_s):
-            left_s = max((1 - self.fraction) * latest, 0) * settings.cell_s
-            self.events.append(Holding(self.now_s, self._current().name, self.fraction, left_s))
+            self.events.append(Holding(self.now_s, self._current().name, self.weighing.fraction, self.weighing.left_s))
         return None
-
-    def _weigh(self, latest: int) -> HoldUnderTest | None:
-        """Return the hold if it is long enough, guard bands and ends that stand out cut off; None if it must go on."""
-        detector, stretch, floor = self.detector, self.detector.stretch, self.detector.floor
-        cells = stretch.cells()
-        rows = trim_stretch(cells, detector.limits, detector.settings)
-        in_hand = detector.in_hand or (detector.settings.hand and detector.is_hand_like(cells[rows]))
-        if in_hand:
-            guard = self._guard(in_hand=True)
-            rows = slice(max(rows.start, guard), max(min(rows.stop, len(cells) - guard), guard))
-        cells = cells[rows]
-        if floor is None or not len(cells):
-            return None
-        held = self._held_mean(cells) if in_hand and len(cells) >= latest else None
-        full = stretch.judged > len(stretch)
-        if in_hand:
-            return self._under_test(cells, held) if held is not None and (full or len(cells) >= latest) else None
-        sigma = sigma_along(cells, detector.scale)
-        wish = self.settings.wish
-        if sigma > 0 and math.isfinite(sigma) and wish.sigma_m_s2 > 0:
-            self.fraction = min(max(self.fraction, (wish.sigma_m_s2 / sigma) ** 2), 1.0)
-        length_s = len(cells) * detector.settings.cell_s
-        if full or is_long_enough(length_s, sigma, wish, self.allan.minimum_s):
-            return self._under_test(cells, None)
-        return None
-
-    def _held_mean(self, cells: Cells) -> HeldMean | None:
-        """Return the mean of a hold in the hand, from its samples; None for one from before the noise floor was known."""
-        floor, scale = self.detector.floor, self.detector.scale
-        if floor is None or not float(cells.start_s[0]) >= self._first_judged_s:
-            return None
-        samples = self.history.between(float(cells.start_s[0]), float(cells.end_s[-1]))
-        density = floor.cell_sigma[:3] * math.sqrt(self.detector.settings.cell_s)
-        return None if samples is None else held_mean(samples, scale, density, knocks_of(cells, self.detector.limits))
-
-    def _under_test(self, cells: Cells, held: HeldMean | None) -> HoldUnderTest | None:
-        detector, floor = self.detector, self.detector.floor
-        if floor is None:
-            return None
-        return HoldUnderTest(cells, floor, detector.limits, detector.scale, self.settings.checks, held)
 
     def judge(self) -> Input:
         """Examine the hold."""
@@ -354,8 +285,7 @@ class GuideActions:
         observation = observe(hold.cells, hold.limits, position.name, position.direction, hold.held)
         revisit = index == self.plan.revisiting
         replaces = self.plan.accept(index, observation)
-        if hold.held is None:
-            self.allan.add(np.linalg.norm(hold.scale.specific_force(hold.cells.mean[:, :3]), axis=1))
+        self.weighing.learn(hold)
         direction = self._direction(observation.mean_raw)
         self._fit_again()
         self.events.append(accepted_event(self.now_s, observation, hold.scale, self.plan, replaces=replaces, fit=self.fit))
@@ -373,7 +303,7 @@ class GuideActions:
         if self.plan.proposed() is not None:
             self.propose()
             return None
-        return Input.TURNS if self.turns_left else Input.COMPLETE
+        return Input.TURNS if self.turns.left else Input.COMPLETE
 
     def _ask_again(self) -> None:
         """Ask for doubtful positions once more, each once, and then for the first one, as a check for drift."""
@@ -427,40 +357,25 @@ class GuideActions:
 
     def begin_turn(self) -> None:
         """Follow a turn from the end of a still stretch."""
-        judgement = self.judgement
-        if judgement is not None and judgement.ended is not None:
-            self._turn.begin(judgement.ended.mean, judgement.cells, judgement.row, self.detector.scale)
+        if self.judgement is not None:
+            self.turns.begin(self.judgement, self.detector.scale)
 
     def follow_turn(self) -> None:
         """Take one cell of a turn."""
         if self.judgement is not None:
-            self._turn.follow(self.judgement.cells, self.judgement.row, self.detector.scale)
+            self.turns.follow(self.judgement, self.detector.scale)
 
     def see_turn(self) -> Input | None:
         """See, now that the unit is still, whether the move was one of the turns that are wanted."""
-        made = self._turn.end(self.detector.stretch.mean, self.turns_left, self.detector.scale)
+        made = self.turns.end(self.detector.stretch.mean, self.detector.scale)
+        if made is None:
+            return None
         if isinstance(made, Refusal):
             self.reject(made)
-            self.propose_turn()
-        if made is None or isinstance(made, Refusal):
-            return None
-        self.turns_left.remove(made.wanted)
-        self.events.append(
-            Turned(
-                self.now_s,
-                AXES[made.wanted.axis],
-                made.turns,
-                made.wanted.about,
-                made.start_s,
-                made.end_s,
-                made.turned_deg,
-                made.tilt_deg,
-                self.turns_planned - len(self.turns_left),
-                self.turns_planned,
-            )
-        )
+        else:
+            self.events.append(self.turns.turned(self.now_s, made))
         self.propose_turn()
-        return None if self.turns_left else Input.COMPLETE
+        return None if self.turns.left else Input.COMPLETE
 
     def refuse(self) -> None:
         """Say why the hold is refused; the unit must be moved."""
@@ -470,7 +385,7 @@ class GuideActions:
     def measure_again(self) -> None:
         """Say why the hold is refused and begin anew where the unit lies."""
         self._reject_hold()
-        self.fraction = 0.0
+        self.weighing.begin()
         self.detector.restart()
 
     def interrupt(self) -> None:
@@ -478,7 +393,7 @@ class GuideActions:
         judgement = self.judgement
         if judgement is None or judgement.ended is None:
             return
-        guards = 2 * self._guard(in_hand=False)
+        guards = 2 * self.weighing.guard(in_hand=False)
         held_s = max(judgement.ended.judged - guards, 0) * self.detector.settings.cell_s
         activity = self.detector.explain(judgement)
         if activity.ratio <= self.detector.settings.leave_factor:
@@ -486,7 +401,7 @@ class GuideActions:
             self._refusal = explain_flags(cells, 0.0, 1 - self.settings.checks.lost_share)
             self._reject_hold()
         elif held_s >= self.settings.silent_s:
-            self._refusal = moved_refusal(activity, self.detector.settings.leave_factor, held_s, self._latest_s())
+            self._refusal = moved_refusal(activity, self.detector.settings.leave_factor, held_s, self.weighing.latest_s)
             self._reject_hold()
         self._forget_hold()
         self.lift()
@@ -522,10 +437,10 @@ class GuideActions:
     def lose_link(self) -> None:
         """Say that the link is gone; a hold under way is given up."""
         self.detector.interrupt()
-        self.history.clear()
+        self.weighing.history.clear()
         self.warmth.clear()
-        self._first_judged_s = -math.inf
-        self._turn = TurnFollower(self.detector.settings.cell_s)
+        self.weighing.first_judged_s = -math.inf
+        self.turns.forget_move()
         self._forget_hold()
         self.events.append(LinkLost(self.now_s, len(self.plan.accepted), len(self.plan.scheme)))
 
@@ -539,7 +454,7 @@ class GuideActions:
 
     def finish(self) -> None:
         """Say that the session is over."""
-        self.turns_left = []
+        self.turns.left = []
         accepted, planned, missing = len(self.plan.accepted), len(self.plan.scheme), self.plan.missing()
         words = "all positions are measured" if not missing else f"finished with {accepted} of {planned} positions"
         self.events.append(Done(self.now_s, accepted, planned, missing, words))

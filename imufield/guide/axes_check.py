@@ -23,7 +23,7 @@ import numpy as np
 
 from imufield.errors import CalibrationError, Reason
 from imufield.guide.scale import RoughScale
-from imufield.guide.stillness import Judgement, Phase
+from imufield.guide.stretch import Judgement, Phase
 from imufield.samples import AXES, FloatArray
 
 ENOUGH_MOVES = 4

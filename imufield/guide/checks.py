@@ -12,10 +12,10 @@ from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide.cells import Cells
 from imufield.guide.events import RefusalCode
 from imufield.guide.held import HeldMean
+from imufield.guide.limits import Limits
 from imufield.guide.noise_floor import NoiseFloor
 from imufield.guide.observe import correlation_factor, knocked
 from imufield.guide.scale import RoughScale
-from imufield.guide.stillness import Limits
 from imufield.samples import AXES, FloatArray, Status
 
 

@@ -10,11 +10,13 @@ from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.guide.axes_check import AxesCheck, MoveLog, check_axes
 from imufield.guide.cells import CellBuilder, Cells
 from imufield.guide.checks import CheckSettings, HoldUnderTest, Refusal, examine
+from imufield.guide.limits import StillnessSettings
 from imufield.guide.noise_floor import MAX_FLOOR_M_S2, NoiseFloor
 from imufield.guide.observe import Observation, gather, observe, trim_stretch
 from imufield.guide.positions import nearest_cube_direction
 from imufield.guide.scale import RoughScale
-from imufield.guide.stillness import Phase, StillnessDetector, StillnessSettings, Stretch
+from imufield.guide.stillness import StillnessDetector
+from imufield.guide.stretch import Phase, Stretch
 from imufield.samples import Samples, SampleUnits
 
 SHORTEST_S = 1.0

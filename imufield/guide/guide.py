@@ -19,13 +19,15 @@ from imufield.guide.axes_check import ENOUGH_MOVES, AxesCheck, MoveLog, check_ax
 from imufield.guide.cells import CellBuilder, Cells, join_cells
 from imufield.guide.checks import explain_flags
 from imufield.guide.events import Event, Marked, Vector
+from imufield.guide.limits import Activity
 from imufield.guide.observe import gather
 from imufield.guide.plan import Plan
 from imufield.guide.positions import Scheme
 from imufield.guide.scale import RoughScale
 from imufield.guide.settings import GuideSettings
 from imufield.guide.state_table import TABLE, Input, State
-from imufield.guide.stillness import Activity, Judgement, Phase, StillnessDetector
+from imufield.guide.stillness import StillnessDetector
+from imufield.guide.stretch import Judgement, Phase
 from imufield.guide.wording import axes_refusal, clock_refusal, not_quiet_refusal, rate_refusal, vector
 from imufield.samples import Samples, SampleUnits
 
@@ -117,11 +119,11 @@ class Guide:
         if self.state is State.LOST:
             self._handle(Input.LINK_BACK)
         self.time_s = float(samples.time_s[-1])
-        self._do.history.add(samples)
+        self._do.weighing.history.add(samples)
         cells = self._builder.feed(samples)
         if cells is not None:
             self._take(cells)
-        self._do.history.prune()
+        self._do.weighing.history.prune()
         return self._said_now()
 
     def mark(self, action: str, time_s: float, position: str | None = None) -> list[Event]:
@@ -182,7 +184,7 @@ class Guide:
             time_s=self.time_s,
             target=None if target is None else self.plan.position(target).name,
             position=None if self._do.position is None else self.plan.position(self._do.position).name,
-            fraction=self._do.fraction,
+            fraction=self._do.weighing.fraction,
             activity=None if self._do.judgement is None else self.detector.explain(self._do.judgement),
             rate_hz=float(recent.count.sum()) / span if recent is not None else math.nan,
             lost_cells=self._bad_cells,
@@ -343,9 +345,9 @@ class Guide:
 
     def _skip_turn(self) -> None:
         """Leave out the next whole turn."""
-        self._do.turns_left = self._do.turns_left[1:]
+        self._do.turns.skip()
         self._do.propose_turn()
-        if not self._do.turns_left:
+        if not self._do.turns.left:
             self._handle(Input.COMPLETE)
 
     def _retake(self, name: str | None) -> tuple[int | None, str]:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from imufield.calibrate.observations import Observations
 from imufield.guide.cells import Cells
 from imufield.guide.held import HeldMean
-from imufield.guide.stillness import Limits, StillnessSettings, scatter_of_variance
+from imufield.guide.limits import Limits, StillnessSettings, scatter_of_variance
 from imufield.samples import FloatArray, SampleUnits
 
 SETTLE_S = 1.0

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide.checks import CheckSettings
 from imufield.guide.hold_time import HoldWish
+from imufield.guide.limits import StillnessSettings
 from imufield.guide.plan import TOLERANCE_DEG
-from imufield.guide.stillness import StillnessSettings
 
 MICRO_G = 1e-6 * STANDARD_GRAVITY_M_S2
 
@@ -46,7 +46,7 @@ class GuideSettings:
     linger_s: float = 5.0
     linger_deg: float = 5.0
     """A unit that keeps its direction this long without becoming still is told what keeps it from being still."""
-    hand_guard_s: float = 1.3
+    hand_guard_s: float = 1.5
     """Cut off at both ends of a hold in the hand: an arm comes to rest slowly, and a slow turn begins below its sway."""
 
     @property

@@ -24,263 +24,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from enum import Enum
-from typing import NamedTuple
 
 import numpy as np
 
-from imufield.guide.cells import CELL_S, CellBuilder, Cells, join_cells
+from imufield.guide.cells import CellBuilder, Cells, join_cells
+from imufield.guide.hand_edges import hand_edges
+from imufield.guide.limits import (
+    Activity,
+    Limits,
+    StillnessSettings,
+    hand_settings,
+    largest_activity,
+    noise_limits,
+    vibration_ratio,
+)
 from imufield.guide.noise_floor import NoiseFloor, is_quiet, is_quieter, measure_floor
 from imufield.guide.scale import RoughScale
-from imufield.samples import AXES, FloatArray, Samples
-
-
-@dataclass(frozen=True, slots=True)
-class StillnessSettings:
-    """Settings of the detector; the defaults need no tuning for any recording known to us."""
-
-    cell_s: float = CELL_S
-    floor_s: float = 3.0
-    """Length of the quiet stretch that sets the noise floor."""
-    dwell_s: float = 0.5
-    """The activity stays at or below 1 for this long before a stretch counts as still; it counts from its first cell."""
-    guard_s: float = 0.3
-    """Cut off at both ends of a stretch: the hand that leaves, the hand that comes."""
-    guard_without_gyroscope_s: float = 0.8
-    """The same where only the accelerometer tells: a slow turn begins below its noise."""
-    leave_factor: float = 2.0
-    vibration_sigmas: float = 2.0
-    change_sigmas: float = 5.0
-    vibration_m_s2: float = 0.05
-    change_m_s2: float = 0.03
-    vibration_rad_s: float = math.radians(1.5)
-    change_rad_s: float = math.radians(1.0)
-    """The four absolute allowances, rms per axis for vibration, largest for change."""
-    usable_fraction: float = 0.5
-    """A cell with fewer usable samples than this share of the usual number counts as lost."""
-    hand: bool = False
-    """Bear a unit held in the hand as well, where the gyroscope's scale is known: see ``hand_settings``."""
-    longest_s: float = 60.0
-    """No more than this of a stretch is kept: beyond the minimum of the Allan deviation a hold gains nothing."""
-
-    def cells(self, duration_s: float) -> int:
-        """Return a duration as a whole number of cells."""
-        return round(duration_s / self.cell_s)
-
-
-def hand_settings(settings: StillnessSettings) -> StillnessSettings:
-    """Return the settings for a unit in the hand.
-
-    Tremor of 0.1 deg rms at 12 Hz is 7.5 deg/s, and 1 m/s^2 where the pivot is 10 cm away; sway of 1 deg below 2 Hz makes
-    4 deg/s and changes the force by 0.4 m/s^2. A slow turn is no faster than that, so the hand must keep it up for longer.
-    """
-    return replace(
-        settings,
-        dwell_s=1.5,
-        vibration_m_s2=1.2,
-        change_m_s2=0.5,
-        vibration_rad_s=math.radians(9.0),
-        change_rad_s=math.radians(10.0),
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Where the activity is 1, in raw rates; arrays of shape (6,), accelerometer first."""
-
-    vibration: FloatArray
-    change: FloatArray
-    gyroscope_offset: float
-    """Largest change ratio of the gyroscope against its last known bias; g-sensitivity and temperature are in it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Activity:
-    """The largest of the ratios of a cell, with what it was measured on."""
-
-    ratio: float
-    kind: str
-    """"vibration" or "change"."""
-    triad: str
-    """"accelerometer" or "gyroscope"."""
-    axis: str
-    """The axis that contributes most."""
-    measured: float
-    """Ratio times limit, in ``unit``: the rms over the axes (vibration) or the size of the vector (change)."""
-    limit: float
-    unit: str
-
-
-class Phase(Enum):
-    """What the detector thinks of the latest cell."""
-
-    MOVING = "moving"
-    SETTLING = "settling"
-    STILL = "still"
-
-
-class Stretch:
-    """The cells of a still stretch, oldest first, at most ``longest`` of them."""
-
-    def __init__(self, longest: int) -> None:
-        self._longest = longest
-        self._parts: list[tuple[Cells, int, int]] = []
-        self.mean: list[float] = []
-        self.judged = 0
-        """Cells that belong to the stretch, kept or not."""
-
-    def add(self, cells: Cells, row: int, mean: list[float]) -> None:
-        """Append one cell and follow the running mean: of all cells at first, of the last 50 or so later."""
-        if self.judged < self._longest:
-            if self._parts and self._parts[-1][0] is cells and self._parts[-1][2] == row:
-                self._parts[-1] = (cells, self._parts[-1][1], row + 1)
-            else:
-                self._parts.append((cells, row, row + 1))
-        self.judged += 1
-        if not self.mean:
-            self.mean = list(mean)
-            return
-        share = 1 / min(self.judged, 50)
-        self.mean = [old if math.isnan(new) else old + share * (new - old) for old, new in zip(self.mean, mean, strict=True)]
-
-    def cells(self) -> Cells:
-        """Return the kept cells; at least one was added."""
-        return join_cells([cells[start:stop] for cells, start, stop in self._parts])
-
-    def __len__(self) -> int:
-        return min(self.judged, self._longest)
-
-
-class Judgement(NamedTuple):
-    """What one cell meant."""
-
-    phase: Phase
-    activity: float
-    cells: Cells
-    row: int
-    reference: list[float]
-    """Running mean of the stretch before this cell, raw rates (6); empty outside a stretch."""
-    began: bool = False
-    """A stretch counts as still with this cell."""
-    ended: Stretch | None = None
-    """The stretch that this cell ended."""
-    limits: Limits | None = None
-    """Those that the activity was measured against; None: those of a placed unit."""
-
-
-def noise_limits(floor: NoiseFloor, scale: RoughScale, settings: StillnessSettings) -> Limits:
-    """Return the limits for a noise floor."""
-    allowances = (
-        (settings.vibration_m_s2, settings.vibration_rad_s),
-        (settings.change_m_s2, settings.change_rad_s),
-    )
-    vibration, change = (
-        np.repeat([accelerometer * (scale.accelerometer or 0.0), gyroscope * (scale.gyroscope or 0.0)], 3)
-        for accelerometer, gyroscope in allowances
-    )
-    step = np.where(np.isfinite(floor.step), floor.step, 0.0)
-    sigmas = max(settings.vibration_sigmas, scatter_of_variance(3 * (floor.samples_per_cell - 1)))
-    vibration = np.maximum(vibration, sigmas * np.maximum(floor.sigma, step / 2))
-    change = np.maximum(change, settings.change_sigmas * np.maximum(floor.cell_sigma, step / 2))
-    return Limits(
-        # An axis that shows no noise and has no known scale (a dead one) sets no limit.
-        np.where(vibration > 0, vibration, np.inf),
-        np.where(change > 0, change, np.inf),
-        1.5 if scale.gyroscope else 6.0,
-    )
-
-
-def scatter_of_variance(freedom: float) -> float:
-    """Return the factor on sigma that a sample variance exceeds once in a million cells.
-
-    Laurent and Massart, Ann. Statist. 28(5), 2000, lemma 1: P(chi2_k >= k + 2 sqrt(k x) + 2 x) <= exp(-x).
-    """
-    if freedom <= 0:
-        return 0.0
-    x = 14.0
-    return math.sqrt(1 + 2 * math.sqrt(x / freedom) + 2 * x / freedom)
-
-
-class _Standard(NamedTuple):
-    """What a cell is held against, with the limits in the form that the loop over cells needs."""
-
-    limits: Limits
-    change_weight: list[float]
-    """1 / change, 0 where there is no gyroscope."""
-    usual_samples: float
-
-    @classmethod
-    def of(cls, floor: NoiseFloor, limits: Limits) -> _Standard:
-        weight = np.where(np.isnan(limits.change), 0.0, 1 / limits.change)
-        return cls(limits, weight.tolist(), floor.samples_per_cell)
-
+from imufield.guide.stretch import Judgement, Phase, Standard, Stretch, Tracker
+from imufield.samples import Samples
 
 HAND_RAD_S = math.radians(0.35)
 """Vibration of the gyroscope beyond its noise that tells a hand: the smallest tremor (0.02 deg rms at 8 Hz) makes 1 deg/s."""
 HAND_CHANGE_RAD_S = math.radians(0.15)
 """The same for the change from cell to cell: the sway of an arm."""
-
-_NO_STANDARD = _Standard(Limits(np.full(6, np.inf), np.full(6, np.inf), 1.0), [0.0] * 6, 0.0)
-
-
-class _Tracker:
-    """Follows a stream of cells under one standard: moving, settling or still, and the stretch under way."""
-
-    def __init__(self, settings: StillnessSettings) -> None:
-        self.settings = settings
-        self.standard = _NO_STANDARD
-        self.phase = Phase.MOVING
-        self.stretch = Stretch(settings.cells(settings.longest_s))
-
-    def restart(self) -> None:
-        self.stretch = Stretch(self.settings.cells(self.settings.longest_s))
-        self.phase = Phase.MOVING
-
-    def follow(self, cells: Cells, row: int, vibration: float, mean: list[float], where: tuple[bool, list[float]]) -> Judgement:
-        """Judge one cell; ``where`` says whether it follows the one before, and the gyroscope's bias."""
-        unbroken, bias = where
-        activity = max(vibration, self._change_ratio(mean))
-        reference, limits = self.stretch.mean, self.standard.limits
-        if self.phase is Phase.STILL:
-            if unbroken and activity <= self.settings.leave_factor:
-                self.stretch.add(cells, row, mean)
-                return Judgement(Phase.STILL, activity, cells, row, reference, limits=limits)
-            ended = self.stretch
-            self._begin(cells, row, vibration, mean, bias)
-            return Judgement(self.phase, activity, cells, row, reference, ended=ended, limits=limits)
-        if unbroken and activity <= 1 and self.stretch.judged:
-            self.stretch.add(cells, row, mean)
-            began = self.stretch.judged >= self.settings.cells(self.settings.dwell_s)
-            self.phase = Phase.STILL if began else Phase.SETTLING
-            return Judgement(self.phase, activity, cells, row, reference, began=began, limits=limits)
-        self._begin(cells, row, vibration, mean, bias)
-        return Judgement(self.phase, activity, cells, row, reference, limits=limits)
-
-    def _begin(self, cells: Cells, row: int, vibration: float, mean: list[float], bias: list[float]) -> None:
-        """Begin a candidate with this cell if it could be the first of a stretch."""
-        self.restart()
-        if vibration <= 1 and self._offset_ratio(mean, bias) <= 1:
-            self.stretch.add(cells, row, mean)
-            self.phase = Phase.SETTLING
-
-    def _change_ratio(self, mean: list[float]) -> float:
-        """Return the larger change ratio of the two triads against the stretch's running mean, 0 without one."""
-        before = self.stretch.mean
-        if not before:
-            return 0.0
-        weight = self.standard.change_weight
-        accelerometer = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3)))
-        gyroscope = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3, 6)))
-        return max(accelerometer, gyroscope)
-
-    def _offset_ratio(self, mean: list[float], bias: list[float]) -> float:
-        """Return the gyroscope's distance from its last known bias over what is allowed, 0 without a gyroscope."""
-        if not bias:
-            return 0.0
-        weight = self.standard.change_weight
-        distance = math.hypot(*((mean[i] - bias[i - 3]) * weight[i] for i in range(3, 6)))
-        return 0.0 if math.isnan(distance) else distance / self.standard.limits.gyroscope_offset
 
 
 class StillnessDetector:
@@ -307,8 +73,8 @@ class StillnessDetector:
         self.scale = scale
         self.floor: NoiseFloor | None = None
         """None until a quiet stretch was seen."""
-        self._table = _Tracker(self.settings)
-        self._hand = _Tracker(hand_settings(self.settings)) if self.settings.hand and scale.gyroscope else None
+        self._table = Tracker(self.settings)
+        self._hand = Tracker(hand_settings(self.settings)) if self.settings.hand and scale.gyroscope else None
         self.in_hand = False
         """Whether ``phase`` and ``stretch`` are those of a unit in the hand."""
         self.bias: list[float] = []
@@ -333,7 +99,7 @@ class StillnessDetector:
         return self._active.stretch
 
     @property
-    def _active(self) -> _Tracker:
+    def _active(self) -> Tracker:
         return self._hand if self.in_hand and self._hand is not None else self._table
 
     def feed(self, samples: Samples) -> list[Judgement]:
@@ -378,6 +144,10 @@ class StillnessDetector:
         vibration = np.sqrt(judgement.cells.variance[judgement.row]) / limits.vibration
         return largest_activity(vibration, np.abs(mean - reference) / limits.change, limits, self.scale)
 
+    def hold_edges(self, cells: Cells) -> slice:
+        """Return the rows of a hold in the hand that are not of the turn before it."""
+        return slice(0, len(cells)) if self._hand is None else hand_edges(cells, self._hand.standard.limits.change)
+
     def is_hand_like(self, cells: Cells) -> bool:
         """Whether a stretch moves as a hand does: the gyroscope shows more than its noise, in most of its cells."""
         floor, gyroscope = self.floor, self.scale.gyroscope
@@ -407,11 +177,11 @@ class StillnessDetector:
         self.scale = self.scale.learn(floor.mean[:3])
         self.floor = floor
         for tracker in self._trackers():
-            tracker.standard = _Standard.of(floor, noise_limits(floor, self.scale, tracker.settings))
+            tracker.standard = Standard.of(floor, noise_limits(floor, self.scale, tracker.settings))
         if not self.bias and floor.has_gyroscope:
             self.bias = floor.mean[3:].tolist()
 
-    def _trackers(self) -> tuple[_Tracker, ...]:
+    def _trackers(self) -> tuple[Tracker, ...]:
         return (self._table,) if self._hand is None else (self._table, self._hand)
 
     def _judge_under_one_floor(self, cells: Cells, start: int) -> Iterator[Judgement]:
@@ -448,14 +218,7 @@ class StillnessDetector:
         if hand is None or self._hand is None:
             return table
         if self.in_hand:
-            if table.phase is Phase.STILL and self._was_put_down():
-                self.in_hand = False
-                self._hand.restart()
-                return table
-            if hand.phase is Phase.STILL:
-                return hand
-            self.in_hand = False
-            return hand if hand.ended is None or table.phase is Phase.STILL else hand._replace(phase=table.phase)
+            return self._choose_in_hand(table, hand, self._hand)
         if table.phase is Phase.STILL:
             return table
         if table.ended is not None:
@@ -467,6 +230,19 @@ class StillnessDetector:
         if hand.phase is Phase.STILL:
             self.in_hand = True
         return table if hand.phase is Phase.MOVING else hand
+
+    def _choose_in_hand(self, table: Judgement, hand: Judgement, tracker: Tracker) -> Judgement:
+        """Return the judgement that counts for a unit that was in the hand until now."""
+        if hand.ended is not None:
+            hand.ended.cut(self.hold_edges(hand.ended.cells()))
+        if table.phase is Phase.STILL and self._was_put_down():
+            self.in_hand = False
+            tracker.restart()
+            return table
+        if hand.phase is Phase.STILL:
+            return hand
+        self.in_hand = False
+        return hand if hand.ended is None or table.phase is Phase.STILL else hand._replace(phase=table.phase)
 
     def _was_put_down(self) -> bool:
         """Whether a hold that began in the hand goes on upon a table: looked at once a second."""
@@ -494,38 +270,3 @@ class StillnessDetector:
         quieter = measure_floor(inner)
         if is_quieter(quieter, self.floor) and is_quiet(inner, self.scale):
             self._set_floor(quieter)
-
-
-def vibration_ratio(cells: Cells, limits: Limits) -> FloatArray:
-    """Return the larger vibration ratio of the two triads for each cell, shape (m,)."""
-    share = cells.variance / limits.vibration**2
-    # A missing gyroscope has no limit (NaN) and no share.
-    share = np.where(np.isnan(share), 0.0, share)
-    ratio: FloatArray = np.sqrt(np.maximum(share[:, :3].mean(axis=1), share[:, 3:].mean(axis=1)))
-    return ratio
-
-
-def largest_activity(vibration: FloatArray, change: FloatArray, limits: Limits, scale: RoughScale) -> Activity:
-    """Return the largest of the four ratios and what it was measured on.
-
-    Parameters
-    ----------
-    vibration, change : ndarray, shape (6,)
-        Ratios of each axis.
-    limits : Limits
-    scale : RoughScale
-    """
-    found: list[Activity] = []
-    for first, triad, factor, unit in (
-        (0, "accelerometer", scale.accelerometer, "m/s^2"),
-        (3, "gyroscope", scale.gyroscope, "rad/s"),
-    ):
-        axes = slice(first, first + 3)
-        for kind, ratios, limit in (("vibration", vibration, limits.vibration), ("change", change, limits.change)):
-            parts = np.nan_to_num(ratios[axes])
-            ratio = float(np.sqrt((parts**2).mean() if kind == "vibration" else (parts**2).sum()))
-            finite = limit[axes][np.isfinite(limit[axes])]
-            in_unit = float(np.sqrt((finite**2).mean())) / (factor or 1.0) if len(finite) else math.inf
-            axis = AXES[int(np.argmax(parts))]
-            found.append(Activity(ratio, kind, triad, axis, ratio * in_unit, in_unit, unit if factor else "raw unit"))
-    return max(found, key=lambda activity: activity.ratio)

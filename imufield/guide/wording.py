@@ -10,13 +10,14 @@ from imufield.guide.axes_check import GOOD_DEG, AxesCheck
 from imufield.guide.cells import Cells
 from imufield.guide.checks import Refusal
 from imufield.guide.events import Accepted, NoiseFloorMeasured, RefusalCode, Vector
+from imufield.guide.limits import Activity
 from imufield.guide.noise_floor import MAX_FLOOR_M_S2, NoiseFloor
 from imufield.guide.observe import Observation
 from imufield.guide.plan import Found, Plan
 from imufield.guide.positions import angle_deg
 from imufield.guide.running_fit import RunningFit
 from imufield.guide.scale import RoughScale
-from imufield.guide.stillness import Activity, StillnessDetector
+from imufield.guide.stillness import StillnessDetector
 from imufield.samples import FloatArray
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from imufield.guide.cells import CellBuilder, cells_of, join_cells
+from imufield.guide.limits import StillnessSettings, noise_limits
 from imufield.guide.noise_floor import measure_floor
 from imufield.guide.observe import cell_means, correlation_factor, gather, observe, trim_stretch
 from imufield.guide.scale import RoughScale
-from imufield.guide.stillness import StillnessSettings, noise_limits
 from imufield.samples import SampleUnits, make_samples
 
 SETTINGS = StillnessSettings()

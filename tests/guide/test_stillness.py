@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from imufield.guide.cells import CellBuilder, cells_of
+from imufield.guide.limits import scatter_of_variance
 from imufield.guide.noise_floor import measure_floor
 from imufield.guide.observe import guard_cells, trim_stretch
 from imufield.guide.scale import RoughScale
-from imufield.guide.stillness import Phase, StillnessDetector, scatter_of_variance
+from imufield.guide.stillness import StillnessDetector
+from imufield.guide.stretch import Phase
 from imufield.samples import SampleUnits, Status
 
 SI = RoughScale(1.0, 1.0)

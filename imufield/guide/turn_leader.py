@@ -1,0 +1,74 @@
+"""Leads through the whole turns: which are left, what is said of them, what a move was."""
+
+from __future__ import annotations
+
+from imufield.guide.checks import Refusal
+from imufield.guide.events import Turn, Turned
+from imufield.guide.rotations import MadeTurn, TurnFollower, plan_turns
+from imufield.guide.scale import RoughScale
+from imufield.guide.settings import GuideSettings
+from imufield.guide.stretch import Judgement
+from imufield.samples import AXES
+
+
+class TurnLeader:
+    """The turns of a session.
+
+    Parameters
+    ----------
+    settings : GuideSettings
+    cell_s : float
+    """
+
+    def __init__(self, settings: GuideSettings, cell_s: float) -> None:
+        self.left = plan_turns(settings.rotations, settings.turns_each_way)
+        self.planned = len(self.left)
+        self._cell_s = cell_s
+        self._follower = TurnFollower(cell_s)
+
+    def forget_move(self) -> None:
+        """Forget the move under way: the link is gone."""
+        self._follower = TurnFollower(self._cell_s)
+
+    def skip(self) -> None:
+        """Leave out the next one."""
+        self.left = self.left[1:]
+
+    def next(self, now_s: float) -> list[Turn]:
+        """Return what to say of the next one; nothing when none is left."""
+        if not self.left:
+            return []
+        turn = self.left[0]
+        done = self.planned - len(self.left)
+        return [Turn(now_s, AXES[turn.axis], turn.sense, turn.about, turn.words, done, self.planned)]
+
+    def begin(self, judgement: Judgement, scale: RoughScale) -> None:
+        """Follow a move from the end of a still stretch."""
+        if judgement.ended is not None:
+            self._follower.begin(judgement.ended.mean, judgement.cells, judgement.row, scale)
+
+    def follow(self, judgement: Judgement, scale: RoughScale) -> None:
+        """Take one cell of a move."""
+        self._follower.follow(judgement.cells, judgement.row, scale)
+
+    def end(self, still_mean: list[float], scale: RoughScale) -> MadeTurn | Refusal | None:
+        """Return what the move was, now that the unit is still; a wanted turn is no longer left."""
+        made = self._follower.end(still_mean, self.left, scale)
+        if isinstance(made, MadeTurn):
+            self.left.remove(made.wanted)
+        return made
+
+    def turned(self, now_s: float, made: MadeTurn) -> Turned:
+        """Return what to say of a turn that was made."""
+        return Turned(
+            now_s,
+            AXES[made.wanted.axis],
+            made.turns,
+            made.wanted.about,
+            made.start_s,
+            made.end_s,
+            made.turned_deg,
+            made.tilt_deg,
+            self.planned - len(self.left),
+            self.planned,
+        )

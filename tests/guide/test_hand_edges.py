@@ -1,0 +1,88 @@
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imufield.guide.cells import Cells, cells_of, join_cells
+from imufield.guide.hand_edges import FEWEST, hand_edges
+from imufield.guide.limits import StillnessSettings
+from imufield.guide.scale import RoughScale
+from imufield.guide.stillness import StillnessDetector
+from imufield.samples import Samples
+from imufield.simulate.grades import INDUSTRIAL, perfect_instrument
+from imufield.simulate.imu import Imu, ImuSettings
+from imufield.simulate.operator import Operator, OperatorSettings
+
+LIMIT = np.repeat([0.5, math.radians(10)], 3)
+
+
+def cells_with(rate_rad_s: np.ndarray[Any, Any]) -> Cells:
+    """Return cells of samples at 10 Hz: one each, with these rates about x."""
+    n = len(rate_rad_s)
+    gyroscope = np.zeros((n, 3))
+    gyroscope[:, 0] = rate_rad_s
+    template = Imu(perfect_instrument(INDUSTRIAL), 1, ImuSettings(rate_hz=10.0))
+    still = template.feed(Operator([], 1).block(0, n, 0.1))
+    samples = Samples(
+        still.time_s,
+        np.tile([0.0, 0.0, 9.8], (n, 1)),
+        gyroscope,
+        still.temperature_degc,
+        still.counter,
+        still.status,
+        still.units,
+    )
+    return join_cells(list(cells_of([samples])))
+
+
+def test_a_turn_that_fades_is_cut_off_at_both_ends() -> None:
+    sway = math.radians(2) * np.sin(np.arange(120) * 0.7)
+    fading = math.radians(18) * (np.arange(10, 0, -1) / 10) ** 2
+    rate = sway.copy()
+    rate[:10] += fading
+    rate[-10:] += fading[::-1]
+    rows = hand_edges(cells_with(rate), LIMIT)
+    # 2 deg/s of amplitude are 1.41 rms: what departs by 2.8 times that, 4 deg/s, is of the turn.
+    departs = np.flatnonzero(np.abs(np.degrees(rate)) > 4.1)
+    assert rows.start == departs[departs < 60][-1] + 1
+    assert rows.stop == departs[departs >= 60][0]
+    assert 3 <= rows.start <= 8
+
+
+def test_sway_alone_is_kept_whole() -> None:
+    rows = hand_edges(cells_with(math.radians(2) * np.sin(np.arange(120) * 0.7)), LIMIT)
+    assert rows == slice(0, 120)
+
+
+def test_a_quiet_unit_is_not_cut_for_its_noise() -> None:
+    rng = np.random.default_rng(4)
+    assert hand_edges(cells_with(1e-4 * rng.standard_normal(100)), LIMIT) == slice(0, 100)
+
+
+def test_a_short_stretch_is_left_alone() -> None:
+    rate = np.zeros(FEWEST - 1)
+    rate[0] = 1.0
+    assert hand_edges(cells_with(rate), LIMIT) == slice(0, FEWEST - 1)
+
+
+@pytest.mark.parametrize("sway_deg", [0.1, 0.5, 1.0])
+def test_edges_of_held_stretches_lie_where_the_turns_begin_and_end(sway_deg: float) -> None:
+    """Within 0.3 s of the truth, which is a range where sway hides the end of a turn: what is left of it is less."""
+    settings = OperatorSettings(
+        style="held", hold_s=12.0, initial_still_s=6.0, turn_s=(0.5, 5.0), sway_rad=math.radians(sway_deg), tremor_rad=0.001
+    )
+    directions = [[0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, -1], [0, -1, 0], [-1, 0, 0], [0.0, 1, 1]]
+    operator = Operator(directions, 33, settings)
+    imu = Imu(perfect_instrument(INDUSTRIAL), 33, ImuSettings(rate_hz=100.0))
+    count = round(operator.plan_all() * 100) - 50
+    detector = StillnessDetector(RoughScale.of_units(imu.instrument.grade.units), StillnessSettings(hand=True))
+    judged = detector.feed(imu.feed(operator.block(0, count, 0.01)))
+    found = [one.ended.cells() for one in judged if one.ended is not None]
+    held = [still for still in operator.stills if still.kind == "held"][:-1]
+    assert len(held) == len(found) - 1 == 6
+    # Angle of a minimum-jerk turn of 60 deg and more that is left (5 s - 0.8 s) / 5 s after its begin: below 2 deg.
+    hidden_s = 0.8 if sway_deg > 0.3 else 0.4
+    for cells, still in zip(found[1:], held, strict=True):
+        assert -hidden_s - 0.3 <= cells.start_s[0] - still.start_s <= 0.3
+        assert -0.3 <= cells.end_s[-1] - still.end_s <= hidden_s + 0.3
