@@ -72,7 +72,7 @@ def test_edges_of_held_stretches_lie_where_the_turns_begin_and_end(sway_deg: flo
     settings = OperatorSettings(
         style="held", hold_s=12.0, initial_still_s=6.0, turn_s=(0.5, 5.0), sway_rad=math.radians(sway_deg), tremor_rad=0.001
     )
-    directions = [[0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, -1], [0, -1, 0], [-1, 0, 0], [0.0, 1, 1]]
+    directions: list[list[float]] = [[0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, -1], [0, -1, 0], [-1, 0, 0], [0.0, 1, 1]]
     operator = Operator(directions, 33, settings)
     imu = Imu(perfect_instrument(INDUSTRIAL), 33, ImuSettings(rate_hz=100.0))
     count = round(operator.plan_all() * 100) - 50
