@@ -53,9 +53,13 @@ _FAULTS_BORNE = 3
 """Reads in a row that may fail before the bus counts as gone: one alone may be a garbled line or a stranger's datagram."""
 _NO_BIT_RATE = ("socketcan", "virtual", "udp_multicast", "socketcand")
 """Interfaces whose bit rate is set elsewhere, or that have none."""
-_OPEN_FAILURES = (can.CanError, OSError, ValueError, TypeError, ImportError, AttributeError)
-"""What drivers raise that cannot be opened: python-can's own, and whatever comes out of a vendor's library."""
+_OPEN_FAILURES = (can.CanError, OSError, ValueError, TypeError, ImportError, AttributeError, NameError)
+"""What python-can's drivers raise where a bus cannot be opened. Besides its own errors: OSError of the system, ValueError and
+TypeError for options that the interface does not know, and ImportError, AttributeError or NameError (kvaser) where the
+vendor's library is missing or older than the driver expects."""
 _READ_FAILURES = (can.CanError, OSError, ValueError, IndexError)
+"""What ``recv`` and ``send`` raise: python-can's own, OSError of the system, and ValueError or IndexError of drivers that parse
+text or datagrams (slcan, udp_multicast) and meet a garbled one."""
 _GROUP_AND_PORT = re.compile(r"((?:\d+\.){3}\d+):(\d+)")
 _ERRNO = re.compile(r"\[Errno (\d+)\]|\((\d+),")
 
@@ -74,6 +78,11 @@ class BusAddress:
     interface: str
     channel: str
     options: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def takes_bit_rate(self) -> bool:
+        """Whether the bit rate is set on opening, and the address does not give it."""
+        return self.interface not in _NO_BIT_RATE and "bitrate" not in self.options
 
 
 def parse_bus(text: str) -> BusAddress:
@@ -134,8 +143,8 @@ def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
         The interface needs a package or a library that is not installed, or an option makes no sense to it.
     """
     options = dict(address.options)
-    if bit_rate and address.interface not in _NO_BIT_RATE:
-        options.setdefault("bitrate", bit_rate)
+    if bit_rate and address.takes_bit_rate:
+        options["bitrate"] = bit_rate
     try:
         bus = can.Bus(address.channel, address.interface, ignore_config=True, **options)
     except can.CanInterfaceNotImplementedError as error:
@@ -168,6 +177,13 @@ def _cannot_open(address: BusAddress, error: BaseException) -> LinkError:
         return LinkError(f"{name} may not be opened by this user ({cause}): get the permission", Reason.NO_PERMISSION, bus=name)
     if number == errno.EBUSY:
         return LinkError(f"{name} is in use by another program: close that", Reason.PORT_BUSY, bus=name)
+    if number == errno.EAFNOSUPPORT:
+        return LinkError(
+            f"{name} cannot be opened: this system has no CAN network interfaces ({cause}); use another interface, or a kernel "
+            "with SocketCAN",
+            Reason.PORT_NOT_FOUND,
+            bus=name,
+        )
     if number == errno.ENETDOWN:
         return LinkError(
             f"{name} is down: `ip link set {address.channel} up type can bitrate ...`", Reason.DISCONNECTED, bus=name

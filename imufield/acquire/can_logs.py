@@ -15,7 +15,7 @@ import can
 from can.io.blf import BLFParseError
 
 from imufield.acquire.can_frames import ERROR, SENT, Frame, Unpacker, unpack_frames
-from imufield.acquire.can_link import make_message, open_bus, pack_message, parse_bus
+from imufield.acquire.can_link import SEND_TIMEOUT_S, make_message, open_bus, pack_message, parse_bus
 from imufield.acquire.host_clock import NANOSECONDS
 from imufield.acquire.link import Chunk
 from imufield.acquire.recording import EndOfRecordingError, RecordingLink
@@ -196,6 +196,31 @@ def replay_to_bus(
     """
     target = open_bus(parse_bus(bus), bit_rate)
     sent = 0
+
+    def send(frame: Frame) -> None:
+        nonlocal sent
+        target.send(make_message(frame.can_id, frame.data, frame.flags), timeout=SEND_TIMEOUT_S)
+        sent += 1
+
+    try:
+        return replay_frames(link, send, pace=pace, on_chunk=on_chunk)
+    except can.CanError as error:
+        raise LinkError(
+            f"{bus} takes no more frames after {sent}: {error}; check the bus", Reason.DISCONNECTED, bus=bus
+        ) from error
+    finally:
+        target.shutdown()
+
+
+def replay_frames(
+    link: RecordingLink,
+    send: Callable[[Frame], None],
+    *,
+    pace: float | None = 1.0,
+    on_chunk: Callable[[int], None] | None = None,
+) -> int:
+    """Hand the frames of a recorded session to ``send`` when they are due; otherwise like ``replay_to_bus``."""
+    sent = 0
     pacer = _Pacer(pace)
     try:
         while True:
@@ -204,18 +229,12 @@ def replay_to_bus(
                 if frame.can_id & ERROR or frame.flags & SENT:
                     continue
                 pacer.wait(frame)
-                target.send(make_message(frame.can_id, frame.data, frame.flags), timeout=1.0)
+                send(frame)
                 sent += 1
             if on_chunk is not None:
                 on_chunk(sent)
     except EndOfRecordingError:
         return sent
-    except can.CanError as error:
-        raise LinkError(
-            f"{bus} takes no more frames after {sent}: {error}; check the bus", Reason.DISCONNECTED, bus=bus
-        ) from error
-    finally:
-        target.shutdown()
 
 
 class _Pacer:

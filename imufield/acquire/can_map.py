@@ -14,6 +14,7 @@ from pathlib import Path
 from imufield.acquire.can_link import CanLink, open_can_link
 from imufield.acquire.can_protocol import dbc_table
 from imufield.acquire.decoder import Decoder
+from imufield.acquire.driver import Driver
 from imufield.acquire.host_clock import HostClock
 from imufield.acquire.protocol import DBC_LIMIT_BYTES, Protocol, decode_dbc, load_protocol, parse_protocol
 from imufield.acquire.protocol_toml import near
@@ -150,6 +151,50 @@ def _quoted(text: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
+class CanDescription:
+    """What understands a bus."""
+
+    name: str
+    """Of the driver, or of the protocol where there is none."""
+    protocol: Protocol
+    driver: type[Driver] | None
+    bit_rate: int | None
+    """The usual one; None where it is not known."""
+
+
+def describe_can(
+    *,
+    driver: str | None = None,
+    protocol: str | Path | Protocol | None = None,
+    dbc: str | Path | None = None,
+    mapping: Mapping[str, str] | None = None,
+    settings: Mapping[str, object] | None = None,
+) -> CanDescription:
+    """Find what understands a bus: one of a driver, a protocol, or a DBC file with its mapping.
+
+    Raises
+    ------
+    UsageError
+        Not exactly one of the three is given.
+    ProtocolError
+        It cannot be understood, or is not of a CAN bus.
+    """
+    if sum(one is not None for one in (driver, protocol, dbc)) != 1:
+        raise UsageError("a CAN bus needs exactly one of --driver, --protocol and --dbc")
+    known = None if driver is None else load_driver(driver)
+    if known is not None:
+        found = known.load_protocol(settings)
+    elif dbc is not None:
+        found = protocol_from_dbc(dbc, mapping or {}, settings)
+    else:
+        found = protocol if isinstance(protocol, Protocol) else load_protocol(protocol or "", settings)
+    name = driver or found.name
+    if found.can is None:
+        raise ProtocolError(f"{name} is no protocol of a CAN bus; give its --port instead of a --bus", Reason.BAD_PROTOCOL)
+    return CanDescription(name, found, known, known.default_baud if known else found.can.bit_rate)
+
+
+@dataclass(frozen=True, slots=True)
 class OpenedCan:
     """An open bus and what understands it."""
 
@@ -190,34 +235,11 @@ def open_can(
 
     Raises
     ------
-    UsageError
-        Not exactly one of the three is given.
-    ProtocolError, LinkError
-        The description cannot be understood, or the bus not opened.
+    UsageError, ProtocolError
+        As ``describe_can``.
+    LinkError
+        The bus cannot be opened.
     """
-    if sum(one is not None for one in (driver, protocol, dbc)) != 1:
-        raise UsageError("a CAN bus needs exactly one of --driver, --protocol and --dbc", bus=bus)
-    name, found, usual = _describe(driver, protocol, dbc, mapping or {}, settings)
-    if found.can is None:
-        raise ProtocolError(f"{name} is no protocol of a CAN bus; give its --port instead of a --bus", Reason.BAD_PROTOCOL)
-    link = open_can_link(bus, bit_rate=bit_rate or usual or found.can.bit_rate, clock=clock)
-    return OpenedCan(link, found, Decoder(found), name)
-
-
-def _describe(
-    driver: str | None,
-    protocol: str | Path | Protocol | None,
-    dbc: str | Path | None,
-    mapping: Mapping[str, str],
-    settings: Mapping[str, object] | None,
-) -> tuple[str, Protocol, int | None]:
-    if driver is not None:
-        known = load_driver(driver)
-        return driver, known.load_protocol(settings), known.default_baud
-    if dbc is not None:
-        found = protocol_from_dbc(dbc, mapping, settings)
-    elif isinstance(protocol, Protocol):
-        found = protocol
-    else:
-        found = load_protocol(protocol or "", settings)
-    return found.name, found, None
+    found = describe_can(driver=driver, protocol=protocol, dbc=dbc, mapping=mapping, settings=settings)
+    link = open_can_link(bus, bit_rate=bit_rate or found.bit_rate, clock=clock)
+    return OpenedCan(link, found.protocol, Decoder(found.protocol), found.name)

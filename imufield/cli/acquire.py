@@ -10,7 +10,9 @@ import typer
 from imufield.cli.options import (
     AsJson,
     Baud,
+    Bus,
     ClockSpeed,
+    DbcFile,
     DriverName,
     GravityValue,
     Height,
@@ -19,6 +21,8 @@ from imufield.cli.options import (
     ProtocolFile,
     SessionFolder,
     Settings,
+    SignalMap,
+    connect_options,
     site,
 )
 
@@ -50,9 +54,12 @@ def devices(as_json: AsJson = False) -> None:
 def capture(
     context: typer.Context,
     port: Port = None,
+    bus: Bus = None,
     driver: DriverName = None,
     baud: Baud = None,
     protocol: ProtocolFile = None,
+    dbc: DbcFile = None,
+    mapping: SignalMap = None,
     settings: Settings = None,
     positions: Annotated[str | None, typer.Option(help="Scheme: paper24, paper36, corners24, faces6 or a TOML list.")] = None,
     hold_s: Annotated[float | None, typer.Option(help="Seconds to hold each position.", min=1, max=600)] = None,
@@ -85,12 +92,11 @@ def capture(
     Example: imufield capture --port /dev/ttyUSB0 --latitude 48.1 --height 520
     """
     from imufield.commands.capture import CaptureOptions, run_capture
-    from imufield.commands.configuration import parse_settings
-    from imufield.commands.connect import ConnectOptions, host_clock
+    from imufield.commands.connect import host_clock
     from imufield.commands.views import Manner, parse_side
 
     options = CaptureOptions(
-        connect=ConnectOptions(port, driver, baud, protocol, parse_settings(settings)),
+        connect=connect_options(context, port, bus, driver, baud, protocol, dbc, mapping, settings),
         positions=positions,
         hold_s=hold_s,
         session=session,
@@ -106,10 +112,14 @@ def capture(
 
 
 def record(
+    context: typer.Context,
     port: Port = None,
+    bus: Bus = None,
     driver: DriverName = None,
     baud: Baud = None,
     protocol: ProtocolFile = None,
+    dbc: DbcFile = None,
+    mapping: SignalMap = None,
     settings: Settings = None,
     session: SessionFolder = None,
     duration_s: Annotated[float | None, typer.Option(help="Stop after so many seconds (default: Ctrl-C).", min=0.1)] = None,
@@ -119,12 +129,13 @@ def record(
     """Record without a guide, e.g. hours of standstill.
 
     Example: imufield record --port /dev/ttyUSB0 --duration-s 3600
+
+    Example: imufield record --bus socketcan:can0 --driver aceinna_can
     """
-    from imufield.commands.configuration import parse_settings
-    from imufield.commands.connect import ConnectOptions, host_clock
+    from imufield.commands.connect import host_clock
     from imufield.commands.record import RecordOptions, run_record
 
-    connect = ConnectOptions(port, driver, baud, protocol, parse_settings(settings))
+    connect = connect_options(context, port, bus, driver, baud, protocol, dbc, mapping, settings)
     run_record(RecordOptions(connect, session, duration_s, as_json), host_clock(clock_speed))
 
 
@@ -153,16 +164,20 @@ def import_files(
 def replay(
     session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
     to_pty: Annotated[bool, typer.Option("--to-pty", help="Replay the bytes to a virtual serial port.")] = False,
-    speed: Annotated[float, typer.Option(help="Times real time for --to-pty; 0 is as fast as possible.", min=0)] = 1.0,
+    bus: Annotated[str | None, typer.Option(help="Replay the frames to a CAN bus, e.g. socketcan:vcan0.")] = None,
+    baud: Annotated[int | None, typer.Option(help="Bit rate of the bus, where it is set on opening.", min=50)] = None,
+    speed: Annotated[
+        float, typer.Option(help="Times real time for --to-pty and --bus; 0 is as fast as possible.", min=0)
+    ] = 1.0,
     as_json: Annotated[bool, typer.Option("--json", help="Events as JSON lines on standard output.")] = False,
 ) -> None:
-    """Run a recorded session through the same chain again, or to a port for other programs.
+    """Run a recorded session through the same chain again, or to a port or bus for other programs.
 
     Example: imufield replay imufield-sessions/20260301T101500Z-stim300
     """
-    from imufield.commands.replay import run_replay
+    from imufield.commands.replay import ReplayOptions, run_replay
 
-    run_replay(session, to_pty=to_pty, speed=speed, as_json=as_json)
+    run_replay(ReplayOptions(session, to_pty, bus, baud, speed, as_json))
 
 
 def emulate(

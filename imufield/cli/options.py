@@ -8,16 +8,25 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from imufield.commands.connect import ConnectOptions
     from imufield.commands.site import SiteOptions
 
 Port = Annotated[
     str | None,
     typer.Option(help="Serial port or pyserial URL, e.g. /dev/ttyUSB0, COM3, socket://host:4001.", envvar="IMUFIELD_PORT"),
 ]
+Bus = Annotated[
+    str | None,
+    typer.Option(help="CAN bus, INTERFACE:CHANNEL, e.g. socketcan:can0, slcan:/dev/ttyACM0.", envvar="IMUFIELD_BUS"),
+]
+DbcFile = Annotated[Path | None, typer.Option(help="On a CAN bus: the DBC file of your own instrument.")]
+SignalMap = Annotated[
+    list[str] | None, typer.Option("--map", help="Which signal of --dbc is which axis, e.g. accelerometer.x=AccLong.")
+]
 DriverName = Annotated[
     str | None, typer.Option("--driver", help="Instrument family, see `imufield devices`.", envvar="IMUFIELD_DRIVER")
 ]
-Baud = Annotated[int | None, typer.Option(help="Bit rate of the port.", min=50, envvar="IMUFIELD_BAUD")]
+Baud = Annotated[int | None, typer.Option(help="Bit rate of the port or the bus.", min=50, envvar="IMUFIELD_BAUD")]
 ProtocolFile = Annotated[Path | None, typer.Option("--protocol", help="Your own wire format, a TOML file.")]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", help="What the wire does not tell, e.g. accelerometer_range_g=30.")
@@ -45,13 +54,49 @@ ClockSpeed = Annotated[
 ]
 
 
+def connect_options(
+    context: typer.Context,
+    port: str | None,
+    bus: str | None,
+    driver: str | None,
+    baud: int | None,
+    protocol: Path | None,
+    dbc: Path | None,
+    mapping: list[str] | None,
+    settings: list[str] | None,
+) -> ConnectOptions:
+    """Return where and how to connect; a bus or a port that was typed goes before the other as a default.
+
+    Raises
+    ------
+    UsageError
+        Both were typed, or an option is not of the form NAME=VALUE.
+    """
+    from imufield.commands.configuration import parse_settings
+    from imufield.commands.connect import ConnectOptions, parse_mapping
+    from imufield.errors import UsageError
+
+    if port is not None and bus is not None:
+        is_port, is_bus = (is_typed(context, name) for name in ("port", "bus"))
+        if is_port == is_bus:
+            raise UsageError(f"--port {port} and --bus {bus} contradict each other; give one of them")
+        port, bus = (port, None) if is_port else (None, bus)
+    return ConnectOptions(
+        port, driver, baud, protocol, parse_settings(settings), bus=bus, dbc=dbc, mapping=parse_mapping(mapping)
+    )
+
+
+def is_typed(context: typer.Context, name: str) -> bool:
+    """Tell whether an option was typed, and is no default of file or variables."""
+    return str(getattr(context.get_parameter_source(name), "name", "")) == "COMMANDLINE"
+
+
 def site(context: typer.Context, gravity: float | None, latitude: float | None, height: float | None) -> SiteOptions:
     """Return the site: what was typed; without that the defaults of file and variables, which a session's own site beats."""
     from imufield.commands.site import SiteOptions
 
     values = {"gravity": gravity, "latitude": latitude, "height": height}
-    sources = {name: context.get_parameter_source(name) for name in values}
-    typed = {name: value for name, value in values.items() if str(getattr(sources[name], "name", "")) == "COMMANDLINE"}
+    typed = {name: value for name, value in values.items() if is_typed(context, name)}
     if "gravity" in typed or "latitude" in typed:
         return SiteOptions(typed.get("gravity"), typed.get("latitude"), typed.get("height"))
     return SiteOptions(gravity, latitude, height, is_default="height" not in typed)

@@ -16,6 +16,9 @@ from imufield.errors import Reason, UsageError
 FILE_NAME = "imufield.toml"
 KEYS: dict[str, tuple[str, ...]] = {
     "port": ("capture", "record"),
+    "bus": ("capture", "record"),
+    "dbc": ("capture", "record"),
+    "mapping": ("capture", "record"),
     "driver": ("capture", "record"),
     "baud": ("capture", "record"),
     "positions": ("capture",),
@@ -26,6 +29,8 @@ KEYS: dict[str, tuple[str, ...]] = {
     "settings": ("capture", "record"),
 }
 """Keys of the file, and the commands each is a default of."""
+_TABLES = {"settings": "accelerometer_range_g = 30", "mapping": '"accelerometer.x" = "AccLong"'}
+"""Keys that are tables, each with an example."""
 
 
 def default_map() -> dict[str, dict[str, Any]]:
@@ -41,7 +46,7 @@ def default_map() -> dict[str, dict[str, Any]]:
         if path.is_file():
             for key, value in _read(path).items():
                 for command in KEYS[key]:
-                    commands.setdefault(command, {})[key] = _settings_list(value) if key == "settings" else value
+                    commands.setdefault(command, {})[key] = _settings_list(key, value) if key in _TABLES else value
     return commands
 
 
@@ -101,7 +106,7 @@ def _read(path: Path) -> dict[str, Any]:
     return content
 
 
-def _settings_list(table: object) -> list[str]:
+def _settings_list(key: str, table: object) -> list[str]:
     if not isinstance(table, dict):
-        raise UsageError(f"`settings` in {FILE_NAME} must be a table, e.g. [settings] accelerometer_range_g = 30")
+        raise UsageError(f"`{key}` in {FILE_NAME} must be a table, e.g. [{key}] {_TABLES[key]}")
     return [f"{name}={value}" for name, value in table.items()]

@@ -13,11 +13,11 @@ from typing import Any
 
 import typer
 
-from imufield.acquire.background_link import BackgroundLink
+from imufield.acquire.background_link import BackgroundLink, ReopenableLink
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.driver import Driver
+from imufield.acquire.driver import Driver, Wire
 from imufield.acquire.host_clock import HostClock, ScaledClock, SystemClock
-from imufield.acquire.link import Chunk, SerialLink, open_link
+from imufield.acquire.link import Chunk, open_link
 from imufield.acquire.ports import serial_ports
 from imufield.acquire.protocol import Protocol, load_protocol, parse_protocol
 from imufield.acquire.registry import driver_names, load_driver
@@ -52,6 +52,11 @@ class ConnectOptions:
     settings: Mapping[str, str] = field(default_factory=dict)
     protocol_text: str | None = None
     """A protocol that a session holds, where neither driver nor file is given."""
+    bus: str | None = None
+    """A CAN bus instead of a port, ``INTERFACE:CHANNEL``; ``baud`` is its bit rate then."""
+    dbc: Path | None = None
+    mapping: Mapping[str, str] = field(default_factory=dict)
+    """Which signal of ``dbc`` is which axis, as ``parse_map`` returns it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,17 +67,19 @@ class Connected:
     protocol: Protocol
     driver: str
     model: str
-    baud: int
+    baud: int | None
+    """Bit rate; None on a bus where it is set elsewhere."""
     chunks: list[Chunk]
     """What arrived while listening; the first of the recording."""
     identity: dict[str, str]
+    wire: Wire = "serial"
 
     def session_tables(self) -> dict[str, Any]:
         """Return the tables of ``session.toml`` that describe instrument, link and protocol."""
         protocol, units, nominal = self.protocol, self.protocol.units, self.protocol.nominal
         return {
             "instrument": {"driver": self.driver, "model": self.model, **self.identity},
-            "link": {"port": self.link.name, "baud": self.baud},
+            "link": self._link_table(),
             "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
             "settings": {name: {"value": one.value, "origin": one.origin} for name, one in protocol.settings.items()},
             "units": {
@@ -84,6 +91,12 @@ class Connected:
             },
             "nominal": {"raw_zero": nominal.raw_zero, "rate_hz": nominal.rate_hz},
         }
+
+    def _link_table(self) -> dict[str, Any]:
+        if self.wire == "can":
+            bit_rate = {} if self.baud is None else {"bit_rate": self.baud}
+            return {"bus": self.link.name, **bit_rate}
+        return {"port": self.link.name, "baud": self.baud}
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +114,7 @@ class _Candidate:
 class _Hearing:
     """What one listening gave: chunks, and a decoder for each candidate."""
 
-    link: SerialLink
+    link: ReopenableLink
     baud: int
     chunks: list[Chunk]
     decoders: list[tuple[_Candidate, Decoder]]
@@ -124,6 +137,15 @@ def host_clock(speed: float) -> HostClock:
     return ScaledClock(speed)
 
 
+def parse_mapping(texts: list[str] | None) -> dict[str, str]:
+    """Split options of the form ``accelerometer.x=SIGNAL``; raises UsageError as ``parse_map``."""
+    if not texts:
+        return {}
+    from imufield.acquire.can_map import parse_map
+
+    return parse_map(texts)
+
+
 def connect(options: ConnectOptions, clock: HostClock, *, say: Say | None = None) -> Connected:
     """Open the port and listen until an instrument is understood.
 
@@ -137,9 +159,14 @@ def connect(options: ConnectOptions, clock: HostClock, *, say: Say | None = None
     Raises
     ------
     LinkError
-        Port not found, busy, no permission; silence; bytes that nobody understands.
+        Port or bus not found, busy, no permission; silence; bytes that nobody understands.
     """
     say = say or (lambda sentence: typer.echo(sentence, err=True))
+    if options.bus is not None:
+        from imufield.commands.connect_can import connect_bus
+
+        return connect_bus(options, clock, say)
+    _refuse_can_options(options)
     port = options.port or _only_port(say)
     candidates = _candidates(options)
     bauds = _bauds(options, candidates, port)
@@ -155,6 +182,20 @@ def connect(options: ConnectOptions, clock: HostClock, *, say: Say | None = None
         hearing.link.close()
         heard.append(hearing)
     raise _nothing_understood(port, heard, candidates, patience_s)
+
+
+def _refuse_can_options(options: ConnectOptions) -> None:
+    """Refuse what needs a bus where none is given.
+
+    Raises
+    ------
+    UsageError
+        ``--dbc``, ``--map`` or a driver of a CAN instrument.
+    """
+    if options.dbc is not None or options.mapping:
+        raise UsageError("--dbc and --map are for a CAN bus; name it with --bus, e.g. --bus socketcan:can0")
+    if options.driver in driver_names() and load_driver(options.driver).wire == "can":
+        raise UsageError(f"{options.driver} is on a CAN bus; name it with --bus, e.g. --bus socketcan:can0")
 
 
 def _only_port(say: Say) -> str:
@@ -189,7 +230,7 @@ def _candidates(options: ConnectOptions) -> list[_Candidate]:
     candidates = []
     for name in names:
         driver = load_driver(name)
-        if driver.wire != "serial" and options.driver is None:
+        if driver.wire != "serial":
             continue
         known = load_protocol(driver.protocol).settings
         given = options.settings if options.driver else {key: value for key, value in options.settings.items() if key in known}
@@ -247,19 +288,21 @@ def _is_certain(statistics: DecoderStatistics) -> bool:
     return statistics.samples >= CERTAIN_SAMPLES and _is_understood(statistics)
 
 
-def _ask_identity(hearing: _Hearing, driver: type[Driver], decoder: Decoder, clock: HostClock) -> list[dict[str, Any]]:
+def ask_identity(
+    link: ReopenableLink, chunks: list[Chunk], driver: type[Driver], decoder: Decoder, clock: HostClock
+) -> list[dict[str, Any]]:
     """Return the instrument's messages: those heard, or the answers to commands that change nothing in it."""
     messages = decoder.messages()
     if driver.read_settings(messages) or driver.identity(messages):
         return messages
     for command in driver.identity_commands:
-        hearing.link.write(command)
+        link.write(command)
         end_s = clock.monotonic_s() + ANSWER_S
         before = len(messages)
         while clock.monotonic_s() < end_s and len(messages) == before:
-            chunk = hearing.link.read()
+            chunk = link.read()
             if chunk is not None:
-                hearing.chunks.append(chunk)
+                chunks.append(chunk)
                 decoder.feed(chunk.data, chunk.monotonic_s)
                 messages += decoder.messages()
     return messages
@@ -271,7 +314,7 @@ def _connected(
     identity: dict[str, str] = {}
     protocol = found.protocol
     if found.driver is not None:
-        messages = _ask_identity(hearing, found.driver, decoder, clock)
+        messages = ask_identity(hearing.link, hearing.chunks, found.driver, decoder, clock)
         identity = found.driver.identity(messages)
         if found.driver.read_settings(messages):
             given = {name: one.value for name, one in protocol.settings.items() if one.origin == "given"}

@@ -100,6 +100,8 @@ def _tell_progress(decoder: Decoder, elapsed_s: float, as_json: bool) -> None:
 
 
 def _tell_end(session: Session, decoder: Decoder, as_json: bool) -> None:
+    # What the decoder holds back until it is sure of its time counts as well.
+    decoder.flush()
     counts = decoder.statistics
     if as_json:
         typer.echo(json.dumps({"event": "recorded", "session": str(session.folder), **counts.to_dict()}))

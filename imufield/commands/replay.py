@@ -1,8 +1,9 @@
-"""``imufield replay``: a recorded session through the same chain, or its bytes to a port for other programs."""
+"""``imufield replay``: a recorded session through the same chain, or its bytes to a port or a bus for other programs."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,11 +12,13 @@ import typer
 from imufield.acquire.link import Chunk
 from imufield.acquire.recording import Damage, EndOfRecordingError, RecordingLink
 from imufield.acquire.session import Session
-from imufield.commands.chain import Chain, Plan, replay_into
+from imufield.commands.chain import Chain, Plan, recorded_protocol, replay_into
+from imufield.errors import UsageError
 from imufield.guide.jsonlines import JsonLinesView
 from imufield.guide.plain import PlainView
 
 if TYPE_CHECKING:
+    from imufield.acquire.can_frames import Frame
     from imufield.simulate.port import PseudoTerminal
 
 WAIT_S = 0.05
@@ -24,25 +27,39 @@ LINGER_S = 0.5
 """The port stays this long after the last byte: a reader that polls may not have taken it yet."""
 
 
-def run_replay(folder: Path | None, *, to_pty: bool, speed: float, as_json: bool) -> None:
+@dataclass(frozen=True, slots=True)
+class ReplayOptions:
+    """Options of the command."""
+
+    session: Path | None = None
+    to_pty: bool = False
+    bus: str | None = None
+    bit_rate: int | None = None
+    speed: float = 1.0
+    as_json: bool = False
+
+
+def run_replay(options: ReplayOptions) -> None:
     """Replay a session.
 
     Raises
     ------
     ImufieldError
-        If the session cannot be read.
+        If the session cannot be read, or the bus not be opened.
     """
-    session = Session.newest() if folder is None else Session.open(folder)
-    if to_pty:
-        _replay_to_pty(session, speed)
+    session = Session.newest() if options.session is None else Session.open(options.session)
+    if options.to_pty and options.bus is not None:
+        raise UsageError("--to-pty and --bus contradict each other; give one of them")
+    if options.bus is not None or options.to_pty:
+        _replay_to_others(session, options)
         return
     damage: list[Damage] = []
     chain = Chain(Plan.of(session))
-    view = JsonLinesView(typer.echo) if as_json else PlainView(typer.echo)
+    view = JsonLinesView(typer.echo) if options.as_json else PlainView(typer.echo)
     replay_into(chain, session, damage, view.show)
     for one in damage:
         typer.echo(one.what, err=True)
-    if not as_json:
+    if not options.as_json:
         _tell(chain)
 
 
@@ -55,6 +72,50 @@ def _tell(chain: Chain) -> None:
     if chain.finder is not None:
         found = chain.still_intervals()
         typer.echo(f"{len(found.observations)} still intervals, {len(found.refused)} refused")
+
+
+def _replay_to_others(session: Session, options: ReplayOptions) -> None:
+    """Send what was recorded to other programs: bytes to a port, frames to a bus or to an adapter on a port."""
+    can = recorded_protocol({}, session).can
+    if options.bus is None:
+        (_replay_to_pty if can is None else _replay_to_slcan)(session, options.speed)
+        return
+    if can is None:
+        raise UsageError(f"{session.folder} was not recorded from a CAN bus; replay it with --to-pty")
+    from imufield.acquire.can_logs import replay_to_bus
+
+    typer.echo(f"sending to {options.bus}  (Ctrl-C ends)")
+    pace, bit_rate = options.speed or None, options.bit_rate or can.bit_rate
+    sent = replay_to_bus(RecordingLink(session), options.bus, pace=pace, bit_rate=bit_rate)
+    typer.echo(f"{sent} frames sent")
+
+
+def _replay_to_slcan(session: Session, speed: float) -> None:
+    """Send frames as an adapter that speaks slcan, from the moment a program opens its channel."""
+    from imufield.acquire.can_logs import replay_frames
+    from imufield.simulate.slcan import SlcanDevice
+
+    device = SlcanDevice()
+
+    def answer() -> None:
+        device.receive()
+
+    def send(frame: Frame) -> None:
+        device.send([frame])
+        while device.port.bytes_waiting and device.port.has_reader():
+            time.sleep(SLOT_S)
+            device.port.write(b"")
+
+    try:
+        typer.echo(f"waiting for a reader of slcan:{device.port.port}  (Ctrl-C ends)")
+        while not device.is_open:
+            device.receive()
+            time.sleep(WAIT_S)
+        sent = replay_frames(RecordingLink(session), send, pace=speed or None, on_chunk=lambda _: answer())
+        typer.echo(f"{sent - device.frames_dropped} frames sent")
+        time.sleep(LINGER_S)
+    finally:
+        device.close()
 
 
 def _replay_to_pty(session: Session, speed: float) -> None:

@@ -90,21 +90,23 @@ def _positions(name: str) -> list[tuple[str, list[float]]]:
 
 
 def connect_as_before(options: ConnectOptions, session: Session) -> ConnectOptions:
-    """Return the options with port, bit rate, driver and settings of the session where they are not given."""
+    """Return the options with port or bus, bit rate, driver and settings of the session where they are not given."""
     link, metadata = session.metadata.get("link", {}), session.metadata
     driver, text = options.driver, None
-    if driver is None and options.protocol is None:
+    if driver is None and options.protocol is None and options.dbc is None:
         recorded = metadata.get("instrument", {}).get("driver")
         if recorded in driver_names():
             driver = recorded
         else:
             text = metadata.get("protocol", {}).get("text")
     given = {name: str(one["value"]) for name, one in metadata.get("settings", {}).items() if one.get("origin") == "given"}
-    same_port = options.port in (None, link.get("port"))
+    elsewhere = options.port is not None or options.bus is not None
+    same_place = (options.port, options.bus) == (link.get("port"), link.get("bus"))
     return replace(
         options,
-        port=options.port or link.get("port"),
-        baud=options.baud or (link.get("baud") if same_port else None),
+        port=options.port if elsewhere else link.get("port"),
+        bus=options.bus if elsewhere else link.get("bus"),
+        baud=options.baud or (None if elsewhere and not same_place else link.get("baud", link.get("bit_rate"))),
         driver=driver,
         settings={**(given if options.protocol is None else {}), **options.settings},
         protocol_text=text,
