@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
 import typer
 
 from imufield import __version__
 from imufield.acquire.recording import Damage
 from imufield.acquire.session import Session
-from imufield.calibrate.observations import Observations
 from imufield.commands.calibration import MoveListener
 from imufield.commands.chain import Chain, Plan, replay_into
 from imufield.commands.output import write_output
@@ -26,6 +26,7 @@ from imufield.deliver.parameters_write import content_sha256
 from imufield.deliver.report.data import (
     Closure,
     ReportData,
+    RestCollector,
     Trace,
     TraceCollector,
     closure,
@@ -35,7 +36,7 @@ from imufield.deliver.report.data import (
 from imufield.deliver.report.page import render_record, render_report
 from imufield.deliver.report.plots import load_matplotlib
 from imufield.deliver.verification import read_verification, verification_path
-from imufield.errors import CalibrationError, ParameterFileError, Reason
+from imufield.errors import ParameterFileError, Reason
 
 REPORT_FILE = "report.html"
 RECORD_FILE = "calibration-record.html"
@@ -128,25 +129,18 @@ class _Replayed:
 
 
 def _replay(session: Session, parameters: Parameters, preset: Parameters | None) -> _Replayed:
-    trace, moves = TraceCollector(parameters), MoveListener()
-    chain = Chain(Plan.of(session), (trace.feed, moves.feed))
+    trace, moves, rests = TraceCollector(parameters), MoveListener(), RestCollector(parameters)
+    chain = Chain(Plan(None), (trace.feed, moves.feed, rests.feed), judging=False)
     damage: list[Damage] = []
     replay_into(chain, session, damage)
-    observations = _observations(chain)
+    observations = rests.finish()
     nominal = None if chain.protocol is None else chain.protocol.nominal.gyroscope_scale
     old = None if preset is None or preset.calibration.gyroscope is None else preset.calibration.gyroscope.parameters
     closed = None
-    if observations is not None and len(observations):
-        between = moves.between(observations)
-        closed = closure(observations, between, parameters, old, nominal)
+    # Positions that were given otherwise have no time, and no moves between them.
+    if len(observations) and np.isfinite(observations.start_s).all():
+        closed = closure(observations, moves.between(observations), parameters, old, nominal)
     return _Replayed(trace.finish(), closed, tuple(one.what for one in damage))
-
-
-def _observations(chain: Chain) -> Observations | None:
-    try:
-        return chain.observations() if chain.guide is not None else chain.still_intervals().observations
-    except CalibrationError:
-        return None  # the parameter file came from positions given otherwise; the page does without the moves
 
 
 def _provenance(path: Path, parameters: Parameters, session: Session | None) -> Iterator[tuple[str, str]]:

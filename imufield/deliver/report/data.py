@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -109,6 +109,47 @@ class TraceCollector:
         known = self._parameters.gyroscope_is_complete
         scatter = np.asarray(np.sqrt(variance.sum(axis=1)))
         return Trace(np.asarray(time_s, dtype=np.float64), scatter, np.where(known, size, np.nan))
+
+
+class RestCollector:
+    """Means of the gyroscope over the positions of a parameter file, from a stream of samples.
+
+    The file says when each position was held, so the recording need not be judged again; it does not hold the gyroscope.
+    """
+
+    def __init__(self, parameters: Parameters) -> None:
+        self._observations = observations_of(parameters)
+        self._start_s = self._observations.start_s
+        self._end_s = self._start_s + self._observations.duration_s
+        m = len(self._observations)
+        self._count, self._sum, self._square = np.zeros((m, 1)), np.zeros((m, 3)), np.zeros((m, 3))
+        self._centre: FloatArray | None = None
+
+    def feed(self, samples: Samples) -> None:
+        """Take the next block."""
+        kept = samples[samples.usable & np.isfinite(samples.gyroscope).all(axis=1)]
+        inside = (self._start_s <= samples.time_s[-1]) & (self._end_s >= samples.time_s[0])
+        if not len(kept) or not inside.any():
+            return
+        rate = kept.gyroscope_rate()
+        if self._centre is None:
+            self._centre = rate[0]  # squares of what is left lose no digits
+        rate = rate - self._centre
+        for k in np.flatnonzero(inside):
+            first, last = np.searchsorted(kept.time_s, (self._start_s[k], self._end_s[k]))
+            self._count[k] += last - first
+            self._sum[k] += rate[first:last].sum(axis=0)
+            self._square[k] += np.square(rate[first:last]).sum(axis=0)
+
+    def finish(self) -> Observations:
+        """Return the file's observations with the gyroscope, NaN where nothing was held."""
+        if self._centre is None:
+            return self._observations
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = self._sum / self._count
+            variance = np.maximum(self._square / self._count - mean**2, 0.0) / self._count
+        covariance = variance[:, :, None] * np.eye(3)
+        return replace(self._observations, gyroscope_mean_raw=mean + self._centre, gyroscope_covariance_raw=covariance)
 
 
 def observations_of(parameters: Parameters) -> Observations:
