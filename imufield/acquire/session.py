@@ -200,6 +200,12 @@ class Session:
         """Whether the session was ended by its program; an unfinished one can be resumed."""
         return bool(self.metadata.get("finished", False))
 
+    @property
+    def serial_number(self) -> str:
+        """Of the instrument; empty where it is not known."""
+        instrument = self.metadata.get("instrument", {})
+        return str(instrument.get("serial_number", "")) if isinstance(instrument, dict) else ""
+
     def add_part(self) -> Path:
         """Return the path of the next part; the recorder creates it and refuses to overwrite."""
         last = max((number for number, _ in self._numbered_parts()), default=0)

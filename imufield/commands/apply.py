@@ -26,8 +26,7 @@ def run_apply(parameters: Path, source: Path, output: Path) -> None:
     damage: list[Damage] = []
     if source.is_dir():
         session = Session.open(source)
-        serial_number = str(session.metadata.get("instrument", {}).get("serial_number", ""))
-        rows = apply_session(loaded, session_samples(session, damage), output, serial_number=serial_number)
+        rows = apply_session(loaded, session_samples(session, damage), output, serial_number=session.serial_number)
     else:
         rows = apply_session(loaded, table_samples(source), output)
     for one in damage:

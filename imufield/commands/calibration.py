@@ -15,7 +15,7 @@ from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import Calibration, Gauge, ModelChoice
 from imufield.deliver.parameters import Context, Parameters, from_document, to_document
 from imufield.earth import Gravity
-from imufield.errors import CalibrationError, ParameterFileError, Reason, UsageError
+from imufield.errors import CalibrationError, UsageError
 from imufield.samples import FloatArray, Samples
 
 
@@ -135,15 +135,12 @@ def _with_gyroscope(calibration: Calibration, measured: Measured, wishes: Wishes
 
 
 def _check_preset(preset: Parameters, measured: Measured) -> None:
-    serial = preset.context.instrument.serial_number
-    own = measured.context.instrument.serial_number
-    if serial and own and serial != own:
-        raise ParameterFileError(
-            f"the preset is for serial number {serial}, the session for {own}; give the parameter file of this instrument",
-            Reason.FOREIGN,
-            preset=serial,
-            session=own,
-        )
+    """Refuse the parameters of another instrument, and those in other raw units: their scale would mean something else."""
+    preset.check_instrument(measured.context.instrument.serial_number)
+    units = measured.observations.units
+    preset.check_unit("accelerometer", units.accelerometer, units.accelerometer_is_increment)
+    if preset.gyroscope_is_complete and np.isfinite(measured.observations.gyroscope_mean_raw).any():
+        preset.check_unit("gyroscope", units.gyroscope, units.gyroscope_is_increment)
 
 
 def one_of(name: str, value: str, choices: tuple[str, ...]) -> Any:

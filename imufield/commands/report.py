@@ -81,8 +81,7 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
     path = options.parameters or (session.folder / PARAMETER_FILE if session is not None else Path(PARAMETER_FILE))
     parameters = load(path)
     preset = None if options.preset is None else load(options.preset)
-    if session is not None:
-        _check_belongs(parameters, session)
+    _check_belongs(parameters, session, preset)
     found = _Replayed() if session is None else _replay(session, parameters, preset)
     seed = parameters.calibration.solver.seed or 0
     before = None if preset is None else preset.calibration.accelerometer
@@ -107,7 +106,14 @@ def _session(options: ReportOptions) -> Session | None:
     return None if options.parameters is not None else Session.newest()
 
 
-def _check_belongs(parameters: Parameters, session: Session) -> None:
+def _check_belongs(parameters: Parameters, session: Session | None, preset: Parameters | None) -> None:
+    own = "" if session is None else session.serial_number
+    if preset is not None:
+        preset.check_instrument(parameters.context.instrument.serial_number or own)
+        preset.check_unit("accelerometer", parameters.calibration.accelerometer_raw_unit, False)
+    if session is None:
+        return
+    parameters.check_instrument(own)
     wanted = parameters.context.session.sha256
     if wanted and wanted != session_sha256(session):
         raise ParameterFileError(

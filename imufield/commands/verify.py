@@ -134,28 +134,14 @@ def _task(options: VerifyOptions) -> _Task:
     parameters = load(options.parameters)
     preset = None if options.preset is None else load(options.preset)
     session = Session.newest() if options.session is None else Session.open(options.session)
-    _check_serial(parameters, session)
-    if preset is not None:
-        _check_serial(preset, session)
+    for one in filter(None, (parameters, preset)):
+        one.check_instrument(session.serial_number)
     recorded = session.metadata.get("site")
     known = options.site.is_known or bool(recorded)
     own = parameters.calibration.gravity
     gravity = options.site.gravity(recorded) if known else own
     latitude = gravity.latitude_deg if gravity.latitude_deg is not None else options.site.latitude_deg
     return _Task(options, session, parameters, preset, limits, gravity, own.latitude_deg if latitude is None else latitude)
-
-
-def _check_serial(parameters: Parameters, session: Session) -> None:
-    wanted = parameters.context.instrument.serial_number
-    own = str(session.metadata.get("instrument", {}).get("serial_number", ""))
-    if wanted and own and wanted != own:
-        raise ParameterFileError(
-            f"{parameters.path} is for serial number {wanted}, the session for {own}; give the parameter file of "
-            "this instrument",
-            Reason.FOREIGN,
-            parameters=wanted,
-            session=own,
-        )
 
 
 def _held_out(task: _Task, chain: Chain, problems: list[ImufieldError]) -> HeldOut | None:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from imufield.deliver.export_data import export_csv
 from imufield.deliver.parameters import Parameters
-from imufield.errors import ParameterFileError, Reason
 from imufield.samples import Samples, SampleUnits
 
 
@@ -40,7 +39,7 @@ def apply_session(parameters: Parameters, blocks: Iterable[Samples], path: str |
     RecordingError
         If the file cannot be written. In every case what stood under ``path`` before is untouched.
     """
-    check_serial_number(parameters, serial_number)
+    parameters.check_instrument(serial_number)
     return export_csv(corrected_blocks(parameters, blocks), path)
 
 
@@ -53,18 +52,4 @@ def corrected_blocks(parameters: Parameters, blocks: Iterable[Samples]) -> Itera
             accelerometer=corrected.specific_force_m_s2,
             gyroscope=corrected.angular_rate_rad_s,
             units=SampleUnits(),
-        )
-
-
-def check_serial_number(parameters: Parameters, serial_number: str) -> None:
-    """Check that parameters and recording are of one instrument, where both say which; raise ``ParameterFileError``."""
-    known = parameters.context.instrument.serial_number
-    if known and serial_number and known != serial_number:
-        name = "these parameters" if parameters.path is None else str(parameters.path)
-        raise ParameterFileError(
-            f"{name} are for the instrument with serial number {known} and this recording is of {serial_number}; take the "
-            "parameters of that instrument",
-            Reason.FOREIGN,
-            serial_number=known,
-            recording=serial_number,
         )

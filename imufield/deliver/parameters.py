@@ -165,6 +165,18 @@ class Parameters:
                 unit=found,
             )
 
+    def check_instrument(self, serial_number: str) -> None:
+        """Raise ``ParameterFileError`` if both serial numbers are known and these parameters are of another instrument."""
+        known = self.context.instrument.serial_number
+        if known and serial_number and known != serial_number:
+            raise ParameterFileError(
+                f"{self._name} is for the instrument with serial number {known} and this recording is of {serial_number}; take "
+                "the parameters of that instrument",
+                Reason.FOREIGN,
+                parameters=known,
+                recording=serial_number,
+            )
+
 
 def rate_unit(unit: str, is_increment: bool) -> str:
     """Return the unit of a raw value as a rate: "m/s" becomes "m/s^2", "count" "count/s"; a rate stays what it is."""

@@ -154,7 +154,7 @@ def test_unannounced_options_are_refused(solved: Path, tmp_path: Path) -> None:
 def test_parameters_of_another_instrument_are_refused(solved: Path, tmp_path: Path) -> None:
     other = with_document(solved / "parameters.toml", tmp_path / "other.toml", instrument={"serial_number": "A1"})
     session = rest_session(tmp_path / "rest", instrument={"driver": "rows_f64", "model": "bench", "serial_number": "B2"})
-    with pytest.raises(ParameterFileError, match="serial number A1, the session for B2") as caught:
+    with pytest.raises(ParameterFileError, match="serial number A1 and this recording is of B2") as caught:
         run_verify(VerifyOptions(other, session.folder))
     assert caught.value.reason is Reason.FOREIGN
 

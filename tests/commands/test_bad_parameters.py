@@ -1,0 +1,115 @@
+"""Parameter files that must not be used, through every command that takes one: one sentence, code 5, old files intact."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import tomli_w
+
+from imufield.cli.run import run
+from imufield.deliver.parameters_write import to_toml
+
+OLD = b"what stood there before\n"
+
+
+@pytest.fixture
+def solved(solved_session: Path, tmp_path: Path) -> Path:
+    """Return a solved session of one's own whose instrument told its serial number."""
+    folder = Path(shutil.copytree(solved_session, tmp_path / "solved"))
+    metadata = tomllib.loads((folder / "session.toml").read_text(encoding="utf-8"))
+    metadata["instrument"]["serial_number"] = "B2"
+    (folder / "session.toml").write_text(tomli_w.dumps(metadata), encoding="utf-8")
+    return folder
+
+
+def cut(text: str) -> str:
+    return text[: len(text) // 2]
+
+
+def edited(text: str) -> str:
+    return text.replace("used = true", "used = false", 1)
+
+
+def newer(text: str) -> str:
+    return on_purpose(text.replace("version = 1", "version = 2", 1))
+
+
+def not_a_number(text: str) -> str:
+    head, name, tail = text.partition("scale = [")
+    return on_purpose(f"{head}{name}nan{tail[tail.index(',') :]}")
+
+
+def on_purpose(text: str) -> str:
+    head, _, _ = text.rpartition("sha256 = ")
+    return f'{head}sha256 = "edited"\n'
+
+
+def changed(table: str, key: str, value: object) -> Callable[[str], str]:
+    """Return what writes a whole file again with another value, hash and all."""
+
+    def write(text: str) -> str:
+        document = tomllib.loads(text)
+        del document["integrity"]
+        document[table][key] = value
+        return to_toml(document)
+
+    return write
+
+
+def reversed_axis(text: str) -> str:
+    scale = tomllib.loads(text)["accelerometer"]["scale"]
+    return changed("accelerometer", "scale", [scale[0], -scale[1], scale[2]])(text)
+
+
+other_unit = changed("accelerometer", "raw_unit", "count")
+other_instrument = changed("instrument", "serial_number", "A1")
+BAD: dict[str, tuple[Callable[[str], str], str]] = {
+    "cut": (cut, "damaged|cut short"),
+    "edited by hand": (edited, "was changed after it was written"),
+    "newer": (newer, "has version 2 and this imufield reads up to version 1; update imufield"),
+    "not a number": (not_a_number, r"scale\[0\] is nan where a number is needed"),
+    "other units": (other_unit, "count"),
+    "another instrument": (other_instrument, "serial number A1"),
+    "reversed axis": (reversed_axis, "negative|sign"),
+}
+COMMANDS = {
+    "apply": "apply {bad} {session} -o {old}",
+    "verify": "verify {bad} {session} -o {old}",
+    "verify against a preset": "verify {good} {session} --preset {bad} -o {old}",
+    "report": "report {session} --parameters {bad} -o {old}",
+    "report with a preset": "report {session} --preset {bad} -o {old}",
+    "solve with a preset": "solve {session} --preset {bad} -o {old}",
+    "export px4": "export {bad} --to px4 -o {old}",
+    "export c": "export {bad} --to c -o {old}",
+}
+NEEDS_SESSION = ("apply", "verify", "verify against a preset", "report", "report with a preset", "solve with a preset")
+UNREADABLE = ("cut", "edited by hand", "newer", "not a number")
+CASES = [
+    *((fault, command) for fault in UNREADABLE for command in COMMANDS),
+    *(("other units", command) for command in (*NEEDS_SESSION, "export px4")),
+    *(("another instrument", command) for command in NEEDS_SESSION),
+    ("reversed axis", "export px4"),
+]
+
+
+@pytest.mark.parametrize(("fault", "command"), CASES)
+def test_one_sentence_code_5_and_the_old_file(
+    solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str, command: str
+) -> None:
+    make, words = BAD[fault]
+    good, bad, old = solved / "parameters.toml", tmp_path / "bad.toml", tmp_path / "old"
+    bad.write_text(make(good.read_text(encoding="utf-8")), encoding="utf-8")
+    old.write_bytes(OLD)
+    before = {path.name: path.read_bytes() for path in solved.iterdir()}
+    line = COMMANDS[command].format(good=good, bad=bad, session=solved, old=old)
+    assert run(line.split()) == 5
+    errors = capsys.readouterr().err
+    assert errors.count("imufield: ") == 1
+    assert re.search(words, " ".join(errors.split()))
+    assert old.read_bytes() == OLD
+    assert {path.name: path.read_bytes() for path in solved.iterdir()} == before
