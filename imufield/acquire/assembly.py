@@ -83,9 +83,12 @@ class FrameReader:
     def __init__(self, protocol: Protocol, layout: Layout) -> None:
         rule = protocol.samples
         self.length = layout.length
-        self._factors = protocol.factors
         self._accelerometer = _fields(layout, rule.accelerometer.fields)
         self._gyroscope = _fields(layout, rule.gyroscope.fields)
+        self._factors = {
+            part: protocol.factor(part, fields[0]) if fields else 1.0
+            for part, fields in (("accelerometer", self._accelerometer), ("gyroscope", self._gyroscope))
+        }
         self._temperature = _fields(layout, rule.temperature.fields)[:1]
         self._counter = layout.field(protocol.clock.counter_field)
         self._ticks = _TickReader(protocol, layout)

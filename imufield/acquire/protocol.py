@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from imufield.acquire.frame_schema import FrameRule, read_frames
+from imufield.acquire.layout import Field
 from imufield.acquire.protocol_schema import (
     ClockRule,
     Quantity,
@@ -102,12 +103,19 @@ class Protocol:
     clock: ClockRule
     units: SampleUnits
     factors: dict[str, float]
-    """By "accelerometer", "gyroscope", "temperature": what a value in its own unit is multiplied by."""
+    """By "accelerometer", "gyroscope", "temperature": what a value in the unit of the part's first field is multiplied by."""
     nominal: Nominal
     can: CanRule | None = None
     """For frames of a CAN bus, which have neither ``frame`` nor ``lines``."""
     status: str = VERIFIED
     """Or ``DOCUMENT_ONLY``: never tried on bytes of a real instrument."""
+
+    def factor(self, part: str, field: Field) -> float:
+        """Return what a value of one field is multiplied by: fields of one part may come in different units."""
+        quantity: Quantity = getattr(self.samples, part)
+        if quantity.unit is not None or not field.unit:
+            return self.factors[part]
+        return TO_SI[field.unit][1] * quantity.scale
 
 
 def protocol_names() -> list[str]:
@@ -225,7 +233,7 @@ def _build_can(top: Table, settings: dict[str, Setting]) -> Protocol:
     parts = read_can(top)
     nominal = _read_nominal(top, parts.units, parts.clock)
     status = top.choice("status", (VERIFIED, DOCUMENT_ONLY), VERIFIED)
-    for key in ("format", "version", "settings", "nominal", "can", "map", "assembly", "clock", "dbc"):
+    for key in ("format", "version", "settings", "nominal", "can", "map", "assembly", "clock", "dbc", "emulate"):
         top.has(key)
     top.finish()
     samples = SampleRule(Quantity(()), Quantity(()), Quantity(()), (), ())
@@ -263,7 +271,7 @@ def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
     units = _units(top, parts, samples, clock)
     nominal = _read_nominal(top, units, clock)
     _check_fields(top, frame, samples, clock)
-    for key in ("format", "version", "settings", "samples", "clock", "nominal"):
+    for key in ("format", "version", "settings", "samples", "clock", "nominal", "emulate"):
         top.has(key)
     if not text:
         for key in ("frame", "parts", "frames", "messages"):
@@ -296,14 +304,18 @@ def _unit_of(top: Table, part: str, frame: FrameRule | None, samples: SampleRule
     """Return what unit a part of the sample has and the factor to it."""
     quantity: Quantity = getattr(samples, part)
     written = quantity.unit
+    fields = {field.name: field for field in reversed(frame.all_fields())} if frame else {}
+    units = list(dict.fromkeys(fields[name].unit for name in quantity.fields if name in fields))
     if written is None:
-        fields = {field.name: field for field in reversed(frame.all_fields())} if frame else {}
-        written = next((fields[name].unit for name in quantity.fields if name in fields), _MEANING[part][0])
+        written = units[0] if units else _MEANING[part][0]
     table = top.table("samples")
     unit, factor = TO_SI.get(written, ("", 0.0))
     if unit not in _MEANING[part]:
         known = ", ".join(name for name, (si, _) in TO_SI.items() if si in _MEANING[part])
         raise table.error(part, f"{written!r} is no unit of this{near(written, TO_SI)}; use one of {known}")
+    other = next((one for one in units if TO_SI.get(one, ("",))[0] != unit), None) if quantity.unit is None else None
+    if other is not None:
+        raise table.error(part, f"its fields are in {written!r} and {other!r}, which cannot be one sample")
     if quantity.increment and unit in ("m/s^2", "rad/s"):
         raise table.error(part, f"increments cannot have the unit {written!r}; use m/s, rad, count or pulse")
     return unit, factor * quantity.scale

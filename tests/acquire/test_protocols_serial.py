@@ -261,6 +261,12 @@ def capture(shared: Path, name: str) -> tuple[Protocol, bytes, int]:
     return load_protocol(protocol), (folder / protocol / file).read_bytes(), count
 
 
+def test_fields_of_one_part_may_come_in_different_units(shared_folder: Path) -> None:
+    samples, _ = samples_of(*capture(shared_folder, "S1")[:2])
+    # The packet has g where those of its sister models have m/s^2; the unit lies on a table.
+    assert np.linalg.norm(samples.accelerometer.mean(axis=0)) == pytest.approx(STANDARD_GRAVITY_M_S2, rel=0.005)
+
+
 CAPTURES = ("mti_g_710_output_1", "mti_g_710_output_2", "mti_g_710_output_3", "mip", "z1", "S1", "vn100", "oem7", "witmotion")
 
 
