@@ -6,6 +6,9 @@ Installed with imufield; nothing heavy is imported before a fixture is used. Fix
     Replay a session, or a raw byte dump with ``protocol=``; returns ``Replayed`` with samples, events, parameters.
 ``imufield_pty(driver, faults=...)``
     An emulated instrument on a pseudo-terminal; returns the running emulator, whose ``port`` can be opened.
+``imufield_can_bus(driver, bus, faults=...)``
+    An emulated instrument on a CAN bus, ``slcan`` on a pseudo-terminal unless told otherwise; returns the running emulator,
+    whose ``bus`` can be opened.
 ``imufield_golden(name, values)``
     Compare numbers with a file beside the test; ``--imufield-update`` rewrites it.
 """
@@ -27,8 +30,10 @@ if TYPE_CHECKING:
     from imufield.acquire.session import Session
     from imufield.deliver.parameters import Parameters
     from imufield.samples import Samples
-    from imufield.simulate.emulate import DeviceName
+    from imufield.simulate.can_emulator import CanEmulator
     from imufield.simulate.emulator import Emulator
+    from imufield.simulate.emulator_core import EmulatorCore
+    from imufield.simulate.faults import WireFaults
 
 
 @dataclass(frozen=True)
@@ -96,16 +101,42 @@ def imufield_pty() -> Iterator[Callable[..., Emulator]]:
     """Return a function that starts an emulated instrument on a pseudo-terminal; all are stopped after the test."""
     with ExitStack() as stack:
 
-        def start(driver: DeviceName = "stim300", *, faults: Mapping[str, Any] | None = None, **options: Any) -> Emulator:
-            from imufield.simulate.emulate import EmulateOptions, make_emulator
-            from imufield.simulate.emulator import EmulatorSettings
+        def start(driver: str = "stim300", *, faults: Mapping[str, Any] | None = None, **options: Any) -> Emulator:
+            from imufield.simulate.emulator import Emulator
             from imufield.simulate.faults import Faults
 
-            run = EmulatorSettings(speed=options.pop("speed", 1.0), wait_for_reader=options.pop("wait_for_reader", True))
-            emulation = EmulateOptions(driver, faults=Faults(**(faults or {})), run=run, **options)
-            return stack.enter_context(make_emulator(emulation))
+            emulator = _make_emulator(driver, Faults(**(faults or {})), {"wait_for_reader": True, **options})
+            if not isinstance(emulator, Emulator):
+                pytest.fail(f"{driver} is on a CAN bus; use imufield_can_bus")
+            return stack.enter_context(emulator)
 
         yield start
+
+
+@pytest.fixture
+def imufield_can_bus() -> Iterator[Callable[..., CanEmulator]]:
+    """Return a function that starts an emulated instrument on a CAN bus; all are stopped after the test."""
+    with ExitStack() as stack:
+
+        def start(driver: str, bus: str = "slcan", *, faults: Mapping[str, Any] | None = None, **options: Any) -> CanEmulator:
+            from imufield.simulate.can_emulator import CanEmulator
+            from imufield.simulate.faults import CanFaults
+
+            emulator = _make_emulator(driver, CanFaults(**(faults or {})), {"bus": bus, **options})
+            if not isinstance(emulator, CanEmulator):
+                pytest.fail(f"{driver} is on a serial line; use imufield_pty")
+            return stack.enter_context(emulator)
+
+        yield start
+
+
+def _make_emulator(driver: str, faults: WireFaults, options: dict[str, Any]) -> EmulatorCore:
+    from imufield.simulate.emulate import EmulateOptions, make_emulator
+    from imufield.simulate.emulator_core import EmulatorSettings
+
+    names = ("speed", "wait_for_reader", "duration_s")
+    run = EmulatorSettings(**{name: options.pop(name) for name in names if name in options})
+    return make_emulator(EmulateOptions(driver, faults=faults, run=run, **options))
 
 
 @pytest.fixture

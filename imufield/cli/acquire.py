@@ -181,7 +181,10 @@ def replay(
 
 
 def emulate(
-    driver: Annotated[str, typer.Argument(help="Instrument family, see `imufield devices`.")],
+    driver: Annotated[str, typer.Argument(help="Instrument family, see `imufield devices`, or your protocol file (.toml).")],
+    form: Annotated[str | None, typer.Option(help="What it sends, e.g. RAWIMUX; a wrong name lists all.")] = None,
+    settings: Settings = None,
+    bus: Annotated[str | None, typer.Option(help="CAN bus, e.g. udp_multicast:239.0.0.1 (default: slcan on a port).")] = None,
     rate_hz: Annotated[float | None, typer.Option(help="Sample rate (default: the instrument's usual one).", min=1)] = None,
     speed: Annotated[float, typer.Option(help="Times real time.", min=0.1)] = 1.0,
     grade: Annotated[str, typer.Option(help="navigation, tactical, industrial or mems.")] = "tactical",
@@ -196,13 +199,12 @@ def emulate(
     fault: Annotated[list[str] | None, typer.Option(help="E.g. bit_flip_probability=1e-4; may be repeated.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Pretend to be an instrument on a virtual serial port.
+    """Pretend to be an instrument on a virtual serial port or a CAN bus.
 
-    Example: imufield emulate stim300 --wait --link /tmp/imu
+    Example: imufield emulate xsens_mtdata2 --form fp16.32 --wait --link /tmp/imu
     """
+    from imufield.commands.configuration import parse_settings
     from imufield.commands.emulate import EmulateOptions, run_emulate
 
-    options = EmulateOptions(
-        driver, rate_hz, speed, grade, seed, positions, hold_s, link, truth, duration_s, fault or [], wait, style, as_json
-    )
-    run_emulate(options)
+    common = (rate_hz, speed, grade, seed, positions, hold_s, link, truth, duration_s, fault or [], wait, style, as_json)
+    run_emulate(EmulateOptions(driver, *common, form, parse_settings(settings), bus))

@@ -1,22 +1,24 @@
-"""``imufield emulate``: a virtual instrument for other programs, until Ctrl-C."""
+"""``imufield emulate``: a virtual instrument for other programs, on a port or a bus, until Ctrl-C."""
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import typer
 
+from imufield.acquire.protocol_toml import spell
+from imufield.acquire.registry import driver_names, load_driver
 from imufield.commands.capture import REVISIT_FROM
 from imufield.errors import UsageError
 from imufield.guide.positions import scheme
-from imufield.simulate.emulate import DeviceName, emulate, make_virtual_imu
 from imufield.simulate.emulate import EmulateOptions as Emulation
-from imufield.simulate.emulator import Emulator, EmulatorSettings
-from imufield.simulate.faults import Faults
+from imufield.simulate.emulate import WireChoice, choose_wire, emulate
+from imufield.simulate.emulator_core import EmulatorCore, EmulatorSettings
+from imufield.simulate.faults import CanFaults, Faults, WireFaults
 from imufield.simulate.operator import OperatorSettings
 
 STANDS_STILL = "none"
@@ -42,6 +44,9 @@ class EmulateOptions:
     wait_for_reader: bool
     style: str
     as_json: bool
+    form: str | None = None
+    settings: dict[str, str] = field(default_factory=dict)
+    bus: str | None = None
 
 
 def run_emulate(options: EmulateOptions) -> None:
@@ -60,15 +65,14 @@ def make_emulation(options: EmulateOptions) -> Emulation:
     UsageError
         If one is not known.
     """
-    if options.driver not in get_args(DeviceName):
-        raise UsageError(f"there is no emulator for {options.driver!r}; choose one of {', '.join(get_args(DeviceName))}")
+    on_bus = _is_on_bus(options)
     if options.style not in ("placed", "held"):
         raise UsageError(f"--style {options.style!r} is neither placed nor held")
     positions = None if options.positions == STANDS_STILL else scheme(options.positions)
     # A long session ends with the first position again, as ``capture`` asks for it.
     directions = () if positions is None else positions.directions()[_order(len(positions))]
     return Emulation(
-        device=options.driver,  # type: ignore[arg-type]  # checked above
+        device=options.driver,
         rate_hz=options.rate_hz,
         grade=options.grade,
         seed=options.seed,
@@ -79,27 +83,41 @@ def make_emulation(options: EmulateOptions) -> Emulation:
             initial_still_s=INITIAL_STILL_S,
             begins_in_first_position=options.style == "placed",
         ),
-        faults=parse_faults(options.faults),
+        faults=parse_faults(options.faults, CanFaults if on_bus else Faults),
         run=EmulatorSettings(
             speed=options.speed, wait_for_reader=options.wait_for_reader, duration_s=options.duration_s, link=options.link
         ),
         truth=options.truth,
+        form=options.form,
+        settings=options.settings,
+        bus=options.bus,
     )
+
+
+def _is_on_bus(options: EmulateOptions) -> bool:
+    if options.driver.endswith(".toml"):
+        return options.bus is not None
+    names = driver_names()
+    if options.driver not in names:
+        raise UsageError(
+            f"there is no emulator for {options.driver!r}; choose one of {', '.join(names)}, or give a protocol file (.toml)"
+        )
+    return load_driver(options.driver).wire == "can"
 
 
 def _order(count: int) -> list[int]:
     return [*range(count), *([0] if count >= REVISIT_FROM else [])]
 
 
-def parse_faults(texts: list[str]) -> Faults:
+def parse_faults(texts: list[str], kind: type[WireFaults] = Faults) -> WireFaults:
     """Read faults of the form NAME=VALUE.
 
     Raises
     ------
     UsageError
-        If a name is unknown or a value no number.
+        If a name is unknown on this kind of wire or a value no number.
     """
-    known = {field.name for field in fields(Faults)}
+    known = {field.name for field in fields(kind)}
     values: dict[str, Any] = {}
     for text in texts:
         name, _, value = text.partition("=")
@@ -109,19 +127,30 @@ def parse_faults(texts: list[str]) -> Faults:
             number = math.nan
         if name not in known or not math.isfinite(number):
             raise UsageError(f"--fault {text!r} is not of the form NAME=NUMBER with a name of {', '.join(sorted(known))}")
-        values[name] = (number,) if name == "disconnect_at_s" else number
-    return Faults(**values)
+        values[name] = (*values.get(name, ()), number) if name == "disconnect_at_s" else number
+    return kind(**values)
 
 
-def _announce(options: EmulateOptions, emulation: Emulation, emulator: Emulator) -> None:
-    rate_hz = options.rate_hz or 1 / make_virtual_imu(emulation).interval_s
-    port = str(options.link or emulator.port)
+def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorCore) -> None:
+    wire = choose_wire(emulation)
+    rate_hz = wire.rate_hz
+    kind = "bus" if wire.form is None else "port"
+    address = emulator.address if wire.form is None else str(options.link or emulator.address)
     if options.as_json:
-        facts = {"event": "started", "port": port, "driver": options.driver, "rate_hz": rate_hz, "speed": options.speed}
-        typer.echo(json.dumps(facts))
+        facts = {"event": "started", kind: address, "driver": options.driver, "rate_hz": rate_hz, "speed": options.speed}
+        typer.echo(json.dumps(facts | {"settings": wire.settings}))
         return
-    typer.echo(f"{options.driver} at {rate_hz:.0f} Hz, {options.speed:g} times real time, on {port}")
+    form = f" ({wire.form.name})" if wire.form and wire.form.name not in ("", "default") else ""
+    typer.echo(f"{options.driver}{form} at {rate_hz:.0f} Hz, {options.speed:g} times real time, on {address}")
     clock = "" if options.speed == 1 else f"IMUFIELD_CLOCK_SPEED={max(options.speed, 1):g} "
     # The right latitude matters: the scale of the accelerometer is as good as the gravity it is given.
-    typer.echo(f"read it with:  {clock}imufield capture --port {port} --latitude {emulation.site.latitude_deg:g}")
+    latitude = f"--latitude {emulation.site.latitude_deg:g}"
+    typer.echo(f"read it with:  {clock}imufield capture --{kind} {address} {_reader(options, wire)}{latitude}")
     typer.echo("Ctrl-C ends it")
+
+
+def _reader(options: EmulateOptions, wire: WireChoice) -> str:
+    """Return the options that tell another command what the wire does not."""
+    which = "--driver" if wire.driver else "--protocol"
+    told = "".join(f"--set {name}={spell(value)} " for name, value in wire.settings.items())
+    return f"{which} {options.driver} {told}"

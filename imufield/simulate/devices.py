@@ -25,6 +25,8 @@ from imufield.simulate.encode import (
 )
 
 COMMAND_END = b"\r"
+_LONGEST_COMMAND = 256
+"""Bytes kept while waiting for the end of a command; those of a STIM300 have at most some 60."""
 _START_UP_S = 0.281
 _START_UP_RATE_RAD_S = np.radians(480.0)
 _RATE_CODES = {125: 0, 250: 1, 500: 2, 1000: 3, 2000: 4}
@@ -40,6 +42,8 @@ class Frames:
 
     data: Bytes
     """Shape (n,)."""
+    ends: np.ndarray[tuple[int], np.dtype[np.int64]]
+    """Where each frame ends in it, ascending. Shape (m,)."""
     checksum_at: np.ndarray[tuple[int], np.dtype[np.int64]]
     """Place of one byte of the checksum of each frame; of any byte where the form has no checksum."""
 
@@ -64,8 +68,8 @@ class Device(Protocol):
         """Return what is sent at power-on before the first sample."""
         ...
 
-    def answer(self, command: bytes) -> Answer:
-        """Return the answer to what the host sent, without its carriage return."""
+    def hear(self, data: bytes) -> Answer:
+        """Return the answer to bytes of the host, whole commands or parts of them."""
         ...
 
     def jump_counter(self, by: int) -> None:
@@ -99,13 +103,13 @@ class TextDevice:
             samples = replace(samples, counter=samples.counter + self._offset)
         lines = encode_text(samples, self.format)
         ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
-        return Frames(np.frombuffer(b"".join(lines), dtype=np.uint8), ends - len(self.format.line_end) - 1)
+        return Frames(np.frombuffer(b"".join(lines), dtype=np.uint8), ends, ends - len(self.format.line_end) - 1)
 
     def power_on(self) -> bytes:
         """Return nothing."""
         return b""
 
-    def answer(self, command: bytes) -> Answer:  # noqa: ARG002 - what is not heard is not answered
+    def hear(self, data: bytes) -> Answer:  # noqa: ARG002 - what is not heard is not answered
         """Return nothing."""
         return Answer()
 
@@ -147,6 +151,7 @@ class Stim300Device:
         self.baud = baud
         self._encoder = Stim300Encoder(self.format)
         self._mode = "normal"
+        self._heard = b""
 
     @property
     def streaming(self) -> bool:
@@ -160,8 +165,8 @@ class Stim300Device:
             samples = replace(samples, gyroscope=np.where(starting[:, np.newaxis], _START_UP_RATE_RAD_S, samples.gyroscope))
         frames = self._encoder.encode(samples)
         length = frames.shape[1]
-        last = length - 1 - (2 if self.format.crlf else 0)
-        return Frames(frames.reshape(-1), np.arange(len(frames), dtype=np.int64) * length + last)
+        ends = np.arange(1, len(frames) + 1, dtype=np.int64) * length
+        return Frames(frames.reshape(-1), ends, ends - 1 - (2 if self.format.crlf else 0))
 
     def power_on(self) -> bytes:
         """Return part number, serial number and configuration datagrams."""
@@ -171,6 +176,13 @@ class Stim300Device:
     def jump_counter(self, by: int) -> None:
         """Let the counter jump."""
         self._encoder.counter_offset += by
+
+    def hear(self, data: bytes) -> Answer:
+        """Return the answers to the commands that are complete now; each ends with a carriage return."""
+        *commands, rest = (self._heard + data).split(COMMAND_END)
+        self._heard = rest[-_LONGEST_COMMAND:]
+        answers = [self.answer(command.strip(b"\n")) for command in commands]
+        return Answer(b"".join(one.data for one in answers), any(one.resets for one in answers))
 
     def answer(self, command: bytes) -> Answer:
         """Return the answer to a command in the present mode; unknown ones are passed over in normal mode."""

@@ -4,33 +4,42 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import tomli_w
 from numpy.typing import ArrayLike
 
 from imufield import __version__
+from imufield.acquire.driver import Driver
+from imufield.acquire.protocol import Protocol, load_protocol
+from imufield.acquire.registry import load_driver
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
 from imufield.files import write_atomically
 from imufield.simulate.devices import Device, Stim300Device, TextDevice
 from imufield.simulate.emulator import Emulator, EmulatorSettings, VirtualImu
+from imufield.simulate.emulator_core import EmulatorCore
 from imufield.simulate.encode import ACCELEROMETER_BITS, Stim300Format, TextFormat
-from imufield.simulate.faults import Faults
+from imufield.simulate.faults import CanFaults, Faults, WireFaults
 from imufield.simulate.grades import Grade, draw_truth, find_grade
 from imufield.simulate.imu import Imu, ImuSettings
 from imufield.simulate.motion import Site
 from imufield.simulate.operator import Operator, OperatorSettings
+from imufield.simulate.protocol_device import InProtocolUnits, ProtocolDevice
+from imufield.simulate.wire_forms import DEFAULT_RATE_HZ, WireForm, choose_form
 
+_STIM300_OUTPUTS = ("accelerometer_output", "gyroscope_output")
 TRUTH_FORMAT = "imufield-truth"
 TRUTH_VERSION = 1
 
-DeviceName = Literal["stim300", "text"]
-_DEFAULT_RATE_HZ = {"stim300": 2000.0, "text": 100.0}
+OWN_RATE_HZ = {"stim300": 2000.0, "text": 100.0}
+"""Of instruments with a device class of their own; the others' stands in their protocols."""
+DEFAULT_BUS = "slcan"
+_OWN_FORM = WireForm("", 0.0, {}, ())
 _STIM300_RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
 
 
@@ -38,9 +47,10 @@ _STIM300_RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
 class EmulateOptions:
     """What to emulate."""
 
-    device: DeviceName = "stim300"
+    device: str = "stim300"
+    """Name of a driver, or path of a protocol file of the user."""
     rate_hz: float | None = None
-    """None: the device's default, 2000 Hz for a STIM300 and 100 Hz for text."""
+    """None: the usual one of the instrument, 2000 Hz for a STIM300 and 100 Hz for text."""
     grade: str = "tactical"
     seed: int = 0
     directions: ArrayLike = ()
@@ -49,50 +59,138 @@ class EmulateOptions:
     site: Site = field(default_factory=Site)
     imu: ImuSettings = field(default_factory=ImuSettings)
     """The rate in it is not used."""
-    faults: Faults = field(default_factory=Faults)
+    faults: WireFaults = field(default_factory=Faults)
     run: EmulatorSettings = field(default_factory=EmulatorSettings)
     stim300: Stim300Format | None = None
     """None: accelerometer, inclinometer, CR LF and the smallest range that holds the grade's."""
     text: TextFormat = field(default_factory=TextFormat)
     truth: Path | None = None
     """File for the truth, TOML or (by its suffix) JSON."""
+    form: str | None = None
+    """Which of the forms that the protocol lists to send; None: the first that agrees with the settings."""
+    settings: Mapping[str, object] = field(default_factory=dict)
+    """Of the protocol."""
+    bus: str | None = None
+    """Of an instrument on CAN; None: an adapter on a pseudo-terminal."""
 
 
-def make_virtual_imu(options: EmulateOptions) -> VirtualImu:
-    """Return the instrument and its operator, drawn from the seed."""
+@dataclass(frozen=True, slots=True)
+class WireChoice:
+    """How an instrument is run on its wire."""
+
+    protocol: Protocol
+    rate_hz: float
+    form: WireForm | None
+    """None on a CAN bus."""
+    baud: int
+    settings: dict[str, object]
+    """What a reader must be told."""
+    driver: type[Driver] | None
+    """None for a protocol file of the user."""
+
+
+def choose_wire(options: EmulateOptions) -> WireChoice:
+    """Return what goes on the wire.
+
+    Raises
+    ------
+    ProtocolError
+        If there is no such driver or protocol, or a setting is not allowed.
+    UsageError
+        If there is no such form.
+    """
+    driver = None if options.device.endswith(".toml") else load_driver(options.device)
+
+    def load(settings: Mapping[str, object]) -> Protocol:
+        return load_protocol(options.device, settings) if driver is None else driver.load_protocol(settings)
+
+    baud = 115200 if driver is None else driver.default_baud
+    base = load({})
+    given = dict(options.settings)
+    if base.can is not None:
+        return WireChoice(load(given), options.rate_hz or DEFAULT_RATE_HZ, None, baud, given, driver)
+    if options.device in OWN_RATE_HZ:
+        return WireChoice(load(given), options.rate_hz or OWN_RATE_HZ[options.device], _OWN_FORM, baud, given, driver)
+    form = choose_form(base, options.form, options.settings)
+    rate_hz = options.rate_hz or form.rate_hz
+    settings: dict[str, object] = {**form.settings, **options.settings}
+    defaults = {name: setting.value for name, setting in base.settings.items()}
+    # A reader measures the rate; increments need it said.
+    if "rate_hz" in defaults and "rate_hz" not in settings:
+        settings["rate_hz"] = rate_hz
+    protocol = load(settings)
+    by_increment = protocol.units.accelerometer_is_increment or protocol.units.gyroscope_is_increment
+    told = {
+        name: value
+        for name, value in settings.items()
+        if str(defaults.get(name)) != str(value) and (name != "rate_hz" or by_increment)
+    }
+    return WireChoice(protocol, rate_hz, form, baud, told, driver)
+
+
+def make_virtual_imu(options: EmulateOptions, rate_hz: float | None = None) -> VirtualImu:
+    """Return the instrument and its operator, drawn from the seed; ``rate_hz`` is the wire's where options have none."""
     grade = find_grade(options.grade)
     instrument = draw_truth(grade, np.random.default_rng([options.seed, 401]))
-    rate_hz = options.rate_hz or _DEFAULT_RATE_HZ[options.device]
+    rate_hz = options.rate_hz or rate_hz or OWN_RATE_HZ[options.device]
     operator = Operator(options.directions, options.seed, options.operator, options.site)
     return VirtualImu(Imu(instrument, options.seed, replace(options.imu, rate_hz=rate_hz)), operator)
 
 
-def make_emulator(options: EmulateOptions) -> Emulator:
-    """Return the emulator, not yet started; ``write_truth(options, emulator.source)`` tells what is true.
+def make_emulator(options: EmulateOptions) -> EmulatorCore:
+    """Return the emulator, not yet started: a ``CanEmulator`` for an instrument on a bus, else an ``Emulator``.
 
     Raises
     ------
     UsageError
         If a value of the options makes no sense.
+    ProtocolError
+        If there is no such driver or protocol.
     """
-    source = make_virtual_imu(options)
-    device = _make_device(options, source.imu.instrument.grade, source.imu.settings.rate_hz)
-    progress = _TruthKeeper(options, source) if options.truth is not None else None
+    wire = choose_wire(options)
+    source = make_virtual_imu(options, wire.rate_hz)
+    grade = source.imu.instrument.grade
+    if options.device in OWN_RATE_HZ:
+        return _on_port(options, _make_device(options, wire, grade), source, source)
+    converted = InProtocolUnits(source, (grade.accelerometer_scale, grade.gyroscope_scale), wire.protocol, wire.rate_hz)
+    if wire.form is None:
+        return _on_bus(options, wire.protocol, converted, source)
+    return _on_port(options, ProtocolDevice(wire.protocol, wire.form, wire.rate_hz, wire.baud), converted, source)
+
+
+def _on_port(options: EmulateOptions, device: Device, source: Any, virtual: VirtualImu) -> Emulator:
+    if options.bus is not None:
+        raise UsageError(f"{options.device} is no instrument of a CAN bus; leave --bus out", bus=options.bus)
+    if not isinstance(options.faults, Faults):
+        raise UsageError(f"{options.device} has a serial line, which cannot lose or double CAN frames")
+    progress = _TruthKeeper(options, virtual) if options.truth is not None else None
     return Emulator(device, source, options.run, faults=options.faults, seed=options.seed, on_progress=progress)
 
 
-def emulate(options: EmulateOptions, on_start: Callable[[Emulator], None] | None = None) -> Emulator:
+def _on_bus(options: EmulateOptions, protocol: Protocol, source: InProtocolUnits, virtual: VirtualImu) -> EmulatorCore:
+    from imufield.simulate.can_emulator import CanEmulator
+
+    # The default of the options is no fault at all, on whatever wire.
+    faults = CanFaults() if options.faults == Faults() else options.faults
+    if not isinstance(faults, CanFaults):
+        raise UsageError(f"{options.device} is on a CAN bus, which lets no damaged bytes through; choose faults of frames")
+    progress = _TruthKeeper(options, virtual) if options.truth is not None else None
+    bus = options.bus or DEFAULT_BUS
+    return CanEmulator(protocol, source, bus, options.run, faults=faults, seed=options.seed, on_progress=progress)
+
+
+def emulate(options: EmulateOptions, on_start: Callable[[EmulatorCore], None] | None = None) -> EmulatorCore:
     """Run a virtual instrument until its time is over; Ctrl-C ends it too and is passed on.
 
     Parameters
     ----------
     options : EmulateOptions
     on_start : callable, optional
-        Called with the running emulator, which knows its port.
+        Called with the running emulator, which knows its address.
 
     Returns
     -------
-    Emulator
+    EmulatorCore
         The stopped one, for its counts.
     """
     with make_emulator(options) as emulator:
@@ -164,18 +262,31 @@ class _TruthKeeper:
             write_truth(self._options, self._source)
 
 
-def _make_device(options: EmulateOptions, grade: Grade, rate_hz: float) -> Device:
+def _make_device(options: EmulateOptions, wire: WireChoice, grade: Grade) -> Device:
+    chosen: dict[str, Any] = {name: wire.protocol.settings[name].value for name in options.settings}
     if options.device == "text":
-        return TextDevice(options.text)
-    if rate_hz not in _STIM300_RATES_HZ:
+        if "columns" in chosen:
+            chosen["columns"] = tuple(name.strip() for name in str(chosen["columns"]).split(","))
+        return TextDevice(_apply(options.text, chosen, options.device, ("columns", "prefix")))
+    if wire.rate_hz not in _STIM300_RATES_HZ:
         raise UsageError(
-            f"sample rate {rate_hz:g} Hz is not one of a STIM300's; choose 125, 250, 500, 1000 or 2000 Hz", rate_hz=rate_hz
+            f"sample rate {wire.rate_hz:g} Hz is not one of a STIM300's; choose 125, 250, 500, 1000 or 2000 Hz",
+            rate_hz=wire.rate_hz,
         )
     if options.stim300 is not None:
-        return Stim300Device(replace(options.stim300, rate_hz=rate_hz))
+        return Stim300Device(replace(options.stim300, rate_hz=wire.rate_hz))
     range_g = grade.accelerometer.range_si / STANDARD_GRAVITY_M_S2
     fitting = [held for held in ACCELEROMETER_BITS if held >= round(range_g, 6)]
-    return Stim300Device(Stim300Format(rate_hz=rate_hz, accelerometer_range_g=min(fitting)))
+    own = Stim300Format(rate_hz=wire.rate_hz, accelerometer_range_g=min(fitting))
+    return Stim300Device(_apply(own, chosen, options.device, ("accelerometer_range_g", *_STIM300_OUTPUTS)))
+
+
+def _apply(own: Any, chosen: Mapping[str, object], device: str, allowed: tuple[str, ...]) -> Any:
+    """Return the format of a device with the settings chosen."""
+    wrong = next((name for name in chosen if name not in allowed), None)
+    if wrong is not None:
+        raise UsageError(f"--set {wrong} is not emulated for {device}; choose among {', '.join(allowed)}", setting=wrong)
+    return replace(own, **chosen)
 
 
 def _plain(record: Any) -> dict[str, Any]:

@@ -8,6 +8,7 @@ field that knows it, else 0, and the flag of the sample says so where the protoc
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,7 @@ class WireClock:
         wrapped: IntArray = ticks % (self.protocol.clock.counter_modulus or modulus or _WHOLE_TURN)
         return wrapped
 
-    def stamps(self, samples: Samples) -> dict[str, tuple[float, float]]:
+    def stamps(self) -> dict[str, tuple[float, float]]:
         """Return ticks per second and wrap of each time stamp the protocol knows, by field; a wrap of 0: that of the field."""
         clock = self.protocol.clock
         if clock.times:
@@ -122,7 +123,7 @@ class FrameEncoder:
         raw |= self._temperature(samples) | self._flags(samples)
         if self.has_counter:
             raw[clock.counter_field] = self._clock.counter(samples, self._fields[clock.counter_field].modulus)
-        for name, (ticks_per_s, modulus) in self._clock.stamps(samples).items():
+        for name, (ticks_per_s, modulus) in self._clock.stamps().items():
             if name in self._fields:
                 raw[name] = _stamp(self._fields[name], self._clock.time_s(samples) * ticks_per_s, modulus)
         return raw
@@ -202,7 +203,7 @@ def _field(rule: FieldsRule, key: int, number: int) -> bytes:
     return bytes(header) + bytes(size)
 
 
-def _order(big_endian: bool) -> str:
+def _order(big_endian: bool) -> Literal["big", "little"]:
     return "big" if big_endian else "little"
 
 

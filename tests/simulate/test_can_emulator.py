@@ -19,9 +19,10 @@ from imufield.acquire.protocol import load_protocol
 from imufield.acquire.registry import load_driver
 from imufield.errors import UsageError
 from imufield.samples import Samples, Status, concatenate, make_samples
-from imufield.simulate.can_emulator import CanEmulator, CanFaultInjector, CanFaults
+from imufield.simulate.can_emulator import CanEmulator
 from imufield.simulate.can_encode import CanEncoder
 from imufield.simulate.emulator import EmulatorSettings
+from imufield.simulate.faults import CanFaultInjector, CanFaults
 
 NUMBERS = itertools.count()
 RATE_HZ = 200.0
@@ -164,11 +165,11 @@ def test_faults_are_counted_and_survived(channel: str) -> None:
 
 def test_bus_off_is_silence_and_a_gap(channel: str) -> None:
     opened = open_can(channel, driver="aceinna_can")
-    faults = CanFaults(bus_off_at_s=(2.0,), bus_off_s=1.0)
+    faults = CanFaults(disconnect_at_s=(2.0,), disconnect_s=1.0)
     settings = EmulatorSettings(duration_s=4.5)
     with CanEmulator(load_protocol("j1939_imu"), Ramp(), channel, settings, faults=faults) as emulator:
         samples = read(opened, lambda: emulator.finished)
-    assert emulator.injector.counts["bus_offs"] == 1
+    assert emulator.injector.counts["disconnects"] == 1
     assert opened.decoder.statistics.by_kind["error frame"] == 16
     gap = np.flatnonzero(samples.status & Status.GAP_ESTIMATED)
     assert len(gap) >= 1
