@@ -11,9 +11,9 @@ import pytest
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver
 from imufield.acquire.protocol import protocol_names
-from imufield.acquire.registry import _shipped, load_driver
+from imufield.acquire.registry import shipped_names, load_driver
 
-NAMES = sorted(_shipped())
+NAMES = shipped_names()
 PROTOCOLS_WITHOUT_DRIVER = {"rows_f64": "written by imufield itself, no instrument sends it"}
 LONGEST_DRIVER_LINES = 150
 

@@ -18,7 +18,7 @@ GROUP = "imufield.drivers"
 
 def driver_names() -> list[str]:
     """Return the names of the drivers there are, sorted. One of another distribution may still fail to load."""
-    return sorted(_shipped() | {point.name for point in entry_points(group=GROUP)})
+    return sorted({*shipped_names()} | {point.name for point in entry_points(group=GROUP)})
 
 
 def load_driver(name: str) -> type[Driver]:
@@ -30,7 +30,7 @@ def load_driver(name: str) -> type[Driver]:
         If there is no such driver, two distributions have one of that name, or its import fails.
     """
     points = tuple(entry_points(group=GROUP, name=name))
-    shipped = name in _shipped()
+    shipped = name in shipped_names()
     if shipped + len(points) > 1:
         owners = ", ".join([*(["imufield"] if shipped else []), *(_owner(point) for point in points)])
         raise ProtocolError(
@@ -50,9 +50,10 @@ def load_driver(name: str) -> type[Driver]:
     )
 
 
-def _shipped() -> set[str]:
+def shipped_names() -> list[str]:
+    """Return the names of the drivers that ship with imufield, sorted."""
     folder = importlib.import_module(GROUP).__path__
-    return {module.name for module in pkgutil.iter_modules(folder) if not module.name.startswith("_")}
+    return sorted(module.name for module in pkgutil.iter_modules(folder) if not module.name.startswith("_"))
 
 
 def _owner(point: EntryPoint) -> str:

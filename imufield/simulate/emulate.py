@@ -25,7 +25,7 @@ from imufield.simulate.emulator import Emulator, EmulatorSettings, VirtualImu
 from imufield.simulate.emulator_core import EmulatorCore
 from imufield.simulate.encode import ACCELEROMETER_BITS, Stim300Format, TextFormat
 from imufield.simulate.faults import CanFaults, Faults, WireFaults
-from imufield.simulate.grades import Grade, draw_truth, find_grade
+from imufield.simulate.grades import draw_truth, find_grade
 from imufield.simulate.imu import Imu, ImuSettings
 from imufield.simulate.motion import Site
 from imufield.simulate.operator import Operator, OperatorSettings
@@ -151,11 +151,11 @@ def make_emulator(options: EmulateOptions) -> EmulatorCore:
     source = make_virtual_imu(options, wire.rate_hz)
     grade = source.imu.instrument.grade
     if options.device in OWN_RATE_HZ:
-        return _on_port(options, _make_device(options, wire, grade), source, source)
+        return _on_port(options, make_device(options, wire), source, source)
     converted = InProtocolUnits(source, (grade.accelerometer_scale, grade.gyroscope_scale), wire.protocol, wire.rate_hz)
     if wire.form is None:
         return _on_bus(options, wire.protocol, converted, source)
-    return _on_port(options, ProtocolDevice(wire.protocol, wire.form, wire.rate_hz, wire.baud), converted, source)
+    return _on_port(options, make_device(options, wire), converted, source)
 
 
 def _on_port(options: EmulateOptions, device: Device, source: Any, virtual: VirtualImu) -> Emulator:
@@ -262,7 +262,16 @@ class _TruthKeeper:
             write_truth(self._options, self._source)
 
 
-def _make_device(options: EmulateOptions, wire: WireChoice, grade: Grade) -> Device:
+def make_device(options: EmulateOptions, wire: WireChoice) -> Device:
+    """Return the instrument on a serial line, without port or samples.
+
+    Raises
+    ------
+    UsageError
+        If it has not the rate, or a setting is not emulated.
+    """
+    if options.device not in OWN_RATE_HZ:
+        return ProtocolDevice(wire.protocol, wire.form or _OWN_FORM, wire.rate_hz, wire.baud)
     chosen: dict[str, Any] = {name: wire.protocol.settings[name].value for name in options.settings}
     if options.device == "text":
         if "columns" in chosen:
@@ -275,7 +284,7 @@ def _make_device(options: EmulateOptions, wire: WireChoice, grade: Grade) -> Dev
         )
     if options.stim300 is not None:
         return Stim300Device(replace(options.stim300, rate_hz=wire.rate_hz))
-    range_g = grade.accelerometer.range_si / STANDARD_GRAVITY_M_S2
+    range_g = find_grade(options.grade).accelerometer.range_si / STANDARD_GRAVITY_M_S2
     fitting = [held for held in ACCELEROMETER_BITS if held >= round(range_g, 6)]
     own = Stim300Format(rate_hz=wire.rate_hz, accelerometer_range_g=min(fitting))
     return Stim300Device(_apply(own, chosen, options.device, ("accelerometer_range_g", *_STIM300_OUTPUTS)))
