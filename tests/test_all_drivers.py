@@ -1,21 +1,50 @@
-"""Every driver that ships: names, documentation, limits, protocol."""
+"""Every driver that ships: names, documentation, limits, protocol, vectors, and its emulated instrument read back."""
 
 from __future__ import annotations
 
 import inspect
+import json
+import os
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from imufield.acquire.can_map import open_can
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver
-from imufield.acquire.protocol import protocol_names
-from imufield.acquire.registry import shipped_names, load_driver
+from imufield.acquire.link import Link, open_link
+from imufield.acquire.protocol import load_protocol, protocol_names
+from imufield.acquire.registry import load_driver, shipped_names
+from imufield.samples import Samples, Status, concatenate
+from imufield.simulate.emulate import EmulateOptions, choose_wire, make_emulator
+from imufield.simulate.emulator_core import EmulatorCore, EmulatorSettings
 
 NAMES = shipped_names()
 PROTOCOLS_WITHOUT_DRIVER = {"rows_f64": "written by imufield itself, no instrument sends it"}
 LONGEST_DRIVER_LINES = 150
+VECTORS = {
+    "aceinna_serial": "aceinna_openimu_serial",
+    "bosch_mm510": "can_imus",
+    "j1939_imu": "aceinna_mtlt_can",
+    "kvh_17xx": "kvh_1750",
+    "microstrain_mip": "microstrain_mip",
+    "novatel_oem7": "novatel_rawimu",
+    "novatel_oem7_ascii": "novatel_rawimu",
+    "racelogic_can": "can_imus",
+    "sbg_can": "can_imus",
+    "sbg_sbgecom": "sbg_sbgecom",
+    "stim300": "stim300",
+    "vectornav_ascii": "vectornav",
+    "vectornav_binary": "vectornav",
+    "witmotion": "witmotion",
+    "xsens_can": "can_imus",
+    "xsens_mtdata2": "xsens_mtdata2",
+}
+"""Files of test vectors by protocol; those of each format are compared value by value in tests/acquire."""
+WITHOUT_VECTORS = {"text": "numbers as one writes them"}
+DURATION_S = 2.0
 
 
 @pytest.fixture(params=NAMES)
@@ -61,3 +90,48 @@ def test_every_protocol_has_a_driver() -> None:
     spoken = {load_driver(name).protocol for name in NAMES}
     assert spoken | set(PROTOCOLS_WITHOUT_DRIVER) == set(protocol_names())
     assert not spoken & set(PROTOCOLS_WITHOUT_DRIVER)
+
+
+def test_every_protocol_has_vectors(driver: type[Driver], shared_folder: Path) -> None:
+    assert (driver.protocol in VECTORS) != (driver.protocol in WITHOUT_VECTORS)
+    if driver.protocol in VECTORS:
+        path = shared_folder / "wire" / f"{VECTORS[driver.protocol]}.vectors.json"
+        assert json.loads(path.read_text(encoding="utf-8"))
+
+
+def test_status_is_that_of_the_protocol(driver: type[Driver]) -> None:
+    protocol = load_protocol(driver.protocol)
+    # A protocol may have been tried on another maker's instrument than this one, never the other way round.
+    assert driver.status == "document only" or protocol.status == driver.status
+
+
+def read(link: Link, decoder: Decoder, emulator: EmulatorCore) -> Samples:
+    blocks, quiet = [], 0
+    while quiet < 3:
+        chunk = link.read()
+        quiet = quiet + 1 if chunk is None and emulator.finished else 0
+        if chunk is not None:
+            blocks.append(decoder.feed(chunk.data, chunk.monotonic_s))
+    return concatenate([*blocks, decoder.flush()])
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux or macOS")
+def test_emulated_instrument_is_read_back(driver: type[Driver]) -> None:
+    """The instrument lies on a table; every sample comes through port or bus, link and decoder, in SI."""
+    run = EmulatorSettings(duration_s=DURATION_S, wait_for_reader=driver.wire == "serial")
+    bus = f"virtual:{driver.name}-{os.getpid()}" if driver.wire == "can" else None
+    options = EmulateOptions(driver.name, run=run, bus=bus)
+    wire = choose_wire(options)
+    opened = open_can(bus, driver=driver.name) if bus else None
+    decoder = Decoder(wire.protocol) if opened is None else opened.decoder
+    with make_emulator(options) as emulator:
+        link = open_link(emulator.address, baud=driver.default_baud) if opened is None else opened.link
+        samples = read(link, decoder, emulator)
+        link.close()
+    assert emulator.failure is None
+    assert len(samples) == emulator.samples_sent == round(DURATION_S * wire.rate_hz)
+    assert decoder.statistics.samples_lost == 0
+    usable = samples[(samples.status & np.uint32(Status.START_UP)) == 0]
+    assert np.linalg.norm(usable.accelerometer_rate().mean(axis=0)) == pytest.approx(9.8, abs=0.1)
+    rate = usable.gyroscope_rate().mean(axis=0)
+    assert np.abs(rate).max() < 0.02 or (np.isnan(rate).all() and driver.name == "bosch_mm510")

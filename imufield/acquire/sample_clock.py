@@ -81,6 +81,8 @@ class SampleClock:
         self._started = False
         self._stamps = StampClock(rule)
         self._last_counter = 0
+        self._stamped_step_s = 0.0
+        """Regular step by the first time stamps, where a counter comes beside them."""
         # Without time stamps, time is origin_s + ticks / tick_rate_hz: whole numbers, so that nothing adds up.
         self._tick_rate_hz = 1.0
         self._ticks = 0
@@ -151,6 +153,7 @@ class SampleClock:
             self._last_counter = int(first.counter[0])
             self._steps.learn(self._counter_steps(first)[1:].astype(np.float64))
             self._last_counter = int(first.counter[0]) - int(self._steps.step)
+            self._stamped_step_s = _usual(first_steps_s)
             self._tick_rate_hz = self._rule.counter_ticks_per_s or self._rule.rate_hz or 1.0
         elif self._has_time:
             self._steps.learn(first_steps_s)
@@ -209,7 +212,7 @@ class SampleClock:
             time_s = stamped.time_s
             flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
             self._statistics.clock_resets += int(np.count_nonzero(stamped.reset))
-            steps = steps if self._has_counter else stamped.step_s
+            steps = self._add_wraps(steps, stamped.step_s) if self._has_counter else stamped.step_s
         else:
             total = self._ticks + np.cumsum(ticks)
             self._ticks = int(total[-1])
@@ -231,6 +234,14 @@ class SampleClock:
         self._last_counter = int(block.counter[-1])
         steps[steps == 0] = self._rule.counter_modulus
         return steps
+
+    def _add_wraps(self, steps: FloatArray, step_s: FloatArray) -> FloatArray:
+        """Return the steps of a counter with the whole wraps that the time stamps beside it show."""
+        if self._stamped_step_s <= 0:
+            return steps
+        expected = step_s / self._stamped_step_s * self._steps.step
+        wraps = np.maximum(np.rint((expected - steps) / self._rule.counter_modulus), 0)
+        return np.asarray(steps + wraps * self._rule.counter_modulus)
 
     def _settle(self, block: RawBlock, reads: list[tuple[int, float]]) -> list[TimedBlock]:
         """Put a block on the clock; return what is settled now. ``reads`` has the last row and arrival of each read."""
@@ -301,3 +312,12 @@ class SampleClock:
         self._statistics.nominal_rate_hz = 1 / step_s
         slope = self._watch.baseline.slope
         self._statistics.rate_hz = None if slope is None else (1 - slope) / step_s
+
+
+def _usual(steps_s: FloatArray) -> float:
+    """Return the mean of the steps that are near the middle one; 0 where there is none."""
+    positive = steps_s[steps_s > 0]
+    if len(positive) == 0:
+        return 0.0
+    middle = float(np.median(positive))
+    return float(np.mean(positive[np.abs(positive - middle) <= _LARGEST_RATE_ERROR * middle]))

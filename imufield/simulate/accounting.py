@@ -196,9 +196,7 @@ def _lost_bytes(data: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np
     return lost
 
 
-def _lost_stretches(
-    ends: IntArray, time_s: FloatArray, rng: np.random.Generator, *, outages: bool
-) -> NDArray[np.bool_]:
+def _lost_stretches(ends: IntArray, time_s: FloatArray, rng: np.random.Generator, *, outages: bool) -> NDArray[np.bool_]:
     lost = np.zeros(int(ends[-1]), dtype=np.bool_)
     span_s = float(time_s[-1] - time_s[0])
     lengths_s = rng.uniform(0, _STRETCH_S, rng.poisson(_STRETCHES_PER_S * span_s))
@@ -221,9 +219,7 @@ def _compare(sent: Samples, got: Samples, intact: NDArray[np.bool_], account: Ac
     account.samples_false = int(np.count_nonzero(found < 0)) + int(np.count_nonzero(np.diff(found[found >= 0]) <= 0))
     known = np.flatnonzero(decoded)
     account.missing = int(known[-1] - known[0] + 1 - len(known)) if len(known) else 0
-    account.flagged_estimated = int(
-        np.count_nonzero(got.status & np.uint32(Status.GAP_ESTIMATED | Status.TIME_ESTIMATED))
-    )
+    account.flagged_estimated = int(np.count_nonzero(got.status & np.uint32(Status.GAP_ESTIMATED | Status.TIME_ESTIMATED)))
 
 
 def _rows(samples: Samples) -> list[bytes]:

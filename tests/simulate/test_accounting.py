@@ -1,0 +1,69 @@
+"""Damaged streams of every serial form, counted to the last frame; forms without a checksum are excepted and say so."""
+
+from __future__ import annotations
+
+import pytest
+
+from imufield.acquire.protocol import load_protocol
+from imufield.acquire.registry import load_driver
+from imufield.simulate.accounting import Wire, account_for, has_checksum, serial_wires
+
+WIRES = serial_wires()
+CHECKED = [wire for wire in WIRES if has_checksum(wire.choose().protocol)]
+WITHOUT_CHECKSUM = {"text": "lines of numbers", "witmotion-bluetooth": "no checksum", "witmotion-card": "no checksum"}
+BY_HOST_TIME = ("vectornav_ascii", "witmotion")
+"""Drivers whose streams have neither time nor counter."""
+BY_COUNTER = ("stim300", "kvh_17xx-A", "kvh_17xx-C", "aceinna_serial-S1", "aceinna_serial-S0")
+"""Wires whose counter wraps within a second and that have no time."""
+DURATION_S = 12.0
+
+
+def test_every_form_is_there() -> None:
+    assert len(WIRES) == 38
+    assert {str(wire) for wire in WIRES} - {str(wire) for wire in CHECKED} == set(WITHOUT_CHECKSUM)
+
+
+def test_forms_without_checksum_say_so() -> None:
+    assert "no checksum" in str(load_protocol("witmotion").text)
+    assert "checksum" in str(load_driver("text").__doc__)
+
+
+@pytest.mark.parametrize("wire", CHECKED, ids=str)
+def test_every_intact_frame_is_decoded_and_nothing_else(wire: Wire) -> None:
+    account = account_for(wire, DURATION_S, seed=3)
+    assert account.bits_flipped + account.bytes_lost > 0
+    assert account.samples_missed == account.samples_false == 0
+    assert account.frames_intact <= account.frames_decoded
+    # What stands behind a checksum (an end of line) may be hit and the frame be good all the same.
+    assert account.frames_decoded - account.frames_intact <= 0.01 * account.frames_sent
+    assert account.frames_intact < account.frames_sent
+    if wire.driver in BY_HOST_TIME:
+        assert account.flagged_estimated == account.samples_decoded
+        assert account.counted_lost <= account.missing
+    else:
+        assert account.counted_lost == account.missing
+        assert account.estimated_lost == account.flagged_estimated == 0
+
+
+@pytest.mark.parametrize("wire", [wire for wire in CHECKED if str(wire).startswith(BY_COUNTER)], ids=str)
+def test_losses_beyond_a_wrap_come_from_host_time_and_are_said_to_be_estimated(wire: Wire) -> None:
+    account = account_for(wire, DURATION_S, seed=4, outages=True)
+    assert account.samples_missed == account.samples_false == 0
+    assert account.estimated_lost > 0
+    assert account.flagged_estimated > 0
+    assert account.counted_lost + account.estimated_lost == account.missing
+
+
+def test_a_time_stamp_beside_a_counter_shows_whole_wraps() -> None:
+    account = account_for(Wire("kvh_17xx", "B"), DURATION_S, seed=4, outages=True)
+    assert account.counted_lost == account.missing > 300
+    assert account.estimated_lost == 0
+
+
+@pytest.mark.parametrize("wire", [wire for wire in CHECKED if wire.driver in BY_HOST_TIME], ids=str)
+def test_streams_without_time_are_estimated_near_enough(wire: Wire) -> None:
+    account = account_for(wire, 3 * DURATION_S, seed=4, outages=True)
+    assert account.samples_missed == account.samples_false == 0
+    assert account.flagged_estimated == account.samples_decoded
+    # Short losses below what a busy host causes anyway cannot be told from it.
+    assert account.counted_lost + account.estimated_lost == pytest.approx(account.missing, rel=0.1, abs=30)
