@@ -147,7 +147,7 @@ def account_for(wire: Wire, duration_s: float, seed: int = 1, *, outages: bool =
         sent.append(clean.feed(frames.data.tobytes()))
         hit = _damage(frames, samples.time_s, rng, outages=outages)
         got += [damaged.feed(data, arrival_s) for data, arrival_s in hit.reads]
-        intact.append(hit.intact.reshape(len(samples), -1).all(axis=1))
+        intact.append(np.asarray(hit.intact.reshape(len(samples), -1).all(axis=1)))
         account.frames_sent += len(frames.ends)
         account.frames_intact += int(hit.intact.sum())
         account.bits_flipped += hit.flips

@@ -31,7 +31,7 @@ OPTIONS = EmulateOptions(
 def test_truth_is_written_and_true(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"truth{suffix}"
     started: list[str] = []
-    emulator = emulate(replace(OPTIONS, truth=path), lambda running: started.append(running.port))
+    emulator = emulate(replace(OPTIONS, truth=path), lambda running: started.append(running.address))
     assert started
     assert emulator.samples_sent == 1500
     truth = tomllib.loads(path.read_text()) if suffix == ".toml" else json.loads(path.read_text())
@@ -66,8 +66,9 @@ def test_without_directions_it_lies_on_the_table() -> None:
 
 @pytest.mark.parametrize(("grade", "range_g"), [("navigation", 30), ("tactical", 10), ("industrial", 10), ("mems", 5)])
 def test_range_of_the_datagrams_holds_the_grade(grade: str, range_g: int) -> None:
-    emulator: Emulator = make_emulator(replace(OPTIONS, grade=grade))
+    emulator = make_emulator(replace(OPTIONS, grade=grade))
     try:
+        assert isinstance(emulator, Emulator)
         assert isinstance(emulator.device, Stim300Device)
         assert emulator.device.format.accelerometer_range_g == range_g
     finally:
