@@ -7,7 +7,6 @@ field that knows it, else 0, and the flag of the sample says so where the protoc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -27,7 +26,6 @@ _WHOLE_TURN = 1 << 53
 """Wrap of stamps of 64 bits: 104 days of ns, and every number below is exact."""
 
 
-@dataclass(slots=True)
 class WireClock:
     """Counter and time stamps as the instrument counts them.
 
@@ -38,10 +36,11 @@ class WireClock:
         Nominal rate of the samples.
     """
 
-    protocol: Protocol
-    rate_hz: float
-    counter_offset: int = 0
-    time_offset_s: float = 0.0
+    def __init__(self, protocol: Protocol, rate_hz: float) -> None:
+        self.protocol = protocol
+        self.rate_hz = rate_hz
+        self.counter_offset = 0
+        self.time_offset_s = 0.0
 
     def counter(self, samples: Samples, modulus: int) -> IntArray:
         """Return the counter of each sample; it counts samples, or time."""

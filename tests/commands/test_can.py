@@ -27,9 +27,10 @@ from imufield.cli.run import run
 from imufield.commands.chain import session_samples
 from imufield.guide.positions import scheme
 from imufield.samples import Status, concatenate
-from imufield.simulate.can_emulator import CanEmulator, CanFaults
+from imufield.simulate.can_emulator import CanEmulator
 from imufield.simulate.emulate import EmulateOptions, make_virtual_imu
 from imufield.simulate.emulator import EmulatorSettings
+from imufield.simulate.faults import CanFaults
 from imufield.simulate.operator import OperatorSettings
 
 if TYPE_CHECKING:
