@@ -6,13 +6,14 @@ sample, T the period and s the stamp, the lag
 
     L(i) = s(i) - i T
 
-is therefore the true phase plus a delay, and its minimum over the samples that follow within a quarter second,
+is therefore the true phase plus a delay, and its minimum over the samples that are stamped within the next quarter second,
 
-    E(i) = min L(i .. i + w),
+    E(i) = min L(j)  over  j >= i  with  s(j) <= s(i) + 0.25 s,
 
-is the phase without the delay of bursts. The time of a sample is E(i) + i T. Where k samples are missing, L rises by k T and
-stays there, so E makes a step; a delay that passes makes none. Such losses are estimates and flagged so. Where frames come in
-bursts longer than a period (an adapter without stamps of its own), only steps beyond that delay can be told from it.
+is the phase without the delay of bursts, however long the host stood still before it handed one over. The time of a sample
+is E(i) + i T. Where k samples are missing, L rises by k T and stays there, so E makes a step; a delay that passes makes none.
+Such losses are estimates and flagged so. Where frames come in bursts longer than a period (an adapter without stamps of its
+own), only steps beyond that delay can be told from it; a cable that becomes slower for good looks like a loss.
 
 A counter in the messages numbers the samples itself: losses below one wrap of it are exact, and the steps of E that are left
 are whole wraps. A time stamp of the instrument replaces all of this.
@@ -21,7 +22,7 @@ are whole wraps. A time stamp of the instrument replaces all of this.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,8 @@ from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status
 
 _WINDOW_S = 0.25
 """Longer than the delays of a busy host, as for serial ports."""
-_LEAST_WINDOW, _MOST_WINDOW = 2, 2048
+_LEAST_WINDOW = 2
+"""Periods; slow instruments send less than that in a quarter second."""
 _LEARN_SAMPLES, _LEARN_S = 8, 1.0
 _MOST_LEARNED = 4096
 """Samples after which the period is learned even if the stamps stand still."""
@@ -57,7 +59,7 @@ class _Phase:
     """What is known once the period is learned."""
 
     period_s: float
-    window: int
+    window_s: float
     unit: int
     """Samples in the smallest loss that only time shows: 1, or a wrap of the counter."""
     number: float = 0.0
@@ -70,6 +72,8 @@ class _Phase:
     """The stamps stand still: there is nothing but the number of the sample."""
     base_s: float = 0.0
     """Phase at the last sample given out."""
+    before_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    """Phases at as many samples given out as come in a burst, and one."""
     last_time_s: float = -np.inf
     run: int = 0
 
@@ -144,7 +148,7 @@ class CanClock:
             self._phase = self._learn(block)
             self._phase.last_time_s = self._last_time_s
         phase = self._phase
-        ready = len(block) if last else len(block) - phase.window
+        ready = len(block) if last or phase.is_blind else _settled(block.stamp_s, phase.window_s)
         if ready <= 0:
             return None
         done = self._time(block, ready, phase)
@@ -162,12 +166,13 @@ class CanClock:
             self._last_counter = int(block.counter[first]) - (first + 1) * self._counter_step
         steps = self._steps(block.counter, remember=False)
         period_s = _period(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
-        window = int(np.clip(np.ceil(_WINDOW_S / period_s), _LEAST_WINDOW, _MOST_WINDOW))
+        window_s = max(_WINDOW_S, _LEAST_WINDOW * period_s)
         unit = self._rule.counter_modulus // self._counter_step if self._last_counter is not None else 1
-        phase = _Phase(period_s, window, max(unit, 1))
+        phase = _Phase(period_s, window_s, max(unit, 1))
         lag_s = block.stamp_s - np.cumsum(steps) * period_s
-        phase.base_s = float(lag_s[: window + 1].min())
-        delay_s = float(np.quantile(lag_s - _minimum_ahead(lag_s, window), _USUAL_DELAY))
+        envelope_s = _minimum_ahead(lag_s, block.stamp_s, window_s)
+        phase.base_s = float(envelope_s[0])
+        delay_s = float(np.quantile(lag_s - envelope_s, _USUAL_DELAY))
         unit_s = phase.unit * period_s
         phase.visible_s = unit_s / 2
         if 2 * delay_s >= unit_s:
@@ -200,18 +205,20 @@ class CanClock:
         """Give the first ``ready`` samples of the held block their time."""
         number, steps = self._numbers(block, ready, phase)
         lag_s = block.stamp_s - number * phase.period_s
-        envelope_s = np.zeros(ready) if phase.is_blind else _minimum_ahead(lag_s, phase.window)[:ready]
+        envelope_s = np.zeros(ready) if phase.is_blind else _minimum_ahead(lag_s, block.stamp_s, phase.window_s)[:ready]
         time_s = envelope_s + number[:ready] * phase.period_s
         moved_s = np.diff(envelope_s, prepend=phase.base_s)
         least_s, most_s = float(moved_s.min()), float(moved_s.max())
         phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
-        if least_s > -_DRIFT * phase.period_s and most_s < min(phase.visible_s, _DRIFT * phase.period_s):
-            # The phase stands: no loss by time, no change of rate, and time runs forward.
+        stands = least_s > -_DRIFT * phase.period_s and most_s < min(phase.visible_s, _DRIFT * phase.period_s)
+        if stands and time_s[0] > phase.last_time_s:
+            # No loss by time, no change of rate, and time runs forward, from the end of a period learned before as well.
             phase.run, phase.last_time_s = 0, float(time_s[-1])
             estimated = None
         else:
             estimated = _losses(envelope_s, moved_s, phase)
             time_s = _forward(time_s, phase)
+        phase.before_s = np.concatenate([phase.before_s, envelope_s])[-phase.burst - 1 :]
         self._begin = self._begin or (float(number[0]) + self._statistics.losses_estimated, float(time_s[0]))
         samples = self._samples(block[:ready], time_s, steps, estimated)
         self._measure(phase, *self._begin)
@@ -272,7 +279,7 @@ def _losses(envelope_s: FloatArray, moved_s: FloatArray, phase: _Phase) -> IntAr
     unit_s = phase.unit * phase.period_s
     for place in np.flatnonzero(moved_s >= phase.visible_s).tolist():
         # The last burst before a loss has nothing behind it that shows how late it was.
-        before = envelope_s[max(place - 1 - phase.burst, 0) : place]
+        before = np.concatenate([phase.before_s, envelope_s[:place]])[-phase.burst - 1 :]
         step_s = envelope_s[place] - before.min() if len(before) else moved_s[place]
         lost[place] = round(float(step_s) / unit_s) * phase.unit
     return lost
@@ -313,15 +320,25 @@ def _period(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> float:
     return nominal_s if nominal_s and abs(mean_s / nominal_s - 1) < 2 * _DRIFT else max(mean_s, 1e-6)
 
 
-def _minimum_ahead(values: FloatArray, window: int) -> FloatArray:
-    """Return the least of each value and the ``window`` that follow it. Shape (n,)."""
-    least = values.copy()
-    reach = 1
-    # Windows of 1, 2, 4, ... values; each from two of the one before.
-    while reach < window + 1:
-        step = min(reach, window + 1 - reach)
-        least[:-step] = np.minimum(least[:-step], least[step:]) if step < len(least) else least[:-step]
-        reach += step
+def _settled(stamp_s: FloatArray, window_s: float) -> int:
+    """Return how many samples have all those behind them that are stamped within the window."""
+    return int(np.searchsorted(np.maximum.accumulate(stamp_s), stamp_s.max() - window_s, side="left"))
+
+
+def _minimum_ahead(values: FloatArray, stamp_s: FloatArray, window_s: float) -> FloatArray:
+    """Return the least of each value and those that follow it with stamps within the window. Shape (n,)."""
+    order_s = np.maximum.accumulate(stamp_s)
+    begin = np.arange(len(values))
+    end = np.searchsorted(order_s, order_s + window_s, side="right")
+    # The largest power of two that fits into each window; two such stretches, one at either end, cover it.
+    power = np.frexp((end - begin).astype(np.float64))[1] - 1
+    least, stretch = values.copy(), values
+    for exponent in range(int(power.max(initial=0)) + 1):
+        if exponent:
+            half = 1 << (exponent - 1)
+            stretch = np.minimum(stretch[:-half], stretch[half:])
+        here = power == exponent
+        least[here] = np.minimum(stretch[begin[here]], stretch[end[here] - (1 << exponent)])
     return least
 
 

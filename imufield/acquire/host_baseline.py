@@ -8,11 +8,14 @@ sample clock is behind, so samples are missing.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 _BUCKET_S = 0.25
 _WINDOW_BUCKETS = 16
 """4 s: crystals of 100 ppm drift 0.4 ms in it even before the slope is known."""
+_LEAST_BUCKETS = 5
+"""1 s: minima that are known before their jitter is."""
 _SLOPE_AFTER_S = 1.0
 """A 4 % slow unit is 40 ms behind by then, below what counts as a lag; before, minima are too close together."""
 _RESTART_S = 1.0
@@ -51,6 +54,15 @@ class HostBaseline:
         if arrival_s <= self._first[0]:
             return None
         return max(-_LARGEST_SLOPE, min(_LARGEST_SLOPE, (offset - self._first[1]) / (arrival_s - self._first[0])))
+
+    @property
+    def spread_s(self) -> float:
+        """How far the minima lie apart, s: by so much the least of many arrivals still jitters; infinite while not known."""
+        if len(self._buckets) < _LEAST_BUCKETS:
+            return math.inf
+        slope = self.slope or 0.0
+        level = [offset - slope * arrival_s for arrival_s, offset in list(self._buckets)[:-1]]
+        return max(level) - min(level)
 
     def offset_at(self, arrival_s: float) -> float | None:
         """Return the lowest offset to expect at ``arrival_s``; None before anything arrived."""

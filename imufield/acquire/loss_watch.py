@@ -1,14 +1,24 @@
 """Losses that only the host clock shows: whole wraps of a counter, or any where there is no counter.
 
-Such a loss makes the sample clock fall behind arrival, and stay behind. So does a host that hands over old data late (it
-catches up within a few reads) and an instrument, or its emulator, that runs slow (it falls behind little by little).
-Blocks that come late are therefore held back until one of these is clear:
+Such a loss makes the sample clock fall behind arrival by the loss, and stay behind by just that. Much else makes it fall
+behind, too, with nothing missing: a host that stood still and hands over old data late, a cable or network that is slower
+than it was, an instrument (or its emulator) that runs slow. What tells them apart is the *lag*, arrival minus sample clock
+above the line of earliest arrivals. Its least value over a while is free of the delays of single reads, and it
 
-* the lag has gone: late data, nothing is missing;
-* it has lasted, and the stream itself shows a place where samples are missing and the bytes do not account for them:
-  loss there;
-* it has lasted longer, and began with a silence as long as the loss: loss there (the samples left no trace);
-* it has lasted, and none of that: the clocks drift, nothing is missing.
+* goes away again where data are late only: bytes that still wait in some buffer come faster than they are made;
+* rises on and on where the instrument runs slow;
+* stands where samples are missing, and where a cable has become slower for good.
+
+So blocks that come late are held back, and a loss is believed when the least lag has stood still for a while and
+
+* the stream itself shows a place where samples are missing that the bytes there do not account for, and the lag is a whole
+  number of units or began with a silence as long as itself (an instrument that was restarted); or
+* the stream shows nothing (one loss in 256 leaves no trace in a counter of 8 bits), but it was silent for as long as the
+  loss, and the lag is a whole number of units to within a few ms. Where arrival jitters more than that, or where the unit
+  is a single sample and less than a second is missing, nobody can tell it from a slower cable, and nothing is counted.
+
+Otherwise the lag is no loss and the line begins anew. An arrival that is earlier than a loss allows disproves it: the count
+is taken back. The time of samples is not, as it cannot run backwards; it has a flagged gap at that place.
 """
 
 from __future__ import annotations
@@ -23,10 +33,24 @@ from imufield.acquire.assembly import RawBlock
 from imufield.acquire.host_baseline import HostBaseline
 from imufield.samples import FloatArray, Status
 
-_DECIDE_WITH_FAULT_S, _DECIDE_WITHOUT_S = 0.25, 0.5
-"""How long a lag must last. A loaded host catches up within a few reads of 10 to 50 ms."""
+_PROOF_WITH_FAULT_S, _PROOF_S = 1.0, 3.0
+"""How long the lag must stand still, at the least. A buffer that is emptied 1 % faster than it is filled moves it by 15 ms
+from one half of the longer time to the other."""
+_PROOF_SPREADS = 20.0
+"""With a fault, wait for so many times the usual jitter, but no longer than without."""
+_GIVE_UP_S = 4.0
+"""A lag that stands that long without being a loss is none; nothing is longer held back, but for late data coming in."""
+_AT_END_S = 0.25
+"""How long, where nothing will follow."""
 _SILENCE = 0.75
 """Part of the loss that must have been silence; the rest allows for a read that was under way."""
+_FINEST_S, _SPREADS = 0.003, 2.0
+"""The lag stands still within the larger of 3 ms (a busy host) and twice the jitter of the line of earliest arrivals."""
+_COARSEST = 1 / 8
+"""Part of a unit by which the lag may be off, where there is nothing else to go by."""
+_COARSEST_WITH_FAULT = 1 / 4
+_LEAST_SILENT_S = 1.0
+"""Least loss without a trace where single samples are the unit: radio links and networks slow down by less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +85,8 @@ class LossWatch:
         self.baseline = HostBaseline()
         self.lost_units = 0
         """Units found missing so far; the sample clock behind them must move on by so much."""
+        self.units_taken_back = 0
+        """Units that were not missing after all; the sample clock stays as it is."""
         self.gaps = 0
         """Gaps found that were not flagged before."""
         self._unit_s = unit_s
@@ -68,6 +94,8 @@ class LossWatch:
         self._held: list[tuple[TimedBlock, float]] = []
         self._last_arrival_s = math.nan
         self._silence_s = 0.0
+        self._believed = 0
+        """Units found missing that an early arrival would disprove."""
 
     def passes(self, arrival_s: float, last_s: float) -> bool:
         """Take note of a block up to ``last_s`` if it is in time and nothing is held back; return whether it was.
@@ -76,7 +104,7 @@ class LossWatch:
         """
         if self._held or not math.isfinite(arrival_s):
             return not self._held
-        if self.baseline.lag_s(arrival_s, last_s) > self._smallest_s:
+        if not abs(self.baseline.lag_s(arrival_s, last_s)) <= self._smallest_s:
             return False
         self._last_arrival_s = arrival_s
         self.baseline.add(arrival_s, last_s)
@@ -86,41 +114,76 @@ class LossWatch:
         """Return the blocks whose time is settled now, in order."""
         if not math.isfinite(timed.arrival_s):
             return [*self.finish(), timed]
-        lag_s = self.baseline.lag_s(timed.arrival_s, float(timed.time_s[-1]))
+        last_s = float(timed.time_s[-1])
+        lag_s = self.baseline.lag_s(timed.arrival_s, last_s)
         if not self._held:
             self._silence_s = timed.arrival_s - self._last_arrival_s
         self._last_arrival_s = timed.arrival_s
         if lag_s <= self._smallest_s:
-            self.baseline.add(timed.arrival_s, float(timed.time_s[-1]))
+            self._disprove(lag_s)
+            self.baseline.add(timed.arrival_s, last_s)
             return [*self._release(), timed]
         self._held.append((timed, lag_s))
-        waited_s = timed.arrival_s - self._held[0][0].arrival_s
-        if waited_s < (_DECIDE_WITH_FAULT_S if self._fault() else _DECIDE_WITHOUT_S):
-            return []
-        return self._decide()
+        units = self._units_lost()
+        return [] if units is None else self._settle(units)
 
     def finish(self) -> list[TimedBlock]:
         """Return what is held back; nothing with an arrival time will follow."""
         if not self._held:
             return []
-        waited_s = self._held[-1][0].arrival_s - self._held[0][0].arrival_s
-        return self._decide() if self._fault() or waited_s >= _DECIDE_WITH_FAULT_S else self._release()
+        units = self._units_lost(at_end=True)
+        return self._settle(units) if units else self._release()
 
     def _release(self) -> list[TimedBlock]:
         held, self._held = self._held, []
         return [timed for timed, _ in held]
 
-    def _decide(self) -> list[TimedBlock]:
-        units = round(min(lag_s for _, lag_s in self._held) / self._unit_s)
+    def _units_lost(self, *, at_end: bool = False) -> int | None:
+        """Return how many units are missing in what is held back; None while it cannot be told."""
         place = self._fault()
-        if place is None and self._silence_s >= _SILENCE * units * self._unit_s:
-            place = (0, 0)
+        since = self._held[0 if place is None else place[0] :]
+        now_s = since[-1][0].arrival_s
+        waited_s = now_s - since[0][0].arrival_s
+        proof_s = self._proof_s(has_fault=place is not None)
+        if at_end:
+            proof_s = max(min(proof_s, waited_s), _AT_END_S if place is not None else _PROOF_S)
+        if waited_s < proof_s:
+            return None
+        before_s = _least(since, now_s - proof_s, now_s - proof_s / 2)
+        lag_s = _least(since, now_s - proof_s / 2, math.inf)
+        jitter_s = max(_FINEST_S, _SPREADS * self.baseline.spread_s)
+        tolerance_s = jitter_s if place is None else max(jitter_s, _COARSEST_WITH_FAULT * self._unit_s)
+        if abs(lag_s - before_s) <= tolerance_s and self._is_loss(lag_s, tolerance_s, has_fault=place is not None):
+            return round(lag_s / self._unit_s)
+        is_coming_in = lag_s < before_s - jitter_s
+        return 0 if waited_s >= _GIVE_UP_S and not is_coming_in else None
+
+    def _proof_s(self, *, has_fault: bool) -> float:
+        if not has_fault:
+            return _PROOF_S
+        return min(max(_PROOF_SPREADS * self.baseline.spread_s, _PROOF_WITH_FAULT_S), _PROOF_S)
+
+    def _is_loss(self, lag_s: float, tolerance_s: float, *, has_fault: bool) -> bool:
+        """Whether a lag that stands still is a loss."""
+        units = round(lag_s / self._unit_s)
+        is_whole = abs(lag_s - units * self._unit_s) <= tolerance_s
+        was_silent = self._silence_s >= _SILENCE * lag_s
+        if has_fault:
+            return units > 0 and (is_whole or was_silent)
+        counts_wraps = self._smallest_s < self._unit_s
+        can_tell = tolerance_s <= _COARSEST * self._unit_s if counts_wraps else lag_s >= _LEAST_SILENT_S
+        return units > 0 and is_whole and was_silent and can_tell
+
+    def _settle(self, units: int) -> list[TimedBlock]:
+        """Let go what is held back: with a loss in it, or with a clock that has changed."""
+        place = self._fault() or (0, 0)
         held = self._release()
-        if place is None:
-            # The clocks drift faster than expected: begin again from here.
-            self.baseline = HostBaseline()
-        else:
+        if units:
             self._insert(held, place, units)
+            self._believed += units
+        else:
+            self.baseline = HostBaseline()
+            self._believed = 0
         for timed in held:
             self.baseline.add(timed.arrival_s, float(timed.time_s[-1]))
         return held
@@ -135,6 +198,13 @@ class LossWatch:
         flags[row] = flags[row] & ~np.uint32(Status.AFTER_GAP) | np.uint32(Status.GAP_ESTIMATED)
         self.lost_units += units
 
+    def _disprove(self, lag_s: float) -> None:
+        """Take back losses that cannot have been, as bytes arrive earlier than they would allow."""
+        if self._believed and lag_s < -self._smallest_s:
+            units = min(round(-lag_s / self._unit_s), self._believed)
+            self._believed -= units
+            self.units_taken_back += units
+
     def _fault(self) -> tuple[int, int] | None:
         """Return block and sample of the first fault in what is held; None where there is none."""
         for number, (timed, _) in enumerate(self._held):
@@ -142,3 +212,8 @@ class LossWatch:
             if len(rows):
                 return number, int(rows[0])
         return None
+
+
+def _least(held: list[tuple[TimedBlock, float]], begin_s: float, end_s: float) -> float:
+    """Return the least lag of what arrived in a stretch of time, infinity where nothing did."""
+    return min((lag_s for timed, lag_s in held if begin_s <= timed.arrival_s < end_s), default=math.inf)

@@ -265,8 +265,11 @@ class SampleClock:
     def _count_losses(self, following_s: FloatArray) -> None:
         """Move on by what the host clock showed to be missing, samples that are timed already included."""
         units, self._watch.lost_units = self._watch.lost_units, 0
+        taken_back, self._watch.units_taken_back = self._watch.units_taken_back, 0
         self._statistics.gaps += self._watch.gaps
         self._watch.gaps = 0
+        if taken_back:
+            self._statistics.losses_estimated -= round(taken_back * self._unit_ticks / self._steps.step)
         if units:
             self._ticks += units * self._unit_ticks
             following_s += units * self._unit_ticks / self._tick_rate_hz

@@ -214,7 +214,9 @@ class Chain:
             return samples
         if self._offset_s is None and self._last_s is not None:
             pause_s = max((utc_ns - self._last_utc_ns) / 1e9, PART_GAP_S)
-            self._offset_s = self._last_s + pause_s - float(samples.time_s[-1])
+            # What was held back may reach further back than the pause, by clocks of the host that were set meanwhile.
+            ends_s, begins_s = self._last_s + pause_s - samples.time_s[-1], self._last_s + PART_GAP_S - samples.time_s[0]
+            self._offset_s = float(max(ends_s, begins_s))
         return replace(samples, time_s=samples.time_s + self._offset_s) if self._offset_s else samples
 
     def _note_temperature(self, temperature_degc: FloatArray) -> None:

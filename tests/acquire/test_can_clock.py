@@ -188,3 +188,34 @@ def test_cuts_do_not_matter(seed: int) -> None:
     np.testing.assert_allclose(one.time_s, two.time_s, atol=1e-3)
     assert first.losses_estimated == second.losses_estimated
     assert one.status.tolist() == two.status.tolist()
+
+
+@pytest.mark.parametrize("long_s", [0.3, 1.0, 5.0])
+@pytest.mark.parametrize("counter", [False, True])
+def test_a_host_that_stands_still_and_then_hands_over_everything_loses_nothing(long_s: float, counter: bool) -> None:
+    number = np.arange(8000)
+    true_s = 1.0 + number / 400.0
+    stamp_s = np.where((true_s > 8.0) & (true_s < 8.0 + long_s), 8.0 + long_s, true_s) + np.arange(8000) * 1e-9
+    given = {"counter": number % 16, "modulus": 16} if counter else {}
+    for block in (20, 8000):
+        samples, statistics = run(stamp_s, block=block, **given)  # type: ignore[arg-type]
+        assert (statistics.losses_estimated, statistics.samples_lost) == (0, 0)
+        np.testing.assert_allclose(samples.time_s, true_s, atol=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("rate_hz", [100.0, 400.0])
+def test_time_runs_forward_whatever_the_stamps(rate_hz: float, seed: int) -> None:
+    # A sender of changing rate on a loaded machine: the period is learned again and again.
+    rng = np.random.default_rng(seed)
+    rates_hz = rate_hz * np.repeat(rng.choice([0.7, 1.0, 1.0, 1.3], 12), 400)
+    sent_s = np.cumsum(1 / rates_hz)
+    late_s = rng.exponential(0.3 / rate_hz, len(sent_s))
+    for begin in rng.integers(0, len(sent_s) - 1, 25).tolist():
+        late_s[begin] += rng.exponential(0.1)
+    stamp_s = np.maximum.accumulate(sent_s + late_s)
+    swapped = rng.integers(1, len(sent_s), 20)
+    stamp_s[swapped], stamp_s[swapped - 1] = stamp_s[swapped - 1], stamp_s[swapped]
+    for block in (7, 40, 5000):
+        samples, _ = run(stamp_s, block=block)
+        assert np.diff(samples.time_s).min() > 0

@@ -34,21 +34,20 @@ def watch() -> LossWatch:
     return watch
 
 
-def settle(watch: LossWatch, lag_s: float, *, fault: bool, silence_s: float = 0.02, reads: int = 40) -> int:
-    """Feed late blocks; return how many came out before the first decision."""
-    out = 0
+def late(watch: LossWatch, lag_s: float, *, fault: bool, silence_s: float, reads: int = 300) -> int:
+    """Feed blocks behind ``silence_s`` without any, all late by ``lag_s``; return how many were held before one came out."""
     for number in range(reads):
-        arrival_s = 7.0 + silence_s + number * 0.02
-        out += len(
-            watch.push(timed(2 + number * 0.02, max(arrival_s, 7.02 + number * 0.02 + lag_s), fault=fault and number == 0))
-        )
-    return out
+        taken_s = 2 + silence_s - lag_s + number * 0.02
+        if watch.push(timed(taken_s, 5.02 + taken_s + lag_s, fault=fault and number == 0)):
+            return number
+    return reads
 
 
-def test_with_a_fault_loss_is_settled_after_a_quarter_second(watch: LossWatch) -> None:
-    blocks = [timed(2 + n * 0.02, 7.02 + n * 0.02 + 0.26, fault=n == 1) for n in range(14)]
-    held = [watch.push(block) for block in blocks]
-    assert [len(out) for out in held] == [0] * 13 + [14]
+def test_with_a_fault_loss_is_settled_after_a_second(watch: LossWatch) -> None:
+    blocks = [timed(2 + n * 0.02, 7.02 + n * 0.02 + 2 * WRAP_S, fault=n == 1) for n in range(60)]
+    held = [len(watch.push(block)) for block in blocks]
+    assert held.index(max(held)) == 51
+    assert held[51] == 52
     assert watch.lost_units == 2
     assert blocks[0].time_s[-1] == pytest.approx(2 + 39 / 2000)
     assert blocks[1].time_s[6] == pytest.approx(2.02 + 6 / 2000)
@@ -56,26 +55,60 @@ def test_with_a_fault_loss_is_settled_after_a_quarter_second(watch: LossWatch) -
     assert watch.gaps == 1
 
 
-def test_with_a_silence_it_takes_half_a_second(watch: LossWatch) -> None:
-    assert settle(watch, 0.13, fault=False, silence_s=0.13 + 0.02, reads=25) == 0
-    assert settle(watch, 0.13, fault=False, silence_s=0.13 + 0.02 + 0.5, reads=1) == 26
+def test_with_a_silence_it_takes_three_seconds(watch: LossWatch) -> None:
+    assert late(watch, WRAP_S, fault=False, silence_s=WRAP_S) == 150
     assert watch.lost_units == 1
 
 
-def test_with_neither_it_is_a_slow_clock(watch: LossWatch) -> None:
-    settle(watch, 0.0, fault=False)
-    for number in range(200):
-        watch.push(timed(2.8 + number * 0.02, 7.82 + number * 0.03))
+@pytest.mark.parametrize("lag_s", [0.07, 0.1, 0.15, 0.2, 0.3, 0.5])
+def test_a_slower_cable_is_no_loss(watch: LossWatch, lag_s: float) -> None:
+    assert late(watch, lag_s, fault=False, silence_s=lag_s) in (200, 201)
+    assert watch.lost_units == watch.gaps == 0
+    # From now on this is how late it must be.
+    assert watch.passes(20.0 + lag_s, 14.98)
+
+
+def test_without_a_silence_nothing_is_missing(watch: LossWatch) -> None:
+    assert late(watch, WRAP_S, fault=False, silence_s=0.02) == 200
+    assert watch.lost_units == 0
+
+
+def test_a_slow_clock_is_no_loss(watch: LossWatch) -> None:
+    for number in range(1000):
+        watch.push(timed(2 + number * 0.02, 7.02 + number * 0.03))
     assert watch.lost_units == watch.gaps == 0
 
 
-def test_at_the_end_only_a_fault_or_a_long_lag_counts(watch: LossWatch) -> None:
-    assert watch.push(timed(2, 7.02 + 0.2)) == []
+def test_a_restart_is_as_long_as_the_silence(watch: LossWatch) -> None:
+    late(watch, 1.0, fault=True, silence_s=1.0)
+    assert watch.lost_units == 8
+
+
+def test_late_data_come_out_when_the_lag_is_gone_however_long_that_takes(watch: LossWatch) -> None:
+    lags_s = np.linspace(4.0, 0.01, 1000)
+    out = [len(watch.push(timed(2 + n * 0.02, 7.02 + n * 0.02 + lag_s))) for n, lag_s in enumerate(lags_s.tolist())]
+    assert np.flatnonzero(out)[0] == np.flatnonzero(lags_s <= WRAP_S / 2)[0]
+    assert sum(out) == 1000
+    assert watch.lost_units == 0
+
+
+def test_an_arrival_that_is_too_early_disproves_a_loss(watch: LossWatch) -> None:
+    late(watch, 2 * WRAP_S, fault=False, silence_s=2 * WRAP_S)
+    assert watch.lost_units == 2
+    # The cable was slow by just two wraps, and is no longer: with the loss in the time, bytes come before they were sent.
+    assert not watch.passes(20.0, 15.0 - 0.02 + 2 * WRAP_S)
+    assert len(watch.push(timed(14.96 + 2 * WRAP_S, 20.0))) == 1
+    assert watch.units_taken_back == 2
+
+
+def test_at_the_end_a_fault_needs_a_quarter_second(watch: LossWatch) -> None:
+    assert watch.push(timed(2, 7.02 + WRAP_S, fault=True)) == []
     assert len(watch.finish()) == 1
     assert watch.lost_units == 0
-    assert watch.push(timed(2.02, 7.04 + 0.2, fault=True)) == []
-    assert len(watch.finish()) == 1
-    assert watch.lost_units == 2
+    for number in range(20):
+        assert watch.push(timed(2.02 + number * 0.02, 7.04 + number * 0.02 + WRAP_S, fault=number == 0)) == []
+    assert len(watch.finish()) == 20
+    assert watch.lost_units == 1
 
 
 def test_blocks_without_arrival_pass(watch: LossWatch) -> None:

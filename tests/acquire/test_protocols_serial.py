@@ -429,3 +429,25 @@ def test_a_turned_counter_of_time_tells_losses(shared_folder: Path) -> None:
     assert decoder.statistics.samples_lost == 6
     kept: FloatArray = np.delete(whole.time_s, [*range(100, 105), 400])
     np.testing.assert_allclose(samples.time_s, kept, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", [*FILES, "stim300"])
+def test_time_never_runs_backwards_whatever_comes_and_when(name: str, seed: int, shared_folder: Path) -> None:
+    """Frames in any order are stamps and counters that jump to and fro; they come late, in batches, and cut anywhere."""
+    rng = np.random.default_rng(seed)
+    known = json.loads((shared_folder / "wire/stim300.vectors.json").read_text()) if name == "stim300" else []
+    frames = [bytes.fromhex(one["hex"]) for one in known or vectors(shared_folder, name) if not settings_of(name, one)]
+    # One again and again at first: a rate learned from leaps would be refused where samples are increments.
+    data = b"".join(frames[which] for which in [0] * 20 + rng.integers(0, len(frames), 4000).tolist())
+    ends = np.append(np.sort(rng.integers(0, len(data), 400)), len(data))
+    arrival_s = 10 + ends / len(data) * 40 + rng.exponential(0.05, 401)
+    # A time without anything, all of it later; a cable that is slower from then on.
+    arrival_s[(arrival_s > 20) & (arrival_s < 24)] = 24.0
+    arrival_s = np.maximum.accumulate(arrival_s + np.where(arrival_s > 35, 0.3, 0.0))
+    decoder = Decoder(load_protocol(name))
+    pieces = zip(pairwise([0, *ends.tolist()]), arrival_s.tolist(), strict=True)
+    blocks = [decoder.feed(data[begin:end], at_s) for (begin, end), at_s in pieces]
+    samples = concatenate([*blocks, decoder.flush()])
+    assert len(samples) > 100
+    assert (np.diff(samples.time_s) >= 0).all()

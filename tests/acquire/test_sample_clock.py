@@ -48,7 +48,7 @@ def counter_blocks(numbers: np.ndarray, step: int, arrival_s: np.ndarray, size: 
 @pytest.mark.parametrize("step", [1, 16])
 @pytest.mark.parametrize("lost", [300, 256, 512, 5000])
 def test_whole_wraps_are_estimated_from_the_host_clock(step: int, lost: int) -> None:
-    n = 4000
+    n = 8000
     numbers = np.concatenate([np.arange(n), np.arange(n) + n + lost])
     rng = np.random.default_rng(lost)
     size = 40 // step if step == 1 else 4
