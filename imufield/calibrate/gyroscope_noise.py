@@ -66,8 +66,11 @@ class ForceErrors:
     with_gravity: FloatArray
 
 
-def force_errors(observations: Observations, calibration: Calibration) -> ForceErrors:
-    """Return how errors of the accelerometer and its calibration reach the specific force of each still."""
+def force_errors(observations: Observations, calibration: Calibration, rests: int = 0) -> ForceErrors:
+    """Return how errors of the accelerometer and its calibration reach the specific force of each still.
+
+    The calibration came from all stills but the last ``rests``.
+    """
     parameters = calibration.accelerometer
     p, axes = to_vector(parameters), parameters.quadratic_axes
     raw = observations.mean_raw - parameters.raw_zero
@@ -80,7 +83,7 @@ def force_errors(observations: Observations, calibration: Calibration) -> ForceE
     tau = calibration.quality.between_position_sigma_m_s2
     within = np.nan_to_num(observations.covariance_raw)
     noise = within + np.diag((tau * parameters.scale) ** 2)
-    gain, rest = _gain(p, raw, calibration, covariance - by_gravity, noise)
+    gain, rest = _gain(p, raw, calibration, covariance - by_gravity, noise, rests)
     return ForceErrors(by_noise, noise, by_parameters, gain, rest + by_gravity, with_gravity)
 
 
@@ -112,13 +115,14 @@ def _accelerometer_covariance(calibration: Calibration) -> tuple[FloatArray, Flo
 
 
 def _gain(
-    p: FloatArray, raw: FloatArray, calibration: Calibration, covariance: FloatArray, noise: FloatArray
+    p: FloatArray, raw: FloatArray, calibration: Calibration, covariance: FloatArray, noise: FloatArray, rests: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return the gain of the accelerometer fit, and what its covariance holds beyond the noise of these means."""
     derivatives = norm_derivatives(p, raw, calibration.accelerometer.quadratic_axes)
     v = derivatives.raw_gradient
     variance = np.einsum("mi,mij,mj->m", v, noise, v)
-    usable = (variance > 0) & (len(calibration.positions.used) == len(raw))
+    measured = len(raw) - rests
+    usable = (variance > 0) & (len(calibration.positions.used) == measured) & (np.arange(len(raw)) < measured)
     weight = np.where(usable, 1 / np.where(variance > 0, variance, 1.0), 0.0)
     gain = -(derivatives.jacobian * weight[:, None] @ covariance)[:, :, None] * v[:, None, :]
     explained = np.einsum("mij,mjk,mlk->il", gain, noise, gain)

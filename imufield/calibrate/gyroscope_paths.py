@@ -56,7 +56,7 @@ class GyroscopeInput:
     Attributes
     ----------
     observations : Observations
-        The stills, the same that ``calibration`` came from.
+        The stills, the same that ``calibration`` came from, and after them ``rests`` more.
     moves : Moves
         Between these stills (``MoveCollector``), rows of ``observations``.
     calibration : Calibration
@@ -71,6 +71,8 @@ class GyroscopeInput:
     turntable : sequence of TurntableRun
     static_free : {"bias", "all"}
         What the static norm path fits.
+    rests : int
+        Stills between whole turns, which had no say in ``calibration``.
     """
 
     observations: Observations
@@ -82,6 +84,7 @@ class GyroscopeInput:
     stops: Sequence[Stop] = ()
     turntable: Sequence[TurntableRun] = ()
     static_free: StaticFree = "bias"
+    rests: int = 0
 
 
 def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -> GyroscopeResult:
@@ -106,7 +109,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
     if not len(given.moves) and not given.turntable:
         return _static(given)
     data = make_data(given)
-    errors = force_errors(given.observations, given.calibration)
+    errors = force_errors(given.observations, given.calibration, given.rests)
     earth = EarthKnowledge.at(given.latitude_deg)
     start, sight = _start(given, data, errors)
     data, refused = _with_stops(given, data, errors, start, sight, earth)

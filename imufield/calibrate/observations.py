@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,13 @@ class Observations:
             self.temperature_degc[rows],
             self.units,
         )
+
+
+def join_observations(first: Observations, second: Observations) -> Observations:
+    """Return the rows of both, of the same units."""
+    arrays = [field.name for field in fields(Observations) if field.name not in ("name", "units")]
+    joined = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in arrays}
+    return Observations(name=(*first.name, *second.name), units=first.units, **joined)
 
 
 def count_repeats_once(observations: Observations) -> tuple[Observations, tuple[str, ...]]:

@@ -42,6 +42,15 @@ class Stop:
     repeatability_rad: float
 
 
+STOP_RAD = np.radians(0.1)
+"""Repeatability taken where nobody states one: a box pushed against a stop by hand."""
+
+
+def stops_at(times_s: Sequence[float], start_s: FloatArray, end_s: FloatArray) -> tuple[Stop, ...]:
+    """Return stops of the usual repeatability for the times that lie in a usable move (times of their begins and ends)."""
+    return tuple(Stop(time_s, float(STOP_RAD)) for time_s in times_s if np.any((start_s <= time_s) & (time_s <= end_s)))
+
+
 @dataclass(frozen=True, slots=True)
 class WholeTurn:
     """A whole turn and how well it closed."""

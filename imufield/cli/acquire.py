@@ -191,6 +191,7 @@ def emulate(
     seed: Annotated[int, typer.Option(help="Seed of instrument, operator and faults.", min=0)] = 1,
     positions: Annotated[str, typer.Option(help="Scheme the operator works through; `none`: it lies still.")] = "paper24",
     style: Annotated[str, typer.Option(help="placed (on a surface) or held (in the hand).")] = "placed",
+    rotations: Annotated[str | None, typer.Option(help="Whole turns after the positions: rolled or table.")] = None,
     hold_s: Annotated[float, typer.Option(help="Seconds the virtual operator holds each position.", min=1)] = 14.0,
     wait: Annotated[bool, typer.Option("--wait", help="Power on when a program opens the port.")] = False,
     link: Annotated[Path | None, typer.Option(help="Make a symbolic link to the port here.")] = None,
@@ -207,4 +208,4 @@ def emulate(
     from imufield.commands.emulate import EmulateOptions, run_emulate
 
     common = (rate_hz, speed, grade, seed, positions, hold_s, link, truth, duration_s, fault or [], wait, style, as_json)
-    run_emulate(EmulateOptions(driver, *common, form, parse_settings(settings), bus))
+    run_emulate(EmulateOptions(driver, *common, form, parse_settings(settings), bus, rotations=rotations))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,11 +12,14 @@ from imufield.calibrate.accelerometer import calibrate_accelerometer
 from imufield.calibrate.gyroscope_paths import FEWEST_STILLS, GyroscopeInput, GyroscopeModel, calibrate_gyroscope
 from imufield.calibrate.methods import LEAST_SQUARES, cross_check, cross_check_words, solve_with
 from imufield.calibrate.moves import MoveCollector, Moves, cut_moves, no_slots
-from imufield.calibrate.observations import Observations
+from imufield.calibrate.observations import Observations, join_observations
 from imufield.calibrate.result import Calibration, Gauge, ModelChoice
+from imufield.calibrate.whole_turns import Stop, stops_at
 from imufield.deliver.parameters import Context, Parameters, from_document, to_document
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, UsageError
+from imufield.guide.events import Event, Turned
+from imufield.guide.rotations import VERTICAL
 from imufield.samples import FloatArray, Samples
 
 
@@ -27,7 +31,11 @@ class Measured:
     gravity: Gravity
     context: Context
     moves: Moves | None = None
-    """Between the stills; None where only means are known."""
+    """Between the stills, of positions and then of turns; None where only means are known."""
+    rests: Observations | None = None
+    """Stills between whole turns: for the gyroscope alone."""
+    stops: tuple[Stop, ...] = ()
+    """Whole turns about the vertical."""
     raw_zero: FloatArray | None = None
     gyroscope_scale: float | None = None
     """Raw unit per rad/s, nominal."""
@@ -55,14 +63,25 @@ class MoveListener:
 
     def __init__(self) -> None:
         self._collector: MoveCollector | None = None
+        self._turned_s: list[float] = []
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
         self._collector = self._collector or MoveCollector(samples.units)
         self._collector.feed(samples)
 
-    def between(self, observations: Observations) -> Moves:
-        """Return the moves between the observed stills."""
+    def hear(self, events: Iterable[Event]) -> None:
+        """Remember the whole turns about the vertical that the guide saw."""
+        turned = (event for event in events if isinstance(event, Turned) and event.about == VERTICAL)
+        self._turned_s += [(event.start_s + event.end_s) / 2 for event in turned]
+
+    def stops(self, moves: Moves) -> tuple[Stop, ...]:
+        """Return the whole turns about the vertical that are among the moves."""
+        return stops_at(self._turned_s, moves.start_s, moves.end_s)
+
+    def between(self, observations: Observations, rests: Observations | None = None) -> Moves:
+        """Return the moves between the observed stills, and those between whole turns."""
+        observations = observations if rests is None else join_observations(observations, rests)
         if self._collector is None:
             return cut_moves(no_slots(), observations.start_s, observations.duration_s)
         return self._collector.finish(observations.start_s, observations.duration_s)
@@ -112,7 +131,7 @@ def calibrate(measured: Measured, wishes: Wishes) -> Parameters:
 
 def _with_gyroscope(calibration: Calibration, measured: Measured, wishes: Wishes) -> Calibration:
     """Join the gyroscope, where the session holds its output."""
-    observations = measured.observations
+    observations = measured.observations if measured.rests is None else join_observations(measured.observations, measured.rests)
     there = np.isfinite(observations.gyroscope_mean_raw).all(axis=1)
     if int(there.sum()) < FEWEST_STILLS:
         return calibration
@@ -124,6 +143,8 @@ def _with_gyroscope(calibration: Calibration, measured: Measured, wishes: Wishes
         latitude_deg=measured.gravity.latitude_deg,
         preset=None if before is None else before.parameters,
         nominal_scale=measured.gyroscope_scale,
+        stops=measured.stops,
+        rests=0 if measured.rests is None else len(measured.rests),
     )
     try:
         return calibrate_gyroscope(given, wishes.gyroscope_model).join(calibration)

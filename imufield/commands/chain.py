@@ -171,6 +171,11 @@ class Chain:
             raise ValueError("the session is not guided: ask `still_intervals`")
         return self.guide.observations()
 
+    def turn_rests(self) -> Observations | None:
+        """Return the stills between the whole turns of a guided session; None where there are none."""
+        rests = None if self.guide is None else self.guide.turn_rests()
+        return rests if rests is not None and len(rests) else None
+
     def still_intervals(self) -> StillIntervals:
         """Return what an unguided session holds; nothing can be fed afterwards.
 

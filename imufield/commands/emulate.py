@@ -12,7 +12,7 @@ import typer
 
 from imufield.acquire.protocol_toml import spell
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.commands.capture import REVISIT_FROM
+from imufield.commands.capture import REVISIT_FROM, ROTATIONS
 from imufield.errors import UsageError
 from imufield.guide.positions import scheme
 from imufield.simulate.emulate import EmulateOptions as Emulation
@@ -43,6 +43,7 @@ class EmulateOptions:
     faults: list[str]
     wait_for_reader: bool
     style: str
+    rotations: str | None = field(default=None, kw_only=True)
     as_json: bool
     form: str | None = None
     settings: dict[str, str] = field(default_factory=dict)
@@ -68,6 +69,8 @@ def make_emulation(options: EmulateOptions) -> Emulation:
     on_bus = _is_on_bus(options)
     if options.style not in ("placed", "held"):
         raise UsageError(f"--style {options.style!r} is neither placed nor held")
+    if options.rotations not in (None, *ROTATIONS):
+        raise UsageError(f"--rotations {options.rotations!r} is unknown; choose one of {', '.join(ROTATIONS)}")
     positions = None if options.positions == STANDS_STILL else scheme(options.positions)
     # A long session ends with the first position again, as ``capture`` asks for it.
     directions = () if positions is None else positions.directions()[_order(len(positions))]
@@ -82,6 +85,7 @@ def make_emulation(options: EmulateOptions) -> Emulation:
             hold_s=options.hold_s,
             initial_still_s=INITIAL_STILL_S,
             begins_in_first_position=options.style == "placed",
+            rotations=options.rotations,  # type: ignore[arg-type]  # checked above
         ),
         faults=parse_faults(options.faults, CanFaults if on_bus else Faults),
         run=EmulatorSettings(

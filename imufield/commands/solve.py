@@ -29,7 +29,7 @@ from imufield.deliver.parameters import Context, Instrument, Parameters, Session
 from imufield.deliver.summary import Outcome, print_summary
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.guide.axes_check import AxesCheck
-from imufield.guide.events import RefusalCode, Rejected
+from imufield.guide.events import Event, RefusalCode, Rejected
 from imufield.guide.guide import Guide
 
 PARAMETER_FILE = "parameters.toml"
@@ -99,7 +99,12 @@ def solve_session(session: Session, options: SolveOptions) -> Solved:
     moves = MoveListener()
     chain = Chain(Plan.of(session), listeners=(moves.feed,))
     refusals: list[Rejected] = []
-    replay_into(chain, session, damage, lambda events: refusals.extend(e for e in events if isinstance(e, Rejected)))
+
+    def hear(events: list[Event]) -> None:
+        moves.hear(events)
+        refusals.extend(event for event in events if isinstance(event, Rejected))
+
+    replay_into(chain, session, damage, hear)
     with naming_damage(session, damage):
         observations, axes, refused = _observations(chain, refusals)
         if axes.error is not None:
@@ -116,11 +121,15 @@ def _measured(
     instrument = Instrument(**{key: str(value) for key, value in metadata.get("instrument", {}).items()})
     facts = SessionFacts(session.name, session_sha256(session), _true_rate_hz(chain), chain.temperature_degc)
     nominal = chain.protocol.nominal if chain.protocol is not None else None
+    rests = chain.turn_rests()
+    between = moves.between(observations, rests)
     return Measured(
         observations,
         site.gravity(metadata.get("site")),
         Context(instrument, facts),
-        moves=moves.between(observations),
+        moves=between,
+        rests=rests,
+        stops=moves.stops(between),
         raw_zero=None if chain.protocol is None else chain.raw_zero(chain.protocol),
         gyroscope_scale=None if nominal is None else nominal.gyroscope_scale,
         reasons=reasons,

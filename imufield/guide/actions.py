@@ -366,7 +366,9 @@ class GuideActions:
             self.turns.follow(self.judgement, self.detector.scale)
 
     def see_turn(self) -> Input | None:
-        """See, now that the unit is still, whether the move was one of the turns that are wanted."""
+        """See, once the unit has rested, whether the move before was one of the turns that are wanted."""
+        if not self.turns.rest(self.detector):
+            return None
         made = self.turns.end(self.detector.stretch.mean, self.detector.scale)
         if made is None:
             return None

@@ -170,6 +170,10 @@ class Guide:
         """Return what was accepted, in order of acceptance."""
         return gather(list(self.plan.accepted.values()), self.units)
 
+    def turn_rests(self) -> Observations:
+        """Return the stills between the whole turns: they tell the gyroscope where a turn began and ended."""
+        return gather(self._do.turns.rests, self.units)
+
     def check_axes(self) -> AxesCheck:
         """Compare the turns that accelerometer and gyroscope saw between the stills so far."""
         return check_axes(self._moves.moves(self.detector.scale), self.detector.scale.gyroscope)

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from imufield.guide.checks import Refusal
 from imufield.guide.events import Turn, Turned
+from imufield.guide.observe import Observation, observe, trim_stretch
 from imufield.guide.rotations import MadeTurn, TurnFollower, plan_turns
 from imufield.guide.scale import RoughScale
 from imufield.guide.settings import GuideSettings
-from imufield.guide.stretch import Judgement
+from imufield.guide.stillness import StillnessDetector
+from imufield.guide.stretch import Judgement, Stretch
 from imufield.samples import AXES
+
+REST_S = 1.0
+"""Stillness wanted after a turn, guard bands off: it closes the turn."""
 
 
 class TurnLeader:
@@ -23,12 +28,17 @@ class TurnLeader:
     def __init__(self, settings: GuideSettings, cell_s: float) -> None:
         self.left = plan_turns(settings.rotations, settings.turns_each_way)
         self.planned = len(self.left)
+        self.rests: list[Observation] = []
+        """The stills before, between and after the turns; they belong to no position."""
         self._cell_s = cell_s
         self._follower = TurnFollower(cell_s)
+        self._moved = False
+        self._resting = False
 
     def forget_move(self) -> None:
         """Forget the move under way: the link is gone."""
         self._follower = TurnFollower(self._cell_s)
+        self._resting = False
 
     def skip(self) -> None:
         """Leave out the next one."""
@@ -44,12 +54,35 @@ class TurnLeader:
 
     def begin(self, judgement: Judgement, scale: RoughScale) -> None:
         """Follow a move from the end of a still stretch."""
+        self._moved, self._resting = True, False
         if judgement.ended is not None:
             self._follower.begin(judgement.ended.mean, judgement.cells, judgement.row, scale)
 
     def follow(self, judgement: Judgement, scale: RoughScale) -> None:
         """Take one cell of a move."""
         self._follower.follow(judgement.cells, judgement.row, scale)
+
+    def rest(self, detector: StillnessDetector) -> bool:
+        """Measure the rest under way, again with each second; return whether it is long enough now, once for each rest.
+
+        The still before the first move is the last position's.
+        """
+        stretch = detector.stretch
+        due = not self._resting or stretch.judged % detector.settings.cells(REST_S) == 0
+        if not (self._moved and due and self._measure(stretch, detector)):
+            return False
+        first, self._resting = not self._resting, True
+        return first
+
+    def _measure(self, stretch: Stretch, detector: StillnessDetector) -> bool:
+        cells = stretch.cells()
+        cells = cells[trim_stretch(cells, detector.limits, detector.settings)]
+        if len(cells) < detector.settings.cells(REST_S):
+            return False
+        if self._resting and self.rests:
+            self.rests.pop()
+        self.rests.append(observe(cells, detector.limits, f"turn rest {len(self.rests) + 1}"))
+        return True
 
     def end(self, still_mean: list[float], scale: RoughScale) -> MadeTurn | Refusal | None:
         """Return what the move was, now that the unit is still; a wanted turn is no longer left."""

@@ -34,6 +34,8 @@ from imufield.simulate.motion import (
 from imufield.simulate.pieces import Hand, Piece, Shock, draw_hand
 
 DEG = math.radians(1.0)
+SPIN_S = (3.0, 4.0)
+SPIN_REST_S = 5.0
 NO_POSITION = -1
 """``StillInterval.position`` where the unit lies in no planned position."""
 
@@ -84,6 +86,8 @@ class OperatorSettings:
     reaction_s: tuple[float, float] = (0.3, 0.8)
     """From ``accepted`` to picking up."""
     waits: bool = False
+    rotations: Literal["rolled", "table"] | None = None
+    """Whole turns after the last position, about each axis, both ways: over the edges, or upright on the table."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +120,8 @@ class Move:
 class _Visit:
     position: int
     direction: FloatArray
+    spin_rad: FloatArray | None = None
+    """Instead of a visit: a whole turn where the unit lies, rotation vector in the body frame."""
 
 
 class Operator:
@@ -144,6 +150,7 @@ class Operator:
         self.lever_arm_m = np.array(self.settings.lever_arm_m)
         self._seed = seed
         self._agenda = [_Visit(index, row) for index, row in enumerate(self.directions)]
+        self._agenda += _spins(self.settings.rotations) if len(self.directions) else []
         self._visit_number = 0
         self._heard: deque[int | None] = deque()
         self._generated_s = 0.0
@@ -255,9 +262,31 @@ class Operator:
     def _next_visit(self) -> None:
         self._visit_number += 1
         rng = self._rng()
+        if self._agenda[0].spin_rad is not None:
+            self._spin(self._agenda.pop(0).spin_rad, rng)
+            return
         visit = self._choose(rng)
         self._turn_to(visit, rng)
         self._hold(visit, rng)
+
+    def _spin(self, spin_rad: FloatArray | None, rng: np.random.Generator) -> None:
+        """Turn the unit once around, put it down where it was, and let it rest."""
+        last = self._pieces[-1]
+        end_s = last.end_s + rng.uniform(*SPIN_S)
+        self._pieces.append(
+            Piece(
+                last.end_s,
+                end_s,
+                last.final_quaternion,
+                np.zeros(3) if spin_rad is None else spin_rad,
+                0.3 * self.settings.wobble_rad * rng.standard_normal(3),
+                rng.uniform(0.7, 2.0),
+                rng.uniform(*self.settings.lift_m),
+            )
+        )
+        self._moves.append(Move(last.end_s, end_s, "turn"))
+        self._put_down(rng)
+        self._still(NO_POSITION, SPIN_REST_S, bumped=False)
 
     def _choose(self, rng: np.random.Generator) -> _Visit:
         if rng.random() < self.settings.wrong_probability:
@@ -370,6 +399,16 @@ class Operator:
             if visit.position == position:
                 self._agenda.insert(0, self._agenda.pop(index))
                 return
+
+
+def _spins(kind: str | None) -> list[_Visit]:
+    """Return what is done for whole turns: lay each axis level (or up), and turn about it, both ways."""
+    visits: list[_Visit] = []
+    for axis in range(3) if kind is not None else ():
+        body = np.eye(3)
+        visits.append(_Visit(NO_POSITION, body[axis if kind == "table" else (axis + 1) % 3]))
+        visits += [_Visit(NO_POSITION, body[axis], sense * 2 * math.pi * body[axis]) for sense in (1, -1)]
+    return visits
 
 
 def _rest(start_s: float, end_s: float, quaternion_nb: FloatArray) -> Piece:

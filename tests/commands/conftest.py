@@ -19,6 +19,7 @@ from imufield.acquire.recorder import Recorder
 from imufield.acquire.registry import load_driver
 from imufield.acquire.session import Session
 from imufield.cli.run import run
+from imufield.commands.capture import ROTATIONS
 from imufield.commands.chain import part_metadata
 from imufield.guide.positions import scheme
 from imufield.samples import Samples
@@ -114,13 +115,19 @@ def simulated_session(
     visits: int | None = None,
     style: str = "placed",
     day: int = 0,
+    rotations: str | None = None,
 ) -> Session:
     """Record a simulated session as ``capture`` would, without a port; ``change`` spoils the samples on purpose.
 
     ``visits`` lets the operator go home early; on another ``day`` the same instrument has other noise and is in other hands.
     """
     directions = scheme(positions).directions()[:visits]
-    habits = OperatorSettings(hold_s=hold_s, initial_still_s=8.0, style=style)  # type: ignore[arg-type]
+    habits = OperatorSettings(
+        hold_s=hold_s,
+        initial_still_s=8.0,
+        style=style,  # type: ignore[arg-type]
+        rotations=rotations,  # type: ignore[arg-type]
+    )
     source = make_virtual_imu(EmulateOptions(rate_hz=RATE_HZ, seed=3, directions=directions, operator=habits))
     if day:
         other = make_virtual_imu(EmulateOptions(rate_hz=RATE_HZ, seed=3 + day, directions=directions, operator=habits))
@@ -131,7 +138,7 @@ def simulated_session(
     metadata = {
         "kind": "capture",
         "scheme": positions,
-        "guide": {"hold_s": 4.0},
+        "guide": {"hold_s": 4.0, **({"rotations": ROTATIONS[rotations]} if rotations else {})},
         "site": {"gravity_m_s2": 9.80665},
         "instrument": {"driver": "stim300", "model": "stim300"},
         "link": {"port": "/dev/ttyUSB0", "baud": 921600},

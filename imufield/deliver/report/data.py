@@ -197,7 +197,10 @@ def convergence(
 def closure(
     observations: Observations, moves: Moves, parameters: Parameters, preset: GyroscopeParameters | None, nominal: float | None
 ) -> Closure | None:
-    """Return the angle errors of the moves with the file's gyroscope and with what was in force before; None without moves."""
+    """Return the angle errors of the moves with the file's gyroscope and with what was in force before; None without moves.
+
+    ``observations`` are all stills between the moves, those of whole turns included.
+    """
     calibration = parameters.calibration
     there = np.isfinite(observations.gyroscope_mean_raw).all()
     if calibration.gyroscope is None or not parameters.gyroscope_is_complete or not len(moves) or not there:

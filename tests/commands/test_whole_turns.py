@@ -1,0 +1,61 @@
+"""Whole turns from the terminal to the parameter file: a virtual operator turns the unit, the guide sees it, `solve` uses it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import pytest
+
+from imufield import load
+from imufield.acquire.session import Session
+from imufield.cli.run import run
+
+if TYPE_CHECKING:
+    from tests.commands.conftest import Program
+
+CLOSURE = re.compile(r"(?:closes to|misses its start by) ([+-]?\d\.\d+) deg")
+
+
+def gyroscope_path(session: Session) -> str:
+    return str(load(session.folder / "parameters.toml").document["gyroscope"]["path"])
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [("rolled", "6 of them whole turns closed by gravity"), ("table", "6 whole turns about the vertical against a stop")],
+)
+def test_solve_closes_the_turns_that_the_guide_led(
+    make_session: Callable[..., Session], capsys: pytest.CaptureFixture[str], kind: str, words: str
+) -> None:
+    session = make_session("faces6", rotations=kind)
+    assert run(["solve", str(session.folder)]) == 0
+    assert words in gyroscope_path(session)
+    shown = " ".join(capsys.readouterr().out.split())
+    closures = [float(text) for text in CLOSURE.findall(shown)]
+    assert len(closures) == 6
+    assert max(map(abs, closures)) < 0.1
+
+
+def test_turns_sharpen_the_scale(make_session: Callable[..., Session]) -> None:
+    """One turn each way and axis makes the scale about twice as sharp."""
+    session = make_session("paper24", rotations="rolled")
+    assert run(["solve", str(session.folder)]) == 0
+    with_turns = load(session.folder / "parameters.toml").document["gyroscope"]["uncertainty"]["scale"]
+    session.update(guide={"hold_s": 4.0})
+    assert run(["solve", str(session.folder)]) == 0
+    without = load(session.folder / "parameters.toml").document["gyroscope"]["uncertainty"]["scale"]
+    assert all(sharp < 0.65 * blunt for sharp, blunt in zip(with_turns, without, strict=True))
+
+
+def test_the_emulated_operator_turns_and_the_program_sees_it(program: Program) -> None:
+    port = program.emulate("--positions", "faces6", "--hold-s", 6, "--rotations", "rolled", "--wait", speed=8.0)
+    options = ("--positions", "faces6", "--hold-s", 2, "--clock-speed", 8, "--rotations", "rolled", "--latitude", 48)
+    captured = program.run("capture", "--port", port, "--driver", "stim300", *options, "--plain", timeout_s=240)
+    assert captured.returncode == 0, captured.stderr
+    session = Session.newest(program.folder / "imufield-sessions")
+    assert session.finished
+    solved = program.run("solve", session.folder)
+    assert solved.returncode == 0, solved.stderr
+    assert "whole turns closed by gravity" in gyroscope_path(session)
