@@ -16,7 +16,6 @@ import typer
 from imufield import __version__
 from imufield.acquire.recording import Damage
 from imufield.acquire.session import Session
-from imufield.calibrate.observations import join_observations
 from imufield.commands.calibration import MoveListener
 from imufield.commands.chain import Chain, Plan, replay_into
 from imufield.commands.output import write_output
@@ -146,9 +145,7 @@ def _replay(session: Session, parameters: Parameters, preset: Parameters | None)
     closed = None
     # Positions that were given otherwise have no time, and no moves between them.
     if len(observations) and np.isfinite(observations.start_s).all():
-        rests = chain.turn_rests()
-        stills = observations if rests is None else join_observations(observations, rests)
-        closed = closure(stills, moves.between(stills), parameters, old, nominal)
+        closed = closure(observations, moves.between(observations), parameters, old, nominal)
     return _Replayed(trace.finish(), closed, tuple(one.what for one in damage))
 
 
