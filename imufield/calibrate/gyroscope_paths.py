@@ -25,9 +25,24 @@ from imufield.calibrate.gyroscope import gyroscope_rate_unit, static_bias
 from imufield.calibrate.gyroscope_fit import EarthKnowledge, JointFit, fit_jointly
 from imufield.calibrate.gyroscope_model import VERTICAL, GyroscopeData, chains_of, no_table
 from imufield.calibrate.gyroscope_noise import ForceErrors, accelerometer_force, force_errors
-from imufield.calibrate.gyroscope_report import Described, GyroscopeResult, describe, static_norm_result, static_result
+from imufield.calibrate.gyroscope_report import (
+    Described,
+    GyroscopeResult,
+    StaticNorm,
+    describe,
+    static_norm_result,
+    static_result,
+)
 from imufield.calibrate.gyroscope_sight import Sight, look
-from imufield.calibrate.gyroscope_static import StaticData, StaticFree, fit_static, latitude_words, sees_earth
+from imufield.calibrate.gyroscope_static import (
+    StaticData,
+    StaticFree,
+    fit_static,
+    latitude_words,
+    sees_earth,
+    static_columns,
+    static_start,
+)
 from imufield.calibrate.models import recover
 from imufield.calibrate.move_integration import INVERSE, PARAMETERS, SENSITIVITY, centre, rough_inverse
 from imufield.calibrate.moves import Moves
@@ -161,7 +176,8 @@ def _static(given: GyroscopeInput) -> GyroscopeResult:
         middle_s = observations.start_s + observations.duration_s / 2
         data = StaticData(observations.gyroscope_mean_raw - rest, observations.gyroscope_covariance_raw, up, middle_s)
         fitted = fit_static(data, A, given.latitude_deg, given.static_free)
-        return static_norm_result(given, fitted, rest, dropped)
+        start = static_start(data, A, given.latitude_deg)
+        return static_norm_result(StaticNorm(given, data, start, static_columns(given.static_free), fitted, rest))
     gyroscope = static_bias(
         given.observations,
         given.nominal_scale if before is None else before.scale,

@@ -11,7 +11,7 @@ from imufield.calibrate.gyroscope import GYROSCOPE_BIAS_NAMES, gyroscope_rate_un
 from imufield.calibrate.gyroscope_fit import EarthKnowledge, JointFit
 from imufield.calibrate.gyroscope_model import GyroscopeData, evaluate
 from imufield.calibrate.gyroscope_sight import Sight
-from imufield.calibrate.gyroscope_static import StaticFit, latitude_words
+from imufield.calibrate.gyroscope_static import StaticData, StaticFit, latitude_words
 from imufield.calibrate.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY
 from imufield.calibrate.moves import DroppedMove
@@ -85,6 +85,8 @@ class GyroscopeResult:
     """Scatter of the turns, beyond noise."""
     reasons: tuple[str, ...]
     """Sentences: every warning, and what the result rests on."""
+    basis: Described | StaticNorm | None = None
+    """What it was fitted to, for other methods; None for a static bias."""
 
     def join(self, calibration: Calibration) -> Calibration:
         """Return the calibration with this gyroscope and one covariance matrix for all."""
@@ -126,6 +128,19 @@ class Described:
     earth: EarthKnowledge
 
 
+@dataclass(frozen=True, slots=True)
+class StaticNorm:
+    """What a result of the static norm path is made of."""
+
+    given: GyroscopeInput
+    data: StaticData
+    start: FloatArray
+    """A, b and v, shape (13,)."""
+    columns: list[int]
+    fitted: StaticFit
+    rest_raw: FloatArray
+
+
 def describe(what: Described) -> GyroscopeResult:
     """Return the result of a joint fit."""
     fitted = what.fit
@@ -158,6 +173,7 @@ def describe(what: Described) -> GyroscopeResult:
         fitted.scatter.drift_rad_s,
         float(np.degrees(fitted.scatter.turn_rad)),
         _reasons(what),
+        what,
     )
 
 
@@ -181,19 +197,18 @@ def static_result(gyroscope: GyroscopeCalibration, sentences: tuple[str, ...]) -
     )
 
 
-def static_norm_result(
-    given: GyroscopeInput, fitted: StaticFit, rest_raw: FloatArray, dropped: tuple[str, ...]
-) -> GyroscopeResult:
+def static_norm_result(what: StaticNorm) -> GyroscopeResult:
     """Return the result of the static norm path."""
-    values, J = forward(np.concatenate([fitted.x, np.zeros(9)]), rest_raw)
+    given, fitted = what.given, what.fitted
+    values, J = forward(np.concatenate([fitted.x, np.zeros(9)]), what.rest_raw)
     own = np.zeros((PARAMETERS, PARAMETERS))
     own[:12, :12] = fitted.covariance
     covariance = J @ own @ J.T
     free = given.static_free == "all"
     known = np.array([name in GYROSCOPE_BIAS_NAMES or (free and k < 9) for k, name in enumerate(GYROSCOPE_NAMES)])
     sigma = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
-    what = "scale, misalignment and bias" if free else "bias; scale and misalignment as given, not calibrated"
-    path = f"static norm of the Earth rate at {len(given.observations)} still positions, any heading: {what}"
+    seen = "scale, misalignment and bias" if free else "bias; scale and misalignment as given, not calibrated"
+    path = f"static norm of the Earth rate at {len(given.observations)} still positions, any heading: {seen}"
     unsettled = () if fitted.converged else ("the static gyroscope fit did not settle",)
     latitude = latitude_words(given.latitude_deg or 0.0, fitted.vertical, fitted.vertical_sigma)
     none = np.empty(0)
@@ -210,7 +225,8 @@ def static_norm_result(
         True,
         fitted.scatter.drift_rad_s,
         float("nan"),
-        (*latitude, *unsettled, *dropped),
+        (*latitude, *unsettled, *(one.sentence for one in given.moves.dropped)),
+        what,
     )
 
 

@@ -108,9 +108,8 @@ def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: Stati
     latitude_deg : float
     free : {"bias", "all"}
     """
-    columns = [9, 10, 11] if free == "bias" else list(range(12))
-    vertical = EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg))
-    start = np.concatenate([A.ravel(), (data.rate_raw @ A.T - vertical * data.up).mean(axis=0), [vertical]])
+    columns = static_columns(free)
+    start = static_start(data, A, latitude_deg)
     p, covariance, scatter, cost, converged = _fit(data, start, columns)
     seen, seen_covariance, *_ = _fit(data, p, [*columns, 12])
     full = np.zeros((12, 12))
@@ -118,11 +117,23 @@ def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: Stati
     return StaticFit(p[:12], full, scatter, cost, float(seen[12]), math.sqrt(seen_covariance[-1, -1]), converged)
 
 
+def static_columns(free: StaticFree) -> list[int]:
+    """Return which entries of A and b are fitted."""
+    return [9, 10, 11] if free == "bias" else list(range(12))
+
+
+def static_start(data: StaticData, A: FloatArray, latitude_deg: float) -> FloatArray:
+    """Return A, the bias with the vertical Earth rate taken off, and that rate, shape (13,)."""
+    vertical = EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg))
+    bias = (data.rate_raw @ A.T - vertical * data.up).mean(axis=0)
+    return np.concatenate([A.ravel(), bias, [vertical]])
+
+
 def _fit(data: StaticData, start: FloatArray, columns: list[int]) -> tuple[FloatArray, FloatArray, Scatter, float, bool]:
     p, scatter = start.copy(), Scatter(0.3 * EARTH_RATE_RAD_S, 0.0, 0.0)
     left = _ITERATIONS
     while True:
-        residual, jacobian, parts = _linearise(p, data)
+        residual, jacobian, parts = linearise_static(p, data)
         J = jacobian[:, columns]
         inverse = np.linalg.inv(parts.total(scatter))
         size = np.sqrt(np.maximum(np.einsum("ij,ik,kj->j", J, inverse, J), 1e-300))
@@ -138,8 +149,8 @@ def _fit(data: StaticData, start: FloatArray, columns: list[int]) -> tuple[Float
             return p, covariance, scatter, float(residual @ inverse @ residual), converged
 
 
-def _linearise(p: FloatArray, data: StaticData) -> tuple[FloatArray, FloatArray, Covariances]:
-    """Return residuals (2 s), derivatives by A, b and v (2 s, 13), and the parts of their covariance."""
+def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, FloatArray, Covariances]:
+    """Return, at A, b and v (13), residuals (2 s), derivatives by A, b and v (2 s, 13), and the parts of their covariance."""
     A, b, v = p[:9].reshape(3, 3), p[9:12], p[12]
     s = len(data.rate_raw)
     w = data.rate_raw @ A.T - b

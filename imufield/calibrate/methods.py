@@ -1,10 +1,8 @@
 """Other methods than least squares for a calibration, and their agreement as proof.
 
 The model, the gauge, the weights and the uncertainties are those of ``calibrate_accelerometer``; a method only looks for the
-parameters again, from its own start (the preset, or the outputs' extremes without one), in whitened coordinates. It minimises
-the cost of its paper, so even two perfect methods differ by statistics: an absolute cost weighs outliers less than squares do.
-``cross_check`` therefore runs twice: with each method's own cost, and with one weighted cost for all, where what is left is
-how well each method searches.
+parameters again, from its own start (the preset, or the outputs' extremes without one), in whitened coordinates, and minimises
+the cost of its paper.
 
 Sigma is that of the fit alone. Uncertainty of gravity is common to all methods and must not hide a disagreement.
 """
@@ -16,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imufield.calibrate.agreement import CROSS_CHECKED, LEAST_SQUARES, Attempt, CrossCheck, compare
 from imufield.calibrate.costs import CostName, NormProblem
 from imufield.calibrate.fit import FitData
 from imufield.calibrate.gauge import change_gauge, intrinsic, make_intrinsic
@@ -30,17 +29,11 @@ from imufield.calibrate.uncertainty import known_covariance, within_variance
 from imufield.calibrate.whitening import whitened_problem
 from imufield.samples import FloatArray
 
-LEAST_SQUARES = "least-squares"
-CROSS_CHECKED = ("bsas", "ide", LEAST_SQUARES)
 GAUGE_FREE_NAMES = tuple(
     f"intrinsic.{kind}.{axis}"
     for kind, axes in (("scale", "xyz"), ("bias_raw", "xyz"), ("angle_rad", ("xy", "xz", "yz")), ("quadratic", "xyz"))
     for axis in axes
 )
-AGREEMENT_SIGMA = 3.0
-"""Methods with different costs may differ by this much; an absolute cost alone makes 0.7 on the average of one parameter."""
-SEARCH_AGREEMENT_SIGMA = 0.05
-"""Methods with one cost may differ by this much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,60 +223,6 @@ def _quality(quality: Quality, residual: FloatArray, summary: SolverSummary) -> 
     return replace(figures, verdict="poor", reasons=(sentence, *quality.reasons))
 
 
-@dataclass(frozen=True, slots=True)
-class Disagreement:
-    """The largest difference between two methods in a gauge-free number."""
-
-    sigma: float
-    parameter: str
-    methods: tuple[str, str]
-
-
-@dataclass(frozen=True, slots=True)
-class CrossCheck:
-    """What several methods make of the same observations."""
-
-    own_costs: Disagreement
-    """Each with the cost of its paper."""
-    one_cost: Disagreement
-    """All with the weighted cost."""
-    not_converged: tuple[str, ...]
-    """A sentence for each run that did not converge."""
-    gauge_free: dict[str, FloatArray]
-    """The 12 gauge-free numbers by method, own costs, shape (12,) each."""
-
-    @property
-    def agree(self) -> bool:
-        """Whether the methods prove one another."""
-        near = self.own_costs.sigma <= AGREEMENT_SIGMA and self.one_cost.sigma <= SEARCH_AGREEMENT_SIGMA
-        return near and not self.not_converged
-
-    @property
-    def sentence(self) -> str:
-        """The outcome in words."""
-        names = ", ".join(self.gauge_free)
-        if self.not_converged:
-            return f"no cross-check: {'; '.join(self.not_converged)}"
-        own, one = self.own_costs, self.one_cost
-        verdict = "agree" if self.agree else "DISAGREE"
-        return (
-            f"{names} {verdict}: the largest difference is {own.sigma:.2f} sigma ({own.parameter}, "
-            f"{' against '.join(own.methods)}), and {one.sigma:.2g} sigma where all minimise the same weighted cost"
-        )
-
-
-def cross_check_words(check: CrossCheck) -> str:
-    """Return what a cross-check says, in one sentence."""
-    own, one = check.own_costs, check.one_cost
-    verdict = "the methods prove one another" if check.agree else "the methods do NOT prove one another"
-    failed = f"; {'; '.join(check.not_converged)}" if check.not_converged else ""
-    own_words = f"{own.sigma:.2g} sigma ({own.parameter}, {own.methods[0]} against {own.methods[1]})"
-    return (
-        f"cross-check of {', '.join(check.gauge_free)}: {verdict}; largest disagreement {own_words} with the cost of each "
-        f"paper, {one.sigma:.2g} sigma with one cost{failed}"
-    )
-
-
 def cross_check(
     observations: Observations,
     calibration: Calibration,
@@ -311,18 +250,13 @@ def cross_check(
         If a method cannot start.
     """
     again = restart(observations, calibration, preset)
-    sigma = again.gauge_free_sigma()
-    own: dict[str, FloatArray] = {}
-    one: dict[str, FloatArray] = {}
-    open_runs: list[str] = []
-    for method in methods:
-        costs: tuple[CostName, CostName] = (find_method(method).cost_name, "weighted")
-        for found_by, cost_name in zip((own, one), costs, strict=True):
-            found = load_solver(method)(_relative(again, cost_name, method), rng=rng)
-            if not found.converged:
-                open_runs.append(f"{method} did not converge ({found.message})")
-            found_by[method] = intrinsic(again.in_gauge(found.x)[0], again.problem.quadratic_axes)[0]
-    return CrossCheck(_largest(own, sigma), _largest(one, sigma), tuple(dict.fromkeys(open_runs)), own)
+
+    def attempt(method: str, cost_name: CostName) -> Attempt:
+        found = load_solver(method)(_relative(again, cost_name, method), rng=rng)
+        numbers = intrinsic(again.in_gauge(found.x)[0], again.problem.quadratic_axes)[0]
+        return numbers, "" if found.converged else found.message
+
+    return compare("accelerometer", attempt, GAUGE_FREE_NAMES, again.gauge_free_sigma(), methods)
 
 
 def _relative(again: Restart, cost_name: CostName, method: str) -> NormProblem:
@@ -331,16 +265,3 @@ def _relative(again: Restart, cost_name: CostName, method: str) -> NormProblem:
     if method == LEAST_SQUARES:
         return problem
     return replace(problem, sigma_m_s2=problem.sigma_m_s2 / np.median(problem.sigma_m_s2))
-
-
-def _largest(found: dict[str, FloatArray], sigma: FloatArray) -> Disagreement:
-    names = list(found)
-    largest = Disagreement(0.0, "", (names[0], names[-1]))
-    fitted = sigma > 1e-9 * np.maximum(np.abs(found[names[0]]), np.finfo(float).tiny)
-    for i, first in enumerate(names):
-        for second in names[i + 1 :]:
-            apart = np.where(fitted, np.abs(found[first] - found[second]) / np.where(fitted, sigma, 1.0), 0.0)
-            worst = int(np.argmax(apart))
-            if apart[worst] > largest.sigma:
-                largest = Disagreement(float(apart[worst]), GAUGE_FREE_NAMES[worst], (first, second))
-    return largest

@@ -9,8 +9,11 @@ from typing import Any
 import numpy as np
 
 from imufield.calibrate.accelerometer import calibrate_accelerometer
+from imufield.calibrate.agreement import LEAST_SQUARES
+from imufield.calibrate.gyroscope_methods import cross_check_gyroscope, solve_gyroscope_with
 from imufield.calibrate.gyroscope_paths import FEWEST_STILLS, GyroscopeInput, GyroscopeModel, calibrate_gyroscope
-from imufield.calibrate.methods import LEAST_SQUARES, cross_check, cross_check_words, solve_with
+from imufield.calibrate.gyroscope_report import GyroscopeResult
+from imufield.calibrate.methods import cross_check, solve_with
 from imufield.calibrate.moves import MoveCollector, Moves, cut_moves, no_slots
 from imufield.calibrate.observations import Observations, join_observations
 from imufield.calibrate.result import Calibration, Gauge, ModelChoice
@@ -112,7 +115,7 @@ def calibrate(measured: Measured, wishes: Wishes) -> Parameters:
     rng = np.random.default_rng(wishes.seed)
     sentences = list(measured.reasons)
     if wishes.cross_check:
-        sentences.append(cross_check_words(cross_check(measured.observations, calibration, rng=rng, preset=preset)))
+        sentences.append(cross_check(measured.observations, calibration, rng=rng, preset=preset).sentence)
     if wishes.method != LEAST_SQUARES:
         calibration = solve_with(
             wishes.method,
@@ -123,13 +126,13 @@ def calibrate(measured: Measured, wishes: Wishes) -> Parameters:
             polish=wishes.polish,
             seed=wishes.seed,
         )
-    calibration = _with_gyroscope(calibration, measured, wishes)
+    calibration = _with_gyroscope(calibration, measured, wishes, rng)
     quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *sentences))
     calibration = replace(calibration, quality=quality)
     return from_document(to_document(calibration, measured.observations, measured.context))
 
 
-def _with_gyroscope(calibration: Calibration, measured: Measured, wishes: Wishes) -> Calibration:
+def _with_gyroscope(calibration: Calibration, measured: Measured, wishes: Wishes, rng: np.random.Generator) -> Calibration:
     """Join the gyroscope, where the session holds its output."""
     observations = measured.observations if measured.rests is None else join_observations(measured.observations, measured.rests)
     there = np.isfinite(observations.gyroscope_mean_raw).all(axis=1)
@@ -147,12 +150,30 @@ def _with_gyroscope(calibration: Calibration, measured: Measured, wishes: Wishes
         rests=0 if measured.rests is None else len(measured.rests),
     )
     try:
-        return calibrate_gyroscope(given, wishes.gyroscope_model).join(calibration)
+        return _by_method(calibrate_gyroscope(given, wishes.gyroscope_model), calibration, wishes, rng)
     except CalibrationError as error:
         # The accelerometer is known all the same; axes that contradict it were refused before.
         sentence = f"the gyroscope is not calibrated: {error.message}"
         quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, sentence))
         return replace(calibration, quality=quality)
+
+
+def _by_method(result: GyroscopeResult, calibration: Calibration, wishes: Wishes, rng: np.random.Generator) -> Calibration:
+    """Check the gyroscope by several methods and solve it by the one asked for, then join it."""
+    check = cross_check_gyroscope(result, rng=rng) if wishes.cross_check else None
+    result, solved = solve_gyroscope_with(wishes.method, result, rng=rng, polish=wishes.polish)
+    joined = result.join(calibration)
+    reasons = joined.quality.reasons
+    quality = joined.quality
+    if solved is not None and not solved.converged:
+        sentence = f"the method {wishes.method} did not converge on the gyroscope, do not use its parameters: {solved.message}"
+        quality = replace(quality, verdict="poor")
+        reasons = (sentence, *reasons)
+    elif solved is not None:
+        reasons = (*reasons, f"gyroscope solved by {wishes.method}: {solved.message}")
+    if check is not None:
+        reasons = (*reasons, check.sentence)
+    return replace(joined, quality=replace(quality, reasons=reasons))
 
 
 def _check_preset(preset: Parameters, measured: Measured) -> None:

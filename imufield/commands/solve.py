@@ -15,8 +15,8 @@ import typer
 
 from imufield.acquire.recording import Damage
 from imufield.acquire.session import Session
+from imufield.calibrate.agreement import LEAST_SQUARES
 from imufield.calibrate.gyroscope_paths import GyroscopeModel
-from imufield.calibrate.methods import LEAST_SQUARES
 from imufield.calibrate.observation_files import read_observations
 from imufield.calibrate.observations import Observations, count_repeats_once
 from imufield.calibrate.result import Gauge, ModelChoice
