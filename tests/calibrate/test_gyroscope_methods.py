@@ -84,7 +84,7 @@ def test_without_polish_the_swarm_keeps_the_minimum_of_its_own_cost(result: Gyro
     again = searchable(result)
     assert solved is not None
     assert again is not None
-    fitted = again.linearise(result.basis.fit.p[result.basis.fit.free])[0]  # type: ignore[union-attr]
+    fitted = again.linearise(result.basis.fit.p[result.basis.fit.free])[0]
     assert solved.cost < np.abs(fitted).sum()
     assert solved.cost == pytest.approx(np.abs(again.linearise(solved.x)[0]).sum(), rel=1e-9)
     apart = np.abs(values(found) - values(result)) / np.where(sigmas(result) > 0, sigmas(result), np.inf)

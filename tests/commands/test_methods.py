@@ -1,0 +1,41 @@
+"""``imufield solve`` by another method, for both triads."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from tests.commands.conftest import Program
+
+
+def test_a_method_solves_both_triads_and_a_cross_check_covers_both(program: Program, solved_session: Path) -> None:
+    shutil.copytree(solved_session, program.folder / "session")
+    ended = program.run("solve", "session", "--latitude", 48, "--json")
+    assert ended.returncode == 0, ended.stderr
+    plain = json.loads(ended.stdout)
+    ended = program.run("solve", "session", "--latitude", 48, "--json", "--method", "bsas", "--cross-check")
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads(ended.stdout)
+    reasons = found["quality"]["reasons"]
+    for triad in ("accelerometer", "gyroscope"):
+        (check,) = [
+            reason for reason in reasons if reason.startswith(f"cross-check of the {triad} by bsas, ide, least-squares")
+        ]
+        assert "the methods prove one another" in check
+        sigma = np.array(plain[triad]["uncertainty"]["scale"])
+        assert np.all(np.abs(np.array(found[triad]["scale"]) - plain[triad]["scale"]) <= 0.02 * sigma)
+    assert any(reason.startswith("gyroscope solved by bsas: ") for reason in reasons)
+    assert found["quality"]["verdict"] == plain["quality"]["verdict"]
+
+
+def test_a_method_that_does_not_arrive_makes_a_poor_verdict(program: Program, solved_session: Path) -> None:
+    shutil.copytree(solved_session, program.folder / "session")
+    ended = program.run("solve", "session", "--latitude", 48, "--json", "--method", "bas")
+    found = json.loads(ended.stdout)
+    assert found["quality"]["verdict"] == "poor"
+    assert found["quality"]["reasons"][0].startswith("the method bas did not converge on the gyroscope, do not use")
