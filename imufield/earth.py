@@ -26,7 +26,9 @@ _M = 0.00344978650684  # centrifugal over gravitational acceleration at the equa
 NORMAL_GRAVITY_SIGMA_M_S2 = 5e-4
 """1 sigma of true minus normal gravity: anomalies reach 1e-3 m/s^2 (100 ppm of scale)."""
 MEASURED_GRAVITY_SIGMA_M_S2 = 1e-5
-"""1 sigma of a value the user typed: a gravimeter or a geodetic survey, 1 mGal."""
+"""Least 1 sigma of a value the user typed: a gravimeter or a geodetic survey, 1 mGal."""
+GRAVITIES_DIFFER_SIGMA = 3.0
+"""A typed value further from that of the latitude than this is said."""
 ASSUMED_GRAVITY_SIGMA_M_S2 = 0.018
 """1 sigma where nothing is known: gravity runs from 9.764 to 9.834 m/s^2 over the Earth's surface."""
 
@@ -55,6 +57,28 @@ def normal_gravity(latitude_deg: float, height_m: float = 0.0) -> float:
     surface = _GRAVITY_EQUATOR_M_S2 * (1 + _SOMIGLIANA_K * sin2) / math.sqrt(1 - _ECCENTRICITY_SQUARED * sin2)
     ratio = height_m / _SEMI_MAJOR_AXIS_M
     return surface * (1 - 2 * ratio * (1 + _FLATTENING + _M - 2 * _FLATTENING * sin2) + 3 * ratio**2)
+
+
+def sigma_of_digits(text: str) -> float:
+    """Return 1 sigma in m/s^2 of gravity typed as ``text``: anything that rounds to it is as likely, but 1e-5 at least."""
+    decimals = len(text.partition(".")[2].rstrip()) if "e" not in text.lower() else 0
+    return max(10.0**-decimals / math.sqrt(12), MEASURED_GRAVITY_SIGMA_M_S2)
+
+
+def contradiction(gravity: Gravity) -> str:
+    """Return a sentence where a typed value is not that of the latitude it was given with; else an empty one."""
+    if gravity.source != "typed" or gravity.latitude_deg is None:
+        return ""
+    normal = normal_gravity(gravity.latitude_deg, gravity.height_m or 0.0)
+    off, limit = gravity.gravity_m_s2 - normal, math.hypot(gravity.sigma_m_s2, NORMAL_GRAVITY_SIGMA_M_S2)
+    if abs(off) <= GRAVITIES_DIFFER_SIGMA * limit:
+        return ""
+    height = "at a height that was not given, 0 m taken" if gravity.height_m is None else f"at {gravity.height_m:g} m"
+    return (
+        f"gravity was given as {gravity.gravity_m_s2:g} m/s^2, but latitude {gravity.latitude_deg:g} deg {height} has "
+        f"{normal:.5f} m/s^2 by WGS-84: {abs(off) / normal * 1e6:.0f} ppm of scale apart (limit "
+        f"{GRAVITIES_DIFFER_SIGMA * limit / normal * 1e6:.0f} ppm); the value given is used, check both"
+    )
 
 
 def choose_gravity(
@@ -90,9 +114,8 @@ def choose_gravity(
                 Reason.GRAVITY,
                 gravity_m_s2=gravity_m_s2,
             )
-        return Gravity(
-            gravity_m_s2, MEASURED_GRAVITY_SIGMA_M_S2 if sigma_m_s2 is None else sigma_m_s2, "typed", latitude_deg, height_m
-        )
+        sigma = sigma_of_digits(repr(float(gravity_m_s2))) if sigma_m_s2 is None else sigma_m_s2
+        return Gravity(gravity_m_s2, sigma, "typed", latitude_deg, height_m)
     if latitude_deg is not None:
         value = normal_gravity(latitude_deg, height_m or 0.0)
         return Gravity(

@@ -55,6 +55,11 @@ class Reason(Enum):
     FAILED_REQUIREMENT = "failed_requirement"
 
 
+def counted(number: int, noun: str) -> str:
+    """Return "1 position", "2 positions": a number with its noun, for sentences."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 class ImufieldError(Exception):
     """Base of every error a user can cause.
 

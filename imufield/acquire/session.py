@@ -52,7 +52,7 @@ KEYS: Mapping[str, type | tuple[type, ...]] = {
 """What ``session.toml`` may hold: ``kind`` is "capture", "record" or "import"; tables are filled by those who use them."""
 
 NUMBERS: Mapping[str, tuple[str, ...]] = {
-    "site": ("gravity_m_s2", "latitude_deg", "height_m"),
+    "site": ("gravity_m_s2", "gravity_sigma_m_s2", "latitude_deg", "height_m"),
     "guide": ("hold_s", "target_bias_ug", "target_scale_ppm"),
 }
 """Keys inside the tables that a person may edit and a program computes with; those of the guide are larger than zero."""
@@ -353,6 +353,18 @@ def _check(content: Mapping[str, Any], path: Path) -> None:
         if key not in content:
             raise RecordingError(f"{path} lacks the key `{key}`: restore it.", Reason.DAMAGED, path=str(path), key=key)
     _check_numbers(content, path)
+    _check_settings(content, path)
+
+
+def _check_settings(content: Mapping[str, Any], path: Path) -> None:
+    for key, value in content.get("settings", {}).items():
+        if not isinstance(value, dict) or "value" not in value:
+            raise RecordingError(
+                f"{path} has {value!r} under `settings.{key}`, which is a table with value and origin: restore it.",
+                Reason.DAMAGED,
+                path=str(path),
+                key=key,
+            )
 
 
 def _check_numbers(content: Mapping[str, Any], path: Path) -> None:

@@ -14,7 +14,14 @@ from imufield.calibrate.fit import Fit, FitData, fit
 from imufield.calibrate.gauge import change_gauge, intrinsic, make_intrinsic
 from imufield.calibrate.model_choice import Chosen, choose_model, find_origin
 from imufield.calibrate.models import PARAMETERS, SCALE, from_vector, norm_derivatives, to_vector
-from imufield.calibrate.observability import LOWER_GAUGE_COLUMNS, Observability, observe, parameter_scale, require_space
+from imufield.calibrate.observability import (
+    LOWER_GAUGE_COLUMNS,
+    Observability,
+    observe,
+    parameter_scale,
+    require_outputs,
+    require_space,
+)
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.quality import Evidence, common_scale_ratio, judge, refuse_saturation
 from imufield.calibrate.result import (
@@ -47,7 +54,7 @@ from imufield.calibrate.uncertainty import (
     single_positions,
 )
 from imufield.earth import Gravity
-from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.errors import CalibrationError, Reason, UsageError, counted
 from imufield.samples import FloatArray, SampleUnits
 
 EQUATIONS = {
@@ -155,7 +162,8 @@ def _checked_data(observations: Observations, gravity: Gravity, zero: FloatArray
     m = len(observations)
     if m < FEWEST_FOR_SCALE_AND_BIAS:
         raise CalibrationError(
-            f"{m} positions are too few: scale and bias need {FEWEST_FOR_SCALE_AND_BIAS} (each axis up and down), misalignment "
+            f"{counted(m, 'position')} {'is' if m == 1 else 'are'} too few: scale and bias need {FEWEST_FOR_SCALE_AND_BIAS} "
+            f"(each axis up and down), misalignment "
             f"{FEWEST_FOR_MISALIGNMENT}, the quadratic term {FEWEST_FOR_QUADRATIC}; take more positions, 24 is a good number",
             Reason.TOO_FEW,
             positions=m,
@@ -169,6 +177,7 @@ def _checked_data(observations: Observations, gravity: Gravity, zero: FloatArray
             position=observations.name[row],
         )
     raw = observations.mean_raw - zero
+    require_outputs(raw, observations.name)
     require_space(raw)
     covariance = observations.covariance_raw if known_covariance(observations.covariance_raw) else None
     return FitData(raw, covariance, gravity.gravity_m_s2, axes, loss)

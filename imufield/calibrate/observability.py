@@ -45,8 +45,13 @@ The 24-position schemes give misalignment 1.0 and the quadratic term 0.7 or more
 0.24; edges alone, placed to 0.05 rad, give the quadratic term 0.03.
 """
 
-_FLATTEST = 0.02
-"""Thickness over spread of the outputs of positions in one plane, placed to 1 deg."""
+_FLATTEST = 0.1
+"""Thickness over spread of the outputs of positions in one plane, placed to 5 deg; 24 positions have 0.9."""
+_DEAD = 1e-3
+_ROUND = 0.2
+"""Positions in a plane keep their distance to a degree or so; those of a scheme, seen along an axis, go through the middle."""
+OUTPUT_SIZE = (1e-9, 1e12)
+"""Spread and size of outputs: tera-counts and nano-units are beyond any converter, and squares of them still are numbers."""
 
 FACE_COSINE = float(np.cos(np.radians(15.0)))
 """Nearer than 15 deg to an axis a position is a face. Faces alone show misalignment and quadratic term only by accident of
@@ -153,6 +158,33 @@ def require_scale_and_bias(seen: Observability) -> None:
         )
 
 
+def require_outputs(raw: FloatArray, names: tuple[str, ...]) -> None:
+    """Refuse outputs that no instrument sends.
+
+    Raises
+    ------
+    CalibrationError
+    """
+    small, large = OUTPUT_SIZE
+    sizes = np.abs(raw).max(axis=1)
+    worst = int(np.argmax(sizes))
+    if sizes[worst] > large:
+        raise CalibrationError(
+            f"position {names[worst]} (number {worst + 1} of {len(raw)}) has the output {raw[worst].tolist()}, larger than "
+            f"{large:g}, which no instrument sends; correct or remove it",
+            Reason.BOUNDS,
+            position=names[worst],
+        )
+    spread = float(np.ptp(raw, axis=0).max())
+    if spread < small:
+        raise CalibrationError(
+            f"the outputs of all {len(raw)} positions are the same within {spread:.2g} (limit {small:g}): nothing was turned, "
+            "or the unit is wrong; check the columns, and take each position with another side up",
+            Reason.UNOBSERVABLE,
+            spread=spread,
+        )
+
+
 def require_space(raw: FloatArray) -> None:
     """Refuse outputs that do not fill space: a dead axis, or all positions in one plane.
 
@@ -161,21 +193,29 @@ def require_space(raw: FloatArray) -> None:
     CalibrationError
     """
     spread = np.ptp(raw, axis=0)
-    for axis in range(3):
-        if spread[axis] <= 1e-3 * spread.max():
-            raise CalibrationError(
-                f"axis {AXES[axis]} gives {raw[0, axis]:g} at every position (spread {spread[axis]:g}, other axes "
-                f"{spread.max():g}): it is saturated, dead, or all positions lie in one plane; check range and wiring, or add "
-                "positions out of that plane",
-                Reason.SATURATED,
-                axis=AXES[axis],
-            )
-    values = np.linalg.svd((raw - raw.mean(axis=0)) / spread, compute_uv=False)
+    widest = float(spread.max())
+    values, directions = np.linalg.svd(raw - raw.mean(axis=0))[1:]
     flatness = float(values[2] / values[0])
+    axis = int(np.argmin(spread))
+    if spread[axis] <= _DEAD * widest and not _is_circle(np.delete(raw, axis, axis=1)):
+        raise CalibrationError(
+            f"axis {AXES[axis]} gives {raw[0, axis]:g} at every position (spread {spread[axis]:g}, other axes {widest:g}): it "
+            "is saturated or dead; check range and wiring",
+            Reason.SATURATED,
+            axis=AXES[axis],
+        )
     if flatness < _FLATTEST:
+        missing = AXES[int(np.argmax(np.abs(directions[2])))]
         raise CalibrationError(
             f"all {len(raw)} positions lie in one plane (thickness {flatness:.2g} of their spread, at least {_FLATTEST} is "
-            "needed); add positions with the missing axis up and down",
+            f"needed); add positions with axis {missing} up and down",
             Reason.UNOBSERVABLE,
             thickness=flatness,
         )
+
+
+def _is_circle(outputs: FloatArray) -> bool:
+    """Tell whether the outputs of two axes keep their distance to a centre, as they do when both stay in a vertical plane."""
+    centre = (outputs.max(axis=0) + outputs.min(axis=0)) / 2
+    distance = np.linalg.norm((outputs - centre) / np.maximum(np.ptp(outputs, axis=0), np.finfo(float).tiny), axis=1)
+    return bool(np.ptp(distance) < _ROUND * distance.max())

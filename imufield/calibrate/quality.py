@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +12,8 @@ from imufield.calibrate.models import BIAS, SCALE
 from imufield.calibrate.observability import Observability
 from imufield.calibrate.result import ACCELEROMETER_NAMES, PositionResult, Quality
 from imufield.calibrate.uncertainty import Influence, SinglePosition, student_factor_95
-from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
-from imufield.errors import CalibrationError, Reason
+from imufield.earth import MEASURED_GRAVITY_SIGMA_M_S2, STANDARD_GRAVITY_M_S2, Gravity, contradiction
+from imufield.errors import CalibrationError, Reason, counted
 from imufield.samples import AXES, FloatArray
 
 MG = STANDARD_GRAVITY_M_S2 * 1e-3
@@ -30,8 +31,11 @@ HIGH_CONDITION = 30.0
 SCALE_CHANGE = 0.01
 SCALE_REFUSED = 0.2
 """A common scale further from the preset's than aging explains, and further than any instrument of that kind."""
-SATURATION_RESIDUAL_M_S2 = 50 * MG
-_SATURATED_POSITIONS = 3
+SATURATION_RESIDUAL_M_S2 = POOR_RESIDUAL_M_S2
+"""A fit bends around two clipped faces and leaves a tenth of what was cut off: 30 mg of 300 mg."""
+_SATURATED_POSITIONS = 2
+_SAME_OUTPUT = 1e-9
+"""Share of an axis' span within which two means are the same number: the mean of a constant is that to rounding."""
 _OUTLIER_LEVEL = 0.01
 
 
@@ -105,20 +109,31 @@ def refuse_saturation(raw: FloatArray, residual_m_s2: FloatArray) -> None:
     ------
     CalibrationError
     """
-    if np.abs(residual_m_s2).max() < SATURATION_RESIDUAL_M_S2:
+    worst = float(np.abs(residual_m_s2).max())
+    if worst < SATURATION_RESIDUAL_M_S2:
         return
     for axis in range(3):
-        ordered = np.sort(raw[:, axis])
-        reach = ordered[-1] - ordered[0]
-        for end, limit in ((ordered[:_SATURATED_POSITIONS], ordered[0]), (ordered[-_SATURATED_POSITIONS:], ordered[-1])):
-            if np.ptp(end) <= 1e-6 * reach:
-                raise CalibrationError(
-                    f"axis {AXES[axis]} stops at {limit:g} in {_SATURATED_POSITIONS} or more positions while the norm is wrong "
-                    f"by up to {np.abs(residual_m_s2).max() / MG:.0f} mg: it is saturated; choose a larger range",
-                    Reason.SATURATED,
-                    axis=AXES[axis],
-                    limit=float(limit),
-                )
+        for limit, count in _stops(np.sort(raw[:, axis])):
+            raise CalibrationError(
+                f"axis {AXES[axis]} stops at {limit:g} in {count} positions while the norm is wrong by up to "
+                f"{worst / MG:.0f} mg (limit {SATURATION_RESIDUAL_M_S2 / MG:.0f} mg): it is saturated; choose a larger range "
+                "and take them again",
+                Reason.SATURATED,
+                axis=AXES[axis],
+                limit=limit,
+            )
+
+
+def _stops(ordered: FloatArray) -> Iterator[tuple[float, int]]:
+    """Yield each end at which values pile up, and how many; none where coarse steps make values equal anywhere."""
+    same = np.diff(ordered) <= _SAME_OUTPUT * (ordered[-1] - ordered[0])
+    low = int(np.argmin(np.append(same, False))) + 1
+    high = int(np.argmin(np.append(same[::-1], False))) + 1
+    if same[low - 1 : len(same) - high + 1].any():
+        return
+    for limit, count in ((ordered[0], low), (ordered[-1], high)):
+        if count >= _SATURATED_POSITIONS:
+            yield float(limit), count
 
 
 def _rms(values: FloatArray) -> float:
@@ -130,7 +145,8 @@ def _summary(evidence: Evidence) -> str:
     positions = evidence.positions
     left_out = _rms(positions.leave_one_out_m_s2) / MG
     return (
-        f"{len(evidence.name)} positions, {len(evidence.free)} parameters, {evidence.fitted.degrees_of_freedom} to spare: "
+        f"{counted(len(evidence.name), 'position')}, {counted(len(evidence.free), 'parameter')}, "
+        f"{evidence.fitted.degrees_of_freedom} to spare: "
         f"residual {_rms(positions.residual_m_s2) / MG:.3f} mg RMS"
         + (f", {left_out:.3f} mg with each position left out" if np.isfinite(left_out) else "")
     )
@@ -155,13 +171,11 @@ def _poor(evidence: Evidence) -> list[str]:
 def _cautions(evidence: Evidence) -> list[str]:
     reasons = [*_single_sentences(evidence), *_outlier_sentences(evidence)]
     if evidence.unobservable:
-        reasons.append(
-            f"these positions cannot show {', '.join(_words(name) for name in evidence.unobservable)}; left at the preset's "
-            "value, or zero without a preset"
-        )
+        reasons.append(_unobservable_sentence(evidence))
     freedom = evidence.fitted.degrees_of_freedom
     if 0 < freedom < SPARE_POSITIONS:
-        reasons.append(f"only {freedom} positions to spare: a 95 % interval is {student_factor_95(freedom):.1f} sigma")
+        spare = counted(freedom, "position")
+        reasons.append(f"only {spare} to spare: a 95 % interval is {student_factor_95(freedom):.1f} sigma")
     if evidence.seen.condition > HIGH_CONDITION:
         reasons.append(f"the positions are one-sided (condition {evidence.seen.condition:.0f}, limit {HIGH_CONDITION:.0f})")
     if evidence.gravity.source == "assumed":
@@ -170,12 +184,32 @@ def _cautions(evidence: Evidence) -> list[str]:
             f"gravity is not known and {evidence.gravity.gravity_m_s2:g} m/s^2 was assumed: the common scale is uncertain by "
             f"{share * 1e6:.0f} ppm; give the latitude or gravity"
         )
+    if differ := contradiction(evidence.gravity):
+        reasons.append(differ)
     ratio = evidence.scale_ratio
     if ratio is not None and abs(ratio - 1) > SCALE_CHANGE:
         reasons.append(
             f"the common scale is {ratio - 1:+.1%} off the preset's (limit {SCALE_CHANGE:.0%}): check gravity and preset"
         )
     return reasons + _sigma_sentences(evidence)
+
+
+def _unobservable_sentence(evidence: Evidence) -> str:
+    """Say what cannot be seen and what that costs: Bosch and InvenSense state cross-axis sensitivities of 1 to 2 %."""
+    hidden = evidence.unobservable
+    kept = "are taken as zero" if evidence.scale_ratio is None else "are left at the preset's values"
+    cost = []
+    if any("misalignment" in name for name in hidden):
+        cost.append(
+            "each mrad of misalignment left is 1 mg of error on an axis across gravity, so 10 to 20 mg for a chip whose data "
+            "sheet gives 1 to 2 % of cross-axis sensitivity"
+        )
+    if any("quadratic" in name for name in hidden):
+        cost.append("each 100 ug/g^2 of quadratic term left is 0.1 mg at 1 g")
+    if not cost:
+        cost.append("what is wrong there is in every measurement")
+    names = ", ".join(_words(name) for name in hidden)
+    return f"these positions cannot show {names}, which {kept}: {'; '.join(cost)}; take 24 positions to see them"
 
 
 def _sigma_sentences(evidence: Evidence) -> list[str]:
@@ -236,14 +270,23 @@ def _notes(evidence: Evidence) -> list[str]:
     if not evidence.covariance_known:
         notes.append("no uncertainty came with the positions: all weigh the same, and sigma is from the residuals")
     if evidence.sign_source == "assumed":
-        notes.append("the signs of the axes are assumed positive: neither planned positions nor a preset tell them")
+        notes.append(
+            "the axes are assumed positive, in the order x, y, z and right-handed: the norm is the same for reversed or swapped "
+            "ones, and neither planned positions nor a preset tell"
+        )
     gravity = evidence.gravity
     if gravity.source != "assumed":
+        digits = gravity.source == "typed" and gravity.sigma_m_s2 > MEASURED_GRAVITY_SIGMA_M_S2
         notes.append(
-            f"the residual cannot check gravity: its sigma of {gravity.sigma_m_s2:g} m/s^2 is "
-            f"{gravity.sigma_m_s2 / gravity.gravity_m_s2 * 1e6:.0f} ppm of common scale"
+            f"the residual cannot check gravity: its sigma of {gravity.sigma_m_s2:.2g} m/s^2 is "
+            f"{_ppm(gravity.sigma_m_s2 / gravity.gravity_m_s2)} of common scale"
+            + (", which is what its last digit leaves open: give more digits where they are known" if digits else "")
         )
     return notes
+
+
+def _ppm(share: float) -> str:
+    return f"{share * 1e6:.0f} ppm" if share >= 1e-5 else f"{share * 1e6:.2g} ppm"
 
 
 def _words(name: str) -> str:

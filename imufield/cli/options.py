@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Self
 
 import typer
 
@@ -33,8 +33,32 @@ Settings = Annotated[
 ]
 SessionFolder = Annotated[Path | None, typer.Option("--session", help="Folder of the session (default: a new one).")]
 AsJson = Annotated[bool, typer.Option("--json", help="JSON on standard output and nothing else.")]
+
+
+class TypedNumber(float):
+    """A number that remembers the digits it was typed with: 9.810 says more than 9.81."""
+
+    text: str
+
+    def __new__(cls, text: object) -> Self:
+        """Read a number from an option, a variable or a file; raises ``typer.BadParameter``."""
+        try:
+            number = super().__new__(cls, str(text))
+        except ValueError as error:
+            raise typer.BadParameter(f"{text!r} is not a number; write it with a decimal point, e.g. 9.80665") from error
+        number.text = str(text)
+        return number
+
+
 GravityValue = Annotated[
-    float | None, typer.Option("--gravity", help="Local gravity, m/s^2, measured.", envvar="IMUFIELD_GRAVITY_M_S2")
+    float | None,
+    typer.Option(
+        "--gravity",
+        help="Local gravity, m/s^2; as uncertain as its last digit.",
+        envvar="IMUFIELD_GRAVITY_M_S2",
+        parser=TypedNumber,
+        metavar="FLOAT",
+    ),
 ]
 Latitude = Annotated[
     float | None, typer.Option(help="Latitude, decimal degrees: gravity by WGS-84.", envvar="IMUFIELD_LATITUDE_DEG")
@@ -94,9 +118,12 @@ def is_typed(context: typer.Context, name: str) -> bool:
 def site(context: typer.Context, gravity: float | None, latitude: float | None, height: float | None) -> SiteOptions:
     """Return the site: what was typed; without that the defaults of file and variables, which a session's own site beats."""
     from imufield.commands.site import SiteOptions
+    from imufield.earth import sigma_of_digits
 
     values = {"gravity": gravity, "latitude": latitude, "height": height}
     typed = {name: value for name, value in values.items() if is_typed(context, name)}
     if "gravity" in typed or "latitude" in typed:
-        return SiteOptions(typed.get("gravity"), typed.get("latitude"), typed.get("height"))
-    return SiteOptions(gravity, latitude, height, is_default="height" not in typed)
+        gravity, latitude, height = typed.get("gravity"), typed.get("latitude"), typed.get("height")
+    sigma_m_s2 = sigma_of_digits(gravity.text) if isinstance(gravity, TypedNumber) else None
+    is_default = not typed
+    return SiteOptions(gravity, latitude, height, is_default=is_default, gravity_sigma_m_s2=sigma_m_s2)

@@ -102,6 +102,8 @@ class Chain:
         """One per part."""
         self.temperature_degc = (float("nan"), float("nan"))
         """Lowest and highest so far."""
+        self.notes: list[str] = []
+        """Sentences about how the recording was read."""
         self._listeners = listeners
         self._offset_s: float | None = 0.0
         self._last_s: float | None = None
@@ -257,6 +259,18 @@ def recorded_protocol(metadata: Mapping[str, Any], session: Session) -> Protocol
     return parse_protocol(text, metadata.get("settings") or recorded, label=f"protocol of {session.name}")
 
 
+def _edited_settings(part: PartStart, session: Session) -> list[str]:
+    """Say which settings in ``session.toml`` are not those the bytes of a part were recorded with, which are used."""
+    recorded = part.metadata.get("settings", {})
+    written = {name: entry["value"] for name, entry in session.metadata.get("settings", {}).items()}
+    return [
+        f"session.toml says {name} = {value}, but {part.path.name} was recorded with {recorded[name]}, which is used: what is "
+        "edited there changes nothing"
+        for name, value in written.items()
+        if name in recorded and recorded[name] != value
+    ]
+
+
 def replay_into(
     chain: Chain,
     session: Session,
@@ -286,6 +300,7 @@ def replay_into(
     for item in read_blocks(session, damage):
         if isinstance(item, PartStart):
             events = chain.start_part(recorded_protocol(item.metadata, session))
+            chain.notes += _edited_settings(item, session)
         elif isinstance(item, RecordedEvent):
             events = _say_again(chain, item.event)
         else:

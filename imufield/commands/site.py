@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from imufield.earth import Gravity, choose_gravity
@@ -21,6 +21,8 @@ class SiteOptions:
     latitude_deg: float | None = None
     height_m: float | None = None
     is_default: bool = False
+    gravity_sigma_m_s2: float | None = None
+    """By the digits typed; None where gravity has none of its own."""
 
     @property
     def is_known(self) -> bool:
@@ -43,14 +45,32 @@ class SiteOptions:
         if self.height_m is not None and not (self.is_known or self.is_default):
             raise UsageError(f"a height of {self.height_m:g} m alone tells no gravity; give --latitude too, or --gravity")
         site = self.over(recorded or {})
-        return choose_gravity(site.gravity_m_s2, site.latitude_deg, site.height_m)
+        sigma_m_s2 = None if site.gravity_m_s2 is None else site.gravity_sigma_m_s2
+        return choose_gravity(site.gravity_m_s2, site.latitude_deg, site.height_m, sigma_m_s2)
 
     def over(self, recorded: Mapping[str, Any]) -> SiteOptions:
-        """Return these, or what a session recorded where that goes before them."""
-        known = SiteOptions(recorded.get("gravity_m_s2"), recorded.get("latitude_deg"), recorded.get("height_m"))
-        return known if known.is_known and (self.is_default or not self.is_known) else self
+        """Return these, or what a session recorded where that goes before them.
+
+        A value of gravity does not tell the place: latitude and height of the session stay known with it.
+        """
+        known = SiteOptions(
+            recorded.get("gravity_m_s2"),
+            recorded.get("latitude_deg"),
+            recorded.get("height_m"),
+            gravity_sigma_m_s2=recorded.get("gravity_sigma_m_s2"),
+        )
+        if known.is_known and (self.is_default or not self.is_known):
+            return known
+        if self.gravity_m_s2 is not None and self.latitude_deg is None:
+            return replace(self, latitude_deg=known.latitude_deg, height_m=self.height_m or known.height_m)
+        return self
 
     def table(self) -> dict[str, float]:
         """Return the session's ``site`` table: what was typed, nothing computed."""
-        pairs = {"gravity_m_s2": self.gravity_m_s2, "latitude_deg": self.latitude_deg, "height_m": self.height_m}
+        pairs = {
+            "gravity_m_s2": self.gravity_m_s2,
+            "gravity_sigma_m_s2": self.gravity_sigma_m_s2,
+            "latitude_deg": self.latitude_deg,
+            "height_m": self.height_m,
+        }
         return {key: value for key, value in pairs.items() if value is not None}

@@ -24,10 +24,11 @@ from imufield.commands.calibration import Measured, MoveListener, Wishes, calibr
 from imufield.commands.chain import Chain, Plan, replay_into
 from imufield.commands.configuration import parse_zero
 from imufield.commands.damage import naming_damage
+from imufield.commands.progress import ProgressLine
 from imufield.commands.site import SiteOptions
 from imufield.deliver.parameters import Context, Instrument, Parameters, SessionFacts, json_ready, load, write_document
 from imufield.deliver.summary import Outcome, print_summary
-from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.errors import CalibrationError, Reason, UsageError, counted
 from imufield.guide.axes_check import AxesCheck
 from imufield.guide.events import Event, RefusalCode, Rejected
 from imufield.guide.guide import Guide
@@ -76,7 +77,8 @@ def run_solve(options: SolveOptions) -> None:
         solved = solve_observations(options.observations, options)
     else:
         session = Session.newest() if options.session is None else Session.open(options.session)
-        solved = solve_session(session, options)
+        with ProgressLine("reading") as progress:
+            solved = solve_session(session, options, progress)
     path = options.output or (Path(PARAMETER_FILE) if session is None else session.folder / PARAMETER_FILE)
     kept = write_document(path, solved.parameters.document)
     if options.as_json:
@@ -87,17 +89,18 @@ def run_solve(options: SolveOptions) -> None:
         typer.echo(note)
 
 
-def solve_session(session: Session, options: SolveOptions) -> Solved:
-    """Replay a session and solve it.
+def solve_session(session: Session, options: SolveOptions, progress: ProgressLine | None = None) -> Solved:
+    """Replay a session and solve it; say on ``progress`` how far it is.
 
     Raises
     ------
     ImufieldError
         Recording unreadable, calibration impossible or refused.
     """
+    wishes = _wishes(options)
     damage: list[Damage] = []
     moves = MoveListener()
-    chain = Chain(Plan.of(session), listeners=(moves.feed,))
+    chain = Chain(Plan.of(session), listeners=(moves.feed,) if progress is None else (moves.feed, progress.feed))
     refusals: list[Rejected] = []
 
     def hear(events: list[Event]) -> None:
@@ -105,13 +108,15 @@ def solve_session(session: Session, options: SolveOptions) -> Solved:
         refusals.extend(event for event in events if isinstance(event, Rejected))
 
     replay_into(chain, session, damage, hear)
+    if progress is not None:
+        progress.say("solving")
     with naming_damage(session, damage):
         observations, axes, refused = _observations(chain, refusals)
         if axes.error is not None:
             raise axes.error
-        reasons = (axes.words, *_loss_sentences(chain, damage))
+        reasons = (axes.words, *chain.notes, *_loss_sentences(chain, damage))
         found = _measured(session, chain, observations, moves, options.site, reasons)
-        return Solved(calibrate(found, _wishes(options)), refused)
+        return Solved(calibrate(found, wishes), refused)
 
 
 def _measured(
@@ -138,10 +143,11 @@ def _measured(
 
 def solve_observations(path: Path, options: SolveOptions) -> Solved:
     """Solve position means from a file."""
+    wishes = _wishes(options)
     observations, repeats = count_repeats_once(read_observations(path))
     facts = SessionFacts(path.name, _sha256([path]))
     found = Measured(observations, options.site.gravity(), Context(session=facts), reasons=repeats)
-    return Solved(calibrate(found, _wishes(options)), ())
+    return Solved(calibrate(found, wishes), ())
 
 
 def _wishes(options: SolveOptions) -> Wishes:
@@ -191,7 +197,8 @@ def _check_count(count: int, refusals: list[tuple[RefusalCode, str, str]]) -> No
     words, remedy = next((words, remedy) for one, words, remedy in reversed(refusals) if one is code)
     at_its_end = code in (RefusalCode.SATURATED, RefusalCode.STUCK)
     raise CalibrationError(
-        f"{count} positions are left, scale and bias need {FEWEST_POSITIONS}, because {len(refusals)} were refused, mostly as "
+        f"{counted(count, 'position')} {'is' if count == 1 else 'are'} left, scale and bias need {FEWEST_POSITIONS}, because "
+        f"{len(refusals)} {'was' if len(refusals) == 1 else 'were'} refused, mostly as "
         f"this one: {words}; {remedy}",
         Reason.SATURATED if at_its_end else Reason.TOO_FEW,
         positions=count,

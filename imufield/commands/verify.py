@@ -124,7 +124,7 @@ def verify_session(task: _Task) -> Verification:
         navigated = navigation.finish()
         if held_out is None and navigated is None:
             raise problems[0] if problems else CalibrationError("the session holds nothing to check", Reason.TOO_FEW)
-    notes = (*(one.what for one in damage), *(one.message for one in problems))
+    notes = (*chain.notes, *(one.what for one in damage), *(one.message for one in problems))
     requirements = judge(task.limits, held_out, navigated)
     return Verification(task.parameters, task.session.name, held_out, navigated, requirements, notes)
 

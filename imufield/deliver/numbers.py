@@ -26,10 +26,10 @@ def decimals(sigma: float, digits: int = 2) -> int:
 
 
 def with_sigma(value: float, sigma: float, *, sign: bool = False, digits: int = 2) -> str:
-    """Return "1.234 ± 0.056"; "fixed" where the gauge leaves no uncertainty, "not estimated" where nothing is known."""
+    """Return "1.234 ± 0.056"; "fixed" where the gauge leaves no uncertainty, "± ?" where none is known."""
     plus = "+" if sign else ""
     if math.isnan(sigma):
-        return f"{value:{plus}.5g} (no sigma)" if value else "not estimated"
+        return f"{value:{plus}.5g} ± ?" if value else "not estimated"
     if sigma == 0:
         return f"{value:{plus}.5g} fixed" if value else "0 fixed"
     places = decimals(sigma, digits)

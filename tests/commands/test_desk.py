@@ -52,7 +52,7 @@ def test_record_for_a_time(program: Program) -> None:
     assert session.metadata["instrument"]["serial_number"].startswith("N")
     solved = program.run("solve", "here")
     assert solved.returncode == 6
-    assert "1 positions are too few" in solved.stderr
+    assert "too few: scale and bias need 6" in solved.stderr
 
 
 def test_solve_twice_keeps_the_first_and_gives_the_same(program: Program, whole: Path) -> None:

@@ -32,7 +32,7 @@ def test_decimals(sigma: float, expected: int) -> None:
         (0.0, 0.0, "0 fixed"),
         (1.5, 0.0, "+1.5 fixed"),
         (0.0, math.nan, "not estimated"),
-        (4777.93, math.nan, "+4777.9 (no sigma)"),
+        (4777.93, math.nan, "+4777.9 ± ?"),
     ],
 )
 def test_with_sigma(value: float, sigma: float, expected: str) -> None:
@@ -47,7 +47,9 @@ def test_with_sigma(value: float, sigma: float, expected: str) -> None:
         (0.0001, 0.0000021, "(100.0 ± 2.1)e-6"),
         (123456.789, 0.0123, "123456.789 ± 0.012"),
         (1234567.89123, 0.000123, "1234567.8912 ± 0.0001"),
-        (math.nan, math.nan, "nan (no sigma)"),
+        (math.nan, math.nan, "nan ± ?"),
+        (-0.029879123, math.nan, "-0.029879 ± ?"),
+        (-1.2345678e-12, 0.0, "-1.2346e-12 fixed"),
     ],
 )
 def test_with_sigma_within(value: float, sigma: float, expected: str) -> None:
