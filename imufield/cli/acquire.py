@@ -190,6 +190,9 @@ def emulate(
     grade: Annotated[str, typer.Option(help="navigation, tactical, industrial or mems.")] = "tactical",
     seed: Annotated[int, typer.Option(help="Seed of instrument, operator and faults.", min=0)] = 1,
     positions: Annotated[str, typer.Option(help="Scheme the operator works through; `none`: it lies still.")] = "paper24",
+    rounds: Annotated[
+        int | None, typer.Option(help="How often: what a reader missed comes up again (20; 1 before turns).", min=1, max=1000)
+    ] = None,
     style: Annotated[str, typer.Option(help="placed (on a surface) or held (in the hand).")] = "placed",
     rotations: Annotated[str | None, typer.Option(help="Whole turns after the positions: rolled or table.")] = None,
     hold_s: Annotated[float, typer.Option(help="Seconds the virtual operator holds each position.", min=1)] = 14.0,
@@ -208,4 +211,4 @@ def emulate(
     from imufield.commands.emulate import EmulateOptions, run_emulate
 
     common = (rate_hz, speed, grade, seed, positions, hold_s, link, truth, duration_s, fault or [], wait, style, as_json)
-    run_emulate(EmulateOptions(driver, *common, form, parse_settings(settings), bus, rotations=rotations))
+    run_emulate(EmulateOptions(driver, *common, form, parse_settings(settings), bus, rotations=rotations, rounds=rounds))

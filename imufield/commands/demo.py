@@ -24,7 +24,7 @@ from imufield.acquire.session import DEFAULT_ROOT
 from imufield.calibrate.gauge import intrinsic
 from imufield.calibrate.models import to_vector
 from imufield.calibrate.result import AccelerometerParameters, Calibration
-from imufield.commands.capture import DEFAULT_SCHEME, Captured, CaptureOptions, run_capture
+from imufield.commands.capture import Captured, CaptureOptions, run_capture
 from imufield.commands.connect import ConnectOptions
 from imufield.commands.site import SiteOptions
 from imufield.commands.solve import PARAMETER_FILE, SolveOptions, solve_session
@@ -32,7 +32,6 @@ from imufield.commands.views import ViewName
 from imufield.deliver.parameters import write_document
 from imufield.deliver.summary import Outcome, print_summary
 from imufield.errors import LinkError, Reason
-from imufield.guide.positions import scheme
 from imufield.samples import FloatArray
 from imufield.simulate.motion import Site
 
@@ -40,7 +39,6 @@ RATE_HZ = 500.0
 HOLD_S = 5.0
 OPERATOR_HOLD_S = 8.5
 """The guide trims both ends of a still stretch and needs some cells to be sure of it."""
-ROUNDS = 20
 LIMIT_SIGMA = 4.0
 LONGEST_S = 1800.0
 """Of sample time; the emulator ends then even if the demonstration was killed and cannot end it."""
@@ -80,9 +78,7 @@ def run_demo(*, seed: int, speed: float, plain: bool, root: Path = DEFAULT_ROOT)
     view: ViewName = "plain" if plain else "auto"
     with tempfile.TemporaryDirectory(prefix="imufield-demo-") as folder:
         truth_file = Path(folder) / "truth.json"
-        positions = Path(folder) / "rounds.toml"
-        positions.write_text(_rounds(), encoding="utf-8")
-        with _emulator(seed, speed, truth_file, positions) as port:
+        with _emulator(seed, speed, truth_file) as port:
             site = Site()
             options = CaptureOptions(
                 connect=ConnectOptions(port=port, driver="stim300"),
@@ -102,17 +98,8 @@ def run_demo(*, seed: int, speed: float, plain: bool, root: Path = DEFAULT_ROOT)
     return result
 
 
-def _rounds() -> str:
-    """Return positions that the operator shows again and again: a busy machine may lose samples, and so a hold."""
-    shown = ((number, position) for number in range(ROUNDS) for position in scheme(DEFAULT_SCHEME).positions)
-    return "".join(
-        f'[[position]]\nname = "{position.name} round {number}"\nup = {position.direction.tolist()}\n'
-        for number, position in shown
-    )
-
-
 @contextmanager
-def _emulator(seed: int, speed: float, truth: Path, positions: Path) -> Iterator[str]:
+def _emulator(seed: int, speed: float, truth: Path) -> Iterator[str]:
     """Run ``imufield emulate`` in a process of its own; yield the port."""
     command = [sys.executable, "-m", "imufield", "emulate", "stim300", "--json", "--wait", "--truth", str(truth)]
     command += [
@@ -127,7 +114,6 @@ def _emulator(seed: int, speed: float, truth: Path, positions: Path) -> Iterator
         "--duration-s",
         str(LONGEST_S),
     ]
-    command += ["--positions", str(positions)]
     # What it says when it is ended is nobody's concern here; that it did not start is said below.
     quiet = subprocess.DEVNULL
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=quiet, text=True) as process:  # noqa: S603  (our own program)

@@ -24,6 +24,8 @@ from imufield.simulate.operator import OperatorSettings
 STANDS_STILL = "none"
 INITIAL_STILL_S = 6.0
 """Before the first hold; the guide needs 3 s of it for the noise floor."""
+ROUNDS = 20
+"""How often the operator goes through his positions: what a reader missed, or came too late for, comes up again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +50,8 @@ class EmulateOptions:
     form: str | None = None
     settings: dict[str, str] = field(default_factory=dict)
     bus: str | None = None
+    rounds: int | None = None
+    """None: ``ROUNDS``, or once where whole turns follow."""
 
 
 def run_emulate(options: EmulateOptions) -> None:
@@ -72,8 +76,9 @@ def make_emulation(options: EmulateOptions) -> Emulation:
     if options.rotations not in (None, *ROTATIONS):
         raise UsageError(f"--rotations {options.rotations!r} is unknown; choose one of {', '.join(ROTATIONS)}")
     positions = None if options.positions == STANDS_STILL else scheme(options.positions)
+    rounds = options.rounds or (ROUNDS if options.rotations is None else 1)
     # A long session ends with the first position again, as ``capture`` asks for it.
-    directions = () if positions is None else positions.directions()[_order(len(positions))]
+    directions = () if positions is None else positions.directions()[_order(len(positions), rounds)]
     return Emulation(
         device=options.driver,
         rate_hz=options.rate_hz,
@@ -109,8 +114,8 @@ def _is_on_bus(options: EmulateOptions) -> bool:
     return load_driver(options.driver).wire == "can"
 
 
-def _order(count: int) -> list[int]:
-    return [*range(count), *([0] if count >= REVISIT_FROM else [])]
+def _order(count: int, rounds: int) -> list[int]:
+    return [*range(count)] * rounds + ([0] if count >= REVISIT_FROM else [])
 
 
 def parse_faults(texts: list[str], kind: type[WireFaults] = Faults) -> WireFaults:

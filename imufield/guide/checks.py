@@ -102,13 +102,14 @@ def explain_flags(cells: Cells, usable_share: float, limit: float) -> Refusal:
             name,
         )
     for flag, reason, found, remedy in (
-        (Status.START_UP, RefusalCode.START_UP, "the instrument is still starting up", "wait until it is ready"),
+        (Status.START_UP, RefusalCode.START_UP, "the instrument is still starting up", "leave it alone until it is ready"),
         (Status.INSTRUMENT_FAULT, RefusalCode.INVALID, "the instrument reports a fault", "read its status in the manual"),
         (Status.ACCELEROMETER_INVALID, RefusalCode.INVALID, "the accelerometer is reported invalid", "check the instrument"),
         (Status.GYROSCOPE_INVALID, RefusalCode.INVALID, "the gyroscope is reported invalid", "check the instrument"),
     ):
         if flags & flag:
-            return Refusal(reason, f"{found} in {share}", f"{remedy}, then hold again", percent, limit_percent, "%")
+            again = "" if reason is RefusalCode.START_UP else ", then hold again"
+            return Refusal(reason, f"{found} in {share}", f"{remedy}{again}", percent, limit_percent, "%")
     return Refusal(
         RefusalCode.SAMPLE_LOSS,
         f"lost or not finite: {share}",

@@ -18,6 +18,7 @@ from imufield.guide.events import (
     Marked,
     Move,
     NoiseFloorMeasured,
+    RefusalCode,
     Rejected,
     Turn,
     Turned,
@@ -83,6 +84,10 @@ def _holding(event: Holding) -> str:
 
 
 def _rejected(event: Rejected) -> str:
+    if event.reason in (RefusalCode.ALREADY_DONE, RefusalCode.NOT_QUIET):
+        return f"{event.words}; {event.remedy}"
+    if event.reason in (RefusalCode.START_UP, RefusalCode.WARMING_UP):
+        return f"wait: {event.words}; {event.remedy}"
     where = f"{event.position}: " if event.position else ""
     return f"refused: {where}{event.words}; {event.remedy}"
 

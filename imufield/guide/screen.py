@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -30,6 +31,7 @@ from imufield.guide.events import (
     LinkLost,
     Marked,
     Move,
+    RefusalCode,
     Rejected,
     Turn,
     Turned,
@@ -52,6 +54,13 @@ MAP_ROWS = 12
 MESSAGES = 4
 READ_S = 4.0
 """A refusal stays on the screen for this long although the unit moves on."""
+_REFUSED = {
+    RefusalCode.ALREADY_DONE: ("DONE BEFORE", "bold green"),
+    RefusalCode.START_UP: ("WAIT", "bold yellow"),
+    RefusalCode.WARMING_UP: ("WAIT", "bold yellow"),
+}
+"""Words and style for a refusal that is nobody's mistake."""
+_REFUSED_BIG = {RefusalCode.ALREADY_DONE: "TURN", RefusalCode.START_UP: "WAIT", RefusalCode.WARMING_UP: "WAIT"}
 KEYS = "r retake  s skip  u undo  p pause  f finish  b big  q quit (resume later)"
 
 
@@ -168,7 +177,7 @@ def big_words(screen: Screen, snapshot: Snapshot) -> tuple[str, str]:
     if snapshot.state is State.HOLDING:
         return "HOLD", f"{screen.remaining_s:.0f}" if math.isfinite(screen.remaining_s) else ""
     if screen.refused is not None and snapshot.state in (State.RESTING, State.TURNING, State.ROLLING):
-        return "AGAIN", side
+        return _REFUSED_BIG.get(screen.refused.reason, "AGAIN"), side
     if snapshot.state is State.ROLLING and screen.turn is not None:
         return "ROLL", f"{'+' if screen.turn.sense > 0 else '-'}{screen.turn.axis}"
     fixed = {State.PAUSED: ("PAUSED", ""), State.LOST: ("NO", "LINK"), State.DONE: ("DONE", "")}
@@ -185,7 +194,8 @@ def headline(screen: Screen, snapshot: Snapshot) -> tuple[str, str, str]:
     if snapshot.state is State.LEARNING:
         return "LEAVE IT STILL", "measuring the noise floor; hands off for some seconds", "bold yellow"
     if screen.refused is not None and snapshot.state in (State.RESTING, State.TURNING, State.ROLLING):
-        return "NOT TAKEN", f"{screen.refused.words}; {screen.refused.remedy}", "bold red"
+        big, style = _REFUSED.get(screen.refused.reason, ("NOT TAKEN", "bold red"))
+        return big, f"{screen.refused.words}; {screen.refused.remedy}", style
     if snapshot.state is State.HOLDING:
         where = " (in the hand)" if snapshot.in_hand else ""
         return "HOLD STILL", f"{screen.position}: {screen.position_words}{where}", "bold yellow"
@@ -380,7 +390,16 @@ def _line(text: str) -> Text:
 
 
 def _messages(screen: Screen, count: int) -> list[Text]:
-    """Return the newest messages, each on one line, the newest last."""
-    newest = list(screen.messages)[-count:]
-    lines = [_line(f" {message}") for message in newest]
-    return [*lines, *[Text()] * (count - len(lines))]
+    """Return the newest messages in so many lines, the newest last and in full; older ones as far as there is room."""
+    lines: list[str] = []
+    for message in reversed(screen.messages):
+        rows = _folded(message)
+        if lines and len(rows) + len(lines) > count:
+            break
+        lines = [*rows[:count], *lines]
+    return [_line(line) for line in (*lines, *[""] * (count - len(lines)))]
+
+
+def _folded(message: str) -> list[str]:
+    """Return a message in lines that the screen holds, those behind the first set in."""
+    return textwrap.wrap(message, WIDTH, initial_indent=" ", subsequent_indent="   ", break_on_hyphens=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from imufield.guide.running_fit import RunningFit
 from imufield.guide.scale import RoughScale
 from imufield.guide.stillness import StillnessDetector
 from imufield.samples import FloatArray
+
+_NAMED_AT_ONCE = 4
+"""Positions named in a sentence: what the screen has room for."""
 
 
 def vector(values: FloatArray) -> Vector:
@@ -141,7 +145,7 @@ def place_refusal(plan: Plan, nearest: Found, pending: Found | None) -> Refusal:
     limit = plan.tolerance_deg
     if nearest.angle_deg <= limit:
         name = plan.position(nearest.index).name
-        found, remedy = f"{name} is already done", "bring another side up"
+        found, remedy = f"{name} is already done", _what_is_left(plan.missing())
         return Refusal(RefusalCode.ALREADY_DONE, found, remedy, nearest.angle_deg, limit, "deg")
     closest = pending or nearest
     position = plan.position(closest.index)
@@ -153,6 +157,13 @@ def place_refusal(plan: Plan, nearest: Found, pending: Found | None) -> Refusal:
         limit,
         "deg",
     )
+
+
+def _what_is_left(names: Sequence[str]) -> str:
+    if not names:
+        return "bring another side up"
+    more = f" and {len(names) - _NAMED_AT_ONCE} more" if len(names) > _NAMED_AT_ONCE else ""
+    return f"{len(names)} left: {', '.join(names[:_NAMED_AT_ONCE])}{more}"
 
 
 def not_quiet_refusal(cells: Cells, scale: RoughScale, floor_s: float) -> Refusal:

@@ -18,6 +18,8 @@ from imufield.acquire.link import Chunk
 from imufield.acquire.recording import read_session
 from imufield.acquire.session import Session
 from imufield.commands.chain import Chain, Plan, replay_into, session_samples
+from imufield.commands.emulate import EmulateOptions, make_emulation
+from imufield.guide.positions import scheme
 from imufield.samples import AXES, SAMPLE_COLUMNS, concatenate
 
 if TYPE_CHECKING:
@@ -239,3 +241,13 @@ def test_demo(program: Program) -> None:
     assert "NOT" not in ended.stdout
     session = Session.newest(program.folder / "imufield-sessions")
     assert (session.folder / "parameters.toml").is_file()
+
+
+def test_an_emulated_operator_begins_again_and_ends_where_he_began() -> None:
+    options = EmulateOptions(
+        "stim300", None, 1.0, "tactical", 1, "paper24", 14.0, None, None, None, [], wait_for_reader=False, style="placed",
+        as_json=False, rounds=3,
+    )  # fmt: skip
+    shown = np.asarray(make_emulation(options).directions)
+    planned = scheme("paper24").directions()
+    np.testing.assert_array_equal(shown, np.concatenate([planned, planned, planned, planned[:1]]))

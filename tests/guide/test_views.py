@@ -10,12 +10,12 @@ import pytest
 from rich.console import Console
 
 from imufield.guide.big_letters import big_lines
-from imufield.guide.events import EVENT_VERSION, EVENTS, LinkLost, Rejected, Turning
+from imufield.guide.events import EVENT_VERSION, EVENTS, LinkLost, RefusalCode, Rejected, Turning
 from imufield.guide.guide import Guide
 from imufield.guide.jsonlines import JsonLinesView
 from imufield.guide.plain import PlainView, line
 from imufield.guide.positions import SCHEMES, scheme
-from imufield.guide.screen import HEIGHT, WIDTH, Screen, Wire, big_words, draw, draw_big
+from imufield.guide.screen import HEIGHT, WIDTH, Screen, Wire, big_words, draw, draw_big, headline
 from imufield.guide.settings import GuideSettings
 from imufield.guide.terminal import TerminalView
 
@@ -148,6 +148,36 @@ def test_a_refusal_stays_long_enough_to_be_read(session: Any) -> None:
     assert screen.refused is None
 
 
+def refused(reason: RefusalCode, words: str, remedy: str, time_s: float = 7.0) -> Rejected:
+    return Rejected(time_s, "", reason, words, remedy, 1.0, 0.0, "deg", None)
+
+
+def test_what_is_nobodys_mistake_is_not_called_refused(session: Any) -> None:
+    guide = list(session(6.5))[-1][1]
+    done = refused(RefusalCode.ALREADY_DONE, "+z is already done", "5 left: +x, -x, +y, -y and 1 more")
+    starting = refused(
+        RefusalCode.START_UP, "the instrument is still starting up in 0.5 of 3 s", "leave it alone until it is ready"
+    )
+    for event, big, short in ((done, "DONE BEFORE", "TURN"), (starting, "WAIT", "WAIT")):
+        screen = Screen()
+        screen.follow([event])
+        assert headline(screen, guide.snapshot())[:2] == (big, f"{event.words}; {event.remedy}")
+        assert big_words(screen, guide.snapshot())[0] == short
+        assert "refused" not in line(event)
+
+
+def test_the_newest_message_is_there_to_its_end(session: Any) -> None:
+    guide = list(session(6.5))[-1][1]
+    screen = Screen()
+    remedy = "put it on a firm support, or lean it against one, and take the hands off"
+    words = "not still yet: accelerometer x vibration 154 mm/s^2 (limit 50 mm/s^2)"
+    screen.follow([refused(RefusalCode.NOT_STILL, words, remedy, time_s) for time_s in (7.0, 8.0, 9.0)])
+    text = " ".join(picture(screen, guide).split())
+    assert text.count(f"refused: {words}; {remedy}") == 2
+    assert text.endswith("q quit (resume later)")
+    assert len(picture(screen, guide).splitlines()) <= HEIGHT
+
+
 def test_live_view_draws_through_rich(session: Any) -> None:
     drawn = open_nothing()
     console = Console(width=WIDTH, height=HEIGHT, file=drawn, force_terminal=True)
@@ -205,9 +235,9 @@ SNAPSHOT = """\
 │ acc z vibration 11 of 50 mm/s^2            ││                                │
 ╰────────────────────────────────────────────╯╰────────────────────────────────╯
  link ok   100 Hz   0 samples lost   no temperature
- noise floor: accelerometer 9.62 mm/s^2 rms per axis, gyroscope 0.057 deg/s; ...
+ noise floor: accelerometer 9.62 mm/s^2 rms per axis, gyroscope 0.057 deg/s;
+   still means below 50 mm/s^2
  accepted +z: 3.0 s
-
 
 r retake  s skip  u undo  p pause  f finish  b big  q quit (resume later)
 """
