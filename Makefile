@@ -9,7 +9,7 @@ TEST := $(VENV)/.test
 DEV := $(VENV)/.dev
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench study lint docs wheel clean
+.PHONY: help demo test bench study lint docs coverage audit lock changelog wheel clean
 
 help:
 	@echo "make demo    the whole chain on a virtual instrument, about a minute"
@@ -17,7 +17,10 @@ help:
 	@echo "make bench   speed, memory and accuracy, measured"
 	@echo "make study   the papers' tables and figures in full, minutes on all cores; writes docs/study.md"
 	@echo "make lint    style, types"
-	@echo "make docs    check the documentation: links, examples, lists of errors and keys"
+	@echo "make docs    build the documentation into build/docs; broken links and examples fail"
+	@echo "make coverage  branches tested in acquire, calibrate and guide; below 90 % fails"
+	@echo "make audit   every dependency as it was tested; make lock notes them anew"
+	@echo "make changelog  what has changed since the last release"
 	@echo "make wheel   build source archive and wheel into dist/, check what is in them"
 	@echo "make clean   remove .venv and everything built"
 
@@ -40,8 +43,23 @@ lint: $(DEV)
 	$(BIN)/mypy imufield drivers tests
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
-docs: $(TEST)
-	$(BIN)/python -m pytest tests/test_docs.py
+# Not --quiet: mkdocs counts only the warnings that it prints.
+docs: $(DEV)
+	$(BIN)/python -m pytest tests/test_docs.py tests/commands/test_docs_commands.py
+	$(BIN)/python -m mkdocs build --strict
+
+changelog: $(DEV)
+	$(BIN)/python -m towncrier build --draft --version "not released yet"
+
+audit: $(DEV)
+	$(BIN)/python .ci/audit.py
+
+lock: $(DEV)
+	$(BIN)/python .ci/audit.py --write
+
+coverage: $(DEV)
+	$(BIN)/python -m coverage run -m pytest tests/acquire tests/calibrate tests/guide
+	$(BIN)/python .ci/coverage_floor.py
 
 # The source archive is built first and the wheel from it: what is not in the archive cannot get into the wheel.
 wheel: $(DEV)

@@ -82,3 +82,23 @@ def test_nothing_is_left_when_all_is_measured_or_skipped(plan: Any) -> None:
     plan.skip(5)
     assert plan.proposed() is None
     assert plan.missing() == (plan.position(5).name,)
+
+
+def test_a_revisit_replaces_nothing_and_can_be_undone_and_skipped(plan: Any) -> None:
+    plan.accept(0, observation(plan.position(0).name, 1.0))
+    plan.revisiting = 0
+    assert plan.is_pending(0)
+    assert not plan.accept(0, observation(plan.position(0).name, 9.0))
+    assert plan.accepted[0].start_s == 1.0
+    assert plan.revisited.start_s == 9.0
+    assert plan.undo() == ("revisit", 0)
+    assert (plan.revisiting, plan.revisited) == (0, None)
+    plan.skip(0)
+    assert plan.revisiting is None
+    assert plan.skipped == set()
+
+
+def test_nearest_of_pending_is_nothing_when_all_is_measured(plan: Any) -> None:
+    for index in range(6):
+        plan.accept(index, observation(plan.position(index).name))
+    assert plan.nearest(np.array([0.0, 0.0, 1.0]), pending=True) is None

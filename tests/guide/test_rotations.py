@@ -140,3 +140,26 @@ def test_the_plan() -> None:
     assert plan_turns(None, 1) == []
     assert len(plan_turns("horizontal", 3)) == 18
     assert "y goes towards z" in plan_turns("horizontal", 1)[0].words
+
+
+def test_a_turn_askew_is_refused_with_what_turned_aside() -> None:
+    roll = Roll((0.0, 0.0, 1.0)).rest(9)
+    # A screw: a whole turn about x, and a quarter about z that gravity does not see because z ends upright again.
+    roll.turn(0, 180, 2).turn(2, 90, 1).turn(0, 180, 2).rest(2)
+    refused = of(run(roll), Rejected)
+    assert [event.reason for event in refused] == [RefusalCode.NOT_WHOLE]
+    assert "about the other axes" in refused[0].words
+    assert refused[0].measured == pytest.approx(90, abs=3)
+
+
+def test_too_little_about_the_vertical_is_told_in_degrees() -> None:
+    refused = of(run(Roll((0.0, 0.0, 1.0)).rest(9).turn(2, 300, 4).rest(2), "vertical"), Rejected)
+    assert [event.reason for event in refused] == [RefusalCode.NOT_WHOLE]
+    assert "deg from whole turns" in refused[0].words
+    assert refused[0].measured == pytest.approx(60, abs=3)
+
+
+def test_a_turn_nobody_asked_for_is_only_a_move() -> None:
+    events = run(Roll((0.0, 0.0, 1.0)).rest(9).turn(2, 360, 4).rest(2), "horizontal")
+    assert not of(events, Turned)
+    assert not of(events, Rejected)

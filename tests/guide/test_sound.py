@@ -1,11 +1,28 @@
 import io
+import os
+import pty
 import threading
 import wave
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
-from imufield.guide.events import Accepted, Advice, Done, Event, Hold, LinkLost, Move, RefusalCode, Rejected, Topic, Turning
-from imufield.guide.sound import RATE_HZ, Cue, SoundView, cue_of, spoken, tone
+from imufield.guide.events import (
+    Accepted,
+    Advice,
+    Done,
+    Event,
+    Hold,
+    LinkLost,
+    Move,
+    RefusalCode,
+    Rejected,
+    Topic,
+    Turn,
+    Turning,
+)
+from imufield.guide.sound import RATE_HZ, Cue, SoundView, cue_of, open_sound, spoken, tone
 
 UP = (0.7, -0.7, 0.0)
 
@@ -77,3 +94,59 @@ def test_a_broken_player_harms_nobody() -> None:
     view.show([Hold(1.0, "+x", "words", 3.0, 10.0)])
     view.close()
     assert said == ["hold"]
+
+
+@pytest.fixture
+def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
+    """Return what puts programs of these names on the path; each writes its arguments into a file of its name."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    monkeypatch.setenv("PATH", f"{folder}:/usr/bin:/bin")
+    monkeypatch.delenv("SSH_CONNECTION", raising=False)
+
+    def make(*names: str) -> Path:
+        for name in names:
+            (folder / name).write_text(f'#!/bin/sh\nfor one in "$@"; do echo "$one" >> {tmp_path}/{name}; done\n')
+            (folder / name).chmod(0o755)
+        return tmp_path
+
+    return make
+
+
+def test_programs_get_our_file_and_our_words_and_nothing_else(
+    programs: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard = programs("pw-play", "spd-say")
+    monkeypatch.setattr("imufield.guide.sound._has_sound_card", lambda: True)
+    with open_sound(speak=True) as view:
+        view.show([Hold(1.0, "+x; $(reboot)", "`reboot`", 3.0, 10.0)])
+        view.close()
+    (played,) = (heard / "pw-play").read_text().split()
+    assert played.endswith("/hold.wav")
+    assert not Path(played).exists(), "the folder of sounds stays behind"
+    assert (heard / "spd-say").read_text().split() == ["--wait", "hold"]
+
+
+def test_without_a_card_the_bell_rings_and_without_a_program_nobody_speaks(
+    programs: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    programs()
+    monkeypatch.setenv("SSH_CONNECTION", "here there")
+    ours, theirs = pty.openpty()
+    with os.fdopen(theirs, "w") as screen, open_sound() as view:
+        monkeypatch.setattr("sys.__stdout__", screen)
+        view.show([accepted()])
+        view.close()
+    assert os.read(ours, 100) == b"\a" * Cue.ACCEPTED.strokes
+    os.close(ours)
+
+
+def test_a_bell_that_goes_nowhere_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.__stdout__", None)
+    with open_sound() as view:
+        view.show([accepted()])
+
+
+@pytest.mark.parametrize(("sense", "way"), [(1, "plus"), (-1, "minus")])
+def test_turns_are_spoken(sense: int, way: str) -> None:
+    assert spoken(Turn(1.0, "y", sense, "horizontal", "words", 0, 6)) == f"roll about y, {way}"
