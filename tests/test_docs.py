@@ -45,7 +45,7 @@ def test_code_is_code(path: Path) -> None:
 def test_commands_and_options_exist(path: Path) -> None:
     commands = get_command(app).commands  # type: ignore[attr-defined]  # the app is a group
     text = path.read_text(encoding="utf-8")
-    for command, rest in re.findall(r"(?:^\s{4,}|`)imufield ([a-z][a-z-]*)([^`\n]*)", text, flags=re.MULTILINE):
+    for command, rest in re.findall(r"(?:^\s{4,}|`|&& )imufield ([a-z][a-z-]*)([^`\n&]*)", text, flags=re.MULTILINE):
         assert command in commands, f"imufield {command}"
         known = {option for parameter in commands[command].params for option in parameter.opts} | {"--help"}
         for option in re.findall(r"(?<=\s)--[a-z][a-z-]*", rest):

@@ -85,6 +85,6 @@ def test_an_end_of_file_ends_the_reading(monkeypatch: pytest.MonkeyPatch, termin
 def test_windows_keys_come_from_its_own_library(monkeypatch: pytest.MonkeyPatch) -> None:
     waiting = list("Qr")
     library = types.SimpleNamespace(kbhit=lambda: bool(waiting), getwch=lambda: waiting.pop(0))
-    monkeypatch.setitem(sys.modules, "msvcrt", library)  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "msvcrt", library)
     monkeypatch.setattr("imufield.guide.keys.os", types.SimpleNamespace(name="nt"))
     assert Keyboard().read() == "qr"
