@@ -31,6 +31,7 @@ from imufield.guide.plan import Plan
 from imufield.guide.positions import Position, angle_deg
 from imufield.guide.running_fit import Disagreement, RunningFit, running_fit
 from imufield.guide.settings import GuideSettings
+from imufield.guide.sides_check import SidesCheck
 from imufield.guide.state_table import TABLE, Input
 from imufield.guide.stillness import StillnessDetector
 from imufield.guide.stretch import Judgement, Phase
@@ -86,6 +87,7 @@ class GuideActions:
         """Positions that the others contradict, the worst first."""
         self.turns = TurnLeader(settings, detector.settings.cell_s)
         self._advised: set[str] = set()
+        self._sides = SidesCheck()
         self.events: list[Event] = []
         self.announced = False
         """Whether the noise floor was said."""
@@ -237,12 +239,20 @@ class GuideActions:
             self.rested = None
         if self.rested is not None and self.plan.same_direction(nearest.index, self.rested):
             return Input.SAME
+        self._check_side(direction)
         tolerance = self.plan.tolerance_deg
         if pending is not None and pending.angle_deg <= tolerance:
             self.position = pending.index
             return Input.NEAR
         self._refusal = place_refusal(self.plan, nearest, pending)
         return Input.REFUSED
+
+    def _check_side(self, direction: FloatArray) -> None:
+        """Say when the sides shown contradict the accelerometer's axes."""
+        target = self.plan.proposed()
+        doubt = None if target is None else self._sides.note(self.plan.position(target).direction, direction)
+        if doubt is not None:
+            self.reject(doubt)
 
     def begin_hold(self) -> None:
         """Say that the hold begins."""

@@ -99,7 +99,8 @@ class Guide:
         self._builder = CellBuilder(stillness.cell_s)
         self._marks: list[tuple[int, str, str | None]] = []
         self._moves = MoveLog(stillness.cell_s)
-        self._axes_checked = False
+        self._axes_asked = 0
+        """Positions at the last look at the axes; all, once the moves have told."""
         self._slot: int | None = None
         self._counts: deque[int] = deque(maxlen=RATE_CELLS)
         self._recent: Cells | None = None
@@ -248,13 +249,13 @@ class Guide:
             self._do.note_motion(judgement)
             self._handle(Input.MOVING)
         self._moves.follow(judgement, self.detector.stretch.mean)
-        if not self._axes_checked and len(self.plan.accepted) > ENOUGH_MOVES:
-            self._warn_of_axes()
+        if len(self.plan.accepted) > max(self._axes_asked, ENOUGH_MOVES):
+            self._ask_axes()
 
-    def _warn_of_axes(self) -> None:
-        """Say once, early in the session, that the axes do not agree."""
-        self._axes_checked = True
+    def _ask_axes(self) -> None:
+        """See with each new position whether the axes agree, until the moves tell; say once that they do not."""
         axes = self.check_axes()
+        self._axes_asked = len(self.plan.accepted) if axes.agrees is None else len(self.plan.scheme)
         if axes.agrees is False:
             self._do.reject(axes_refusal(axes))
 

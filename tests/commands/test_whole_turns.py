@@ -1,4 +1,4 @@
-"""Whole turns from the terminal to the parameter file: a virtual operator makes them, the guide sees them, `solve` uses them."""
+"""Whole turns from the terminal to the parameter file: a virtual operator makes them, the guide sees, `solve` uses them."""
 
 from __future__ import annotations
 

@@ -1,0 +1,95 @@
+"""Does the accelerometer show the sides that were asked for? Axis signs from the sides alone, without a gyroscope.
+
+Whoever follows the guide shows what is asked. Where the axes of the driver are mirrored or exchanged the guide sees something
+else, each time, and one signed permutation explains all of it: after four such sides it is found. Or the same side is asked for
+again and again, and what is seen is another one that is measured already. Somebody who goes an order of his own shows other
+sides than those asked for, too; hardly ever ones that a single permutation explains, but the sentence leaves room for it. A
+triad negated as a whole, which the moves cannot show, is seen here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.guide.axes_check import signed_permutations
+from imufield.guide.checks import Refusal
+from imufield.guide.events import RefusalCode
+from imufield.guide.positions import nearest_cube_direction
+from imufield.samples import AXES, FloatArray
+
+ENOUGH_SIDES = 4
+ENOUGH_TIMES = 3
+"""The same answer to the same question."""
+NEAR_DEG = 25.0
+"""Placement of 15 degrees, and what an uncalibrated accelerometer misjudges."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Side:
+    asked: FloatArray
+    shown: FloatArray
+
+
+class SidesCheck:
+    """Remembers the sides that were not those asked for, since the last one that was."""
+
+    def __init__(self) -> None:
+        self._sides: list[_Side] = []
+
+    def note(self, asked: FloatArray, shown: FloatArray) -> Refusal | None:
+        """Take a side, unit vectors (3,) of up in the body; return what to say where the axes are contradicted."""
+        if _angle_deg(asked, shown) <= NEAR_DEG:
+            self._sides = []
+            return None
+        self._sides.append(_Side(asked, shown))
+        refusal = self._same_again() or self._all_explained()
+        if refusal is not None:
+            self._sides = []
+        return refusal
+
+    def _same_again(self) -> Refusal | None:
+        last = self._sides[-ENOUGH_TIMES:]
+        same = all(np.allclose(one.asked, last[0].asked) and _angle_deg(one.shown, last[0].shown) <= NEAR_DEG for one in last)
+        if len(last) < ENOUGH_TIMES or not same:
+            return None
+        asked, seen = (nearest_cube_direction(side) for side in (last[0].asked, last[0].shown))
+        return _refusal(f"{ENOUGH_TIMES} times {asked} up was asked for and the accelerometer saw {seen} up", ENOUGH_TIMES)
+
+    def _all_explained(self) -> Refusal | None:
+        found = self._explanation() if len(self._sides) >= ENOUGH_SIDES else None
+        if found is None:
+            return None
+        axes = ", ".join(
+            f"{AXES[row]} = {'+' if values.sum() > 0 else '-'}{AXES[int(np.abs(values).argmax())]}"
+            for row, values in enumerate(found)
+        )
+        count = len(self._sides)
+        words = f"the last {count} sides were none of those asked for, but all would be with the accelerometer's {axes}"
+        return _refusal(words, ENOUGH_SIDES)
+
+    def _explanation(self) -> FloatArray | None:
+        """Return the only signed permutation that turns all that was shown into what was asked, None without one."""
+        asked = np.array([side.asked for side in self._sides])
+        shown = np.array([side.shown for side in self._sides])
+        permutations = signed_permutations()
+        along = np.einsum("pij,nj,ni->pn", permutations, shown, asked)
+        fitting = np.flatnonzero((along >= np.cos(np.radians(NEAR_DEG))).all(axis=1))
+        return permutations[fitting[0]] if len(fitting) == 1 else None
+
+
+def _refusal(words: str, limit: int) -> Refusal:
+    return Refusal(
+        RefusalCode.AXES,
+        words,
+        "if you showed what was asked for, axes or signs in the driver or protocol are wrong: quit and correct them; if you go your "
+        "own way, go on",
+        float(limit),
+        float(limit),
+        "sides",
+    )
+
+
+def _angle_deg(first: FloatArray, second: FloatArray) -> float:
+    return float(np.degrees(np.arccos(np.clip(first @ second, -1.0, 1.0))))

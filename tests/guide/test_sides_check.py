@@ -1,0 +1,87 @@
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imufield.guide.events import RefusalCode, Rejected
+from imufield.guide.guide import Guide
+from imufield.guide.positions import scheme
+from imufield.guide.settings import GuideSettings
+from imufield.guide.sides_check import ENOUGH_SIDES, SidesCheck
+
+ASKED = np.array([[1.0, 0, 0], [0, 0.7071, 0.7071], [0, -1, 0], [0.5774, -0.5774, 0.5774], [0, 0, -1]])
+
+
+def said(shown: Any) -> Any:
+    check = SidesCheck()
+    return [check.note(asked, side) for asked, side in zip(ASKED, shown, strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (-np.eye(3), "x = -x, y = -y, z = -z"),
+        (np.diag([1.0, -1, -1]), "x = +x, y = -y, z = -z"),
+        (np.eye(3)[[1, 2, 0]], "x = +z, y = +x, z = +y"),
+    ],
+)
+def test_wrong_axes_are_named_after_four_sides(wrong: Any, words: str) -> None:
+    asked = ASKED[1:] if wrong[0, 0] == 1 else ASKED
+    check = SidesCheck()
+    found = [check.note(one, wrong @ one) for one in asked]
+    assert found[: ENOUGH_SIDES - 1] == [None] * (ENOUGH_SIDES - 1)
+    refusal = found[ENOUGH_SIDES - 1]
+    assert refusal is not None
+    assert refusal.reason is RefusalCode.AXES
+    assert words in refusal.words
+    assert "driver or protocol" in refusal.remedy
+
+
+def test_a_side_as_asked_ends_the_suspicion() -> None:
+    shown = -ASKED
+    shown[2] = ASKED[2]
+    assert said(shown) == [None] * 5
+
+
+def test_an_order_of_ones_own_is_no_contradiction() -> None:
+    shown = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0], [0, 0, -1], [-1, 0, 0]])
+    assert said(shown) == [None] * 5
+
+
+def test_sides_about_one_axis_leave_it_open() -> None:
+    check = SidesCheck()
+    for angle in (0.3, 1.2, 2.1, 3.3, 4.0):
+        asked = np.array([np.cos(angle), np.sin(angle), 0.0])
+        assert check.note(asked, -asked) is None
+
+
+def test_the_same_other_side_three_times() -> None:
+    check = SidesCheck()
+    up = np.array([0, 0, 1.0])
+    assert check.note(up, -up) is None
+    assert check.note(up, -up) is None
+    refusal = check.note(up, -up)
+    assert refusal is not None
+    assert "3 times +z up was asked for and the accelerometer saw -z up" in refusal.words
+
+
+@pytest.mark.parametrize(
+    "wrong", [-np.eye(3), np.diag([1.0, 1, -1]), np.eye(3)[[1, 2, 0]]], ids=["negated", "mirrored", "swapped"]
+)
+def test_wrong_axes_are_said_within_the_first_positions(make_path: Any, wrong: Any) -> None:
+    """Somebody shows what is asked, with a triad that reads wrong @ a: of a negated one the moves would say nothing."""
+    path = make_path(100.0).hold(wrong @ [1.0, 0, 0], 8)
+    guide = Guide(scheme("corners24"), path.samples().units, settings=GuideSettings(hold_s=3.0))
+    rejected: list[Rejected] = []
+    fed = 0
+    for _ in range(8):
+        samples = path.samples()
+        events = guide.feed(samples[fed:])
+        fed = len(samples)
+        rejected += [event for event in events if isinstance(event, Rejected) and event.reason is RefusalCode.AXES]
+        target = guide.snapshot().target_direction
+        assert target is not None
+        path.turn((0.6, 0.8, 0.1), 1.2).turn(wrong @ np.array(target), 1.2).hold(wrong @ np.array(target), 6)
+    assert rejected
+    assert "driver or protocol" in rejected[0].remedy
+    assert len(guide.plan.accepted) <= 6
