@@ -83,8 +83,8 @@ def _refusal(words: str, limit: int) -> Refusal:
     return Refusal(
         RefusalCode.AXES,
         words,
-        "if you showed what was asked for, axes or signs in the driver or protocol are wrong: quit and correct them; if you go your "
-        "own way, go on",
+        "if you showed what was asked for, axes or signs in the driver or protocol are wrong: quit and correct them; if you go "
+        "your own way, go on",
         float(limit),
         float(limit),
         "sides",

@@ -5,6 +5,8 @@ from __future__ import annotations
 import fcntl
 import os
 import pty
+import re
+import resource
 import select
 import signal
 import struct
@@ -12,7 +14,7 @@ import subprocess
 import termios
 import time
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -27,10 +29,10 @@ WAIT_S = 60.0
 class Terminal:
     """A terminal of 80 by 24 with the program in it."""
 
-    def __init__(self, program: Program, *arguments: object, variables: dict[str, str] | None = None) -> None:
+    def __init__(self, program: Program, *arguments: object, variables: dict[str, str] | None = None, **options: Any) -> None:
         self._master, slave = pty.openpty()
         fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-        streams = {"stdin": slave, "stdout": slave, "stderr": slave, "start_new_session": True}
+        streams = {"stdin": slave, "stdout": slave, "stderr": slave, "start_new_session": True, **options}
         self.process: subprocess.Popen[str] = program.start(
             *arguments, variables={"TERM": "xterm-256color", **(variables or {})}, **streams
         )
@@ -148,6 +150,40 @@ def test_unplugged_and_plugged_in_again(program: Program, terminals: list[Termin
     terminal.type("q")
     assert terminal.wait() == 0
     assert not newest(program).finished
+
+
+def test_a_stopped_process_goes_on_where_it_was(program: Program, terminals: list[Terminal]) -> None:
+    """What a suspended computer does: the program stands still, the instrument goes on, the host's clock jumps."""
+    port = program.emulate("--positions", "corners24", "--hold-s", 6)
+    terminal = open_terminal(terminals, program, *program.capture(port, "--latitude", 48))
+    place = terminal.expect("1 of 6 done")
+    terminal.process.send_signal(signal.SIGSTOP)
+    time.sleep(3.0)
+    terminal.process.send_signal(signal.SIGCONT)
+    place = terminal.expect("of 6 done", after=place)
+    assert terminal.wait() == 0
+    session = newest(program)
+    assert session.finished
+    assert len(session.parts) == 1
+    assert program.run("solve", session.folder).returncode == 0
+
+
+def test_a_full_disk_ends_with_a_sentence_and_a_resume(program: Program, terminals: list[Terminal]) -> None:
+    port = program.emulate("--positions", "corners24", "--hold-s", 6, rate_hz=500)
+    options = program.capture(port, "--latitude", 48)
+    limit = 1_500_000
+    full = Terminal(program, *options, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    terminals.append(full)
+    assert full.wait() == 4
+    assert "free some space" in " ".join(full.text.split())
+    before = re.findall(r"(\d) of 6 positions measured so far", full.text)
+    assert before
+    folder = newest(program).folder
+    again = open_terminal(terminals, program, "capture", "--resume", "--session", folder, IMUFIELD_CLOCK_SPEED="16")
+    again.expect(f"{before[-1]} of 6 done")
+    again.type("f")
+    assert again.wait() == 0
+    assert len(newest(program).parts) == 2
 
 
 def test_whole_turns_are_asked_for_after_the_positions(program: Program, terminals: list[Terminal]) -> None:
