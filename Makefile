@@ -9,7 +9,7 @@ TEST := $(VENV)/.test
 DEV := $(VENV)/.dev
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench study lint docs coverage audit lock changelog wheel clean
+.PHONY: help demo test bench study lint docs coverage audit lock changelog wheel clean screens
 
 help:
 	@echo "make demo    the whole chain on a virtual instrument, about a minute"
@@ -21,6 +21,7 @@ help:
 	@echo "make coverage  branches tested in acquire, calibrate and guide; below 90 % fails"
 	@echo "make audit   every dependency as it was tested; make lock notes them anew"
 	@echo "make changelog  what has changed since the last release"
+	@echo "make screens draw the guide's screens in README and docs again, from an emulated session"
 	@echo "make wheel   build source archive and wheel into dist/, check what is in them"
 	@echo "make clean   remove .venv and everything built"
 
@@ -60,6 +61,9 @@ lock: $(DEV)
 coverage: $(DEV)
 	$(BIN)/python -m coverage run -m pytest tests/acquire tests/calibrate tests/guide
 	$(BIN)/python .ci/coverage_floor.py
+
+screens: $(DEV)
+	$(BIN)/python .ci/make_screens.py
 
 # The source archive is built first and the wheel from it: what is not in the archive cannot get into the wheel.
 wheel: $(DEV)

@@ -326,11 +326,8 @@ def _right(snapshot: Snapshot, scheme: Scheme) -> RenderableType:
     lines = [Text("x done > next @ here ? doubt", style="dim", no_wrap=True)]
     if found is not None:
         lines += [
-            Text(
-                f"bias {_known(found['bias_ug'], 'ug', 'mg')}, scale {_known(found['scale_ppm'], 'ppm', 'permil')}",
-                no_wrap=True,
-            ),
-            Text(f"angles {_known(found['misalignment_urad'], 'urad', 'mrad')}  (1 sigma now)", no_wrap=True),
+            Text(f"bias {_known(found['bias_ug'], 'ug', 'mg')}, scale {_share(found['scale_ppm'])}", no_wrap=True),
+            Text(f"angles {_known(found['misalignment_urad'], 'urad', 'mrad')} (1 sigma)", no_wrap=True),
         ]
     else:
         lines.append(Text("known from the 4th position on", style="dim", no_wrap=True))
@@ -339,6 +336,10 @@ def _right(snapshot: Snapshot, scheme: Scheme) -> RenderableType:
 
 def _known(value: float, unit: str, thousand: str) -> str:
     return f"{value:.0f} {unit}" if value < 1000 else f"{value / 1000:.1f} {thousand}"
+
+
+def _share(ppm: float) -> str:
+    return f"{ppm:.0f} ppm" if ppm < 1000 else f"{ppm / 1e4:.1f} %"
 
 
 def _map(snapshot: Snapshot, scheme: Scheme) -> RenderableType:

@@ -1,5 +1,7 @@
 """The box and the big letters."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -55,3 +57,13 @@ def test_big_letters() -> None:
     assert big_lines("TOO LONG A WORD", 80) == big_lines("TOO LO", 80)
     assert LETTER_WIDTH * 6 <= 80
     assert all(not line for line in big_lines("~", 80))
+
+
+def test_the_readme_shows_the_screen_that_was_drawn() -> None:
+    """``make screens`` writes both; what is typed in between is a lie."""
+    root = Path(__file__).parents[2]
+    drawn = (root / "docs" / "screens" / "turn.txt").read_text(encoding="utf-8").rstrip()
+    assert drawn in (root / "README.md").read_text(encoding="utf-8")
+    lines = drawn.splitlines()
+    assert len(lines) == 24
+    assert max(map(len, lines)) <= 80
