@@ -17,6 +17,7 @@ def main() -> None:
     # The matrices are small: threads of the linear algebra would double the processor time and gain nothing.
     for library in ("OPENBLAS", "MKL", "OMP"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    _open_closed_streams()
     try:
         # Imported here, so that a Ctrl-C in the first tenth of a second is one like any other.
         from imufield.cli.run import run
@@ -25,3 +26,12 @@ def main() -> None:
     except KeyboardInterrupt:
         code = EXIT_INTERRUPTED
     sys.exit(code)
+
+
+def _open_closed_streams() -> None:
+    """Put the null device where a standard stream is closed, or the next file opened would take its number and its output."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            # The lowest number that is free is this stream's own, as those below it are open by now.
+            descriptor = os.open(os.devnull, os.O_RDWR)
+            setattr(sys, name, os.fdopen(descriptor, "w" if number else "r", encoding="utf-8"))

@@ -307,9 +307,9 @@ class CaptureLoop:
 
 
 def _farewell(captured: Captured, view: ViewName) -> None:
-    if view == "json":
-        return
     folder = captured.session.folder
+    if view == "json" or not folder.exists():
+        return
     if captured.finished:
         typer.echo(f"{captured.accepted} of {captured.planned} positions measured, session {folder}")
         typer.echo(f"next:  imufield solve {folder}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from imufield.acquire.recorder import Recorder
 from imufield.acquire.session import DEFAULT_ROOT, Session
 from imufield.commands.chain import part_metadata
 from imufield.commands.connect import Connected, ConnectOptions, connect
+from imufield.errors import RecordingError
 
 TELL_EVERY_S = 1.0
 
@@ -58,7 +59,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
             _take(connected.link.drain(), decoder, recorder)
         finally:
             # Ctrl-C and a pulled cable end a recording, too: whatever it is, it is complete up to here.
-            session.update(finished=True)
+            _finish(session, sys.exception())
             _tell_end(session, decoder, options.as_json)
     return session
 
@@ -68,6 +69,12 @@ def _new_session(options: RecordOptions, connected: Connected) -> Session:
     if options.session is not None:
         return Session.create_in(options.session, connected.model, metadata)
     return Session.create(options.root, connected.model, metadata)
+
+
+def _finish(session: Session, cause: BaseException | None) -> None:
+    # Where nothing could be recorded any more (the folder is gone), that is what has to be told, and not what follows from it.
+    with suppress(RecordingError) if isinstance(cause, RecordingError) else nullcontext():
+        session.update(finished=True)
 
 
 def _record(connected: Connected, decoder: Decoder, recorder: Recorder, clock: HostClock, options: RecordOptions) -> None:
@@ -100,6 +107,8 @@ def _tell_progress(decoder: Decoder, elapsed_s: float, as_json: bool) -> None:
 
 
 def _tell_end(session: Session, decoder: Decoder, as_json: bool) -> None:
+    if not session.folder.exists():
+        return
     # What the decoder holds back until it is sure of its time counts as well.
     decoder.flush()
     counts = decoder.statistics

@@ -280,6 +280,40 @@ def test_disk_full_at_a_desk(furnished: Program, arguments: str, code: int) -> N
     assert sorted((furnished.folder / "whole").iterdir()) == before
 
 
+@pytest.mark.parametrize("command", ["capture", "record"])
+def test_a_folder_deleted_while_it_is_written(program: Program, command: str) -> None:
+    port = program.emulate("--positions", "none")
+    arguments = program.capture(port, "--json") if command == "capture" else ("record", "--port", port, "--json")
+    process = program.start(*arguments, variables={"IMUFIELD_CLOCK_SPEED": "16"})
+    assert process.stdout is not None
+    while '"noise_floor"' not in (line := process.stdout.readline()) and '"recording"' not in line:
+        assert line
+    shutil.rmtree(only_session(program.folder).folder)
+    _, error = process.communicate(timeout=20)
+    assert process.returncode == RECORDING
+    assert "part-001.mcap is not there or was deleted while recording" in one_sentence(error)
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that nobody may write to, root included")
+@pytest.mark.parametrize("command", ["capture", "record"])
+def test_a_folder_that_cannot_be_written(program: Program, command: str) -> None:
+    port = program.emulate("--positions", "none")
+    ended = program.run(command, "--port", port, "--driver", "stim300", "--clock-speed", 16, "--session", "/proc/self/session")
+    assert ended.returncode == RECORDING
+    assert "/proc/self/session cannot be written" in one_sentence(ended.stderr)
+
+
+def test_standard_output_that_is_closed(program: Program) -> None:
+    port = program.emulate("--positions", "none")
+    arguments = ("record", "--port", port, "--driver", "stim300", "--clock-speed", 16, "--duration-s", 2)
+    ended = program.run(*arguments, preexec_fn=lambda: os.close(1))
+    assert ended.returncode == 0, ended.stderr
+    assert "Traceback" not in ended.stderr
+    session = only_session(program.folder)
+    assert session.finished
+    assert bytes_on_disk(session) > 125 * 38
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda number: number.name)
 @pytest.mark.parametrize("command", ["capture", "record"])
 def test_interrupted(program: Program, command: str, number: signal.Signals) -> None:
