@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import typer
 
-from imufield.acquire.host_clock import HostClock, SystemClock
+from imufield.acquire.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.acquire.link import Chunk
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.recording import Damage
@@ -94,7 +95,7 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
             check_instrument(session, connected)
             session.update(site=site.table())
         captured = _capture(session, connected, clock, options)
-    _farewell(captured, options.view)
+    _farewell(captured, options.view, clock)
     return captured
 
 
@@ -106,7 +107,7 @@ def _capture(session: Session, connected: Connected, clock: HostClock, options: 
             return loop.run()
     except (KeyboardInterrupt, ImufieldError):
         if loop is not None:
-            _farewell(loop.captured(), options.view)
+            _farewell(loop.captured(), options.view, clock)
         raise
 
 
@@ -306,13 +307,16 @@ class CaptureLoop:
         self.view.refresh(LiveStatus(self.chain.guide.snapshot(), self.connected.link.name, state, lost))
 
 
-def _farewell(captured: Captured, view: ViewName) -> None:
+def _farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
+    """Say what there is and what to type next, as it can be pasted."""
     folder = captured.session.folder
     if view == "json" or not folder.exists():
         return
     if captured.finished:
         typer.echo(f"{captured.accepted} of {captured.planned} positions measured, session {folder}")
-        typer.echo(f"next:  imufield solve {folder}")
+        typer.echo(f"next:  imufield solve {shlex.quote(str(folder))}")
     else:
         typer.echo(f"{captured.accepted} of {captured.planned} positions measured so far, all on disk in {folder}")
-        typer.echo(f"go on: imufield capture --resume --session {folder}")
+        # An emulated instrument that runs faster than real must be read as fast again.
+        speed = f"IMUFIELD_CLOCK_SPEED={clock.speed:g} " if isinstance(clock, ScaledClock) else ""
+        typer.echo(f"go on: {speed}imufield capture --resume --session {shlex.quote(str(folder))}")

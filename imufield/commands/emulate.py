@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -154,7 +155,7 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     clock = "" if options.speed == 1 else f"IMUFIELD_CLOCK_SPEED={max(options.speed, 1):g} "
     # The right latitude matters: the scale of the accelerometer is as good as the gravity it is given.
     latitude = f"--latitude {emulation.site.latitude_deg:g}"
-    typer.echo(f"read it with:  {clock}imufield capture --{kind} {address} {_reader(options, wire)}{latitude}")
+    typer.echo(f"read it with:  {clock}imufield capture --{kind} {shlex.quote(address)} {_reader(options, wire)}{latitude}")
     typer.echo("Ctrl-C ends it")
 
 

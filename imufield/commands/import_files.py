@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,7 +58,7 @@ def run_import(options: ImportOptions) -> Session:
     for sentence in sentences:
         typer.echo(sentence, err=True)
     typer.echo(f"session {session.folder}")
-    typer.echo(f"next:  imufield solve {session.folder}")
+    typer.echo(f"next:  imufield solve {shlex.quote(str(session.folder))}")
     return session
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -47,7 +48,8 @@ def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactiv
         return None
     session = Session.open(folder)
     if session.finished:
-        raise UsageError(f"{session.folder} is finished; name a new folder, or solve it with: imufield solve {session.folder}")
+        command = f"imufield solve {shlex.quote(str(session.folder))}"
+        raise UsageError(f"{session.folder} is finished; name a new folder, or solve it with: {command}")
     if not session.metadata.get("scheme"):
         raise UsageError(f"{session.folder} is a plain recording without a guide; name a new folder")
     if not resume and not (interactive and typer.confirm(f"Go on with the unfinished session {session.folder}?", True)):

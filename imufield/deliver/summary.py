@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -281,7 +282,7 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
     steps = []
     calibration = parameters.calibration
     if calibration.gravity.source == "assumed":
-        again = "imufield solve" if outcome.session is None else f"imufield solve {outcome.session}"
+        again = "imufield solve" if outcome.session is None else f"imufield solve {shlex.quote(str(outcome.session))}"
         steps.append(f"tell where this was: {again} --latitude DEGREES --height METRES")
     if calibration.quality.degrees_of_freedom < 1:
         steps.append("take a session of 24 positions, in which each is checked by the others: imufield capture")

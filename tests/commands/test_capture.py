@@ -8,6 +8,7 @@ import os
 import pty
 import re
 import select
+import shlex
 import signal
 import struct
 import subprocess
@@ -21,6 +22,7 @@ import pytest
 from imufield.acquire.recording import RecordedEvent, read_session
 from imufield.acquire.session import Session
 from imufield.commands.chain import session_samples
+from tests.commands.conftest import IMUFIELD
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
@@ -133,6 +135,26 @@ def test_resume(program: Program) -> None:
     assert [path.name for path in session.parts] == ["part-001.mcap", "part-002.mcap"]
     accepted = [event["position"] for event in events(session) if event["event"] == "accepted"]
     assert sorted(map(str, accepted)) == FACES
+
+
+def test_what_is_proposed_can_be_pasted(program: Program) -> None:
+    def paste(command: str) -> subprocess.CompletedProcess[str]:
+        text = f" {command}".replace(" imufield ", f" {shlex.join(IMUFIELD)} ", 1)
+        run = ["sh", "-c", text]
+        return subprocess.run(run, cwd=program.folder, env=program.environment(), capture_output=True, text=True, check=False)
+
+    port = program.emulate("--positions", "faces6", "--hold-s", 6)
+    process = program.start(*program.capture(port, "--plain", "--gravity", 9.81, "--session", "my imu, No 1"))
+    assert process.stdout is not None
+    while "accepted" not in process.stdout.readline():
+        assert process.poll() is None
+    process.terminate()
+    output, _ = process.communicate(timeout=20)
+    resumed = paste(output.rsplit("go on: ", 1)[1].strip())
+    assert resumed.returncode == 0, resumed.stderr
+    assert "6 of 6 positions measured" in resumed.stdout
+    solved = paste(resumed.stdout.rsplit("next:  ", 1)[1].strip())
+    assert solved.returncode == 0, solved.stderr
 
 
 def test_resume_refuses_another_instrument(program: Program) -> None:
