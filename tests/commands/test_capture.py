@@ -131,7 +131,7 @@ def test_resume(program: Program) -> None:
     assert "assumed" not in resumed.stderr
     session = newest(program)
     assert session.finished
-    assert session.metadata["site"] == {"gravity_m_s2": 9.81}
+    assert session.metadata["site"]["gravity_m_s2"] == 9.81
     assert [path.name for path in session.parts] == ["part-001.mcap", "part-002.mcap"]
     accepted = [event["position"] for event in events(session) if event["event"] == "accepted"]
     assert sorted(map(str, accepted)) == FACES
