@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+import struct
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, ClassVar
 
-from imufield.acquire.driver import Driver, Evidence
+from imufield.acquire.checksum import make_checksum
+from imufield.acquire.driver import Ability, Driver, Evidence, choose_divisor, choose_rate
+from imufield.acquire.exchange import Command, Message
+
+_CRC = make_checksum("CRC-16/SPI-FUJITSU")
+_DMU_KINDS = frozenset({"0x5330", "0x5331"})
+"""Packets S0 and S1; only these instruments know the commands in capitals."""
+_RATES_HZ = (200, 100, 50, 20, 10, 5, 2)
+_PACKET_RATE, _PACKET_RATE_DIVIDER = 4, 1
+_DMU_HZ = 100
+_QUIET = 0
 
 
 class AceinnaSerial(Driver):
@@ -30,6 +42,67 @@ class AceinnaSerial(Driver):
     bauds: ClassVar[tuple[int, ...]] = (115200, 57600, 38400, 230400, 460800)
     status: ClassVar[Evidence] = "verified on real bytes"
     manual: ClassVar[str] = "OpenIMU serial messaging, openimu.readthedocs.io; Aceinna DMU38x user manual: packets S0, S1"
+    abilities: ClassVar[Mapping[Ability, Evidence]] = {"identify": "document only", "rate": "document only"}
+
+    @classmethod
+    def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
+        """Return the questions of the family that was heard: pG and gV, or GP for the packets ID and VR."""
+        if _DMU_KINDS.intersection(heard):
+            return [packet("identity", "GP", b"ID", "identity"), packet("release", "GP", b"VR", "release")]
+        return [packet("ping", "pG", b"", "ping"), packet("version", "gV", b"", "version")]
+
+    @classmethod
+    def state_questions(cls, heard: Collection[str]) -> Sequence[Command]:
+        """Return the question for the packet rate."""
+        if _DMU_KINDS.intersection(heard):
+            return [packet("rate", "GF", struct.pack(">BH", 1, _PACKET_RATE_DIVIDER), "field")]
+        return [packet("rate", "gP", struct.pack("<I", _PACKET_RATE), "parameter")]
+
+    @classmethod
+    def rate_hz(cls, state: Sequence[Message]) -> float | None:
+        """Return the packet rate; None for quiet."""
+        for answer in state:
+            if answer["value"] != _QUIET:
+                return float(_DMU_HZ / answer["value"] if answer["kind"] == "field" else answer["value"])
+        return None
+
+    @classmethod
+    def rate_orders(cls, rate_hz: float, state: Sequence[Message]) -> Sequence[Command]:
+        """Return SF with the divider of a DMU, or uP with the rate of an OpenIMU; both change volatile settings."""
+        if any(answer["kind"] == "field" for answer in state):
+            divider = choose_divisor(cls.title, rate_hz, _DMU_HZ)
+            return [packet("set rate", "SF", struct.pack(">BHH", 1, _PACKET_RATE_DIVIDER, divider), "field_set")]
+        rate = int(choose_rate(cls.title, rate_hz, _RATES_HZ))
+        return [packet("set rate", "uP", struct.pack("<Iq", _PACKET_RATE, rate), "parameter_set")]
+
+    @classmethod
+    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+        """Return model, serial number and version; an OpenIMU says the first two in one text, the number last."""
+        found: dict[str, str] = {}
+        for message in messages:
+            if message["kind"] == "ping" and message["text"].strip("\0 "):
+                words = message["text"].strip("\0 ").split()
+                numbers = [word.removeprefix("SN:") for word in words if word.removeprefix("SN:").isdigit()]
+                found["model"] = " ".join(word for word in words if word.removeprefix("SN:") not in numbers)
+                found |= {"serial_number": numbers[-1]} if numbers else {}
+            elif message["kind"] == "version":
+                found["firmware"] = message["text"].strip("\0 ")
+            elif message["kind"] == "identity":
+                found |= {"model": message["model"].strip("\0 "), "serial_number": str(message["serial_number"])}
+            elif message["kind"] == "release":
+                found["firmware"] = ".".join(str(message[part]) for part in ("major", "minor", "patch", "stage", "build"))
+        return found
+
+
+def packet(name: str, letters: str, data: bytes, answer: str) -> Command:
+    """Return a packet to the instrument, answered by a message called ``answer``."""
+    body = letters.encode() + bytes([len(data)]) + data
+    return Command(
+        name,
+        b"UU" + body + _CRC.of(body).to_bytes(2, "big"),
+        lambda message: message["kind"] == answer,
+        lambda message: f"error {message['error']}" if message.get("error") else "",
+    )
 
 
 DRIVER = AceinnaSerial

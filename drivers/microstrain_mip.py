@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, ClassVar
 
-from imufield.acquire.driver import Driver, Evidence
+from imufield.acquire.checksum import make_checksum
+from imufield.acquire.driver import Ability, Driver, Evidence, choose_divisor
+from imufield.acquire.exchange import Command, Message
+
+_SUMS = make_checksum("FLETCHER-16/MOD-256")
+BASE, SETTINGS = 0x01, 0x0C
+_APPLY, _READ = 1, 2
+_IMU_SET = 0x80
+_IDLE, _DEVICE_INFORMATION, _RESUME = 0x02, 0x03, 0x06
+_IMU_BASE_RATE, _IMU_FORMAT, _SET_BASE_RATE, _SET_FORMAT = 0x06, 0x08, 0x0E, 0x0F
+_INERTIAL = (0x04, 0x05, 0x07, 0x08)
+"""Descriptors of acceleration, rate, delta theta and delta velocity."""
 
 
 class MicroStrainMip(Driver):
@@ -32,6 +44,98 @@ class MicroStrainMip(Driver):
     bauds: ClassVar[tuple[int, ...]] = (115200, 921600, 460800, 230400, 57600, 19200, 9600)
     status: ClassVar[Evidence] = "verified on real bytes"
     manual: ClassVar[str] = "LORD MicroStrain, 3DM-GX5-25 Data Communications Protocol manual: MIP packets, IMU data set"
+    abilities: ClassVar[Mapping[Ability, Evidence]] = {
+        "identify": "document only",
+        "start and stop": "verified on real bytes",
+        "rate": "document only",
+    }
+
+    @classmethod
+    def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
+        """Return the question for the device information."""
+        return [command("device information", BASE, _DEVICE_INFORMATION)]
+
+    @classmethod
+    def state_questions(cls, heard: Collection[str]) -> Sequence[Command]:
+        """Return the questions for base rate and message format, of the newer and of the GX5 generation, in idle."""
+        return [
+            *cls.stop_orders(),
+            command("base rate", SETTINGS, _SET_BASE_RATE, bytes([_IMU_SET])),
+            command("format", SETTINGS, _SET_FORMAT, bytes([_READ, _IMU_SET])),
+            command("base rate", SETTINGS, _IMU_BASE_RATE),
+            command("format", SETTINGS, _IMU_FORMAT, bytes([_READ])),
+            *cls.start_orders(()),
+        ]
+
+    @classmethod
+    def rate_hz(cls, state: Sequence[Message]) -> float | None:
+        """Return base rate by decimation of the first inertial field."""
+        base_hz, _, fields = _format(state)
+        return next((base_hz / decimation for number, decimation in fields if number in _INERTIAL and decimation), None)
+
+    @classmethod
+    def rate_orders(cls, rate_hz: float, state: Sequence[Message]) -> Sequence[Command]:
+        """Return the format with another decimation for every field that goes with the acceleration."""
+        base_hz, _, fields = _format(state)
+        wanted = choose_divisor(cls.title, rate_hz, base_hz)
+        old = next((decimation for number, decimation in fields if number in _INERTIAL), 0)
+        return _set_format(state, [(number, wanted if decimation == old else decimation) for number, decimation in fields])
+
+    @classmethod
+    def restore_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
+        """Return the format as it was."""
+        return _set_format(state, _format(state)[2])
+
+    @classmethod
+    def start_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
+        """Return resume."""
+        return [command("resume", BASE, _RESUME, is_last=True)]
+
+    @classmethod
+    def stop_orders(cls) -> Sequence[Command]:
+        """Return idle."""
+        return [command("idle", BASE, _IDLE)]
+
+    @classmethod
+    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+        """Return model name and number, serial number and firmware of the device information."""
+        for message in messages:
+            if "model_name" in message:
+                model = f"{message['model_name'].strip()} {message['model_number'].strip()}".strip()
+                firmware = f"{message['firmware'] // 1000}.{message['firmware'] // 100 % 10}.{message['firmware'] % 100:02d}"
+                return {"model": model, "serial_number": message["serial_number"].strip(), "firmware": firmware}
+        return {}
+
+
+def command(name: str, descriptor_set: int, number: int, data: bytes = b"", *, is_last: bool = False) -> Command:
+    """Return a packet with one command, answered by the acknowledgement of it."""
+    body = bytes([0x75, 0x65, descriptor_set, len(data) + 2, len(data) + 2, number]) + data
+    kind = "base" if descriptor_set == BASE else "settings"
+    return Command(
+        name,
+        body + _SUMS.of(body).to_bytes(2, "big"),
+        lambda message: message["kind"] == kind and message.get("answered_command") == number,
+        lambda answer: f"error {answer['error']}" if answer["error"] else "",
+        is_last,
+    )
+
+
+def _format(state: Sequence[Message]) -> tuple[int, int, list[tuple[int, int]]]:
+    """Return base rate, the command that holds the format, and its fields as (descriptor, decimation)."""
+    base_hz, holder, fields = 0, 0, b""
+    for answer in state:
+        if not answer.get("error") and not fields:
+            base_hz = answer.get("base_rate_hz", answer.get("imu_base_rate_hz", base_hz))
+            holder = answer["answered_command"]
+            fields = bytes.fromhex(answer.get("fields", answer.get("imu_fields", "")))
+    return base_hz, holder, [(fields[at], fields[at + 1] << 8 | fields[at + 2]) for at in range(0, len(fields) - 2, 3)]
+
+
+def _set_format(state: Sequence[Message], fields: list[tuple[int, int]]) -> Sequence[Command]:
+    holder = _format(state)[1]
+    data = bytes([_APPLY, *([_IMU_SET] if holder == _SET_FORMAT else []), len(fields)])
+    data += b"".join(bytes([number, decimation >> 8, decimation & 0xFF]) for number, decimation in fields)
+    return [*MicroStrainMip.stop_orders(), command("set format", SETTINGS, holder, data), *MicroStrainMip.start_orders(())]
 
 
 DRIVER = MicroStrainMip

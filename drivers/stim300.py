@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
-from imufield.acquire.driver import Driver, Evidence
+from imufield.acquire.driver import Ability, Driver, Evidence, choose_rate
+from imufield.acquire.exchange import Command, Message
 
+from ._stim300_utility import enter_utility_mode, utility
+
+_RATE_CODES = {125: 0, 250: 1, 500: 2, 1000: 3, 2000: 4}
 _RANGES_G = (2, 5, 10, 30, 80)
 _OUTPUTS = ("rate", "average", "increment")
 
@@ -48,7 +52,42 @@ class Stim300(Driver):
     bauds: ClassVar[tuple[int, ...]] = (921600, 460800, 1843200, 374400)
     status: ClassVar[Evidence] = "verified on real bytes"
     manual: ClassVar[str] = "Sensonor TS1524 rev. 31, STIM300 Inertia Measurement Unit: datagrams, commands, status byte"
-    identity_commands: ClassVar[tuple[bytes, ...]] = (b"N\r", b"I\r", b"C\r")
+    abilities: ClassVar[Mapping[Ability, Evidence]] = {
+        "identify": "document only",
+        "start and stop": "document only",
+        "rate": "document only",
+    }
+
+    @classmethod
+    def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
+        """Return the normal-mode commands N, I and C; each answer takes the place of a sample."""
+        return [_datagram("part_number", b"N\r"), _datagram("serial_number", b"I\r"), *cls.state_questions(heard)]
+
+    @classmethod
+    def state_questions(cls, heard: Collection[str]) -> Sequence[Command]:
+        """Return the question for the configuration datagram."""
+        return [_datagram("configuration", b"C\r")]
+
+    @classmethod
+    def rate_hz(cls, state: Sequence[Message]) -> float | None:
+        """Return the rate by the configuration datagram; None with an external trigger."""
+        return next((one["rate_hz"] for one in state if one.get("rate_hz")), None)
+
+    @classmethod
+    def rate_orders(cls, rate_hz: float, state: Sequence[Message]) -> Sequence[Command]:
+        """Return the way into utility mode, the order there and the way out. Lasts until reset or power-off."""
+        code = _RATE_CODES[int(choose_rate(cls.title, rate_hz, _RATE_CODES))]
+        return [*cls.stop_orders(), utility("sm", code), *cls.start_orders(state)]
+
+    @classmethod
+    def start_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
+        """Return the way from utility mode to normal mode."""
+        return [utility("xn", is_last=True)]
+
+    @classmethod
+    def stop_orders(cls) -> Sequence[Command]:
+        """Return the way into utility mode, where nothing is sent by itself."""
+        return [enter_utility_mode()]
 
     @classmethod
     def read_settings(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, object]:
@@ -79,6 +118,10 @@ class Stim300(Driver):
             elif message["kind"] == "configuration":
                 found["firmware"] = f"{message['firmware_revision']}, hardware {message['hardware_revision']}"
         return found
+
+
+def _datagram(kind: str, data: bytes) -> Command:
+    return Command(kind, data, lambda message: message["kind"] == kind)
 
 
 def part_number(digits: bytes, revision: str) -> str:

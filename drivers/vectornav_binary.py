@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, ClassVar
 
-from imufield.acquire.driver import Driver, Evidence
+from imufield.acquire.driver import Ability, Driver, Evidence, choose_divisor
+from imufield.acquire.exchange import Command, Message
+
+from ._vectornav_registers import BINARY_OUTPUTS, identity, pause, read, values_of, who_are_you, write
+
+_IMU_HZ, _IMU_HZ_VN100 = 400, 800
 
 
 class VectorNavBinary(Driver):
@@ -33,6 +39,65 @@ class VectorNavBinary(Driver):
     bauds: ClassVar[tuple[int, ...]] = (115200, 921600, 460800, 230400, 128000, 57600, 38400, 19200, 9600)
     status: ClassVar[Evidence] = "verified on real bytes"
     manual: ClassVar[str] = "VectorNav UM001, VN-100 User Manual rev. 2.22: binary output messages"
+    abilities: ClassVar[Mapping[Ability, Evidence]] = {
+        "identify": "document only",
+        "start and stop": "document only",
+        "rate": "document only",
+    }
+    answers: ClassVar[str] = "vectornav_ascii"
+    variants: ClassVar[tuple[Mapping[str, object], ...]] = ({"source": "compensated"},)
+
+    @classmethod
+    def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
+        """Return the questions for model, serial number and firmware."""
+        return who_are_you()
+
+    @classmethod
+    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+        """Return model, serial number and firmware as far as the registers were read."""
+        return identity(messages)
+
+    @classmethod
+    def start_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
+        """Return the end of the pause."""
+        return [pause("resume", paused=False)]
+
+    @classmethod
+    def stop_orders(cls) -> Sequence[Command]:
+        """Return the pause of all asynchronous output."""
+        return [pause("pause", paused=True)]
+
+    @classmethod
+    def state_questions(cls, heard: Collection[str]) -> Sequence[Command]:
+        """Return the questions for the model, which has the inner rate, and for the three binary outputs."""
+        return [read(1), *(read(number) for number in BINARY_OUTPUTS)]
+
+    @classmethod
+    def rate_hz(cls, state: Sequence[Message]) -> float | None:
+        """Return the rate of the first output that is on."""
+        return next((_imu_hz(state) / int(values[1]) for _, values in _outputs(state)), None)
+
+    @classmethod
+    def rate_orders(cls, rate_hz: float, state: Sequence[Message]) -> Sequence[Command]:
+        """Return the orders that set the divisor of every output that is on, until reset or power-off."""
+        divisor = choose_divisor(cls.title, rate_hz, _imu_hz(state))
+        return [write(number, values[0], divisor, *values[2:]) for number, values in _outputs(state)]
+
+    @classmethod
+    def restore_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
+        """Return the outputs as they were read."""
+        return [write(number, *values) for number, values in _outputs(state)]
+
+
+def _imu_hz(state: Sequence[Message]) -> int:
+    model = values_of(state, 1) or [""]
+    return _IMU_HZ_VN100 if model[0].startswith("VN-100") else _IMU_HZ
+
+
+def _outputs(state: Sequence[Message]) -> list[tuple[int, list[str]]]:
+    """Return number and values (ports, divisor, groups, masks) of the outputs that are on."""
+    found = [(number, values_of(state, number)) for number in BINARY_OUTPUTS]
+    return [(number, values) for number, values in found if len(values) > 1 and values[0] != "0" and int(values[1]) > 0]
 
 
 DRIVER = VectorNavBinary

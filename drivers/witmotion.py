@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+import struct
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, ClassVar
 
-from imufield.acquire.driver import Driver, Evidence
+from imufield.acquire.driver import Ability, Driver, Evidence, choose_rate
+from imufield.acquire.exchange import Command, Message
+
+_RATE, _VERSION, _SERIAL, _SERIAL_END, _READ, _KEY = 0x03, 0x2E, 0x7F, 0x83, 0x27, 0x69
+_UNLOCK = 0xB588
+_RATE_CODES = {0.2: 1, 0.5: 2, 1: 3, 2: 4, 5: 5, 10: 6, 20: 7, 50: 8, 100: 9, 200: 0x0B}
+"""Code 0x0A is left out: some models take it for 125 Hz, others for 100 Hz."""
+_RATES_READ_HZ = {code: rate for rate, code in _RATE_CODES.items()} | {0x0A: 125}
 
 
 class WitMotion(Driver):
@@ -30,6 +39,57 @@ class WitMotion(Driver):
     bauds: ClassVar[tuple[int, ...]] = (9600, 115200, 230400, 460800, 921600, 57600, 38400, 19200, 4800)
     status: ClassVar[Evidence] = "verified on real bytes"
     manual: ClassVar[str] = "WITMOTION WitStandardProtocol_JY901: standard protocol and register map"
+    variants: ClassVar[tuple[Mapping[str, object], ...]] = ({"form": "bluetooth"},)
+    abilities: ClassVar[Mapping[Ability, Evidence]] = {"identify": "document only", "rate": "document only"}
+
+    @classmethod
+    def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
+        """Return the questions for the registers of version and serial number; the answer does not say which they are."""
+        return [read("version", _VERSION), read("serial", _SERIAL), read("serial end", _SERIAL_END)]
+
+    @classmethod
+    def state_questions(cls, heard: Collection[str]) -> Sequence[Command]:
+        """Return the question for the output rate."""
+        return [read("rate", _RATE)]
+
+    @classmethod
+    def rate_hz(cls, state: Sequence[Message]) -> float | None:
+        """Return the output rate; None where nothing is sent by itself."""
+        return next((_RATES_READ_HZ.get(answer["registers"][0] & 0xFF) for answer in state), None)
+
+    @classmethod
+    def rate_orders(cls, rate_hz: float, state: Sequence[Message]) -> Sequence[Command]:
+        """Return the key and the rate; without a save both are forgotten at power-off."""
+        return [write("key", _KEY, _UNLOCK), write("rate", _RATE, _RATE_CODES[choose_rate(cls.title, rate_hz, _RATE_CODES)])]
+
+    @classmethod
+    def restore_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
+        """Return the key and the code that was read."""
+        return [write("key", _KEY, _UNLOCK), write("rate", _RATE, state[0]["registers"][0])]
+
+    @classmethod
+    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+        """Return serial number and version as far as registers hold any."""
+        words = {
+            message["asked"]: message["registers"] for message in messages if "registers" in message and "asked" in message
+        }
+        found: dict[str, str] = {}
+        if any(words.get("version", ())[:2]):
+            low, high = words["version"][:2]
+            found["firmware"] = str(high << 16 | low)
+        serial = struct.pack("<6H", *(*words.get("serial", (0,) * 4), *words.get("serial end", (0,) * 4)[:2]))
+        text = serial.strip(b"\0 ").decode("ascii", "replace")
+        return {**found, **({"serial_number": text} if text.isalnum() else {})}
+
+
+def write(name: str, register: int, value: int) -> Command:
+    """Return the order to set a register, which is not answered."""
+    return Command(name, struct.pack("<BBBH", 0xFF, 0xAA, register, value))
+
+
+def read(name: str, register: int) -> Command:
+    """Return the question for four registers from this one on."""
+    return Command(name, struct.pack("<BBBH", 0xFF, 0xAA, _READ, register), lambda message: message["kind"] == "registers")
 
 
 DRIVER = WitMotion

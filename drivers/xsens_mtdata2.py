@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, ClassVar
 
-from imufield.acquire.driver import Driver, Evidence
+from imufield.acquire.checksum import make_checksum
+from imufield.acquire.driver import Ability, Driver, Evidence
+from imufield.acquire.exchange import Command, Message
+
+_SUM = make_checksum("SUM-8/NEGATED")
+REQUEST_DEVICE_ID, REQUEST_CONFIGURATION, GO_TO_MEASUREMENT, REQUEST_FIRMWARE = 0x00, 0x0C, 0x10, 0x12
+REQUEST_PRODUCT_CODE, GO_TO_CONFIG = 0x1C, 0x30
 
 
 class XsensMtData2(Driver):
@@ -34,6 +41,59 @@ class XsensMtData2(Driver):
     bauds: ClassVar[tuple[int, ...]] = (115200, 921600, 460800, 230400, 2000000, 57600)
     status: ClassVar[Evidence] = "verified on real bytes"
     manual: ClassVar[str] = "Xsens MT0101P, MT Low Level Communication Protocol Documentation: Xbus messages, MTData2"
+    abilities: ClassVar[Mapping[Ability, Evidence]] = {
+        "identify": "verified on real bytes",
+        "start and stop": "verified on real bytes",
+    }
+    no_rate: ClassVar[str] = "an MTi keeps its rate in memory that outlives the power, which imufield never writes"
+
+    @classmethod
+    def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
+        """Return the requests, which are valid in configuration state alone, with the way there and back."""
+        return [
+            *cls.stop_orders(),
+            request("device_id", REQUEST_DEVICE_ID, "device_id"),
+            request("product_code", REQUEST_PRODUCT_CODE, "product_code"),
+            request("firmware", REQUEST_FIRMWARE, "firmware_revision"),
+            *cls.start_orders(()),
+        ]
+
+    @classmethod
+    def start_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
+        """Return GoToMeasurement."""
+        return [request("GoToMeasurement", GO_TO_MEASUREMENT, "go_to_measurement_done", is_last=True)]
+
+    @classmethod
+    def stop_orders(cls) -> Sequence[Command]:
+        """Return GoToConfig."""
+        return [request("GoToConfig", GO_TO_CONFIG, "go_to_config_done")]
+
+    @classmethod
+    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+        """Return product code, device id and firmware."""
+        found: dict[str, str] = {}
+        for message in messages:
+            if message["kind"] == "device_id":
+                found["serial_number"] = message["device_id"].upper()
+            elif message["kind"] == "product_code":
+                found["model"] = message["product_code"].strip()
+            elif message["kind"] == "firmware_revision":
+                found["firmware"] = ".".join(str(message[part]) for part in ("major", "minor", "revision"))
+        return found
+
+
+def request(name: str, message_id: int, answer: str, data: bytes = b"", *, is_last: bool = False) -> Command:
+    """Return a message to the instrument, answered by a message called ``answer`` or by an error."""
+    body = bytes([0xFF, message_id, len(data)]) + data
+    return Command(name, b"\xfa" + body + bytes([_SUM.of(body)]), _is(answer, "error"), _refusal, is_last)
+
+
+def _is(*kinds: str) -> Any:
+    return lambda message: message["kind"] in kinds
+
+
+def _refusal(answer: Message) -> str:
+    return f"error {answer['code']}" if answer["kind"] == "error" else ""
 
 
 DRIVER = XsensMtData2

@@ -30,6 +30,7 @@ class Reason(Enum):
     SILENCE = "silence"
     NO_FRAMES = "no_frames"
     DISCONNECTED = "disconnected"
+    REFUSED = "refused"
     UNKNOWN_DRIVER = "unknown_driver"
     DRIVER_FAILED = "driver_failed"
     BAD_PROTOCOL = "bad_protocol"

@@ -69,6 +69,10 @@ class Checksum(ABC):
         """
         return self._rows(rows)
 
+    def of(self, message: bytes) -> int:
+        """Return the value of one message."""
+        return int(self.of_rows(np.frombuffer(message, dtype=np.uint8).reshape(1, -1))[0])
+
     def of_spans(self, data: Bytes, starts: Positions, lengths: Positions) -> Values:
         """Return the values of n messages of different lengths (all at least 1) inside ``data``, shape (n,)."""
         if len(starts) == 0:

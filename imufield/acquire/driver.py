@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
+from imufield.acquire.exchange import Command, Message, any_message
 from imufield.acquire.protocol import Protocol, load_protocol
+from imufield.errors import UsageError
 
 Evidence = Literal["verified on real bytes", "document only"]
 Wire = Literal["serial", "can"]
+Ability = Literal["identify", "start and stop", "rate"]
 
 
 class Driver:
     """Base of all drivers. A driver file ends with ``DRIVER = <its class>``.
 
-    A driver is constants and, where the instrument can be asked, what its answers mean. Wire formats are protocols.
+    A driver is constants and, where the instrument can be asked, commands as bytes and what their answers mean: functions
+    without a link, which ``Instrument`` plays. Wire formats are protocols. No command of a driver writes to memory that
+    outlives the power.
     """
 
     name: ClassVar[str]
@@ -34,8 +39,16 @@ class Driver:
     """Title, revision and section."""
     settings: ClassVar[Mapping[str, object]] = {}
     """Settings of the protocol that differ from its defaults for this instrument."""
+    variants: ClassVar[tuple[Mapping[str, object], ...]] = ()
+    """Settings for other forms of the stream, which nothing in it announces; each is tried where the form is not given."""
     identity_commands: ClassVar[tuple[bytes, ...]] = ()
     """Commands whose answers tell model, serial number and settings. They change nothing in the instrument."""
+    abilities: ClassVar[Mapping[Ability, Evidence]] = {}
+    """What the instrument can be told by imufield, and whether such commands and answers were seen on a real one."""
+    answers: ClassVar[str] = ""
+    """Name of the protocol of its answers, where it is not that of its samples."""
+    no_rate: ClassVar[str] = "imufield knows no command for it"
+    """Why its rate cannot be set, where it cannot."""
 
     @classmethod
     def load_protocol(
@@ -60,3 +73,81 @@ class Driver:
     def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:  # noqa: ARG003  for drivers to use
         """Return what messages of the instrument tell of ``model``, ``serial_number`` and ``firmware``."""
         return {}
+
+    @classmethod
+    def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:  # noqa: ARG003  for drivers to use
+        """Return the commands whose answers ``identity`` and ``read_settings`` understand.
+
+        Parameters
+        ----------
+        heard : collection of str
+            Kinds of frames that the instrument sends.
+        """
+        return [Command("identity", data, any_message) for data in cls.identity_commands]
+
+    @classmethod
+    def state_questions(cls, heard: Collection[str]) -> Sequence[Command]:  # noqa: ARG003  for drivers to use
+        """Return the commands whose answers tell what ``rate_orders`` would change."""
+        return ()
+
+    @classmethod
+    def rate_hz(cls, state: Sequence[Message]) -> float | None:  # noqa: ARG003  for drivers to use
+        """Return the output rate by the answers to ``state_questions``; None where they do not tell."""
+        return None
+
+    @classmethod
+    def rate_orders(cls, rate_hz: float, state: Sequence[Message]) -> Sequence[Command]:  # noqa: ARG003  for drivers to use
+        """Return the commands that set the output rate until power-off.
+
+        Raises
+        ------
+        UsageError
+            If the instrument cannot have this rate, or any.
+        """
+        raise UsageError(f"the output rate of {cls.title} cannot be set: {cls.no_rate}; leave out --rate-hz")
+
+    @classmethod
+    def restore_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
+        """Return the commands that bring back the state that was read."""
+        rate_hz = cls.rate_hz(state)
+        return () if rate_hz is None else cls.rate_orders(rate_hz, state)
+
+    @classmethod
+    def start_orders(cls, state: Sequence[Message]) -> Sequence[Command]:  # noqa: ARG003  for drivers to use
+        """Return the commands that make a silent instrument send samples; ``state`` as it was when it sent, if known."""
+        return ()
+
+    @classmethod
+    def stop_orders(cls) -> Sequence[Command]:
+        """Return the commands that silence it until ``start_orders`` or the next power-on."""
+        return ()
+
+
+def choose_rate(title: str, rate_hz: float, rates_hz: Collection[float]) -> float:
+    """Return the one of ``rates_hz`` that is meant.
+
+    Raises
+    ------
+    UsageError
+        If none is within 0.1 %, so that 66.7 is taken for 200 / 3.
+    """
+    for rate in rates_hz:
+        if abs(rate - rate_hz) <= 1e-3 * rate:
+            return rate
+    known = ", ".join(f"{rate:g}" for rate in sorted(rates_hz))
+    raise UsageError(f"{title} has no output rate of {rate_hz:g} Hz; choose one of {known} Hz", rate_hz=rate_hz)
+
+
+def choose_divisor(title: str, rate_hz: float, base_hz: float) -> int:
+    """Return by what the inner rate of the instrument must be divided.
+
+    Raises
+    ------
+    UsageError
+        If no whole number gives ``rate_hz`` within 0.1 %.
+    """
+    divisor = max(round(base_hz / rate_hz), 1)
+    if abs(base_hz / divisor - rate_hz) > 1e-3 * rate_hz:
+        near = ", ".join(f"{base_hz / one:g}" for one in range(max(divisor - 1, 1), divisor + 2))
+        raise UsageError(f"{title} divides {base_hz:g} Hz by a whole number, which {rate_hz:g} Hz is not; near it: {near} Hz")
+    return divisor

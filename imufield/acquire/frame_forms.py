@@ -81,8 +81,11 @@ class FieldsRule:
             found = table.get(number, table.get(number & ~self.ignored_bits))
             if found is not None:
                 fields = tuple(self._formatted(one, number) for one in found)
-                # An instrument may append to a field what it did not have before.
-                return fields if sum(one.size for one in fields) <= size else ()
+                spare = size - sum(one.size for one in fields)
+                # An instrument may append to a field what it did not have before; a last part of no size takes the rest.
+                if spare > 0 and fields[-1].size == 0:
+                    fields = (*fields[:-1], replace(fields[-1], size=spare))
+                return fields if spare >= 0 else ()
         return ()
 
     def _formatted(self, one: Field, number: int) -> Field:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import select
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import serial
@@ -83,6 +83,10 @@ class Port(Protocol):
 
     def fileno(self) -> int:
         """Return the descriptor, where there is one."""
+        ...
+
+    def reset_input_buffer(self) -> None:
+        """Throw away what arrived and was not read."""
         ...
 
     def close(self) -> None:
@@ -215,6 +219,25 @@ class SerialLink:
             ) from error
         except (OSError, TypeError) as error:
             raise self._gone(error) from error
+
+    def set_baud(self, baud: int) -> None:
+        """Go on at another bit rate, and throw away what arrived at the old one.
+
+        The port stays open: opening one anew resets instruments that hang on its DTR line, as hobby boards do.
+
+        Raises
+        ------
+        LinkError
+            The rate is refused, or the port is gone.
+        """
+        port = self._opened()
+        try:
+            # A property of pyserial's ports, which a structural type cannot describe.
+            setattr(port, "baudrate", baud)  # noqa: B010
+            port.reset_input_buffer()
+        except OPEN_FAILURES as error:
+            raise open_error(self.name, baud, error) from error
+        self.settings = replace(self.settings, baud=baud)
 
     def close(self) -> None:
         """Give the port back; may be called again."""

@@ -19,6 +19,7 @@ from imufield.cli.options import (
     Latitude,
     Port,
     ProtocolFile,
+    RateHz,
     SessionFolder,
     Settings,
     SignalMap,
@@ -51,6 +52,23 @@ def devices(as_json: AsJson = False) -> None:
     list_devices(as_json=as_json)
 
 
+def probe(
+    port: Port = None,
+    baud: Baud = None,
+    ask: Annotated[bool, typer.Option("--ask", help="Ask the instrument who it is: the only thing that is sent.")] = False,
+    as_json: AsJson = False,
+    clock_speed: ClockSpeed = 1.0,
+) -> None:
+    """Listen and say what instrument is on a port (default: on every port), and how to read it.
+
+    Example: imufield probe --port /dev/ttyUSB0
+    """
+    from imufield.commands.connect import host_clock
+    from imufield.commands.probe import run_probe
+
+    run_probe(port, baud, host_clock(clock_speed), ask=ask, as_json=as_json)
+
+
 def capture(
     context: typer.Context,
     port: Port = None,
@@ -61,6 +79,7 @@ def capture(
     dbc: DbcFile = None,
     mapping: SignalMap = None,
     settings: Settings = None,
+    rate_hz: RateHz = None,
     positions: Annotated[str | None, typer.Option(help="Scheme: paper24, paper36, corners24, faces6 or a TOML list.")] = None,
     hold_s: Annotated[float | None, typer.Option(help="Seconds to hold each position.", min=1, max=600)] = None,
     session: SessionFolder = None,
@@ -96,7 +115,7 @@ def capture(
     from imufield.commands.views import Manner, parse_side
 
     options = CaptureOptions(
-        connect=connect_options(context, port, bus, driver, baud, protocol, dbc, mapping, settings),
+        connect=connect_options(context, port, bus, driver, baud, protocol, dbc, mapping, settings, rate_hz),
         positions=positions,
         hold_s=hold_s,
         session=session,
@@ -121,6 +140,7 @@ def record(
     dbc: DbcFile = None,
     mapping: SignalMap = None,
     settings: Settings = None,
+    rate_hz: RateHz = None,
     session: SessionFolder = None,
     duration_s: Annotated[float | None, typer.Option(help="Stop after so many seconds (default: Ctrl-C).", min=0.1)] = None,
     as_json: AsJson = False,
@@ -135,7 +155,7 @@ def record(
     from imufield.commands.connect import host_clock
     from imufield.commands.record import RecordOptions, run_record
 
-    connect = connect_options(context, port, bus, driver, baud, protocol, dbc, mapping, settings)
+    connect = connect_options(context, port, bus, driver, baud, protocol, dbc, mapping, settings, rate_hz)
     run_record(RecordOptions(connect, session, duration_s, as_json), host_clock(clock_speed))
 
 

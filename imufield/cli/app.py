@@ -42,6 +42,7 @@ def root(
 _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
     "Calibrate": {
         "devices": acquire.devices,
+        "probe": acquire.probe,
         "capture": acquire.capture,
         "solve": calibrate.solve,
         "report": deliver.report,

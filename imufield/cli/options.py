@@ -31,6 +31,10 @@ ProtocolFile = Annotated[Path | None, typer.Option("--protocol", help="Your own 
 Settings = Annotated[
     list[str] | None, typer.Option("--set", help="What the wire does not tell, e.g. accelerometer_range_g=30.")
 ]
+RateHz = Annotated[
+    float | None,
+    typer.Option(help="Set the output rate of the instrument, where its driver can; put back at the end.", min=0.1),
+]
 SessionFolder = Annotated[Path | None, typer.Option("--session", help="Folder of the session (default: a new one).")]
 AsJson = Annotated[bool, typer.Option("--json", help="JSON on standard output and nothing else.")]
 
@@ -88,6 +92,7 @@ def connect_options(
     dbc: Path | None,
     mapping: list[str] | None,
     settings: list[str] | None,
+    rate_hz: float | None = None,
 ) -> ConnectOptions:
     """Return where and how to connect; a bus or a port that was typed goes before the other as a default.
 
@@ -106,7 +111,15 @@ def connect_options(
             raise UsageError(f"--port {port} and --bus {bus} contradict each other; give one of them")
         port, bus = (port, None) if is_port else (None, bus)
     return ConnectOptions(
-        port, driver, baud, protocol, parse_settings(settings), bus=bus, dbc=dbc, mapping=parse_mapping(mapping)
+        port,
+        driver,
+        baud,
+        protocol,
+        parse_settings(settings),
+        bus=bus,
+        dbc=dbc,
+        mapping=parse_mapping(mapping),
+        rate_hz=rate_hz,
     )
 
 

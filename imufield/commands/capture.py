@@ -88,7 +88,7 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
     site.gravity()
     connected = connect(options.connect if earlier is None else connect_as_before(options.connect, earlier), clock)
     with ExitStack() as stack:
-        stack.callback(connected.link.close)
+        stack.callback(connected.close)
         session = earlier or new_session(options, connected, site)
         stack.enter_context(session.lock())
         if earlier is not None:

@@ -17,26 +17,29 @@ from imufield.acquire.background_link import BackgroundLink, ReopenableLink
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver, Wire
 from imufield.acquire.host_clock import HostClock, ScaledClock, SystemClock
-from imufield.acquire.link import Chunk, open_link
+from imufield.acquire.instrument import Instrument
+from imufield.acquire.link import Chunk
 from imufield.acquire.ports import serial_ports
 from imufield.acquire.protocol import Protocol, load_protocol, parse_protocol
+from imufield.acquire.recognise import Candidate, Ear
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.acquire.statistics import DecoderStatistics
-from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
+from imufield.commands.listen import (
+    SEARCH_S,
+    Search,
+    bauds_to_try,
+    driver_candidates,
+    has_no_baud,
+    listen_again,
+    nothing_recognised,
+    search,
+    serial_candidates,
+)
+from imufield.errors import LinkError, Reason, UsageError
 
-LISTEN_S = 5.0
-"""Longest silence or noise before giving up where driver and bit rate are given: instruments start within 1 s to 5 s."""
-TRY_S = 1.2
-"""Listening to each bit rate where it is not given: more than ten frames of a 10 Hz instrument."""
-CERTAIN_SAMPLES = 20
-"""Samples with good checksums that end the listening; 20 false ones of a 16-bit checksum would take 10^96 tries."""
-FEWEST_SAMPLES = 5
-TEXT_SHARE = 0.5
-"""Share of the bytes that must belong to good frames, so that noise does not pass for a format without checksum."""
-ANSWER_S = 0.5
-"""Wait for the answer to a question about identity; an instrument that takes none stays unasked and says nothing."""
 FALLBACK_BAUD = 115200
 """Where a protocol file is given without a bit rate: the usual setting of serial instruments."""
+SPARE = 1.1
+"""Bytes do not follow one another without a gap (the 1.1 of the STIM300 datasheet holds for the others as well)."""
 
 Say = Callable[[str], None]
 
@@ -57,6 +60,8 @@ class ConnectOptions:
     dbc: Path | None = None
     mapping: Mapping[str, str] = field(default_factory=dict)
     """Which signal of ``dbc`` is which axis, as ``parse_map`` returns it."""
+    rate_hz: float | None = None
+    """Output rate to set; None leaves it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +78,23 @@ class Connected:
     """What arrived while listening; the first of the recording."""
     identity: dict[str, str]
     wire: Wire = "serial"
+    instrument: Instrument | None = None
+    """Takes commands; None on a bus and without a driver."""
+    rate_hz: float | None = None
+    """Output rate that was asked for."""
+    rate_before_hz: float | None = None
+    """What it was before."""
+
+    def close(self) -> None:
+        """Leave the instrument as it was found, and give the link back."""
+        try:
+            if self.instrument is not None and self.instrument.is_changed:
+                self.link.drain()
+                self.instrument.restore(self.link)
+        except LinkError as error:
+            typer.echo(f"the instrument was not put back as it was: {error.message}; switching it off and on does it", err=True)
+        finally:
+            self.link.close()
 
     def session_tables(self) -> dict[str, Any]:
         """Return the tables of ``session.toml`` that describe instrument, link and protocol."""
@@ -96,37 +118,12 @@ class Connected:
         if self.wire == "can":
             bit_rate = {} if self.baud is None else {"bit_rate": self.baud}
             return {"bus": self.link.name, **bit_rate}
-        return {"port": self.link.name, "baud": self.baud}
-
-
-@dataclass(frozen=True, slots=True)
-class _Candidate:
-    """A way to read the wire: a driver, or the user's protocol."""
-
-    name: str
-    title: str
-    protocol: Protocol
-    bauds: tuple[int, ...]
-    driver: type[Driver] | None
-
-
-@dataclass(slots=True)
-class _Hearing:
-    """What one listening gave: chunks, and a decoder for each candidate."""
-
-    link: ReopenableLink
-    baud: int
-    chunks: list[Chunk]
-    decoders: list[tuple[_Candidate, Decoder]]
-
-    @property
-    def byte_count(self) -> int:
-        return sum(len(chunk.data) for chunk in self.chunks)
-
-    def best(self) -> tuple[_Candidate, Decoder] | None:
-        """Return the candidate that understood the most bytes, if any understood enough."""
-        good = [(found, decoder) for found, decoder in self.decoders if _is_understood(decoder.statistics)]
-        return max(good, key=lambda one: -one[1].statistics.bytes_skipped, default=None)
+        rates = {"rate_hz": self.rate_hz, "rate_before_hz": self.rate_before_hz}
+        return {
+            "port": self.link.name,
+            "baud": self.baud,
+            **{name: value for name, value in rates.items() if value is not None},
+        }
 
 
 def host_clock(speed: float) -> HostClock:
@@ -165,23 +162,22 @@ def connect(options: ConnectOptions, clock: HostClock, *, say: Say | None = None
     if options.bus is not None:
         from imufield.commands.connect_can import connect_bus
 
+        if options.rate_hz is not None:
+            raise UsageError("--rate-hz is for instruments on a serial port; leave it out on a CAN bus")
         return connect_bus(options, clock, say)
     _refuse_can_options(options)
     port = options.port or _only_port(say)
     candidates = _candidates(options)
-    bauds = _bauds(options, candidates, port)
-    patience_s = LISTEN_S if len(bauds) == 1 else TRY_S
+    bauds = bauds_to_try(candidates, port, options.baud)
     if len(bauds) > 1:
-        say(f"listening on {port} at {len(bauds)} bit rates, up to {patience_s:g} s each (--baud is quicker)")
-    heard: list[_Hearing] = []
-    for baud in bauds:
-        hearing = _listen(port, baud, [one for one in candidates if baud in one.bauds or len(bauds) == 1], clock, patience_s)
-        found = hearing.best()
-        if found is not None:
-            return _connected(hearing, *found, options, clock, say)
-        hearing.link.close()
-        heard.append(hearing)
-    raise _nothing_understood(port, heard, candidates, patience_s)
+        say(f"listening on {port} at {len(bauds)} bit rates, up to {SEARCH_S:g} s in all (--baud and --driver are quicker)")
+    is_given = any(one is not None for one in (options.driver, options.protocol, options.protocol_text))
+    found = search(port, candidates, bauds, clock, is_given=is_given)
+    try:
+        return _connected(found, options, clock, say)
+    except BaseException:
+        found.link.close()
+        raise
 
 
 def _refuse_can_options(options: ConnectOptions) -> None:
@@ -214,121 +210,150 @@ def _only_port(say: Say) -> str:
     raise UsageError(f"which port? give it with --port; serial ports of this machine: {found}", Reason.PORT_NOT_FOUND)
 
 
-def _candidates(options: ConnectOptions) -> list[_Candidate]:
+def _candidates(options: ConnectOptions) -> list[Candidate]:
     if options.protocol is not None or options.protocol_text is not None:
         if options.protocol is not None:
             protocol = load_protocol(options.protocol, options.settings)
         else:
             protocol = parse_protocol(options.protocol_text or "", options.settings, label="protocol of the session")
         baud = options.baud or FALLBACK_BAUD
-        return [_Candidate(protocol.name, protocol.title, protocol, (baud,), None)]
+        return [Candidate(protocol.name, protocol.title, protocol, (baud,), None)]
+    if options.driver is None:
+        return serial_candidates(options.settings)
     names = driver_names()
-    if options.driver is not None:
-        if options.driver not in names:
-            raise UsageError(f"there is no driver {options.driver!r}; choose one of {', '.join(names)}", Reason.UNKNOWN_DRIVER)
-        names = [options.driver]
-    candidates = []
-    for name in names:
-        driver = load_driver(name)
-        if driver.wire != "serial":
-            continue
-        known = load_protocol(driver.protocol).settings
-        given = options.settings if options.driver else {key: value for key, value in options.settings.items() if key in known}
-        candidates.append(_Candidate(name, driver.title, driver.load_protocol(given), driver.bauds, driver))
-    return candidates
-
-
-def _bauds(options: ConnectOptions, candidates: list[_Candidate], port: str) -> list[int]:
-    """Return the bit rates to try: one where it is given or means nothing, else those of the candidates, likeliest first."""
-    if options.baud is not None:
-        return [options.baud]
-    if _has_no_baud(port):
-        return [candidates[0].bauds[0]]
-    longest = max(len(one.bauds) for one in candidates)
-    in_order = [one.bauds[rank] for rank in range(longest) for one in candidates if rank < len(one.bauds)]
-    return list(dict.fromkeys(in_order))
-
-
-def _has_no_baud(port: str) -> bool:
-    """Return whether the bit rate means nothing to a port: addresses and pseudo-terminals take any."""
-    return "://" in port or _is_pseudo_terminal(port)
-
-
-def _is_pseudo_terminal(port: str) -> bool:
-    return str(Path(port).resolve()).startswith("/dev/pts/")
-
-
-def _listen(port: str, baud: int, candidates: list[_Candidate], clock: HostClock, patience_s: float) -> _Hearing:
-    """Read until one candidate is certain, or the patience is over."""
-    link = open_link(port, baud=baud, clock=clock)
-    hearing = _Hearing(link, baud, [], [(one, Decoder(one.protocol)) for one in candidates])
-    end_s = clock.monotonic_s() + patience_s
-    try:
-        while clock.monotonic_s() < end_s:
-            chunk = link.read()
-            if chunk is None:
-                continue
-            hearing.chunks.append(chunk)
-            for _, decoder in hearing.decoders:
-                decoder.feed(chunk.data, chunk.monotonic_s)
-            if any(_is_certain(decoder.statistics) for _, decoder in hearing.decoders):
-                break
-    except BaseException:
-        link.close()
-        raise
-    return hearing
-
-
-def _is_understood(statistics: DecoderStatistics) -> bool:
-    enough = statistics.samples >= FEWEST_SAMPLES
-    return enough and statistics.bytes_skipped <= (1 - TEXT_SHARE) * statistics.bytes_total
-
-
-def _is_certain(statistics: DecoderStatistics) -> bool:
-    return statistics.samples >= CERTAIN_SAMPLES and _is_understood(statistics)
+    if options.driver not in names:
+        raise UsageError(f"there is no driver {options.driver!r}; choose one of {', '.join(names)}", Reason.UNKNOWN_DRIVER)
+    return list(driver_candidates(load_driver(options.driver), options.settings))
 
 
 def ask_identity(
     link: ReopenableLink, chunks: list[Chunk], driver: type[Driver], decoder: Decoder, clock: HostClock
 ) -> list[dict[str, Any]]:
     """Return the instrument's messages: those heard, or the answers to commands that change nothing in it."""
-    messages = decoder.messages()
-    if driver.read_settings(messages) or driver.identity(messages):
-        return messages
-    for command in driver.identity_commands:
-        link.write(command)
-        end_s = clock.monotonic_s() + ANSWER_S
-        before = len(messages)
-        while clock.monotonic_s() < end_s and len(messages) == before:
-            chunk = link.read()
-            if chunk is not None:
-                chunks.append(chunk)
-                decoder.feed(chunk.data, chunk.monotonic_s)
-                messages += decoder.messages()
-    return messages
+    instrument = Instrument(driver, clock, set(decoder.statistics.by_kind))
+    return _ask(instrument, link, chunks, decoder.messages())
 
 
-def _connected(
-    hearing: _Hearing, found: _Candidate, decoder: Decoder, options: ConnectOptions, clock: HostClock, say: Say
-) -> Connected:
-    identity: dict[str, str] = {}
-    protocol = found.protocol
-    if found.driver is not None:
-        messages = ask_identity(hearing.link, hearing.chunks, found.driver, decoder, clock)
-        identity = found.driver.identity(messages)
-        if found.driver.read_settings(messages):
-            given = {name: one.value for name, one in protocol.settings.items() if one.origin == "given"}
-            protocol = found.driver.load_protocol(given, messages=messages)
-    model = identity.pop("model", "") or found.name
-    # Where the rate means nothing, the instrument's own is what a real port would need.
-    baud = found.bauds[0] if options.baud is None and _has_no_baud(hearing.link.name) else hearing.baud
-    if found.driver is not None and options.driver is None:
-        say(f"driver {found.name} (recognised: {decoder.statistics.frames} good frames of {found.title})")
-    if options.baud is None and "://" not in hearing.link.name:
-        say(f"bit rate {baud} (assumed)")
+def _ask(
+    instrument: Instrument, link: ReopenableLink, chunks: list[Chunk], heard: list[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    if instrument.driver.read_settings(heard) or instrument.driver.identity(heard):
+        return heard
+    answers = instrument.identify(link)
+    keep(instrument, chunks)
+    return [*heard, *answers]
+
+
+def keep(instrument: Instrument, chunks: list[Chunk]) -> None:
+    """Add what arrived during a command; where that interrupted the stream, what came before is no part of it any more."""
+    if instrument.interrupted:
+        chunks.clear()
+    else:
+        chunks += instrument.chunks
+
+
+def _connected(found: Search, options: ConnectOptions, clock: HostClock, say: Say) -> Connected:
+    instrument = None
+    if found.found is None:
+        instrument = _woken(found, clock, say)
+    ear = found.found
+    if ear is None:
+        raise nothing_recognised(found.link.name, found)
+    candidate, chunks, identity = ear.candidate, found.last.chunks, {}
+    protocol = candidate.protocol
+    _say_found(found, ear, options, say)
+    rate_before_hz = None
+    if candidate.driver is not None:
+        instrument = instrument or Instrument(candidate.driver, clock, set(ear.decoder.statistics.by_kind))
+        messages = _ask(instrument, found.link, chunks, ear.messages())
+        identity = candidate.driver.identity(messages)
+        if options.rate_hz is not None:
+            rate_before_hz = _set_rate(instrument, found, options.rate_hz, say)
+            messages += instrument.state
+        protocol = _with_settings(candidate, messages)
+    elif options.rate_hz is not None:
+        raise UsageError("--rate-hz needs an instrument with a driver, a protocol file says nothing of commands; leave it out")
+    if identity:
+        say("instrument: " + ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in identity.items()))
     for sentence in assumed(protocol):
         say(sentence)
-    return Connected(BackgroundLink(hearing.link), protocol, found.name, model, baud, hearing.chunks, identity)
+    model = identity.pop("model", "") or candidate.name
+    baud = _baud_of(found, ear, options)
+    link = BackgroundLink(found.link)
+    return Connected(
+        link, protocol, candidate.name, model, baud, chunks, identity, "serial", instrument, options.rate_hz, rate_before_hz
+    )
+
+
+def _woken(found: Search, clock: HostClock, say: Say) -> Instrument | None:
+    """Tell a silent instrument to send, where the user said which it is; ``found`` has what is heard then."""
+    ears = found.last.ears
+    driver = ears[0].candidate.driver if len(ears) == 1 else None
+    if found.last.byte_count or driver is None or "start and stop" not in driver.abilities:
+        return None
+    instrument = Instrument(driver, clock)
+    try:
+        instrument.start(found.link)
+    except LinkError:
+        return None
+    say(f"{driver.title} was silent and was told to send; it is silenced again at the end")
+    listen_again(found, clock)
+    return instrument
+
+
+def _with_settings(candidate: Candidate, messages: list[dict[str, Any]]) -> Protocol:
+    """Return the protocol with what the instrument told of its settings."""
+    if candidate.driver is None or not candidate.driver.read_settings(messages):
+        return candidate.protocol
+    given = {name: one.value for name, one in candidate.protocol.settings.items() if one.origin == "given"}
+    return candidate.driver.load_protocol(given, messages=messages)
+
+
+def _set_rate(instrument: Instrument, found: Search, rate_hz: float, say: Say) -> float:
+    """Set the output rate; return what it was."""
+    if found.found is not None and not has_no_baud(found.link.name):
+        check_capacity(found.found, rate_hz, found.last.baud)
+    before_hz = instrument.set_rate(found.link, rate_hz)
+    keep(instrument, found.last.chunks)
+    tried = "" if instrument.driver.abilities["rate"] == "verified on real bytes" else "; experimental, from documents alone"
+    say(f"output rate {rate_hz:g} Hz (was {before_hz:g} Hz, which is put back at the end{tried})")
+    return before_hz
+
+
+def check_capacity(ear: Ear, rate_hz: float, baud: int) -> None:
+    """Refuse a rate that the wire cannot carry: ten bits for each byte, and a tenth to spare.
+
+    Raises
+    ------
+    UsageError
+        If it cannot.
+    """
+    counts = ear.decoder.statistics
+    if counts.samples == 0:
+        return
+    highest_hz = baud / (10 * SPARE) / (counts.bytes_total / counts.samples)
+    if rate_hz > highest_hz:
+        raise UsageError(
+            f"{rate_hz:g} Hz do not fit on a wire of {baud} bit/s, which carries {highest_hz:.0f} such samples a second; "
+            "give a lower --rate-hz, or set a higher bit rate with the maker's program",
+            rate_hz=rate_hz,
+            highest_hz=highest_hz,
+        )
+
+
+def _baud_of(found: Search, ear: Ear, options: ConnectOptions) -> int:
+    """Return the bit rate; where it means nothing, the instrument's own is what a real port would need."""
+    assumed_it = options.baud is None and has_no_baud(found.link.name)
+    return ear.candidate.bauds[0] if assumed_it else found.last.baud
+
+
+def _say_found(found: Search, ear: Ear, options: ConnectOptions, say: Say) -> None:
+    if ear.candidate.driver is not None and options.driver is None:
+        say(f"driver {ear.candidate.name} (recognised: {ear.finding().evidence()} of {ear.candidate.title})")
+        for name, value in ear.candidate.variant.items():
+            say(f"{name} = {value} (recognised)")
+    if options.baud is None and "://" not in found.link.name:
+        say(f"bit rate {_baud_of(found, ear, options)} (assumed)")
 
 
 def assumed(protocol: Protocol) -> list[str]:
@@ -342,26 +367,3 @@ def assumed(protocol: Protocol) -> list[str]:
 
 _WORTH_SAYING = ("accelerometer_range_g", "columns", "accelerometer_unit", "gyroscope_unit")
 """Settings that change every number, so that an assumed value must be seen."""
-
-
-def _nothing_understood(port: str, heard: list[_Hearing], candidates: list[_Candidate], patience_s: float) -> LinkError:
-    bauds = ", ".join(str(hearing.baud) for hearing in heard)
-    total = sum(hearing.byte_count for hearing in heard)
-    names = ", ".join(one.name for one in candidates)
-    if total == 0:
-        return LinkTimeoutError(
-            f"{port} is silent: no byte within {patience_s:g} s at {bauds} bit/s; check power, cable, RX/TX and that the "
-            "instrument is set to send by itself",
-            Reason.SILENCE,
-            port=port,
-            waited_s=patience_s,
-        )
-    good = max(decoder.statistics.samples for hearing in heard for _, decoder in hearing.decoders)
-    return LinkError(
-        f"{port} sends, but not {names}: {total} bytes at {bauds} bit/s made {good} samples and {FEWEST_SAMPLES} are "
-        "needed; give the right --baud or --driver, or describe the format with --protocol",
-        Reason.NO_FRAMES,
-        port=port,
-        bytes=total,
-        samples=good,
-    )

@@ -22,17 +22,10 @@ from imufield.acquire.driver import Driver
 from imufield.acquire.host_clock import HostClock
 from imufield.acquire.link import Chunk
 from imufield.acquire.protocol import parse_protocol
+from imufield.acquire.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.commands.connect import (
-    CERTAIN_SAMPLES,
-    FEWEST_SAMPLES,
-    LISTEN_S,
-    Connected,
-    ConnectOptions,
-    Say,
-    ask_identity,
-    assumed,
-)
+from imufield.commands.connect import Connected, ConnectOptions, Say, ask_identity, assumed
+from imufield.commands.listen import LISTEN_S
 from imufield.errors import LinkError, LinkTimeoutError, ProtocolError, Reason, UsageError
 
 _IDENTIFIERS_NAMED = 8

@@ -12,6 +12,8 @@ from imufield.acquire.ports import serial_ports
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.errors import ProtocolError
 
+_TRIED = "verified on real bytes"
+
 
 def list_devices(*, as_json: bool) -> None:
     """Print ports and drivers; a driver that cannot be loaded is listed with its error."""
@@ -31,16 +33,24 @@ def list_devices(*, as_json: bool) -> None:
         table.add_row(port["device"], port["description"])
     console.print(table if ports else "no serial ports found: plug the instrument in, or give --port socket://host:port")
     table = Table(title="\ninstruments", title_justify="left", box=None, padding=(0, 2, 0, 0))
-    for heading in ("driver", "instrument", "bit rate", "tried"):
+    for heading in ("driver", "instrument", "bit rate", "tried", "can be told to"):
         table.add_column(heading)
     for driver in drivers:
-        table.add_row(driver["name"], driver["title"], str(driver["default_baud"]), driver["status"])
+        told = ", ".join(f"{name}{'' if tried == _TRIED else '*'}" for name, tried in driver["abilities"].items())
+        table.add_row(driver["name"], driver["title"], str(driver["default_baud"]), driver["status"], told)
     console.print(table)
+    console.print("* experimental: commands and answers from documents, never seen on a real instrument")
 
 
 def _describe(name: str) -> dict[str, Any]:
     try:
         driver = load_driver(name)
     except ProtocolError as error:
-        return {"name": name, "title": error.message, "default_baud": "", "status": "cannot be loaded"}
-    return {"name": name, "title": driver.title, "default_baud": driver.default_baud, "status": driver.status}
+        return {"name": name, "title": error.message, "default_baud": "", "status": "cannot be loaded", "abilities": {}}
+    return {
+        "name": name,
+        "title": driver.title,
+        "default_baud": driver.default_baud,
+        "status": driver.status,
+        "abilities": dict(driver.abilities),
+    }

@@ -44,7 +44,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
     clock = clock or SystemClock()
     connected = connect(options.connect, clock)
     with ExitStack() as stack:
-        stack.callback(connected.link.close)
+        stack.callback(connected.close)
         session = _new_session(options, connected)
         stack.enter_context(session.lock())
         metadata = part_metadata(connected.protocol, connected.session_tables())

@@ -112,6 +112,7 @@ def connect_as_before(options: ConnectOptions, session: Session) -> ConnectOptio
         driver=driver,
         settings={**(given if options.protocol is None else {}), **options.settings},
         protocol_text=text,
+        rate_hz=options.rate_hz or link.get("rate_hz"),
     )
 
 

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import struct
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from crccheck.crc import Crc32Mpeg2
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 # fmt: off
 LENGTHS = {

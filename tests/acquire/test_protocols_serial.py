@@ -290,6 +290,14 @@ def test_a_recording_gives_the_same_however_it_is_cut(name: str, shared_folder: 
     assert some
 
 
+@pytest.mark.parametrize("name", [name for name in CAPTURES if name != "oem7"])
+def test_the_acceleration_of_every_recording_is_of_the_size_of_gravity(name: str, shared_folder: Path) -> None:
+    samples, _ = samples_of(*capture(shared_folder, name)[:2])
+    finite = samples.accelerometer[np.isfinite(samples.accelerometer).all(axis=1)]
+    assert samples.units.accelerometer == "m/s^2"
+    assert np.median(np.linalg.norm(finite, axis=1)) == pytest.approx(STANDARD_GRAVITY_M_S2, rel=0.1)
+
+
 def test_counts_of_frames_in_recordings(shared_folder: Path) -> None:
     _, decoder = samples_of(*capture(shared_folder, "mip")[:2])
     assert decoder.statistics.by_kind == {"0x80": 3549, "0x82": 354, "0xA0": 140, "base": 1}

@@ -1,0 +1,166 @@
+"""``imufield probe``: what is on a port, with the evidence, and the command line that reads it."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import typer
+
+from imufield.acquire.host_clock import HostClock
+from imufield.acquire.instrument import Instrument
+from imufield.acquire.ports import serial_ports
+from imufield.acquire.recognise import Ear, Finding
+from imufield.commands.listen import Search, bauds_to_try, has_no_baud, nothing_recognised, search, serial_candidates
+from imufield.errors import ImufieldError, LinkError, Reason
+
+PORTS_AT_ONCE = 8
+_OTHERS_NAMED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Probed:
+    """What was found on one port.
+
+    Attributes
+    ----------
+    port : str
+    found : Finding or None
+    baud : int or None
+        Bit rate that was found; None where it means nothing to the port.
+    command : str
+        Command line that reads it.
+    identity : dict
+        What the instrument said of itself.
+    others : list of Finding
+        What else had frames in it.
+    error : ImufieldError or None
+        Why nothing was found.
+    """
+
+    port: str
+    found: Finding | None = None
+    baud: int | None = None
+    command: str = ""
+    identity: dict[str, str] = field(default_factory=dict)
+    others: list[Finding] = field(default_factory=list)
+    error: ImufieldError | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        return {
+            "port": self.port,
+            "found": None if self.found is None else self.found.to_dict(),
+            "baud": self.baud,
+            "command": self.command,
+            "identity": self.identity,
+            "others": [one.to_dict() for one in self.others],
+            "error": None if self.error is None else {"reason": self.error.reason.value, "message": self.error.message},
+        }
+
+
+def run_probe(port: str | None, baud: int | None, clock: HostClock, *, ask: bool, as_json: bool) -> list[Probed]:
+    """Probe one port, or all of this machine at once, and print what was found.
+
+    Raises
+    ------
+    LinkError
+        There is no port, or on none of them anything was recognised.
+    """
+    ports = [port] if port is not None else [one.device for one in serial_ports()]
+    if not ports:
+        raise LinkError(
+            "no serial ports found: plug the instrument in, or give --port /dev/ttyUSB0 or --port socket://host:port",
+            Reason.PORT_NOT_FOUND,
+        )
+    if not as_json:
+        typer.echo(f"listening on {', '.join(ports)}, up to 10 s; {_WRITES if ask else _SILENT}", err=True)
+    with ThreadPoolExecutor(min(len(ports), PORTS_AT_ONCE)) as pool:
+        results = list(pool.map(lambda one: probe_port(one, baud, clock, ask=ask), ports))
+    if as_json:
+        typer.echo(json.dumps({"ports": [one.to_dict() for one in results]}))
+    else:
+        for one in results:
+            _show(one)
+    errors = [one.error for one in results if one.error is not None]
+    if len(errors) == len(results):
+        raise errors[0] if len(errors) == 1 else _nothing_anywhere(results)
+    return results
+
+
+_SILENT = "nothing is sent to the instrument (--ask lets it say who it is)"
+_WRITES = "the instrument is asked who it is"
+
+
+def probe_port(port: str, baud: int | None, clock: HostClock, *, ask: bool = False) -> Probed:
+    """Listen on one port, and (``ask``) let the instrument say who it is; errors of the port are part of the result."""
+    candidates = serial_candidates()
+    bauds = bauds_to_try(candidates, port, baud)
+    try:
+        found = search(port, candidates, bauds, clock)
+    except ImufieldError as error:
+        return Probed(port, error=error)
+    try:
+        others = _others(found)
+        if found.found is None:
+            return Probed(port, others=others, error=nothing_recognised(port, found))
+        rate = None if has_no_baud(port) and baud is None else found.last.baud
+        identity = _identity(found, found.found, clock, ask=ask)
+        return Probed(port, found.found.finding(), rate, _command(port, found.found, rate), identity, others)
+    finally:
+        found.link.close()
+
+
+def _identity(found: Search, ear: Ear, clock: HostClock, *, ask: bool) -> dict[str, str]:
+    """Return what the instrument said of itself without being asked, or (``ask``) when asked."""
+    driver = ear.candidate.driver
+    if driver is None:
+        return {}
+    identity = driver.identity(ear.messages())
+    if identity or not ask or "identify" not in driver.abilities:
+        return identity
+    try:
+        return driver.identity(Instrument(driver, clock, set(ear.decoder.statistics.by_kind)).identify(found.link))
+    except LinkError:
+        return {}
+
+
+def _others(found: Search) -> list[Finding]:
+    ears = [ear for hearing in found.hearings for ear in hearing.ears if ear is not found.found]
+    findings = sorted((ear.finding() for ear in ears), key=lambda one: (one.frames, one.share), reverse=True)
+    return [one for one in findings if one.frames][:_OTHERS_NAMED]
+
+
+def _command(port: str, ear: Ear, baud: int | None) -> str:
+    words = ["imufield", "capture", "--port", port, "--driver", ear.candidate.name]
+    words += [] if baud is None else ["--baud", str(baud)]
+    for name, value in ear.candidate.variant.items():
+        words += ["--set", f"{name}={value}"]
+    return shlex.join(words)
+
+
+def _show(one: Probed) -> None:
+    if one.found is None:
+        typer.echo(f"{one.port}: nothing recognised ({'' if one.error is None else one.error.message})")
+    else:
+        typer.echo(f"{one.port}: {one.found.title}")
+        typer.echo(f"  evidence    {one.found.evidence()}")
+        if one.baud is not None:
+            typer.echo(f"  bit rate    {one.baud}")
+        if one.identity:
+            typer.echo(f"  instrument  {', '.join(f'{name} {value}' for name, value in one.identity.items())}")
+        typer.echo(f"  command     {one.command}")
+    for other in one.others:
+        typer.echo(f"  not         {other.name}: {other.reason or 'less of it was understood'} ({other.frames} frames)")
+
+
+def _nothing_anywhere(results: list[Probed]) -> LinkError:
+    ports = ", ".join(one.port for one in results)
+    reasons = {one.error.reason for one in results if one.error is not None}
+    return LinkError(
+        f"nothing was recognised on {ports}; connect the instrument and switch it on, or say what it is with --driver",
+        Reason.SILENCE if reasons == {Reason.SILENCE} else Reason.NO_FRAMES,
+    )
