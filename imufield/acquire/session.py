@@ -116,8 +116,9 @@ class Session:
         except OSError as error:
             raise _cannot_write(folder, error) from error
         if not is_empty:
+            what = "holds a session already" if (folder / SETTINGS_FILE).exists() else "is not empty"
             raise RecordingError(
-                f"{folder} is not empty and nothing is overwritten: choose a new folder, or `--resume` an unfinished session.",
+                f"{folder} {what} and nothing is overwritten: choose a new folder.",
                 Reason.UNFINISHED if (folder / SETTINGS_FILE).exists() else Reason.FOREIGN,
                 folder=str(folder),
             )

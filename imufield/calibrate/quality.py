@@ -271,8 +271,8 @@ def _notes(evidence: Evidence) -> list[str]:
         notes.append("no uncertainty came with the positions: all weigh the same, and sigma is from the residuals")
     if evidence.sign_source == "assumed":
         notes.append(
-            "the axes are assumed positive, in the order x, y, z and right-handed: the norm is the same for reversed or "
-            "swapped ones, and neither planned positions nor a preset tell"
+            "the signs of the axes are assumed positive, their order x, y, z and right-handed: the norm is the "
+            "same for reversed or swapped ones, and neither planned positions nor a preset tell"
         )
     gravity = evidence.gravity
     if gravity.source != "assumed":

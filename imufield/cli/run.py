@@ -17,6 +17,8 @@ from imufield.cli import EXIT_INTERRUPTED
 from imufield.cli.app import app
 from imufield.errors import ImufieldError, RecordingError
 
+RECORDING_COMMANDS = ("capture", "record", "demo")
+
 
 class Interrupted(KeyboardInterrupt):
     """SIGTERM or SIGHUP, handled as Ctrl-C is."""
@@ -78,10 +80,17 @@ def _run(arguments: list[str]) -> int:
             # typer leaves with 1 then, which is kept for defects.
             raise leave.__context__ from None
         if leave.code == EXIT_INTERRUPTED or isinstance(leave.__context__, typer.Abort):
-            typer.secho("imufield: interrupted; what was recorded is on disk.", err=True)
+            typer.secho(f"imufield: {_interrupted_words(arguments)}.", err=True)
             return EXIT_INTERRUPTED
         return leave.code if isinstance(leave.code, int) else 0
     return 0
+
+
+def _interrupted_words(arguments: list[str]) -> str:
+    command = arguments[0] if arguments else ""
+    if command in RECORDING_COMMANDS:
+        return "interrupted; what was recorded is on disk"
+    return "interrupted; the new session is not whole: remove it and import again" if command == "import" else "interrupted"
 
 
 def _was_interrupted(error: BaseException) -> bool:

@@ -10,6 +10,7 @@ from imufield.acquire.recording import Damage
 from imufield.acquire.session import Session
 from imufield.commands.chain import session_samples
 from imufield.commands.import_files import table_samples
+from imufield.commands.rows import RowCount
 from imufield.deliver.apply_session import apply_session
 from imufield.deliver.parameters import load
 
@@ -26,9 +27,14 @@ def run_apply(parameters: Path, source: Path, output: Path) -> None:
     damage: list[Damage] = []
     if source.is_dir():
         session = Session.open(source)
-        rows = apply_session(loaded, session_samples(session, damage), output, serial_number=session.serial_number)
+        serial_number, blocks = session.serial_number, session_samples(session, damage)
     else:
-        rows = apply_session(loaded, table_samples(source), output)
+        serial_number, blocks = "", table_samples(source)
+    count = RowCount()
+    rows = apply_session(loaded, count.through(blocks), output, serial_number=serial_number)
     for one in damage:
         typer.echo(one.what, err=True)
     typer.echo(f"{rows} corrected samples in {output}")
+    typer.echo("time in s, specific force in m/s^2, angular rate in rad/s, temperature in degC")
+    if count.flags():
+        typer.echo(count.flags())

@@ -27,9 +27,9 @@ from imufield.calibrate.result import AccelerometerParameters, Calibration
 from imufield.commands.capture import Captured, CaptureOptions, run_capture
 from imufield.commands.connect import ConnectOptions
 from imufield.commands.site import SiteOptions
-from imufield.commands.solve import PARAMETER_FILE, SolveOptions, solve_session
+from imufield.commands.solve import SolveOptions, solve_session
 from imufield.commands.views import ViewName
-from imufield.deliver.parameters import write_document
+from imufield.deliver.parameters import PARAMETER_FILE, write_document
 from imufield.deliver.summary import Outcome, print_summary
 from imufield.errors import LinkError, Reason
 from imufield.samples import FloatArray

@@ -9,6 +9,7 @@ import typer
 
 from imufield.commands.configuration import parse_settings
 from imufield.deliver.exports import TARGETS, export_options, export_parameters, write_exported
+from imufield.deliver.numbers import hanging
 from imufield.deliver.parameters import load
 
 
@@ -22,7 +23,7 @@ def run_export(path: Path, target: str | None, settings: list[str] | None, outpu
     """
     if target is None:
         for one in TARGETS.values():
-            typer.echo(f"{one.name:<12} {one.title}: {one.holds}")
+            typer.echo(hanging(f"{one.name:<12} ", f"{one.title}: {one.holds}"))
         return
     exported = export_parameters(load(path), target, export_options(parse_settings(settings)))
     written = [str(one) for one in write_exported(exported, output)]
@@ -32,6 +33,6 @@ def run_export(path: Path, target: str | None, settings: list[str] | None, outpu
     for name in written:
         typer.echo(f"written: {name}")
     for loss in exported.losses:
-        typer.echo(f"lost:    {loss}")
+        typer.echo(hanging("lost:    ", loss))
     for note in exported.notes:
-        typer.echo(f"note:    {note}")
+        typer.echo(hanging("note:    ", note))

@@ -9,6 +9,7 @@ import typer
 from imufield.acquire.recording import Damage
 from imufield.acquire.session import Session
 from imufield.commands.chain import session_samples
+from imufield.commands.rows import RowCount
 from imufield.deliver.export_data import export_csv
 from imufield.errors import UsageError
 
@@ -28,7 +29,11 @@ def run_export_data(folder: Path | None, to: str, output: Path | None) -> None:
     session = Session.newest() if folder is None else Session.open(folder)
     path = output or session.folder / f"samples.{to}"
     damage: list[Damage] = []
-    rows = export_csv(session_samples(session, damage), path)
+    count = RowCount()
+    rows = export_csv(count.through(session_samples(session, damage)), path)
     for one in damage:
         typer.echo(one.what, err=True)
     typer.echo(f"{rows} samples in {path}")
+    typer.echo(f"time in s, {count.units()}, temperature in degC")
+    if count.flags():
+        typer.echo(count.flags())

@@ -24,7 +24,7 @@ from imufield.deliver.history import (
     sentences,
     to_csv,
 )
-from imufield.deliver.numbers import to_ascii, with_sigma
+from imufield.deliver.numbers import WIDTH, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError
 
 
@@ -74,19 +74,22 @@ def _print(history: History, options: HistoryOptions, now: datetime) -> None:
         count = len(instrument.entries)
         typer.echo(f"{instrument.title}: {count} calibration{'s' if count > 1 else ''}")
         for entry in instrument.entries:
-            typer.echo(f"  {entry.created[:10]}  {entry.verdict:<7} {entry.path}")
+            line = f"  {entry.created[:10]}  {entry.verdict:<7} {entry.path}"
+            # A path that is broken in two cannot be copied.
+            typer.echo(line if len(line) <= WIDTH else f"{line.removesuffix(entry.path).rstrip()}\n    {entry.path}")
         changes = {one.name: one for one in instrument.changes()}
+        name_width = max((len(number.name) for number in instrument.entries[-1].numbers), default=0)
         for number in instrument.entries[-1].numbers:
-            typer.echo(_line(number, changes.get(number.name)))
+            typer.echo(_line(number, changes.get(number.name), name_width))
         for sentence in sentences(instrument, now, options.stale_days):
-            typer.echo(f"  - {sentence}")
+            typer.echo(hanging("  - ", sentence))
         typer.echo("")
 
 
-def _line(number: Number, change: Change | None) -> str:
+def _line(number: Number, change: Change | None, name_width: int) -> str:
     moved = "" if change is None or math.isnan(change.in_sigma) else f"{change.in_sigma:+6.1f} sigma"
     value = to_ascii(with_sigma(number.value, number.sigma, sign=True))
-    return f"    {number.name:<18} {value:>24} {number.unit:<18}{moved}".rstrip()
+    return f"    {number.name:<{name_width}} {value:>22} {number.unit:<18}{moved}".rstrip()
 
 
 def _document(history: History, options: HistoryOptions, now: datetime) -> dict[str, Any]:

@@ -57,7 +57,7 @@ def run_noise(options: NoiseOptions) -> None:
     if options.plot is not None:
         write_output(options.plot, draw_plot(result, options.plot.suffix.removeprefix(".").lower() or "png"))
     if options.parameters is not None and parameters is not None:
-        _write_into(options.parameters, parameters, result)
+        _write_into(parameters.path or options.parameters, parameters, result)
     if options.as_json:
         typer.echo(json.dumps(_document(result)))
         return

@@ -19,9 +19,9 @@ from imufield.acquire.session import Session
 from imufield.commands.calibration import MoveListener
 from imufield.commands.chain import Chain, Plan, replay_into
 from imufield.commands.output import write_output
-from imufield.commands.solve import PARAMETER_FILE, session_sha256
+from imufield.commands.solve import session_sha256
 from imufield.deliver.document import VERSION
-from imufield.deliver.parameters import Parameters, load
+from imufield.deliver.parameters import PARAMETER_FILE, Parameters, load
 from imufield.deliver.parameters_write import content_sha256
 from imufield.deliver.report.data import (
     Closure,
@@ -80,6 +80,7 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
     session = _session(options)
     path = options.parameters or (session.folder / PARAMETER_FILE if session is not None else Path(PARAMETER_FILE))
     parameters = load(path)
+    path = parameters.path or path
     preset = None if options.preset is None else load(options.preset)
     _check_belongs(parameters, session, preset)
     found = _Replayed() if session is None else _replay(session, parameters, preset)

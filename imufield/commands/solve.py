@@ -26,14 +26,23 @@ from imufield.commands.configuration import parse_zero
 from imufield.commands.damage import naming_damage
 from imufield.commands.progress import ProgressLine
 from imufield.commands.site import SiteOptions
-from imufield.deliver.parameters import Context, Instrument, Parameters, SessionFacts, json_ready, load, write_document
+from imufield.deliver.numbers import hanging
+from imufield.deliver.parameters import (
+    PARAMETER_FILE,
+    Context,
+    Instrument,
+    Parameters,
+    SessionFacts,
+    json_ready,
+    load,
+    write_document,
+)
 from imufield.deliver.summary import Outcome, print_summary
 from imufield.errors import CalibrationError, Reason, UsageError, counted
 from imufield.guide.axes_check import AxesCheck
 from imufield.guide.events import Event, RefusalCode, Rejected
 from imufield.guide.guide import Guide
 
-PARAMETER_FILE = "parameters.toml"
 HASH_BLOCK_BYTES = 1 << 20
 FEWEST_POSITIONS = 6
 """For scale and bias, each axis up and down."""
@@ -86,7 +95,7 @@ def run_solve(options: SolveOptions) -> None:
         return
     print_summary(solved.parameters, Outcome(path, kept, None if session is None else session.folder))
     for note in solved.notes:
-        typer.echo(note)
+        typer.echo(hanging("", note))
 
 
 def solve_session(session: Session, options: SolveOptions, progress: ProgressLine | None = None) -> Solved:

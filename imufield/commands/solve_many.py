@@ -19,9 +19,9 @@ from rich.console import Console
 from rich.table import Table
 
 from imufield.acquire.session import Session
-from imufield.commands.solve import PARAMETER_FILE, SolveOptions, solve_session
+from imufield.commands.solve import SolveOptions, solve_session
 from imufield.deliver.numbers import MICRO_G
-from imufield.deliver.parameters import Parameters, from_document, json_ready, write_document
+from imufield.deliver.parameters import PARAMETER_FILE, Parameters, from_document, json_ready, write_document
 from imufield.errors import ImufieldError, UsageError
 from imufield.samples import FloatArray
 from imufield.study.campaign import run_campaign

@@ -102,7 +102,7 @@ def run_verify(options: VerifyOptions) -> Verification:
     task = _task(options)
     found = verify_session(task)
     document = to_document(found)
-    write_verification(options.output or verification_path(options.parameters), document)
+    write_verification(options.output or verification_path(task.parameters.path or options.parameters), document)
     if options.as_json:
         typer.echo(json.dumps(json_ready(document)))
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 
 import numpy as np
 
@@ -14,6 +15,8 @@ MICRO_G = STANDARD_GRAVITY_M_S2 * 1e-6
 ARC_MINUTE_RAD = math.pi / (180 * 60)
 DEG_PER_HOUR_RAD_S = math.pi / 180 / 3600
 MOST_DECIMALS = 9
+WIDTH = 80
+"""Columns where the width is not known: a pipe, a log file."""
 
 
 def decimals(sigma: float, digits: int = 2) -> int:
@@ -46,6 +49,13 @@ def with_sigma_within(width: int, value: float, sigma: float, *, sign: bool = Fa
         size = 10.0**exponent
         texts += [f"({with_sigma(value / size, sigma / size, sign=sign, digits=digits)})e{exponent}" for digits in (2, 1)]
     return next((text for text in texts if len(text) <= width), min(texts, key=len))
+
+
+def hanging(start: str, sentence: str) -> str:
+    """Return a sentence in lines of 80 columns behind ``start``, words whole, the lines below it indented as far."""
+    return textwrap.fill(
+        start + sentence, WIDTH, subsequent_indent=" " * len(start), break_long_words=False, break_on_hyphens=False
+    )
 
 
 def bar(share: float, width: int) -> str:

@@ -21,7 +21,11 @@ from imufield.deliver.schema import json_ready, parameter_schema
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray, Samples
 
+PARAMETER_FILE = "parameters.toml"
+"""Its name in the folder of a session."""
+
 __all__ = [
+    "PARAMETER_FILE",
     "Context",
     "Corrected",
     "Instrument",
@@ -192,7 +196,7 @@ def from_document(document: Document, *, path: Path | None = None) -> Parameters
 
 
 def load(path: str | Path) -> Parameters:
-    """Load a parameter file.
+    """Load a parameter file, or that of a session whose folder is given.
 
     ``.apply(samples)`` of what is returned corrects raw values; ``.calibration`` has every number with its uncertainty.
 
@@ -202,5 +206,7 @@ def load(path: str | Path) -> Parameters:
         If the file is not there, cut, damaged, newer than this program, not a parameter file, or edited by hand without
         saying so.
     """
+    path = Path(path)
+    path = path / PARAMETER_FILE if path.is_dir() else path
     found = read_document(path)
-    return replace(from_document(found.document, path=Path(path)), version=found.version)
+    return replace(from_document(found.document, path=path), version=found.version)

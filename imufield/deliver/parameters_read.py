@@ -89,8 +89,9 @@ def _text(path: Path) -> str:
     except UnicodeDecodeError as error:
         raise ParameterFileError(f"{path} is no text file; check the file name, or {_REMEDY}", where=str(path)) from error
     except OSError as error:
+        remedy = "check the file name, or make it with imufield solve"
         raise ParameterFileError(
-            f"{path} cannot be read ({error.strerror}); check the file name", Reason.FOREIGN, where=str(path)
+            f"{path} cannot be read ({error.strerror}); {remedy}", Reason.FOREIGN, where=str(path)
         ) from error
 
 

@@ -24,6 +24,7 @@ from imufield.deliver.numbers import (
     DEG_PER_HOUR_RAD_S,
     MICRO_G,
     MILLI_G,
+    WIDTH,
     acceleration_unit,
     bar,
     nominal_scale,
@@ -35,8 +36,6 @@ from imufield.deliver.parameters import Parameters
 from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
 from imufield.samples import AXES
 
-WIDTH = 80
-"""Columns where the width is not known: a pipe, a log file."""
 _VERDICT_STYLES = {"good": "bold green", "usable": "bold yellow", "poor": "bold red"}
 _VERDICT_WORDS = {
     "good": "fit for use",
@@ -283,7 +282,8 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
     calibration = parameters.calibration
     if calibration.gravity.source == "assumed":
         again = "imufield solve" if outcome.session is None else f"imufield solve {shlex.quote(str(outcome.session))}"
-        steps.append(f"tell where this was: {again} --latitude DEGREES --height METRES")
+        yield from _bullets(["tell where this was:"])
+        yield _unbroken(f"   {again} --latitude DEGREES --height METRES")
     if calibration.quality.degrees_of_freedom < 1:
         steps.append("take a session of 24 positions, in which each is checked by the others: imufield capture")
     elif calibration.quality.verdict == "poor":
@@ -294,7 +294,12 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
         if calibration.quality.verdict != "poor":
             steps.append("use it in Python: imufield.load(FILE).apply(samples)")
         yield Text("")
-        # A path that is broken in two cannot be copied: the terminal wraps it where it must.
-        yield Text.assemble(("Written to ", "bold"), str(outcome.path), overflow="ignore", no_wrap=True)
+        yield Text("Written to", style="bold")
+        yield _unbroken(str(outcome.path))
     if steps:
         yield from _bullets(steps)
+
+
+def _unbroken(text: str) -> Text:
+    """Return a path or a command on a line of its own: in two pieces it cannot be copied."""
+    return Text(text, overflow="ignore", no_wrap=True)

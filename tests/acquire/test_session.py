@@ -68,12 +68,12 @@ def test_without_a_session_the_newest_is_an_error_that_says_how_to_make_one(tmp_
 def test_a_folder_of_the_user_s_choice(tmp_path: Path) -> None:
     session = Session.create_in(tmp_path / "deep" / "mine", "imu")
     assert Session.open(session.folder / "session.toml").folder == session.folder
-    with pytest.raises(RecordingError, match="not empty") as caught:
+    with pytest.raises(RecordingError, match="holds a session already") as caught:
         Session.create_in(session.folder, "imu")
     assert caught.value.reason is Reason.UNFINISHED
     (tmp_path / "holiday").mkdir()
     (tmp_path / "holiday" / "beach.jpg").write_bytes(b"x")
-    with pytest.raises(RecordingError, match="not empty") as caught:
+    with pytest.raises(RecordingError, match="is not empty") as caught:
         Session.create_in(tmp_path / "holiday", "imu")
     assert caught.value.reason is Reason.FOREIGN
 

@@ -80,7 +80,7 @@ def test_what_cannot_be_seen_has_its_cost() -> None:
     assert "cannot show misalignment zy" in reasons
     assert "each mrad of misalignment left is 1 mg of error" in reasons
     assert "are taken as zero" in reasons
-    assert "assumed positive, in the order x, y, z and right-handed" in reasons
+    assert "assumed positive, their order x, y, z and right-handed" in reasons
 
 
 def test_one_position_is_one() -> None:

@@ -9,6 +9,7 @@ from imufield.deliver.numbers import (
     acceleration_unit,
     bar,
     decimals,
+    hanging,
     nominal_scale,
     to_ascii,
     with_sigma,
@@ -72,3 +73,13 @@ def test_units_of_the_trade() -> None:
 def test_ascii_says_the_same() -> None:
     assert to_ascii("± is: 1.23 ± 0.05 °/h") == "+- is: 1.23 +-0.05 deg/h"
     assert to_ascii("31 °C µg/g² █▎ ◄") == "31 degC ug/g^2 #. <"
+
+
+def test_long_sentences_hang_and_keep_their_words() -> None:
+    path = "x" * 90
+    words = "a sentence of so many words that it is longer than one line of a terminal, with"
+    lines = hanging("lost:    ", f"{words} {path}").splitlines()
+    assert lines[0].startswith("lost:    a sentence")
+    assert all(line.startswith(" " * 9) for line in lines[1:])
+    assert lines[-1].strip() == path
+    assert max(map(len, lines[:-1])) <= 80

@@ -123,14 +123,27 @@ class Job:
             return typed
         known = nominal_scale(unit)
         if known is None:
+            wanted = self._wanted_nominals()
             raise ParameterFileError(
                 f"{self.target.name} corrects values in SI and this {triad} is calibrated in {unit}; give the scale by which "
-                f"the target's driver makes SI of it, {triad}_nominal in {unit} per SI unit, or export to c, imu_tk or imucal",
+                f"the target's driver makes SI of it, {' and '.join(f'--set {name}=NUMBER ({per})' for name, per in wanted)}, "
+                "or export to c, imu_tk or imucal",
                 Reason.UNITS,
                 unit=unit,
                 target=self.target.name,
             )
         return known
+
+    def _wanted_nominals(self) -> list[tuple[str, str]]:
+        """Return every option that is missing, with its unit, so that they are asked for at once."""
+        calibration, options = self.parameters.calibration, self.options
+        gyroscope = calibration.gyroscope if self.has_gyroscope else None
+        triads = [("accelerometer_nominal", calibration.accelerometer_raw_unit, options.accelerometer_nominal, "m/s^2")]
+        if gyroscope is not None:
+            triads.append(("gyroscope_nominal", gyroscope.raw_unit, options.gyroscope_nominal, "rad/s"))
+        return [
+            (name, f"{unit} per {per}") for name, unit, typed, per in triads if typed is None and nominal_scale(unit) is None
+        ]
 
     def require_positive(self, triad: str, scale: FloatArray) -> None:
         """Check that the signs of a triad's axes can be expressed by a target that knows positive scales only."""

@@ -1,0 +1,42 @@
+"""What a table of samples holds, for the person who asked for it: units, and rows that are better left out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from imufield.samples import Samples, SampleUnits, Status
+
+
+class RowCount:
+    """Counts flagged rows of blocks that pass."""
+
+    def __init__(self) -> None:
+        self._units: SampleUnits | None = None
+        self._starting = 0
+        self._unusable = 0
+
+    def through(self, blocks: Iterable[Samples]) -> Iterator[Samples]:
+        """Yield the blocks as they are."""
+        for block in blocks:
+            self._units = self._units or block.units
+            self._starting += int(np.count_nonzero(block.status & np.uint32(Status.START_UP)))
+            self._unusable += int(np.count_nonzero(~block.usable))
+            yield block
+
+    def units(self) -> str:
+        """Return the units of the columns as they came, in words."""
+        units = self._units or SampleUnits()
+        each = (
+            units.accelerometer + " per sample" * units.accelerometer_is_increment,
+            units.gyroscope + " per sample" * units.gyroscope_is_increment,
+        )
+        return f"accelerometer in {each[0]}, gyroscope in {each[1]}"
+
+    def flags(self) -> str:
+        """Return a sentence on the rows that are flagged; empty where none is."""
+        if not self._unusable:
+            return ""
+        starting = f", {self._starting} of them from the instrument's start-up (16)" if self._starting else ""
+        return f"{self._unusable} rows are marked as not usable in the column status{starting}: leave them out of means"

@@ -1,0 +1,93 @@
+"""What commands say of what they wrote, took and left: units, flagged rows, places, interrupts."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import imufield
+from imufield.acquire.session import Session
+from imufield.cli.run import _interrupted_words, run
+from imufield.deliver.exports import export_parameters
+from imufield.deliver.parameters import Parameters
+from imufield.errors import ParameterFileError
+from imufield.samples import Samples, Status
+
+
+def starting_up(samples: Samples) -> Samples:
+    """Mark the first two seconds as the instrument's start-up."""
+    early = samples.time_s < samples.time_s.dtype.type(2.0)
+    return replace(samples, status=np.where(early, samples.status | np.uint32(Status.START_UP), samples.status))
+
+
+def test_tables_say_their_units_and_what_to_leave_out(
+    make_session: Callable[..., Session], capsys: pytest.CaptureFixture[str], solved_session: Path, tmp_path: Path
+) -> None:
+    session = make_session("faces6", change=starting_up)
+    table = tmp_path / "samples.csv"
+    assert run(["export-data", str(session.folder), "-o", str(table)]) == 0
+    told = capsys.readouterr().out
+    assert "time in s, accelerometer in m/s^2, gyroscope in rad/s, temperature in degC" in told
+    marked = sum(int(line.rsplit(",", 1)[1]) & Status.START_UP != 0 for line in table.read_text().splitlines()[1:])
+    assert marked > 100
+    assert (
+        f"{marked} rows are marked as not usable in the column status, {marked} of them from the instrument's start-up" in told
+    )
+    assert run(["apply", str(solved_session), str(session.folder), "-o", str(tmp_path / "corrected.csv")]) == 0
+    assert "specific force in m/s^2, angular rate in rad/s" in capsys.readouterr().out
+
+
+def test_the_folder_of_a_session_stands_for_its_parameters(
+    solved_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["export", str(solved_session), "--to", "c", "-o", str(tmp_path / "out.h")]) == 0
+    assert (tmp_path / "out.h").read_bytes()
+    assert imufield.load(solved_session).path == solved_session / "parameters.toml"
+    folder = tmp_path / "unsolved"
+    shutil.copytree(solved_session, folder)
+    (folder / "parameters.toml").unlink()
+    capsys.readouterr()
+    assert run(["export", str(folder), "--to", "c"]) == 5
+    assert "imufield solve" in capsys.readouterr().err
+
+
+def test_an_export_asks_for_all_that_is_missing_at_once(solved_session: Path) -> None:
+    parameters = imufield.load(solved_session)
+    calibration = parameters.calibration
+    assert calibration.gyroscope is not None
+    counts = replace(calibration, accelerometer_raw_unit="count", gyroscope=replace(calibration.gyroscope, raw_unit="count"))
+    unknown = Parameters(counts, parameters.context, parameters.document)
+    with pytest.raises(ParameterFileError) as caught:
+        export_parameters(unknown, "px4")
+    assert "--set accelerometer_nominal=NUMBER (count per m/s^2)" in caught.value.message
+    assert "--set gyroscope_nominal=NUMBER (count per rad/s)" in caught.value.message
+
+
+def test_an_import_onto_a_session_names_what_it_can_do(
+    solved_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "rows.csv").write_text("ax,ay,az,gx,gy,gz\n" + "0.1,0.2,9.8,0,0,0\n" * 50)
+    assert run(["import", str(tmp_path / "rows.csv"), "--rate-hz", "100", "-o", str(solved_session)]) == 4
+    told = capsys.readouterr().err
+    assert "holds a session already" in told
+    assert "--resume" not in told
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("capture", "what was recorded is on disk"),
+        ("solve", "interrupted"),
+        ("emulate", "interrupted"),
+        ("import", "not whole"),
+    ],
+)
+def test_an_interrupt_says_what_is_true(command: str, words: str) -> None:
+    told = _interrupted_words([command, "x"])
+    assert told.endswith(words) or words in told
+    assert ("on disk" in told) == (command == "capture")
