@@ -8,7 +8,7 @@ Frames
 Signs
     Specific force is what an accelerometer feels: a still instrument reads +g along the axis that points *up*.
 
-Measurement equations (METHODS names them after the papers; ``T`` and ``E`` have a unit diagonal, ``K`` is diagonal)
+Measurement equations (docs/maths.md names them after the papers; ``T`` and ``E`` have a unit diagonal, ``K`` is diagonal)
     accelerometer   s = T a,  N - raw_zero = K (s + b) + K2 s**2       element by element, "sensing" quadratic axes
                     N - raw_zero = K (T a + b) + K2 a**2               the printed form, "body" quadratic axes
     gyroscope       N = K E w + e + G a
@@ -20,7 +20,7 @@ Measurement equations (METHODS names them after the papers; ``T`` and ``E`` have
     K2  quadratic, raw unit per (m/s^2)^2            G   g_sensitivity, raw unit per m/s^2
 
 Words
-    link, chunk, frame, samples, still interval, position, observation, preset, session: see DESIGN section 4; the
+    link, chunk, frame, samples, still interval, position, observation, preset, session: the
     types of those names live in ``imufield.acquire``, ``imufield.samples``, ``imufield.guide``, ``imufield.calibrate``.
 
 Names carry their unit: ``rate_hz``, ``time_s``, ``bias_m_s2``, ``temperature_degc``.

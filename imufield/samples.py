@@ -20,7 +20,7 @@ AXES = ("x", "y", "z")
 ACCELEROMETER_COLUMNS = ("ax", "ay", "az")
 GYROSCOPE_COLUMNS = ("gx", "gy", "gz")
 SAMPLE_COLUMNS = ("time_s", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS, "temperature_degc", "counter", "status")
-"""Columns of exported samples, in this order (DESIGN section 6)."""
+"""Columns of exported samples, in this order (docs/file-formats.md)."""
 
 NO_COUNTER = -1
 """Value of ``Samples.counter`` where the instrument sends none."""

@@ -1,4 +1,4 @@
-"""pytest plugin: recorded captures replayed in tests, and emulated instruments on ports (DESIGN section 9).
+"""pytest plugin: recorded captures replayed in tests, and emulated instruments on ports (docs/replay-in-pytest.md).
 
 Installed with imufield; nothing heavy is imported before a fixture is used. Fixtures:
 

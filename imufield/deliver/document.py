@@ -1,6 +1,6 @@
 """Calibration <-> document: the plain dictionary that the parameter file and ``solve --json`` have in common.
 
-Keys and shapes are DESIGN section 5 and ``parameters.schema.json``. NaN stands for "not known" or "not estimated".
+Keys and shapes are docs/parameter-file.md and ``parameters.schema.json``. NaN stands for "not known" or "not estimated".
 """
 
 from __future__ import annotations

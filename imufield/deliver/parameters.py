@@ -1,6 +1,6 @@
 """The parameter file for programs: ``imufield.load(path).apply(samples)``.
 
-The format is DESIGN section 5; ``parameters.schema.json`` beside this file is its JSON Schema.
+The format is docs/parameter-file.md; ``parameters.schema.json`` beside this file is its JSON Schema.
 """
 
 from __future__ import annotations

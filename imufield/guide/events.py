@@ -1,4 +1,4 @@
-"""Events of the guide: what it has to say, to every front end alike (DESIGN section 7).
+"""Events of the guide: what it has to say, to every front end alike (docs/events.md).
 
 An event is a value; ``to_dict`` gives it for JSON lines, with ``version`` and ``event``. Within one version keys are only
 added. Times are of the sample clock. Terminal, plain lines, JSON lines and sound render these and nothing else.

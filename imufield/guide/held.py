@@ -1,7 +1,7 @@
 """The mean of a hold in the hand: every sample turned into one frame with the gyroscope, then a Hann-tapered mean.
 
 A wobbling unit shortens the mean vector by half the squared tilt. That cannot be corrected from the variance: with the pivot
-some centimetres off the sensor most of it is tangential acceleration (METHODS, moving hands). So the samples are turned:
+some centimetres off the sensor most of it is tangential acceleration (docs/maths.md, stillness). So the samples are turned:
 
     C_i = exp(d_1) exp(d_2) ... exp(d_i),    d_i = (w_i + w_{i-1}) / 2 - w_0, times the interval,
     f = sum h_i C_m^T C_i f_i / sum h_i,     h the Hann taper, C_m the mean attitude under that taper.

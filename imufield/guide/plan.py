@@ -11,7 +11,7 @@ from imufield.guide.positions import Position, Scheme, angle_deg
 from imufield.samples import FloatArray
 
 TOLERANCE_DEG = 15.0
-"""Placement that the schemes bear: it costs 1 to 9 % of the uncertainty (METHODS section 7)."""
+"""Placement that the schemes bear: it costs 1 to 9 % of the uncertainty (docs/maths.md, positions)."""
 RECOGNITION_MARGIN_DEG = 5.0
 """Added for what an uncalibrated accelerometer misjudges: 1 m/s^2 of bias turns the apparent direction by 6 degrees."""
 

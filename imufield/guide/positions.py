@@ -2,8 +2,8 @@
 
 A position is the direction of "up" in the body frame; heading does not matter. The proposed order is not the scheme's
 own: drift of the bias over the session would look like the parameter whose column grows with the position number
-(METHODS section 3), so the order is the best of many seeded shuffles: the terms of the error model uncorrelated with time
-and time squared, repeats of one direction far apart.
+(docs/maths.md, weights and uncertainty), so the order is the best of many seeded shuffles: the terms of the error model
+uncorrelated with time and time squared, repeats of one direction far apart.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Whole turns for the gyroscope: which are wanted, and whether a move between two stills was one (METHODS section 6).
+"""Whole turns for the gyroscope: which are wanted, and whether a move between two stills was one (docs/gyroscope.md).
 
 Rolled edge over edge about a horizontal axis, gravity itself closes a turn; on a turntable or flat surface the axis is vertical
 and the stop must be the same. Here a turn is only recognised, from the uncalibrated gyroscope; its exact angle is the business

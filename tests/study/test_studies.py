@@ -18,7 +18,7 @@ from imufield.study.registry import STUDIES, find_studies
 from imufield.study.report import Comparison, StudyReport, Table, as_markdown, as_text, save
 from imufield.study.run import run_study, write_document
 
-# The tables and figures of METHODS section 9, and the papers' input tables.
+# The papers' tables and figures (docs/study.md), and the papers' input tables.
 ASKED_FOR = {
     *(f"bsas-table{n}" for n in range(1, 7)),
     *(f"bsas-fig{n}" for n in (3, 4, 5, 6, 7, 9, 10, 11)),

@@ -48,7 +48,7 @@ def turned_over(duration_s: float, at_s: float, **errors: Any) -> Samples:
 
 def test_constant_force_error_is_hidden_by_the_alignment() -> None:
     drift = check(recording(random_attitude(1), 4 * 3600, force=(100 * MICRO_G, 0, 0))).drifts["after"]
-    # METHODS section 8: about half of the 0.9 nmi that it makes with the true attitude.
+    # docs/maths.md, static navigation: about half of the 0.9 nmi that it makes with the true attitude.
     assert drift.position_nmi.max() < 0.6
 
 
