@@ -13,6 +13,7 @@ import pytest
 from typer.main import get_command
 
 from imufield.cli.app import app
+from imufield.commands.configuration import KEYS
 from imufield.deliver.parameters import parameter_schema
 from imufield.errors import ImufieldError, Reason
 
@@ -73,3 +74,14 @@ def test_every_key_of_the_parameter_file_is_described() -> None:
     known = set(re.findall(r"`([a-z0-9_]+)`", text)) | set(re.findall(r"`\[+([a-z.]+)\]+`", text))
     known |= {name.partition(".")[2] for name in known if "." in name}
     assert set(_keys(parameter_schema())) <= known
+
+
+def test_every_default_and_variable_is_described() -> None:
+    text = (PROJECT / "docs" / "file-formats.md").read_text(encoding="utf-8").partition("## Defaults")[2]
+    rows = re.findall(r"^\|(.*?)\|(.*?)\|(.*?)\|", text, flags=re.MULTILINE)
+    found = [(keys, set(re.findall(r"`([\w-]+)`", commands))) for keys, _, commands in rows]
+    described = {key: commands for keys, commands in found for key in re.findall(r"`(\w+)`", keys)}
+    assert described == {key: set(commands) for key, commands in KEYS.items()}
+    source = "".join(path.read_text(encoding="utf-8") for path in (PROJECT / "imufield").rglob("*.py"))
+    variables = {name for name in re.findall(r"IMUFIELD_\w+", source) if name != "IMUFIELD_"}
+    assert {name for _, cell, _ in rows for name in re.findall(r"IMUFIELD_\w+", cell)} == variables

@@ -1,4 +1,4 @@
-"""The way of the data from bytes to observations: the same for a live capture, a replay and a test (CONTRIBUTING.md, architecture).
+"""The way of the data from bytes to observations: the same for a live capture, a replay and a test (CONTRIBUTING.md).
 
 A chain has one decoder per part and one guide (or, for sessions that nobody guided, one finder of still intervals) per
 session. It reads no clock: arrival times come with the bytes.

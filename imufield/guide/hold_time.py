@@ -1,7 +1,7 @@
 """How long a hold must be: until the mean is known as well as wanted, and no longer than the Allan minimum.
 
 Within a hold the mean of white noise improves with the root of time until flicker noise takes over; the Allan deviation of the
-stills of this session shows where (docs/maths.md, stillness). It is pooled over all placed holds, so it is known better with each.
+stills of this session shows where (docs/maths.md, stillness). It is pooled over all placed holds, so each tells more.
 """
 
 from __future__ import annotations
