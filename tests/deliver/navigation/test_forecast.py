@@ -71,7 +71,7 @@ def test_transition_is_the_limit_of_small_steps() -> None:
 
 
 def test_gyroscope_bias_of_a_hundredth_makes_what_is_known_of_it() -> None:
-    # docs/maths.md, static navigation: 0.01 deg/h make about 3.6 nmi in 5 h; in one horizontal axis, aligned with it, less or more.
+    # docs/maths.md: 0.01 deg/h make about 3.6 nmi in 5 h; in one horizontal axis, aligned with it, less or more.
     drift, _ = simulate(
         perfect(rate_sigma=0.01 * DEG_PER_HOUR), scene(random_attitude(1), 5.0), NOTHING, np.random.default_rng(0), 400
     )
