@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import re
 import struct
 import time
 import zlib
@@ -35,6 +36,15 @@ _READERS: Mapping[str, Callable[..., Iterable[can.Message]]] = {
 SUFFIXES = tuple(_READERS)
 """Logs this module reads, packed with gzip too."""
 _BINARY = (".blf", ".mf4")
+_HEAD_BYTES = 256
+_HEADS = {
+    ".log": rb"\s*\(\d+\.\d+\)\s",
+    ".asc": rb"(?i)\s*(date|base)\s",
+    ".blf": rb"LOGG",
+    ".trc": rb"\s*;",
+    ".mf4": rb"MDF",
+}
+"""What logs begin with."""
 _DAMAGE = (
     ValueError,
     IndexError,
@@ -58,7 +68,21 @@ def is_can_log(path: str | Path) -> bool:
     return any(suffix in SUFFIXES for suffix in Path(path).suffixes[-2:])
 
 
-def read_log(path: str | Path, *, channel: str | None = None) -> Iterator[Chunk]:
+def begins_as_can_log(path: str | Path) -> bool:
+    """Tell by name and first lines whether a file is a log of a CAN bus: others' logs and grids have the same suffixes."""
+    if not is_can_log(path):
+        return False
+    suffixes = Path(path).suffixes[-2:]
+    opener: Callable[..., IO[Any]] = gzip.open if suffixes[-1] == ".gz" else open
+    try:
+        with opener(path, "rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except (OSError, EOFError, zlib.error):
+        return False
+    return any(re.match(pattern, head) for suffix, pattern in _HEADS.items() if suffix in suffixes)
+
+
+def read_log(path: str | Path, *, channel: str | None = None, losses: list[str] | None = None) -> Iterator[Chunk]:
     """Read a log as chunks of packed frames; they arrive when the log says.
 
     Parameters
@@ -66,6 +90,8 @@ def read_log(path: str | Path, *, channel: str | None = None) -> Iterator[Chunk]
     path : Path
     channel : str, optional
         Needed where the log holds more than one bus.
+    losses : list of str, optional
+        Receives a sentence where the log is cut or damaged behind its beginning; without it that is an error.
 
     Raises
     ------
@@ -76,7 +102,7 @@ def read_log(path: str | Path, *, channel: str | None = None) -> Iterator[Chunk]
     """
     pieces: list[bytes] = []
     begin_s = last_s = 0.0
-    for message in _messages(Path(path), channel):
+    for message in _messages(Path(path), channel, losses):
         if pieces and (message.timestamp - begin_s > CHUNK_S or len(pieces) >= CHUNK_FRAMES or message.timestamp < last_s - 1):
             yield _chunk(pieces, last_s)
             pieces = []
@@ -88,10 +114,10 @@ def read_log(path: str | Path, *, channel: str | None = None) -> Iterator[Chunk]
         yield _chunk(pieces, last_s)
 
 
-def import_log(path: str | Path, recorder: ChunkWriter, *, channel: str | None = None) -> int:
-    """Write a log into a recording; return the number of frames. Raises as ``read_log``."""
+def import_log(path: str | Path, recorder: ChunkWriter, *, channel: str | None = None, losses: list[str] | None = None) -> int:
+    """Write a log into a recording; return the number of frames. Parameters and errors are those of ``read_log``."""
     count = 0
-    for chunk in read_log(path, channel=channel):
+    for chunk in read_log(path, channel=channel, losses=losses):
         recorder.write_chunk(chunk)
         count += len(Unpacker().feed(chunk.data, last=True))
     return count
@@ -101,32 +127,46 @@ def _chunk(pieces: list[bytes], last_s: float) -> Chunk:
     return Chunk(b"".join(pieces), last_s, max(0, round(last_s * NANOSECONDS)) if last_s > _EPOCH_S else 0)
 
 
-def _messages(path: Path, channel: str | None) -> Iterator[can.Message]:
+def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iterator[can.Message]:
     if not path.is_file():
         raise RecordingError(f"{path} is not there or no file: check the name", Reason.NOT_A_RECORDING, path=str(path))
-    first: Any = None
     count = 0
+    lost = ""
     try:
         with contextlib.closing(_Reader(path)) as reader:
-            for message in reader:
-                if channel is not None and str(message.channel) != channel:
-                    continue
-                if count == 0:
-                    first = message.channel
-                elif channel is None and message.channel != first:
-                    raise _two_buses(path, first, message.channel)
+            for message in _of_channel(reader, path, channel):
                 count += 1
                 yield message
+            lost = reader.cut(count)
     except UsageError:
         raise
     except _DAMAGE as error:
-        what = f"behind frame {count}" if count else "from its first line on, so it may be of another kind than its name says"
-        raise RecordingError(
-            f"{path} cannot be read {what}: {error}; repair it or cut it there", Reason.DAMAGED, path=str(path), frames=count
-        ) from error
+        if not count:
+            what = "from its first line on, so it may be of another kind than its name says"
+            raise _unreadable(path, f"cannot be read {what}: {error}; repair it or cut it there", 0) from error
+        lost = f"is damaged behind frame {count} ({error or type(error).__name__})"
     if count == 0:
         where = "" if channel is None else f" of channel {channel}"
         raise RecordingError(f"{path} holds no frame{where}: check the file", Reason.NOT_A_RECORDING, path=str(path))
+    if lost and losses is None:
+        raise _unreadable(path, f"{lost}: fetch it again, or cut it there", count)
+    if lost and losses is not None:
+        losses.append(f"{path} {lost}: what follows is lost")
+
+
+def _of_channel(reader: Iterable[can.Message], path: Path, channel: str | None) -> Iterator[can.Message]:
+    """Yield the messages of one bus; refuse a log of several where none is chosen."""
+    first: Any = None
+    for message in reader:
+        if channel is None and first is not None and message.channel != first:
+            raise _two_buses(path, first, message.channel)
+        first = message.channel
+        if channel is None or str(message.channel) == channel:
+            yield message
+
+
+def _unreadable(path: Path, what: str, count: int) -> RecordingError:
+    return RecordingError(f"{path} {what}", Reason.DAMAGED, path=str(path), frames=count)
 
 
 class _Reader:
@@ -139,6 +179,7 @@ class _Reader:
             raise UsageError(f"{path} has none of the suffixes {', '.join(SUFFIXES)}: rename it", path=str(path))
         opener: Callable[..., IO[Any]] = gzip.open if suffixes[-1] == ".gz" else open
         mode: dict[str, Any] = {"mode": "rb"} if kind in _BINARY else {"mode": "rt", "encoding": "utf-8", "errors": "replace"}
+        self._size = None if suffixes[-1] == ".gz" else path.stat().st_size
         self._file = opener(path, **mode)
         # ASC counts from its start unless told otherwise; the date in its head makes it a time of day.
         options = {"relative_timestamp": False} if kind == ".asc" else {}
@@ -150,6 +191,22 @@ class _Reader:
 
     def __iter__(self) -> Iterator[can.Message]:
         return iter(self._reader)
+
+    def cut(self, count: int) -> str:
+        """Say what is missing at the end of a BLF file that was read to its end with ``count`` frames; "" for nothing.
+
+        Its reader stops without a word where a file ends in the middle. What the whole file holds stands in its head, or
+        nothing does where the logger was never stopped.
+        """
+        reader = self._reader
+        if not isinstance(reader, can.BLFReader):
+            return ""
+        if not reader.object_count:
+            return f"was never closed by its logger and may be cut: {count} frames are there"
+        # A packed file that is cut cannot be unpacked to its end, which is an error of its own.
+        if self._size is None or self._size >= reader.file_size:
+            return ""
+        return f"is cut: {self._size} of {reader.file_size} bytes and {count} of up to {reader.object_count} frames are there"
 
     def close(self) -> None:
         self._file.close()

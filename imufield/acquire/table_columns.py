@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from imufield.errors import UsageError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, SAMPLE_COLUMNS
 
 TIME = "time"
 TEMPERATURE = "temperature"
 FIELDS = (TIME, *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS, TEMPERATURE)
 """The columns of a row of protocol ``rows_f64``, in its order."""
+STATUS = "status"
+"""Flags of imufield itself, beside the other columns; known in exports of its own only, since others' mean other things."""
 SKIPPED = ("-", "_", "skip")
 
 
@@ -69,7 +71,7 @@ class Column:
 
     @property
     def quantity(self) -> str:
-        """``time``, ``accelerometer``, ``gyroscope`` or ``temperature``."""
+        """``time``, ``accelerometer``, ``gyroscope``, ``temperature`` or ``status``."""
         return quantity_of(self.field)
 
 
@@ -175,6 +177,8 @@ def columns_by_header(path: Path, header: Sequence[str], units: Sequence[str] | 
     below = units if units is not None and len(units) == len(header) else [None] * len(header)
     named = [named_column(name, index, unit) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
     found = [column for column in named if column is not None]
+    if set(SAMPLE_COLUMNS) <= set(header):
+        named[header.index(STATUS)] = Column(header.index(STATUS), STATUS)
     ignored = [name for name, column in zip(header, named, strict=True) if column is None and name]
     return _checked(path, found, (f"{path.name}: ignored the columns {', '.join(ignored)}.",) if ignored else ())
 
@@ -222,7 +226,7 @@ def _checked(path: Path, found: Sequence[Column], assumptions: tuple[str, ...]) 
                 path=str(path),
                 missing=missing,
             )
-    if not set(fields) - {TIME, TEMPERATURE}:
+    if not set(fields) - {TIME, TEMPERATURE, STATUS}:
         raise UsageError(
             f"no column of {path} is known as accelerometer or gyroscope: name them with --columns {','.join(FIELDS)}.",
             path=str(path),

@@ -101,6 +101,11 @@ class TextTable:
                 left -= 1
         raise IndexError(f"{self.path} has no row {row}")
 
+    def where(self, row: int) -> tuple[int, str]:
+        """Return the line of a row, and words for it, for messages."""
+        line, content = self.line_of_row(row)
+        return line, f'line {line}, "{content[:60]}"'
+
     def split(self, line: str) -> list[str]:
         """Return the cells of one line."""
         return _split(line, self.delimiter)

@@ -107,7 +107,8 @@ def _guess_accelerometer(values: FloatArray, has_zero: bool) -> tuple[str, str]:
         return "count", "a mid-scale was given"
     if _is_whole(values):
         return "count", "all values are whole numbers"
-    norm = float(np.median(np.linalg.norm(values, axis=1)))
+    with np.errstate(over="ignore", invalid="ignore"):  # in damaged files; infinite is no plausible norm either
+        norm = float(np.median(np.linalg.norm(values, axis=1)))
     for unit, (low, high) in (("m/s^2", _STANDS_FOR_M_S2), ("g", _STANDS_FOR_G)):
         if low <= norm <= high:
             return unit, f"the median norm is {norm:.4g}"

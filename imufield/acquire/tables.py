@@ -1,22 +1,26 @@
 """Tables of other programs -> rows of samples -> a recording.
 
-CSV and whitespace text, one file or several joined by time. The numbers stay as they are (only units that protocol
-``rows_f64`` does not know are converted); a mid-scale is kept beside them, not taken off. Whatever the files do not say
-themselves is assumed aloud: ``Table.assumptions`` are sentences for the user.
+CSV and whitespace text, files of arrays, recordings of ROS; one file or several joined by time. The numbers stay as they are
+(only units that protocol ``rows_f64`` does not know are converted); a mid-scale is kept beside them, not taken off. Whatever
+the files do not say themselves is assumed aloud: ``Table.assumptions`` are sentences for the user.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.acquire.link import Chunk
+from imufield.acquire.ros_bags import is_bag, read_bag
+from imufield.acquire.table_arrays import ArrayTable, array_reader
 from imufield.acquire.table_columns import (
     FIELDS,
+    STATUS,
     TEMPERATURE,
     TIME,
     Meaning,
@@ -28,15 +32,17 @@ from imufield.acquire.table_join import join_by_row, join_by_time
 from imufield.acquire.table_text import TextTable, open_table
 from imufield.acquire.table_units import choose_time_scale, choose_unit
 from imufield.errors import Reason, RecordingError, UsageError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, Samples
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, Samples, Status
 
 ROWS_PROTOCOL = "rows_f64"
 ROW_BYTES = 8 * len(FIELDS)
+_FLAGGED_ROW = np.dtype([("numbers", "<f8", (len(FIELDS),)), ("status", "<u4")])
+"""A row of the same protocol with ``status = true``."""
 LATEST_NS = 2**63 - 1
 """What a recording's time stamps hold: 292 years. Times beyond are kept in the rows themselves."""
 _ROWS_A_CHUNK = 4096
 """256 KiB: few messages, and well below what one damaged byte may cost."""
-_COLUMN = {field: place for place, field in enumerate(FIELDS)}
+_COLUMN = {name: place for place, name in enumerate(FIELDS)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +60,15 @@ class Table:
         Raw accelerometer output at no input; zeros unless given.
     assumptions : tuple of str
         Sentences.
+    status : ndarray of uint32, shape (n,), or None
+        ``Status`` flags, where the file is an export of our own or a recording that tells.
     """
 
     rows: FloatArray
     settings: dict[str, str | float]
     raw_zero: tuple[float, float, float]
     assumptions: tuple[str, ...]
+    status: NDArray[np.uint32] | None = None
 
     @property
     def rate_hz(self) -> float:
@@ -75,6 +84,10 @@ class ChunkWriter(Protocol):
         ...
 
 
+Source = TextTable | ArrayTable
+"""A file whose columns are known."""
+
+
 @dataclass(frozen=True, slots=True)
 class _File:
     """Columns of one file by field, in the units that were found or assumed."""
@@ -83,6 +96,8 @@ class _File:
     fields: dict[str, FloatArray]
     units: dict[str, str]
     assumptions: tuple[str, ...]
+    settings: dict[str, str | float] = field(default_factory=dict)
+    raw_zero: tuple[float, float, float] | None = None
 
 
 def read_tables(
@@ -92,6 +107,7 @@ def read_tables(
     rate_hz: float | None = None,
     zero: str | float | Sequence[float] | None = None,
     settings: Mapping[str, object] | None = None,
+    topic: str | None = None,
 ) -> Table:
     """Read one table, or several that belong together.
 
@@ -107,6 +123,8 @@ def read_tables(
         Mid-scale of the accelerometer, raw unit. Not taken off.
     settings : mapping, optional
         ``accelerometer_unit`` and ``gyroscope_unit`` where the user knows better.
+    topic : str, optional
+        Of a recording of ROS, where it holds several.
 
     Raises
     ------
@@ -117,16 +135,16 @@ def read_tables(
     """
     if not paths:
         raise UsageError("no file to import: name at least one.")
-    raw_zero = _parse_zero(zero)
-    given = dict(settings or {})
     names = _columns_of_files(columns, len(paths))
-    files = [_read_file(Path(path), names[i], i, len(paths)) for i, path in enumerate(paths)]
+    files = [_read_file(Path(path), names[i], i, len(paths), topic) for i, path in enumerate(paths)]
+    known = {name: value for file in files for name, value in file.settings.items()}
+    given = {**known, **(settings or {})}
     said = [sentence for file in files for sentence in file.assumptions]
     joined, units, joining = _join(files, rate_hz)
     said += joining
     rows = _rows(joined)
     _check_values(rows, [file.path for file in files])
-    found: dict[str, str | float] = {}
+    found = dict(known)
     for quantity in ("accelerometer", "gyroscope"):
         place = 1 if quantity == "accelerometer" else 4
         unit, factor, sentence = choose_unit(quantity, rows[:, place : place + 3], units, given, has_zero=zero is not None)
@@ -136,25 +154,37 @@ def read_tables(
         said += [sentence] if sentence else []
     if rate_hz is not None:
         found["rate_hz"] = float(rate_hz)
-    return Table(rows, found, raw_zero, tuple(said))
+    stated_zero = next((file.raw_zero for file in files if file.raw_zero is not None), None)
+    raw_zero = stated_zero if zero is None and stated_zero is not None else _parse_zero(zero)
+    status = joined[STATUS].astype(np.uint32) if STATUS in joined else None
+    if status is not None:
+        found["status"] = "true"
+    return Table(rows, found, raw_zero, tuple(said), status)
 
 
-def write_rows(recorder: ChunkWriter, rows: FloatArray | Samples) -> None:
+def write_rows(recorder: ChunkWriter, rows: FloatArray | Samples, status: NDArray[np.uint32] | None = None) -> None:
     """Write samples as chunks of whole rows of protocol ``rows_f64``; a chunk "arrives" at the time of its last sample.
 
     Parameters
     ----------
     recorder : Recorder
     rows : ndarray, shape (n, 8), or Samples
+    status : ndarray of uint32, shape (n,), optional
+        Makes rows for the setting ``status = true``.
     """
     table = rows_of(rows) if isinstance(rows, Samples) else rows
     start_s = float(table[0, 0]) if len(table) else 0.0
     for start in range(0, len(table), _ROWS_A_CHUNK):
         part = table[start : start + _ROWS_A_CHUNK]
         last_s = float(part[-1, 0])
-        recorder.write_chunk(
-            Chunk(part.astype("<f8").tobytes(), last_s, min(max(0, round((last_s - start_s) * 1e9)), LATEST_NS))
-        )
+        content = part.astype("<f8") if status is None else _flagged(part, status[start : start + _ROWS_A_CHUNK])
+        recorder.write_chunk(Chunk(content.tobytes(), last_s, min(max(0, round((last_s - start_s) * 1e9)), LATEST_NS)))
+
+
+def _flagged(rows: FloatArray, status: NDArray[np.uint32]) -> NDArray[np.void]:
+    flagged = np.empty(len(rows), dtype=_FLAGGED_ROW)
+    flagged["numbers"], flagged["status"] = rows, status
+    return flagged
 
 
 def rows_of(samples: Samples) -> FloatArray:
@@ -190,28 +220,38 @@ def _columns_of_files(columns: str | None, files: int) -> list[str | None]:
     return parts
 
 
-def _read_file(path: Path, columns: str | None, number: int, files: int) -> _File:
-    text = open_table(path)
-    meaning = _meaning(text, columns, number, files)
-    values = text.read([column.index for column in meaning.columns])
+def _open(path: Path, topic: str | None) -> Source:
+    """Open a file by what it starts with; raises as ``read_tables``."""
+    if is_bag(path):
+        return read_bag(path, topic)
+    read_arrays = array_reader(path)
+    return open_table(path) if read_arrays is None else read_arrays(path)
+
+
+def _read_file(path: Path, columns: str | None, number: int, files: int, topic: str | None) -> _File:
+    source = _open(path, topic)
+    meaning = _meaning(source, columns, number, files)
+    values = source.read([column.index for column in meaning.columns])
     if len(values) < 2:
         raise RecordingError(f"{path}: 1 row is no recording: check the file.", Reason.BAD_DATA, path=str(path))
     fields = {column.field: values[:, place] for place, column in enumerate(meaning.columns)}
     units = _units(path, meaning)
-    kept = {field: column for field, column in fields.items() if not _is_empty(column)}
-    for field, column in kept.items():
-        if field != TEMPERATURE:
-            _check_finite(text, field, column)
-    _check_no_step_back(text, kept.get(TIME))
-    return _File(path, kept, units, meaning.assumptions)
+    kept = {name: column for name, column in fields.items() if not _is_empty(column)}
+    for name, column in kept.items():
+        if name != TEMPERATURE:
+            _check_finite(source, name, column, kept.get(STATUS))
+    _check_no_step_back(source, kept.get(TIME))
+    if isinstance(source, TextTable):
+        return _File(path, kept, units, meaning.assumptions)
+    return _File(path, kept, units, (*source.assumptions, *meaning.assumptions), source.settings, source.raw_zero)
 
 
-def _meaning(text: TextTable, columns: str | None, number: int, files: int) -> Meaning:
+def _meaning(source: Source, columns: str | None, number: int, files: int) -> Meaning:
     if columns is not None:
-        return columns_by_user(text.path, columns, text.width)
-    if text.header is not None:
-        return columns_by_header(text.path, text.header, text.units)
-    return columns_by_count(text.path, text.width, number, files)
+        return columns_by_user(source.path, columns, source.width)
+    if source.header is not None:
+        return columns_by_header(source.path, source.header, source.units)
+    return columns_by_count(source.path, source.width, number, files)
 
 
 def _units(path: Path, meaning: Meaning) -> dict[str, str]:
@@ -234,29 +274,37 @@ def _is_empty(column: FloatArray) -> bool:
     return bool(np.isnan(column[0]) and np.isnan(column).all())
 
 
-def _check_finite(text: TextTable, field: str, column: FloatArray) -> None:
+_MAY_LACK = dict.fromkeys(ACCELEROMETER_COLUMNS, Status.ACCELEROMETER_INVALID) | dict.fromkeys(
+    GYROSCOPE_COLUMNS, Status.GYROSCOPE_INVALID
+)
+
+
+def _check_finite(source: Source, name: str, column: FloatArray, status: FloatArray | None) -> None:
     wrong = ~np.isfinite(column)
+    if status is not None and name in _MAY_LACK:
+        # A gap that says of itself that it is one.
+        wrong &= (status.astype(np.int64) & int(_MAY_LACK[name])) == 0
     if wrong.any():
         row = int(np.argmax(wrong))
-        line, content = text.line_of_row(row)
+        line, where = source.where(row)
         raise RecordingError(
-            f'{text.path} has {column[row]} for {field} in line {line}, "{content[:60]}": remove the line or fill the gap.',
+            f"{source.path} has {column[row]} for {name} in {where}: remove the line or fill the gap.",
             Reason.BAD_DATA,
-            path=str(text.path),
+            path=str(source.path),
             line=line,
         )
 
 
-def _check_no_step_back(text: TextTable, time: FloatArray | None) -> None:
+def _check_no_step_back(source: Source, time: FloatArray | None) -> None:
     if time is None or not (steps_back := np.diff(time) < 0.0).any():
         return
     row = int(np.argmax(steps_back)) + 1
-    line, content = text.line_of_row(row)
+    line, where = source.where(row)
     raise RecordingError(
-        f'{text.path} steps back in time from {time[row - 1]:.9g} to {time[row]:.9g} in line {line}, "{content[:60]}": '
+        f"{source.path} steps back in time from {time[row - 1]:.9g} to {time[row]:.9g} in {where}: "
         "sort the file or cut it there.",
         Reason.BAD_DATA,
-        path=str(text.path),
+        path=str(source.path),
         line=line,
     )
 
@@ -288,8 +336,9 @@ def _join(files: Sequence[_File], rate_hz: float | None) -> tuple[dict[str, Floa
 
 def _rows(fields: Mapping[str, FloatArray]) -> FloatArray:
     rows = np.full((len(fields[TIME]), len(FIELDS)), np.nan)
-    for field, column in fields.items():
-        rows[:, _COLUMN[field]] = column
+    for name, column in fields.items():
+        if name != STATUS:
+            rows[:, _COLUMN[name]] = column
     return rows
 
 

@@ -164,20 +164,34 @@ def import_files(
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder of the new session.")] = None,
     driver: DriverName = None,
     protocol: Annotated[str | None, typer.Option(help="For a raw byte dump: protocol name or TOML file.")] = None,
+    dbc: Annotated[Path | None, typer.Option(help="For a log of a CAN bus: DBC file.")] = None,
+    mapping: SignalMap = None,
+    channel: Annotated[str | None, typer.Option(help="For a log of several CAN buses: which, e.g. can0.")] = None,
+    topic: Annotated[str | None, typer.Option(help="For a recording of ROS: which topic, e.g. /imu/data.")] = None,
     settings: Settings = None,
     columns: Annotated[str | None, typer.Option(help="Columns of a table, e.g. time,ax,ay,az,gx,gy,gz.")] = None,
     rate_hz: Annotated[float | None, typer.Option(help="Sample rate of a table without a time column.", min=1e-3)] = None,
     zero: Annotated[str | None, typer.Option(help="Raw output at zero input, one or three numbers (mid-scale).")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Turn files of another program into a session.
+    """Turn files of another program into a session: tables, MATLAB, HDF5, Parquet, ROS, CAN logs, raw bytes.
 
     Example: imufield import acc.txt.gz gyro.txt.gz --zero 32768 -o my-session
+
+    Example: imufield import drive.blf --driver aceinna_can
     """
     from imufield.commands.configuration import parse_settings
+    from imufield.commands.connect import parse_mapping
     from imufield.commands.import_files import ImportOptions, run_import
 
-    options = ImportOptions(files, output, protocol or driver, parse_settings(settings), columns, rate_hz, zero, as_json)
+    options = ImportOptions(
+        *(files, output, protocol, parse_settings(settings), columns, rate_hz, zero, as_json),
+        driver=driver,
+        dbc=dbc,
+        mapping=parse_mapping(mapping),
+        channel=channel,
+        topic=topic,
+    )
     run_import(options)
 
 

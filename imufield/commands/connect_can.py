@@ -93,18 +93,19 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
 
 
 def _descriptions(options: ConnectOptions) -> list[CanDescription]:
-    given = [name for name in ("driver", "protocol", "dbc") if getattr(options, name) is not None]
-    if len(given) > 1:
-        raise UsageError(f"--{given[0]} and --{given[1]} contradict each other; give one of them")
+    if options.protocol is not None and options.dbc is not None:
+        raise UsageError("--protocol and --dbc contradict each other; give one of them")
     if options.mapping and options.dbc is None:
         raise UsageError("--map names signals of a DBC file; give the file with --dbc")
-    if options.protocol_text is not None and not given:
+    from_file = options.protocol is not None or options.dbc is not None
+    if options.protocol_text is not None and not from_file and options.driver is None:
         protocol = parse_protocol(options.protocol_text, options.settings, label="protocol of the session")
         return [describe_can(protocol=protocol)]
-    if given:
+    if from_file or options.driver is not None:
         return [
             describe_can(
-                driver=options.driver,
+                # A file that is named goes before a driver, which may be a default.
+                driver=None if from_file else options.driver,
                 protocol=options.protocol,
                 dbc=options.dbc,
                 mapping=options.mapping,

@@ -6,7 +6,7 @@ import json
 import math
 import shlex
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from imufield.acquire.host_clock import SystemClock
 from imufield.acquire.link import Chunk
 from imufield.acquire.protocol import Protocol, load_protocol
 from imufield.acquire.recorder import Recorder
+from imufield.acquire.registry import load_driver
 from imufield.acquire.session import DEFAULT_ROOT, Session
 from imufield.acquire.table_text import read_pieces
 from imufield.acquire.tables import ROWS_PROTOCOL, Table, read_tables, write_rows
@@ -41,6 +42,14 @@ class ImportOptions:
     zero: str | None = None
     as_json: bool = False
     root: Path = DEFAULT_ROOT
+    driver: str | None = None
+    dbc: Path | None = None
+    mapping: Mapping[str, str] = field(default_factory=dict)
+    """Which signal of ``dbc`` is which axis, as ``parse_map`` returns it."""
+    channel: str | None = None
+    """Of a log of several CAN buses."""
+    topic: str | None = None
+    """Of a recording of ROS."""
 
 
 def run_import(options: ImportOptions) -> Session:
@@ -64,9 +73,83 @@ def run_import(options: ImportOptions) -> Session:
 
 def import_session(options: ImportOptions) -> tuple[Session, list[str]]:
     """Return the new session and what was assumed, in sentences; raises as ``run_import``."""
+    protocol = _protocol(options)
+    if protocol is None:
+        _refuse_can_log(options)
+        return _import_tables(options)
+    if protocol.can is not None:
+        return _import_can(options, protocol)
+    return _import_dump(options, protocol)
+
+
+def _protocol(options: ImportOptions) -> Protocol | None:
+    """Return what the files are to be decoded by, a file before a driver; None for tables.
+
+    Raises
+    ------
+    UsageError
+        If protocol and DBC file are both given, or a mapping without a DBC file.
+    """
+    if options.protocol is not None and options.dbc is not None:
+        raise UsageError("--protocol and --dbc contradict each other; give one of them")
+    if options.mapping and options.dbc is None:
+        raise UsageError("--map names signals of a DBC file; give the file with --dbc")
+    if options.dbc is not None:
+        from imufield.acquire.can_map import protocol_from_dbc
+
+        return protocol_from_dbc(options.dbc, options.mapping, options.settings)
     if options.protocol is not None:
-        return _import_dump(options, load_protocol(options.protocol, options.settings))
-    return _import_tables(options)
+        return load_protocol(options.protocol, options.settings)
+    return None if options.driver is None else load_driver(options.driver).load_protocol(options.settings)
+
+
+def _refuse_can_log(options: ImportOptions) -> None:
+    """Refuse a log of a CAN bus of which nobody says what is on it: its frames alone mean nothing."""
+    from imufield.acquire.can_logs import begins_as_can_log
+
+    for path in options.files:
+        if begins_as_can_log(path):
+            raise UsageError(
+                f"{path} is a log of a CAN bus; say what is on it with --driver, or with --dbc and --map", path=str(path)
+            )
+
+
+def _import_can(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:
+    """Put the frames of logs into a recording; they arrive when the logs say."""
+    from imufield.acquire.can_logs import import_log
+
+    if options.columns or options.rate_hz or options.zero:
+        raise UsageError("--columns, --rate-hz and --zero are for tables; a log of a CAN bus has its --set")
+    sentences = _try_can(options, protocol)
+    session = _new_session(options, protocol, None)
+    with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
+        for path in options.files:
+            import_log(path, recorder, channel=options.channel, losses=[])
+    session.update(finished=True)
+    return session, sentences
+
+
+def _try_can(options: ImportOptions, protocol: Protocol) -> list[str]:
+    """Decode before anything is made of the logs; return what there is to say of them. Raises as ``_try_dump``."""
+    from imufield.acquire.can_logs import read_log
+
+    losses: list[str] = []
+    decoder = Decoder(protocol)
+    for path in options.files:
+        for chunk in read_log(path, channel=options.channel, losses=losses):
+            decoder.feed(chunk.data, chunk.monotonic_s)
+    decoder.flush()
+    counts = decoder.statistics
+    if not counts.samples:
+        kinds = ", ".join(f"{name}: {count}" for name, count in counts.by_kind.items())
+        raise RecordingError(
+            f"{', '.join(map(str, options.files))}: {counts.frames} frames hold no sample of {protocol.name} ({kinds}); give "
+            "the --driver or the --map that fits",
+            Reason.NO_FRAMES,
+            frames=counts.frames,
+        )
+    lost = counts.samples_lost + counts.losses_estimated
+    return [*losses, f"{counts.samples} samples of {counts.frames} frames, {lost} lost", *assumed(protocol)]
 
 
 def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
@@ -76,11 +159,12 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
         rate_hz=options.rate_hz,
         zero=options.zero,
         settings=options.settings,
+        topic=options.topic,
     )
     protocol = load_protocol(ROWS_PROTOCOL, {**(options.settings or {}), **table.settings})
     session = _new_session(options, protocol, table)
     with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
-        write_rows(recorder, table.rows)
+        write_rows(recorder, table.rows, table.status)
     session.update(finished=True)
     return session, list(table.assumptions)
 
@@ -90,7 +174,7 @@ def table_samples(path: Path) -> Iterator[Samples]:
     table = read_tables([path])
     decoder = Decoder(load_protocol(ROWS_PROTOCOL, table.settings))
     chunks = _Chunks([])
-    write_rows(chunks, table.rows)
+    write_rows(chunks, table.rows, table.status)
     for chunk in chunks.written:
         yield decoder.feed(chunk.data, chunk.monotonic_s)
     yield decoder.flush()
@@ -149,7 +233,7 @@ def _try_dump(files: list[Path], protocol: Protocol) -> list[str]:
 def _new_session(options: ImportOptions, protocol: Protocol, table: Table | None) -> Session:
     metadata: dict[str, Any] = {
         "kind": "import",
-        "instrument": {"driver": protocol.name, "model": options.files[0].name.split(".")[0]},
+        "instrument": {"driver": options.driver or protocol.name, "model": options.files[0].name.split(".")[0]},
         "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
         "settings": {name: {"value": one.value, "origin": one.origin} for name, one in protocol.settings.items()},
         "units": {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope},

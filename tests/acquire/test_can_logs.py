@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import random
 import time
 from pathlib import Path
@@ -10,7 +11,7 @@ import can
 import pytest
 
 from imufield.acquire.can_frames import ERROR, Frame, pack_frame, unpack_frames
-from imufield.acquire.can_logs import import_log, is_can_log, read_log, replay_to_bus
+from imufield.acquire.can_logs import begins_as_can_log, import_log, is_can_log, read_log, replay_to_bus
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.link import Chunk
 from imufield.acquire.protocol import load_protocol
@@ -69,6 +70,63 @@ def test_import_makes_a_session_that_decodes(tmp_path: Path) -> None:
     samples = concatenate([*blocks, decoder.flush()])
     assert len(samples) == 200
     assert decoder.statistics.losses_estimated == 0
+
+
+def test_a_cut_blf_says_what_is_missing(tmp_path: Path) -> None:
+    whole = tmp_path / "whole.blf"
+    with can.Logger(whole) as logger:
+        for message in make_messages(20_000):
+            logger(message)
+    content = whole.read_bytes()
+    for size in (len(content) // 3, len(content) // 2, len(content) - 40):
+        path = tmp_path / "cut.blf"
+        path.write_bytes(content[:size])
+        losses: list[str] = []
+        count = sum(1 for chunk in read_log(path, losses=losses) for _ in unpack_frames(chunk.data))
+        assert 0 < count < 20_000
+        assert losses == [
+            f"{path} is cut: {size} of {len(content)} bytes and {count} of up to 20000 frames are there: what follows is lost"
+        ]
+        with pytest.raises(RecordingError, match="is cut"):
+            list(read_log(path))
+    losses = []
+    assert sum(1 for chunk in read_log(whole, losses=losses) for _ in unpack_frames(chunk.data)) == 20_000
+    assert losses == []
+
+
+def test_a_logger_that_never_ended_and_a_torn_gzip(tmp_path: Path) -> None:
+    path = tmp_path / "open.blf"
+    logger = can.BLFWriter(path)
+    for message in make_messages(5000):
+        logger(message)
+    logger.file.flush()
+    content = path.read_bytes()
+    logger.stop()
+    path.write_bytes(content)
+    losses: list[str] = []
+    assert 0 < sum(1 for chunk in read_log(path, losses=losses) for _ in unpack_frames(chunk.data)) < 5000
+    assert "was never closed by its logger" in losses[0]
+    text = tmp_path / "drive.log"
+    with can.Logger(text) as log:
+        for message in make_messages(20_000):
+            log(message)
+    packed = gzip.compress(text.read_bytes())
+    (tmp_path / "drive.log.gz").write_bytes(packed[: len(packed) // 2])
+    losses = []
+    assert sum(1 for chunk in read_log(tmp_path / "drive.log.gz", losses=losses) for _ in unpack_frames(chunk.data)) > 1000
+    assert "is damaged behind frame" in losses[0]
+
+
+def test_logs_are_told_from_others_of_the_same_suffix(tmp_path: Path) -> None:
+    for suffix in ("log", "asc", "blf", "trc"):
+        path = tmp_path / f"bench.{suffix}"
+        with can.Logger(path) as logger:
+            for message in make_messages(3):
+                logger(message)
+        assert begins_as_can_log(path), suffix
+        path.write_text("0.0 1 2 3\n0.1 1 2 3\n")
+        assert not begins_as_can_log(path)
+    assert not begins_as_can_log(tmp_path / "nowhere.log")
 
 
 def test_two_buses_must_be_told_apart(tmp_path: Path) -> None:

@@ -282,7 +282,7 @@ RECORD = ("record", "--clock-speed", 16, "--duration-s", 1)
         (("--bus", "soketcan:can0"), 2, "did you mean 'socketcan'"),
         (("--bus", "virtual:nobody", "--driver", "stim300"), 4, "give its --port instead of a --bus"),
         (("--bus", "virtual:nobody", "--port", "/dev/ttyUSB0"), 2, "contradict each other"),
-        (("--bus", "virtual:nobody", "--driver", "aceinna_can", "--dbc", "x.dbc"), 2, "contradict each other"),
+        (("--bus", "virtual:nobody", "--protocol", "x.toml", "--dbc", "x.dbc"), 2, "contradict each other"),
         (("--bus", "virtual:nobody", "--map", "accelerometer.x=A"), 2, "give the file with --dbc"),
         (("--bus", "virtual:nobody", "--dbc", "nowhere.dbc", "--map", "gyroscope.x=A"), 4, "cannot be read"),
         (("--bus", "virtual:nobody", "--dbc", "x", "--map", "gyro.x=A"), 2, "did you mean 'gyroscope.x'"),
