@@ -176,9 +176,9 @@ def columns_by_header(path: Path, header: Sequence[str], units: Sequence[str] | 
     """
     below = units if units is not None and len(units) == len(header) else [None] * len(header)
     named = [named_column(name, index, unit) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
-    found = [column for column in named if column is not None]
     if set(SAMPLE_COLUMNS) <= set(header):
         named[header.index(STATUS)] = Column(header.index(STATUS), STATUS)
+    found = [column for column in named if column is not None]
     ignored = [name for name, column in zip(header, named, strict=True) if column is None and name]
     return _checked(path, found, (f"{path.name}: ignored the columns {', '.join(ignored)}.",) if ignored else ())
 

@@ -44,8 +44,8 @@ def apply(
 
 def export_data(
     session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
-    to: Annotated[str, typer.Option(help="csv.")] = "csv",
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="File to write (default: SESSION/samples.csv).")] = None,
+    to: Annotated[str, typer.Option(help="csv, parquet, hdf5 or ros2 (MCAP).")] = "csv",
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="File to write (default: SESSION/samples.*).")] = None,
 ) -> None:
     """Write the decoded samples of a session for other programs.
 

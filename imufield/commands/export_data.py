@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import typer
 
+from imufield.acquire.protocol import Protocol
 from imufield.acquire.recording import Damage
 from imufield.acquire.session import Session
-from imufield.commands.chain import session_samples
+from imufield.commands.chain import recorded_protocol, session_samples
 from imufield.commands.rows import RowCount
-from imufield.deliver.export_data import export_csv
+from imufield.deliver.export_data import FORMATS, export_samples, facts_of
 from imufield.errors import UsageError
-
-FORMATS = ("csv",)
+from imufield.samples import FloatArray
 
 
 def run_export_data(folder: Path | None, to: str, output: Path | None) -> None:
@@ -22,18 +23,28 @@ def run_export_data(folder: Path | None, to: str, output: Path | None) -> None:
     Raises
     ------
     UsageError
-        If the format is not known.
+        If the format is not known, its package is not installed, or it cannot hold these samples.
+    RecordingError
+        If the session cannot be read or the file not be written.
     """
     if to not in FORMATS:
-        raise UsageError(f"--to {to!r} is unknown; choose one of {', '.join(FORMATS)}")
+        listed = "; ".join(f"{name}: {one.title}" for name, one in FORMATS.items())
+        raise UsageError(f"--to {to!r} is unknown; choose one of {listed}")
     session = Session.newest() if folder is None else Session.open(folder)
-    path = output or session.folder / f"samples.{to}"
+    path = output or session.folder / f"samples.{FORMATS[to].suffix}"
+    protocol = recorded_protocol({}, session)
     damage: list[Damage] = []
     count = RowCount()
-    rows = export_csv(count.through(session_samples(session, damage)), path)
+    blocks = count.through(session_samples(session, damage))
+    rows = export_samples(blocks, path, to, facts_of(protocol, _raw_zero(session, protocol)))
     for one in damage:
         typer.echo(one.what, err=True)
     typer.echo(f"{rows} samples in {path}")
     typer.echo(f"time in s, {count.units()}, temperature in degC")
     if count.flags():
         typer.echo(count.flags())
+
+
+def _raw_zero(session: Session, protocol: Protocol) -> FloatArray:
+    stated = session.metadata.get("nominal", {}).get("raw_zero")
+    return protocol.nominal.raw_zero if stated is None else np.asarray(stated, dtype=np.float64)

@@ -1,4 +1,5 @@
 import csv
+import dataclasses
 import os
 import stat
 from collections.abc import Iterator
@@ -7,10 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imufield.acquire.protocol import load_protocol
 from imufield.acquire.tables import read_tables
-from imufield.deliver.export_data import export_csv
-from imufield.errors import RecordingError
-from imufield.samples import SAMPLE_COLUMNS, Samples, SampleUnits, Status, make_samples
+from imufield.commands.chain import session_samples
+from imufield.commands.import_files import ImportOptions, import_session
+from imufield.deliver.export_data import FORMATS, export_csv, export_samples, facts_of
+from imufield.errors import RecordingError, UsageError
+from imufield.samples import SAMPLE_COLUMNS, Samples, SampleUnits, Status, concatenate, make_samples
 
 
 def block(n: int, start: int = 0) -> Samples:
@@ -67,6 +71,97 @@ def test_an_export_can_be_imported_again(tmp_path: Path) -> None:
     assert np.array_equal(rows[:, 0], samples.time_s)
     assert np.array_equal(rows[:, 1:4], samples.accelerometer)
     assert np.array_equal(rows[:, 7], samples.temperature_degc, equal_nan=True)
+
+
+def gapped(n: int = 150_000) -> Samples:
+    """Return more samples than a file takes at once, some of them without a value."""
+    samples = block(n)
+    gaps = np.arange(n) % 100 == 7
+    force = np.where(gaps[:, None], np.nan, samples.accelerometer)
+    status = np.where(gaps, np.uint32(Status.ACCELEROMETER_INVALID), samples.status)
+    return dataclasses.replace(samples, accelerometer=force, status=status)
+
+
+@pytest.mark.parametrize("to", ["csv", "parquet", "hdf5", "ros2"])
+def test_every_format_can_be_imported_again(tmp_path: Path, to: str) -> None:
+    pytest.importorskip({"csv": "numpy", "parquet": "pyarrow", "hdf5": "h5py", "ros2": "rosbags"}[to])
+    samples = gapped()
+    path = tmp_path / f"out.{FORMATS[to].suffix}"
+    facts = facts_of(load_protocol("rows_f64"), np.array([0.5, 0.0, -0.5]))
+    assert export_samples((samples[at : at + 700] for at in range(0, len(samples), 700)), path, to, facts) == len(samples)
+    options = ImportOptions([path], tmp_path / "session", settings={"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s"})
+    session, _ = import_session(options)
+    again = concatenate(session_samples(session, []))
+    np.testing.assert_array_equal(again.accelerometer, samples.accelerometer)
+    np.testing.assert_array_equal(again.gyroscope, samples.gyroscope)
+    if to == "ros2":
+        # Stamps of ROS are whole nanoseconds; it has neither temperature nor our flags, only "not available".
+        np.testing.assert_allclose(again.time_s, samples.time_s, atol=0.6e-9)
+        wanted = samples.status & np.uint32(Status.ACCELEROMETER_INVALID)
+    else:
+        np.testing.assert_array_equal(again.time_s, samples.time_s)
+        np.testing.assert_array_equal(again.temperature_degc, samples.temperature_degc)
+        wanted = samples.status
+    np.testing.assert_array_equal(again.status, wanted)
+    if to in ("parquet", "hdf5"):
+        assert session.metadata["nominal"]["raw_zero"] == [0.5, 0.0, -0.5]
+
+
+@pytest.mark.parametrize("to", ["parquet", "hdf5"])
+def test_increments_stay_increments(tmp_path: Path, to: str) -> None:
+    pytest.importorskip({"parquet": "pyarrow", "hdf5": "h5py"}[to])
+    protocol = load_protocol(
+        "rows_f64", {"accelerometer_unit": "pulse", "gyroscope_unit": "pulse", "increments": True, "rate_hz": 3}
+    )
+    path = tmp_path / "out"
+    export_samples([dataclasses.replace(block(500), units=protocol.units)], path, to, facts_of(protocol, np.zeros(3)))
+    session, _ = import_session(ImportOptions([path], tmp_path / "session"))
+    assert concatenate(session_samples(session, [])).units == protocol.units
+
+
+def test_others_read_what_is_written(tmp_path: Path) -> None:
+    h5py, parquet = pytest.importorskip("h5py"), pytest.importorskip("pyarrow.parquet")
+    samples = gapped(1000)
+    for to in ("parquet", "hdf5"):
+        export_samples([samples], tmp_path / to, to, facts_of(load_protocol("rows_f64"), np.zeros(3)))
+    table = parquet.read_table(tmp_path / "parquet")
+    assert table.column_names == list(SAMPLE_COLUMNS)
+    assert table.column("ax").null_count == 10
+    assert table.column("status").to_pylist() == samples.status.tolist()
+    assert table.schema.metadata[b"imufield_accelerometer_unit"] == b"m/s^2"
+    with h5py.File(tmp_path / "hdf5") as file:
+        assert set(file) == set(SAMPLE_COLUMNS)
+        np.testing.assert_array_equal(file["gy"][:], samples.gyroscope[:, 1])
+        assert file.attrs["imufield_gyroscope_unit"] == "rad/s"
+
+
+def test_ros_reads_what_is_written(tmp_path: Path) -> None:
+    highlevel = pytest.importorskip("rosbags.highlevel")
+    samples = gapped(1000)
+    export_samples([samples], tmp_path / "out.mcap", "ros2")
+    with highlevel.AnyReader([tmp_path / "out.mcap"]) as reader:
+        (connection,) = reader.connections
+        assert (connection.topic, connection.msgtype) == ("/imu/data_raw", "sensor_msgs/msg/Imu")
+        found = [(at, reader.deserialize(raw, connection.msgtype)) for _, at, raw in reader.messages()]
+    assert len(found) == 1000
+    at, message = found[4]
+    assert at == message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == 1_333_333_333
+    assert message.header.frame_id == "imu"
+    assert (message.angular_velocity.x, message.angular_velocity.z) == (samples.gyroscope[4, 0], samples.gyroscope[4, 2])
+    assert message.linear_acceleration.y == samples.accelerometer[4, 1]
+    assert message.orientation_covariance[0] == -1
+    assert message.linear_acceleration_covariance[0] == 0
+    assert found[7][1].linear_acceleration_covariance[0] == -1
+
+
+def test_what_ros_cannot_hold(tmp_path: Path) -> None:
+    counts = dataclasses.replace(block(10), units=SampleUnits("count", "count"))
+    with pytest.raises(UsageError, match="ROS knows m/s"):
+        export_samples([counts], tmp_path / "out.mcap", "ros2")
+    early = dataclasses.replace(block(10), time_s=np.arange(-5.0, 5.0))
+    with pytest.raises(RecordingError, match="do not fit into stamps of ROS"):
+        export_samples([early], tmp_path / "out.mcap", "ros2")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_error_in_the_middle_leaves_the_old_file(tmp_path: Path) -> None:

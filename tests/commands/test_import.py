@@ -1,0 +1,166 @@
+"""``import`` and ``export-data`` of other programs' formats, as typed."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import re
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from imufield.acquire.can_map import parse_map, protocol_from_dbc
+from imufield.acquire.protocol import Protocol
+from imufield.acquire.registry import load_driver
+from imufield.acquire.session import Session
+from imufield.cli.run import run
+from imufield.commands.chain import session_samples
+from imufield.samples import Samples, Status, concatenate, make_samples
+from imufield.simulate.can_encode import CanEncoder
+
+N = 500
+DBC = """VERSION ""
+BU_: Imu
+BO_ 256 Force: 8 Imu
+ SG_ Front : 0|16@1- (0.001,0) [-32|32] "m/s2" Vector__XXX
+ SG_ Left : 16|16@1- (0.001,0) [-32|32] "m/s2" Vector__XXX
+ SG_ Up : 32|16@1- (0.001,0) [-32|32] "m/s2" Vector__XXX
+ SG_ Count : 48|16@1+ (1,0) [0|65535] "" Vector__XXX
+"""
+FORMATS = (("csv", "csv", "numpy"), ("parquet", "parquet", "pyarrow"), ("hdf5", "h5", "h5py"), ("ros2", "mcap", "rosbags"))
+HEADS = {
+    "mat": b"MATLAB 5.0 MAT-file",
+    "h5": b"\x89HDF\r\n\x1a\n",
+    "parquet": b"PAR1",
+    "npz": b"PK\x03\x04",
+    "bag": b"#ROSBAG V2.0\n",
+    "mcap": b"\x89MCAP0\r\n",
+    "blf": b"LOGG",
+    "asc": b"date ",
+    "log": b"(1.0) can0 12",
+    "csv": b"",
+}
+MAP = ("accelerometer.x=Front", "accelerometer.y=Left", "accelerometer.z=Up", "counter=Count")
+
+
+def samples_of(protocol: Protocol) -> Samples:
+    time_s = np.linspace(0.0, (N - 1) * 0.01, N)
+    force = np.column_stack([np.sin(time_s), np.cos(time_s), np.full(N, 9.8)])
+    status = np.where(np.arange(N) == 77, np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID), np.uint32(0))
+    return make_samples(time_s, force, force / 10, units=protocol.units, counter=np.arange(N), status=status)
+
+
+def write_log(path: Path, protocol: Protocol) -> None:
+    with can.Logger(path) as logger:
+        for one in CanEncoder(protocol).encode(samples_of(protocol)):
+            frame = one.frame
+            is_extended = bool(frame.can_id >> 31)
+            identifier = frame.can_id & 0x1FFFFFFF
+            logger(
+                can.Message(
+                    timestamp=1.7e9 + frame.time_s,
+                    arbitration_id=identifier,
+                    is_extended_id=is_extended,
+                    data=frame.data,
+                    channel="can0" if path.suffix == ".log" else 0,
+                )
+            )
+
+
+def pack(path: Path) -> Path:
+    packed = path.with_name(f"{path.name}.gz")
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    return packed
+
+
+def typed(*arguments: object) -> int:
+    return run([str(argument) for argument in arguments])
+
+
+def imported(folder: Path) -> Samples:
+    session = Session.open(folder)
+    assert session.finished
+    return concatenate(session_samples(session, []))
+
+
+@pytest.mark.parametrize("suffix", ["log", "asc", "blf", "trc"])
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_log_of_a_can_bus(tmp_path: Path, suffix: str, packed: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    protocol = load_driver("aceinna_can").load_protocol()
+    path = tmp_path / f"drive.{suffix}"
+    write_log(path, protocol)
+    if packed:
+        path = pack(path)
+    assert typed("import", path, "--driver", "aceinna_can", "-o", tmp_path / "mine") == 0
+    assert f"{N} samples of {2 * N} frames, 0 lost" in capsys.readouterr().err
+    found, wanted = imported(tmp_path / "mine"), samples_of(protocol)
+    good = (wanted.status & np.uint32(Status.ACCELEROMETER_INVALID)) == 0
+    np.testing.assert_allclose(found.accelerometer[good], wanted.accelerometer[good], atol=0.0051)
+    np.testing.assert_allclose(found.gyroscope[good], wanted.gyroscope[good], atol=0.0001)
+    assert np.isnan(found.accelerometer[77]).all()
+    assert np.flatnonzero(found.status & np.uint32(Status.ACCELEROMETER_INVALID)).tolist() == [77]
+    assert Session.open(tmp_path / "mine").metadata["instrument"]["driver"] == "aceinna_can"
+
+
+def test_a_log_with_a_dbc_and_a_mapping(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dbc = tmp_path / "my.dbc"
+    dbc.write_text(DBC, encoding="ascii")
+    protocol = protocol_from_dbc(dbc, parse_map(MAP))
+    path = tmp_path / "drive.blf"
+    write_log(path, protocol)
+    maps = [part for text in MAP for part in ("--map", text)]
+    assert typed("import", path, "--dbc", dbc, *maps, "-o", tmp_path / "mine") == 0
+    np.testing.assert_allclose(imported(tmp_path / "mine").accelerometer, samples_of(protocol).accelerometer, atol=0.0005)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) - 30])
+    capsys.readouterr()
+    assert typed("import", path, "--dbc", dbc, *maps, "-o", tmp_path / "cut") == 0
+    assert f"is cut: {len(content) - 30} of {len(content)} bytes" in capsys.readouterr().err
+    assert typed("import", path, "--driver", "aceinna_can", "-o", tmp_path / "other") == 4
+    assert re.search(r"drive.blf: 4\d\d frames hold no sample of j1939_imu \(other: 4\d\d\)", capsys.readouterr().err)
+    assert typed("import", path, "-o", tmp_path / "other") == 2
+    assert "is a log of a CAN bus; say what is on it" in capsys.readouterr().err
+    assert typed("import", path, "--map", MAP[0], "-o", tmp_path / "other") == 2
+    assert not (tmp_path / "other").exists()
+
+
+def test_a_log_of_two_buses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "two.log"
+    write_log(path, load_driver("aceinna_can").load_protocol())
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(line.replace("can0", f"can{number % 2}") for number, line in enumerate(lines)))
+    assert typed("import", path, "--driver", "aceinna_can", "-o", tmp_path / "mine") == 2
+    assert "choose one with --channel" in capsys.readouterr().err
+    assert typed("import", path, "--driver", "aceinna_can", "--channel", "can1", "-o", tmp_path / "mine") == 0
+
+
+def test_matlab_and_every_export_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(2)
+    force, rate = rng.normal(size=(N, 3)) + np.array([0, 0, 9.8]), rng.normal(scale=0.1, size=(N, 3))
+    savemat(tmp_path / "bench.mat", {"t": np.arange(N) * 0.01, "acc": force, "gyro": rate})
+    assert typed("import", tmp_path / "bench.mat", "-o", tmp_path / "mine", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["event"] == "imported"
+    for to, suffix, package in FORMATS:
+        pytest.importorskip(package)
+        assert typed("export-data", tmp_path / "mine", "--to", to) == 0
+        assert f"{N} samples in {tmp_path / 'mine' / f'samples.{suffix}'}" in capsys.readouterr().out.replace("\n", "")
+        again = tmp_path / f"again-{to}"
+        assert typed("import", tmp_path / "mine" / f"samples.{suffix}", "-o", again) == 0
+        np.testing.assert_array_equal(imported(again).accelerometer, force)
+        np.testing.assert_array_equal(imported(again).gyroscope, rate)
+        capsys.readouterr()
+    assert typed("export-data", tmp_path / "mine", "--to", "ros1") == 2
+    assert "choose one of csv: text" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", HEADS)
+def test_garbage_is_a_typed_error(tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / f"x.{suffix}"
+    path.write_bytes(HEADS[suffix] + bytes(range(256)) * 3)
+    options = ("--driver", "aceinna_can") if suffix in ("blf", "asc", "log") else ()
+    assert typed("import", path, *options, "-o", tmp_path / "mine") in (2, 4)
+    assert str(path) in capsys.readouterr().err
+    assert not (tmp_path / "mine").exists()
