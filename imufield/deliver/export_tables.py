@@ -79,7 +79,7 @@ def write_hdf5(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) 
             )
         for block in blocks:
             for name, values in columns_of(block).items():
-                file[name].resize(rows + len(block), axis=0)
-                file[name][rows:] = values
+                datasets[name].resize(rows + len(block), axis=0)
+                datasets[name][rows:] = values
             rows += len(block)
     return rows
