@@ -67,8 +67,8 @@ def write_hdf5(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) 
     with h5py.File(path, "w") as file:
         file.attrs.update(facts)
         kinds = {"counter": "<i8", "status": "<u4"}
-        for name in SAMPLE_COLUMNS:
-            file.create_dataset(
+        datasets = {
+            name: file.create_dataset(
                 name,
                 (0,),
                 kinds.get(name, "<f8"),
@@ -77,6 +77,8 @@ def write_hdf5(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) 
                 compression="gzip",
                 shuffle=True,
             )
+            for name in SAMPLE_COLUMNS
+        }
         for block in blocks:
             for name, values in columns_of(block).items():
                 datasets[name].resize(rows + len(block), axis=0)
