@@ -26,6 +26,9 @@ ELSEWHERE = {
     "imufield capture --port /dev/ttyUSB0 --driver text": "tests/commands/test_capture.py reads lines of numbers",
     "--bus": "tests/commands/test_can.py has the buses",
     "imufield replay my-session --to-pty": "tests/commands/test_desk.py and test_can.py read such a port",
+    "imufield import bench.": "tests/commands/test_import.py and tests/acquire/test_table_arrays.py read such files",
+    "imufield import dr": "tests/commands/test_import.py and tests/acquire/test_ros_bags.py read logs and bags",
+    "imufield import dump.bin": "tests/commands/test_desk.py reads bytes of instruments",
     "imufield study": "tests/study runs every study",
 }
 """Beginnings of lines, or options, and where they are run."""
