@@ -8,13 +8,16 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from imufield.calibrate.gyroscope_paths import calibrate_gyroscope
 from imufield.calibrate.result import AccelerometerParameters, Calibration, GyroscopeParameters
 from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
-from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationResult, StaticNavigation
+from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationResult, StaticNavigation, _OneSet
+from imufield.deliver.navigation.drift import Drift
+from imufield.deliver.navigation.mechanise import load_pyins
 from imufield.deliver.parameters import Corrected
 from imufield.samples import Samples
 from imufield.simulate.grades import GRADES, Instrument, draw_truth
@@ -25,6 +28,7 @@ from imufield.simulate.pieces import Piece
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "calibrate"))
 from gyroscope_sessions import simulate, steady
 
+EQUATOR_RADIUS_M = 6378137.0
 HOURS = 5.0
 SEEDS = 100
 BLOCK = 6000
@@ -104,45 +108,84 @@ def navigate(
     return check.finish(calibration)
 
 
-def speed() -> None:
+def speed() -> list[dict[str, Any]]:
+    """Return time and memory of 5 h with two sets, and how far the positions are from those of a direct run."""
     instrument, calibration = calibrated(0)
     blocks = list(recording(instrument, 1))
-    begin = time.perf_counter()
+    begin, begin_cpu = time.perf_counter(), time.process_time()
     gyroscope = GyroscopeParameters(np.ones(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
     before = apply_with(AccelerometerParameters(np.ones(3), np.zeros(3), np.zeros((3, 3))), gyroscope)
     new = apply_with(calibration.accelerometer, calibration.gyroscope.parameters)
     check = StaticNavigation({"before": before, "new": new}, CheckSettings(Site().latitude_deg))
     for block in blocks:
         check.feed(block)
-    check.finish(calibration)
+    drift = check.finish(calibration).drifts["new"]
+    wall_s, cpu_s = time.perf_counter() - begin, time.process_time() - begin_cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(
-        f"5 h at 100 Hz, two parameter sets: {time.perf_counter() - begin:.1f} s, peak {peak:.0f} MiB (samples held: 200 MiB)"
-    )
+    name = "5 h at 100 Hz, two parameter sets"
+    return [
+        {"name": f"{name}: time", "value": wall_s, "unit": "s"},
+        {"name": f"{name}: processor", "value": cpu_s, "unit": "s"},
+        {"name": f"{name}: memory, {held:.0f} MiB of it the samples", "value": peak, "unit": "MiB"},
+        {
+            "name": "5 h: largest distance from a direct run of python-ins",
+            "value": distance_mm(blocks, new, drift),
+            "unit": "mm",
+        },
+    ]
 
 
-def coverage(seeds: int, *, turned: bool) -> None:
+def distance_mm(blocks: list[Samples], apply: Apply, drift: Drift) -> float:
+    """Return the largest distance from python-ins run in one piece over the same corrected samples, same alignment."""
+    pyins = load_pyins()
+    settings = CheckSettings(Site().latitude_deg)
+    one = _OneSet(apply, settings)
+    for block in blocks:
+        one.feed(block)
+        if one.alignment is not None:
+            break
+    corrected = [apply(block) for block in blocks]
+    time_s, force, rate = (np.concatenate([getattr(c, name) for c in corrected]) for name in Corrected._fields)
+    start_s = float(blocks[0].time_s[0]) + settings.align_s
+    first = int(np.searchsorted(time_s, start_s))
+    columns = [*pyins.util.GYRO_COLS, *pyins.util.ACCEL_COLS]
+    imu = pyins.pandas.DataFrame(np.hstack([rate, force])[first:], index=time_s[first:], columns=columns)
+    start = [settings.latitude_deg, 0.0, 0.0, 0.0, 0.0, 0.0, *pyins.transform.mat_to_rph(one.alignment.attitude)]
+    state = pyins.pandas.Series(start, index=pyins.util.TRAJECTORY_COLS, name=float(time_s[first]))
+    increments = pyins.strapdown.compute_increments_from_imu(imu, "rate")
+    trajectory = pyins.strapdown.Integrator(state, with_altitude=False).integrate(increments)
+    rows = np.minimum(np.searchsorted(trajectory.index.to_numpy(), time_s[first] + drift.time_s), len(trajectory) - 1)
+    latitude = trajectory.lat.to_numpy()[rows] - settings.latitude_deg - drift.latitude_deg
+    longitude = trajectory.lon.to_numpy()[rows] - drift.longitude_deg
+    return float(1e3 * EQUATOR_RADIUS_M * np.radians(max(np.abs(latitude).max(), np.abs(longitude).max())))
+
+
+def coverage(seeds: int, *, turned: bool) -> list[dict[str, Any]]:
+    """Return in how many seeds the drift was within its band."""
     inside, rates = 0, []
     for seed in range(seeds):
         instrument, calibration = calibrated(seed)
         result = navigate(instrument, calibration, seed, rate_hz=10.0, turned=turned)
-        held = result.forecast.holds(result.drifts["new"])
-        inside += held
+        inside += result.forecast.holds(result.drifts["new"])
         rates.append(
             [result.drifts["before"].rate_nmi_per_h, result.drifts["new"].rate_nmi_per_h, result.forecast.rate_95_nmi_per_h]
         )
     before, new, most = np.median(rates, axis=0)
     words = "turned over" if turned else "not touched"
-    print(
-        f"{inside} of {seeds} seeds within the 95 % band ({words}); median drift {before:.3f} before, {new:.3f} after, "
-        f"95 % forecast {most:.3f} nmi/h"
-    )
+    return [
+        {"name": f"{words}: within the 95 % band", "value": inside, "unit": f"of {seeds} seeds"},
+        {"name": f"{words}: median drift (peer: without calibration)", "value": new, "unit": "nmi/h drift", "peer": before},
+        {"name": f"{words}: median of the 95 % forecast", "value": most, "unit": "nmi/h drift"},
+    ]
+
+
+def run(seeds: int = SEEDS) -> list[dict[str, Any]]:
+    """Return one row for each figure."""
+    return [*speed(), *coverage(seeds, turned=False), *coverage(max(1, seeds // 4), turned=True)]
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=SEEDS)
-    seeds = parser.parse_args().seeds
-    speed()
-    coverage(seeds, turned=False)
-    coverage(max(1, seeds // 4), turned=True)
+    for line in run(parser.parse_args().seeds):
+        print(f"{line['name']:<60} {line['value']:10.4g} {line['unit']}")
