@@ -1,0 +1,74 @@
+"""The pages in a real browser, where there is one: no message on the console, the record on one sheet of A4."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from imufield.deliver.parameters import load
+from imufield.deliver.report.data import ReportData
+from imufield.deliver.report.page import render_record, render_report
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+EXAMPLE = Path(__file__).resolve().parents[3] / "docs" / "exports" / "example.toml"
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="install chromium to look at the pages as a browser does")
+
+
+def browse(page: Path, *options: str) -> str:
+    """Open a page; return what the browser has to say."""
+    common = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--enable-logging=stderr",
+        f"--user-data-dir={page.parent}/browser",
+    ]
+    done = subprocess.run(
+        [str(BROWSER), *common, *options, page.as_uri()], capture_output=True, text=True, timeout=90, check=False
+    )
+    assert done.returncode == 0, done.stderr[-500:]
+    return done.stderr
+
+
+@pytest.mark.parametrize(("name", "sheets"), [("report", None), ("record", 1)])
+def test_pages_open_without_a_message_and_print(tmp_path: Path, name: str, sheets: int | None) -> None:
+    data = ReportData(load(EXAMPLE))
+    page = tmp_path / f"{name}.html"
+    page.write_text(render_report(data) if name == "report" else render_record(data), encoding="utf-8")
+    printed = tmp_path / "page.pdf"
+    messages = browse(page, "--no-pdf-header-footer", f"--print-to-pdf={printed}")
+    assert "CONSOLE" not in messages
+    count = len(re.findall(rb"/Type\s*/Page\b", printed.read_bytes()))
+    assert count >= 1
+    assert sheets is None or count == sheets
+
+
+@pytest.mark.parametrize("width", [390, 1366])
+def test_nothing_is_wider_than_the_window(tmp_path: Path, width: int) -> None:
+    """A script beside the page measures it; the page itself holds none."""
+    text = render_report(ReportData(load(EXAMPLE)))
+    script = "<script>document.title = document.documentElement.scrollWidth + ' of ' + window.innerWidth</script></body>"
+    page = tmp_path / "report.html"
+    page.write_text(text.replace("</body>", script), encoding="utf-8")
+    done = subprocess.run(
+        [
+            str(BROWSER),
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            f"--window-size={width},900",
+            "--dump-dom",
+            page.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=90,
+        check=False,
+    )
+    found = re.search(r"<title>(\d+) of (\d+)</title>", done.stdout)
+    assert found
+    assert int(found[1]) <= int(found[2])
