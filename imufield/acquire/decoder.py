@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.assembly import FrameReader, RawBlock, join
+from imufield.acquire.frame_check import distinct
 from imufield.acquire.frame_join import FrameJoin
 from imufield.acquire.frame_schema import FrameRule
 from imufield.acquire.framing import FrameBlock, Framer
@@ -173,16 +174,18 @@ class _FrameSource:
             return None
         self._statistics.frames += len(block)
         shapes = block.shapes
-        keys = [int(shapes[0])] if (shapes == shapes[0]).all() else np.unique(shapes).tolist()
+        keys = distinct(shapes)
         readers = {key: reader for key in keys if (reader := self._reader(key)) is not None}
         if len(readers) < len(keys):
-            self._read_others(block, readers)
+            self._read_others(block, [key for key in keys if key not in readers])
         if len(keys) == len(readers) == 1 and self._join is None:
             return self._read_kind(block, keys[0], readers[keys[0]], None)
         places = [np.flatnonzero(block.shapes == key) for key in readers]
         parts = [self._read_kind(block, key, readers[key], place) for key, place in zip(readers, places, strict=True)]
         if not parts:
             return None
+        if self._join is None and len(parts) == 1:
+            return parts[0]
         order = np.argsort(np.concatenate(places), kind="stable")
         if self._join is None:
             return join(parts)[order]
@@ -206,14 +209,16 @@ class _FrameSource:
             return reader.read(rows, block.skipped_before, starts)
         return reader.read(rows, block.skipped_before[which], starts[which])
 
-    def _read_others(self, block: FrameBlock, readers: Mapping[int, FrameReader]) -> None:
-        """Keep messages; count frames that are neither message nor sample."""
-        other = ~np.isin(block.shapes, list(readers))
-        for start, key in zip(block.starts[other].tolist(), block.shapes[other].tolist(), strict=True):
-            layout = self._framer.layout(key)
-            self._count(layout.kind, 1)
-            if layout.is_message:
-                self._keep({"kind": layout.kind, **layout.describe(block.data[start : start + layout.length].tobytes())})
+    def _read_others(self, block: FrameBlock, keys: list[int]) -> None:
+        """Count frames that are no samples; keep those that are messages, in the order of the stream."""
+        layouts = {key: self._framer.layout(key) for key in keys}
+        for key, layout in layouts.items():
+            self._count(layout.kind, int(np.count_nonzero(block.shapes == key)))
+        kept = [key for key, layout in layouts.items() if layout.is_message]
+        which = np.isin(block.shapes, kept) if kept else np.zeros(len(block), dtype=np.bool_)
+        for start, key in zip(block.starts[which].tolist(), block.shapes[which].tolist(), strict=True):
+            layout = layouts[key]
+            self._keep({"kind": layout.kind, **layout.describe(block.data[start : start + layout.length].tobytes())})
 
     def _count(self, kind: str, number: int) -> None:
         by_kind = self._statistics.by_kind

@@ -24,6 +24,8 @@ _SHAPES_TRIED = 16
 _SHAPES_KEPT = 1024
 _GROUPS_OF_LENGTHS = 8
 """Frames of so many lengths are checked length by length; more (candidates in noise) all at once."""
+_FEW = 256
+"""Numbers up to which a set is faster than a sort."""
 _BYTES_CHECKED_AT_ONCE = 1 << 19
 """Bytes of frames of many lengths checked together: bounds memory to some 20 MB, 40 bytes for each."""
 _LENGTH_BITS, _KEY_BITS = 17, 32
@@ -86,6 +88,34 @@ class FormCheck:
         """Return the keys of frames at ``starts``."""
         form = self.form
         return _numbers(buffer, starts + form.key_at, form.key_size, form.key_big_endian)
+
+    @property
+    def is_quick(self) -> bool:
+        """Whether the length of a single frame is told by its first bytes in a simple way."""
+        return self._by_byte is not None or (self.form.length is not None and self.form.length.extended_when < 0)
+
+    def quick_length(self, head: bytes) -> int:
+        """Return the length of one frame by its header; 0 where there is none or it is incomplete."""
+        form = self.form
+        if len(head) < form.header:
+            return 0
+        if self._by_byte is not None:
+            return int(self._by_byte[head[form.key_at]])
+        rule = form.length
+        assert rule is not None  # noqa: S101  the caller looked
+        number = int.from_bytes(head[rule.at : rule.header], _order(rule.big_endian))
+        length = number + rule.add
+        return length if number <= rule.maximum and length >= self._shortest else 0
+
+    def key_of(self, rows: Rows) -> int:
+        """Return the key of the first of several frames."""
+        form = self.form
+        return int.from_bytes(rows[0, form.key_at : form.key_at + form.key_size].tobytes(), _order(form.key_big_endian))
+
+    def same_key(self, rows: Rows) -> bool:
+        """Return whether all rows have the key of the first one."""
+        at = range(self.form.key_at, self.form.key_at + self.form.key_size)
+        return all(bool((rows[:, column] == rows[0, column]).all()) for column in at)
 
     def same_length(self, rows: Rows) -> NDArray[np.bool_]:
         """Return which rows have a header that gives them the length they have, shape (n,)."""
@@ -216,7 +246,17 @@ class FrameCheck:
         """Return the length of the frame whose header stands at ``at``; 0 where there is none or it is incomplete."""
         if not self._can_begin[buffer[at]]:
             return 0
+        for form in self._forms:
+            head = buffer[at : at + form.form.header].tobytes()
+            if head.startswith(form.form.sync) and form.is_quick:
+                return form.quick_length(head)
+            if head.startswith(form.form.sync) or form.form.sync.startswith(head):
+                break
         return max(int(self.lengths(buffer, np.array([at], dtype=np.intp))[0]), 0)
+
+    def lengths_of_headers(self, buffer: Bytes, places: Positions) -> Positions:
+        """Return the same as ``lengths`` for positions from ``headers``."""
+        return self._forms[0].lengths(buffer, places) if len(self._forms) == 1 else self.lengths(buffer, places)
 
     def lengths(self, buffer: Bytes, starts: Positions) -> Positions:
         """Return the lengths of frames whose headers stand at ``starts``; ``NONE`` or ``MORE`` where there is none."""
@@ -243,38 +283,61 @@ class FrameCheck:
     def rows_fit(self, rows: Rows) -> tuple[NDArray[np.bool_], int]:
         """Return which frames of one length are good, shape (n,), and the shape they have in common.
 
-        Where parts of frames may differ, a good frame has the shape of the first one. Elsewhere there may be several shapes,
-        and ``NO_SHAPE`` is returned.
+        Where parts of frames may differ, a good frame has the shape of the first one. Elsewhere there are several shapes if
+        keys differ, and ``NO_SHAPE`` is returned.
         """
         one = len(self._forms) == 1
         form = self._forms[0 if one else int(self._form_of(rows[0], np.zeros(1, dtype=np.intp))[0])]
-        good, number = form.same_length(rows), NO_SHAPE
+        good = form.same_length(rows)
         if form.form.has_structure:
-            number = int(self.shapes(rows[0], np.zeros(1, dtype=np.intp), np.array([rows.shape[1]]))[0])
+            number = self._shape_of_first(form, rows)
             if number == NO_SHAPE:
                 return np.zeros(len(rows), dtype=np.bool_), NO_SHAPE
             good &= _have(rows, self._shapes[number])
+            good &= form.fits(rows)
+            return good, number
         good &= form.fits(rows)
-        return good, number
+        return good, self._shape_of_first(form, rows) if good[0] and form.same_key(rows) else NO_SHAPE
+
+    def _shape_of_first(self, form: FormCheck, rows: Rows) -> int:
+        """Return the shape of the first of several frames of one length, ``NO_SHAPE`` where its parts do not add up."""
+        return int(self._match(form, self._family(form, rows), rows[:1])[0])
+
+    def _family(self, form: FormCheck, rows: Rows) -> int:
+        """Return the number that stands for form, key and length of the first frame."""
+        first = self._forms.index(form) << _KEY_BITS
+        return (first | form.key_of(rows)) << _LENGTH_BITS | int(rows.shape[1])
 
     def fit(self, buffer: Bytes, starts: Positions, lengths: Positions) -> NDArray[np.int64]:
         """Return the shapes of whole frames, ``NO_SHAPE`` where they are not good. Shape (n,)."""
-        good = np.zeros(len(starts), dtype=np.bool_)
+        found = np.full(len(starts), NO_SHAPE, dtype=np.int64)
         for form, mine in self._by_form(buffer, starts):
             ordered = lengths[mine]
-            different = [int(ordered[0])] if (ordered == ordered[0]).all() else np.unique(ordered).tolist()
+            different = distinct(ordered)
             if len(different) > _GROUPS_OF_LENGTHS:
-                good[mine] = form.fit_spans(buffer, starts[mine], lengths[mine])
+                good = mine[form.fit_spans(buffer, starts[mine], ordered)]
+                found[good] = self.shapes(buffer, starts[good], lengths[good])
                 continue
             for length in different:
-                group = mine[lengths[mine] == length]
-                good[group] = form.fits(rows_at(buffer, starts[group], length))
-        shapes = np.full(len(starts), NO_SHAPE, dtype=np.int64)
-        if good.all():
-            shapes = self.shapes(buffer, starts, lengths)
-        elif good.any():
-            shapes[good] = self.shapes(buffer, starts[good], lengths[good])
-        return shapes
+                group = mine if len(different) == 1 else mine[ordered == length]
+                found[group] = self._fit_rows(form, rows_at(buffer, starts[group], length))
+        return found
+
+    def _fit_rows(self, form: FormCheck, rows: Rows) -> NDArray[np.int64]:
+        """Return the shapes of frames of one form and length, ``NO_SHAPE`` where they are not good. Shape (n,)."""
+        found = np.full(len(rows), NO_SHAPE, dtype=np.int64)
+        good = form.fits(rows)
+        if not good.all():
+            rows = rows[good]
+        if len(rows) == 0:
+            return found
+        if form.same_key(rows):
+            found[good] = self._match(form, self._family(form, rows), rows)
+            return found
+        whole = np.ascontiguousarray(rows)
+        starts = np.arange(len(whole), dtype=np.intp) * whole.shape[1]
+        found[good] = self.shapes(whole.reshape(-1), starts, np.full(len(whole), whole.shape[1], dtype=np.intp))
+        return found
 
     def shapes(self, buffer: Bytes, starts: Positions, lengths: Positions) -> NDArray[np.int64]:
         """Return the number of the shape of each frame, ``NO_SHAPE`` where its parts do not add up. Shape (n,)."""
@@ -358,6 +421,13 @@ class FrameCheck:
         self._shapes[self._next] = shape
         known.append(self._next)
         return self._next
+
+
+def distinct(values: NDArray[np.signedinteger]) -> list[int]:
+    """Return the different values of at least one number, ascending."""
+    if (values == values[0]).all():
+        return [int(values[0])]
+    return sorted(set(values.tolist())) if len(values) <= _FEW else np.unique(values).tolist()
 
 
 def rows_at(buffer: Bytes, starts: Positions, length: int) -> Rows:

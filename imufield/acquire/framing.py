@@ -91,6 +91,8 @@ class Framer:
         self._is_mixed = False
         """Frames of different lengths came one behind another."""
         self._chain = _FIRST_CHAIN
+        self._cut_at = -1
+        """Where in the buffer a frame is known to begin that is not complete yet."""
         self._behind_frame = False
         """The last byte passed belongs to a frame, so a trailer may follow."""
         self._skipped_here = 0
@@ -116,7 +118,7 @@ class Framer:
         joined = self._rest + data if self._rest else data
         buffer: Bytes = np.frombuffer(joined, dtype=np.uint8)
         found = _Found()
-        at = 0
+        at, self._cut_at = 0, -1
         while at < len(buffer):
             start = self._pass_trailer(joined, at, last)
             if start is None:
@@ -125,10 +127,13 @@ class Framer:
             if start < len(buffer):
                 take = self._take_chain if self._is_mixed else self._take_run
                 behind = take(buffer, start, found)
-                behind = self._search(buffer, start, last) if behind == start else behind
+                if behind == start and (last or self._cut_at != start):
+                    behind = self._search(buffer, start, last)
             if behind == at:
                 break
             at = behind
+            if at == self._cut_at and not last:
+                break
         self._rest = joined[at:]
         block = self._block(buffer, found)
         self._origin += at
@@ -149,6 +154,7 @@ class Framer:
         """Take frames of one length that begin at ``at``; return the position behind the last one, ``at`` if there is none."""
         length = self._check.length_at(buffer, at)
         if length == 0 or at + length > len(buffer):
+            self._cut_at = at if length else -1
             return at
         trailer = self._rule.trailer
         behind = at + length
@@ -195,10 +201,13 @@ class Framer:
     def _take_chain(self, buffer: Bytes, at: int, found: _Found) -> int:
         """Take frames of any length from ``at`` on, each beginning where the one before ends; return where that ends."""
         places = self._check.headers(buffer, at, min(at + self._chain, len(buffer)))
-        lengths = self._check.lengths(buffer, places)
-        whole = (lengths > 0) & (places + lengths <= len(buffer))
+        lengths = self._check.lengths_of_headers(buffer, places)
+        begun = lengths > 0
+        whole = begun & (places + lengths <= len(buffer))
+        cut = places[begun & ~whole]
         places, lengths = places[whole], lengths[whole]
         if len(places) == 0 or places[0] != at:
+            self._cut_at = at if at in cut else -1
             return at
         chain = _follow(places, places + lengths)
         starts, lengths = places[chain], lengths[chain]
@@ -209,7 +218,9 @@ class Framer:
         if count == 0:
             return at
         self._is_mixed = count < _SAME_AGAIN or bool((lengths[:count] != lengths[0]).any())
-        return self._accept(found, starts[:count], shapes[:count], int(lengths[count - 1]))
+        behind = self._accept(found, starts[:count], shapes[:count], int(lengths[count - 1]))
+        self._cut_at = behind if behind in cut else -1
+        return behind
 
     def _end_of_run(self, buffer: Bytes, run: _Run) -> int:
         """Return how many frames of the run to look at: up to two bad ones in a row, or to another frame in a bad one."""

@@ -49,6 +49,8 @@ class Arrivals:
 
     def reads_of(self, block: RawBlock) -> list[tuple[int, float]]:
         """Return (rows up to its end, arrival) of each read that completed a sample of this block."""
+        if len(self.ends) == 1:
+            return [(len(block), float(self.arrival_s[0]))] if len(block) else []
         until = np.searchsorted(block.stream_end, self.ends, side="right")
         until[-1] = len(block)
         with_rows = np.flatnonzero(np.diff(until, prepend=0))

@@ -70,7 +70,7 @@ class StampClock:
         """
         stamps = self._unwrap(self._without_garbage(stamps))
         raw_s: FloatArray = stamps / self._ticks_per_s
-        step_s = np.diff(raw_s, prepend=self._raw_s)
+        step_s = _steps(raw_s, self._raw_s)
         reset = (step_s < 0) | (step_s > _LONGEST_PAUSE_S)
         offset_s = np.full(len(stamps), self._offset_s)
         for place in np.flatnonzero(reset).tolist():
@@ -97,7 +97,15 @@ class StampClock:
         before, self._last = self._last, stamps[-1].item()
         if not self._modulus:
             return stamps
-        wraps = self._wraps + np.cumsum(np.diff(stamps, prepend=before) < -(self._modulus // 2))
+        wraps = self._wraps + np.cumsum(_steps(stamps, before) < -(self._modulus // 2))
         self._wraps = int(wraps[-1])
         unwrapped: NDArray[Any] = stamps + wraps * self._modulus
         return unwrapped
+
+
+def _steps(values: NDArray[Any], before: float) -> NDArray[Any]:
+    """Return how far each value is from the one before it; as ``np.diff(values, prepend=before)``, many times faster."""
+    steps = np.empty_like(values)
+    steps[0] = values[0] - before
+    np.subtract(values[1:], values[:-1], out=steps[1:])
+    return steps

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol import load_protocol
 from imufield.acquire.registry import load_driver
-from imufield.simulate.accounting import Wire, account_for, has_checksum, serial_wires
+from imufield.samples import concatenate
+from imufield.simulate.accounting import Wire, account_for, has_checksum, random_samples, serial_wires
 
 WIRES = serial_wires()
 CHECKED = [wire for wire in WIRES if has_checksum(wire.choose().protocol)]
@@ -67,3 +69,36 @@ def test_streams_without_time_are_estimated_near_enough(wire: Wire) -> None:
     assert account.flagged_estimated == account.samples_decoded
     # Short losses below what a busy host causes anyway cannot be told from it.
     assert account.counted_lost + account.estimated_lost == pytest.approx(account.missing, rel=0.1, abs=30)
+
+
+FALSE_HEADERS = {
+    "aceinna_serial": b"\x55\x55z1\xff",
+    "kvh_17xx": b"\xfe\x81\xff\x56",
+    "microstrain_mip": b"\x75\x65\x80\xff",
+    "novatel_oem7": b"\xaa\x44\x12\x1c\x0c\x01\x00\x00\x00\x3f",
+    "novatel_oem7-RAWIMUS": b"\xaa\x44\x13\xff\x45\x01",
+    "novatel_oem7_ascii": b"#RAWIMUA,COM1,0,66.5,FINESTEERING,2300,0.000,",
+    "sbg_sbgecom": b"\xff\x5a\x03\x00\xf6\x0f",
+    "stim300": b"\xf7",
+    "vectornav_ascii": b"$VNIMU,+00.1000,",
+    "vectornav_binary": b"\xfa\x3f\xff\x7f\xff\x03\xff\x0f\xff\x3f\xff\x07\xff\x07",
+    "witmotion-uart": b"\x55\x51",
+    "xsens_mtdata2": b"\xfa\xff\x36\xff\x08\x00",
+}
+"""By the beginning of a wire's name: what announces the longest frame there is."""
+
+
+@pytest.mark.parametrize("wire", CHECKED, ids=str)
+@pytest.mark.parametrize("step", [0, 1, 29], ids=["whole", "byte by byte", "in parts"])
+def test_a_false_header_of_a_long_frame_hides_no_good_one(wire: Wire, step: int) -> None:
+    choice = wire.choose()
+    samples = random_samples(choice.protocol, choice.rate_hz, 0, 10)
+    frames = wire.device().encode(samples)
+    header = FALSE_HEADERS[max((name for name in FALSE_HEADERS if str(wire).startswith(name)), key=len)]
+    data = header + frames.data.tobytes()
+    decoder = Decoder(choice.protocol)
+    step = step or len(data)
+    blocks = [decoder.feed(data[at : at + step]) for at in range(0, len(data), step)]
+    got = concatenate([*blocks, decoder.flush()])
+    assert decoder.statistics.frames == len(frames.ends)
+    assert len(got) == 10
