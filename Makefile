@@ -9,13 +9,14 @@ TEST := $(VENV)/.test
 DEV := $(VENV)/.dev
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench study lint docs coverage audit lock changelog wheel clean screens
+.PHONY: help demo test bench study fuzz lint docs coverage audit lock changelog wheel clean screens
 
 help:
 	@echo "make demo    the whole chain on a virtual instrument, about a minute"
 	@echo "make test    the tests"
 	@echo "make bench   speed, memory and accuracy, measured"
 	@echo "make study   the papers' tables and figures in full, minutes on all cores; writes docs/study.md"
+	@echo "make fuzz    a minute of random and damaged bytes for every instrument"
 	@echo "make lint    style, types"
 	@echo "make docs    build the documentation into build/docs; broken links and examples fail"
 	@echo "make coverage  branches tested in acquire, calibrate and guide; below 90 % fails"
@@ -37,6 +38,9 @@ bench: $(TEST)
 # Without --seed: the page must be what "imufield study all" gives.
 study: $(TEST)
 	$(BIN)/imufield study all --document docs/study.md --output build/study
+
+fuzz: $(TEST)
+	IMUFIELD_FUZZ_S=60 $(BIN)/python -m pytest -p no:xdist tests/acquire/test_fuzz_wires.py
 
 lint: $(DEV)
 	$(BIN)/ruff check .

@@ -211,7 +211,8 @@ class CanClock:
         least_s, most_s = float(moved_s.min()), float(moved_s.max())
         phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
         stands = least_s > -_DRIFT * phase.period_s and most_s < min(phase.visible_s, _DRIFT * phase.period_s)
-        if stands and time_s[0] > phase.last_time_s:
+        repeated = steps is not None and bool((steps < 1).any())
+        if stands and not repeated and time_s[0] > phase.last_time_s:
             # No loss by time, no change of rate, and time runs forward, from the end of a period learned before as well.
             phase.run, phase.last_time_s = 0, float(time_s[-1])
             estimated = None
@@ -304,6 +305,9 @@ def _period(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> float:
     nominal_s = 1 / rate_hz if rate_hz else 0.0
     if len(stamp_s) < 2 or stamp_s[-1] <= stamp_s[0]:
         return nominal_s or 0.01
+    if number[-1] <= number[0]:
+        # A counter that stands still numbers nothing.
+        number = np.arange(len(stamp_s), dtype=np.float64)
     steps_s = np.diff(stamp_s) / np.maximum(np.diff(number), 1.0)
     middle_s = float(np.median(steps_s))
     regular = np.abs(steps_s - middle_s) <= _REGULAR * middle_s
@@ -316,7 +320,7 @@ def _period(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> float:
     third = max(len(lag_s) // 3, 1)
     early, late = int(np.argmin(lag_s[:third])), len(lag_s) - third + int(np.argmin(lag_s[-third:]))
     if late > early:
-        mean_s += float((lag_s[late] - lag_s[early]) / (number[late] - number[early]))
+        mean_s += float((lag_s[late] - lag_s[early]) / max(number[late] - number[early], 1.0))
     return nominal_s if nominal_s and abs(mean_s / nominal_s - 1) < 2 * _DRIFT else max(mean_s, 1e-6)
 
 

@@ -7,10 +7,15 @@ import pytest
 from numpy.typing import NDArray
 
 from imufield.acquire.can_clock import CanClock
+from imufield.acquire.can_frames import pack_frames
 from imufield.acquire.can_source import CanBlock
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.protocol import load_protocol
 from imufield.acquire.protocol_schema import ClockRule
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
+from imufield.simulate.accounting import random_samples
+from imufield.simulate.can_encode import CanEncoder
 
 
 def run(
@@ -219,3 +224,14 @@ def test_time_runs_forward_whatever_the_stamps(rate_hz: float, seed: int) -> Non
     for block in (7, 40, 5000):
         samples, _ = run(stamp_s, block=block)
         assert np.diff(samples.time_s).min() > 0
+
+
+def test_a_counter_that_stands_still_numbers_nothing_and_time_runs_on() -> None:
+    protocol = load_protocol("xsens_can")
+    sent = random_samples(protocol, 100.0, 0, 300)
+    sent.counter[:] = 7
+    decoder = Decoder(protocol)
+    got = concatenate([decoder.feed(pack_frames(one.frame for one in CanEncoder(protocol).encode(sent))), decoder.flush()])
+    assert len(got) == 300
+    assert np.diff(got.time_s).min() > 0
+    assert got.time_s[-1] - got.time_s[0] == pytest.approx(2.99, abs=0.05)
