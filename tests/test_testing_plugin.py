@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import serial
 
+from imufield.acquire.can_map import open_can
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.link import Chunk
 from imufield.acquire.protocol import load_protocol
@@ -148,3 +149,14 @@ def test_instruments_are_stopped_after_the_test(pytester: pytest.Pytester) -> No
         """,
     )
     result.assert_outcomes(passed=2)
+
+
+def test_an_instrument_on_a_bus(imufield_can_bus: Callable[..., Any]) -> None:
+    instrument = imufield_can_bus("sbg_can", duration_s=1.0, faults={"lost_frame_probability": 0.01})
+    opened = open_can(f"{instrument.bus}?sleep_after_open=0", driver="sbg_can")
+    count, end_s = 0, time.monotonic() + 20
+    while not instrument.finished and time.monotonic() < end_s:
+        chunk = opened.link.read()
+        count += 0 if chunk is None else len(opened.decoder.feed(chunk.data, chunk.monotonic_s))
+    opened.link.close()
+    assert count + len(opened.decoder.flush()) > 50

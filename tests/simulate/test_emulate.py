@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,11 @@ import pytest
 
 from imufield.errors import UsageError
 from imufield.samples import concatenate
+from imufield.simulate.accounting import serial_wires
 from imufield.simulate.devices import Stim300Device
 from imufield.simulate.emulate import EmulateOptions, emulate, make_emulator, make_virtual_imu
 from imufield.simulate.emulator import Emulator, EmulatorSettings
+from imufield.simulate.faults import CanFaults, Faults
 from imufield.simulate.operator import OperatorSettings
 
 OPTIONS = EmulateOptions(
@@ -85,3 +88,17 @@ def test_text_at_any_rate_and_stim300_at_its_own() -> None:
 def test_failure_of_the_thread_reaches_the_caller(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         emulate(replace(OPTIONS, truth=tmp_path / "missing" / "truth.toml"))
+
+
+def test_the_page_lists_every_form() -> None:
+    text = (Path(__file__).resolve().parents[2] / "docs" / "emulate.md").read_text(encoding="utf-8")
+    listed = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", text, flags=re.MULTILINE))
+    by_driver: dict[str, list[str]] = {}
+    for wire in serial_wires():
+        if wire.form:
+            by_driver.setdefault(wire.driver, []).append(wire.form)
+    for name, forms in by_driver.items():
+        assert re.findall(r"`([^`]+)`", listed[name]) == forms
+    for kind in (Faults, CanFaults):
+        for field in fields(kind):
+            assert f"`{field.name}`" in text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from imufield.errors import ProtocolError, UsageError
 from imufield.samples import Samples, Status, concatenate
 from imufield.simulate.accounting import Wire, random_samples, serial_wires
 from imufield.simulate.devices import Device
-from imufield.simulate.emulate import OWN_RATE_HZ
+from imufield.simulate.emulate import OWN_RATE_HZ, EmulateOptions, choose_wire, make_device
 from imufield.simulate.emulator_core import Source
 from imufield.simulate.protocol_device import InProtocolUnits, ProtocolDevice
 from imufield.simulate.wire_forms import choose_form, wire_forms
@@ -185,6 +186,18 @@ def test_a_protocol_without_the_table_sends_its_first_samples() -> None:
     text = load_protocol("kvh_17xx").text.partition("# What `imufield emulate`")[0]
     (form,) = wire_forms(parse_protocol(text))
     assert (form.name, form.rate_hz, form.frames[0].key) == ("default", 1000.0, 0x55)
+
+
+def test_a_users_own_file_is_emulated(tmp_path: Path) -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "protocols.md").read_text(encoding="utf-8")
+    path = tmp_path / "my_imu.toml"
+    path.write_text(page.partition("```toml\n")[2].partition("```")[0], encoding="utf-8")
+    options = EmulateOptions(str(path))
+    choice = choose_wire(options)
+    sent = random_samples(choice.protocol, choice.rate_hz, 0, 300)
+    got, _ = decode(choice.protocol, make_device(options, choice), sent)
+    np.testing.assert_allclose(got.accelerometer, sent.accelerometer, atol=0.51 * G / 2**18)
+    assert got.counter.tolist() == list(range(300))
 
 
 @pytest.mark.parametrize(
