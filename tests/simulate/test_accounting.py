@@ -63,12 +63,12 @@ def test_a_time_stamp_beside_a_counter_shows_whole_wraps() -> None:
 
 
 @pytest.mark.parametrize("wire", [wire for wire in CHECKED if wire.driver in BY_HOST_TIME], ids=str)
-def test_streams_without_time_are_estimated_near_enough(wire: Wire) -> None:
+def test_streams_without_time_and_counter_say_that_all_is_estimated(wire: Wire) -> None:
     account = account_for(wire, 3 * DURATION_S, seed=4, outages=True)
     assert account.samples_missed == account.samples_false == 0
     assert account.flagged_estimated == account.samples_decoded
-    # Short losses below what a busy host causes anyway cannot be told from it.
-    assert account.counted_lost + account.estimated_lost == pytest.approx(account.missing, rel=0.1, abs=30)
+    # A pause below a second may be a slow cable, so it is no loss; none is ever invented.
+    assert account.counted_lost + account.estimated_lost <= 1.02 * account.missing
 
 
 FALSE_HEADERS = {
