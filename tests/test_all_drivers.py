@@ -17,7 +17,7 @@ from imufield.acquire.driver import Driver
 from imufield.acquire.link import Link, open_link
 from imufield.acquire.protocol import load_protocol, protocol_names
 from imufield.acquire.registry import load_driver, shipped_names
-from imufield.samples import Samples, Status, concatenate
+from imufield.samples import Samples, concatenate
 from imufield.simulate.emulate import EmulateOptions, choose_wire, make_emulator
 from imufield.simulate.emulator_core import EmulatorCore, EmulatorSettings
 
@@ -131,7 +131,9 @@ def test_emulated_instrument_is_read_back(driver: type[Driver]) -> None:
     assert emulator.failure is None
     assert len(samples) == emulator.samples_sent == round(DURATION_S * wire.rate_hz)
     assert decoder.statistics.samples_lost == 0
-    usable = samples[(samples.status & np.uint32(Status.START_UP)) == 0]
+    # A busy machine may stamp the frames of one CAN sample so late that they pass for two.
+    usable = samples[samples.usable]
+    assert len(usable) >= 0.8 * len(samples)
     assert np.linalg.norm(usable.accelerometer_rate().mean(axis=0)) == pytest.approx(9.8, abs=0.1)
     rate = usable.gyroscope_rate().mean(axis=0)
     assert np.abs(rate).max() < 0.02 or (np.isnan(rate).all() and driver.name == "bosch_mm510")
