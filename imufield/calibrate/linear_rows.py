@@ -154,7 +154,9 @@ def search(
     if cost_name == "absolute" and start is None:
         near = search(fitted, method, "weighted", rng=rng, callback=callback)
         x, evaluations = near.x, near.evaluations
-    for number in range(_ROUNDS):
+    number = 0
+    while True:
+        number += 1
         problem = rows_problem(fitted.linearise, x, cost_name)
         found = load_solver(method)(problem, rng=rng, callback=callback)
         evaluations += found.evaluations
@@ -165,8 +167,9 @@ def search(
         ended = replace(found, x=x, cost=cost, evaluations=evaluations)
         # A round that came near but not all the way is followed by one with a smaller unit; only the last has to converge.
         if found.status in (FAILED, STOPPED) or moved <= _SETTLED_SIGMA * np.sqrt(len(found.x)):
-            return replace(ended, message=f"{found.message} (round {number + 1})")
-    return replace(ended, status=ITERATION_LIMIT, message=f"still moves by {moved:.2g} sigma after {_ROUNDS} rounds")
+            return replace(ended, message=f"{found.message} (round {number})")
+        if number == _ROUNDS:
+            return replace(ended, status=ITERATION_LIMIT, message=f"still moves by {moved:.2g} sigma after {_ROUNDS} rounds")
 
 
 def _walk(linearise: Linearise, x: FloatArray, step: FloatArray, cost_name: CostName) -> FloatArray:
