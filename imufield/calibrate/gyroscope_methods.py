@@ -86,7 +86,8 @@ class JointSearch:
         whitened = np.linalg.solve(self.root, np.column_stack([now.residual, now.jacobian[:, fit.free]]))
         prior = make_prior(self.what.data, self.what.earth, heading=fit.heading_fitted)
         residual, jacobian = prior.rows(p, fit.free)
-        return np.concatenate([whitened[:, 0], residual]), np.vstack([whitened[:, 1:], jacobian])
+        rows = np.asarray(whitened, dtype=np.float64)
+        return np.concatenate([rows[:, 0], residual]), np.vstack([rows[:, 1:], jacobian])
 
     def instrument(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the instrument's numbers."""
