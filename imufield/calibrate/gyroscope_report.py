@@ -165,7 +165,7 @@ def describe(what: Described) -> GyroscopeResult:
         covariance[np.ix_(known, known)],
         (J @ with_accelerometer)[known],
         _move_report(what),
-        find_whole_turns(fitted.evaluation, what.data),
+        _whole_turns(what),
         what.given.moves.dropped,
         what.fit_g,
         what.sight.hidden_names,
@@ -274,6 +274,11 @@ def _move_report(what: Described) -> MoveReport:
     return MoveReport(moves.start_s, moves.end_s, np.degrees(now.turns.path_rad), before, after, sigma)
 
 
+def _whole_turns(what: Described) -> tuple[WholeTurn, ...]:
+    before = evaluate(what.start, what.data) if what.sight.known else None
+    return find_whole_turns(what.fit.evaluation, what.data, before)
+
+
 def _path(what: Described) -> str:
     data = what.data
     parts = [f"{len(data.before)} moves between {len(data.force)} still positions against gravity"] if len(data.before) else []
@@ -314,7 +319,7 @@ def _reasons(what: Described) -> tuple[str, ...]:
     if what.data.chains > 1:
         sentences.append(f"the moves form {what.data.chains} separate chains, each with an azimuth of its own")
     sentences += [dropped.sentence for dropped in what.given.moves.dropped]
-    sentences += [turn.sentence for turn in find_whole_turns(fitted.evaluation, what.data)]
+    sentences += [turn.sentence for turn in _whole_turns(what)]
     suspicious = np.flatnonzero(report.sigma > 4.5)
     sentences += [
         f"the move at {report.start_s[k]:.1f} s does not fit the others ({report.after_deg[k]:.2f} deg, {report.sigma[k]:.1f} "

@@ -63,6 +63,8 @@ class WholeTurn:
     """"horizontal" or "vertical"."""
     closure_rad: float
     """By how much the integrated turn misses what was measured: direction of gravity (horizontal), stop (vertical)."""
+    closure_before_rad: float
+    """The same with the parameters in force before; NaN where there were none."""
     not_whole_rad: float
     """Angle between the directions of gravity before and after (horizontal), or the closure (vertical)."""
     used_stop: bool
@@ -111,11 +113,13 @@ def whole_stops(
     return np.abs(missed) <= allowed, missed
 
 
-def find_whole_turns(evaluation: Evaluation, data: GyroscopeData) -> tuple[WholeTurn, ...]:
-    """Return the whole turns among the moves, with the closure of each."""
+def find_whole_turns(evaluation: Evaluation, data: GyroscopeData, before: Evaluation | None = None) -> tuple[WholeTurn, ...]:
+    """Return the whole turns among the moves, with the closure of each; ``before``: with the parameters in force before."""
     net = np.linalg.norm(evaluation.turns.net_rad, axis=1)
     error = evaluation.angle_error_rad(data.up[data.after])
     missed = closures(evaluation, data)
+    error_before = None if before is None else before.angle_error_rad(data.up[data.after])
+    missed_before = None if before is None else closures(before, data)
     tilt = np.arccos(np.clip(np.sum(data.up[data.before] * data.up[data.after], axis=1), -1, 1))
     found = []
     for k in np.flatnonzero((net > LEAST_TURN_RAD) & (tilt < MOST_TILT_RAD)):
@@ -125,6 +129,8 @@ def find_whole_turns(evaluation: Evaluation, data: GyroscopeData) -> tuple[Whole
         upright = abs(float(axis @ data.up[data.after[k]])) > _VERTICAL
         off = float(missed[k]) if upright else float(tilt[k])
         closure = float(missed[k]) if upright else float(error[k])
+        earlier = missed_before if upright else error_before
+        closure_before = float("nan") if earlier is None else float(earlier[k])
         found.append(
             WholeTurn(
                 int(k),
@@ -132,16 +138,20 @@ def find_whole_turns(evaluation: Evaluation, data: GyroscopeData) -> tuple[Whole
                 AXES[body],
                 "vertical" if upright else "horizontal",
                 closure,
+                closure_before,
                 off,
                 bool(np.any(data.stops == k)),
-                _sentence(count, AXES[body], upright, np.degrees(closure), np.degrees(off)),
+                _sentence(count, AXES[body], upright, np.degrees([closure, closure_before, off])),
             )
         )
     return tuple(found)
 
 
-def _sentence(count: int, axis: str, upright: bool, closure_deg: float, off_deg: float) -> str:
+def _sentence(count: int, axis: str, upright: bool, degrees: FloatArray) -> str:
+    """``degrees``: closure, closure before (NaN where nothing was in force), distance between the two rests."""
+    closure_deg, before_deg, off_deg = degrees
+    before = f" ({before_deg:.3f} deg with the parameters before)" if np.isfinite(before_deg) else ""
     name = f"{count:+d} turn{'s' if abs(count) > 1 else ''} about {axis}"
     if upright:
-        return f"{name}, about the vertical: misses its start by {closure_deg:+.3f} deg"
-    return f"{name}, rolled: closes to {closure_deg:.3f} deg, came to rest {off_deg:.1f} deg from where it began"
+        return f"{name}, about the vertical: misses its start by {closure_deg:+.3f} deg{before}"
+    return f"{name}, rolled: closes to {closure_deg:.3f} deg{before}, came to rest {off_deg:.1f} deg from where it began"

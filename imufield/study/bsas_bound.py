@@ -79,7 +79,9 @@ def least_squares_bound(context: StudyContext) -> StudyReport:
     """Hold least squares against the bounds, over enough data sets that the ratio is known to 2 %."""
     runs = context.campaign("bsas-bound", run_bound, range(context.runs(2000, 40)))
     known, as_preset = bound(), bound(TURN_SIGMA_RAD)
-    rmse = {name: np.sqrt(np.mean([getattr(run, name) ** 2 for run in runs], axis=0)) for name in ("as_solved", "in_true_frame")}
+    rmse = {
+        name: np.sqrt(np.mean([getattr(run, name) ** 2 for run in runs], axis=0)) for name in ("as_solved", "in_true_frame")
+    }
     ratios = {
         "as solved, bound of a known frame": rmse["as_solved"] / known,
         "as solved, bound of a frame known as the preset": rmse["as_solved"] / as_preset,

@@ -15,6 +15,7 @@ from imufield.cli.run import run
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
 
+BEFORE = re.compile(r"\(([+-]?\d\.\d+) deg with the parameters before\)")
 CLOSURE = re.compile(r"(?:closes to|misses its start by) ([+-]?\d\.\d+) deg")
 
 
@@ -36,6 +37,9 @@ def test_solve_closes_the_turns_that_the_guide_led(
     closures = [float(text) for text in CLOSURE.findall(shown)]
     assert len(closures) == 6
     assert max(map(abs, closures)) < 0.1
+    before = [float(text) for text in BEFORE.findall(shown)]
+    assert len(before) == 6
+    assert max(map(abs, before)) > 2 * max(map(abs, closures))
 
 
 def test_turns_sharpen_the_scale(make_session: Callable[..., Session]) -> None:

@@ -15,6 +15,7 @@ from imufield.deliver.document import Document
 from imufield.deliver.numbers import MICRO_G, acceleration_unit, with_sigma
 from imufield.deliver.parameters_write import content_sha256
 from imufield.deliver.report import plots
+from imufield.deliver.report.correlations import correlations
 from imufield.deliver.report.data import Convergence, ReportData
 from imufield.deliver.report.rows import Row, parameter_rows
 
@@ -30,6 +31,7 @@ _GRAVITY_WORDS = {
     "assumed": "ASSUMED, because nobody said where this was",
 }
 UNKNOWN = "not known"
+_STRONGEST_SHOWN = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,6 +233,7 @@ def _figures(data: ReportData) -> Iterator[Figure]:
             "Scatter of the specific force inside half a second, and the rate of turning.",
             "Stillness over time",
         )
+    yield from _correlation_figures(data.parameters.calibration)
     yield from _method_figures(data)
     yield from _check_figures(data.verification or {})
 
@@ -250,6 +253,20 @@ def _method_figures(data: ReportData) -> Iterator[Figure]:
             "Each move between two positions, integrated from the gyroscope, ends this far from where gravity says.",
             "Angle error of each move",
         )
+
+
+def _correlation_figures(calibration: Calibration) -> Iterator[Figure]:
+    found = correlations(calibration)
+    if len(found.names) < 2:
+        return
+    strongest = "; ".join(f"{first} and {second} {value:+.2f}" for first, second, value in found.strongest(_STRONGEST_SHOWN))
+    yield Figure(
+        "Correlations",
+        plots.correlations(found),
+        "How the errors of two parameters hang together: full marks the same way, open marks against each other, the larger "
+        f"the more; below {plots.LEAST_CORRELATION:g} nothing is drawn. The strongest: {strongest}.",
+        "Correlation of each pair of parameters",
+    )
 
 
 def _ended(found: tuple[Convergence, ...]) -> str:

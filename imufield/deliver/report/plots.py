@@ -15,6 +15,7 @@ import numpy as np
 from imufield.deliver.document import Document
 from imufield.deliver.navigation.drift import QUANTITIES
 from imufield.deliver.numbers import MILLI_G, acceleration_unit
+from imufield.deliver.report.correlations import Correlations
 from imufield.deliver.report.data import Closure, Convergence, Trace
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
@@ -47,6 +48,8 @@ _LABELS = {
     "north_velocity_m_s": "v north, m/s",
     "east_velocity_m_s": "v east, m/s",
 }
+LEAST_CORRELATION = 0.1
+"""Weaker ones are not drawn: they change no sigma by more than half a per cent."""
 _LARGEST_MARKER = 260.0
 _NAMED = 6
 """Positions named on the sphere map, the largest residuals first."""
@@ -258,6 +261,27 @@ def closure(found: Closure) -> str:
     axes.set_ylabel("angle error, °")
     axes.legend(loc="upper left", bbox_to_anchor=(0, 1.2), ncols=2)
     return to_svg(drawn, "closure")
+
+
+def correlations(found: Correlations) -> str:
+    """Draw the correlation of each pair of parameters below the diagonal."""
+    n = len(found.names)
+    drawn = figure(min(0.16 * n + 1.2, WIDTH_IN))
+    axes = drawn.subplots()
+    rows, columns = np.tril_indices(n, -1)
+    values = found.matrix[rows, columns]
+    shown = np.abs(values) >= LEAST_CORRELATION
+    for positive, face in ((True, INK), (False, "white")):
+        chosen = shown & ((values > 0) == positive)
+        axes.scatter(
+            columns[chosen], rows[chosen], 40 * np.abs(values[chosen]), facecolor=face, edgecolor=INK, linewidth=0.6, zorder=2
+        )
+    axes.set_xticks(range(n), found.names, rotation=90, fontsize=6)
+    axes.set_yticks(range(n), found.names, fontsize=6)
+    axes.set_ylim(n - 0.5, -0.5)
+    axes.set_xlim(-0.5, n - 0.5)
+    axes.set_aspect("equal")
+    return to_svg(drawn, "correlations")
 
 
 def navigation(document: Document) -> str:

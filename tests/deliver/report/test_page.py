@@ -103,7 +103,7 @@ def test_page_says_who_when_where_and_how_good(data: ReportData) -> None:
         "fit for use",
     ):
         assert expected in words
-    for title in ("Residual on the sphere", "Stillness", "Convergence", "Gyroscope closure"):
+    for title in ("Residual on the sphere", "Correlations", "Stillness", "Convergence", "Gyroscope closure"):
         assert title in words
     assert "a" * 64 in words
 
