@@ -106,8 +106,16 @@ def settings_of(driver: Any) -> Iterator[str]:
 
 def root_page(name: str) -> str:
     """Return a page of the root with its links as seen from here."""
-    text = (PROJECT / name).read_text(encoding="utf-8")
-    return text.replace("](docs/", "](").replace("](CONTRIBUTING.md", "](contributing.md")
+    return from_here((PROJECT / name).read_text(encoding="utf-8"))
+
+
+def from_here(text: str) -> str:
+    """Return a text of the root with its links as seen from the documentation's folder."""
+    return (
+        text.replace("](docs/", "](")
+        .replace("](CONTRIBUTING.md", "](contributing.md")
+        .replace("](SECURITY.md", "](security.md")
+    )
 
 
 def changes() -> str:
@@ -115,4 +123,5 @@ def changes() -> str:
     command = [sys.executable, "-m", "towncrier", "build", "--draft", "--version", "not released yet", "--date", ""]
     draft = subprocess.run(command, cwd=PROJECT, check=True, capture_output=True, text=True).stdout
     news = draft[draft.index("## ") :] if "## " in draft else ""
-    return (PROJECT / "CHANGELOG.md").read_text(encoding="utf-8").replace("<!-- released -->", news.replace(" ()", ""))
+    text = (PROJECT / "CHANGELOG.md").read_text(encoding="utf-8")
+    return from_here(text.replace("<!-- released -->", news.replace(" ()", "")))

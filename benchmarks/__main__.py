@@ -49,8 +49,9 @@ def main(names: list[str]) -> int:
         for sentence in regressions(ledger, machine, figures):
             print(f"  slower: {sentence}")
         ledger.add(machine, name, figures, text)
-    ledger.write()
-    write_page(ledger)
+        # After each, so that an interrupt keeps what is there.
+        ledger.write()
+        write_page(ledger)
     print(f"\nwritten to {PAGE}" + (f"; failed: {', '.join(failed)}" if failed else ""))
     return int(bool(failed))
 
