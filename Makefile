@@ -50,7 +50,7 @@ lint: $(DEV)
 
 # Not --quiet: mkdocs counts only the warnings that it prints.
 docs: $(DEV)
-	$(BIN)/python -m pytest tests/test_docs.py tests/commands/test_docs_commands.py
+	$(BIN)/python -m pytest tests/test_docs.py tests/test_docs_build.py tests/commands/test_docs_commands.py
 	$(BIN)/python -m mkdocs build --strict
 
 changelog: $(DEV)
