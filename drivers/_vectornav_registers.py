@@ -48,16 +48,14 @@ def values_of(messages: Iterable[Message], number: int) -> list[str]:
     """Return the values of a register by the newest answer that has it."""
     found: list[str] = []
     for message in messages:
-        if message["kind"] in ("VNRRG", "VNWRG"):
-            _, register, *values = message["text"].split(",")
-            found = values if int(register) == number else found
+        if message["kind"] in ("VNRRG", "VNWRG") and _is_about(message, number):
+            found = message["text"].split(",")[2:]
     return found
 
 
 def _command(name: str, text: str, answer: str, number: int, *, is_last: bool = False) -> Command:
     def answers(message: Message) -> bool:
-        parts = message.get("text", "").split(",")
-        return message["kind"] == "VNERR" or (message["kind"] == answer and parts[1:2] != [] and int(parts[1]) == number)
+        return message["kind"] == "VNERR" or (message["kind"] == answer and _is_about(message, number))
 
     return Command(name, sentence(text), answers, _refusal, is_last)
 
@@ -65,6 +63,11 @@ def _command(name: str, text: str, answer: str, number: int, *, is_last: bool = 
 def sentence(text: str) -> bytes:
     """Return a line with its checksum."""
     return f"${text}*{_XOR.of(text.encode()):02X}\r\n".encode()
+
+
+def _is_about(message: Message, number: int) -> bool:
+    register = [*message["text"].split(","), ""][1]
+    return register.isdecimal() and int(register) == number
 
 
 def _refusal(answer: Message) -> str:

@@ -64,7 +64,7 @@ class VectorNavAscii(Driver):
     def rate_hz(cls, state: Sequence[Message]) -> float | None:
         """Return the output frequency."""
         found = values_of(state, _FREQUENCY)
-        return float(found[0]) if found else None
+        return float(found[0]) if found and found[0].isdecimal() else None
 
     @classmethod
     def rate_orders(cls, rate_hz: float, state: Sequence[Message]) -> Sequence[Command]:

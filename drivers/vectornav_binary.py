@@ -97,7 +97,11 @@ def _imu_hz(state: Sequence[Message]) -> int:
 def _outputs(state: Sequence[Message]) -> list[tuple[int, list[str]]]:
     """Return number and values (ports, divisor, groups, masks) of the outputs that are on."""
     found = [(number, values_of(state, number)) for number in BINARY_OUTPUTS]
-    return [(number, values) for number, values in found if len(values) > 1 and values[0] != "0" and int(values[1]) > 0]
+    return [
+        (number, values)
+        for number, values in found
+        if len(values) > 1 and values[0] != "0" and values[1].strip("0").isdecimal()
+    ]
 
 
 DRIVER = VectorNavBinary

@@ -89,7 +89,10 @@ class Exchange:
         answers: list[dict[str, Any]] = []
         is_deaf = False
         for command in commands:
-            if is_deaf and not command.is_last:
+            if is_deaf:
+                # Should the instrument hear but not be heard, it goes on all the same.
+                if command.is_last:
+                    self._link.write(command.data)
                 continue
             answer = self._ask(command)
             if answer is not None:

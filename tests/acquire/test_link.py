@@ -118,6 +118,23 @@ def test_odd_settings_are_accepted_on_a_terminal(terminal: Terminal, settings: d
     link.close()
 
 
+def test_another_bit_rate_on_the_open_port(terminal: Terminal) -> None:
+    link = open_link(terminal.port, baud=9600)
+    os.write(terminal.master, b"at the old rate")
+    time.sleep(0.05)
+    link.set_baud(921600)
+    os.write(terminal.master, b"new")
+    assert read_until(link, 3) == b"new"
+    assert link.settings.baud == 921600
+    with pytest.raises(LinkError) as caught:
+        link.set_baud(-1)
+    assert caught.value.reason is Reason.BOUNDS
+    assert link.settings.baud == 921600
+    link.close()
+    with pytest.raises(LinkError):
+        link.set_baud(9600)
+
+
 @pytest.mark.parametrize("baud", [0, -9600])
 def test_an_impossible_baud_rate_is_refused(terminal: Terminal, baud: int) -> None:
     with pytest.raises(LinkError, match=f"does not take {baud} baud") as caught:
