@@ -80,8 +80,10 @@ def emulator(*options: object) -> Iterator[str]:
     command = [*IMUFIELD, "emulate", "stim300", "--json", "--wait", *map(str, options)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         assert process.stdout is not None
-        yield str(json.loads(process.stdout.readline())["port"])
-        process.terminate()
+        try:
+            yield str(json.loads(process.stdout.readline())["port"])
+        finally:
+            process.terminate()
 
 
 def row(name: str, value: float, unit: str, peer: float | None = None) -> dict[str, Any]:
