@@ -22,6 +22,8 @@ GYROSCOPE_COLUMNS = ("gx", "gy", "gz")
 SAMPLE_COLUMNS = ("time_s", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS, "temperature_degc", "counter", "status")
 """Columns of exported samples, in this order (docs/file-formats.md)."""
 
+LARGEST_OUTPUT = 1e12
+"""A 40-bit converter: no instrument sends more, and squares of what it sends are numbers. Larger values count as invalid."""
 NO_COUNTER = -1
 """Value of ``Samples.counter`` where the instrument sends none."""
 

@@ -12,7 +12,7 @@ from imufield.acquire.layout import Field, Layout, Rows
 from imufield.acquire.protocol import Protocol
 from imufield.acquire.protocol_schema import NANOSECONDS, FlagRule
 from imufield.acquire.stamp_clock import NO_TICKS
-from imufield.samples import INSTRUMENT_STATUS_SHIFT, NO_COUNTER, FloatArray, IntArray, Status
+from imufield.samples import INSTRUMENT_STATUS_SHIFT, LARGEST_OUTPUT, NO_COUNTER, FloatArray, IntArray, Status
 
 _FAR = 2.0**62
 """Bound on time stamps in ns, for bits that are no time."""
@@ -186,9 +186,9 @@ def _triad(rows: Rows, fields: list[Field], factor: float) -> FloatArray:
 
 
 def _not_numbers(accelerometer: FloatArray, gyroscope: FloatArray) -> NDArray[np.uint32]:
-    """Return the flags of samples that hold infinity or NaN, shape (n,). Three NaN of a gyroscope mean there is none."""
-    bad = ~np.isfinite(accelerometer).all(axis=1)
-    bad_gyroscope = ~np.isfinite(gyroscope).all(axis=1) & ~np.isnan(gyroscope).all(axis=1)
+    """Return the flags of samples with NaN or too large a number, shape (n,). Three NaN of a gyroscope mean there is none."""
+    bad = ~(np.abs(accelerometer) <= LARGEST_OUTPUT).all(axis=1)
+    bad_gyroscope = ~(np.abs(gyroscope) <= LARGEST_OUTPUT).all(axis=1) & ~np.isnan(gyroscope).all(axis=1)
     flags = np.zeros(len(accelerometer), dtype=np.uint32)
     flags[bad] |= np.uint32(Status.ACCELEROMETER_INVALID)
     flags[bad_gyroscope] |= np.uint32(Status.GYROSCOPE_INVALID)

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.rotation import cross
 from imufield.calibrate.still_edges import stretch_stills
-from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
+from imufield.samples import LARGEST_OUTPUT, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
 
 SLOT_S = 0.005
 QUIET_SLOTS = 20
@@ -160,7 +160,7 @@ class SlotBuilder:
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
-        finite = np.isfinite(samples.gyroscope).all(axis=1)
+        finite = (np.abs(samples.gyroscope) <= LARGEST_OUTPUT).all(axis=1)
         samples = samples if finite.all() else samples[np.flatnonzero(finite)]
         if not len(samples):
             return

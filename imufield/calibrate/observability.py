@@ -33,7 +33,7 @@ from imufield.calibrate.models import (
 )
 from imufield.calibrate.result import ACCELEROMETER_NAMES
 from imufield.errors import CalibrationError, Reason
-from imufield.samples import AXES, FloatArray
+from imufield.samples import AXES, LARGEST_OUTPUT, FloatArray
 
 LOWER_GAUGE_COLUMNS = (0, 1, 2, 3, 4, 5, 8, 10, 11, 12, 13, 14)
 """The parameters that stay free where T is lower triangular: K, b, T_yx, T_zx, T_zy, K2."""
@@ -50,8 +50,8 @@ _FLATTEST = 0.1
 _DEAD = 1e-3
 _ROUND = 0.2
 """Positions in a plane keep their distance to a degree or so; those of a scheme, seen along an axis, go through the middle."""
-OUTPUT_SIZE = (1e-9, 1e12)
-"""Spread and size of outputs: tera-counts and nano-units are beyond any converter, and squares of them still are numbers."""
+OUTPUT_SIZE = (1e-9, LARGEST_OUTPUT)
+"""Spread and size of outputs: nano-units are below the step of any instrument."""
 
 FACE_COSINE = float(np.cos(np.radians(15.0)))
 """Nearer than 15 deg to an axis a position is a face. Faces alone show misalignment and quadratic term only by accident of

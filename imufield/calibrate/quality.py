@@ -197,7 +197,8 @@ def _cautions(evidence: Evidence) -> list[str]:
 def _unobservable_sentence(evidence: Evidence) -> str:
     """Say what cannot be seen and what that costs: Bosch and InvenSense state cross-axis sensitivities of 1 to 2 %."""
     hidden = evidence.unobservable
-    kept = "are taken as zero" if evidence.scale_ratio is None else "are left at the preset's values"
+    verb = "is" if len(hidden) == 1 else "are"
+    kept = f"{verb} taken as zero" if evidence.scale_ratio is None else f"{verb} left at the preset's"
     cost = []
     if any("misalignment" in name for name in hidden):
         cost.append(
@@ -209,7 +210,7 @@ def _unobservable_sentence(evidence: Evidence) -> str:
     if not cost:
         cost.append("what is wrong there is in every measurement")
     names = ", ".join(_words(name) for name in hidden)
-    return f"these positions cannot show {names}, which {kept}: {'; '.join(cost)}; take 24 positions to see them"
+    return f"these positions cannot show {names}, which {kept}: {'; '.join(cost)}; 24 positions show it"
 
 
 def _sigma_sentences(evidence: Evidence) -> list[str]:

@@ -12,6 +12,7 @@ from imufield.commands.chain import session_samples
 from imufield.commands.import_files import table_samples
 from imufield.commands.rows import RowCount
 from imufield.deliver.apply_session import apply_session
+from imufield.deliver.numbers import beside, hanging
 from imufield.deliver.parameters import load
 
 
@@ -34,7 +35,7 @@ def run_apply(parameters: Path, source: Path, output: Path) -> None:
     rows = apply_session(loaded, count.through(blocks), output, serial_number=serial_number)
     for one in damage:
         typer.echo(one.what, err=True)
-    typer.echo(f"{rows} corrected samples in {output}")
+    typer.echo(beside(f"{rows} corrected samples in", output))
     typer.echo("time in s, specific force in m/s^2, angular rate in rad/s, temperature in degC")
     if count.flags():
-        typer.echo(count.flags())
+        typer.echo(hanging("", count.flags()))

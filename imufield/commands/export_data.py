@@ -13,6 +13,7 @@ from imufield.acquire.session import Session
 from imufield.commands.chain import recorded_protocol, session_samples
 from imufield.commands.rows import RowCount
 from imufield.deliver.export_data import FORMATS, export_samples, facts_of
+from imufield.deliver.numbers import beside, hanging
 from imufield.errors import UsageError
 from imufield.samples import FloatArray
 
@@ -39,10 +40,10 @@ def run_export_data(folder: Path | None, to: str, output: Path | None) -> None:
     rows = export_samples(blocks, path, to, facts_of(protocol, _raw_zero(session, protocol)))
     for one in damage:
         typer.echo(one.what, err=True)
-    typer.echo(f"{rows} samples in {path}")
+    typer.echo(beside(f"{rows} samples in", path))
     typer.echo(f"time in s, {count.units()}, temperature in degC")
     if count.flags():
-        typer.echo(count.flags())
+        typer.echo(hanging("", count.flags()))
 
 
 def _raw_zero(session: Session, protocol: Protocol) -> FloatArray:

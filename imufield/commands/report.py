@@ -21,6 +21,7 @@ from imufield.commands.chain import Chain, Plan, replay_into
 from imufield.commands.output import write_output
 from imufield.commands.solve import session_sha256
 from imufield.deliver.document import VERSION
+from imufield.deliver.numbers import beside
 from imufield.deliver.parameters import PARAMETER_FILE, Parameters, load
 from imufield.deliver.parameters_write import content_sha256
 from imufield.deliver.report.data import (
@@ -71,7 +72,7 @@ def run_report(options: ReportOptions) -> tuple[Path, Path]:
     pages = (options.output or folder / REPORT_FILE, options.record or folder / RECORD_FILE)
     for path, text in zip(pages, (render_report(data), render_record(data)), strict=True):
         write_output(path, text.encode())
-        typer.echo(f"written to {path}")
+        typer.echo(beside("written to", path))
     return pages
 
 

@@ -58,6 +58,12 @@ def hanging(start: str, sentence: str) -> str:
     )
 
 
+def beside(words: str, path: object) -> str:
+    """Return words and a path, the path on a line of its own where both are too long for one: broken it cannot be copied."""
+    line = f"{words} {path}"
+    return line if len(line) <= WIDTH else f"{words}\n{path}"
+
+
 def bar(share: float, width: int) -> str:
     """Return a bar of ``share`` of ``width`` characters, in eighths."""
     eighths = round(min(max(share, 0.0), 1.0) * width * 8)

@@ -31,7 +31,7 @@ def test_tables_say_their_units_and_what_to_leave_out(
     session = make_session("faces6", change=starting_up)
     table = tmp_path / "samples.csv"
     assert run(["export-data", str(session.folder), "-o", str(table)]) == 0
-    told = capsys.readouterr().out
+    told = " ".join(capsys.readouterr().out.split())
     assert "time in s, accelerometer in m/s^2, gyroscope in rad/s, temperature in degC" in told
     marked = sum(int(line.rsplit(",", 1)[1]) & Status.START_UP != 0 for line in table.read_text().splitlines()[1:])
     assert marked > 100
@@ -91,3 +91,15 @@ def test_an_interrupt_says_what_is_true(command: str, words: str) -> None:
     told = _interrupted_words([command, "x"])
     assert told.endswith(words) or words in told
     assert ("on disk" in told) == (command == "capture")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("factor", [1e300, -1e30, 1e13])
+def test_samples_of_no_instrument_are_invalid(factor: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = np.random.default_rng(1).normal([0.1, 0.2, 9.8, 0, 0, 0], 0.01, (2000, 6))
+    rows[1000:] *= factor
+    np.savetxt(tmp_path / "rows.csv", rows, delimiter=",", header="ax,ay,az,gx,gy,gz", comments="")
+    units = ("--set", "accelerometer_unit=m/s^2", "--set", "gyroscope_unit=rad/s")
+    assert run(["import", str(tmp_path / "rows.csv"), "--rate-hz", "100", *units, "-o", str(tmp_path / "session")]) == 0
+    assert run(["solve", str(tmp_path / "session")]) == 6
+    assert "1 position is too few" in capsys.readouterr().err

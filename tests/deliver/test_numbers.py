@@ -8,6 +8,7 @@ from imufield.deliver.numbers import (
     MICRO_G,
     acceleration_unit,
     bar,
+    beside,
     decimals,
     hanging,
     nominal_scale,
@@ -83,3 +84,8 @@ def test_long_sentences_hang_and_keep_their_words() -> None:
     assert all(line.startswith(" " * 9) for line in lines[1:])
     assert lines[-1].strip() == path
     assert max(map(len, lines[:-1])) <= 80
+
+
+def test_a_path_is_not_broken() -> None:
+    assert beside("written to", "a/b") == "written to a/b"
+    assert beside("written to", "x" * 75) == f"written to\n{'x' * 75}"
