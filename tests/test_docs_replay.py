@@ -49,4 +49,4 @@ def test_the_page_as_it_stands(tmp_path: Path) -> None:
     blocks = re.findall(r"^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
     (tmp_path / "test_my_imu.py").write_text("\n\n".join(blocks), encoding="utf-8")
     run("-m", "pytest", "-q", "-k", "stays_what", "--imufield-update", folder=tmp_path)
-    assert "3 passed" in run("-m", "pytest", "-q", folder=tmp_path)
+    assert "4 passed" in run("-m", "pytest", "-q", folder=tmp_path)

@@ -58,6 +58,7 @@ TO_SI = {
     "degC": ("degC", 1.0),
 }
 """Units a protocol may name: what a sample holds, and by what the number is multiplied."""
+_SI_UNITS = ("m/s^2", "m/s", "rad/s", "rad")
 _INCREMENT_UNITS = ("m/s", "rad")
 _CAN_KIND = re.compile(r'^kind\s*=\s*"can"', re.MULTILINE)
 DBC_LIMIT_BYTES = 1 << 22
@@ -116,6 +117,12 @@ class Protocol:
         if quantity.unit is not None or not field.unit:
             return self.factors[part]
         return TO_SI[field.unit][1] * quantity.scale
+
+
+def nominal_scale(unit: str) -> float | None:
+    """Return the scale of an instrument that sends this unit and is perfect; None where only the maker knows it."""
+    si, factor = TO_SI.get(unit, ("", 1.0))
+    return 1 / factor if si in _SI_UNITS else None
 
 
 def protocol_names() -> list[str]:
@@ -335,11 +342,10 @@ def _units(top: Table, parts: dict[str, tuple[str, float]], samples: SampleRule,
 
 def _read_nominal(top: Table, units: SampleUnits, clock: ClockRule) -> Nominal:
     table = top.table("nominal")
-    si = {"m/s^2", "m/s", "rad/s", "rad"}
     scales: list[float | None] = []
     ranges: list[float | None] = []
     for part, unit in (("accelerometer", units.accelerometer), ("gyroscope", units.gyroscope)):
-        scales.append(table.number(f"{part}_scale") if table.has(f"{part}_scale") else 1.0 if unit in si else None)
+        scales.append(table.number(f"{part}_scale") if table.has(f"{part}_scale") else 1.0 if unit in _SI_UNITS else None)
         _, factor = TO_SI[table.choice(f"{part}_range_unit", TO_SI, _MEANING[part][0])]
         ranges.append(table.number(f"{part}_range") * factor if table.has(f"{part}_range") else None)
     raw_zero = np.full(3, table.number("raw_zero", 0.0))

@@ -6,8 +6,6 @@ import math
 import re
 import textwrap
 
-import numpy as np
-
 from imufield.earth import STANDARD_GRAVITY_M_S2
 
 MILLI_G = STANDARD_GRAVITY_M_S2 * 1e-3
@@ -74,11 +72,6 @@ def bar(share: float, width: int) -> str:
 def acceleration_unit(largest_m_s2: float) -> tuple[str, float]:
     """Return the unit in which ``largest_m_s2`` has few digits, and its size in m/s^2."""
     return ("µg", MICRO_G) if not largest_m_s2 >= 9999.5 * MICRO_G else ("mg", MILLI_G)
-
-
-def nominal_scale(raw_unit: str) -> float | None:
-    """Return the scale of an instrument that sends this unit and is perfect; None where only the maker knows it."""
-    return {"m/s^2": 1.0, "g": 1 / STANDARD_GRAVITY_M_S2, "rad/s": 1.0, "deg/s": float(np.degrees(1.0))}.get(raw_unit)
 
 
 _ASCII = str.maketrans(

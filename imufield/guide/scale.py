@@ -6,12 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from imufield.acquire.protocol import Nominal
+from imufield.acquire.protocol import Nominal, nominal_scale
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray, SampleUnits
-
-_ACCELEROMETER_UNITS = {"m/s^2": 1.0, "m/s": 1.0, "g": 1 / STANDARD_GRAVITY_M_S2}
-_GYROSCOPE_UNITS = {"rad/s": 1.0, "rad": 1.0, "deg/s": float(np.degrees(1.0))}
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +46,8 @@ class RoughScale:
     def of_units(cls, units: SampleUnits, raw_zero: FloatArray | None = None) -> RoughScale:
         """Return what the names of the units alone say."""
         return cls(
-            _ACCELEROMETER_UNITS.get(units.accelerometer),
-            _GYROSCOPE_UNITS.get(units.gyroscope),
+            nominal_scale(units.accelerometer),
+            nominal_scale(units.gyroscope),
             np.zeros(3) if raw_zero is None else np.asarray(raw_zero, dtype=np.float64),
         )
 

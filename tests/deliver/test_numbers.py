@@ -11,7 +11,6 @@ from imufield.deliver.numbers import (
     beside,
     decimals,
     hanging,
-    nominal_scale,
     to_ascii,
     with_sigma,
     with_sigma_within,
@@ -66,9 +65,6 @@ def test_units_of_the_trade() -> None:
     assert acceleration_unit(50 * MICRO_G)[0] == "µg"
     assert acceleration_unit(0.2)[0] == "mg"
     assert acceleration_unit(math.nan)[0] == "µg"
-    assert nominal_scale("g") == pytest.approx(0.1019716)
-    assert nominal_scale("deg/s") == pytest.approx(57.29578)
-    assert nominal_scale("count") is None
 
 
 def test_ascii_says_the_same() -> None:

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.acquire.protocol import nominal_scale
 from imufield.calibrate.result import Calibration, GyroscopeCalibration
 from imufield.deliver.document import gyroscope_bias_rad_s
-from imufield.deliver.numbers import DEG_PER_HOUR_RAD_S, MILLI_G, decimals, nominal_scale, with_sigma
+from imufield.deliver.numbers import DEG_PER_HOUR_RAD_S, MILLI_G, decimals, with_sigma
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
 
