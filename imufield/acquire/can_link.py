@@ -38,13 +38,12 @@ from imufield.acquire.can_frames import (
     unpack_frames,
 )
 from imufield.acquire.host_clock import HostClock, SystemClock
-from imufield.acquire.link import COLLECT_S, WAIT_S, Chunk
+from imufield.acquire.link import COLLECT_S, WAIT_S, WRITE_TIMEOUT_S, Chunk, not_taken
 from imufield.acquire.protocol_toml import near
-from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
+from imufield.errors import LinkError, Reason, UsageError
 
 MOST_FRAMES = 4096
 """Most frames of one chunk: 0.2 s of the busiest bus of 1 Mbit/s; what remains is the next chunk."""
-SEND_TIMEOUT_S = 1.0
 RECEIVE_BUFFER_BYTES = 1 << 20
 """Asked of the system for sockets: its usual 208 KiB hold some 270 frames, 35 ms of a busy bus."""
 _HOST_CLOCK_S = 60.0
@@ -305,14 +304,9 @@ class CanLink:
         bus = self._opened()
         try:
             for frame in unpack_frames(data):
-                bus.send(make_message(frame.can_id, frame.data, frame.flags), timeout=SEND_TIMEOUT_S)
+                bus.send(make_message(frame.can_id, frame.data, frame.flags), timeout=WRITE_TIMEOUT_S)
         except can.CanTimeoutError as error:
-            raise LinkTimeoutError(
-                f"{self.name} did not take a frame within {SEND_TIMEOUT_S:g} s: check the bit rate, and that a node answers",
-                Reason.SILENCE,
-                bus=self.name,
-                limit_s=SEND_TIMEOUT_S,
-            ) from error
+            raise not_taken(self.name, "a frame", "check the bit rate, and that a node answers") from error
         except _READ_FAILURES as error:
             raise self._gone(error) from error
 

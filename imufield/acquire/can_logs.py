@@ -16,9 +16,9 @@ import can
 from can.io.blf import BLFParseError
 
 from imufield.acquire.can_frames import ERROR, SENT, Frame, Unpacker, unpack_frames
-from imufield.acquire.can_link import SEND_TIMEOUT_S, make_message, open_bus, pack_message, parse_bus
+from imufield.acquire.can_link import make_message, open_bus, pack_message, parse_bus
 from imufield.acquire.host_clock import NANOSECONDS
-from imufield.acquire.link import Chunk
+from imufield.acquire.link import WRITE_TIMEOUT_S, Chunk
 from imufield.acquire.recording import EndOfRecordingError, RecordingLink
 from imufield.acquire.tables import ChunkWriter
 from imufield.errors import LinkError, Reason, RecordingError, UsageError
@@ -256,7 +256,7 @@ def replay_to_bus(
 
     def send(frame: Frame) -> None:
         nonlocal sent
-        target.send(make_message(frame.can_id, frame.data, frame.flags), timeout=SEND_TIMEOUT_S)
+        target.send(make_message(frame.can_id, frame.data, frame.flags), timeout=WRITE_TIMEOUT_S)
         sent += 1
 
     try:

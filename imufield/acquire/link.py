@@ -211,12 +211,7 @@ class SerialLink:
         try:
             port.write(data)
         except serial.SerialTimeoutException as error:
-            raise LinkTimeoutError(
-                f"{self.name} did not take {len(data)} bytes within {WRITE_TIMEOUT_S:g} s: check cable and flow control.",
-                Reason.SILENCE,
-                port=self.name,
-                limit_s=WRITE_TIMEOUT_S,
-            ) from error
+            raise not_taken(self.name, f"{len(data)} bytes", "check cable and flow control") from error
         except (OSError, TypeError) as error:
             raise self._gone(error) from error
 
@@ -280,6 +275,16 @@ class SerialLink:
             port=self.name,
             cause=str(cause),
         )
+
+
+def not_taken(name: str, what: str, remedy: str) -> LinkTimeoutError:
+    """Return the error that a link did not take what was sent in time."""
+    return LinkTimeoutError(
+        f"{name} did not take {what} within {WRITE_TIMEOUT_S:g} s: {remedy}",
+        Reason.SILENCE,
+        port=name,
+        limit_s=WRITE_TIMEOUT_S,
+    )
 
 
 def _can_be_selected(port: str) -> bool:

@@ -81,6 +81,7 @@ def baud_refused(port: str, baud: int) -> LinkError:
 
 def _no_permission(port: str) -> LinkError:
     group = "dialout"
+    # OSError: the port went away; KeyError: its group has no name; NotImplementedError: a system without groups (Windows).
     with suppress(OSError, KeyError, NotImplementedError):
         group = Path(port).group()
     return LinkError(
