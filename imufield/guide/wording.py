@@ -148,11 +148,14 @@ def place_refusal(plan: Plan, nearest: Found, pending: Found | None) -> Refusal:
         found, remedy = f"{name} is already done", _what_is_left(plan.missing())
         return Refusal(RefusalCode.ALREADY_DONE, found, remedy, nearest.angle_deg, limit, "deg")
     closest = pending or nearest
-    position = plan.position(closest.index)
+    name = plan.position(closest.index).name
+    # The picture shows what is proposed; the words must not ask for another side.
+    target = plan.proposed()
+    wanted = plan.position(closest.index if target is None else target)
     return Refusal(
         RefusalCode.NOT_NEAR,
-        f"not near any pending position: nearest is {position.name} at {closest.angle_deg:.0f} deg (limit {limit:.0f} deg)",
-        f"bring it to {position.name}: {position.words}",
+        f"not near any pending position: nearest is {name} at {closest.angle_deg:.0f} deg (limit {limit:.0f} deg)",
+        f"bring it to {wanted.name}: {wanted.words}",
         closest.angle_deg,
         limit,
         "deg",

@@ -121,6 +121,8 @@ def test_far_from_every_position_is_refused_with_the_nearest(make_path: Any) -> 
     assert refused.measured == pytest.approx(45, abs=0.5)
     assert refused.limit == 20
     assert "at 45 deg" in refused.words
+    proposed = [event.position for event in of(events, Move) if event.time_s <= refused.time_s][-1]
+    assert f"bring it to {proposed}:" in refused.remedy
 
 
 def test_a_position_done_before_is_named(make_path: Any) -> None:
