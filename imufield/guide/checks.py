@@ -40,6 +40,9 @@ class CheckSettings:
     least_shift_deg: float = 0.05
     """Less than that never is: 0.1 ug. Between the two the limit is what costs 1 sigma of the mean."""
     tremor_deg: float = 0.2
+    jolt_share: float = 8.0
+    """Of the usual jolt of a hold in the hand: tremor and noise stay below 4, a bump that shifts the mean by its sigma makes 15
+    and more."""
     sway_deg: float = 1.5
     """Of a hold in the hand, rms of each axis: what the frame of the gyroscope corrects to 5 ug and 15 ug."""
 
@@ -73,7 +76,7 @@ class HoldUnderTest:
 def examine(hold: HoldUnderTest) -> Refusal | None:
     """Return the first reason not to believe a hold, None when there is none."""
     always = (_check_samples, _check_stuck, _check_gravity, _check_knocks)
-    by_kind = (_check_shift, _check_drift) if hold.held is None else (_check_tremor, _check_sway)
+    by_kind = (_check_shift, _check_drift) if hold.held is None else (_check_jolt, _check_tremor, _check_sway)
     checks: tuple[Callable[[HoldUnderTest], Refusal | None], ...] = (*always, *by_kind)
     for check in checks:
         refusal = check(hold)
@@ -206,6 +209,22 @@ def _harmless_shift_deg(hold: HoldUnderTest, force: FloatArray, norm: float) -> 
     variance = float(along.var(ddof=1)) / len(along) * correlation_factor(along - along.mean())
     return min(
         hold.settings.shift_deg, max(hold.settings.least_shift_deg, math.degrees(math.sqrt(8 * math.sqrt(variance) / norm)))
+    )
+
+
+def _check_jolt(hold: HoldUnderTest) -> Refusal | None:
+    """Refuse a hold in the hand that was bumped: cutting the bump out would let the sway through."""
+    held = hold.held
+    limit = math.inf if held is None else hold.settings.jolt_share * held.usual_jolt_m_s2
+    if held is None or held.jolt_m_s2 <= limit:
+        return None
+    return Refusal(
+        RefusalCode.KNOCKED,
+        f"it was bumped after {held.jolt_after_s:.1f} s: a jolt of {held.jolt_m_s2:.2f} m/s^2 (limit {limit:.2f} m/s^2)",
+        "go on holding: it is measured again",
+        held.jolt_m_s2,
+        limit,
+        "m/s^2",
     )
 
 

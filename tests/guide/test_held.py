@@ -9,12 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imufield.guide.cells import cells_of, join_cells
+from imufield.guide.checks import CheckSettings, HoldUnderTest, examine
+from imufield.guide.events import RefusalCode
 from imufield.guide.held import HeldMean, held_mean
+from imufield.guide.limits import StillnessSettings, noise_limits
+from imufield.guide.noise_floor import measure_floor
 from imufield.guide.scale import RoughScale
 from imufield.samples import Samples
 from imufield.simulate.grades import TACTICAL, perfect_instrument
 from imufield.simulate.imu import Imu, ImuSettings
 from imufield.simulate.operator import Operator, OperatorSettings
+from imufield.simulate.pieces import Shock
 
 MICRO_G = 9.80665e-6
 QUIET = np.zeros(3)
@@ -125,3 +131,31 @@ def test_without_scale_or_samples_there_is_none() -> None:
     samples, _ = hold(1, **TREMOR)
     assert held_mean(samples, RoughScale(1.0, None), QUIET) is None
     assert held_mean(samples[:10], SI, QUIET) is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_hand_alone_makes_no_jolt(seed: int) -> None:
+    samples, _ = hold(seed, tremor_rad=math.radians(0.1), sway_rad=math.radians(1.0))
+    found = held_mean(samples, SI, QUIET)
+    assert found is not None
+    assert found.jolt_m_s2 < 0.5 * CheckSettings().jolt_share * found.usual_jolt_m_s2
+
+
+@pytest.mark.parametrize("frequency_hz", [15.0, 25.0, 40.0])
+def test_a_bump_is_a_jolt_and_is_refused(frequency_hz: float) -> None:
+    """Cut out, it would leave a hole through which the sway comes in; so the hold is measured again."""
+    samples, _ = hold(2, tremor_rad=math.radians(0.05), sway_rad=math.radians(0.5))
+    begin_s = float(samples.time_s[0]) + 4.0
+    shock = Shock(begin_s, np.array([3.0, 0.0, 0.0]), np.zeros(3), frequency_hz, 0.02)
+    bumped = replace(samples, accelerometer=samples.accelerometer + shock.shape(samples.time_s)[:, None] * shock.acceleration)
+    found = held_mean(bumped, SI, QUIET)
+    assert found is not None
+    assert found.jolt_after_s == pytest.approx(4.0, abs=0.1)
+    cells = join_cells(list(cells_of([bumped])))
+    floor = measure_floor(cells)
+    limits = noise_limits(floor, SI, StillnessSettings())
+    refusal = examine(HoldUnderTest(cells, floor, limits, SI, CheckSettings(), found))
+    assert refusal is not None
+    assert refusal.reason is RefusalCode.KNOCKED
+    assert refusal.measured > refusal.limit > 0
+    assert "bumped after 4." in refusal.words
