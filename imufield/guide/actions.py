@@ -428,6 +428,7 @@ class GuideActions:
     def note_motion(self, judgement: Judgement) -> None:
         """Remember how long and how far the unit has moved."""
         self._moved_cells += judgement.phase is Phase.MOVING
+        self._sides.follow(self._direction(judgement.cells.mean[judgement.row, :3]))
         if self._rest_direction is not None:
             direction = self._direction(judgement.cells.mean[judgement.row, :3])
             self._moved_deg = max(self._moved_deg, angle_deg(self._rest_direction, direction))

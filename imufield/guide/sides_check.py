@@ -22,6 +22,7 @@ from imufield.samples import AXES, FloatArray
 ENOUGH_SIDES = 4
 ENOUGH_TIMES = 3
 """The same answer to the same question."""
+LEFT_DEG = 45.0
 NEAR_DEG = 25.0
 """Placement of 15 degrees, and what an uncalibrated accelerometer misjudges."""
 
@@ -37,13 +38,22 @@ class SidesCheck:
 
     def __init__(self) -> None:
         self._sides: list[_Side] = []
+        self._left = True
+
+    def follow(self, direction: FloatArray) -> None:
+        """Take where up is while the unit moves: a side counts again only after it was left."""
+        if self._sides and not self._left:
+            self._left = _angle_deg(self._sides[-1].shown, direction) > LEFT_DEG
 
     def note(self, asked: FloatArray, shown: FloatArray) -> Refusal | None:
         """Take a side, unit vectors (3,) of up in the body; return what to say where the axes are contradicted."""
         if _angle_deg(asked, shown) <= NEAR_DEG:
             self._sides = []
             return None
+        if self._sides and not self._left:
+            return None
         self._sides.append(_Side(asked, shown))
+        self._left = False
         refusal = self._same_again() or self._all_explained()
         if refusal is not None:
             self._sides = []

@@ -14,7 +14,13 @@ ASKED = np.array([[1.0, 0, 0], [0, 0.7071, 0.7071], [0, -1, 0], [0.5774, -0.5774
 
 def said(shown: Any) -> Any:
     check = SidesCheck()
-    return [check.note(asked, side) for asked, side in zip(ASKED, shown, strict=True)]
+    return [show(check, asked, side) for asked, side in zip(ASKED, shown, strict=True)]
+
+
+def show(check: SidesCheck, asked: Any, side: Any) -> Any:
+    """Turn the unit far away, and to a side."""
+    check.follow(np.cross(side, [0.3, 0.5, 0.81]))
+    return check.note(asked, side)
 
 
 @pytest.mark.parametrize(
@@ -28,7 +34,7 @@ def said(shown: Any) -> Any:
 def test_wrong_axes_are_named_after_four_sides(wrong: Any, words: str) -> None:
     asked = ASKED[1:] if wrong[0, 0] == 1 else ASKED
     check = SidesCheck()
-    found = [check.note(one, wrong @ one) for one in asked]
+    found = [show(check, one, wrong @ one) for one in asked]
     assert found[: ENOUGH_SIDES - 1] == [None] * (ENOUGH_SIDES - 1)
     refusal = found[ENOUGH_SIDES - 1]
     assert refusal is not None
@@ -52,17 +58,25 @@ def test_sides_about_one_axis_leave_it_open() -> None:
     check = SidesCheck()
     for angle in (0.3, 1.2, 2.1, 3.3, 4.0):
         asked = np.array([np.cos(angle), np.sin(angle), 0.0])
-        assert check.note(asked, -asked) is None
+        assert show(check, asked, -asked) is None
 
 
 def test_the_same_other_side_three_times() -> None:
     check = SidesCheck()
     up = np.array([0, 0, 1.0])
-    assert check.note(up, -up) is None
-    assert check.note(up, -up) is None
-    refusal = check.note(up, -up)
+    assert show(check, up, -up) is None
+    assert show(check, up, -up) is None
+    refusal = show(check, up, -up)
     assert refusal is not None
     assert "3 times +z up was asked for and the accelerometer saw -z up" in refusal.words
+
+
+def test_a_hold_that_is_measured_again_counts_once() -> None:
+    check = SidesCheck()
+    up = np.array([0, 0, 1.0])
+    for _ in range(6):
+        check.follow(np.array([0.2, 0.1, -0.97]))
+        assert check.note(up, -up) is None
 
 
 @pytest.mark.parametrize(
