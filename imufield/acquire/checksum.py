@@ -28,6 +28,10 @@ Positions = NDArray[np.intp]
 
 _EXACT_IN_SINGLE = 361
 """Longest message whose weighted sum, at most 255 n (n + 1) / 2, stays below 2^24, so that single precision is exact."""
+_LONGEST_TABLE = 2048
+"""Longest message with a table of its own, 2 MiB; what instruments send all the time has a few hundred bytes."""
+_TABLES_KEPT = 32
+"""Noise makes false frames of any length, each with its table."""
 _ROWS_AT_ONCE = 1024
 """Rows looked up together: keeps the index array (8 bytes for each byte of a frame) in the second-level cache."""
 
@@ -112,7 +116,11 @@ class Crc(Checksum):
         self._by_length: dict[int, tuple[NDArray[Any], NDArray[np.intp], Any]] = {}
 
     def _rows(self, rows: Bytes) -> Values:
-        table, offsets, start = self._tables_of(rows.shape[1])
+        count, length = rows.shape
+        if length > _LONGEST_TABLE:
+            whole = np.ascontiguousarray(rows).reshape(-1)
+            return self.of_spans(whole, np.arange(count, dtype=np.intp) * length, np.full(count, length, dtype=np.intp))
+        table, offsets, start = self._tables_of(length)
         out = np.empty(len(rows), dtype=table.dtype)
         for at in range(0, len(rows), _ROWS_AT_ONCE):
             index = rows[at : at + _ROWS_AT_ONCE] + offsets
@@ -135,15 +143,17 @@ class Crc(Checksum):
             self._grow(padded)
             kind = np.uint32 if self._width <= 32 else np.uint64  # half the size: the tables of a frame stay in cache
             table = self._left[:padded][::-1][:length].astype(kind).ravel()
+            if len(self._by_length) >= _TABLES_KEPT:
+                self._by_length.clear()
             found = (table, np.arange(length, dtype=np.intp) * 256, kind(int(self._start_left[padded]) ^ self._final))
             self._by_length[length] = found
         return found
 
     def _grow(self, length: int) -> None:
-        """Extend the tables to messages of ``length`` bytes; doubling keeps this linear in the longest message."""
+        """Extend the tables to messages of ``length`` bytes; more than needed, as longer ones may follow."""
         if length <= len(self._left):
             return
-        wanted = max(length, 2 * len(self._left))
+        wanted = max(length, min(2 * len(self._left), len(self._left) + _LONGEST_TABLE))
         left = [self._first] if len(self._left) == 0 else [*self._left]
         start = [*self._start_left]
         while len(left) < wanted:

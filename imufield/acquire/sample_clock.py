@@ -320,9 +320,10 @@ class SampleClock:
 
 
 def _usual(steps_s: FloatArray) -> float:
-    """Return the mean of the steps that are near the middle one; 0 where there is none."""
+    """Return the mean of the steps that are near the middle one; 0 where there are none at all."""
     positive = steps_s[steps_s > 0]
     if len(positive) == 0:
         return 0.0
     middle = float(np.median(positive))
-    return float(np.mean(positive[np.abs(positive - middle) <= _LARGEST_RATE_ERROR * middle]))
+    near = positive[np.abs(positive - middle) <= _LARGEST_RATE_ERROR * middle]
+    return float(np.mean(near)) if len(near) else middle

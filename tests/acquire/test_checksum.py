@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import zlib
+
 import crccheck.crc
 import numpy as np
 import pytest
 
-from imufield.acquire.checksum import checksum_names, make_checksum
+from imufield.acquire.checksum import Crc, checksum_names, make_checksum
 from imufield.errors import ProtocolError
 
 CRC_NAMES = [name for name in checksum_names() if name.startswith("CRC")]
@@ -102,3 +104,14 @@ def test_unknown_algorithm_names_the_nearest() -> None:
         make_checksum("CRC-32-MPEG2")
     with pytest.raises(ProtocolError, match="cannot be padded"):
         make_checksum("XOR-8", pad_to=4)
+
+
+def test_long_and_many_lengths_take_bounded_memory() -> None:
+    checksum = make_checksum("CRC-32/ISO-HDLC")
+    assert isinstance(checksum, Crc)
+    rng = np.random.default_rng(5)
+    for length in [*range(100, 180), 2047, 2048, 2049, 5000]:
+        rows = rng.integers(0, 256, (2, length), dtype=np.uint8)
+        assert [int(value) for value in checksum.of_rows(rows)] == [zlib.crc32(row.tobytes()) for row in rows]
+    assert sum(table.nbytes for table, _, _ in checksum._by_length.values()) < 64 << 20
+    assert len(checksum._left) < 8192

@@ -16,7 +16,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, seed, settings
+from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from imufield.acquire.can_frames import pack_frames
@@ -31,8 +31,8 @@ from imufield.simulate.can_encode import CanEncoder
 SECONDS = float(os.environ.get("IMUFIELD_FUZZ_S", "2"))
 SAMPLES = 40
 EXAMPLES_PER_ROUND = 40
-GROWTH_LIMIT_MB = 64.0
-"""Of the process over all rounds of one driver; one that kept 100 bytes of each frame would pass it within a minute."""
+GROWTH_LIMIT_MB = 160.0
+"""Of the process over all rounds of one driver: tables for the longest frames (16 KiB) take up to 84 MB while they are made."""
 
 Stream = tuple[Protocol, bytes]
 
@@ -117,7 +117,14 @@ def test_any_bytes_give_samples_or_typed_errors(name: str) -> None:
     lasting = {id(protocol): Decoder(protocol) for protocol, _ in known}
 
     @given(st.sampled_from(range(len(known))), MUTATIONS, st.binary(max_size=300), st.lists(PLACE, max_size=6))
-    @settings(max_examples=EXAMPLES_PER_ROUND, database=None, deadline=None, suppress_health_check=list(HealthCheck))
+    @settings(
+        max_examples=EXAMPLES_PER_ROUND,
+        database=None,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+        # Without shrinking, which takes minutes: the seeds find the same again.
+        phases=(Phase.generate,),
+    )
     def one_round(which: int, mutations: list[tuple[str, int, int, bytes]], noise: bytes, cuts: list[int]) -> None:
         protocol, good = known[which]
         data = mutate(good, mutations) + noise
