@@ -7,6 +7,7 @@ bit rate are not given, each is tried, and what was assumed is said.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -253,20 +254,31 @@ def keep(instrument: Instrument, chunks: list[Chunk]) -> None:
 
 
 def _connected(found: Search, options: ConnectOptions, clock: HostClock, say: Say) -> Connected:
-    instrument = None
-    if found.found is None:
-        instrument = _woken(found, clock, say)
+    instrument = _woken(found, clock, say) if found.found is None else None
     ear = found.found
-    if ear is None:
-        raise nothing_recognised(found.link.name, found)
+    if instrument is None and ear is not None and ear.candidate.driver is not None:
+        instrument = Instrument(ear.candidate.driver, clock)
+    try:
+        if ear is None:
+            raise nothing_recognised(found.link.name, found)
+        return _introduced(found, ear, instrument, options, say)
+    except BaseException:
+        if instrument is not None and instrument.is_changed:
+            with suppress(LinkError):
+                instrument.restore(found.link)
+        raise
+
+
+def _introduced(found: Search, ear: Ear, instrument: Instrument | None, options: ConnectOptions, say: Say) -> Connected:
+    """Ask who it is, set what was asked for, and begin to read in the background."""
     candidate, chunks, identity = ear.candidate, found.last.chunks, {}
     protocol = candidate.protocol
     _say_found(found, ear, options, say)
     rate_before_hz = None
-    if candidate.driver is not None:
-        instrument = instrument or Instrument(candidate.driver, clock, set(ear.decoder.statistics.by_kind))
+    if instrument is not None:
+        instrument.heard = set(ear.decoder.statistics.by_kind)
         messages = _ask(instrument, found.link, chunks, ear.messages())
-        identity = candidate.driver.identity(messages)
+        identity = instrument.driver.identity(messages)
         if options.rate_hz is not None:
             rate_before_hz = _set_rate(instrument, found, options.rate_hz, say)
             messages += instrument.state

@@ -223,6 +223,26 @@ def test_a_silent_instrument_is_told_to_send_and_left_silent() -> None:
         assert not instrument.streaming
 
 
+class Stubborn(MicroStrainInstrument):
+    """Takes every rate, and sends no faster than 100 Hz."""
+
+    def _settings(self, number: int, data: bytes) -> bytes:
+        answer = super()._settings(number, data)
+        self.format = [(one, max(decimation, 10)) for one, decimation in self.format]
+        return answer
+
+
+def test_a_rate_that_was_not_taken_is_an_error_and_all_is_as_before() -> None:
+    instrument = Stubborn(50)
+    before = list(instrument.format)
+    with InstrumentOnPort(instrument) as there:
+        with pytest.raises(LinkError, match="set to 500 Hz and says it is at 100 Hz") as error:
+            connected(there.port, rate_hz=500)
+        assert error.value.reason is Reason.REFUSED
+        assert instrument.format == before
+        assert instrument.streaming
+
+
 def test_what_cannot_be_put_back_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     with InstrumentOnPort(WitMotionInstrument()) as there:
         found, _ = connected(there.port, rate_hz=100)
