@@ -146,7 +146,7 @@ def test_matlab_and_every_export_again(tmp_path: Path, capsys: pytest.CaptureFix
     for to, suffix, package in FORMATS:
         pytest.importorskip(package)
         assert typed("export-data", tmp_path / "mine", "--to", to) == 0
-        assert f"{N} samples in {tmp_path / 'mine' / f'samples.{suffix}'}" in capsys.readouterr().out.replace("\n", "")
+        assert f"{N} samples in {tmp_path / 'mine' / f'samples.{suffix}'}" in " ".join(capsys.readouterr().out.split())
         again = tmp_path / f"again-{to}"
         assert typed("import", tmp_path / "mine" / f"samples.{suffix}", "-o", again) == 0
         np.testing.assert_array_equal(imported(again).accelerometer, force)
