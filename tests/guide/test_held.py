@@ -138,7 +138,7 @@ def test_a_hand_alone_makes_no_jolt(seed: int) -> None:
     samples, _ = hold(seed, tremor_rad=math.radians(0.1), sway_rad=math.radians(1.0))
     found = held_mean(samples, SI, QUIET)
     assert found is not None
-    assert found.jolt_m_s2 < 0.5 * CheckSettings().jolt_share * found.usual_jolt_m_s2
+    assert found.jolt_m_s2 < 0.6 * CheckSettings().jolt_share * found.usual_jolt_m_s2
 
 
 @pytest.mark.parametrize("frequency_hz", [15.0, 25.0, 40.0])
