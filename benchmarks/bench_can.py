@@ -90,6 +90,7 @@ while time.monotonic() - last < 2.0 or began is None:
         continue
     if began is None:
         before, began = resource.getrusage(resource.RUSAGE_SELF), time.monotonic()
+        last = began
     frames += 1
     if not frames % 64:
         last = time.monotonic()

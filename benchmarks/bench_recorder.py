@@ -27,7 +27,7 @@ from imufield.simulate.encode import close_datagrams
 
 RATE_HZ = 2000
 FRAME_BYTES = 40
-DURATION_S = 10.0
+DURATION_S = 60.0
 BURST_S = 0.004
 LONG_SESSION_S = 2400.0
 CHUNK_S = 0.02
