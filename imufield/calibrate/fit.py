@@ -55,6 +55,18 @@ class Fit:
         positions, parameters = self.jacobian.shape
         return int(positions - parameters)
 
+    @property
+    def effective_degrees_of_freedom(self) -> float:
+        """Degrees of freedom of the sigmas; there must be residuals to spare.
+
+        Only tau is estimated from the few residuals; the noise within a hold is known from thousands of samples. Welch and
+        Satterthwaite's rule for such a sum, with tau^2 one standard error of a variance larger: a zero from few residuals
+        does not show that there is none.
+        """
+        found = np.mean(self.tau_m_s2**2 / self.sigma_m_s2**2)
+        share = min(1.0, float(found) + np.sqrt(2 / self.degrees_of_freedom))
+        return self.degrees_of_freedom / share**2
+
 
 def column_basis(vector: FloatArray, free: tuple[int, ...], gravity_m_s2: float) -> FloatArray:
     """Return the basis that frees some of the 15 parameters, scaled to m/s^2 at 1 g, shape (15, n)."""

@@ -74,13 +74,18 @@ def judge(evidence: Evidence) -> Quality:
         _rms(positions.leave_one_out_m_s2),
         fitted.tau_m_s2,
         freedom,
-        student_factor_95(freedom),
+        _student_factor(fitted),
         evidence.seen.rank,
         len(evidence.free),
         evidence.seen.condition,
         verdict,
         (_summary(evidence), *poor, *caution, *note),
     )
+
+
+def _student_factor(fitted: Fit) -> float:
+    """Return the factor from sigma to the 95 % limit; NaN where nothing is to spare."""
+    return student_factor_95(fitted.effective_degrees_of_freedom) if fitted.degrees_of_freedom > 0 else float("nan")
 
 
 def common_scale_ratio(scale: FloatArray, preset_scale: FloatArray) -> float:
@@ -175,7 +180,7 @@ def _cautions(evidence: Evidence) -> list[str]:
     freedom = evidence.fitted.degrees_of_freedom
     if 0 < freedom < SPARE_POSITIONS:
         spare = counted(freedom, "position")
-        reasons.append(f"only {spare} to spare: a 95 % interval is {student_factor_95(freedom):.1f} sigma")
+        reasons.append(f"only {spare} to spare: a 95 % interval is {_student_factor(evidence.fitted):.1f} sigma")
     if evidence.seen.condition > HIGH_CONDITION:
         reasons.append(f"the positions are one-sided (condition {evidence.seen.condition:.0f}, limit {HIGH_CONDITION:.0f})")
     if evidence.gravity.source == "assumed":

@@ -299,8 +299,15 @@ def test_a_good_session_is_called_good() -> None:
     quality = calibration.quality
     assert quality.verdict == "good"
     assert (quality.rank, quality.parameters_fitted, quality.degrees_of_freedom) == (9, 9, 15)
-    assert quality.student_factor_95 == pytest.approx(2.131, abs=1e-3)
     assert "24 positions, 9 parameters, 15 to spare" in quality.reasons[0]
+
+
+@pytest.mark.parametrize(("between_m_s2", "factor"), [(0.0, 1.98), (1e-2, 2.131)])
+def test_the_factor_of_the_limit_follows_what_is_known_from_few_positions(between_m_s2: float, factor: float) -> None:
+    rng = np.random.default_rng(14)
+    observations = campaign(random_parameters(rng), rng, between_m_s2=between_m_s2)
+    quality = calibrate_accelerometer(observations, EXACT, model="linear").quality
+    assert quality.student_factor_95 == pytest.approx(factor, abs=0.03)
 
 
 def test_raw_zero_is_taken_off_first() -> None:
