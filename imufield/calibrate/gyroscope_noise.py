@@ -36,6 +36,8 @@ from imufield.samples import FloatArray
 
 _DIFFERENCE = 1e-6
 """Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them."""
+_MOST_SCATTER = 1e4
+"""Times the largest squared residual: no scatter beyond it explains anything, and the numbers stay finite."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +270,14 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     information = np.array([[np.sum(a * b.T) for b in products] for a in products])
     now = np.array(scatter.sizes) ** 2
     step = _bounded_step(now, score, information)
-    return Scatter(*(float(value) for value in np.sqrt(np.maximum(now + step, 0.0))))
+    most = np.array([_MOST_SCATTER * float(np.max(residual**2)) / _least_share(V) for V in components])
+    return Scatter(*(float(value) for value in np.sqrt(np.clip(now + step, 0.0, most))))
+
+
+def _least_share(component: FloatArray) -> float:
+    """Return the least variance that a scatter of size one gives to a residual it touches at all; infinite for none."""
+    diagonal = np.diag(component)
+    return float(np.min(diagonal[diagonal > 0], initial=np.inf))
 
 
 def _bounded_step(now: FloatArray, score: FloatArray, information: FloatArray) -> FloatArray:

@@ -319,5 +319,5 @@ def _significance(full: JointFit) -> tuple[float, float]:
     """Return the F statistic of the g-sensitivity against zero, and its 95 % limit."""
     places = np.flatnonzero((full.free >= SENSITIVITY.start) & (full.free < SENSITIVITY.stop))
     values = full.p[full.free[places]]
-    F = float(values @ np.linalg.solve(full.covariance[np.ix_(places, places)], values)) / len(places)
+    F = float(values @ np.linalg.pinv(full.covariance[np.ix_(places, places)], hermitian=True) @ values) / len(places)
     return max(F, np.finfo(float).tiny), f_limit_95(len(places), full.degrees_of_freedom)
