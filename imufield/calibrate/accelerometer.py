@@ -263,7 +263,7 @@ def _joint_covariance(solution: _Solution) -> tuple[FloatArray, FloatArray]:
     doubt = solution.to_gauge @ solution.chosen.doubt
     t = np.append(gravity_sensitivity(fitted.vector, solution.gravity.gravity_m_s2), 1.0)
     joint = np.outer(t, t) * solution.gravity.sigma_m_s2**2
-    joint[:PARAMETERS, :PARAMETERS] += fitted.basis @ covariance @ fitted.basis.T + np.outer(doubt, doubt)
+    joint[:PARAMETERS, :PARAMETERS] += fitted.basis @ covariance @ fitted.basis.T + doubt @ doubt.T
     return joint, factors
 
 

@@ -174,11 +174,14 @@ def gravity_sensitivity(vector: FloatArray, gravity_m_s2: float) -> FloatArray:
     return sensitivity
 
 
-def student_factor_95(degrees_of_freedom: float) -> float:
-    """Return the factor of a two-sided 95 % interval, 1.96 for infinitely many degrees of freedom; NaN without any."""
+def student_factor_95(degrees_of_freedom: float, of: int = 1) -> float:
+    """Return the factor of a two-sided 95 % interval for the largest of some values (Bonferroni).
+
+    It is 1.96 for one value and infinitely many degrees of freedom; NaN without any.
+    """
     from scipy.special import stdtrit  # the module is slow to load, and only a finished fit needs it
 
-    return float(stdtrit(degrees_of_freedom, 0.975)) if degrees_of_freedom > 0 else float("nan")
+    return float(stdtrit(degrees_of_freedom, 1 - 0.025 / of)) if degrees_of_freedom > 0 else float("nan")
 
 
 def f_limit_95(numerator: int, denominator: int) -> float:

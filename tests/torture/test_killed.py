@@ -105,7 +105,7 @@ def events_on_disk(folder: Path) -> list[dict[str, Any]]:
     return [item.event for item in read_session(Session.open(folder)) if isinstance(item, RecordedEvent)]
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(400)
 @pytest.mark.parametrize("number", range(10 if FULL else 1))
 def test_killed_twenty_times(program: Program, port: str, number: int, campaign: Campaign) -> None:
     rng = random.Random(20 + number)
@@ -129,7 +129,7 @@ def test_killed_twenty_times(program: Program, port: str, number: int, campaign:
         assert len(accepted) == len(set(accepted)), f"kill {kill}: a position was asked for again"
         must_be_there |= set(accepted)
     assert len(must_be_there) > 3
-    ended = program.run(*arguments, "--resume", timeout_s=60)
+    ended = program.run(*arguments, "--resume", timeout_s=180)
     assert ended.returncode == 0, ended.stderr
     assert Session.open(folder).finished
     solved = program.run("solve", folder, "--json")
