@@ -9,7 +9,7 @@ TEST := $(VENV)/.test
 DEV := $(VENV)/.dev
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench study fuzz lint docs coverage audit lock changelog wheel clean screens
+.PHONY: help demo test bench study fuzz lint docs torture coverage audit lock changelog wheel clean screens
 
 help:
 	@echo "make demo    the whole chain on a virtual instrument, about a minute"
@@ -19,6 +19,7 @@ help:
 	@echo "make fuzz    a minute of random and damaged bytes for every instrument"
 	@echo "make lint    style, types"
 	@echo "make docs    build the documentation into build/docs; broken links and examples fail"
+	@echo "make torture  kills, cuts, bad wires and files, in full, half an hour; writes docs/reliability.md"
 	@echo "make coverage  branches tested in acquire, calibrate and guide; below 90 % fails"
 	@echo "make audit   every dependency as it was tested; make lock notes them anew"
 	@echo "make changelog  what has changed since the last release"
@@ -52,6 +53,9 @@ lint: $(DEV)
 docs: $(DEV)
 	$(BIN)/python -m pytest tests/test_docs.py tests/test_docs_build.py tests/commands/test_docs_commands.py
 	$(BIN)/python -m mkdocs build --strict
+
+torture: $(TEST)
+	TORTURE=full $(BIN)/python -m pytest tests/torture
 
 changelog: $(DEV)
 	$(BIN)/python -m towncrier build --draft --version "not released yet"

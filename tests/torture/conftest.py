@@ -6,6 +6,7 @@ and writes that page anew.
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 from collections.abc import Iterator
@@ -21,16 +22,18 @@ from tests.commands.conftest import program, solved_session, whole_session
 __all__ = ["program", "solved_session", "whole_session"]
 
 FULL = os.environ.get("TORTURE") == "full"
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
+PROJECT = Path(__file__).resolve().parents[2]
+PAGE = PROJECT / "docs" / "reliability.md"
+ROWS = PROJECT / "build" / "torture.json"
 HEAD = """# Reliability
 
-What was done to the program, how often, and what was lost. `make torture` does all of it again (about an hour on two
+What was done to the program, how often, and what was lost. `make torture` does all of it again (about half an hour on two
 cores) and writes this page; `make test` runs a short form of every line. Instruments are simulated; ports, files,
 processes and kills are real.
 
 Version {version}, Python {python}, {date}.
 
-| what was done | how often | what was lost, or what came of it |
+| what was done | how often | what was lost, or what came of it (memory: growth after the first minute) |
 |---|---|---|
 """
 
@@ -39,22 +42,40 @@ Version {version}, Python {python}, {date}.
 class Campaign:
     """Counts for a test in its present form, and rows of the table."""
 
-    rows: list[tuple[str, str, str]] = field(default_factory=list)
+    rows: dict[str, dict[str, list[str]]] = field(default_factory=dict)
+    """Module of the test, what was done, (how often, what was lost)."""
     full: bool = FULL
+    module: str = ""
 
     def times(self, short: int, full: int) -> int:
         """Return how often to do it."""
         return full if self.full else short
 
     def tell(self, what: str, how_often: object, lost: str) -> None:
-        """Add a row."""
-        self.rows.append((what, str(how_often), lost))
+        """Add a row, or replace the one of an earlier run."""
+        self.rows.setdefault(self.module, {})[what] = [str(how_often), lost]
+
+    def write(self) -> None:
+        """Write the page; rows of tests that were not run this time are those of their last run."""
+        ROWS.parent.mkdir(exist_ok=True)
+        kept = json.loads(ROWS.read_text(encoding="utf-8")) if ROWS.exists() else {}
+        for module, rows in self.rows.items():
+            kept[module] = {**kept.get(module, {}), **rows}
+        ROWS.write_text(json.dumps(kept, indent=1), encoding="utf-8")
+        head = HEAD.format(version=__version__, python=platform.python_version(), date=datetime.now(UTC).date())
+        lines = [f"| {what} | {' | '.join(row)} |\n" for name in sorted(kept) for what, row in kept[name].items()]
+        PAGE.write_text(head + "".join(lines), encoding="utf-8")
 
 
 @pytest.fixture(scope="session")
-def campaign() -> Iterator[Campaign]:
+def whole_campaign() -> Iterator[Campaign]:
     campaign = Campaign()
     yield campaign
     if campaign.full and campaign.rows:
-        head = HEAD.format(version=__version__, python=platform.python_version(), date=datetime.now(UTC).date())
-        PAGE.write_text(head + "".join(f"| {' | '.join(row)} |\n" for row in campaign.rows), encoding="utf-8")
+        campaign.write()
+
+
+@pytest.fixture
+def campaign(whole_campaign: Campaign, request: pytest.FixtureRequest) -> Campaign:
+    whole_campaign.module = request.path.stem
+    return whole_campaign

@@ -17,7 +17,7 @@ from imufield.guide.positions import scheme
 from imufield.guide.settings import GuideSettings
 from imufield.samples import FloatArray
 from imufield.simulate.devices import Stim300Device
-from imufield.simulate.emulate import EmulateOptions, make_emulator, make_virtual_imu
+from imufield.simulate.emulate import EmulateOptions, choose_wire, make_device, make_virtual_imu
 from imufield.simulate.operator import OperatorSettings
 from imufield.study.campaign import run_campaign
 
@@ -46,7 +46,8 @@ class Sessions:
         habits = OperatorSettings(hold_s=VISIT_S, initial_still_s=6.0, begins_in_first_position=True)
         options = EmulateOptions("stim300", RATE_HZ, self.grade, seed, positions.directions(), habits)
         source = make_virtual_imu(options)
-        device = make_emulator(options).device
+        wire = choose_wire(options)
+        device = make_device(options, wire)
         assert isinstance(device, Stim300Device)
         protocol = load_protocol("stim300", {"accelerometer_range_g": device.format.accelerometer_range_g})
         decoder = Decoder(protocol)

@@ -120,7 +120,7 @@ def test_damaged_files(
 
     @seed(8)
     @settings(
-        max_examples=campaign.times(12, 600),
+        max_examples=campaign.times(12, 200),
         deadline=None,
         database=None,
         phases=(Phase.generate, Phase.shrink),
