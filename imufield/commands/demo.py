@@ -89,8 +89,7 @@ def run_demo(*, seed: int, speed: float, plain: bool, root: Path = DEFAULT_ROOT)
             )
             captured = run_capture(options, ScaledClock(speed))
         truth = _read_truth(truth_file)
-    # Of the models only this one states a sigma that is true whatever the size of the quadratic term, see ``model_choice``.
-    solved = solve_session(captured.session, SolveOptions(model="quadratic"))
+    solved = solve_session(captured.session, SolveOptions())
     path = captured.session.folder / PARAMETER_FILE
     kept = write_document(path, solved.parameters.document)
     print_summary(solved.parameters, Outcome(path, kept, captured.session.folder))
