@@ -65,7 +65,7 @@ class Fit:
         """
         found = np.mean(self.tau_m_s2**2 / self.sigma_m_s2**2)
         share = min(1.0, float(found) + np.sqrt(2 / self.degrees_of_freedom))
-        return self.degrees_of_freedom / share**2
+        return float(self.degrees_of_freedom / share**2)
 
 
 def column_basis(vector: FloatArray, free: tuple[int, ...], gravity_m_s2: float) -> FloatArray:

@@ -53,8 +53,9 @@ def test_sigma_is_honest_without_known_covariances() -> None:
     assert np.all((rms > LOW) & (rms < HIGH)), rms
 
 
-@pytest.mark.parametrize(("quadratic_m_s2", "high"), [(0.0, HIGH), (1e-3, 1.8), (1e-2, HIGH)])
-def test_auto_allows_for_a_term_it_could_not_find(quadratic_m_s2: float, high: float) -> None:
-    # At 1e-3 m/s^2 the term is mostly below significance and still shifts the bias of a linear fit by several sigma.
+@pytest.mark.parametrize(("quadratic_m_s2", "low"), [(0.0, 0.25), (1e-3, 0.5), (1e-2, LOW)])
+def test_auto_allows_for_a_term_it_could_not_find(quadratic_m_s2: float, low: float) -> None:
+    # At 1e-3 m/s^2 the term is mostly below significance and still shifts the bias of a linear fit by several sigma. Where
+    # there is none, nobody can know that: the bias is better than stated.
     rms = np.sqrt(np.mean(ratios("auto", quadratic_m_s2, 3e-4) ** 2, axis=0))
-    assert np.all((rms > LOW) & (rms < high)), rms
+    assert np.all((rms > low) & (rms < HIGH)), rms
