@@ -69,7 +69,7 @@ def to_current(document: Document, version: int) -> Document:
     """
     converted = copy.deepcopy(document)
     for step in range(version, VERSION):
-        converted = CONVERTERS[step](converted) | {"version": step + 1}
+        converted = {**CONVERTERS[step](converted), "version": step + 1}
     if converted["integrity"]["sha256"] != EDITED:
         converted["integrity"] = {"sha256": content_sha256(converted)}
     return converted

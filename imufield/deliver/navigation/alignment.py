@@ -129,7 +129,7 @@ def coarse_attitude(force: FloatArray, rate: FloatArray) -> FloatArray:
         )
     down = -force / length
     north = north / np.linalg.norm(north)
-    return np.array([north, np.cross(down, north), down])
+    return np.array([north, np.cross(down, north), down], dtype=np.float64)
 
 
 def level_attitude(force: FloatArray, heading: Heading) -> FloatArray:
@@ -153,10 +153,10 @@ def level_attitude(force: FloatArray, heading: Heading) -> FloatArray:
             "with another side down, or leave --heading out",
             steep_deg=steep_deg,
         )
-    ahead = np.array([1.0, 0.0, 0.0]) - down[0] * down
+    ahead: FloatArray = np.array([1.0, 0.0, 0.0]) - down[0] * down
     ahead /= np.linalg.norm(ahead)
     north = np.cos(heading.angle_rad) * ahead - np.sin(heading.angle_rad) * np.cross(down, ahead)
-    return np.array([north, np.cross(down, north), down])
+    return np.array([north, np.cross(down, north), down], dtype=np.float64)
 
 
 def earth_rate(latitude_deg: float) -> FloatArray:

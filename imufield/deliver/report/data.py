@@ -132,9 +132,10 @@ class RestCollector:
         if not len(kept) or not inside.any():
             return
         rate = kept.gyroscope_rate()
-        if self._centre is None:
-            self._centre = rate[0]  # squares of what is left lose no digits
-        rate = rate - self._centre
+        # Squares of what is left lose no digits.
+        centre = rate[0] if self._centre is None else self._centre
+        self._centre = centre
+        rate = rate - centre
         for k in np.flatnonzero(inside):
             first, last = np.searchsorted(kept.time_s, (self._start_s[k], self._end_s[k]))
             self._count[k] += last - first
