@@ -55,10 +55,10 @@ def commands() -> Iterator[str]:
     group: Any = get_command(app)
     for name, command in sorted(group.commands.items()):
         text = inspect.cleandoc(command.help or "")
-        summary, _, example = text.partition("Example:")
+        summary, *examples = text.split("Example:")
         yield f"## {name}\n\n{summary.strip()}\n"
-        if example:
-            yield f"```console\n$ {' '.join(example.split())}\n```\n"
+        if examples:
+            yield "\n".join(["```console", *(f"$ {' '.join(example.split())}" for example in examples), "```\n"])
         yield from options(command)
 
 
@@ -88,8 +88,9 @@ def instruments() -> Iterator[str]:
     for name in driver_names():
         driver = load_driver(name)
         yield f"## {driver.title}\n\n`--driver {name}`; {driver.status}.\n"
-        rates = ", ".join(str(baud) for baud in driver.bauds)
-        yield f"* Wire: {driver.wire}, {driver.default_baud} bit/s (also {rates})\n* Manual: {driver.manual}\n"
+        others = ", ".join(str(baud) for baud in driver.bauds if baud != driver.default_baud)
+        also = f" (also {others})" if others else ""
+        yield f"* Wire: {driver.wire}, {driver.default_baud} bit/s{also}\n* Manual: {driver.manual}\n"
         yield f"```text\n{inspect.getdoc(driver)}\n```\n"
         yield from settings_of(driver)
 

@@ -36,6 +36,10 @@ def test_every_command_and_instrument_has_its_section(tmp_path: Path) -> None:
     for name in driver_names():
         assert f"--driver {name}</code>" in instruments
         assert load_driver(name).status in instruments
+        assert f"{load_driver(name).default_baud} bit/s (also {load_driver(name).default_baud}" not in instruments
+    assert "921600 bit/s (also 460800, 1843200, 374400)" in instruments
+    for line in ("imufield record --port /dev/ttyUSB0 --duration-s 3600", "imufield import drive.blf --driver aceinna_can"):
+        assert f"$ {line}\n" in commands, "each example is a line of its own"
     for page in ("security", "contributing", "changes"):
         assert (tmp_path / f"{page}.html").stat().st_size > 3000
     assert "https://cdn" not in commands
