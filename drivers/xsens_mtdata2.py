@@ -10,7 +10,7 @@ from imufield.acquire.driver import Ability, Driver, Evidence
 from imufield.acquire.exchange import Command, Message
 
 _SUM = make_checksum("SUM-8/NEGATED")
-REQUEST_DEVICE_ID, REQUEST_CONFIGURATION, GO_TO_MEASUREMENT, REQUEST_FIRMWARE = 0x00, 0x0C, 0x10, 0x12
+REQUEST_DEVICE_ID, GO_TO_MEASUREMENT, REQUEST_FIRMWARE = 0x00, 0x10, 0x12
 REQUEST_PRODUCT_CODE, GO_TO_CONFIG = 0x1C, 0x30
 
 

@@ -277,7 +277,8 @@ class FrameCheck:
         judged = np.full(len(starts), INVALID if last else INCOMPLETE, dtype=np.int8)
         judged[lengths == NONE] = INVALID
         complete = (lengths > 0) & (starts + lengths <= len(buffer))
-        judged[complete] = self.fit(buffer, starts[complete], lengths[complete]) != NO_SHAPE
+        fitting = self.fit(buffer, starts[complete], lengths[complete]) != NO_SHAPE
+        judged[complete] = np.where(fitting, VALID, INVALID)
         return judged
 
     def rows_fit(self, rows: Rows) -> tuple[NDArray[np.bool_], int]:

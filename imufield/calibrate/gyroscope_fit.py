@@ -73,13 +73,6 @@ class JointFit:
     heading_fitted: bool
 
     @property
-    def chi_squared(self) -> float:
-        """Squared residuals in units of S."""
-        S = self.parts.total(self.scatter)
-        residual = self.evaluation.residual
-        return float(residual @ np.linalg.solve(S, residual))
-
-    @property
     def degrees_of_freedom(self) -> int:
         """Residuals less parameters of the instrument."""
         return int(len(self.evaluation.residual) - np.count_nonzero(self.free < PARAMETERS))

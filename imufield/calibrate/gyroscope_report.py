@@ -43,8 +43,6 @@ class MoveReport:
 
     start_s: FloatArray
     end_s: FloatArray
-    path_deg: FloatArray
-    """How far it was turned, there and back."""
     before_deg: FloatArray
     """Angle between the measured and the integrated direction of gravity, with the parameters in force before, if any."""
     after_deg: FloatArray
@@ -81,8 +79,6 @@ class GyroscopeResult:
     heading_fitted: bool
     drift_rad_s: float
     """Scatter of the bias from still to still, beyond noise."""
-    turn_deg: float
-    """Scatter of the turns, beyond noise."""
     reasons: tuple[str, ...]
     """Sentences: every warning, and what the result rests on."""
     basis: Described | StaticNorm | None = None
@@ -171,7 +167,6 @@ def describe(what: Described) -> GyroscopeResult:
         what.sight.hidden_names,
         fitted.heading_fitted,
         fitted.scatter.drift_rad_s,
-        float(np.degrees(fitted.scatter.turn_rad)),
         _reasons(what),
         what,
     )
@@ -185,13 +180,12 @@ def static_result(gyroscope: GyroscopeCalibration, sentences: tuple[str, ...]) -
         GYROSCOPE_BIAS_NAMES,
         np.diag(gyroscope.sigma.bias**2),
         np.empty((0, 16)),
-        MoveReport(none, none, none, none, none, none),
+        MoveReport(none, none, none, none, none),
         (),
         (),
         False,
         tuple(name for name in GYROSCOPE_NAMES[:9]),
         False,
-        float("nan"),
         float("nan"),
         sentences,
     )
@@ -217,14 +211,13 @@ def static_norm_result(what: StaticNorm) -> GyroscopeResult:
         tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
         covariance[np.ix_(known, known)],
         np.zeros((int(known.sum()), 16)),
-        MoveReport(none, none, none, none, none, none),
+        MoveReport(none, none, none, none, none),
         (),
         given.moves.dropped,
         False,
         () if free else GYROSCOPE_NAMES[:9],
         True,
         fitted.scatter.drift_rad_s,
-        float("nan"),
         (*latitude, *unsettled, *(one.sentence for one in given.moves.dropped)),
         what,
     )
@@ -271,7 +264,7 @@ def _move_report(what: Described) -> MoveReport:
     if what.sight.known:
         before = np.degrees(evaluate(what.start, data).angle_error_rad(up))
     after = np.degrees(now.angle_error_rad(up))
-    return MoveReport(moves.start_s, moves.end_s, np.degrees(now.turns.path_rad), before, after, sigma)
+    return MoveReport(moves.start_s, moves.end_s, before, after, sigma)
 
 
 def _whole_turns(what: Described) -> tuple[WholeTurn, ...]:

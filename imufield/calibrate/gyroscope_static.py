@@ -65,7 +65,6 @@ class StaticFit:
     covariance: FloatArray
     """Shape (12, 12), zero where not fitted."""
     scatter: Scatter
-    chi_squared: float
     vertical: float
     vertical_sigma: float
     """u . w as the stills show it with the latitude left free, rad/s."""
@@ -110,11 +109,11 @@ def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: Stati
     """
     columns = static_columns(free)
     start = static_start(data, A, latitude_deg)
-    p, covariance, scatter, cost, converged = _fit(data, start, columns)
+    p, covariance, scatter, converged = _fit(data, start, columns)
     seen, seen_covariance, *_ = _fit(data, p, [*columns, 12])
     full = np.zeros((12, 12))
     full[np.ix_(columns, columns)] = covariance
-    return StaticFit(p[:12], full, scatter, cost, float(seen[12]), math.sqrt(seen_covariance[-1, -1]), converged)
+    return StaticFit(p[:12], full, scatter, float(seen[12]), math.sqrt(seen_covariance[-1, -1]), converged)
 
 
 def static_columns(free: StaticFree) -> list[int]:
@@ -129,7 +128,7 @@ def static_start(data: StaticData, A: FloatArray, latitude_deg: float) -> FloatA
     return np.concatenate([A.ravel(), bias, [vertical]])
 
 
-def _fit(data: StaticData, start: FloatArray, columns: list[int]) -> tuple[FloatArray, FloatArray, Scatter, float, bool]:
+def _fit(data: StaticData, start: FloatArray, columns: list[int]) -> tuple[FloatArray, FloatArray, Scatter, bool]:
     p, scatter = start.copy(), Scatter(0.3 * EARTH_RATE_RAD_S, 0.0, 0.0)
     left = _ITERATIONS
     while True:
@@ -146,7 +145,7 @@ def _fit(data: StaticData, start: FloatArray, columns: list[int]) -> tuple[Float
         left -= 1
         if converged or not left:
             covariance = np.asarray(np.linalg.inv(information) / np.outer(size, size), dtype=np.float64)
-            return p, covariance, scatter, float(residual @ inverse @ residual), converged
+            return p, covariance, scatter, converged
 
 
 def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, FloatArray, Covariances]:

@@ -62,8 +62,6 @@ class Turns:
     jacobian: FloatArray
     duration: FloatArray
     spread: FloatArray
-    path_rad: FloatArray
-    """Sum of the lengths of the rotation vectors, shape (m,): how far it was turned, there and back."""
     net_rad: FloatArray
     """Sum of the rotation vectors in the frame at the end, shape (m, 3): 2 pi for a whole turn."""
 
@@ -146,7 +144,6 @@ def integrate(x: FloatArray, slots: CentredSlots, noise_density_raw: FloatArray)
         np.concatenate([by_inverse, -duration, -by_force], axis=2),
         duration,
         total(spread),
-        total(np.linalg.norm(vectors, axis=1)),
         total((to_end @ vectors[:, :, None])[:, :, 0]),
     )
 

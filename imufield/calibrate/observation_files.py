@@ -108,11 +108,6 @@ def _read_table(path: Path) -> _Table:
     return _Table(path, header, rows[1:], lines[1:])
 
 
-def _with_points(header: tuple[str, ...], row: list[str]) -> list[str]:
-    """Turn decimal commas into points, but for the names."""
-    return [cell if name == NAME else _DECIMAL_COMMA.sub(".", cell) for name, cell in zip(header, row, strict=True)]
-
-
 def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")

@@ -26,8 +26,6 @@ from imufield.calibrate.triad_costs import TurnsProblem
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
-RATES_DEG_S = (10.0, 20.0, 30.0)
-"""Rates of the paper, both ways, about each axis."""
 _SAME_RATE = 0.05
 """Runs whose rates differ by more than this share are no pair."""
 

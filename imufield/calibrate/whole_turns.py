@@ -53,21 +53,13 @@ def stops_at(times_s: Sequence[float], start_s: FloatArray, end_s: FloatArray) -
 
 @dataclass(frozen=True, slots=True)
 class WholeTurn:
-    """A whole turn and how well it closed."""
+    """A whole turn, with the sentence that says how well it closed."""
 
-    move: int
     turns: int
     """Signed: about the body axis ``axis``."""
     axis: str
     about: str
     """"horizontal" or "vertical"."""
-    closure_rad: float
-    """By how much the integrated turn misses what was measured: direction of gravity (horizontal), stop (vertical)."""
-    closure_before_rad: float
-    """The same with the parameters in force before; NaN where there were none."""
-    not_whole_rad: float
-    """Angle between the directions of gravity before and after (horizontal), or the closure (vertical)."""
-    used_stop: bool
     sentence: str
 
 
@@ -133,14 +125,9 @@ def find_whole_turns(evaluation: Evaluation, data: GyroscopeData, before: Evalua
         closure_before = float("nan") if earlier is None else float(earlier[k])
         found.append(
             WholeTurn(
-                int(k),
                 count,
                 AXES[body],
                 "vertical" if upright else "horizontal",
-                closure,
-                closure_before,
-                off,
-                bool(np.any(data.stops == k)),
                 _sentence(count, AXES[body], upright, np.degrees([closure, closure_before, off])),
             )
         )
@@ -148,7 +135,12 @@ def find_whole_turns(evaluation: Evaluation, data: GyroscopeData, before: Evalua
 
 
 def _sentence(count: int, axis: str, upright: bool, degrees: FloatArray) -> str:
-    """``degrees``: closure, closure before (NaN where nothing was in force), distance between the two rests."""
+    """Return how well a turn closed, ``upright`` or rolled.
+
+    ``degrees``: by how much the integrated turn misses what was measured, the direction of gravity (rolled) or the stop
+    (upright); the same with the parameters in force before, NaN where there were none; and the angle between the directions of
+    gravity before and after.
+    """
     closure_deg, before_deg, off_deg = degrees
     before = f" ({before_deg:.3f} deg with the parameters before)" if np.isfinite(before_deg) else ""
     name = f"{count:+d} turn{'s' if abs(count) > 1 else ''} about {axis}"

@@ -135,14 +135,6 @@ def _per_axis(scale: RoughScale, accelerometer_m_s2: float, gyroscope_rad_s: flo
     return np.repeat([accelerometer, gyroscope], 3)
 
 
-def find_floor(cells: Cells, scale: RoughScale, window: int) -> NoiseFloor | None:
-    """Return the floor of the first quiet window of that many cells, None while there is none."""
-    for start in range(len(cells) - window + 1):
-        if is_quiet(cells[start : start + window], scale):
-            return measure_floor(cells[start : start + window])
-    return None
-
-
 def is_quieter(floor: NoiseFloor, than: NoiseFloor) -> bool:
     """Whether one floor lies clearly below another, for one triad at least and above it for none."""
     shares = []

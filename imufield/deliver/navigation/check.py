@@ -72,7 +72,6 @@ class NavigationResult:
     samples: int
     lost: int
     """Samples left out: flagged, or not a number."""
-    longest_gap_s: float
     noise: RestNoise
     notes: tuple[str, ...] = field(default=())
 
@@ -151,7 +150,6 @@ class StaticNavigation:
             float(drifts[next(iter(drifts))].time_s[-1]),
             int(self._counts[0]),
             int(self._counts[1]),
-            self._gap_s,
             noise,
             notes,
         )
