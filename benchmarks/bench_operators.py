@@ -26,6 +26,7 @@ import numpy as np
 
 from benchmarks.operator_truth import Edges, EdgeWatch, Standards, bump_shares, outside, true_edges
 from imufield.calibrate.models import recover
+from imufield.earth import MICRO_G_M_S2
 from imufield.guide.events import Accepted, Advice, Done, Event, Move, RefusalCode, Rejected, Topic
 from imufield.guide.guide import Guide
 from imufield.guide.observe import Observation, guard_cells
@@ -37,7 +38,6 @@ from imufield.simulate.grades import GRADES, draw_truth
 from imufield.simulate.imu import Imu, ImuSettings
 from imufield.simulate.operator import Operator, OperatorSettings
 
-MICRO_G = 9.80665e-6
 BLOCK_S = 0.1
 LONGEST_S = 3600.0
 LONG_ENOUGH_S = 3.0
@@ -156,8 +156,8 @@ def examine(run: Run, operator: Operator, imu: Imu, guide: Guide, played: Played
         error, sigma = norm_error(operator, imu, found)
         errors.append(error)
         sigmas.append(sigma)
-    run.error_ug = float(np.sqrt(np.mean(np.square(errors)))) / MICRO_G if errors else math.nan
-    run.sigma_ug = float(np.sqrt(np.mean(np.square(sigmas)))) / MICRO_G if sigmas else math.nan
+    run.error_ug = float(np.sqrt(np.mean(np.square(errors)))) / MICRO_G_M_S2 if errors else math.nan
+    run.sigma_ug = float(np.sqrt(np.mean(np.square(sigmas)))) / MICRO_G_M_S2 if sigmas else math.nan
     run.worst_sigma = float(np.max(np.abs(errors) / np.array(sigmas))) if errors else math.nan
     examine_bumps(run, operator, imu, guide, bumped)
     examine_edges(run, guide, played, edges)

@@ -79,6 +79,20 @@ class SampleUnits:
         """Whether the instrument scales both triads itself."""
         return self.accelerometer in ("m/s^2", "m/s") and self.gyroscope in ("rad/s", "rad")
 
+    @property
+    def accelerometer_rate_unit(self) -> str:
+        """Unit of accelerometer means: that of the samples, per second for increments."""
+        return _rate_unit(self.accelerometer, self.accelerometer_is_increment)
+
+    @property
+    def gyroscope_rate_unit(self) -> str:
+        """The same of gyroscope means."""
+        return _rate_unit(self.gyroscope, self.gyroscope_is_increment)
+
+
+def _rate_unit(unit: str, is_increment: bool) -> str:
+    return {"m/s": "m/s^2", "rad": "rad/s"}.get(unit, f"{unit}/s") if is_increment else unit
+
 
 @dataclass(frozen=True, slots=True)
 class Samples:

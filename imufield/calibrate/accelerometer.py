@@ -55,7 +55,7 @@ from imufield.calibrate.uncertainty import (
 )
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, Reason, UsageError, counted
-from imufield.samples import FloatArray, SampleUnits
+from imufield.samples import FloatArray
 
 EQUATIONS = {
     "sensing": "N - raw_zero = K (T a + b) + K2 (T a)^2",
@@ -145,13 +145,6 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     return _calibration(solution, signs, before, wanted, zero, seed)
 
 
-def rate_unit(units: SampleUnits) -> str:
-    """Return the raw unit of accelerometer means: that of the samples, per second for increments."""
-    if not units.accelerometer_is_increment:
-        return units.accelerometer
-    return "m/s^2" if units.accelerometer == "m/s" else f"{units.accelerometer}/s"
-
-
 def _raw_zero(raw_zero: FloatArray | float | None, preset: AccelerometerParameters | None) -> FloatArray:
     if raw_zero is None:
         return np.zeros(3) if preset is None else preset.raw_zero
@@ -224,7 +217,7 @@ def _calibration(
     return Calibration(
         accelerometer=from_vector(fitted.vector, zero, axes),
         accelerometer_sigma=from_vector(sigma, None, axes),
-        accelerometer_raw_unit=rate_unit(solution.observations.units),
+        accelerometer_raw_unit=solution.observations.units.accelerometer_rate_unit,
         equation=EQUATIONS[axes],
         gauge=gauge,
         intrinsic=_intrinsic(solution, covariance),

@@ -18,7 +18,7 @@ from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import ACCELEROMETER_NAMES, GRAVITY_NAME, Calibration, GyroscopeCalibration, GyroscopeParameters
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError, Reason
-from imufield.samples import AXES, FloatArray, SampleUnits
+from imufield.samples import AXES, FloatArray
 
 GYROSCOPE_BIAS_NAMES = tuple(f"gyroscope.bias.{axis}" for axis in AXES)
 """Names of the static gyroscope parameters in the joint covariance, raw unit."""
@@ -83,7 +83,7 @@ def static_bias(
         GyroscopeParameters(K, misalignment, bias, np.zeros((3, 3))),
         GyroscopeParameters(np.full(3, np.nan), not_estimated, sigma, not_estimated),
         f"static bias from {int(there.sum())} positions, {words}; scale and misalignment as given, not calibrated",
-        gyroscope_rate_unit(observations.units),
+        observations.units.gyroscope_rate_unit,
     )
 
 
@@ -105,13 +105,6 @@ def _earth_part(up: FloatArray, latitude_deg: float | None) -> _EarthPart:
     known = EARTH_RATE_RAD_S * math.sin(latitude) * unit
     variance = (EARTH_RATE_RAD_S * math.cos(latitude)) ** 2 * np.mean((1 - unit**2) / 2, axis=0)
     return _EarthPart(known, variance, "vertical Earth rate taken off, horizontal part (heading unknown) in the sigma")
-
-
-def gyroscope_rate_unit(units: SampleUnits) -> str:
-    """Return the raw unit of gyroscope means: that of the samples, per second for increments."""
-    if not units.gyroscope_is_increment:
-        return units.gyroscope
-    return "rad/s" if units.gyroscope == "rad" else f"{units.gyroscope}/s"
 
 
 def with_gyroscope(calibration: Calibration, gyroscope: GyroscopeCalibration) -> Calibration:

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.gyroscope import gyroscope_rate_unit, static_bias
+from imufield.calibrate.gyroscope import static_bias
 from imufield.calibrate.gyroscope_fit import EarthKnowledge, JointFit, fit_jointly
 from imufield.calibrate.gyroscope_model import VERTICAL, GyroscopeData, chains_of, no_table
 from imufield.calibrate.gyroscope_noise import ForceErrors, accelerometer_force, force_errors
@@ -214,7 +214,7 @@ def _preset_inverse(given: GyroscopeInput) -> FloatArray | None:
         return np.asarray(np.linalg.inv(M), dtype=np.float64)
     if given.nominal_scale is not None:
         return np.eye(3) / given.nominal_scale
-    unit = gyroscope_rate_unit(given.observations.units)
+    unit = given.observations.units.gyroscope_rate_unit
     return np.eye(3) if unit == "rad/s" else None
 
 

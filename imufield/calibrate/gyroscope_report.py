@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imufield.calibrate.gyroscope import GYROSCOPE_BIAS_NAMES, gyroscope_rate_unit, with_gyroscope
+from imufield.calibrate.gyroscope import GYROSCOPE_BIAS_NAMES, with_gyroscope
 from imufield.calibrate.gyroscope_fit import EarthKnowledge, JointFit
 from imufield.calibrate.gyroscope_model import GyroscopeData, evaluate
 from imufield.calibrate.gyroscope_sight import Sight
@@ -153,7 +153,7 @@ def describe(what: Described) -> GyroscopeResult:
     known[12:] &= what.fit_g
     sigma = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
     calibration = GyroscopeCalibration(
-        as_parameters(values), as_parameters(sigma), _path(what), gyroscope_rate_unit(what.given.observations.units)
+        as_parameters(values), as_parameters(sigma), _path(what), what.given.observations.units.gyroscope_rate_unit
     )
     return GyroscopeResult(
         calibration,
@@ -207,7 +207,7 @@ def static_norm_result(what: StaticNorm) -> GyroscopeResult:
     latitude = latitude_words(given.latitude_deg or 0.0, fitted.vertical, fitted.vertical_sigma)
     none = np.empty(0)
     return GyroscopeResult(
-        GyroscopeCalibration(as_parameters(values), as_parameters(sigma), path, gyroscope_rate_unit(given.observations.units)),
+        GyroscopeCalibration(as_parameters(values), as_parameters(sigma), path, given.observations.units.gyroscope_rate_unit),
         tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
         covariance[np.ix_(known, known)],
         np.zeros((int(known.sum()), 16)),

@@ -12,17 +12,16 @@ from imufield.calibrate.models import BIAS, SCALE
 from imufield.calibrate.observability import Observability
 from imufield.calibrate.result import ACCELEROMETER_NAMES, PositionResult, Quality
 from imufield.calibrate.uncertainty import Influence, SinglePosition, student_factor_95
-from imufield.earth import MEASURED_GRAVITY_SIGMA_M_S2, STANDARD_GRAVITY_M_S2, Gravity, contradiction
+from imufield.earth import MEASURED_GRAVITY_SIGMA_M_S2, MILLI_G_M_S2, Gravity, contradiction
 from imufield.errors import CalibrationError, Reason, counted
 from imufield.samples import AXES, FloatArray
 
-MG = STANDARD_GRAVITY_M_S2 * 1e-3
 """One milli-g in m/s^2."""
 
-POOR_RESIDUAL_M_S2 = 5 * MG
+POOR_RESIDUAL_M_S2 = 5 * MILLI_G_M_S2
 """Leave-one-out RMS above this: a hold that was touched or a wrong column, not a consumer-grade sensor's noise."""
 USABLE_SCALE_SIGMA = 1e-3
-USABLE_BIAS_SIGMA_M_S2 = 2 * MG
+USABLE_BIAS_SIGMA_M_S2 = 2 * MILLI_G_M_S2
 """Above these, 1 sigma, a consumer-grade factory calibration is as good."""
 SPARE_POSITIONS = 4
 """Degrees of freedom below this give Student factors of 3.2 and more."""
@@ -121,8 +120,8 @@ def refuse_saturation(raw: FloatArray, residual_m_s2: FloatArray) -> None:
         for limit, count in _stops(np.sort(raw[:, axis])):
             raise CalibrationError(
                 f"axis {AXES[axis]} stops at {limit:g} in {count} positions while the norm is wrong by up to "
-                f"{worst / MG:.0f} mg (limit {SATURATION_RESIDUAL_M_S2 / MG:.0f} mg): it is saturated; choose a larger range "
-                "and take them again",
+                f"{worst / MILLI_G_M_S2:.0f} mg (limit {SATURATION_RESIDUAL_M_S2 / MILLI_G_M_S2:.0f} mg): it is saturated; "
+                "choose a larger range and take them again",
                 Reason.SATURATED,
                 axis=AXES[axis],
                 limit=limit,
@@ -148,11 +147,11 @@ def _rms(values: FloatArray) -> float:
 
 def _summary(evidence: Evidence) -> str:
     positions = evidence.positions
-    left_out = _rms(positions.leave_one_out_m_s2) / MG
+    left_out = _rms(positions.leave_one_out_m_s2) / MILLI_G_M_S2
     return (
         f"{counted(len(evidence.name), 'position')}, {counted(len(evidence.free), 'parameter')}, "
         f"{evidence.fitted.degrees_of_freedom} to spare: "
-        f"residual {_rms(positions.residual_m_s2) / MG:.3f} mg RMS"
+        f"residual {_rms(positions.residual_m_s2) / MILLI_G_M_S2:.3f} mg RMS"
         + (f", {left_out:.3f} mg with each position left out" if np.isfinite(left_out) else "")
     )
 
@@ -167,8 +166,8 @@ def _poor(evidence: Evidence) -> list[str]:
     without = _rms(evidence.positions.leave_one_out_m_s2)
     if without > POOR_RESIDUAL_M_S2:
         reasons.append(
-            f"positions disagree by {without / MG:.1f} mg RMS (limit {POOR_RESIDUAL_M_S2 / MG:.0f} mg): retake the "
-            "worst, and hold it still"
+            f"positions disagree by {without / MILLI_G_M_S2:.1f} mg RMS (limit {POOR_RESIDUAL_M_S2 / MILLI_G_M_S2:.0f} mg): "
+            "retake the worst, and hold it still"
         )
     return reasons
 
@@ -229,8 +228,10 @@ def _sigma_sentences(evidence: Evidence) -> list[str]:
         )
         reasons.append(f"scale {known} (limit {USABLE_SCALE_SIGMA * 1e6:.0f} ppm)")
     if not np.all(bias <= USABLE_BIAS_SIGMA_M_S2):
-        known = f"is known to {bias.max() / MG:.2f} mg only" if np.isfinite(bias).all() else "has no known uncertainty"
-        reasons.append(f"bias {known} (limit {USABLE_BIAS_SIGMA_M_S2 / MG:.0f} mg)")
+        known = (
+            f"is known to {bias.max() / MILLI_G_M_S2:.2f} mg only" if np.isfinite(bias).all() else "has no known uncertainty"
+        )
+        reasons.append(f"bias {known} (limit {USABLE_BIAS_SIGMA_M_S2 / MILLI_G_M_S2:.0f} mg)")
     return reasons
 
 
@@ -264,8 +265,9 @@ def _outlier_sentences(evidence: Evidence) -> list[str]:
         without = np.maximum(without, 1.0)
     student = student / np.sqrt(without)
     limit = float(stdtrit(freedom - 1, 1 - _OUTLIER_LEVEL / (2 * len(student))))
+    off_mg = evidence.positions.leave_one_out_m_s2 / MILLI_G_M_S2
     return [
-        f"position {evidence.name[i]} does not fit the others (off by {evidence.positions.leave_one_out_m_s2[i] / MG:+.2f} mg, "
+        f"position {evidence.name[i]} does not fit the others (off by {off_mg[i]:+.2f} mg, "
         f"{abs(student[i]):.1f} sigma, limit {limit:.1f}): retake or remove it"
         for i in np.flatnonzero(np.abs(student) > limit)
     ]

@@ -180,9 +180,9 @@ def _check_preset(preset: Parameters, measured: Measured) -> None:
     """Refuse the parameters of another instrument, and those in other raw units: their scale would mean something else."""
     preset.check_instrument(measured.context.instrument.serial_number)
     units = measured.observations.units
-    preset.check_unit("accelerometer", units.accelerometer, units.accelerometer_is_increment)
+    preset.check_unit("accelerometer", units.accelerometer_rate_unit)
     if preset.gyroscope_is_complete and np.isfinite(measured.observations.gyroscope_mean_raw).any():
-        preset.check_unit("gyroscope", units.gyroscope, units.gyroscope_is_increment)
+        preset.check_unit("gyroscope", units.gyroscope_rate_unit)
 
 
 def one_of(name: str, value: str, choices: tuple[str, ...]) -> Any:

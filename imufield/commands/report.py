@@ -112,7 +112,7 @@ def _check_belongs(parameters: Parameters, session: Session | None, preset: Para
     own = "" if session is None else session.serial_number
     if preset is not None:
         preset.check_instrument(parameters.context.instrument.serial_number or own)
-        preset.check_unit("accelerometer", parameters.calibration.accelerometer_raw_unit, False)
+        preset.check_unit("accelerometer", parameters.calibration.accelerometer_raw_unit)
     if session is None:
         return
     parameters.check_instrument(own)

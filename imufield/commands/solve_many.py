@@ -20,8 +20,8 @@ from rich.table import Table
 
 from imufield.acquire.session import Session
 from imufield.commands.solve import SolveOptions, solve_session
-from imufield.deliver.numbers import MICRO_G
 from imufield.deliver.parameters import PARAMETER_FILE, Parameters, from_document, json_ready, write_document
+from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ImufieldError, UsageError
 from imufield.samples import FloatArray
 from imufield.study.campaign import run_campaign
@@ -172,8 +172,8 @@ def _figures(outcome: Outcome) -> tuple[str, ...]:
     sigma = calibration.accelerometer_sigma
     return (
         str(len(calibration.positions.residual_m_s2)),
-        f"{calibration.quality.residual_rms_m_s2 / MICRO_G:.3g} µg",
-        f"{_largest(sigma.bias_m_s2) / MICRO_G:.3g} µg",
+        f"{calibration.quality.residual_rms_m_s2 / MICRO_G_M_S2:.3g} µg",
+        f"{_largest(sigma.bias_m_s2) / MICRO_G_M_S2:.3g} µg",
         f"{_largest(sigma.scale / np.abs(calibration.accelerometer.scale)) * 1e6:.3g} ppm",
     )
 

@@ -22,7 +22,7 @@ from imufield.commands.solve import session_sha256
 from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.navigation.alignment import Heading
 from imufield.deliver.navigation.check import ALIGN_S, Apply, CheckSettings, NavigationResult, StaticNavigation
-from imufield.deliver.numbers import DEG_PER_HOUR_RAD_S, MICRO_G, to_ascii
+from imufield.deliver.numbers import DEG_PER_HOUR_RAD_S, to_ascii
 from imufield.deliver.parameters import Corrected, Parameters, json_ready, load
 from imufield.deliver.verification import (
     Verification,
@@ -34,7 +34,7 @@ from imufield.deliver.verification import (
     write_verification,
 )
 from imufield.deliver.verify import HeldOut, check_positions, cross_validate
-from imufield.earth import Gravity
+from imufield.earth import MICRO_G_M_S2, Gravity
 from imufield.errors import CalibrationError, ImufieldError, ParameterFileError, Reason, UsageError, VerificationError
 from imufield.samples import FloatArray, Samples
 
@@ -171,7 +171,7 @@ def _check_unit(task: _Task, chain: Chain) -> None:
         return  # refused before: there is no sample
     units = chain.protocol.units
     for parameters in filter(None, (task.parameters, task.preset)):
-        parameters.check_unit("accelerometer", units.accelerometer, units.accelerometer_is_increment)
+        parameters.check_unit("accelerometer", units.accelerometer_rate_unit)
 
 
 def _before_accelerometer(task: _Task, protocol: Protocol | None) -> AccelerometerParameters | None:
@@ -280,7 +280,7 @@ def _turn_on(options: VerifyOptions) -> FloatArray | None:
     """Return the turn-on bias the user gave, shape (6,); None where neither was given."""
     if options.turn_on_ug is None and options.turn_on_deg_per_h is None:
         return None
-    return np.repeat([(options.turn_on_ug or 0.0) * MICRO_G, (options.turn_on_deg_per_h or 0.0) * DEG_PER_HOUR_RAD_S], 3)
+    return np.repeat([(options.turn_on_ug or 0.0) * MICRO_G_M_S2, (options.turn_on_deg_per_h or 0.0) * DEG_PER_HOUR_RAD_S], 3)
 
 
 def _instability(parameters: Parameters) -> FloatArray | None:

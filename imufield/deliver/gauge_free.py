@@ -18,8 +18,8 @@ from imufield.calibrate.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.models import to_vector
 from imufield.calibrate.result import ACCELEROMETER_NAMES, Calibration, GyroscopeParameters
 from imufield.deliver.document import gyroscope_bias_rad_s
-from imufield.deliver.numbers import DEG_PER_HOUR_RAD_S, MILLI_G
-from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.deliver.numbers import DEG_PER_HOUR_RAD_S
+from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
 
 _ANGLES = ("xy", "xz", "yz")
@@ -58,7 +58,7 @@ def _accelerometer(calibration: Calibration) -> Iterator[Number]:
     common = np.abs(K) * g.sigma_m_s2 / g.gravity_m_s2
     bias, spread = found.bias_raw / K, found.bias_raw_sigma / np.abs(K)
     size = STANDARD_GRAVITY_M_S2 / K * 1e6
-    yield from _numbers("bias", AXES, "mg", bias / MILLI_G, spread / MILLI_G)
+    yield from _numbers("bias", AXES, "mg", bias / MILLI_G_M_S2, spread / MILLI_G_M_S2)
     yield from _numbers("scale", AXES, f"{unit} per m/s^2", K, found.scale_sigma, common)
     yield from _numbers("angle", _ANGLES, "mrad", found.angle_rad * 1e3, found.angle_sigma_rad * 1e3)
     yield from _numbers("quadratic", AXES, "ug/g^2", found.quadratic * size, found.quadratic_sigma * np.abs(size))

@@ -6,10 +6,8 @@ import math
 import re
 import textwrap
 
-from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2
 
-MILLI_G = STANDARD_GRAVITY_M_S2 * 1e-3
-MICRO_G = STANDARD_GRAVITY_M_S2 * 1e-6
 ARC_MINUTE_RAD = math.pi / (180 * 60)
 DEG_PER_HOUR_RAD_S = math.pi / 180 / 3600
 MOST_DECIMALS = 9
@@ -71,7 +69,7 @@ def bar(share: float, width: int) -> str:
 
 def acceleration_unit(largest_m_s2: float) -> tuple[str, float]:
     """Return the unit in which ``largest_m_s2`` has few digits, and its size in m/s^2."""
-    return ("µg", MICRO_G) if not largest_m_s2 >= 9999.5 * MICRO_G else ("mg", MILLI_G)
+    return ("µg", MICRO_G_M_S2) if not largest_m_s2 >= 9999.5 * MICRO_G_M_S2 else ("mg", MILLI_G_M_S2)
 
 
 _ASCII = str.maketrans(

@@ -36,7 +36,6 @@ __all__ = [
     "json_ready",
     "load",
     "parameter_schema",
-    "rate_unit",
     "to_document",
     "to_toml",
     "write_document",
@@ -139,11 +138,11 @@ class Parameters:
 
     def _apply_samples(self, samples: Samples) -> Corrected:
         units = samples.units
-        self.check_unit("accelerometer", units.accelerometer, units.accelerometer_is_increment)
+        self.check_unit("accelerometer", units.accelerometer_rate_unit)
         force = self.apply_accelerometer(samples.accelerometer_rate())
         if not self.gyroscope_is_complete:
             return Corrected(samples.time_s, force, np.full_like(force, np.nan))
-        self.check_unit("gyroscope", units.gyroscope, units.gyroscope_is_increment)
+        self.check_unit("gyroscope", units.gyroscope_rate_unit)
         return Corrected(samples.time_s, force, self.apply_gyroscope(samples.gyroscope_rate(), force))
 
     def _apply_array(self, raw: FloatArray) -> FloatArray:
@@ -157,16 +156,16 @@ class Parameters:
         correct_gyroscope(self._gyroscope(), rows[:, 3:], force, out=rate)
         return corrected.reshape(raw.shape)
 
-    def check_unit(self, triad: str, unit: str, is_increment: bool) -> None:
-        """Raise ``ParameterFileError`` if samples of a triad in this unit are not what the parameters are for."""
-        wanted, found = self.document[triad]["raw_unit"], rate_unit(unit, is_increment)
-        if wanted != found:
+    def check_unit(self, triad: str, unit: str) -> None:
+        """Raise ``ParameterFileError`` if a triad whose rates are in this unit is not what the parameters are for."""
+        wanted = self.document[triad]["raw_unit"]
+        if wanted != unit:
             raise ParameterFileError(
-                f"{self._name} is for {triad} values in {wanted}, these samples are in {found}; take the parameters of this "
+                f"{self._name} is for {triad} values in {wanted}, these samples are in {unit}; take the parameters of this "
                 "instrument and setting, or solve again",
                 Reason.UNITS,
                 wanted=wanted,
-                unit=found,
+                unit=unit,
             )
 
     def check_instrument(self, serial_number: str) -> None:
@@ -180,13 +179,6 @@ class Parameters:
                 parameters=known,
                 recording=serial_number,
             )
-
-
-def rate_unit(unit: str, is_increment: bool) -> str:
-    """Return the unit of a raw value as a rate: "m/s" becomes "m/s^2", "count" "count/s"; a rate stays what it is."""
-    if not is_increment:
-        return unit
-    return {"m/s": "m/s^2", "rad": "rad/s"}.get(unit, f"{unit}/s")
 
 
 def from_document(document: Document, *, path: Path | None = None) -> Parameters:

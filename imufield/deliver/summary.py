@@ -23,8 +23,6 @@ from imufield.deliver.document import VERSION, gyroscope_bias_rad_s
 from imufield.deliver.numbers import (
     ARC_MINUTE_RAD,
     DEG_PER_HOUR_RAD_S,
-    MICRO_G,
-    MILLI_G,
     WIDTH,
     acceleration_unit,
     bar,
@@ -33,7 +31,7 @@ from imufield.deliver.numbers import (
     with_sigma_within,
 )
 from imufield.deliver.parameters import Parameters
-from imufield.earth import STANDARD_GRAVITY_M_S2, Gravity
+from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
 from imufield.samples import AXES
 
 _VERDICT_STYLES = {"good": "bold green", "usable": "bold yellow", "poor": "bold red"}
@@ -125,7 +123,7 @@ def _row(table: Table, name: str, unit: str, values: np.ndarray, sigma: np.ndarr
 def _accelerometer(calibration: Calibration) -> Table:
     p, sigma = calibration.accelerometer, calibration.accelerometer_sigma
     table = _table("Accelerometer")
-    _row(table, "bias", "mg", p.bias_m_s2 / MILLI_G, sigma.bias_m_s2 / MILLI_G)
+    _row(table, "bias", "mg", p.bias_m_s2 / MILLI_G_M_S2, sigma.bias_m_s2 / MILLI_G_M_S2)
     _row(table, "", "m/s²", p.bias_m_s2, sigma.bias_m_s2)
     _scale(table, p.scale, sigma.scale, calibration.accelerometer_raw_unit, "m/s²")
     _misalignment(table, p.misalignment_rad, sigma.misalignment_rad)
@@ -214,7 +212,7 @@ def _residuals(parameters: Parameters) -> Iterator[RenderableType]:
     title.append(figures, style="not bold")
     yield title
     # Residuals of nothing but rounding have no worst.
-    worst = int(np.nanargmax(np.abs(residual))) if largest > 1e-3 * MICRO_G else -1
+    worst = int(np.nanargmax(np.abs(residual))) if largest > 1e-3 * MICRO_G_M_S2 else -1
     cells = [
         _residual_cell(table["name"], value / size, largest / size if worst >= 0 else 0.0, bool(is_used), i == worst)
         for i, (table, value, is_used) in enumerate(zip(tables, residual, used, strict=True))

@@ -20,10 +20,11 @@ import numpy as np
 import imufield
 from imufield.deliver.navigation.check import NavigationResult
 from imufield.deliver.navigation.drift import QUANTITIES, Drift
-from imufield.deliver.numbers import MICRO_G, acceleration_unit
+from imufield.deliver.numbers import acceleration_unit
 from imufield.deliver.parameters import Parameters, json_ready
 from imufield.deliver.parameters_write import content_sha256
 from imufield.deliver.verify import HeldOut
+from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.files import write_atomically
 from imufield.samples import FloatArray
@@ -105,7 +106,7 @@ def judge(
     """Return every requirement with what was measured, NaN where it was not."""
     measured = dict.fromkeys(REQUIREMENTS, math.nan)
     if held_out is not None:
-        measured["residual-ug"] = held_out.rms_m_s2 / MICRO_G
+        measured["residual-ug"] = held_out.rms_m_s2 / MICRO_G_M_S2
     if navigation is not None:
         measured["nav-nmi-per-h"] = list(navigation.drifts.values())[-1].rate_nmi_per_h
     return tuple(Requirement(name, limit, measured[name]) for name, limit in limits.items())

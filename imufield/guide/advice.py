@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.earth import MILLI_G_M_S2
 from imufield.guide.events import Advice, Topic
 from imufield.guide.observe import Observation
 from imufield.guide.plan import Plan
@@ -14,7 +14,6 @@ from imufield.guide.running_fit import EXPECTED_SCATTER_M_S2, Disagreement, Runn
 from imufield.guide.scale import RoughScale
 from imufield.guide.settings import GuideSettings
 
-MILLI_G = 1e-3 * STANDARD_GRAVITY_M_S2
 MATTERS_SIGMAS = 3.0
 _FEWEST_FOR_QUADRATIC = 18
 _FEWEST_FOR_SCALE = 9
@@ -25,7 +24,7 @@ DRIFT_SIGMAS = 4.0
 
 def doubtful_advice(now_s: float, found: Disagreement) -> Advice:
     """Return the advice to look at a position again."""
-    value = abs(found.leave_one_out_m_s2) / MILLI_G
+    value = abs(found.leave_one_out_m_s2) / MILLI_G_M_S2
     return Advice(
         now_s,
         Topic.DOUBTFUL,
@@ -112,8 +111,8 @@ def drift_advice(now_s: float, before: Observation, after: Observation, scale: R
         now_s,
         Topic.DRIFT,
         before.name,
-        f"{before.name} again after {minutes:.0f} min: {change / MILLI_G:+.2f} mg, "
-        + ("it has drifted" if drifted else f"no drift beyond {DRIFT_SIGMAS * sigma / MILLI_G:.1f} mg"),
+        f"{before.name} again after {minutes:.0f} min: {change / MILLI_G_M_S2:+.2f} mg, "
+        + ("it has drifted" if drifted else f"no drift beyond {DRIFT_SIGMAS * sigma / MILLI_G_M_S2:.1f} mg"),
         "let the unit warm up longer and measure again" if drifted else "nothing to do",
         abs(change),
         DRIFT_SIGMAS * sigma,

@@ -18,7 +18,7 @@ import numpy as np
 
 from imufield.calibrate.models import PARAMETERS, norm_derivatives
 from imufield.calibrate.observability import LOWER_GAUGE_COLUMNS, observe
-from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.errors import CalibrationError
 from imufield.guide.observe import Observation
 from imufield.guide.scale import RoughScale
@@ -32,7 +32,6 @@ DOUBT_SIGMAS = 5.0
 DOUBT_M_S2 = 3e-4 * STANDARD_GRAVITY_M_S2
 """And by this much: less does no harm that another hold would cure."""
 _STEPS = 8
-_MICRO_G = 1e-6 * STANDARD_GRAVITY_M_S2
 _LINEAR = 9
 """Free parameters without the quadratic term."""
 
@@ -83,10 +82,10 @@ class RunningFit:
         sigma = np.sqrt(np.diag(self.covariance))
         K = np.abs(self.vector[:3])
         return {
-            "bias_ug": float(sigma[3:6].max() / _MICRO_G),
+            "bias_ug": float(sigma[3:6].max() / MICRO_G_M_S2),
             "scale_ppm": float((sigma[:3] / K).max() * 1e6),
             "misalignment_urad": float(sigma[6:9].max() * 1e6),
-            "quadratic_ug_per_g2": float((sigma[9:] / K).max() * STANDARD_GRAVITY_M_S2**2 / _MICRO_G),
+            "quadratic_ug_per_g2": float((sigma[9:] / K).max() * STANDARD_GRAVITY_M_S2**2 / MICRO_G_M_S2),
         }
 
     def disagreements(self) -> list[Disagreement]:

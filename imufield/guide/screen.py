@@ -18,7 +18,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from imufield.guide.advice import MILLI_G
+from imufield.earth import MILLI_G_M_S2
 from imufield.guide.big_letters import big_lines
 from imufield.guide.box_picture import draw_box, turn_shortest
 from imufield.guide.events import (
@@ -125,7 +125,8 @@ def _message(event: Event) -> str:
     """Return an event in one short line."""
     if not isinstance(event, Accepted):
         return words(event)
-    fits = "" if event.leave_one_out_m_s2 is None else f", {event.leave_one_out_m_s2 / MILLI_G:+.2f} mg off the others' fit"
+    off_m_s2 = event.leave_one_out_m_s2
+    fits = "" if off_m_s2 is None else f", {off_m_s2 / MILLI_G_M_S2:+.2f} mg off the others' fit"
     held = ", in the hand" if event.held else ""
     return f"accepted {event.position}{held}: {event.duration_s:.1f} s{fits}"
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.guide.checks import CheckSettings
 from imufield.guide.hold_time import HoldWish
 from imufield.guide.limits import StillnessSettings
 from imufield.guide.plan import TOLERANCE_DEG
-
-MICRO_G = 1e-6 * STANDARD_GRAVITY_M_S2
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,4 +51,4 @@ class GuideSettings:
     def wish(self) -> HoldWish:
         """What ends a hold: a bias or scale known to the target needs positions about as good."""
         wanted = [target for target in (self.target_bias_ug, self.target_scale_ppm) if target is not None]
-        return HoldWish.of(self.hold_s, min(wanted) * MICRO_G if wanted else None)
+        return HoldWish.of(self.hold_s, min(wanted) * MICRO_G_M_S2 if wanted else None)

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from imufield.calibrate.result import AccelerometerParameters, GyroscopeParameters
-from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, SampleUnits
 
-MICRO_G = 1e-6 * STANDARD_GRAVITY_M_S2
 DEG = math.radians(1.0)
 DEG_PER_HOUR = DEG / 3600
 DEG_PER_ROOT_HOUR = DEG / 60
@@ -83,13 +82,13 @@ NAVIGATION = Grade(
     # Quartz flexure accelerometer (class of Honeywell QA-2000): 70 to 100 ug noise in 10 Hz to 500 Hz, a few ug of
     # instability; before calibration 1 mg, 200 ppm and 0.2 mrad remain of the assembly.
     TriadGrade(
-        5 * MICRO_G,
-        3 * MICRO_G,
-        0.02 * MICRO_G,
-        1000 * MICRO_G,
+        5 * MICRO_G_M_S2,
+        3 * MICRO_G_M_S2,
+        0.02 * MICRO_G_M_S2,
+        1000 * MICRO_G_M_S2,
         200.0,
         2e-4,
-        5 * MICRO_G,
+        5 * MICRO_G_M_S2,
         5.0,
         25 * STANDARD_GRAVITY_M_S2,
         1e-7,
@@ -119,12 +118,12 @@ TACTICAL = Grade(
     # After the STIM300 datasheet, 10 g range: 0.07 m/s/sqrt(h), 50 ug, 2^-19 g per step; bias 0.75 mg from year to year.
     TriadGrade(
         0.07 / 60,
-        50 * MICRO_G,
-        1 * MICRO_G,
-        750 * MICRO_G,
+        50 * MICRO_G_M_S2,
+        1 * MICRO_G_M_S2,
+        750 * MICRO_G_M_S2,
         200.0,
         1e-3,
-        20 * MICRO_G,
+        20 * MICRO_G_M_S2,
         10.0,
         10 * STANDARD_GRAVITY_M_S2,
         STANDARD_GRAVITY_M_S2 / 2**19,
@@ -153,13 +152,13 @@ INDUSTRIAL = Grade(
     "industrial",
     # Better MEMS modules (class of Xsens MTi-100, ADIS16495): 60 ug/sqrt(Hz), 15 ug, left uncalibrated.
     TriadGrade(
-        60 * MICRO_G,
-        15 * MICRO_G,
-        2 * MICRO_G,
-        3000 * MICRO_G,
+        60 * MICRO_G_M_S2,
+        15 * MICRO_G_M_S2,
+        2 * MICRO_G_M_S2,
+        3000 * MICRO_G_M_S2,
         1000.0,
         3e-3,
-        100 * MICRO_G,
+        100 * MICRO_G_M_S2,
         50.0,
         8 * STANDARD_GRAVITY_M_S2,
         STANDARD_GRAVITY_M_S2 / 2**18,
@@ -188,13 +187,13 @@ MEMS = Grade(
     "mems",
     # Consumer chips (class of ICM-20948, MPU-9250): 230 to 300 ug/sqrt(Hz), tens of mg of offset, 16 bit over 4 g.
     TriadGrade(
-        250 * MICRO_G,
-        40 * MICRO_G,
-        5 * MICRO_G,
-        30000 * MICRO_G,
+        250 * MICRO_G_M_S2,
+        40 * MICRO_G_M_S2,
+        5 * MICRO_G_M_S2,
+        30000 * MICRO_G_M_S2,
         8000.0,
         6e-3,
-        500 * MICRO_G,
+        500 * MICRO_G_M_S2,
         200.0,
         4 * STANDARD_GRAVITY_M_S2,
         STANDARD_GRAVITY_M_S2 / 8192,

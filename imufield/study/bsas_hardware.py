@@ -19,6 +19,7 @@ import numpy as np
 from imufield.calibrate.models import BIAS, MISALIGNMENT, QUADRATIC, SCALE, from_vector, predict, recover
 from imufield.calibrate.solvers.beetles import solve_bsas
 from imufield.calibrate.whitening import whitened_problem
+from imufield.earth import MICRO_G_M_S2
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext
@@ -27,16 +28,15 @@ from imufield.study.instruments import (
     BSAS_GRAVITY_M_S2,
     BSAS_TRUTH,
     HARBIN_LATITUDE_DEG,
-    MICRO_G,
     bsas_directions,
     bsas_outputs,
 )
 from imufield.study.navigation import NavigationErrors, Noise, navigate_at_rest, rest_inputs
 from imufield.study.report import Comparison, StudyReport, Table
 
-REPEATABILITY_M_S2 = 5 * MICRO_G
+REPEATABILITY_M_S2 = 5 * MICRO_G_M_S2
 """1 sigma of the norm of a position: noise of the mean, flicker and turn-on of a 10 ug class instrument."""
-OLD_BIAS_M_S2 = 10 * MICRO_G
+OLD_BIAS_M_S2 = 10 * MICRO_G_M_S2
 OLD_SCALE = 10e-6
 OLD_MISALIGNMENT_RAD = 10e-6
 OLD_QUADRATIC = 0.5
@@ -72,7 +72,7 @@ def run_recalibration(_number: int, rng: np.random.Generator) -> Recalibration:
     problem = whitened_problem(old, raw, BSAS_GRAVITY_M_S2, quadratic_axes=BSAS_AXES)
     new = problem.vector(solve_bsas(problem, rng=rng).x)
     check = bsas_outputs(rng, REPEATABILITY_M_S2, "paper36")
-    errors = [np.abs(_norms(vector, check) - BSAS_GRAVITY_M_S2) / MICRO_G for vector in (old, new)]
+    errors = [np.abs(_norms(vector, check) - BSAS_GRAVITY_M_S2) / MICRO_G_M_S2 for vector in (old, new)]
     return Recalibration(old, new, errors[0], errors[1])
 
 

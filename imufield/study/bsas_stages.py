@@ -17,6 +17,7 @@ from imufield.calibrate.costs import NormProblem
 from imufield.calibrate.models import PARAMETERS
 from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings, solve_bas, solve_bsas
 from imufield.calibrate.solvers.staged import PAPER_CATEGORIES, StagedSettings, solve_bsas_staged, solve_stages
+from imufield.earth import MICRO_G_M_S2
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext
@@ -26,7 +27,6 @@ from imufield.study.instruments import (
     BSAS_NOISE_M_S2,
     BSAS_TRUTH,
     FIELD_PRESET,
-    MICRO_G,
     PresetError,
     bsas_outputs,
     bsas_preset,
@@ -218,7 +218,7 @@ def _staged(context: StudyContext) -> dict[str, FloatArray]:
         name: np.array(context.campaign(f"bsas-staged {name}", run_staged, [StagedJob(error)] * runs))
         for name, error in (("moderate", _MODERATE), ("field", FIELD_PRESET))
     }
-    off = context.campaign("bsas-staged bias", run_scale_stage_with_bias_off, [10 * MICRO_G] * runs)
+    off = context.campaign("bsas-staged bias", run_scale_stage_with_bias_off, [10 * MICRO_G_M_S2] * runs)
     return {**found, "bias off": np.array(off)}
 
 

@@ -18,11 +18,9 @@ import numpy as np
 from imufield.calibrate.models import BIAS, MISALIGNMENT, PARAMETERS, QUADRATIC, SCALE, from_vector, predict
 from imufield.calibrate.result import QuadraticAxes
 from imufield.calibrate.triad_costs import TriadProblem, TurnsProblem, unit_diagonal_matrices
-from imufield.earth import EARTH_RATE_RAD_S, normal_gravity
+from imufield.earth import EARTH_RATE_RAD_S, MICRO_G_M_S2, normal_gravity
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray
-
-MICRO_G = 9.80665e-6
 
 HARBIN_LATITUDE_DEG = 45.77
 """Where [1]_ was written; the paper gives no latitude."""
@@ -89,7 +87,7 @@ class PresetError:
     """Share of K2."""
 
 
-FIELD_PRESET = PresetError(500e-6, 1000 * MICRO_G, 100e-6, 1.0)
+FIELD_PRESET = PresetError(500e-6, 1000 * MICRO_G_M_S2, 100e-6, 1.0)
 """An instrument long after its factory calibration: 500 ppm, 1 mg, 100 urad, all of K2."""
 
 

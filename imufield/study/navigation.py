@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from imufield.earth import MICRO_G_M_S2
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
 
@@ -40,7 +41,7 @@ DOWN_UP = np.diag([1.0, -1.0, -1.0])
 class Noise:
     """White noise of the instrument that navigates."""
 
-    accelerometer_m_s2_per_root_hz: float = 10e-6 * 9.80665
+    accelerometer_m_s2_per_root_hz: float = 10 * MICRO_G_M_S2
     gyroscope_deg_per_root_hour: float = 0.003
 
 

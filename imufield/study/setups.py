@@ -9,6 +9,7 @@ from dataclasses import fields
 
 from imufield.calibrate.solvers.beetles import BsasSettings
 from imufield.calibrate.triad_costs import TRIAD_NAMES
+from imufield.earth import MICRO_G_M_S2
 from imufield.samples import FloatArray
 from imufield.study.bsas_hardware import GYROSCOPE_BIAS_DEG_PER_H, OLD_BIAS_M_S2, REPEATABILITY_M_S2
 from imufield.study.context import StudyContext
@@ -21,7 +22,6 @@ from imufield.study.instruments import (
     IDE_LOWER,
     IDE_TRUTH,
     IDE_UPPER,
-    MICRO_G,
 )
 from imufield.study.report import Comparison, StudyReport
 
@@ -73,10 +73,10 @@ def bsas_table_4(_context: StudyContext) -> StudyReport:
         "performance of gyroscope and accelerometer",
         "The instrument that is simulated in place of the hardware.",
         (
-            Comparison("accelerometer constant bias (ug)", "10", f"{OLD_BIAS_M_S2 / MICRO_G:g}"),
+            Comparison("accelerometer constant bias (ug)", "10", f"{OLD_BIAS_M_S2 / MICRO_G_M_S2:g}"),
             Comparison("accelerometer dynamic range (g)", "60", "not simulated"),
             Comparison("gyroscope constant bias (deg/h)", "0.01", f"{GYROSCOPE_BIAS_DEG_PER_H:g}"),
-            Comparison("repeatability of a position (ug)", "not given", f"{REPEATABILITY_M_S2 / MICRO_G:g}"),
+            Comparison("repeatability of a position (ug)", "not given", f"{REPEATABILITY_M_S2 / MICRO_G_M_S2:g}"),
         ),
         (),
         columns=("figure", "paper", "taken"),

@@ -21,13 +21,13 @@ from calibration_truth import (
     tilted,
 )
 
-from imufield.calibrate.accelerometer import calibrate_accelerometer, rate_unit
+from imufield.calibrate.accelerometer import calibrate_accelerometer
 from imufield.calibrate.gauge import change_gauge, intrinsic
 from imufield.calibrate.models import to_vector
 from imufield.calibrate.result import Calibration, Gauge, QuadraticAxes
 from imufield.earth import Gravity, choose_gravity
 from imufield.errors import CalibrationError, Reason, UsageError
-from imufield.samples import FloatArray, SampleUnits
+from imufield.samples import FloatArray
 
 EXACT = Gravity(GRAVITY, 1e-9, "typed")
 MG = 9.80665e-3
@@ -357,12 +357,6 @@ def test_any_outputs_give_a_calibration_or_a_calibration_error(seed: int) -> Non
         return
     assert np.isfinite(to_vector(calibration.accelerometer)).all()
     assert calibration.quality.verdict in ("good", "usable", "poor")
-
-
-def test_units_of_increments() -> None:
-    assert rate_unit(SampleUnits("m/s", "rad", True, True, 0.01)) == "m/s^2"
-    assert rate_unit(SampleUnits("pulse", "pulse", True, True, 0.01)) == "pulse/s"
-    assert rate_unit(SampleUnits("count", "count")) == "count"
 
 
 @pytest.mark.parametrize("weighted", [False, True])

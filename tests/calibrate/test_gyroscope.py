@@ -9,10 +9,10 @@ import pytest
 from calibration_truth import GRAVITY, campaign, observe, paper24, random_parameters
 
 from imufield.calibrate.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gyroscope import gyroscope_rate_unit, static_bias, with_gyroscope
+from imufield.calibrate.gyroscope import static_bias, with_gyroscope
 from imufield.earth import EARTH_RATE_RAD_S, Gravity
 from imufield.errors import CalibrationError
-from imufield.samples import FloatArray, SampleUnits
+from imufield.samples import FloatArray
 
 BIAS = np.array([12.0, -7.0, 3.0])
 SCALE = 5000.0
@@ -81,8 +81,3 @@ def test_bias_joins_the_covariance_before_gravity() -> None:
     assert joined.covariance[0, -1] == calibration.covariance[0, -1]
     assert joined.gyroscope is gyroscope
     assert with_gyroscope(joined, gyroscope).covariance_names == joined.covariance_names
-
-
-def test_units_of_increments() -> None:
-    assert gyroscope_rate_unit(SampleUnits("m/s", "rad", True, True, 0.01)) == "rad/s"
-    assert gyroscope_rate_unit(SampleUnits("count", "pulse", True, True, 0.01)) == "pulse/s"

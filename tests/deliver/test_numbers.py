@@ -4,17 +4,8 @@ import math
 
 import pytest
 
-from imufield.deliver.numbers import (
-    MICRO_G,
-    acceleration_unit,
-    bar,
-    beside,
-    decimals,
-    hanging,
-    to_ascii,
-    with_sigma,
-    with_sigma_within,
-)
+from imufield.deliver.numbers import acceleration_unit, bar, beside, decimals, hanging, to_ascii, with_sigma, with_sigma_within
+from imufield.earth import MICRO_G_M_S2
 
 
 @pytest.mark.parametrize(
@@ -62,7 +53,7 @@ def test_bars_grow_by_eighths() -> None:
 
 
 def test_units_of_the_trade() -> None:
-    assert acceleration_unit(50 * MICRO_G)[0] == "µg"
+    assert acceleration_unit(50 * MICRO_G_M_S2)[0] == "µg"
     assert acceleration_unit(0.2)[0] == "mg"
     assert acceleration_unit(math.nan)[0] == "µg"
 

@@ -23,7 +23,6 @@ from imufield.deliver.parameters import (
     json_ready,
     load,
     parameter_schema,
-    rate_unit,
     to_document,
     to_toml,
     write_parameters,
@@ -244,14 +243,6 @@ def test_an_unknown_name_of_the_package_is_an_attribute_error() -> None:
         imufield.unload  # noqa: B018  # reading it is the test
 
 
-@pytest.mark.parametrize(
-    ("unit", "is_increment", "rate"),
-    [("m/s^2", False, "m/s^2"), ("m/s", True, "m/s^2"), ("rad", True, "rad/s"), ("count", True, "count/s")],
-)
-def test_rate_unit(unit: str, is_increment: bool, rate: str) -> None:
-    assert rate_unit(unit, is_increment) == rate
-
-
 def test_document_to_parameters_without_a_file(
     calibration: Calibration, observations: Observations, context: Context, parameters: AccelerometerParameters
 ) -> None:
@@ -259,4 +250,4 @@ def test_document_to_parameters_without_a_file(
     assert made.path is None
     assert_same(made.calibration.accelerometer, parameters)
     with pytest.raises(ImufieldError, match="the parameter file is for accelerometer values in m/s"):
-        made.check_unit("accelerometer", "g", False)
+        made.check_unit("accelerometer", "g")

@@ -50,7 +50,7 @@ def navigation() -> NavigationResult:
     time_s = np.linspace(0, 3600, 3601)
     drift = make_drift(time_s, time_s * 1e-6, np.zeros(3601), np.zeros(3601), np.zeros(3601), 45.0)
     noise = RestNoise(np.ones(6), np.full(6, np.nan))
-    return NavigationResult({"after": drift}, None, CheckSettings(45.0), 3600.0, 3601, 0, 1.0, noise, ("no forecast: why",))
+    return NavigationResult({"after": drift}, None, CheckSettings(45.0), 3600.0, 3601, 0, noise, ("no forecast: why",))
 
 
 def test_requirements_are_read() -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from imufield.calibrate.models import predict, predict_gyroscope
-from imufield.deliver.numbers import MILLI_G
+from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def loss_sentences(parameters: Parameters, held: Held, accelerometer_lacks: str,
     loss = measure_loss(parameters, held)
     sentences = []
     if loss.accelerometer_m_s2.largest > _NOTHING * parameters.calibration.gravity.gravity_m_s2:
-        rms, largest = (f"{value / MILLI_G:.3g}" for value in loss.accelerometer_m_s2)
+        rms, largest = (f"{value / MILLI_G_M_S2:.3g}" for value in loss.accelerometer_m_s2)
         sentences.append(
             f"accelerometer: {accelerometer_lacks or _quadratic(parameters)}, which costs {rms} mg rms and {largest} mg at "
             f"most over all directions at 1 g{_at_positions(parameters, held)}"
@@ -102,7 +102,7 @@ def _at_positions(parameters: Parameters, held: Held) -> str:
         return ""
     g = parameters.calibration.gravity.gravity_m_s2
     ours, theirs = (
-        round(float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - g) ** 2)) / MILLI_G), 6)
+        round(float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - g) ** 2)) / MILLI_G_M_S2), 6)
         for force in (parameters.apply_accelerometer(raw), held.apply_accelerometer(raw))
     )
     return f" (residual of its {len(raw)} positions {ours:.3g} mg rms with the whole model, {theirs:.3g} mg there)"

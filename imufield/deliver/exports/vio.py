@@ -7,7 +7,7 @@ import numpy as np
 from imufield.deliver.conventions import Corrections
 from imufield.deliver.exports.job import Job
 from imufield.deliver.exports.text import number, row
-from imufield.deliver.numbers import MILLI_G
+from imufield.earth import MILLI_G_M_S2
 
 
 def noise_lines(job: Job, indent: int) -> tuple[list[str], tuple[str, ...]]:
@@ -53,7 +53,7 @@ def bias_lines(si: Corrections) -> list[str]:
 
 def bias_loss(si: Corrections) -> tuple[str, ...]:
     """Say how large the biases are that the target does not store."""
-    size = np.linalg.norm(si.accelerometer.offset) / MILLI_G
+    size = np.linalg.norm(si.accelerometer.offset) / MILLI_G_M_S2
     losses = [f"accelerometer: the bias of {size:.3g} mg is no part of the file, the target estimates it at run time"]
     if si.gyroscope is not None:
         size = np.linalg.norm(si.gyroscope.offset) * 1e3

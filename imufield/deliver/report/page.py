@@ -12,12 +12,13 @@ import numpy as np
 
 from imufield.calibrate.result import Calibration
 from imufield.deliver.document import Document
-from imufield.deliver.numbers import MICRO_G, acceleration_unit, with_sigma
+from imufield.deliver.numbers import acceleration_unit, with_sigma
 from imufield.deliver.parameters_write import content_sha256
 from imufield.deliver.report import plots
 from imufield.deliver.report.correlations import correlations
 from imufield.deliver.report.data import Convergence, ReportData
 from imufield.deliver.report.rows import Row, parameter_rows
+from imufield.earth import MICRO_G_M_S2
 
 _VERDICT_WORDS = {
     "good": "fit for use",
@@ -163,12 +164,12 @@ def _checks(verification: Document | None) -> Iterator[tuple[str, str]]:
     positions, navigation = ((verification or {}).get(key) for key in ("positions", "navigation"))
     if positions:
         sigma = positions["forecast_rms_m_s2"]
-        words = f"{_short(positions['rms_m_s2'] / MICRO_G)} µg RMS"
+        words = f"{_short(positions['rms_m_s2'] / MICRO_G_M_S2)} µg RMS"
         if positions["before_rms_m_s2"] is not None:
-            words += f", before {_short(positions['before_rms_m_s2'] / MICRO_G)} µg"
+            words += f", before {_short(positions['before_rms_m_s2'] / MICRO_G_M_S2)} µg"
         if sigma is not None:
             verdict = "as forecast" if positions["as_forecast"] else "larger than forecast"
-            words += f"; forecast {_short(sigma / MICRO_G)} µg: {verdict}"
+            words += f"; forecast {_short(sigma / MICRO_G_M_S2)} µg: {verdict}"
         yield f"Held-out positions ({positions['how']})", words
     if navigation:
         drifts = ", ".join(f"{name} {_short(drift['rate_nmi_per_h'])} nmi/h" for name, drift in navigation["drift"].items())

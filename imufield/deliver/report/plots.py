@@ -14,9 +14,10 @@ import numpy as np
 
 from imufield.deliver.document import Document
 from imufield.deliver.navigation.drift import QUANTITIES
-from imufield.deliver.numbers import MILLI_G, acceleration_unit
+from imufield.deliver.numbers import acceleration_unit
 from imufield.deliver.report.correlations import Correlations
 from imufield.deliver.report.data import Closure, Convergence, Trace
+from imufield.earth import MILLI_G_M_S2
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
 
@@ -205,7 +206,7 @@ def stillness(trace: Trace, start_s: FloatArray, duration_s: FloatArray) -> str:
     drawn = figure(3.2 if with_rate else 2.2)
     panels = np.atleast_1d(drawn.subplots(2 if with_rate else 1, 1, sharex=True))
     minutes = trace.time_s / 60
-    panels[0].plot(minutes, np.maximum(trace.scatter_m_s2 / MILLI_G, 1e-3), color=INK, linewidth=0.8)
+    panels[0].plot(minutes, np.maximum(trace.scatter_m_s2 / MILLI_G_M_S2, 1e-3), color=INK, linewidth=0.8)
     panels[0].set_ylabel("scatter, mg")
     if with_rate:
         rate = np.degrees(trace.rate_rad_s)

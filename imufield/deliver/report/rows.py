@@ -11,8 +11,8 @@ import numpy as np
 from imufield.acquire.protocol import nominal_scale
 from imufield.calibrate.result import Calibration, GyroscopeCalibration
 from imufield.deliver.document import gyroscope_bias_rad_s
-from imufield.deliver.numbers import DEG_PER_HOUR_RAD_S, MILLI_G, decimals, with_sigma
-from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.deliver.numbers import DEG_PER_HOUR_RAD_S, decimals, with_sigma
+from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
 
 _PAIRS = tuple((i, j) for i in range(3) for j in range(3) if i != j)
@@ -88,8 +88,8 @@ def _accelerometer(calibration: Calibration, preset: Calibration | None) -> Iter
     p, sigma = calibration.accelerometer, calibration.accelerometer_sigma
     old = None if preset is None else preset.accelerometer
     triad = "Accelerometer"
-    before = None if old is None else old.bias_m_s2 / MILLI_G
-    yield from _Group(triad, "bias", "mg", AXES, p.bias_m_s2 / MILLI_G, sigma.bias_m_s2 / MILLI_G, before).rows()
+    before = None if old is None else old.bias_m_s2 / MILLI_G_M_S2
+    yield from _Group(triad, "bias", "mg", AXES, p.bias_m_s2 / MILLI_G_M_S2, sigma.bias_m_s2 / MILLI_G_M_S2, before).rows()
     before = None if old is None else old.scale
     yield from _scale(triad, calibration.accelerometer_raw_unit, "m/s²", p.scale, sigma.scale, before).rows()
     before = None if old is None else old.misalignment_rad
