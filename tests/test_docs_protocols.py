@@ -33,8 +33,30 @@ def frame(counter: int) -> bytes:
     return body + struct.pack("<H", crc16_ccitt_false(body))
 
 
+def example(kind: str) -> str:
+    """Return the one protocol of this kind that the page shows."""
+    blocks = re.findall(r"^```toml\n(.*?)^```", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    (block,) = [one for one in blocks if f'kind = "{kind}"' in one]
+    return str(block)
+
+
+def test_the_example_of_lines_decodes(tmp_path: Path) -> None:
+    (tmp_path / "my_logger.toml").write_text(example("text"), encoding="utf-8")
+    protocol = load_protocol(tmp_path / "my_logger.toml")
+    decoder = Decoder(protocol)
+    lines = [f"$HOME,{(65530 + k) % 65536},512,{498 - k},811,20.5\r\n" for k in range(SAMPLES)]
+    samples = decoder.feed("".join(["# begin\r\n", *lines]).encode(), 0.1)
+    assert len(samples) == SAMPLES
+    assert protocol.units.accelerometer == "count"
+    np.testing.assert_array_equal(samples.accelerometer[:, 1], 498 - np.arange(SAMPLES))
+    np.testing.assert_array_equal(samples.accelerometer[:, 2], 811)
+    np.testing.assert_array_equal(protocol.nominal.raw_zero, 512)
+    np.testing.assert_allclose(samples.temperature_degc, 20.5)
+    np.testing.assert_allclose(np.diff(samples.time_s), 0.01)
+
+
 def test_the_example_decodes(tmp_path: Path) -> None:
-    (block,) = re.findall(r"^```toml\n(.*?)^```", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    block = example("frames")
     (tmp_path / "my_imu.toml").write_text(block, encoding="utf-8")
     decoder = Decoder(load_protocol(tmp_path / "my_imu.toml"))
     samples = decoder.feed(b"".join(frame(counter) for counter in range(SAMPLES)), 0.1)

@@ -149,7 +149,7 @@ def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
     except can.CanInterfaceNotImplementedError as error:
         raise UsageError(
             f"CAN interface {address.interface} cannot be used here: {error}; install its driver or `pip install "
-            f"python-can[{address.interface}]`",
+            f"'python-can[{address.interface}]'`",
             Reason.MISSING_PACKAGE,
             interface=address.interface,
         ) from error

@@ -202,7 +202,7 @@ _READERS: dict[bytes, Callable[[Path], ArrayTable]] = {
 def missing_package(what: str, package: str, extra: str) -> UsageError:
     """Return the error that a package of an extra is not installed."""
     return UsageError(
-        f"{what} needs the package {package}; install it with `pip install imufield[{extra}]`", Reason.MISSING_PACKAGE
+        f"{what} needs the package {package}; install it with `pip install 'imufield[{extra}]'`", Reason.MISSING_PACKAGE
     )
 
 

@@ -197,7 +197,7 @@ def load_allantools() -> Any:
         return importlib.import_module("allantools")
     except ImportError as error:
         raise UsageError(
-            "the Allan deviation needs the package allantools; install it with `pip install imufield[noise]`",
+            "the Allan deviation needs the package allantools; install it with `pip install 'imufield[noise]'`",
             Reason.MISSING_PACKAGE,
         ) from error
 

@@ -115,5 +115,5 @@ def _figure_class() -> Any:
         return importlib.import_module("matplotlib.figure").Figure
     except ImportError as error:
         raise UsageError(
-            "a plot needs the package matplotlib; install it with `pip install imufield[report]`", Reason.MISSING_PACKAGE
+            "a plot needs the package matplotlib; install it with `pip install 'imufield[report]'`", Reason.MISSING_PACKAGE
         ) from error

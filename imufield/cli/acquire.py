@@ -29,7 +29,7 @@ from imufield.cli.options import (
 
 
 def demo(
-    seed: Annotated[int, typer.Option(help="Seed of the simulated instrument and operator.", min=0)] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of the simulated instrument and operator.", min=0)] = 2,
     speed: Annotated[float, typer.Option(help="Times real time.", min=1)] = 8.0,
     plain: Annotated[bool, typer.Option("--plain", help="Plain lines instead of pictures.")] = False,
 ) -> None:

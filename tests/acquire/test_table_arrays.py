@@ -189,6 +189,6 @@ def test_a_missing_package_is_named(
         return real(name, *arguments)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(UsageError, match=rf"pip install imufield\[{extra}\]") as caught:
+    with pytest.raises(UsageError, match=rf"pip install 'imufield\[{extra}\]") as caught:
         read_tables([path])
     assert caught.value.reason is Reason.MISSING_PACKAGE

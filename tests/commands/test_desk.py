@@ -237,7 +237,10 @@ def test_a_table_becomes_a_session_and_what_was_assumed_is_said(program: Program
 def test_demo(program: Program) -> None:
     ended = program.run("demo", "--plain", "--speed", 12, timeout_s=150)
     assert ended.returncode == 0, ended.stdout + ended.stderr
-    assert "24 of 24 positions, seed 1: as it should be" in ended.stdout
+    assert "24 of 24 positions, seed 2: as it should be" in ended.stdout
+    last = ended.stdout.splitlines()[-1]
+    assert last.startswith("within 4 sigma of the simulator's truth: largest ")
+    assert float(last.split()[-1]) <= 4.0
     assert "NOT" not in ended.stdout
     session = Session.newest(program.folder / "imufield-sessions")
     assert (session.folder / "parameters.toml").is_file()

@@ -42,7 +42,7 @@ def load_pyins() -> Any:
         return SimpleNamespace(pandas=importlib.import_module("pandas"), **modules)
     except ImportError as error:
         raise UsageError(
-            "static navigation needs the package python-ins; install it with `pip install imufield[nav]`, or check held-out "
+            "static navigation needs the package python-ins; install it with `pip install 'imufield[nav]'`, or check held-out "
             "positions only",
             Reason.MISSING_PACKAGE,
             package="python-ins",

@@ -73,7 +73,7 @@ def load_matplotlib() -> Any:
 def missing_package(name: str) -> UsageError:
     """Return the error that names the extra."""
     return UsageError(
-        f"the report needs the package {name}; install it with `pip install imufield[report]`",
+        f"the report needs the package {name}; install it with `pip install 'imufield[report]'`",
         Reason.MISSING_PACKAGE,
         package=name,
     )

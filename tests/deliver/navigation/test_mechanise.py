@@ -84,7 +84,7 @@ def test_position_error_is_equation_23() -> None:
 def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     load_pyins.cache_clear()
     monkeypatch.setitem(sys.modules, "pyins.strapdown", None)
-    with pytest.raises(UsageError, match=r"pip install imufield\[nav\]") as caught:
+    with pytest.raises(UsageError, match=r"pip install 'imufield\[nav\]") as caught:
         load_pyins()
     assert caught.value.reason is Reason.MISSING_PACKAGE
     load_pyins.cache_clear()
