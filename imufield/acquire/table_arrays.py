@@ -12,9 +12,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -107,24 +105,15 @@ def array_reader(path: Path) -> Callable[[Path], ArrayTable] | None:
 
 
 def read_mat(path: Path) -> ArrayTable:
-    """Read a MATLAB file of version 4 to 7; raises as ``read_hdf5``.
-
-    In a process of its own: a damaged file can kill the reader of SciPy, and then only that process ends.
-    """
+    """Read a MATLAB file of version 4 to 7; raises as ``read_hdf5``."""
+    from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
     try:
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            arrays = pool.submit(_matlab_arrays, path).result()
-        return _table(path, arrays)
+        content = loadmat(path, simplify_cells=True)
+        return _table(path, dict(_flattened(content)))
     except (*_DAMAGE, MatReadError) as error:
         raise _damaged(path, "MATLAB file", error) from error
-
-
-def _matlab_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    from scipy.io import loadmat
-
-    return dict(_flattened(loadmat(path, simplify_cells=True)))
 
 
 def read_hdf5(path: Path) -> ArrayTable:

@@ -295,7 +295,7 @@ def test_quit_and_go_on(program: Program, screen: Terminal) -> None:
     screen.type("\n")
     screen.wait_for("1 of 6 done")
     screen.type("q")
-    shown = screen.wait_for("go on: imufield capture --resume")
+    shown = screen.wait_for("imufield capture --resume")
     assert "1 of 6 positions measured so far" in shown
     assert screen.ended() == 0
     session = newest(program)
@@ -331,7 +331,7 @@ def test_a_terminal_that_stands_still_loses_nothing_of_the_wire(program: Program
     screen.wait_for("link ok")
     time.sleep(5)  # a terminal takes a few kilobytes; this is 400 kB of wire
     screen.type("q")
-    screen.wait_for("go on: imufield capture")
+    screen.wait_for("imufield capture --resume")
     assert screen.ended() == 0
     counter = np.concatenate([block.counter for block in session_samples(newest(program), [])])
     assert len(counter) > 5 * 2000
