@@ -9,9 +9,16 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import tempfile
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
+
+from imufield.errors import UsageError
+
+_RECORDED = re.compile(r"part-\d+\.mcap|session\.toml|positions\.toml")
+"""Names of what a session was recorded as; no command computes them again."""
 
 
 def sync_folder(folder: Path) -> None:
@@ -53,6 +60,35 @@ def write_atomically(path: str | Path, data: bytes) -> None:
             Path(name).unlink()
         raise
     sync_folder(path.parent)
+
+
+def refuse_overwriting(output: Path, inputs: Iterable[Path] = ()) -> None:
+    """Keep a result from replacing what it comes from, or any file of a recording.
+
+    Parameters
+    ----------
+    output : Path
+        Where the result is to go; it need not exist.
+    inputs : iterable of Path
+        Files it is computed from. Other names and links of the same file count.
+
+    Raises
+    ------
+    UsageError
+        If it would.
+    """
+    if any(_RECORDED.fullmatch(name) for name in (output.name, output.resolve().name)):
+        raise UsageError(f"{output} has the name of a file of a recording, which nothing can bring back; choose another output")
+    for path in inputs:
+        if _is_same(output, path):
+            raise UsageError(f"{output} is read by this command and would be overwritten; choose another output")
+
+
+def _is_same(output: Path, path: Path) -> bool:
+    try:
+        return output.samefile(path)
+    except OSError:
+        return False
 
 
 def refuse_what_is_no_file(path: Path) -> None:

@@ -14,6 +14,7 @@ from imufield.commands.rows import RowCount
 from imufield.deliver.apply_session import apply_session
 from imufield.deliver.numbers import beside, hanging
 from imufield.deliver.parameters import load
+from imufield.files import refuse_overwriting
 
 
 def run_apply(parameters: Path, source: Path, output: Path) -> None:
@@ -28,8 +29,10 @@ def run_apply(parameters: Path, source: Path, output: Path) -> None:
     damage: list[Damage] = []
     if source.is_dir():
         session = Session.open(source)
+        refuse_overwriting(output, [parameters, *session.parts])
         serial_number, blocks = session.serial_number, session_samples(session, damage)
     else:
+        refuse_overwriting(output, [parameters, source])
         serial_number, blocks = "", table_samples(source)
     count = RowCount()
     rows = apply_session(loaded, count.through(blocks), output, serial_number=serial_number)

@@ -26,7 +26,7 @@ def run_export(path: Path, target: str | None, settings: list[str] | None, outpu
             typer.echo(hanging(f"{one.name:<12} ", f"{one.title}: {one.holds}"))
         return
     exported = export_parameters(load(path), target, export_options(parse_settings(settings)))
-    written = [str(one) for one in write_exported(exported, output)]
+    written = [str(one) for one in write_exported(exported, output, inputs=[path])]
     if as_json:
         typer.echo(json.dumps({"files": written, "losses": list(exported.losses), "notes": list(exported.notes)}))
         return

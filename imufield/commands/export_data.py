@@ -15,6 +15,7 @@ from imufield.commands.rows import RowCount
 from imufield.deliver.export_data import FORMATS, export_samples, facts_of
 from imufield.deliver.numbers import beside, hanging
 from imufield.errors import UsageError
+from imufield.files import refuse_overwriting
 from imufield.samples import FloatArray
 
 
@@ -33,6 +34,7 @@ def run_export_data(folder: Path | None, to: str, output: Path | None) -> None:
         raise UsageError(f"--to {to!r} is unknown; choose one of {listed}")
     session = Session.newest() if folder is None else Session.open(folder)
     path = output or session.folder / f"samples.{FORMATS[to].suffix}"
+    refuse_overwriting(path, session.parts)
     protocol = recorded_protocol({}, session)
     damage: list[Damage] = []
     count = RowCount()

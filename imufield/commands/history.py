@@ -26,6 +26,7 @@ from imufield.deliver.history import (
 )
 from imufield.deliver.numbers import WIDTH, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError
+from imufield.files import refuse_overwriting
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +56,8 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
     if options.plot is not None and len(history.instruments) > 1:
         names = ", ".join(one.serial_number or one.title for one in history.instruments)
         raise UsageError(f"--plot shows one instrument and {options.folder} holds {names}; choose one with --serial")
+    for path in filter(None, (options.csv, options.plot)):
+        refuse_overwriting(path, (options.folder / entry.path for one in history.instruments for entry in one.entries))
     if options.csv is not None:
         write_output(options.csv, to_csv(history).encode())
     if options.plot is not None:

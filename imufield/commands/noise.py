@@ -21,6 +21,7 @@ from imufield.commands.damage import naming_damage
 from imufield.commands.output import write_output
 from imufield.deliver.document import noise_table
 from imufield.deliver.parameters import Noise, Parameters, load, write_document
+from imufield.files import refuse_overwriting
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,8 @@ def run_noise(options: NoiseOptions) -> None:
     parameters = None if options.parameters is None else load(options.parameters)
     session = Session.newest() if options.session is None else Session.open(options.session)
     nominal = recorded_protocol({}, session).nominal
+    for path in filter(None, (options.output, options.plot)):
+        refuse_overwriting(path, [*session.parts, *filter(None, [options.parameters])])
     damage: list[Damage] = []
     with naming_damage(session, damage):
         result = measure_noise(session_samples(session, damage), nominal.accelerometer_scale, nominal.gyroscope_scale)

@@ -38,6 +38,7 @@ from imufield.deliver.report.page import render_record, render_report
 from imufield.deliver.report.plots import load_matplotlib
 from imufield.deliver.verification import read_verification, verification_path
 from imufield.errors import ParameterFileError, Reason
+from imufield.files import refuse_overwriting
 
 REPORT_FILE = "report.html"
 RECORD_FILE = "calibration-record.html"
@@ -70,6 +71,9 @@ def run_report(options: ReportOptions) -> tuple[Path, Path]:
     load_matplotlib()
     data, folder = gather(options)
     pages = (options.output or folder / REPORT_FILE, options.record or folder / RECORD_FILE)
+    inputs = [*filter(None, (data.parameters.path, options.preset)), *([] if options.session is None else _files(folder))]
+    for path in pages:
+        refuse_overwriting(path, inputs)
     for path, text in zip(pages, (render_report(data), render_record(data)), strict=True):
         write_output(path, text.encode())
         typer.echo(beside("written to", path))
@@ -100,6 +104,10 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
         found.notes,
     )
     return data, path.parent if session is None else session.folder
+
+
+def _files(folder: Path) -> list[Path]:
+    return Session.open(folder).parts
 
 
 def _session(options: ReportOptions) -> Session | None:

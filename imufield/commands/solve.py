@@ -39,6 +39,7 @@ from imufield.deliver.parameters import (
 )
 from imufield.deliver.summary import Outcome, print_summary
 from imufield.errors import CalibrationError, Reason, UsageError, counted
+from imufield.files import refuse_overwriting
 from imufield.guide.axes_check import AxesCheck
 from imufield.guide.events import Event, RefusalCode, Rejected
 from imufield.guide.guide import Guide
@@ -83,12 +84,15 @@ def run_solve(options: SolveOptions) -> None:
         if options.session is not None:
             raise UsageError("give a session or --observations, not both")
         session = None
+        path = options.output or Path(PARAMETER_FILE)
+        refuse_overwriting(path, [options.observations])
         solved = solve_observations(options.observations, options)
     else:
         session = Session.newest() if options.session is None else Session.open(options.session)
+        path = options.output or session.folder / PARAMETER_FILE
+        refuse_overwriting(path, session.parts)
         with ProgressLine("reading") as progress:
             solved = solve_session(session, options, progress)
-    path = options.output or (Path(PARAMETER_FILE) if session is None else session.folder / PARAMETER_FILE)
     kept = write_document(path, solved.parameters.document)
     if options.as_json:
         typer.echo(json.dumps(json_ready(solved.parameters.document)))

@@ -36,6 +36,7 @@ from imufield.deliver.verification import (
 from imufield.deliver.verify import HeldOut, check_positions, cross_validate
 from imufield.earth import MICRO_G_M_S2, Gravity
 from imufield.errors import CalibrationError, ImufieldError, ParameterFileError, Reason, UsageError, VerificationError
+from imufield.files import refuse_overwriting
 from imufield.samples import FloatArray, Samples
 
 HOLD_OUT = 4
@@ -100,9 +101,12 @@ def run_verify(options: VerifyOptions) -> Verification:
         If a file or the session cannot be used.
     """
     task = _task(options)
+    parameters = task.parameters.path or options.parameters
+    output = options.output or verification_path(parameters)
+    refuse_overwriting(output, [parameters, *task.session.parts, *filter(None, [options.preset])])
     found = verify_session(task)
     document = to_document(found)
-    write_verification(options.output or verification_path(task.parameters.path or options.parameters), document)
+    write_verification(output, document)
     if options.as_json:
         typer.echo(json.dumps(json_ready(document)))
     else:

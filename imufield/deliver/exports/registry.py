@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from imufield.errors import ParameterFileError, Reason, UsageError
-from imufield.files import write_atomically
+from imufield.files import refuse_overwriting, write_atomically
 
 if TYPE_CHECKING:  # the parameter file needs NumPy and SciPy; a list of targets does not
     from imufield.deliver.parameters import Parameters
@@ -164,8 +164,8 @@ def _value(name: str, kind: str, text: str) -> object:
         raise UsageError(f"export option {name} = {text!r} is not a number", name=name, value=text) from error
 
 
-def write_exported(exported: Exported, output: str | Path | None = None) -> list[Path]:
-    """Write the files, each atomically: into the folder ``output``, or one file under that name.
+def write_exported(exported: Exported, output: str | Path | None = None, *, inputs: Sequence[Path] = ()) -> list[Path]:
+    """Write the files, each atomically: into the folder ``output``, or one file under that name; never over ``inputs``.
 
     Returns
     -------
@@ -175,7 +175,7 @@ def write_exported(exported: Exported, output: str | Path | None = None) -> list
     Raises
     ------
     UsageError
-        If several files would go under one file name.
+        If several files would go under one file name, or one over an input or a recording.
     ParameterFileError
         If a file cannot be written; what stood under its name before is untouched.
     """
@@ -189,6 +189,8 @@ def write_exported(exported: Exported, output: str | Path | None = None) -> list
             f"this target has {len(exported.files)} files ({', '.join(exported.files)}) and {output} is not a folder; give a "
             "folder that exists"
         )
+    for path in paths:
+        refuse_overwriting(path, inputs)
     for path, content in zip(paths, exported.files.values(), strict=True):
         try:
             write_atomically(path, content)
