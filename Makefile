@@ -30,8 +30,9 @@ help:
 demo: $(CORE)
 	$(BIN)/imufield demo
 
+# Much of the time of tests goes in waiting for ports: three at a time keep two cores busy. A file stays in one process.
 test: $(TEST)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 3 --dist loadfile
 
 bench: $(TEST)
 	$(BIN)/python -m benchmarks

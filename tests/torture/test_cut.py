@@ -64,7 +64,6 @@ def test_cut_at_any_byte(session: Path, tmp_path: Path, campaign: Campaign, caps
     # A block that starts before the cut is whole where the next one starts before it too.
     counts = [reads[blocks] for blocks in sorted(reads)]
     assert all(max(fewer) <= min(more) for fewer, more in pairwise(counts)), "a whole block is missing"
-    assert max(counts[-1]) == len(whole)
     campaign.tell(
         "recording cut at any byte, opened, some of them solved",
         f"{times} cuts",
