@@ -13,7 +13,7 @@ import numpy as np
 from imufield.calibrate.gyroscope_model import FIRST_HORIZONTAL, VERTICAL, Evaluation, GyroscopeData, evaluate
 from imufield.calibrate.gyroscope_noise import Covariances, ForceErrors, Scatter, covariances, next_scatter
 from imufield.calibrate.move_integration import PARAMETERS
-from imufield.calibrate.solvers.base import CONVERGED, ITERATION_LIMIT, SolverResult
+from imufield.calibrate.solvers.base import SolverResult, SolverStatus
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray, IntArray
@@ -189,7 +189,7 @@ def _gauss_newton(
 ) -> JointFit:
     now = evaluate(p, data)
     scatter = scatter or first_scatter(now)
-    status, count = ITERATION_LIMIT, 1
+    status, count = SolverStatus.ITERATION_LIMIT, 1
     parts = covariances(now, p[:PARAMETERS], data, errors)
     for _ in range(_ITERATIONS):
         step = _linear_step(now, parts, scatter, p, free, prior)
@@ -198,10 +198,11 @@ def _gauss_newton(
         parts = covariances(now, p[:PARAMETERS], data, errors)
         before, scatter = scatter, next_scatter(scatter, now.residual, now.jacobian[:, free], parts)
         if step.size < _SETTLED * len(free) and _same(before, scatter):
-            status = CONVERGED
+            status = SolverStatus.CONVERGED
             break
     step = _linear_step(now, parts, scatter, p, free, prior)
-    message = "changes are below a ten-thousandth of a sigma" if status else f"not settled after {_ITERATIONS} steps"
+    settled = status is SolverStatus.CONVERGED
+    message = "changes are below a ten-thousandth of a sigma" if settled else f"not settled after {_ITERATIONS} steps"
     solved = SolverResult(p[free], step.cost, status, message, count)
     return JointFit(p, free, step.covariance, step.gain, now, parts, scatter, solved, prior.length is not None)
 

@@ -21,7 +21,7 @@ from typing import Protocol
 import numpy as np
 
 from imufield.calibrate.costs import CostName
-from imufield.calibrate.solvers.base import FAILED, ITERATION_LIMIT, STOPPED, Callback, SolverResult
+from imufield.calibrate.solvers.base import Callback, SolverResult, SolverStatus
 from imufield.calibrate.solvers.registry import load_solver
 from imufield.samples import FloatArray
 
@@ -166,10 +166,12 @@ def search(
         cost = float(rows_cost(fitted.linearise(x)[0], cost_name))
         ended = replace(found, x=x, cost=cost, evaluations=evaluations)
         # A round that came near but not all the way is followed by one with a smaller unit; only the last has to converge.
-        if found.status in (FAILED, STOPPED) or moved <= _SETTLED_SIGMA * np.sqrt(len(found.x)):
+        if found.status in (SolverStatus.FAILED, SolverStatus.STOPPED) or moved <= _SETTLED_SIGMA * np.sqrt(len(found.x)):
             return replace(ended, message=f"{found.message} (round {number})")
         if number == _ROUNDS:
-            return replace(ended, status=ITERATION_LIMIT, message=f"still moves by {moved:.2g} sigma after {_ROUNDS} rounds")
+            return replace(
+                ended, status=SolverStatus.ITERATION_LIMIT, message=f"still moves by {moved:.2g} sigma after {_ROUNDS} rounds"
+            )
 
 
 def _walk(linearise: Linearise, x: FloatArray, step: FloatArray, cost_name: CostName) -> FloatArray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Protocol
 
 import numpy as np
@@ -17,12 +18,15 @@ from imufield.samples import FloatArray
 Callback = Callable[[int, FloatArray, float], bool]
 """Called as ``callback(iteration, best z, best cost)``; a solver stops with status STOPPED when it returns True."""
 
-FAILED = -1
-STOPPED = -2
-STALLED = -3
-ITERATION_LIMIT = 0
-CONVERGED = 1
-"""Statuses as scipy.optimize has them: positive means converged."""
+
+class SolverStatus(IntEnum):
+    """How a solver ended; as in scipy.optimize positive means converged, so the numbers in files tell it too."""
+
+    STALLED = -3
+    STOPPED = -2
+    FAILED = -1
+    ITERATION_LIMIT = 0
+    CONVERGED = 1
 
 
 class Problem(Protocol):
@@ -58,8 +62,7 @@ class SolverResult:
     x: FloatArray
     """Best coordinates ever seen, shape (n,)."""
     cost: float
-    status: int
-    """Positive: converged; 0: iteration limit; negative: failed or stopped."""
+    status: SolverStatus
     message: str
     evaluations: int
     """Candidates whose cost or residuals were computed."""
@@ -69,7 +72,7 @@ class SolverResult:
     @property
     def converged(self) -> bool:
         """Whether the result may be believed."""
-        return self.status > 0
+        return self.status is SolverStatus.CONVERGED
 
 
 class Solver(Protocol):

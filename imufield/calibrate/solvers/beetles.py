@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import CONVERGED, ITERATION_LIMIT, Callback, Problem, SolverResult
+from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
 from imufield.calibrate.solvers.population import Record, check_start, into_bounds
 from imufield.samples import FloatArray
 
@@ -186,7 +186,7 @@ def _arrived(smelled: float, f: float, s: float, settings: BasSettings) -> bool:
     return smelled <= settings.tolerance * f or s <= 1.01 * settings.s_0 / (1 - settings.c_s)
 
 
-def _ending(finished: bool, settings: BasSettings) -> tuple[int, str]:
+def _ending(finished: bool, settings: BasSettings) -> tuple[SolverStatus, str]:
     if finished:
-        return CONVERGED, f"the antennae smell no difference above {settings.tolerance:g} of the cost"
-    return ITERATION_LIMIT, f"not converged within {settings.k_max} iterations"
+        return SolverStatus.CONVERGED, f"the antennae smell no difference above {settings.tolerance:g} of the cost"
+    return SolverStatus.ITERATION_LIMIT, f"not converged within {settings.k_max} iterations"

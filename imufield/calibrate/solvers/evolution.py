@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import CONVERGED, ITERATION_LIMIT, Callback, Problem, SolverResult
+from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
 from imufield.calibrate.solvers.population import Record, check_finite_bounds
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
@@ -204,10 +204,10 @@ def _spread(costs: FloatArray) -> float:
     return (highest - lowest) / lowest if lowest > 0 else np.inf
 
 
-def _ending(spread: float, settings: DeSettings) -> tuple[int, str]:
+def _ending(spread: float, settings: DeSettings) -> tuple[SolverStatus, str]:
     if spread <= settings.tolerance:
-        return CONVERGED, f"the costs of the population agree to {spread:.1e}"
+        return SolverStatus.CONVERGED, f"the costs of the population agree to {spread:.1e}"
     return (
-        ITERATION_LIMIT,
+        SolverStatus.ITERATION_LIMIT,
         f"not converged within {settings.EG} generations: the costs still spread by {spread:.1e} of the lowest",
     )

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import FAILED, Callback, Problem, SolverResult
+from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
 from imufield.samples import FloatArray
 
 Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
@@ -59,11 +59,12 @@ def solve_least_squares(
         )
     except (ValueError, np.linalg.LinAlgError) as error:
         # A candidate outside the model's domain has NaN residuals; scipy and LAPACK refuse those.
-        return SolverResult(start, np.inf, FAILED, f"least squares left the domain of the model: {error}", 0)
+        return SolverResult(start, np.inf, SolverStatus.FAILED, f"least squares left the domain of the model: {error}", 0)
     x: FloatArray = fit.x
     cost = float(np.sum(problem.residuals(x) ** 2))
     if not np.isfinite(cost):
-        return SolverResult(start, np.inf, FAILED, "least squares left the domain of the model", int(fit.nfev))
+        return SolverResult(start, np.inf, SolverStatus.FAILED, "least squares left the domain of the model", int(fit.nfev))
     if callback is not None:
         callback(int(fit.nfev), x, cost)
-    return SolverResult(x, cost, int(fit.status), str(fit.message), int(fit.nfev) + int(fit.njev or 0), np.array([cost]))
+    status = SolverStatus(min(int(fit.status), SolverStatus.CONVERGED))  # scipy tells convergence by 1 to 4
+    return SolverResult(x, cost, status, str(fit.message), int(fit.nfev) + int(fit.njev or 0), np.array([cost]))

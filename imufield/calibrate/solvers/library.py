@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import CONVERGED, ITERATION_LIMIT, Callback, Problem, SolverResult
+from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
 from imufield.calibrate.solvers.population import Record, check_finite_bounds
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
@@ -94,6 +94,6 @@ def _run(
     costs = np.asarray(algorithm.pop.get("F"), dtype=np.float64).ravel()
     spread = float((costs.max() - costs.min()) / costs.min()) if costs.min() > 0 else float("inf")
     if spread <= settings.tolerance:
-        return record.result(CONVERGED, f"the costs of the population agree to {spread:.1e}", upper - lower, rng)
+        return record.result(SolverStatus.CONVERGED, f"the costs of the population agree to {spread:.1e}", upper - lower, rng)
     message = f"not converged within {settings.generations} generations: the costs still spread by {spread:.1e} of the lowest"
-    return record.result(ITERATION_LIMIT, message, upper - lower, rng)
+    return record.result(SolverStatus.ITERATION_LIMIT, message, upper - lower, rng)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import CONVERGED, STALLED, STOPPED, Callback, Problem, SolverResult
+from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
@@ -56,14 +56,14 @@ class Record:
 
     def stopped(self) -> SolverResult:
         """Return the result of a run that the callback ended."""
-        return self._result(STOPPED, f"stopped by the caller after {len(self.history)} iterations")
+        return self._result(SolverStatus.STOPPED, f"stopped by the caller after {len(self.history)} iterations")
 
-    def result(self, status: int, message: str, reach: float | FloatArray, rng: np.random.Generator) -> SolverResult:
+    def result(self, status: SolverStatus, message: str, reach: float | FloatArray, rng: np.random.Generator) -> SolverResult:
         """Return the result, once a probe around the best point has had its say.
 
         Parameters
         ----------
-        status : int
+        status : SolverStatus
             What the method itself thinks.
         message : str
         reach : float or ndarray, shape (n,)
@@ -71,17 +71,17 @@ class Record:
         rng : Generator
         """
         if not np.isfinite(self.best_cost):
-            return self._result(STALLED, "no point was found at which the model can be inverted")
-        if status == CONVERGED:
+            return self._result(SolverStatus.STALLED, "no point was found at which the model can be inverted")
+        if status is SolverStatus.CONVERGED:
             found = lowest_nearby(self._problem, self.best, reach, rng)
             self.evaluations += found.evaluations
             gain = 1 - found.cost / self.best_cost if self.best_cost > 0 else 0.0
             if gain > _CLEARLY_BETTER:
-                status = STALLED
+                status = SolverStatus.STALLED
                 message = f"stalled: {message}, but a point nearby costs {gain:.0%} less"
         return self._result(status, message)
 
-    def _result(self, status: int, message: str) -> SolverResult:
+    def _result(self, status: SolverStatus, message: str) -> SolverResult:
         return SolverResult(self.best, self.best_cost, status, message, self.evaluations, np.array(self.history))
 
 
@@ -95,7 +95,7 @@ def lowest_nearby(problem: Problem, x: FloatArray, reach: float | FloatArray, rn
     cloud = into_bounds(problem, (x + rings[:, None, None] * directions).reshape(-1, n))
     cost = problem.cost(cloud)
     best = int(np.argmin(cost))
-    return SolverResult(cloud[best], float(cost[best]), CONVERGED, "", len(cloud))
+    return SolverResult(cloud[best], float(cost[best]), SolverStatus.CONVERGED, "", len(cloud))
 
 
 def into_bounds(problem: Problem, candidates: FloatArray) -> FloatArray:

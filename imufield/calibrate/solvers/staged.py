@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 
 from imufield.calibrate.models import BIAS, MISALIGNMENT, PARAMETERS, QUADRATIC, SCALE
-from imufield.calibrate.solvers.base import CONVERGED, ITERATION_LIMIT, STOPPED, Callback, Problem, Solver, SolverResult
+from imufield.calibrate.solvers.base import Callback, Problem, Solver, SolverResult, SolverStatus
 from imufield.calibrate.solvers.beetles import BsasSettings, solve_bsas
 from imufield.calibrate.solvers.population import Record, check_start
 from imufield.samples import FloatArray
@@ -99,7 +99,7 @@ def solve_stages(
         solved = solver(part, rng=rng, callback=tell if callback else None)
         x = part.fill(solved.x)
         stages.append(SolverResult(x, solved.cost, solved.status, solved.message, solved.evaluations, solved.history))
-        if solved.status == STOPPED:
+        if solved.status is SolverStatus.STOPPED:
             break
     return tuple(stages)
 
@@ -149,11 +149,11 @@ def join_stages(
     record.evaluations = sum(stage.evaluations for stage in stages)
     record.history = [float(cost) for stage in stages for cost in stage.history]
     record.offer(stages[-1].x, stages[-1].cost)
-    if stages[-1].status == STOPPED:
+    if stages[-1].status is SolverStatus.STOPPED:
         return record.stopped()
     last_round = stages[-(len(stages) // settings.rounds) :]
     open_stages = [stage for stage in last_round if not stage.converged]
     if open_stages:
         message = f"{len(open_stages)} of {len(last_round)} categories did not converge: {open_stages[0].message}"
-        return record.result(ITERATION_LIMIT, message, settings.swarm.s, rng)
-    return record.result(CONVERGED, f"all categories converged in round {settings.rounds}", settings.swarm.s, rng)
+        return record.result(SolverStatus.ITERATION_LIMIT, message, settings.swarm.s, rng)
+    return record.result(SolverStatus.CONVERGED, f"all categories converged in round {settings.rounds}", settings.swarm.s, rng)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imufield.calibrate.costs import NormProblem
-from imufield.calibrate.solvers.base import STALLED
+from imufield.calibrate.solvers.base import SolverStatus
 from imufield.calibrate.solvers.beetles import WHITENED_SETTINGS, BasSettings, BsasSettings, solve_bas, solve_bsas
 from imufield.calibrate.whitening import whitened_problem
 from imufield.samples import FloatArray
@@ -77,7 +77,7 @@ def test_table_3_setting_ends_at_the_exact_minimum(seed: int) -> None:
 def test_one_beetle_stalls_there_and_says_so() -> None:
     problem, rng = _table_3_problem(0)
     found = solve_bas(problem, rng=rng)
-    assert found.status == STALLED
+    assert found.status is SolverStatus.STALLED
     assert "stalled" in found.message
     assert found.cost > 10 * exact_absolute_minimum(problem)[0]
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imufield.calibrate.solvers.base import ITERATION_LIMIT, STALLED, STOPPED, Problem, SolverResult
+from imufield.calibrate.solvers.base import Problem, SolverResult, SolverStatus
 from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings
 from imufield.calibrate.solvers.evolution import DeSettings
 from imufield.calibrate.solvers.library import LibrarySettings
@@ -120,13 +120,13 @@ class SwarmContract(SolverContract):
 
     def test_callback_stops_the_run(self) -> None:
         found = self.solve(Bowl(), callback=lambda iteration, _x, _cost: iteration >= 3)
-        assert found.status == STOPPED
+        assert found.status is SolverStatus.STOPPED
         assert not found.converged
         assert len(found.history) == 3
 
     def test_a_short_run_does_not_claim_to_have_converged(self) -> None:
         found = self.solve(Bowl(), settings=self.short)
-        assert found.status in {ITERATION_LIMIT, STALLED}
+        assert found.status in {SolverStatus.ITERATION_LIMIT, SolverStatus.STALLED}
         assert "not converge" in found.message or "stalled" in found.message
 
     def test_a_start_outside_the_bounds_is_refused_by_name(self) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from imufield.calibrate.solvers.base import CONVERGED, FAILED, Solver
+from imufield.calibrate.solvers.base import Solver, SolverStatus
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.samples import FloatArray
 
@@ -54,7 +54,7 @@ def test_minimum_is_that_of_the_normal_equations(line: Line) -> None:
     assert result.x == pytest.approx(expected, rel=1e-9)
     assert result.cost == pytest.approx(float(line.cost(expected[None])[0]))
     assert result.converged
-    assert result.status >= CONVERGED
+    assert result.status is SolverStatus.CONVERGED
     assert result.evaluations > 0
     assert result.history[-1] == result.cost
 
@@ -82,6 +82,6 @@ def test_too_few_evaluations_is_a_status(line: Line) -> None:
 
 def test_outside_the_model_is_a_status() -> None:
     result = solve_least_squares(Nowhere(np.arange(3.0), np.zeros(3)))
-    assert result.status == FAILED
+    assert result.status is SolverStatus.FAILED
     assert result.x.tolist() == [0.0, 0.0]
     assert "domain" in result.message

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from imufield.calibrate.costs import NormProblem
-from imufield.calibrate.solvers.base import CONVERGED, Callback, Problem, SolverResult
+from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
 from imufield.calibrate.solvers.staged import (
     PAPER_CATEGORIES,
     CategoryProblem,
@@ -58,7 +58,7 @@ def test_stages_follow_one_another_for_any_solver() -> None:
 
     def count(problem: Problem, *, rng: np.random.Generator | None = None, callback: Callback | None = None) -> SolverResult:
         calls.append(len(problem.start))
-        return SolverResult(problem.start, 1.0, CONVERGED, "", 1, np.ones(1))
+        return SolverResult(problem.start, 1.0, SolverStatus.CONVERGED, "", 1, np.ones(1))
 
     raw = bsas_outputs(np.random.default_rng(0))
     stages = solve_stages(
