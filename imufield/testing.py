@@ -90,7 +90,7 @@ def imufield_replay(tmp_path: Path) -> Callable[..., Replayed]:
         if protocol is None:
             return Replayed(Session.open(path))
         folder = tmp_path / f"imufield-{len(list(tmp_path.glob('imufield-*')))}-{Path(path).stem}"
-        options = ImportOptions([Path(path)], folder, protocol, dict(settings or {}))
+        options = ImportOptions(files=[Path(path)], output=folder, protocol=protocol, settings=dict(settings or {}))
         return Replayed(import_session(options)[0])
 
     return replay

@@ -234,7 +234,7 @@ def _calibration(
 
 def _summary(fitted: Fit, seed: int) -> SolverSummary:
     solved = fitted.solved
-    return SolverSummary("least squares", solved.status, solved.message, solved.cost, solved.evaluations, seed)
+    return SolverSummary("least squares", int(solved.status), solved.message, solved.cost, solved.evaluations, seed)
 
 
 def _positions(solution: _Solution) -> PositionResult:

@@ -176,7 +176,9 @@ def solve_with(
     vector, basis = again.in_gauge(found.x)
     if polish and found.converged:
         found, vector = _polished(again, found, vector, basis)
-    return _replaced(again, vector, SolverSummary(method, found.status, found.message, found.cost, found.evaluations, seed))
+    return _replaced(
+        again, vector, SolverSummary(method, int(found.status), found.message, found.cost, found.evaluations, seed)
+    )
 
 
 def problem_for(again: Restart, method: str) -> NormProblem:

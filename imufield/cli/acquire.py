@@ -156,7 +156,7 @@ def record(
     from imufield.commands.record import RecordOptions, run_record
 
     connect = connect_options(context, port, bus, driver, baud, protocol, dbc, mapping, settings, rate_hz)
-    run_record(RecordOptions(connect, session, duration_s, as_json), host_clock(clock_speed))
+    run_record(RecordOptions(connect=connect, session=session, duration_s=duration_s, as_json=as_json), host_clock(clock_speed))
 
 
 def import_files(
@@ -185,7 +185,14 @@ def import_files(
     from imufield.commands.import_files import ImportOptions, run_import
 
     options = ImportOptions(
-        *(files, output, protocol, parse_settings(settings), columns, rate_hz, zero, as_json),
+        files=files,
+        output=output,
+        protocol=protocol,
+        settings=parse_settings(settings),
+        columns=columns,
+        rate_hz=rate_hz,
+        zero=zero,
+        as_json=as_json,
         driver=driver,
         dbc=dbc,
         mapping=parse_mapping(mapping),
@@ -211,7 +218,7 @@ def replay(
     """
     from imufield.commands.replay import ReplayOptions, run_replay
 
-    run_replay(ReplayOptions(session, to_pty, bus, baud, speed, as_json))
+    run_replay(ReplayOptions(session=session, to_pty=to_pty, bus=bus, bit_rate=baud, speed=speed, as_json=as_json))
 
 
 def emulate(
@@ -244,5 +251,25 @@ def emulate(
     from imufield.commands.configuration import parse_settings
     from imufield.commands.emulate import EmulateOptions, run_emulate
 
-    common = (rate_hz, speed, grade, seed, positions, hold_s, link, truth, duration_s, fault or [], wait, style, as_json)
-    run_emulate(EmulateOptions(driver, *common, form, parse_settings(settings), bus, rotations=rotations, rounds=rounds))
+    options = EmulateOptions(
+        driver=driver,
+        rate_hz=rate_hz,
+        speed=speed,
+        grade=grade,
+        seed=seed,
+        positions=positions,
+        hold_s=hold_s,
+        link=link,
+        truth=truth,
+        duration_s=duration_s,
+        faults=fault or [],
+        wait_for_reader=wait,
+        style=style,
+        rotations=rotations,
+        as_json=as_json,
+        form=form,
+        settings=parse_settings(settings),
+        bus=bus,
+        rounds=rounds,
+    )
+    run_emulate(options)

@@ -76,7 +76,8 @@ def noise(
     """
     from imufield.commands.noise import NoiseOptions, run_noise
 
-    run_noise(NoiseOptions(session, to, output, plot, parameters, as_json))
+    options = NoiseOptions(session=session, to=to, output=output, plot=plot, parameters=parameters, as_json=as_json)
+    run_noise(options)
 
 
 def study(

@@ -87,21 +87,21 @@ def verify(
     from imufield.commands.verify import VerifyOptions, run_verify
 
     options = VerifyOptions(
-        parameters,
-        session,
-        preset,
-        hold_out,
-        turned,
-        align_s,
-        heading,
-        heading_sigma,
-        site(context, gravity, latitude, height),
-        require,
-        turn_on_ug,
-        turn_on_deg_per_h,
-        seed,
-        output,
-        as_json,
+        parameters=parameters,
+        session=session,
+        preset=preset,
+        hold_out=hold_out,
+        turned=turned,
+        align_s=align_s,
+        heading_deg=heading,
+        heading_sigma_deg=heading_sigma,
+        site=site(context, gravity, latitude, height),
+        require=require,
+        turn_on_ug=turn_on_ug,
+        turn_on_deg_per_h=turn_on_deg_per_h,
+        seed=seed,
+        output=output,
+        as_json=as_json,
     )
     run_verify(options)
 
@@ -120,7 +120,10 @@ def report(
     """
     from imufield.commands.report import ReportOptions, run_report
 
-    run_report(ReportOptions(session, parameters, preset, output, record, operator))
+    options = ReportOptions(
+        session=session, parameters=parameters, preset=preset, output=output, record=record, operator=operator
+    )
+    run_report(options)
 
 
 def history(
@@ -137,4 +140,5 @@ def history(
     """
     from imufield.commands.history import HistoryOptions, run_history
 
-    run_history(HistoryOptions(folder, serial, stale_days, csv, plot, as_json))
+    options = HistoryOptions(folder=folder, serial_number=serial, stale_days=stale_days, csv=csv, plot=plot, as_json=as_json)
+    run_history(options)

@@ -111,11 +111,11 @@ def connect_options(
             raise UsageError(f"--port {port} and --bus {bus} contradict each other; give one of them")
         port, bus = (port, None) if is_port else (None, bus)
     return ConnectOptions(
-        port,
-        driver,
-        baud,
-        protocol,
-        parse_settings(settings),
+        port=port,
+        driver=driver,
+        baud=baud,
+        protocol=protocol,
+        settings=parse_settings(settings),
         bus=bus,
         dbc=dbc,
         mapping=parse_mapping(mapping),

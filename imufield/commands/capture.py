@@ -41,7 +41,7 @@ REVISIT_FROM = 12
 QUIT = "q"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureOptions:
     """Options of the command."""
 

@@ -45,7 +45,7 @@ SPARE = 1.1
 Say = Callable[[str], None]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectOptions:
     """Options of the commands that open a port."""
 

@@ -32,7 +32,7 @@ ROUNDS = 20
 """How often the operator goes through his positions: what a reader missed, or came too late for, comes up again."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EmulateOptions:
     """Options of the command."""
 
@@ -49,7 +49,7 @@ class EmulateOptions:
     faults: list[str]
     wait_for_reader: bool
     style: str
-    rotations: str | None = field(default=None, kw_only=True)
+    rotations: str | None = None
     as_json: bool
     form: str | None = None
     settings: dict[str, str] = field(default_factory=dict)

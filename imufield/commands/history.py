@@ -29,7 +29,7 @@ from imufield.errors import UsageError
 from imufield.files import refuse_overwriting
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HistoryOptions:
     """Options of the command."""
 

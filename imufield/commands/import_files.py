@@ -29,7 +29,7 @@ from imufield.samples import Samples
 DUMP_CHUNK_BYTES = 1 << 16
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
     """Options of the command."""
 

@@ -24,7 +24,7 @@ from imufield.deliver.parameters import Noise, Parameters, load, write_document
 from imufield.files import refuse_overwriting
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseOptions:
     """Options of the command."""
 

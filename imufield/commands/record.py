@@ -22,7 +22,7 @@ from imufield.errors import RecordingError
 TELL_EVERY_S = 1.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RecordOptions:
     """Options of the command."""
 

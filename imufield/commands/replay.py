@@ -27,7 +27,7 @@ LINGER_S = 0.5
 """The port stays this long after the last byte: a reader that polls may not have taken it yet."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayOptions:
     """Options of the command."""
 

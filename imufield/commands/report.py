@@ -46,7 +46,7 @@ _FEWEST_FOR_METHODS = 9
 """Positions; the methods of the papers need more than parameters."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReportOptions:
     """Options of the command."""
 

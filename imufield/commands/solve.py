@@ -49,7 +49,7 @@ FEWEST_POSITIONS = 6
 """For scale and bias, each axis up and down."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SolveOptions:
     """Options of the command."""
 

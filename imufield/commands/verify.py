@@ -45,7 +45,7 @@ AFTER = "after"
 BEFORE = "before"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class VerifyOptions:
     """Options of the command."""
 

@@ -248,8 +248,8 @@ def test_demo(program: Program) -> None:
 
 def test_an_emulated_operator_begins_again_and_ends_where_he_began() -> None:
     options = EmulateOptions(
-        "stim300", None, 1.0, "tactical", 1, "paper24", 14.0, None, None, None, [], wait_for_reader=False, style="placed",
-        as_json=False, rounds=3,
+        driver="stim300", rate_hz=None, speed=1.0, grade="tactical", seed=1, positions="paper24", hold_s=14.0, link=None,
+        truth=None, duration_s=None, faults=[], wait_for_reader=False, style="placed", as_json=False, rounds=3,
     )  # fmt: skip
     shown = np.asarray(make_emulation(options).directions)
     planned = scheme("paper24").directions()

@@ -22,7 +22,7 @@ def folder(solved_session: Path, tmp_path: Path) -> Path:
 
 def test_history_is_printed_and_written(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table, plot = tmp_path / "history.csv", tmp_path / "history.svg"
-    run_history(HistoryOptions(folder, csv=table, plot=plot), now=datetime(2100, 1, 1, tzinfo=UTC))
+    run_history(HistoryOptions(folder=folder, csv=table, plot=plot), now=datetime(2100, 1, 1, tzinfo=UTC))
     text = capsys.readouterr().out
     assert "stim300: 1 calibration" in text
     assert "one/parameters.toml" in text
@@ -56,8 +56,8 @@ def test_one_instrument_at_a_time_is_drawn(folder: Path, tmp_path: Path) -> None
     document.pop("integrity", None)
     (folder / "other.toml").write_text(to_toml(document))
     with pytest.raises(UsageError, match="choose one with --serial"):
-        run_history(HistoryOptions(folder, plot=tmp_path / "x.svg"))
-    run_history(HistoryOptions(folder, serial_number="X", plot=tmp_path / "x.svg"))
+        run_history(HistoryOptions(folder=folder, plot=tmp_path / "x.svg"))
+    run_history(HistoryOptions(folder=folder, serial_number="X", plot=tmp_path / "x.svg"))
     assert (tmp_path / "x.svg").is_file()
 
 

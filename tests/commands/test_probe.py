@@ -208,7 +208,7 @@ def test_a_rate_that_cannot_be_set_is_refused_before_a_session_is_made(program: 
 
 def connected(port: str, **options: Any) -> Any:
     said: list[str] = []
-    return connect(ConnectOptions(port, **options), SystemClock(), say=said.append), said
+    return connect(ConnectOptions(port=port, **options), SystemClock(), say=said.append), said
 
 
 def test_a_silent_instrument_is_told_to_send_and_left_silent() -> None:

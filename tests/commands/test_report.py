@@ -21,7 +21,7 @@ def solved(solved_session: Path, tmp_path: Path) -> Path:
 
 
 def test_pages_are_written_into_the_session(solved: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    report, record = run_report(ReportOptions(solved, operator="A. Person"))
+    report, record = run_report(ReportOptions(session=solved, operator="A. Person"))
     assert (report, record) == (solved / "report.html", solved / "calibration-record.html")
     assert capsys.readouterr().out.count("written to") == 2
     assert report.stat().st_size < 3 * MIB
@@ -32,7 +32,7 @@ def test_pages_are_written_into_the_session(solved: Path, capsys: pytest.Capture
 
 
 def test_recording_tells_what_the_file_cannot(solved: Path) -> None:
-    data, _ = gather(ReportOptions(solved))
+    data, _ = gather(ReportOptions(session=solved))
     assert data.trace is not None
     tables = data.parameters.document["position"]
     inside = [
@@ -60,7 +60,7 @@ def test_parameters_alone_make_a_page_and_presets_a_column(solved: Path, tmp_pat
 
 def test_verification_gets_into_the_page(solved: Path) -> None:
     assert run(["verify", str(solved / "parameters.toml"), str(solved), "--require", "residual-ug=5000"]) == 0
-    report, _ = run_report(ReportOptions(solved))
+    report, _ = run_report(ReportOptions(session=solved))
     text = report.read_text(encoding="utf-8")
     assert "<b>PASS</b>" in text
     assert "<h3>Held-out positions</h3>" in text
@@ -72,7 +72,7 @@ def test_parameters_of_another_recording_are_refused(solved: Path, tmp_path: Pat
     part = next(other.glob("part-*.mcap"))
     part.write_bytes(part.read_bytes()[:-4096])
     with pytest.raises(ParameterFileError, match="solved from another recording"):
-        gather(ReportOptions(other))
+        gather(ReportOptions(session=other))
 
 
 def test_unwritable_page_is_one_sentence(solved: Path, tmp_path: Path) -> None:

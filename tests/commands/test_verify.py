@@ -73,7 +73,7 @@ def with_document(path: Path, target: Path, **changes: Any) -> Path:
 
 def test_own_session_is_cross_validated(solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "found.json"
-    found = run_verify(VerifyOptions(solved / "parameters.toml", solved, output=output))
+    found = run_verify(VerifyOptions(parameters=solved / "parameters.toml", session=solved, output=output))
     assert found.held_out is not None
     assert len(found.held_out.name) == 24
     assert "up to 4 at a time" in found.held_out.how
@@ -104,13 +104,13 @@ def test_another_session_of_36_positions_proves_the_parameters(
 
 
 def test_results_are_kept_beside_the_parameters(solved: Path) -> None:
-    run_verify(VerifyOptions(solved / "parameters.toml", solved, hold_out=6, as_json=True))
+    run_verify(VerifyOptions(parameters=solved / "parameters.toml", session=solved, hold_out=6, as_json=True))
     assert (solved / "parameters.verification.json").is_file()
 
 
 def test_failed_requirement_leaves_with_7_and_says_what(solved: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(VerificationError, match=r"residual-ug is .* at most 1 is required") as caught:
-        run_verify(VerifyOptions(solved / "parameters.toml", solved, require="residual-ug=1"))
+        run_verify(VerifyOptions(parameters=solved / "parameters.toml", session=solved, require="residual-ug=1"))
     assert caught.value.reason is Reason.FAILED_REQUIREMENT
     assert run(["verify", str(solved / "parameters.toml"), str(solved), "--require", "residual-ug=1"]) == 7
     output = capsys.readouterr()
@@ -120,7 +120,9 @@ def test_failed_requirement_leaves_with_7_and_says_what(solved: Path, capsys: py
 
 def test_rest_is_navigated_before_and_after(solved: Path, tmp_path: Path) -> None:
     session = rest_session(tmp_path / "rest")
-    options = VerifyOptions(solved / "parameters.toml", session.folder, align_s=200.0, output=tmp_path / "found.json")
+    options = VerifyOptions(
+        parameters=solved / "parameters.toml", session=session.folder, align_s=200.0, output=tmp_path / "found.json"
+    )
     found = run_verify(options)
     assert found.navigation is not None
     assert list(found.navigation.drifts) == ["before", "after"]
@@ -155,14 +157,14 @@ def test_parameters_of_another_instrument_are_refused(solved: Path, tmp_path: Pa
     other = with_document(solved / "parameters.toml", tmp_path / "other.toml", instrument={"serial_number": "A1"})
     session = rest_session(tmp_path / "rest", instrument={"driver": "rows_f64", "model": "bench", "serial_number": "B2"})
     with pytest.raises(ParameterFileError, match="serial number A1 and this recording is of B2") as caught:
-        run_verify(VerifyOptions(other, session.folder))
+        run_verify(VerifyOptions(parameters=other, session=session.folder))
     assert caught.value.reason is Reason.FOREIGN
 
 
 def test_parameters_in_other_units_are_refused(solved: Path, tmp_path: Path) -> None:
     session = rest_session(tmp_path / "rest", unit="count")
     with pytest.raises(ParameterFileError, match=r"values in m/s\^2, these samples are in count") as caught:
-        run_verify(VerifyOptions(solved / "parameters.toml", session.folder))
+        run_verify(VerifyOptions(parameters=solved / "parameters.toml", session=session.folder))
     assert caught.value.reason is Reason.UNITS
 
 

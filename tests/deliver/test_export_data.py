@@ -89,7 +89,9 @@ def test_every_format_can_be_imported_again(tmp_path: Path, to: str) -> None:
     path = tmp_path / f"out.{FORMATS[to].suffix}"
     facts = facts_of(load_protocol("rows_f64"), np.array([0.5, 0.0, -0.5]))
     assert export_samples((samples[at : at + 700] for at in range(0, len(samples), 700)), path, to, facts) == len(samples)
-    options = ImportOptions([path], tmp_path / "session", settings={"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s"})
+    options = ImportOptions(
+        files=[path], output=tmp_path / "session", settings={"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s"}
+    )
     session, _ = import_session(options)
     again = concatenate(session_samples(session, []))
     np.testing.assert_array_equal(again.accelerometer, samples.accelerometer)
@@ -115,7 +117,7 @@ def test_increments_stay_increments(tmp_path: Path, to: str) -> None:
     )
     path = tmp_path / "out"
     export_samples([dataclasses.replace(block(500), units=protocol.units)], path, to, facts_of(protocol, np.zeros(3)))
-    session, _ = import_session(ImportOptions([path], tmp_path / "session"))
+    session, _ = import_session(ImportOptions(files=[path], output=tmp_path / "session"))
     assert concatenate(session_samples(session, [])).units == protocol.units
 
 
