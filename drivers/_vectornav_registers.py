@@ -7,14 +7,50 @@ refuses. XX is the XOR of what stands between dollar and star. What is written l
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, ClassVar
 
 from imufield.acquire.checksum import make_checksum
+from imufield.acquire.driver import Ability, Driver, Evidence
 from imufield.acquire.exchange import Command, Message
 
 BINARY_OUTPUTS = (75, 76, 77)
 _MODEL, _SERIAL, _FIRMWARE = 1, 3, 4
 _XOR = make_checksum("XOR-8")
+
+
+class VectorNav(Driver):
+    """What the forms of VectorNav's output have in common."""
+
+    default_baud: ClassVar[int] = 115200
+    bauds: ClassVar[tuple[int, ...]] = (115200, 921600, 460800, 230400, 128000, 57600, 38400, 19200, 9600)
+    abilities: ClassVar[Mapping[Ability, Evidence]] = {
+        "identify": "document only",
+        "start and stop": "document only",
+        "rate": "document only",
+    }
+
+    @classmethod
+    def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
+        """Return the questions for model, serial number and firmware."""
+        return [read(_MODEL), read(_SERIAL), read(_FIRMWARE)]
+
+    @classmethod
+    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+        """Return model, serial number and firmware as far as the registers were read."""
+        held = list(messages)
+        names = {"model": _MODEL, "serial_number": _SERIAL, "firmware": _FIRMWARE}
+        return {name: values[0] for name, number in names.items() if (values := values_of(held, number))}
+
+    @classmethod
+    def start_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
+        """Return the end of the pause."""
+        return [pause("resume", paused=False)]
+
+    @classmethod
+    def stop_orders(cls) -> Sequence[Command]:
+        """Return the pause of all asynchronous output."""
+        return [pause("pause", paused=True)]
 
 
 def read(number: int) -> Command:
@@ -30,18 +66,6 @@ def write(number: int, *values: object) -> Command:
 def pause(name: str, *, paused: bool) -> Command:
     """Return the order to stop asynchronous output or to go on with it; the registers stay as they are."""
     return _command(name, f"VNASY,{int(not paused)}", "VNASY", int(not paused), is_last=not paused)
-
-
-def who_are_you() -> Sequence[Command]:
-    """Return the questions for model, serial number and firmware."""
-    return [read(_MODEL), read(_SERIAL), read(_FIRMWARE)]
-
-
-def identity(messages: Iterable[Message]) -> dict[str, str]:
-    """Return what answers tell of model, serial number and firmware."""
-    held = list(messages)
-    names = {"model": _MODEL, "serial_number": _SERIAL, "firmware": _FIRMWARE}
-    return {name: values[0] for name, number in names.items() if (values := values_of(held, number))}
 
 
 def values_of(messages: Iterable[Message], number: int) -> list[str]:

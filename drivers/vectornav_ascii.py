@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Collection, Sequence
+from typing import ClassVar
 
-from imufield.acquire.driver import Ability, Driver, Evidence, choose_rate
+from imufield.acquire.driver import Evidence, choose_rate
 from imufield.acquire.exchange import Command, Message
 
-from ._vectornav_registers import identity, pause, read, values_of, who_are_you, write
+from ._vectornav_registers import VectorNav, read, values_of, write
 
 _RATES_HZ = (1, 2, 4, 5, 10, 20, 25, 40, 50, 100, 200)
 _FREQUENCY = 7
 
 
-class VectorNavAscii(Driver):
+class VectorNavAscii(VectorNav):
     """VectorNav lines of text.
 
     A line is ``$VNIMU,number,...*XX`` with CR LF or LF: XX is the XOR of what stands between dollar and star, four digits
@@ -25,35 +25,8 @@ class VectorNavAscii(Driver):
     name: ClassVar[str] = "vectornav_ascii"
     title: ClassVar[str] = "VectorNav VN-100/200/300, ASCII"
     protocol: ClassVar[str] = "vectornav_ascii"
-    default_baud: ClassVar[int] = 115200
-    bauds: ClassVar[tuple[int, ...]] = (115200, 921600, 460800, 230400, 128000, 57600, 38400, 19200, 9600)
     status: ClassVar[Evidence] = "verified on real bytes"
     manual: ClassVar[str] = "VectorNav UM001, VN-100 User Manual rev. 2.22: asynchronous ASCII output, protocol control"
-    abilities: ClassVar[Mapping[Ability, Evidence]] = {
-        "identify": "document only",
-        "start and stop": "document only",
-        "rate": "document only",
-    }
-
-    @classmethod
-    def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
-        """Return the questions for model, serial number and firmware."""
-        return who_are_you()
-
-    @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
-        """Return model, serial number and firmware as far as the registers were read."""
-        return identity(messages)
-
-    @classmethod
-    def start_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
-        """Return the end of the pause."""
-        return [pause("resume", paused=False)]
-
-    @classmethod
-    def stop_orders(cls) -> Sequence[Command]:
-        """Return the pause of all asynchronous output."""
-        return [pause("pause", paused=True)]
 
     @classmethod
     def state_questions(cls, heard: Collection[str]) -> Sequence[Command]:

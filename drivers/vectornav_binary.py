@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Collection, Mapping, Sequence
+from typing import ClassVar
 
-from imufield.acquire.driver import Ability, Driver, Evidence, choose_divisor
+from imufield.acquire.driver import Evidence, choose_divisor
 from imufield.acquire.exchange import Command, Message
 
-from ._vectornav_registers import BINARY_OUTPUTS, identity, pause, read, values_of, who_are_you, write
+from ._vectornav_registers import BINARY_OUTPUTS, VectorNav, read, values_of, write
 
 _IMU_HZ, _IMU_HZ_VN100 = 400, 800
 
 
-class VectorNavBinary(Driver):
+class VectorNavBinary(VectorNav):
     """VectorNav binary output messages.
 
     Numbers are little-endian, the checksum is not.
@@ -35,37 +35,10 @@ class VectorNavBinary(Driver):
     name: ClassVar[str] = "vectornav_binary"
     title: ClassVar[str] = "VectorNav VN-100/200/300, binary"
     protocol: ClassVar[str] = "vectornav_binary"
-    default_baud: ClassVar[int] = 115200
-    bauds: ClassVar[tuple[int, ...]] = (115200, 921600, 460800, 230400, 128000, 57600, 38400, 19200, 9600)
     status: ClassVar[Evidence] = "verified on real bytes"
     manual: ClassVar[str] = "VectorNav UM001, VN-100 User Manual rev. 2.22: binary output messages"
-    abilities: ClassVar[Mapping[Ability, Evidence]] = {
-        "identify": "document only",
-        "start and stop": "document only",
-        "rate": "document only",
-    }
     answers: ClassVar[str] = "vectornav_ascii"
     variants: ClassVar[tuple[Mapping[str, object], ...]] = ({"source": "compensated"},)
-
-    @classmethod
-    def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
-        """Return the questions for model, serial number and firmware."""
-        return who_are_you()
-
-    @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
-        """Return model, serial number and firmware as far as the registers were read."""
-        return identity(messages)
-
-    @classmethod
-    def start_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
-        """Return the end of the pause."""
-        return [pause("resume", paused=False)]
-
-    @classmethod
-    def stop_orders(cls) -> Sequence[Command]:
-        """Return the pause of all asynchronous output."""
-        return [pause("pause", paused=True)]
 
     @classmethod
     def state_questions(cls, heard: Collection[str]) -> Sequence[Command]:

@@ -53,10 +53,10 @@ class Replayed:
     @cached_property
     def events(self) -> list[dict[str, Any]]:
         """What the guide says, as in JSON lines; empty for a session that nobody guided."""
-        from imufield.commands.chain import Chain, Plan, replay_into
+        from imufield.commands.chain import Chain, ReadingPlan, replay_into
 
         events: list[dict[str, Any]] = []
-        chain = Chain(Plan.of(self.session))
+        chain = Chain(ReadingPlan.of(self.session))
         replay_into(chain, self.session, [], lambda new: events.extend(event.to_dict() for event in new))
         return events
 

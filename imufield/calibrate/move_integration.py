@@ -7,7 +7,7 @@ The gyroscope's inverse model is linear in its parameters: with ``n = N - N0`` (
 so the rotation vector of a slot is linear in ``A``, ``b`` and ``H`` but for the small coning term (see ``moves``), and with
 ``W_k`` the matrix that takes a change of the rotation vector of slot k to the frame at the end of the move,
 
-    d turn = sum_k W_k (dA turn_k - db T_k - dH force_k)
+    d turn = sum_k W_k (dA turn_k - db T_k - dH velocity_k)
 
 Vectors of parameters ``x`` hold A row by row (9), b (3), H row by row (9).
 """
@@ -30,13 +30,26 @@ SENSITIVITY = slice(12, 21)
 
 @dataclass(frozen=True, slots=True)
 class CentredSlots:
-    """Slots of m moves with the output at rest taken off, and the specific force in m/s^2."""
+    """The k slots of m moves with the gyroscope's output at rest taken off, and the specific force in SI units.
+
+    Attributes
+    ----------
+    duration_s : ndarray, shape (k,)
+    turn, moment, area : ndarray, shape (k, 3)
+        As ``Slots`` has them, of n instead of N: raw rate times s, times s^2, and squared times s^2.
+    velocity_m_s : ndarray, shape (k, 3)
+        Integral of the specific force.
+    bridge : ndarray, shape (k,)
+        Variance of the turn that bridged losses leave, in squares of raw rate times s.
+    first, length : ndarray of int, shape (m,)
+        First slot of each move, and how many it has.
+    """
 
     duration_s: FloatArray
     turn: FloatArray
     moment: FloatArray
     area: FloatArray
-    force: FloatArray
+    velocity_m_s: FloatArray
     bridge: FloatArray
     first: IntArray
     length: IntArray
@@ -103,7 +116,7 @@ def rotation_vectors(x: FloatArray, slots: CentredSlots) -> FloatArray:
     M = np.linalg.inv(A)
     cofactor = np.linalg.det(A) * M.T
     coning = slots.area + cross(T * slots.turn - 2 * slots.moment, M @ b)
-    vectors: FloatArray = slots.turn @ A.T - b * T - slots.force @ H.T + 0.5 * coning @ cofactor.T
+    vectors: FloatArray = slots.turn @ A.T - b * T - slots.velocity_m_s @ H.T + 0.5 * coning @ cofactor.T
     return vectors
 
 
@@ -132,7 +145,7 @@ def integrate(x: FloatArray, slots: CentredSlots, noise_density_raw: FloatArray)
     T = slots.duration_s
     by_inverse = total((W[:, :, :, None] * slots.turn[:, None, None, :]).reshape(-1, 3, 9))
     duration = total(W * T[:, None, None])
-    by_force = total((W[:, :, :, None] * slots.force[:, None, None, :]).reshape(-1, 3, 9))
+    by_force = total((W[:, :, :, None] * slots.velocity_m_s[:, None, None, :]).reshape(-1, 3, 9))
     A = inverse_matrix(x)
     noise = W @ (A * noise_density_raw)
     bridged = W @ A
@@ -157,7 +170,7 @@ def rough_inverse(slots: CentredSlots, window_s: float = 0.1) -> FloatArray:
     """
     starts = _windows(slots, window_s)
     T = np.add.reduceat(slots.duration_s, starts)
-    force = np.add.reduceat(slots.force, starts) / T[:, None]
+    force = np.add.reduceat(slots.velocity_m_s, starts) / T[:, None]
     turn = np.add.reduceat(slots.turn, starts)
     between = np.searchsorted(slots.first, starts, side="right")
     same = between[2:] == between[:-2]

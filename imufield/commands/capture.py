@@ -16,7 +16,7 @@ from imufield.acquire.link import Chunk
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.recording import Damage
 from imufield.acquire.session import DEFAULT_ROOT, Session
-from imufield.commands.chain import MARK, SCHEME_FILE, Chain, Plan, part_metadata, replay_into
+from imufield.commands.chain import MARK, SCHEME_FILE, Chain, ReadingPlan, part_metadata, replay_into
 from imufield.commands.connect import Connected, ConnectOptions, connect
 from imufield.commands.resume import check_instrument, check_plan, connect_as_before, find_unfinished, site_as_before
 from imufield.commands.site import SiteOptions
@@ -178,7 +178,7 @@ def open_loop(
     session: Session, connected: Connected, clock: HostClock, view_name: ViewName, manner: Manner | None = None
 ) -> Iterator[CaptureLoop]:
     """Open recorder, view and keyboard, and close them whatever happens."""
-    chain = Chain(Plan.of(session))
+    chain = Chain(ReadingPlan.of(session))
     damage: list[Damage] = []
     replay_into(chain, session, damage, ended=False)
     metadata = part_metadata(connected.protocol, connected.session_tables())

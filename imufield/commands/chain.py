@@ -40,7 +40,7 @@ SamplesListener = Callable[[Samples], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class ReadingPlan:
     """How a session is read: guided through a scheme, or every still interval for itself (``scheme`` is None)."""
 
     scheme: str | None
@@ -49,7 +49,7 @@ class Plan:
     """Mid-scale of the accelerometer, where the protocol does not tell it."""
 
     @classmethod
-    def of(cls, session: Session) -> Plan:
+    def of(cls, session: Session) -> ReadingPlan:
         """Return the plan written in ``session.toml``; positions of the user's own lie beside it."""
         name = session.metadata.get("scheme") or None
         raw_zero = session.metadata.get("nominal", {}).get("raw_zero")
@@ -84,14 +84,14 @@ class Chain:
 
     Parameters
     ----------
-    plan : Plan
+    plan : ReadingPlan
     listeners : sequence of callable
         Each is given every block of samples, in order.
     judging : bool
         False where only the samples are wanted.
     """
 
-    def __init__(self, plan: Plan, listeners: tuple[SamplesListener, ...] = (), *, judging: bool = True) -> None:
+    def __init__(self, plan: ReadingPlan, listeners: tuple[SamplesListener, ...] = (), *, judging: bool = True) -> None:
         self.plan = plan
         self._judging = judging
         self.guide: Guide | None = None
@@ -317,7 +317,7 @@ def replay_into(
 def session_samples(session: Session, damage: list[Damage]) -> Iterator[Samples]:
     """Decode a session, block by block, on one sample clock; raises as ``replay_into``."""
     blocks: list[Samples] = []
-    chain = Chain(Plan(None), listeners=(blocks.append,), judging=False)
+    chain = Chain(ReadingPlan(None), listeners=(blocks.append,), judging=False)
     for item in read_blocks(session, damage):
         if isinstance(item, PartStart):
             chain.start_part(recorded_protocol(item.metadata, session))

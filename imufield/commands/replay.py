@@ -12,7 +12,7 @@ import typer
 from imufield.acquire.link import Chunk
 from imufield.acquire.recording import Damage, EndOfRecordingError, RecordingLink
 from imufield.acquire.session import Session
-from imufield.commands.chain import Chain, Plan, recorded_protocol, replay_into
+from imufield.commands.chain import Chain, ReadingPlan, recorded_protocol, replay_into
 from imufield.errors import UsageError
 from imufield.guide.jsonlines import JsonLinesView
 from imufield.guide.plain import PlainView
@@ -54,7 +54,7 @@ def run_replay(options: ReplayOptions) -> None:
         _replay_to_others(session, options)
         return
     damage: list[Damage] = []
-    chain = Chain(Plan.of(session))
+    chain = Chain(ReadingPlan.of(session))
     view = JsonLinesView(typer.echo) if options.as_json else PlainView(typer.echo)
     replay_into(chain, session, damage, view.show)
     for one in damage:

@@ -17,7 +17,7 @@ from imufield import __version__
 from imufield.acquire.recording import Damage
 from imufield.acquire.session import Session
 from imufield.commands.calibration import MoveListener
-from imufield.commands.chain import Chain, Plan, replay_into
+from imufield.commands.chain import Chain, ReadingPlan, replay_into
 from imufield.commands.output import write_output
 from imufield.commands.solve import session_sha256
 from imufield.deliver.document import VERSION
@@ -146,7 +146,7 @@ class _Replayed:
 
 def _replay(session: Session, parameters: Parameters, preset: Parameters | None) -> _Replayed:
     trace, moves, rests = TraceCollector(parameters), MoveListener(), RestCollector(parameters)
-    chain = Chain(Plan(None), (trace.feed, moves.feed, rests.feed), judging=False)
+    chain = Chain(ReadingPlan(None), (trace.feed, moves.feed, rests.feed), judging=False)
     damage: list[Damage] = []
     replay_into(chain, session, damage)
     observations = rests.finish()

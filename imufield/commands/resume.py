@@ -11,7 +11,7 @@ import typer
 
 from imufield.acquire.registry import driver_names
 from imufield.acquire.session import Session
-from imufield.commands.chain import Plan
+from imufield.commands.chain import ReadingPlan
 from imufield.commands.connect import Connected, ConnectOptions
 from imufield.commands.site import SiteOptions
 from imufield.errors import Reason, RecordingError, UsageError
@@ -79,7 +79,7 @@ def check_plan(session: Session, scheme_name: str | None, hold_s: float | None) 
     UsageError
         If they differ.
     """
-    planned = str(Plan.of(session).scheme)
+    planned = str(ReadingPlan.of(session).scheme)
     if scheme_name is not None and _positions(scheme_name) != _positions(planned):
         raise UsageError(f"{session.folder} goes through {planned}, not {scheme_name}; leave out --positions, or begin anew")
     begun_s = session.metadata.get("guide", {}).get("hold_s")

@@ -21,7 +21,7 @@ from imufield.calibrate.observation_files import read_observations
 from imufield.calibrate.observations import Observations, count_repeats_once
 from imufield.calibrate.result import Gauge, ModelChoice
 from imufield.commands.calibration import Measured, MoveListener, Wishes, calibrate, one_of
-from imufield.commands.chain import Chain, Plan, replay_into
+from imufield.commands.chain import Chain, ReadingPlan, replay_into
 from imufield.commands.configuration import parse_zero
 from imufield.commands.damage import naming_damage
 from imufield.commands.progress import ProgressLine
@@ -113,7 +113,7 @@ def solve_session(session: Session, options: SolveOptions, progress: ProgressLin
     wishes = _wishes(options)
     damage: list[Damage] = []
     moves = MoveListener()
-    chain = Chain(Plan.of(session), listeners=(moves.feed,) if progress is None else (moves.feed, progress.feed))
+    chain = Chain(ReadingPlan.of(session), listeners=(moves.feed,) if progress is None else (moves.feed, progress.feed))
     refusals: list[Rejected] = []
 
     def hear(events: list[Event]) -> None:

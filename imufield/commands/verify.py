@@ -15,7 +15,7 @@ from imufield.acquire.recording import Damage
 from imufield.acquire.session import Session
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import AccelerometerParameters, GyroscopeParameters
-from imufield.commands.chain import Chain, Plan, recorded_protocol, replay_into
+from imufield.commands.chain import Chain, ReadingPlan, recorded_protocol, replay_into
 from imufield.commands.damage import naming_damage
 from imufield.commands.site import SiteOptions
 from imufield.commands.solve import session_sha256
@@ -121,7 +121,7 @@ def verify_session(task: _Task) -> Verification:
     problems: list[ImufieldError] = []
     damage: list[Damage] = []
     navigation = _Navigation(task, problems)
-    chain = Chain(Plan.of(task.session), (navigation.feed,))
+    chain = Chain(ReadingPlan.of(task.session), (navigation.feed,))
     replay_into(chain, task.session, damage)
     with naming_damage(task.session, damage):
         held_out = _held_out(task, chain, problems)

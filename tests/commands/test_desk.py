@@ -17,7 +17,7 @@ import pytest
 from imufield.acquire.link import Chunk
 from imufield.acquire.recording import read_session
 from imufield.acquire.session import Session
-from imufield.commands.chain import Chain, Plan, replay_into, session_samples
+from imufield.commands.chain import Chain, ReadingPlan, replay_into, session_samples
 from imufield.commands.emulate import EmulateOptions, make_emulation
 from imufield.guide.positions import scheme
 from imufield.samples import AXES, SAMPLE_COLUMNS, concatenate
@@ -169,7 +169,7 @@ def test_replayed_to_a_port_a_capture_measures_the_same(program: Program, make_s
 
 
 def positions(session: Session) -> dict[str, Any]:
-    chain = Chain(Plan.of(session))
+    chain = Chain(ReadingPlan.of(session))
     replay_into(chain, session, [])
     found = chain.observations()
     return dict(zip(found.name, found.mean_raw, strict=True))

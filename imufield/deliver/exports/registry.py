@@ -14,7 +14,7 @@ from imufield.files import refuse_overwriting, write_atomically
 if TYPE_CHECKING:  # the parameter file needs NumPy and SciPy; a list of targets does not
     from imufield.deliver.parameters import Parameters
 
-Gauge = Literal["lower", "upper", "symmetric"]
+ExportGauge = Literal["lower", "upper", "symmetric"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ TARGETS: Mapping[str, Target] = {
 class ExportOptions:
     """What only the user of the target knows. ``--set name=value`` on the command line."""
 
-    gauge: Gauge | None = None
+    gauge: ExportGauge | None = None
     """Body frame for targets that take any (default: the parameter file's)."""
     accelerometer_nominal: float | None = None
     """Raw unit per m/s^2 by which the target's driver divides before it corrects; needed where counts go to an SI target."""
