@@ -29,7 +29,7 @@ HEAD = """# Reliability
 
 What was done to the program, how often, and what was lost. `make torture` does all of it again (about half an hour on two
 cores) and writes this page; `make test` runs a short form of every line. Instruments are simulated; ports, files,
-processes and kills are real.
+processes and kills are real. What has not been run in full has no row.
 
 Version {version}, Python {python}, {date}.
 
