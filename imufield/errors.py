@@ -7,6 +7,7 @@
     +-- LinkError             3  port, bus, permission, silence, disconnection
     +-- RecordingError        4  a recording or session that cannot be read or written
     +-- ProtocolError         4  wire data or a protocol file that cannot be understood
+    |                           (SettingError is both: a setting that was typed, 2)
     +-- ParameterFileError    5  a parameter file that is damaged, newer or foreign
     +-- CalibrationError      6  a calibration that is impossible or refused
     +-- VerificationError     7  ``verify`` says FAIL
@@ -116,6 +117,10 @@ class ProtocolError(ImufieldError, ValueError):
 
     exit_code = 4
     default_reason = Reason.BAD_PROTOCOL
+
+
+class SettingError(UsageError, ProtocolError):
+    """A setting of a protocol that was given does not exist, or cannot have this value."""
 
 
 class ParameterFileError(ImufieldError, ValueError):

@@ -77,7 +77,7 @@ def refuse_overwriting(output: Path, inputs: Iterable[Path] = ()) -> None:
     UsageError
         If it would.
     """
-    if any(_RECORDED.fullmatch(name) for name in (output.name, output.resolve().name)):
+    if any(_RECORDED.fullmatch(name) for name in (output.name, Path(os.path.realpath(output)).name)):
         raise UsageError(f"{output} has the name of a file of a recording, which nothing can bring back; choose another output")
     for path in inputs:
         if _is_same(output, path):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from imufield.acquire.protocol_toml import Source, Table, near, spell
-from imufield.errors import ProtocolError, Reason
+from imufield.errors import ProtocolError, Reason, SettingError
 
 Origin = Literal["assumed", "read", "given"]
 Value = str | int | float | bool
@@ -124,13 +124,13 @@ def choose_settings(
 
     Raises
     ------
-    ProtocolError
-        If a setting is not known, or a value is not allowed.
+    SettingError, ProtocolError
+        If a setting is not known, or a value is not allowed: one that was given, or that was read.
     """
     for name in (*given, *read):
         if name not in rules:
             known = ", ".join(rules) or "none"
-            raise ProtocolError(
+            raise (SettingError if name in given else ProtocolError)(
                 f"{source.label} has no setting {name!r}{near(name, rules)}; it has: {known}",
                 Reason.UNKNOWN_KEY,
                 name=name,
@@ -142,7 +142,7 @@ def choose_settings(
         try:
             chosen[name] = Setting(rule.convert(wanted), origin)
         except ValueError as error:
-            raise ProtocolError(
+            raise (SettingError if name in given else ProtocolError)(
                 f"setting {name} of {source.label} is {wanted!r}, but must be {error}", name=name, value=wanted
             ) from None
     return chosen

@@ -6,6 +6,7 @@ way, the next chunk is found by its signature. Either is one ``Damage`` with its
 
 from __future__ import annotations
 
+import filecmp
 import itertools
 import json
 from collections.abc import Iterable, Iterator
@@ -19,7 +20,7 @@ from imufield.acquire.host_clock import HostClock, SystemClock
 from imufield.acquire.link import Chunk
 from imufield.acquire.mcap_format import ARRIVAL, EVENTS_CHANNEL, LINK_CHANNEL, DamageError, messages
 from imufield.acquire.part_file import Damage, PartFile
-from imufield.errors import LinkError, Reason, UsageError
+from imufield.errors import LinkError, Reason, RecordingError, UsageError
 from imufield.samples import FloatArray, IntArray
 
 __all__ = [
@@ -208,14 +209,35 @@ class _Joiner:
 
 
 def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
-    """Leave out parts without a byte: what a program leaves that is killed in the moment it creates one."""
+    """Leave out parts without a byte: what a program leaves that is killed in the moment it creates one; and copies of others.
+
+    A copy would count as evidence of its own and make every uncertainty too small.
+    """
+    begun: dict[Path, int] = {}
     for path in session.parts:
-        if path.stat().st_size:
+        size = _size(path)
+        original = next((other for other in begun if begun[other] == size and filecmp.cmp(path, other, shallow=False)), None)
+        if size and original is None:
+            begun[path] = size
             yield path
+        elif original is not None:
+            if damage is not None:
+                damage.append(Damage(path, 0, size, f"{path} is a copy of {original.name}, byte for byte, and counts once."))
         elif damage is not None:
             damage.append(
                 Damage(path, 0, 0, f"{path} is empty: the program was killed before anything arrived.", torn_end=True)
             )
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError as error:
+        raise RecordingError(
+            f"{path} cannot be read ({error.strerror}): restore it, or remove it from the session.",
+            Reason.NOT_A_RECORDING,
+            path=str(path),
+        ) from error
 
 
 _Message = tuple[bytes, int, int, int, int]

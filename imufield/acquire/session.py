@@ -19,8 +19,10 @@ import numpy as np
 import tomli_w
 
 from imufield import __version__
+from imufield.earth import HEIGHT_RANGE_M
 from imufield.errors import Reason, RecordingError
 from imufield.files import sync_folder, write_atomically
+from imufield.samples import ACCELEROMETER_COLUMNS, LARGEST_OUTPUT
 
 FORMAT = "imufield-session"
 VERSION = 1
@@ -56,6 +58,13 @@ NUMBERS: Mapping[str, tuple[str, ...]] = {
     "guide": ("hold_s", "target_bias_ug", "target_scale_ppm"),
 }
 """Keys inside the tables that a person may edit and a program computes with; those of the guide are larger than zero."""
+
+RANGES: Mapping[str, tuple[float, float]] = {
+    "site.latitude_deg": (-90.0, 90.0),
+    "site.height_m": HEIGHT_RANGE_M,
+    "nominal.raw_zero": (-LARGEST_OUTPUT, LARGEST_OUTPUT),
+}
+INSTRUMENT_KEYS = ("driver", "model", "serial_number", "firmware")
 
 _PART = re.compile(r"part-(\d{3,})\.mcap")
 _FOLDER = re.compile(r"\d{8}T\d{6}Z-.+")
@@ -353,8 +362,24 @@ def _check(content: Mapping[str, Any], path: Path) -> None:
     for key in ("created", "model", "finished"):
         if key not in content:
             raise RecordingError(f"{path} lacks the key `{key}`: restore it.", Reason.DAMAGED, path=str(path), key=key)
+    _check_instrument(content, path)
     _check_numbers(content, path)
     _check_settings(content, path)
+
+
+def _check_instrument(content: Mapping[str, Any], path: Path) -> None:
+    for key in content.get("instrument", {}):
+        if key not in INSTRUMENT_KEYS:
+            raise RecordingError(
+                f"{path} has the unknown key `instrument.{key}`; known are {', '.join(INSTRUMENT_KEYS)}: remove it.",
+                Reason.UNKNOWN_KEY,
+                path=str(path),
+                key=key,
+            )
+
+
+def _is_triad(value: object) -> bool:
+    return isinstance(value, list) and len(value) == len(ACCELEROMETER_COLUMNS)
 
 
 def _check_settings(content: Mapping[str, Any], path: Path) -> None:
@@ -371,12 +396,15 @@ def _check_settings(content: Mapping[str, Any], path: Path) -> None:
 def _check_numbers(content: Mapping[str, Any], path: Path) -> None:
     """Refuse what nothing can be computed with."""
     entries = [(f"{table}.{key}", content.get(table, {}).get(key)) for table, keys in NUMBERS.items() for key in keys]
-    entries += [("nominal.raw_zero", value) for value in content.get("nominal", {}).get("raw_zero", ())]
+    zero = content.get("nominal", {}).get("raw_zero")
+    if zero is not None:
+        entries += [("nominal.raw_zero", value) for value in (zero if _is_triad(zero) else [zero])]
     for key, value in entries:
         if value is None:
             continue
         is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if not is_number or (key.startswith("guide.") and value <= 0):
+        low, high = RANGES.get(key, (-math.inf, math.inf))
+        if not is_number or not low <= value <= high or (key.startswith("guide.") and value <= 0):
             raise RecordingError(
                 f"{path} has {value!r} under `{key}`, which is no possible value: correct it, or remove the line.",
                 Reason.DAMAGED,

@@ -51,7 +51,7 @@ from imufield.calibrate.result import Calibration, GyroscopeParameters
 from imufield.calibrate.turntable import TurntableRun, pair_runs
 from imufield.calibrate.uncertainty import f_limit_95
 from imufield.calibrate.whole_turns import Stop, find_stops, whole_stops
-from imufield.errors import CalibrationError, Reason
+from imufield.errors import CalibrationError, Reason, counted
 from imufield.samples import FloatArray
 
 GyroscopeModel = Literal["auto", "basic", "g-sensitive"]
@@ -62,6 +62,8 @@ _WRONG_START = 3.0
 """The preset's scale is not believed where the rough one differs by more than this factor: the raw unit is another."""
 _MOVED = 0.05
 """Share of all turning that an axis must have to be compared."""
+_CONSTANT = 1e-9
+"""Of the output at rest: more than sums of equal numbers differ by, and less than the last bit of any instrument."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +126,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
     if not len(given.moves) and not given.turntable:
         return _static(given)
     data = make_data(given)
+    _refuse_dead(given, data)
     errors = force_errors(given.observations, given.calibration, given.rests)
     earth = EarthKnowledge.at(given.latitude_deg)
     start, sight = _start(given, data, errors)
@@ -153,6 +156,24 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
         rest,
         observations.start_s + observations.duration_s / 2,
         table=pair_runs(given.turntable) if given.turntable else no_table(),
+    )
+
+
+def _refuse_dead(given: GyroscopeInput, data: GyroscopeData) -> None:
+    """Refuse an axis whose output is the same number in all moves and at rest, which no rotating gyroscope gives."""
+    if not len(given.moves):
+        return
+    rest = np.abs(given.observations.gyroscope_mean_raw.mean(axis=0))
+    largest = np.abs(data.slots.turn).max(axis=0, initial=0.0)
+    dead = largest <= _CONSTANT * np.maximum(rest, np.finfo(float).tiny)
+    if not dead.any():
+        return
+    axes = ", ".join(axis for axis, is_dead in zip("xyz", dead, strict=True) if is_dead)
+    raise CalibrationError(
+        f"the gyroscope shows no rotation on {axes}: its output is the same number at rest and during all "
+        f"{counted(len(given.moves), 'move')}; check that it is switched on, and the columns or fields it is read from",
+        Reason.UNOBSERVABLE,
+        axes=axes,
     )
 
 

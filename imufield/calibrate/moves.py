@@ -354,6 +354,9 @@ def cut_moves(
     slots: Slots, start_s: FloatArray, duration_s: FloatArray, limits: tuple[FloatArray, FloatArray] | None = None
 ) -> Moves:
     """Cut slots at still intervals; ``limits`` are the smallest and largest output of the session."""
+    if not np.isfinite(start_s).all():
+        # Means that somebody else averaged have no time: nothing is known of what lies between them.
+        return _gather(slots, [], ())
     order = np.argsort(start_s, kind="stable")
     # A clock that jumps back must not hide what lies behind the jump; the move with the jump is dropped.
     rising_s = np.maximum.accumulate(slots.start_s)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from imufield.cli.options import (
+    LARGEST_SEED,
     AsJson,
     Baud,
     Bus,
@@ -29,7 +30,7 @@ from imufield.cli.options import (
 
 
 def demo(
-    seed: Annotated[int, typer.Option(help="Seed of the simulated instrument and operator.", min=0)] = 2,
+    seed: Annotated[int, typer.Option(help="Seed of the simulated instrument and operator.", min=0, max=LARGEST_SEED)] = 2,
     speed: Annotated[float, typer.Option(help="Times real time.", min=1)] = 8.0,
     plain: Annotated[bool, typer.Option("--plain", help="Plain lines instead of pictures.")] = False,
 ) -> None:
@@ -229,7 +230,7 @@ def emulate(
     rate_hz: Annotated[float | None, typer.Option(help="Sample rate (default: the instrument's usual one).", min=1)] = None,
     speed: Annotated[float, typer.Option(help="Times real time.", min=0.1)] = 1.0,
     grade: Annotated[str, typer.Option(help="navigation, tactical, industrial or mems.")] = "tactical",
-    seed: Annotated[int, typer.Option(help="Seed of instrument, operator and faults.", min=0)] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of instrument, operator and faults.", min=0, max=LARGEST_SEED)] = 1,
     positions: Annotated[str, typer.Option(help="Scheme the operator works through; `none`: it lies still.")] = "paper24",
     rounds: Annotated[
         int | None, typer.Option(help="How often: what a reader missed comes up again (20; 1 before turns).", min=1, max=1000)

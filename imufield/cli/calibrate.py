@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from imufield.cli.options import AsJson, GravityValue, Height, Latitude, Scheduler, Workers, site
+from imufield.cli.options import LARGEST_SEED, AsJson, GravityValue, Height, Latitude, Scheduler, Workers, site
 
 
 def solve(
@@ -27,7 +27,7 @@ def solve(
     polish: Annotated[bool, typer.Option(help="Finish another method by least squares.")] = True,
     cross_check: Annotated[bool, typer.Option("--cross-check", help="Solve by bsas, ide and least squares, compare.")] = False,
     gyro_model: Annotated[str, typer.Option(help="auto, basic or g-sensitive.")] = "auto",
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=LARGEST_SEED)] = 0,
     workers: Workers = None,
     scheduler: Scheduler = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Where to write the parameter file.")] = None,
@@ -83,7 +83,7 @@ def noise(
 def study(
     name: Annotated[str, typer.Argument(help="A study, e.g. bsas-table3, or bsas, ide, all.")],
     quick: Annotated[bool, typer.Option("--quick", help="Few runs, to see that it works.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of all runs.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of all runs.", min=0, max=LARGEST_SEED)] = 0,
     workers: Workers = None,
     scheduler: Scheduler = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for CSV files and plots.")] = None,

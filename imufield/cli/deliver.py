@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from imufield.cli.options import AsJson, GravityValue, Height, Latitude, Settings, site
+from imufield.cli.options import LARGEST_SEED, AsJson, GravityValue, Height, Latitude, Settings, site
 
 
 def export(
@@ -76,7 +76,7 @@ def verify(
     require: Annotated[str | None, typer.Option(help="Limits, e.g. residual-ug=50,nav-nmi-per-h=1.")] = None,
     turn_on_ug: Annotated[float | None, typer.Option(help="Turn-on bias of the accelerometer, 1 sigma.", min=0)] = None,
     turn_on_deg_per_h: Annotated[float | None, typer.Option(help="Turn-on bias of the gyroscope, 1 sigma.", min=0)] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the forecast.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the forecast.", min=0, max=LARGEST_SEED)] = 0,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Where to keep the results for the report.")] = None,
     as_json: AsJson = False,
 ) -> None:

@@ -36,6 +36,8 @@ RateHz = Annotated[
     typer.Option(help="Set the output rate of the instrument, where its driver can; put back at the end.", min=0.1),
 ]
 SessionFolder = Annotated[Path | None, typer.Option("--session", help="Folder of the session (default: a new one).")]
+LARGEST_SEED = 2**63 - 1
+"""What a parameter file can hold."""
 AsJson = Annotated[bool, typer.Option("--json", help="JSON on standard output and nothing else.")]
 
 

@@ -20,7 +20,7 @@ from imufield.acquire.statistics import DecoderStatistics
 from imufield.calibrate.observations import Observations
 from imufield.commands.damage import require_samples
 from imufield.earth import choose_gravity
-from imufield.errors import ProtocolError, Reason, RecordingError
+from imufield.errors import ProtocolError, Reason, RecordingError, SettingError
 from imufield.guide.events import Event
 from imufield.guide.free import StillIntervalFinder, StillIntervals
 from imufield.guide.guide import Guide
@@ -256,7 +256,11 @@ def recorded_protocol(metadata: Mapping[str, Any], session: Session) -> Protocol
     if not text:
         raise RecordingError(f"{session.folder} does not hold the protocol it was recorded with; restore session.toml")
     recorded = {name: entry["value"] for name, entry in session.metadata.get("settings", {}).items()}
-    return parse_protocol(text, metadata.get("settings") or recorded, label=f"protocol of {session.name}")
+    try:
+        return parse_protocol(text, metadata.get("settings") or recorded, label=f"protocol of {session.name}")
+    except SettingError as error:
+        # Nobody typed it: it stands in the recording.
+        raise ProtocolError(error.message, error.reason, **error.values) from error
 
 
 def _edited_settings(part: PartStart, session: Session) -> list[str]:

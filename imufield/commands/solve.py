@@ -6,6 +6,8 @@ import hashlib
 import json
 import math
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import get_args
@@ -124,12 +126,36 @@ def solve_session(session: Session, options: SolveOptions, progress: ProgressLin
     if progress is not None:
         progress.say("solving")
     with naming_damage(session, damage):
-        observations, axes, refused = _observations(chain, refusals)
+        observations, axes, refused, saturated = _observations(chain, refusals)
         if axes.error is not None:
             raise axes.error
-        reasons = (axes.words, *chain.notes, *_loss_sentences(chain, damage))
+        reasons = (axes.words, *saturated, *chain.notes, *_loss_sentences(chain, damage))
         found = _measured(session, chain, observations, moves, options.site, reasons)
-        return Solved(calibrate(found, wishes), refused)
+        with _naming_saturation(saturated):
+            return Solved(calibrate(found, wishes), refused)
+
+
+@contextmanager
+def _naming_saturation(saturated: tuple[str, ...]) -> Iterator[None]:
+    """Name clipped outputs as the cause where what is left of a session cannot be calibrated from."""
+    try:
+        yield
+    except CalibrationError as error:
+        if not saturated:
+            raise
+        raise CalibrationError(
+            f"{saturated[0].removesuffix('.')}, and what is left is not enough: {error.message}",
+            Reason.SATURATED,
+            **error.values,
+        ) from error
+
+
+def _saturation_sentence(where: list[str], words: str) -> tuple[str, ...]:
+    """Return a sentence for the verdict about what was left out because an axis was clipped; none where none was."""
+    if not where:
+        return ()
+    shown = ", ".join(where[:_SHOWN]) + (" and others" if len(where) > _SHOWN else "")
+    return (f"{counted(len(where), 'still interval')} left out because of saturation ({shown}): {words}.",)
 
 
 def _measured(
@@ -178,20 +204,33 @@ def _wishes(options: SolveOptions) -> Wishes:
     )
 
 
-def _observations(chain: Chain, refusals: list[Rejected]) -> tuple[Observations, AxesCheck, tuple[str, ...]]:
+def _observations(chain: Chain, refusals: list[Rejected]) -> _Found:
     if chain.guide is not None:
         observations = chain.observations()
         spoilt = [one for one in refusals if one.position or one.reason in _SPOIL_DATA]
         _check_count(len(observations), [(one.reason, one.words, one.remedy) for one in spoilt])
-        return observations, chain.guide.check_axes(), _missing_sentences(chain.guide, refusals)
+        missing = chain.guide.plan.missing()
+        # A position that was taken again lacks nothing.
+        clipped = [one for one in refusals if one.reason in _AT_LIMIT and missing and (one.position or missing[0]) in missing]
+        saturated = _saturation_sentence([f"at {one.time_s:.1f} s" for one in clipped], clipped[-1].words if clipped else "")
+        return observations, chain.guide.check_axes(), _missing_sentences(chain.guide, refusals), saturated
     found = chain.still_intervals()
     _check_count(len(found.observations), [(one.reason, one.words, one.remedy) for _, one in found.refused])
+    clips = [(start_s, one.words) for start_s, one in found.refused if one.reason in _AT_LIMIT]
+    saturated = _saturation_sentence([f"at {start_s:.1f} s" for start_s, _ in clips], clips[-1][1] if clips else "")
     sentences = tuple(
-        f"The still interval at {start_s:.1f} s is left out: {refusal.words}." for start_s, refusal in found.refused
+        f"The still interval at {start_s:.1f} s is left out: {refusal.words}."
+        for start_s, refusal in found.refused
+        if refusal.reason not in _AT_LIMIT
     )
-    return found.observations, found.axes, sentences
+    return found.observations, found.axes, sentences, saturated
 
 
+_Found = tuple[Observations, AxesCheck, tuple[str, ...], tuple[str, ...]]
+"""Observations, their axes, sentences beside the numbers, and one for the verdict about clipped outputs."""
+_SHOWN = 6
+"""Places that a sentence lists."""
+_AT_LIMIT = (RefusalCode.SATURATED, RefusalCode.STUCK)
 _SPOIL_DATA = (RefusalCode.SATURATED, RefusalCode.INVALID, RefusalCode.SAMPLE_LOSS)
 """Refused as soon as it is seen, before a position is known."""
 
@@ -208,7 +247,7 @@ def _check_count(count: int, refusals: list[tuple[RefusalCode, str, str]]) -> No
         return
     (code, _), *_ = Counter(code for code, _, _ in refusals).most_common(1)
     words, remedy = next((words, remedy) for one, words, remedy in reversed(refusals) if one is code)
-    at_its_end = code in (RefusalCode.SATURATED, RefusalCode.STUCK)
+    at_its_end = code in _AT_LIMIT
     raise CalibrationError(
         f"{counted(count, 'position')} {'is' if count == 1 else 'are'} left, scale and bias need {FEWEST_POSITIONS}, because "
         f"{len(refusals)} {'was' if len(refusals) == 1 else 'were'} refused, mostly as "

@@ -11,6 +11,7 @@ import contextlib
 import math
 import multiprocessing
 import os
+import re
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -35,6 +36,7 @@ LARGEST_BATCH = 16
 _KILLS_ACCEPTED = 5
 """A worker killed more often than this is killed by the run itself, or by lack of memory."""
 _CONNECT_TIMEOUT_S = 10.0
+_ADDRESS = re.compile(r"([a-z]+://)?\[?[^\s/]+\]?:\d+|(inproc|ucx)://\S+")
 
 _Batch = tuple[int, list[Any], list[np.random.SeedSequence]]
 """Index of its first run, arguments, seeds."""
@@ -202,6 +204,8 @@ def one_blas_thread() -> Iterator[None]:
 
 def _on_cluster(campaign: _Campaign[Argument, Result], scheduler: str) -> list[Result]:
     distributed = _distributed()
+    if not _ADDRESS.fullmatch(scheduler):
+        raise UsageError(f"--scheduler {scheduler!r} is no address of a Dask scheduler; write e.g. tcp://host:8786")
     try:
         client = distributed.Client(scheduler, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:

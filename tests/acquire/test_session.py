@@ -29,14 +29,14 @@ def test_a_new_session_is_a_folder_of_its_time_and_model(tmp_path: Path) -> None
 
 def test_values_are_written_as_plain_ones(tmp_path: Path) -> None:
     table = {
-        "raw_zero": np.array([1.0, 2.5]),
+        "raw_zero": np.array([1.0, 2.5, 0.0]),
         "rate_hz": np.float64(2000.0),
         "bits": np.int64(7),
         "serial": None,
         "file": Path("a/b"),
     }
     session = Session.create(tmp_path, "imu", {"nominal": {**table, "serial": None}})
-    expected = {"raw_zero": [1.0, 2.5], "rate_hz": 2000.0, "bits": 7, "file": "a/b"}
+    expected = {"raw_zero": [1.0, 2.5, 0.0], "rate_hz": 2000.0, "bits": 7, "file": "a/b"}
     assert Session.open(session.folder).metadata["nominal"] == expected
 
 

@@ -1,0 +1,136 @@
+"""Sessions that were edited, copied or clipped: one sentence, the right code, and no number that is not earned."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+
+from imufield.cli.run import run
+
+
+@pytest.fixture
+def session(solved_session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    shutil.copytree(solved_session, tmp_path / "S")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "S"
+
+
+@pytest.fixture
+def rows(session: Path) -> tuple[list[str], np.ndarray]:
+    """Return header and numbers of the session as a table: an unguided one."""
+    assert run(["export-data", "S", "-o", "rows.csv"]) == 0
+    header = Path("rows.csv").read_text().splitlines()[0].split(",")
+    return header, np.genfromtxt("rows.csv", delimiter=",", skip_header=1)
+
+
+def write(header: list[str], table: np.ndarray) -> None:
+    keep = [header.index(name) for name in ("time_s", "ax", "ay", "az", "gx", "gy", "gz") if name in header]
+    names = ",".join(header[k] for k in keep)
+    np.savetxt("changed.csv", table[:, keep], delimiter=",", header=names, comments="", fmt="%.9g")
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value"),
+    [
+        ("nominal", "raw_zero", [0.0, 0.0, 0.0, 0.0]),
+        ("nominal", "raw_zero", [1e308, 0.0, 0.0]),
+        ("instrument", "colour", "red"),
+        ("site", "latitude_deg", 500.0),
+    ],
+)
+def test_an_edited_session_file_is_named(
+    session: Path, table: str, key: str, value: object, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = session / "session.toml"
+    content = tomllib.loads(path.read_text())
+    content.setdefault(table, {})[key] = value
+    path.write_text(tomli_w.dumps(content))
+    assert run(["solve", "S"]) == 4
+    sentence = capsys.readouterr().err
+    assert "session.toml" in sentence
+    assert f"{table}.{key}" in sentence
+
+
+def test_a_part_that_links_to_itself(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (session / "part-002.mcap").symlink_to("part-002.mcap")
+    assert run(["solve", "S"]) == 4
+    assert "part-002.mcap cannot be read" in capsys.readouterr().err
+
+
+def test_a_copied_part_counts_once(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copy(session / "part-001.mcap", session / "part-003.mcap")
+    assert run(["solve", "S", "--latitude", "48", "-o", "again.toml"]) == 0
+    assert "copy of part-001.mcap" in " ".join(capsys.readouterr().out.split())
+    before, again = (tomllib.loads(path.read_text()) for path in (session / "parameters.toml", Path("again.toml")))
+    assert str(again["accelerometer"]) == str(before["accelerometer"])
+
+
+def test_a_clipped_axis_is_in_the_verdict(rows: tuple[list[str], np.ndarray], capsys: pytest.CaptureFixture[str]) -> None:
+    header, table = rows
+    column = header.index("az")
+    table[:, column] = np.clip(table[:, column], None, 0.6 * np.nanmax(table[:, column]))
+    write(header, table)
+    assert run(["import", "changed.csv", "-o", "new"]) == 0
+    capsys.readouterr()
+    run(["solve", "new"])
+    captured = capsys.readouterr()
+    assert "saturation" in " ".join((captured.out + captured.err).split())
+
+
+def test_all_axes_clipped_names_saturation(rows: tuple[list[str], np.ndarray], capsys: pytest.CaptureFixture[str]) -> None:
+    header, table = rows
+    for name in ("ax", "ay", "az"):
+        column = header.index(name)
+        largest = 0.6 * np.nanmax(table[:, column])
+        table[:, column] = np.clip(table[:, column], -largest, largest)
+    write(header, table)
+    assert run(["import", "changed.csv", "-o", "new"]) == 0
+    capsys.readouterr()
+    assert run(["solve", "new"]) == 6
+    sentence = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "limit" in sentence or "saturat" in sentence
+
+
+def test_a_gyroscope_that_says_the_same_number(rows: tuple[list[str], np.ndarray], capsys: pytest.CaptureFixture[str]) -> None:
+    header, table = rows
+    for name in ("gx", "gy", "gz"):
+        table[:, header.index(name)] = 0.125
+    write(header, table)
+    assert run(["import", "changed.csv", "-o", "new"]) == 0
+    assert run(["solve", "new"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "shows no rotation on x, y, z" in said
+    assert "handedness" not in said
+
+
+def test_means_without_times_say_nothing_of_moves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    directions = np.random.default_rng(3).normal(size=(24, 3))
+    force = 9.81 * directions / np.linalg.norm(directions, axis=1)[:, None]
+    rates = np.full((24, 3), 0.001) + 1e-5 * np.random.default_rng(4).normal(size=(24, 3))
+    table = np.hstack([force + [0.1, 0.2, 0.3] + 1e-4 * np.random.default_rng(5).normal(size=(24, 3)), rates])
+    path = tmp_path / "means.csv"
+    np.savetxt(path, table, delimiter=",", header="ax,ay,az,gx,gy,gz", comments="")
+    assert run(["solve", "--observations", str(path), "-o", str(tmp_path / "parameters.toml")]) == 0
+    said = capsys.readouterr().out
+    assert "nan s" not in said
+    assert "nan s" not in (tmp_path / "parameters.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import rows.dat --driver stim300 --set foo=1 -o new",
+        "import rows.dat --driver stim300 --set accelerometer_range_g=nan -o new",
+        f"solve S --seed {10**30}",
+        "solve S --scheduler foo",
+    ],
+)
+def test_what_was_typed_is_usage(session: Path, line: str, capfd: pytest.CaptureFixture[str]) -> None:
+    Path("rows.dat").write_bytes(b"\x93" * 500)
+    assert run(line.split()) == 2
+    assert "Traceback" not in capfd.readouterr().err
