@@ -123,7 +123,7 @@ def _there_are() -> str:
     if not names:
         return "no serial port is there: plug the instrument in, `imufield devices` lists what is found"
     more = ", ..." if len(names) > _PORTS_NAMED else ""
-    return f"there are {', '.join(names[:_PORTS_NAMED])}{more}: check the cable and `imufield devices`"
+    return f"this machine has {', '.join(names[:_PORTS_NAMED])}{more}; check the cable, or see `imufield devices`"
 
 
 def _holder(port: str) -> str:

@@ -48,6 +48,8 @@ BRIDGED_INTERVALS = 3.5
 """The same for slow instruments: two lost samples."""
 LONGEST_MOVE_S = 300.0
 """The noise of a longer one says nothing any more."""
+INTERRUPTED_S = 1.0
+"""A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out."""
 _LOST_INTERVALS = 1.5
 _PLATEAU = 4
 """Equal values in a row at the largest or smallest output of the session that make it a saturated axis."""
@@ -55,7 +57,7 @@ _COMPACT_AT = 1_000_000
 """Slots before quiet stretches are joined: 83 minutes, 170 MB."""
 _SLOT_MARGIN = 1e-6
 
-DropReason = Literal["saturated", "lost samples", "clock jump", "no samples", "too long", "invalid samples"]
+DropReason = Literal["saturated", "lost samples", "interrupted", "clock jump", "no samples", "too long", "invalid samples"]
 
 
 class SlotFlag(IntFlag):
@@ -416,6 +418,8 @@ def _fault(
     hole_s = float(slots.duration_s[(slots.flags & np.uint8(SlotFlag.LOST)) != 0].sum())
     if seen & SlotFlag.LOST or covered < end - begin - BRIDGED_S - SLOT_S * QUIET_SLOTS:
         missing = max(hole_s, end - begin - covered)
+        if missing >= INTERRUPTED_S:
+            return "interrupted", f"the recording was interrupted for {missing:.1f} s in {where}, which is left out"
         return "lost samples", (
             f"{where} lost samples for {missing:.3f} s (at most {BRIDGED_S} s are bridged) and is left out; repeat it"
         )

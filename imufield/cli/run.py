@@ -5,10 +5,8 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import shutil
 import signal
 import sys
-import textwrap
 from collections.abc import Iterator
 from types import FrameType
 from typing import Any, TextIO
@@ -67,12 +65,9 @@ def _forget(stream: TextIO) -> None:
 
 
 def _complain(message: str) -> None:
-    sentence = f"imufield: {message.rstrip('.')}."
-    if sys.stderr.isatty():
-        # A terminal breaks words in two; a pipe or a log gets the sentence as one line.
-        width = shutil.get_terminal_size().columns
-        sentence = textwrap.fill(sentence, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
-    typer.secho(sentence, fg="red", err=True)
+    from imufield.commands.output import say
+
+    say(f"imufield: {message.rstrip('.')}.", err=True, indent=2, color="red")
 
 
 def _run(arguments: list[str]) -> int:

@@ -17,10 +17,12 @@ from imufield.acquire.recorder import Recorder
 from imufield.acquire.recording import Damage
 from imufield.acquire.session import DEFAULT_ROOT, Session
 from imufield.commands.chain import MARK, SCHEME_FILE, Chain, ReadingPlan, part_metadata, replay_into
-from imufield.commands.connect import Connected, ConnectOptions, connect
+from imufield.commands.connect import Connected, ConnectOptions, check_files, connect
+from imufield.commands.output import say
 from imufield.commands.resume import check_instrument, check_plan, connect_as_before, find_unfinished, site_as_before
 from imufield.commands.site import SiteOptions
 from imufield.commands.views import LinkState, LiveStatus, Manner, View, ViewName, make_view
+from imufield.deliver.numbers import beside
 from imufield.errors import ImufieldError, LinkError, UsageError
 from imufield.files import write_atomically
 from imufield.guide.events import Event
@@ -84,6 +86,7 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
     earlier = find_unfinished(options.session, options.root, resume=options.resume, interactive=interactive)
     if earlier is not None:
         check_plan(earlier, options.positions, options.hold_s)
+    check_files(options.connect)
     site = ask_site(options.site if earlier is None else site_as_before(options.site, earlier), interactive)
     site.gravity()
     connected = connect(options.connect if earlier is None else connect_as_before(options.connect, earlier), clock)
@@ -115,7 +118,7 @@ def ask_site(site: SiteOptions, interactive: bool) -> SiteOptions:
     """Return the site, asking once where nothing is known and somebody is there to answer."""
     if site.is_known or not interactive:
         return site
-    typer.echo("Gravity here sets the scale of the accelerometer; a latitude to 0.1 degree will do.")
+    say("Gravity here sets the scale of the accelerometer; a latitude to 0.1 degree will do.")
     answer = typer.prompt("Latitude in degrees, e.g. 48.1 (Enter: not known)", default="", show_default=False).strip()
     if not answer:
         return site
@@ -313,10 +316,10 @@ def _farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
     if view == "json" or not folder.exists():
         return
     if captured.finished:
-        typer.echo(f"{captured.accepted} of {captured.planned} positions measured, session {folder}")
-        typer.echo(f"next:  imufield solve {shlex.quote(str(folder))}")
+        typer.echo(beside(f"{captured.accepted} of {captured.planned} positions measured, session", folder))
+        typer.echo(beside("next: ", f"imufield solve {shlex.quote(str(folder))}"))
     else:
-        typer.echo(f"{captured.accepted} of {captured.planned} positions measured so far, all on disk in {folder}")
+        typer.echo(beside(f"{captured.accepted} of {captured.planned} positions measured so far, all on disk in", folder))
         # An emulated instrument that runs faster than real must be read as fast again.
         speed = f"IMUFIELD_CLOCK_SPEED={clock.speed:g} " if isinstance(clock, ScaledClock) else ""
-        typer.echo(f"go on: {speed}imufield capture --resume --session {shlex.quote(str(folder))}")
+        typer.echo(beside("go on:", f"{speed}imufield capture --resume --session {shlex.quote(str(folder))}"))

@@ -12,8 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from imufield.acquire.background_link import BackgroundLink, ReopenableLink
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver, Wire
@@ -35,6 +33,7 @@ from imufield.commands.listen import (
     search,
     serial_candidates,
 )
+from imufield.commands.output import say as tell
 from imufield.errors import LinkError, Reason, UsageError
 
 FALLBACK_BAUD = 115200
@@ -93,7 +92,7 @@ class Connected:
                 self.link.drain()
                 self.instrument.restore(self.link)
         except LinkError as error:
-            typer.echo(f"the instrument was not put back as it was: {error.message}; switching it off and on does it", err=True)
+            tell(f"the instrument was not put back as it was: {error.message}; switching it off and on does it", err=True)
         finally:
             self.link.close()
 
@@ -131,7 +130,7 @@ def host_clock(speed: float) -> HostClock:
     """Return the clock to read an instrument with that runs ``speed`` times faster than real time, as emulated ones may."""
     if speed == 1.0:
         return SystemClock()
-    typer.echo(f"the clock of the host runs {speed:g} times fast: only an emulated instrument can be read like this", err=True)
+    tell(f"the clock of the host runs {speed:g} times fast: only an emulated instrument can be read like this", err=True)
     return ScaledClock(speed)
 
 
@@ -159,7 +158,7 @@ def connect(options: ConnectOptions, clock: HostClock, *, say: Say | None = None
     LinkError
         Port or bus not found, busy, no permission; silence; bytes that nobody understands.
     """
-    say = say or (lambda sentence: typer.echo(sentence, err=True))
+    say = say or (lambda sentence: tell(sentence, err=True, indent=2))
     if options.bus is not None:
         from imufield.commands.connect_can import connect_bus
 
@@ -209,6 +208,12 @@ def _only_port(say: Say) -> str:
         return ports[0]
     found = ", ".join(ports) if ports else "none was found"
     raise UsageError(f"which port? give it with --port; serial ports of this machine: {found}", Reason.PORT_NOT_FOUND)
+
+
+def check_files(options: ConnectOptions) -> None:
+    """Refuse a protocol file or a driver that cannot be used, before anybody is asked anything; raises as they do."""
+    if options.bus is None and (options.protocol is not None or options.driver is not None):
+        _candidates(options)
 
 
 def _candidates(options: ConnectOptions) -> list[Candidate]:

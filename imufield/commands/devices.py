@@ -27,13 +27,15 @@ def list_devices(*, as_json: bool) -> None:
 
     console = Console()
     table = Table(title="serial ports", title_justify="left", box=None, padding=(0, 2, 0, 0))
-    table.add_column("port")
+    table.add_column("port", no_wrap=True, min_width=max((len(port["device"]) for port in ports), default=0))
     table.add_column("what the system says of it")
     for port in ports:
         table.add_row(port["device"], port["description"])
     console.print(table if ports else "no serial ports found: plug the instrument in, or give --port socket://host:port")
     table = Table(title="\ninstruments", title_justify="left", box=None, padding=(0, 2, 0, 0))
-    for heading in ("driver", "instrument", "bit rate", "tried", "can be told to"):
+    # A name that is cut cannot be typed.
+    table.add_column("driver", no_wrap=True, min_width=max(len(driver["name"]) for driver in drivers))
+    for heading in ("instrument", "bit rate", "tried", "can be told to"):
         table.add_column(heading)
     for driver in drivers:
         told = ", ".join(f"{name}{'' if tried == _TRIED else '*'}" for name, tried in driver["abilities"].items())

@@ -14,6 +14,7 @@ import typer
 from imufield.acquire.protocol_toml import spell
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.commands.capture import REVISIT_FROM, ROTATIONS
+from imufield.deliver.numbers import beside
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting
 from imufield.guide.positions import scheme
@@ -175,11 +176,12 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
         typer.echo(json.dumps(facts | {"settings": wire.settings}))
         return
     form = f" ({wire.form.name})" if wire.form and wire.form.name not in ("", "default") else ""
-    typer.echo(f"{options.driver}{form} at {rate_hz:.0f} Hz, {options.speed:g} times real time, on {address}")
+    typer.echo(beside(f"{options.driver}{form} at {rate_hz:.0f} Hz, {options.speed:g} times real time, on", address))
     clock = "" if options.speed == 1 else f"IMUFIELD_CLOCK_SPEED={max(options.speed, 1):g} "
     # The right latitude matters: the scale of the accelerometer is as good as the gravity it is given.
     latitude = f"--latitude {emulation.site.latitude_deg:g}"
-    typer.echo(f"read it with:  {clock}imufield capture --{kind} {shlex.quote(address)} {_reader(options, wire)}{latitude}")
+    typer.echo("read it with:")
+    typer.echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {_reader(options, wire)}{latitude}")
     typer.echo("Ctrl-C ends it")
 
 

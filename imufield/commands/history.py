@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -81,18 +82,24 @@ def _print(history: History, options: HistoryOptions, now: datetime) -> None:
             # A path that is broken in two cannot be copied.
             typer.echo(line if len(line) <= WIDTH else f"{line.removesuffix(entry.path).rstrip()}\n    {entry.path}")
         changes = {one.name: one for one in instrument.changes()}
-        name_width = max((len(number.name) for number in instrument.entries[-1].numbers), default=0)
-        for number in instrument.entries[-1].numbers:
-            typer.echo(_line(number, changes.get(number.name), name_width))
+        for line in _table([_cells(number, changes.get(number.name)) for number in instrument.entries[-1].numbers]):
+            typer.echo(line)
         for sentence in sentences(instrument, now, options.stale_days):
             typer.echo(hanging("  - ", sentence))
         typer.echo("")
 
 
-def _line(number: Number, change: Change | None, name_width: int) -> str:
-    moved = "" if change is None or math.isnan(change.in_sigma) else f"{change.in_sigma:+6.1f} sigma"
-    value = to_ascii(with_sigma(number.value, number.sigma, sign=True))
-    return f"    {number.name:<{name_width}} {value:>22} {number.unit:<18}{moved}".rstrip()
+def _cells(number: Number, change: Change | None) -> tuple[str, str, str, str]:
+    # Adding zero takes the sign off a change that rounds to nothing.
+    moved = "" if change is None or math.isnan(change.in_sigma) else f"{round(change.in_sigma, 1) + 0.0:+.1f} sigma"
+    return number.name, to_ascii(with_sigma(number.value, number.sigma, sign=True)), number.unit, moved
+
+
+def _table(rows: list[tuple[str, str, str, str]]) -> Iterator[str]:
+    """Yield lines no wider than their contents need: a terminal of 80 columns would break wider ones in a number."""
+    name, value, unit, moved = (max((len(row[k]) for row in rows), default=0) for k in range(4))
+    for row in rows:
+        yield f"    {row[0]:<{name}} {row[1]:>{value}} {row[2]:<{unit}}  {row[3]:>{moved}}".rstrip()
 
 
 def _document(history: History, options: HistoryOptions, now: datetime) -> dict[str, Any]:

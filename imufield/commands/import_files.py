@@ -23,6 +23,8 @@ from imufield.acquire.table_text import read_pieces
 from imufield.acquire.tables import ROWS_PROTOCOL, Table, read_tables, write_rows
 from imufield.commands.chain import part_metadata
 from imufield.commands.connect import assumed
+from imufield.commands.output import say
+from imufield.deliver.numbers import beside
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import Samples
 
@@ -65,9 +67,9 @@ def run_import(options: ImportOptions) -> Session:
         typer.echo(json.dumps({"event": "imported", "session": str(session.folder), "assumptions": sentences}))
         return session
     for sentence in sentences:
-        typer.echo(sentence, err=True)
-    typer.echo(f"session {session.folder}")
-    typer.echo(f"next:  imufield solve {shlex.quote(str(session.folder))}")
+        say(sentence, err=True, indent=2)
+    typer.echo(beside("session", session.folder))
+    typer.echo(beside("next: ", f"imufield solve {shlex.quote(str(session.folder))}"))
     return session
 
 

@@ -1,8 +1,13 @@
-"""Files that a command writes beside the parameter file: pages, tables, plots."""
+"""What a command gives away: files beside the parameter file (pages, tables, plots), and sentences for a person."""
 
 from __future__ import annotations
 
+import shutil
+import sys
+import textwrap
 from pathlib import Path
+
+import typer
 
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import write_atomically
@@ -24,3 +29,19 @@ def write_output(path: Path, data: bytes) -> None:
             Reason.NO_PERMISSION,
             path=str(path),
         ) from error
+
+
+def say(sentence: str, *, err: bool = False, indent: int = 0, color: str | None = None) -> None:
+    """Print a sentence with its words whole; lines below the first are indented.
+
+    A terminal breaks words in two; a pipe or a log gets the sentence as one line.
+    """
+    if (sys.stderr if err else sys.stdout).isatty():
+        sentence = textwrap.fill(
+            sentence,
+            shutil.get_terminal_size().columns,
+            subsequent_indent=" " * indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    typer.echo(sentence if color is None else typer.style(sentence, fg=color), err=err)

@@ -15,10 +15,13 @@ from imufield.acquire.instrument import Instrument
 from imufield.acquire.ports import serial_ports
 from imufield.acquire.recognise import Ear, Finding
 from imufield.commands.listen import Search, bauds_to_try, has_no_baud, nothing_recognised, search, serial_candidates
+from imufield.commands.output import say
+from imufield.deliver.numbers import beside
 from imufield.errors import ImufieldError, LinkError, Reason
 
 PORTS_AT_ONCE = 8
 _OTHERS_NAMED = 3
+_SECOND_COLUMN = 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,14 +80,14 @@ def run_probe(port: str | None, baud: int | None, clock: HostClock, *, ask: bool
             Reason.PORT_NOT_FOUND,
         )
     if not as_json:
-        typer.echo(f"listening on {', '.join(ports)}, up to 10 s; {_WRITES if ask else _SILENT}", err=True)
+        say(f"listening on {', '.join(ports)}, up to 10 s; {_WRITES if ask else _SILENT}", err=True)
     with ThreadPoolExecutor(min(len(ports), PORTS_AT_ONCE)) as pool:
         results = list(pool.map(lambda one: probe_port(one, baud, clock, ask=ask), ports))
     if as_json:
         typer.echo(json.dumps({"ports": [one.to_dict() for one in results]}))
     else:
         for one in results:
-            _show(one)
+            _show(one, alone=len(results) == 1)
     errors = [one.error for one in results if one.error is not None]
     if len(errors) == len(results):
         raise errors[0] if len(errors) == 1 else _nothing_anywhere(results)
@@ -142,19 +145,28 @@ def _command(port: str, ear: Ear, baud: int | None) -> str:
     return shlex.join(words)
 
 
-def _show(one: Probed) -> None:
-    if one.found is None:
-        typer.echo(f"{one.port}: nothing recognised ({'' if one.error is None else one.error.message})")
-    else:
-        typer.echo(f"{one.port}: {one.found.title}")
-        typer.echo(f"  evidence    {one.found.evidence()}")
-        if one.baud is not None:
-            typer.echo(f"  bit rate    {one.baud}")
-        if one.identity:
-            typer.echo(f"  instrument  {', '.join(f'{name} {value}' for name, value in one.identity.items())}")
-        typer.echo(f"  command     {one.command}")
+def _show(one: Probed, *, alone: bool) -> None:
+    if one.found is not None:
+        _show_found(one, one.found)
+    elif not alone and one.error is not None:
+        # Of one port alone the command ends with this sentence.
+        say(f"nothing recognised: {one.error.message}", indent=2)
     for other in one.others:
-        typer.echo(f"  not         {other.name}: {other.reason or 'less of it was understood'} ({other.frames} frames)")
+        say(
+            f"  not         {other.name}: {other.reason or 'less of it was understood'} ({other.frames} frames)",
+            indent=_SECOND_COLUMN,
+        )
+
+
+def _show_found(one: Probed, found: Finding) -> None:
+    say(f"{one.port}: {found.title}", indent=2)
+    say(f"  evidence    {found.evidence()}", indent=_SECOND_COLUMN)
+    if one.baud is not None:
+        typer.echo(f"  bit rate    {one.baud}")
+    if one.identity:
+        identity = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in one.identity.items())
+        say(f"  instrument  {identity}", indent=_SECOND_COLUMN)
+    typer.echo(beside("  command    ", one.command))
 
 
 def _nothing_anywhere(results: list[Probed]) -> LinkError:

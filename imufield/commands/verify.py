@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -41,6 +42,8 @@ from imufield.samples import FloatArray, Samples
 
 HOLD_OUT = 4
 """Positions left out at a time, where the session is the one the parameters come from."""
+FEWEST_OF_ONE_SIGN = 4
+"""Residuals that say something of gravity: fewer have one sign by chance too often."""
 AFTER = "after"
 BEFORE = "before"
 
@@ -128,7 +131,8 @@ def verify_session(task: _Task) -> Verification:
         navigated = navigation.finish()
         if held_out is None and navigated is None:
             raise problems[0] if problems else CalibrationError("the session holds nothing to check", Reason.TOO_FEW)
-    notes = (*chain.notes, *(one.what for one in damage), *(one.message for one in problems))
+    gravity = () if held_out is None else _gravity_notes(task, held_out)
+    notes = (*chain.notes, *gravity, *(one.what for one in damage), *(one.message for one in problems))
     requirements = judge(task.limits, held_out, navigated)
     return Verification(task.parameters, task.session.name, held_out, navigated, requirements, notes)
 
@@ -159,6 +163,21 @@ def _held_out(task: _Task, chain: Chain, problems: list[ImufieldError]) -> HeldO
             raise
         problems.append(error)
         return None
+
+
+def _gravity_notes(task: _Task, found: HeldOut) -> Iterator[str]:
+    """Yield what it looks like when the axes agree with one another and not with gravity."""
+    residual = found.residual_m_s2
+    one_sign = bool(np.all(residual > 0) or np.all(residual < 0))
+    if found.as_forecast or not one_sign or len(residual) < FEWEST_OF_ONE_SIGN:
+        return
+    own, here = task.parameters.calibration.gravity, task.gravity
+    yield (
+        f"all residuals have one sign, {residual.mean() / MICRO_G_M_S2:+.0f} ug on average, which is what a wrong gravity "
+        f"does: the parameters were made with {own.gravity_m_s2:.6f} m/s^2 ({own.source}), the session is held against "
+        f"{here.gravity_m_s2:.6f} m/s^2 ({here.source}); if it was taken elsewhere, say where with --latitude and --height, or "
+        "--gravity"
+    )
 
 
 def _check(task: _Task, observations: Observations, chain: Chain) -> HeldOut:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import typer
 
+from imufield.commands.output import say
+from imufield.deliver.numbers import beside
 from imufield.errors import UsageError
 from imufield.guide.events import EVENT_VERSION, Event
 from imufield.guide.guide import Snapshot
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     from imufield.guide.terminal import TerminalView
 
 ViewName = Literal["auto", "plain", "json"]
+PLAIN_INDENT = 13
+"""Of the words of a plain line, behind the time."""
 SIDES = ("+x", "-x", "+y", "-y", "+z", "-z")
 LinkState = Literal["ok", "silent", "lost"]
 
@@ -94,7 +98,7 @@ class _Lines:
 
     def refresh(self, status: LiveStatus) -> None:
         if self._says_silence and status.link != self._link and status.link == "silent":
-            typer.echo(f"nothing arrives on {status.port}: check power and cable; waiting")
+            say(f"nothing arrives on {status.port}: check power and cable; waiting")
         self._link = status.link
 
 
@@ -156,8 +160,8 @@ def _silent_view(name: ViewName, session: Path, positions: Scheme, manner: Manne
         typer.echo(json.dumps({"version": EVENT_VERSION, "event": "session", "session": str(session)}))
         yield _Lines(JsonLinesView(typer.echo), says_silence=False)
     elif name == "plain" or not sys.stdout.isatty():
-        typer.echo(f"session {session}")
-        yield _Lines(PlainView(typer.echo), says_silence=True)
+        typer.echo(beside("session", session))
+        yield _Lines(PlainView(lambda line: say(line, indent=PLAIN_INDENT)), says_silence=True)
     else:
         from imufield.guide.terminal import TerminalView
 

@@ -288,11 +288,17 @@ def sentences(instrument: InstrumentHistory, now: datetime, stale_days: float = 
             if not abs(change.in_sigma) > MOVED_SIGMA or change.name in told:
                 continue
             told.add(change.name)
-            since = f"{old.time.day} {old.time:%B %Y}" if old is not None else ""
+            since = "" if old is None else _moment(old, instrument.entries[-1])
             yield f"{change.name} moved {abs(change.in_sigma):.1f} sigma since {since} ({change.difference:+.4g} {change.unit})"
     age_days = instrument.age_days(now)
     if age_days > stale_days:
         yield f"the newest calibration is {age_days:.0f} days old (limit {stale_days:g}): calibrate again"
+
+
+def _moment(old: Entry, new: Entry) -> str:
+    """Return the day of the older one, with the time where both are of the same day."""
+    time = f", {old.time:%H:%M} UTC" if old.time.date() == new.time.date() else ""
+    return f"{old.time.day} {old.time:%B %Y}{time}"
 
 
 def plot_history(instrument: InstrumentHistory) -> bytes:

@@ -33,7 +33,8 @@ def with_sigma(value: float, sigma: float, *, sign: bool = False, digits: int = 
         return f"{value:{plus}.5g} fixed" if value else "0 fixed"
     places = decimals(sigma, digits)
     shown = max(places, 0)
-    return f"{round(value, places):{plus}.{shown}f} ± {round(sigma, places):.{shown}f}"
+    # Adding zero takes the sign off a value that rounds to nothing.
+    return f"{round(value, places) + 0.0:{plus}.{shown}f} ± {round(sigma, places):.{shown}f}"
 
 
 def with_sigma_within(width: int, value: float, sigma: float, *, sign: bool = False) -> str:
@@ -57,7 +58,7 @@ def hanging(start: str, sentence: str) -> str:
 def beside(words: str, path: object) -> str:
     """Return words and a path, the path on a line of its own where both are too long for one: broken it cannot be copied."""
     line = f"{words} {path}"
-    return line if len(line) <= WIDTH else f"{words}\n{path}"
+    return line if len(line) <= WIDTH else f"{words.rstrip()}\n{path}"
 
 
 def bar(share: float, width: int) -> str:

@@ -257,7 +257,8 @@ def _position_lines(found: HeldOut) -> Iterator[str]:
     yield f"  {'RMS':<{width}} {_cell(before, ''):>10} {_cell(after, ''):>10} {_cell(sigma, ''):>10}"
     if math.isfinite(found.misfit):
         word = "as forecast" if found.as_forecast else "LARGER THAN FORECAST: the stated uncertainty is too small"
-        yield f"  {word} (misfit {found.misfit:.2f}, by chance up to {found.misfit_limit:.2f})"
+        misfit = f"(misfit {found.misfit:.2f}, by chance up to {found.misfit_limit:.2f})"
+        yield from textwrap.wrap(f"  {word} {misfit}", _WIDTH, subsequent_indent="  ")
 
 
 def _cell(value: float, sign: str = "+") -> str:
@@ -272,7 +273,8 @@ def _navigation_lines(result: NavigationResult) -> Iterator[str]:
     turned = ", turned over after it" if result.settings.turned else ""
     told = result.settings.heading
     heading = "" if told is None else f", heading {math.degrees(told.angle_rad):g} deg as told"
-    yield f"Static navigation: {hours:.2f} h after an alignment of {result.settings.align_s:g} s{heading}{turned}"
+    how = f"{hours:.2f} h after an alignment of {result.settings.align_s:g} s{heading}{turned}"
+    yield from textwrap.wrap(f"Static navigation: {how}", _WIDTH, subsequent_indent="  ")
     yield f"  {'time':>8} {'latitude':>12} {'longitude':>12} {'v north':>9} {'v east':>9} {'position':>9}  95 %"
     yield f"  {'h':>8} {'deg':>12} {'deg':>12} {'m/s':>9} {'m/s':>9} {'nmi':>9}  {'nmi' if result.forecast else ''}"
     for name, drift in result.drifts.items():
@@ -293,15 +295,18 @@ def _navigation_lines(result: NavigationResult) -> Iterator[str]:
 def _forecast_lines(result: NavigationResult) -> Iterator[str]:
     found = result.forecast
     if found is None:
-        yield from (f"  {note}" for note in result.notes)
+        for note in result.notes:
+            yield from textwrap.wrap(f"  {note}", _WIDTH, subsequent_indent="  ")
         return
     drift = list(result.drifts.values())[-1]
     word = "as forecast" if found.holds(drift) else "MORE THAN FORECAST"
-    yield f"  {word}: with 95 % probability at most {found.rate_95_nmi_per_h:.3f} nmi/h; each source alone:"
+    most = f"with 95 % probability at most {found.rate_95_nmi_per_h:.3f} nmi/h; each source alone:"
+    yield from textwrap.wrap(f"  {word}: {most}", _WIDTH, subsequent_indent="  ")
     for source, rate in sorted(found.sources.items(), key=lambda item: -item[1]):
         yield f"    {source:<26}{rate:8.3f}"
     if not result.settings.turned:
-        yield "  Alignment hides the accelerometer: held-out positions prove it, or turn over after it (--turned)."
+        yield "  Alignment hides the accelerometer: held-out positions prove it, or turn over"
+        yield "  after it (--turned)."
 
 
 def _rows_shown(time_s: FloatArray) -> list[int]:

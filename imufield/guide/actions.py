@@ -459,7 +459,8 @@ class GuideActions:
 
     def find_link(self) -> Input | None:
         """Say that the link is back."""
-        self.events.append(LinkBack(self.now_s))
+        done = f"{len(self.plan.accepted)} of {len(self.plan.scheme)}"
+        self.events.append(LinkBack(self.now_s, f"going on, {done} done; a hold that was under way begins anew"))
         answer = self.go_on() if self.announced else None
         # The sample clock may start anew.
         self.now_s = math.nan

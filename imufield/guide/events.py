@@ -287,7 +287,7 @@ class LinkBack(Event):
 
     kind: ClassVar[str] = "link_back"
 
-    words: str = "the link is back; a hold that was under way begins anew"
+    words: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -167,6 +167,8 @@ def test_the_command(program: Program) -> None:
     assert gone.returncode == 3
     assert json.loads(gone.stdout)["ports"][0]["error"]["reason"] == "port_not_found"
     assert "/dev/nowhere" in gone.stderr
+    said_once = program.run("probe", "--port", "/dev/nowhere")
+    assert (said_once.stdout + said_once.stderr).count("/dev/nowhere does not exist") == 1
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, None])

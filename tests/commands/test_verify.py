@@ -18,9 +18,10 @@ from imufield.acquire.session import Session
 from imufield.acquire.tables import write_rows
 from imufield.cli.run import run
 from imufield.commands.chain import part_metadata
+from imufield.commands.site import SiteOptions
 from imufield.commands.verify import VerifyOptions, run_verify
 from imufield.deliver.parameters import load
-from imufield.deliver.parameters_write import to_toml
+from imufield.deliver.parameters_write import to_toml, write_document
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import ParameterFileError, Reason, VerificationError
 from imufield.samples import FloatArray
@@ -197,3 +198,18 @@ def test_a_known_heading_is_taken_instead_of_found(solved: Path, tmp_path: Path,
     document = json.loads(output.read_text())
     assert document["navigation"]["heading_deg"] == pytest.approx(-36.87)
     assert run([*common, "--heading", "400"]) == 2
+
+
+def test_a_wrong_gravity_is_named(solved: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    document: dict[str, Any] = load(solved / "parameters.toml").document
+    del document["integrity"]
+    # As if they came from another session.
+    document["session"]["sha256"] = "0" * 64
+    write_document(solved / "foreign.toml", document)
+    wrong = document["site"]["gravity_m_s2"] + 0.02
+    site = SiteOptions(gravity_m_s2=wrong, gravity_sigma_m_s2=1e-5)
+    found = run_verify(VerifyOptions(parameters=solved / "foreign.toml", session=solved, site=site))
+    (note,) = [one for one in found.notes if "one sign" in one]
+    assert f"{wrong:.6f} m/s^2 (typed)" in note
+    assert f"{wrong - 0.02:.6f} m/s^2" in note
+    assert "wrong gravity" in " ".join(capsys.readouterr().out.split())

@@ -32,9 +32,9 @@ def write(tmp_path: Path, calibration: Calibration, observations: Observations, 
         raw = found.bias_raw + moved * found.bias_raw_sigma * np.array([0.0, 1.0, 0.0])
         changed = replace(calibration, intrinsic=replace(found, bias_raw=raw))
         facts = replace(context.session, sha256=session or f"{hash(name) % 16:x}" * 64)
-        where = replace(
-            context, created=f"{created}T10:00:00Z", instrument=replace(context.instrument, serial_number=serial), session=facts
-        )
+        moment = created if "T" in created else f"{created}T10:00:00Z"
+        instrument = replace(context.instrument, serial_number=serial)
+        where = replace(context, created=moment, instrument=instrument, session=facts)
         path = tmp_path / name / "parameters.toml"
         path.parent.mkdir(exist_ok=True)
         write_parameters(path, changed, observations, where)
@@ -53,6 +53,14 @@ def test_a_move_is_told_in_sigma_of_the_difference(tmp_path: Path, write) -> Non
     told = list(sentences(instrument, NOW))
     assert told[0].startswith("bias y moved 4.1 sigma since 4 March 2026 (")
     assert len(told) == 1
+
+
+def test_of_two_on_one_day_the_time_is_told(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-08-01", session="a" * 64)
+    write("b", "2026-08-01T15:30:00Z", moved=9.0, session="b" * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    (told,) = sentences(instrument, NOW)
+    assert "sigma since 1 August 2026, 10:00 UTC (" in told
 
 
 def test_slow_drift_is_told_against_the_first(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
