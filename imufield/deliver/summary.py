@@ -169,7 +169,18 @@ def _gyroscope(gyroscope: GyroscopeCalibration) -> RenderableType:
     if np.isfinite(sigma.scale).all():
         _scale(table, p.scale, sigma.scale, gyroscope.raw_unit, "rad/s")
         _misalignment(table, p.misalignment_rad, sigma.misalignment_rad)
+        if np.any(p.g_sensitivity):
+            _g_sensitivity(table, gyroscope)
     return Group(table, Text(gyroscope.path, style="dim"))
+
+
+def _g_sensitivity(table: Table, gyroscope: GyroscopeCalibration) -> None:
+    """Add G / K: a row for each axis of the specific force, what the gyroscopes x, y, z show of it."""
+    p, sigma = gyroscope.parameters, gyroscope.sigma
+    size = STANDARD_GRAVITY_M_S2 / p.scale / DEG_PER_HOUR_RAD_S
+    for j, axis in enumerate(AXES):
+        shown, known = p.g_sensitivity[:, j] * size, sigma.g_sensitivity[:, j] * np.abs(size)
+        _row(table, f"g-sens. of a{axis}", "°/h/g", shown, known)
 
 
 def _facts(calibration: Calibration) -> Table:

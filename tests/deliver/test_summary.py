@@ -111,6 +111,20 @@ def test_gyroscope_of_unknown_scale_and_of_full_calibration(
     assert "+1000 ± 100" in text
 
 
+def test_the_nine_g_sensitivities_are_shown_where_fitted(
+    calibration: Calibration, observations: Observations, context: Context, gyroscope: GyroscopeCalibration
+) -> None:
+    g_sensitivity = 1e-6 * np.arange(1.0, 10.0).reshape(3, 3)
+    sigma = replace(
+        gyroscope.sigma, scale=np.full(3, 1e-4), misalignment_rad=np.full((3, 3), 1e-4), g_sensitivity=np.full((3, 3), 1e-7)
+    )
+    fitted = replace(gyroscope.parameters, scale=np.ones(3), g_sensitivity=g_sensitivity)
+    text = made(replace(calibration, gyroscope=replace(gyroscope, parameters=fitted, sigma=sigma)), observations, context)
+    # 1e-6 rad/s per m/s^2 are 9.80665e-6 * 648000 / pi = 2.02 deg/h per g; y of the gyroscope has four times that of a_x.
+    (row,) = [line for line in text.splitlines() if line.startswith("g-sens. of ax")]
+    assert row.split()[3:] == ["°/h/g", "+2.02", "±", "0.20", "+8.09", "±", "0.20", "+14.16", "±", "0.20"]
+
+
 def test_residuals_of_rounding_have_no_worst(calibration: Calibration, observations: Observations, context: Context) -> None:
     exact = replace(calibration, positions=replace(calibration.positions, residual_m_s2=np.full(24, 1e-15)))
     assert "◄" not in made(exact, observations, context)
