@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from imufield.errors import UsageError
-from imufield.samples import FloatArray
+from imufield.samples import LARGEST_OUTPUT, FloatArray
 
 TIME_SCALE = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 SHORTEST_STEP_S, LONGEST_STEP_S = 2.5e-4, 0.2
@@ -19,6 +19,8 @@ _RATE_TOLERANCE = 0.2
 
 _CONVERTED = {"mg": ("g", 1e-3)}
 """Units that protocol ``rows_f64`` does not know: what they become, and the factor."""
+_FAST = 0.999
+"""Of all outputs; what lies beyond may be damage."""
 _STANDS_FOR_G = (0.8, 1.25)
 _STANDS_FOR_M_S2 = (8.0, 12.0)
 """Where the median norm of an accelerometer lies that stands still most of the time."""
@@ -44,6 +46,8 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
     )
     fitting = [name for name, scale in TIME_SCALE.items() if low <= step * scale <= high]
     if not fitting:
+        if rate_hz is not None and SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
+            _check_rate(path, step, rate_hz)
         named = "write the unit into the name, e.g. --columns time_ms,ax,ay,az, or give --rate-hz"
         hint = named if rate_hz is None else "give the right --rate-hz"
         raise UsageError(
@@ -98,6 +102,9 @@ def choose_unit(
         return unit, factor, f"{quantity} is converted from {stated[quantity]} to {unit}." if factor != 1.0 else ""
     if np.isnan(values[0, 0]):
         return ("m/s^2" if quantity == "accelerometer" else "rad/s"), 1.0, ""
+    # One damaged number does not decide for all the others.
+    possible = (np.abs(values) <= LARGEST_OUTPUT).all(axis=1)
+    values = values[possible] if possible.any() else values
     unit, why = _guess_accelerometer(values, has_zero) if quantity == "accelerometer" else _guess_gyroscope(values, stated)
     return unit, 1.0, f"{quantity} is taken as {unit}, because {why}; --set {quantity}_unit=... says otherwise."
 
@@ -119,12 +126,12 @@ def _guess_gyroscope(values: FloatArray, stated: Mapping[str, str]) -> tuple[str
     if _is_whole(values):
         return "count", "all values are whole numbers"
     # Hands turn a unit faster than this in deg/s at once, and never in rad/s (4000 deg/s).
-    fastest = float(np.abs(values).max())
+    fastest = float(np.quantile(np.abs(values), _FAST, method="lower"))
     if fastest > 70.0:
-        return "deg/s", f"the largest value is {fastest:.4g}"
+        return "deg/s", f"values reach {fastest:.4g}"
     if stated.get("accelerometer") in ("g", "mg"):
         return "deg/s", "the accelerometer is in g"
-    return "rad/s", f"the largest value is {fastest:.4g}"
+    return "rad/s", f"values reach no more than {fastest:.4g}"
 
 
 def _is_whole(values: FloatArray) -> bool:

@@ -237,6 +237,7 @@ def _read_file(path: Path, columns: str | None, number: int, files: int, topic: 
     fields = {column.field: values[:, place] for place, column in enumerate(meaning.columns)}
     units = _units(path, meaning)
     kept = {name: column for name, column in fields.items() if not _is_empty(column)}
+    _check_whole_triads(path, fields, kept)
     for name, column in kept.items():
         if name != TEMPERATURE:
             _check_finite(source, name, column, kept.get(STATUS))
@@ -272,6 +273,19 @@ def _units(path: Path, meaning: Meaning) -> dict[str, str]:
 def _is_empty(column: FloatArray) -> bool:
     """Tell whether a column is there by name only: our own export writes empty cells for what is not available."""
     return bool(np.isnan(column[0]) and np.isnan(column).all())
+
+
+def _check_whole_triads(path: Path, fields: Mapping[str, FloatArray], kept: Mapping[str, FloatArray]) -> None:
+    """Refuse an axis without a number beside axes that have some, and a time without one."""
+    for group in (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, (TIME,)):
+        empty = [name for name in group if name in fields and name not in kept]
+        if empty and (len(empty) < len(group) or group == (TIME,)):
+            raise RecordingError(
+                f"{path} has no number for {', '.join(empty)} in any row: correct the file, or skip the column with --columns.",
+                Reason.BAD_DATA,
+                path=str(path),
+                columns=empty,
+            )
 
 
 _MAY_LACK = dict.fromkeys(ACCELEROMETER_COLUMNS, Status.ACCELEROMETER_INVALID) | dict.fromkeys(

@@ -18,7 +18,7 @@ import numpy as np
 
 from imufield.calibrate.observations import Observations
 from imufield.errors import Reason, RecordingError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, SampleUnits
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray, SampleUnits
 
 NAME = "name"
 TEMPERATURE = "temperature_degc"
@@ -29,6 +29,8 @@ _COLUMNS = (*(column for triad in _TRIADS for column in triad), NAME, TEMPERATUR
 _SEPARATORS = (",", ";", "\t")
 """No name of a column has one of these: the header tells which it is."""
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
+_SMALLEST_SIGMA = 1e-30
+"""No mean is known so well in any unit, and its square would be zero."""
 _SHOWN = 40
 """Characters of a cell that a sentence repeats."""
 
@@ -166,8 +168,9 @@ def _number(path: Path, line: int, column: str, cell: str) -> float:
     except ValueError as error:
         what = f"{cell.strip()[:_SHOWN]!r} is not a number; correct or remove the row"
         raise _refuse(path, line, what, column) from error
-    if not math.isfinite(value) or (column.startswith("sigma_") and value <= 0):
-        raise _refuse(path, line, f"{cell.strip()} is no possible value; correct or remove the row", column)
+    possible = _SMALLEST_SIGMA <= value <= LARGEST_OUTPUT if column.startswith("sigma_") else abs(value) <= LARGEST_OUTPUT
+    if not possible:
+        raise _refuse(path, line, f"{cell.strip()[:_SHOWN]} is no possible value; correct or remove the row", column)
     return value
 
 

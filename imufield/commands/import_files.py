@@ -18,6 +18,7 @@ from imufield.acquire.link import Chunk
 from imufield.acquire.protocol import Protocol, load_protocol
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.registry import load_driver
+from imufield.acquire.ros_bags import is_bag
 from imufield.acquire.session import DEFAULT_ROOT, Session
 from imufield.acquire.table_text import read_pieces
 from imufield.acquire.tables import ROWS_PROTOCOL, Table, read_tables, write_rows
@@ -76,6 +77,7 @@ def run_import(options: ImportOptions) -> Session:
 def import_session(options: ImportOptions) -> tuple[Session, list[str]]:
     """Return the new session and what was assumed, in sentences; raises as ``run_import``."""
     protocol = _protocol(options)
+    _refuse_ignored(options, protocol)
     if protocol is None:
         _refuse_can_log(options)
         return _import_tables(options)
@@ -103,6 +105,22 @@ def _protocol(options: ImportOptions) -> Protocol | None:
     if options.protocol is not None:
         return load_protocol(options.protocol, options.settings)
     return None if options.driver is None else load_driver(options.driver).load_protocol(options.settings)
+
+
+def _refuse_ignored(options: ImportOptions, protocol: Protocol | None) -> None:
+    """Refuse options that would change nothing.
+
+    Raises
+    ------
+    UsageError
+        If there is one.
+    """
+    if options.channel is not None and (protocol is None or protocol.can is None):
+        raise UsageError("--channel is for logs of several CAN buses; leave it out")
+    if options.topic is not None and not (protocol is None and any(is_bag(path) for path in options.files)):
+        raise UsageError("--topic is for recordings of ROS; leave it out")
+    if options.protocol is not None and options.driver is not None:
+        raise UsageError(f"--protocol {options.protocol} and --driver {options.driver} contradict each other; give one of them")
 
 
 def _refuse_can_log(options: ImportOptions) -> None:

@@ -76,9 +76,13 @@ def run_solve_many(
 
 def _check(sessions: Sequence[Path], options: SolveOptions) -> None:
     if options.observations is not None:
-        raise UsageError("give sessions or --observations, not both")
+        raise UsageError("--observations is solved in this process; leave out the sessions, or --scheduler")
     if not sessions:
         raise UsageError("--scheduler needs the folders of the sessions to solve; name them")
+    if options.output is not None and len(sessions) == 1:
+        raise UsageError(
+            f"--scheduler writes each session's {PARAMETER_FILE}; leave out --output {options.output}, or --scheduler"
+        )
     if options.output is not None:
         raise UsageError(
             f"--output {options.output} names one file for several sessions; leave it out, each gets its {PARAMETER_FILE}"

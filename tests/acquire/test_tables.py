@@ -418,3 +418,26 @@ def test_the_recording_of_an_xsens_is_read_and_joined(shared_folder: Path) -> No
     assert table.settings == {"accelerometer_unit": "count", "gyroscope_unit": "count"}
     assert table.raw_zero == (32768.0,) * 3
     assert table.rate_hz == pytest.approx(100.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("empty", [0, 3])
+def test_an_axis_without_a_number_is_named(tmp_path: Path, empty: int) -> None:
+    table = np.hstack([ACCELEROMETER, GYROSCOPE])
+    table[:, empty] = np.nan
+    path = write(tmp_path, text_of(TIME, table, delimiter=",", header="time_s,ax,ay,az,gx,gy,gz\n"))
+    with pytest.raises(RecordingError, match="no number for " + ("ax", "", "", "gx")[empty]):
+        read_tables([path])
+
+
+@pytest.mark.parametrize("absurd", [1e300, 1e308, 5000.0])
+def test_one_absurd_sample_does_not_decide_the_unit(tmp_path: Path, absurd: float) -> None:
+    gyroscope = GYROSCOPE.copy()
+    gyroscope[7, 1] = absurd
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER, gyroscope, delimiter=",", header="time_s,ax,ay,az,gx,gy,gz\n"))
+    assert read_tables([path]).settings["gyroscope_unit"] == "rad/s"
+
+
+def test_a_rate_that_contradicts_the_time_is_said(tmp_path: Path) -> None:
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER, delimiter=",", header="time,ax,ay,az\n"))
+    with pytest.raises(UsageError, match=r"--rate-hz 50 contradicts the time column .*, 100 Hz"):
+        read_tables([path], rate_hz=50)

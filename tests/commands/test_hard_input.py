@@ -134,3 +134,37 @@ def test_what_was_typed_is_usage(session: Path, line: str, capfd: pytest.Capture
     Path("rows.dat").write_bytes(b"\x93" * 500)
     assert run(line.split()) == 2
     assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(("sigma", "code"), [("1e300", 4), ("1e-300", 4), ("0", 4), ("-1", 4)])
+def test_a_sigma_nobody_can_have(tmp_path: Path, sigma: str, code: int, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "means.csv"
+    path.write_text("ax,ay,az,sigma_ax,sigma_ay,sigma_az\n" + f"1,2,3,1e-3,{sigma},1e-3\n" * 9)
+    assert run(["solve", "--observations", str(path), "-o", str(tmp_path / "p.toml")]) == code
+    assert "means.csv, line 2, column sigma_ay" in capsys.readouterr().err
+
+
+def test_a_long_cell_is_cut(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "means.csv"
+    path.write_text("ax,ay,az\n" + f"1,{'9' * 5000},3\n" * 9)
+    assert run(["solve", "--observations", str(path), "-o", str(tmp_path / "p.toml")]) == 4
+    assert len(capsys.readouterr().err) < 300
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import rows.csv --channel can0 -o new",
+        "import rows.csv --topic /imu -o new",
+        "import rows.csv --protocol stim300 --driver stim300 -o new",
+        "import rows.csv --rate-hz 1e300 -o new",
+        "solve --observations rows.csv --scheduler foo",
+        "solve S --output z --scheduler foo",
+    ],
+)
+def test_options_that_would_change_nothing(session: Path, line: str) -> None:
+    Path("rows.csv").write_text("time,ax,ay,az\n" + "".join(f"{k / 100},0,0,{9.8 + k / 1000}\n" for k in range(50)))
+    before = (session / "parameters.toml").read_bytes()
+    assert run(line.split()) == 2
+    assert not Path("new").exists()
+    assert (session / "parameters.toml").read_bytes() == before
