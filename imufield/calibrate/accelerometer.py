@@ -271,7 +271,7 @@ def _known(solution: _Solution, derivative: FloatArray, scale: FloatArray) -> np
 def _intrinsic(solution: _Solution, covariance: FloatArray) -> Intrinsic:
     vector, g = solution.fit.vector, solution.gravity.gravity_m_s2
     values, J = intrinsic(vector, solution.data.quadratic_axes)
-    variance = np.diag(J @ covariance[:PARAMETERS, :PARAMETERS] @ J.T)
+    variance = np.sum((J @ covariance[:PARAMETERS, :PARAMETERS]) * J, axis=1)
     K = np.abs(vector[SCALE])
     scale = np.concatenate([K / g, K, np.full(3, 1 / g), K / g**2])
     return make_intrinsic(values, np.where(_known(solution, J, scale), np.sqrt(np.maximum(variance, 0.0)), np.nan))

@@ -194,7 +194,7 @@ def require_space(raw: FloatArray) -> None:
     """
     spread = np.ptp(raw, axis=0)
     widest = float(spread.max())
-    values, directions = np.linalg.svd(raw - raw.mean(axis=0))[1:]
+    values, directions = np.linalg.svd(raw - raw.mean(axis=0), full_matrices=len(raw) < 3)[1:]
     flatness = float(values[2] / values[0])
     axis = int(np.argmin(spread))
     if spread[axis] <= _DEAD * widest and not _is_circle(np.delete(raw, axis, axis=1)):
