@@ -19,6 +19,7 @@ from imufield.errors import LinkError, ProtocolError, Reason, UsageError
 from imufield.simulate.slcan import SlcanDevice
 
 NUMBERS = itertools.count()
+GROUP = "239.74.0.2"
 
 
 @pytest.fixture
@@ -27,13 +28,14 @@ def channel() -> str:
 
 
 @pytest.fixture
-def group() -> str:
-    address = f"239.74.{os.getpid() % 250}.{next(NUMBERS) % 250 + 2}"
+def port() -> int:
+    # Linux hands a datagram to all who listen at its port, whatever their group: other tests must not use the same.
+    number = 20_000 + (97 * os.getpid() + next(NUMBERS)) % 30_000
     try:
-        can.Bus(address, "udp_multicast").shutdown()
+        can.Bus(GROUP, "udp_multicast", port=number).shutdown()
     except (OSError, can.CanError):
         pytest.skip("this machine has no multicast network")
-    return address
+    return number
 
 
 def read_all(link: CanLink, count: int, patience_s: float = 5.0) -> list[Frame]:
@@ -76,9 +78,9 @@ def test_virtual(channel: str) -> None:
     link.close()
 
 
-def test_udp_multicast(group: str) -> None:
-    link = open_can_link(f"udp_multicast:{group}")
-    with can.Bus(group, "udp_multicast") as bus:
+def test_udp_multicast(port: int) -> None:
+    link = open_can_link(f"udp_multicast:{GROUP}:{port}")
+    with can.Bus(GROUP, "udp_multicast", port=port) as bus:
         for message in messages():
             bus.send(message)
         check(read_all(link, 52), messages())

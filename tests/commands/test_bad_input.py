@@ -355,7 +355,8 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], int, tuple[str, ...]]] = {
     "part is cut to some seconds": (
         lambda folder: cut(part(folder), 150_000),
         RECORDING,
-        ("is damaged", "part-001.mcap is cut off at byte", "what is left is not enough", "6"),
+        # How much a block holds depends on the speed of the disk: a few positions are left, or nothing.
+        ("part-001.mcap is cut off at byte", "bytes of an incomplete block"),
     ),
     "session.toml is cut": (
         lambda folder: cut(folder / "session.toml", 40),

@@ -89,12 +89,13 @@ def emulate() -> Iterator[Emulate]:
 
 @pytest.fixture
 def multicast() -> str:
-    group = f"239.76.{os.getpid() % 250}.{next(NUMBERS) % 250 + 2}"
+    # Linux hands a datagram to all who listen at its port, whatever their group: other tests must not use the same.
+    port = 20_000 + (83 * os.getpid() + next(NUMBERS)) % 30_000
     try:
-        can.Bus(group, "udp_multicast").shutdown()
+        can.Bus("239.76.0.2", "udp_multicast", port=port).shutdown()
     except (OSError, can.CanError):
         pytest.skip("this machine has no multicast network")
-    return f"udp_multicast:{group}"
+    return f"udp_multicast:239.76.0.2:{port}"
 
 
 @pytest.fixture
@@ -233,8 +234,8 @@ def test_replay_to_a_bus_and_to_an_adapter(program: Program, emulate: Emulate, m
     )
     assert recorded.returncode == 0, recorded.stderr
     before = concatenate(session_samples(Session.open(program.folder / "mine"), []))
-    group = multicast.partition(":")[2]
-    with can.Bus(group, "udp_multicast") as bus:
+    group, _, port = multicast.partition(":")[2].partition(":")
+    with can.Bus(group, "udp_multicast", port=int(port)) as bus:
         heard: list[can.Message] = []
         notifier = can.Notifier(bus, [heard.append])
         replayed = program.run("replay", "mine", "--bus", multicast, "--speed", 4)

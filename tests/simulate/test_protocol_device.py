@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -191,7 +192,8 @@ def test_a_protocol_without_the_table_sends_its_first_samples() -> None:
 def test_a_users_own_file_is_emulated(tmp_path: Path) -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "protocols.md").read_text(encoding="utf-8")
     path = tmp_path / "my_imu.toml"
-    path.write_text(page.partition("```toml\n")[2].partition("```")[0], encoding="utf-8")
+    blocks = re.findall(r"^```toml\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
+    path.write_text(next(block for block in blocks if 'name = "my_imu"' in block), encoding="utf-8")
     options = EmulateOptions(str(path))
     choice = choose_wire(options)
     sent = random_samples(choice.protocol, choice.rate_hz, 0, 300)
