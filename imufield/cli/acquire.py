@@ -161,11 +161,11 @@ def record(
 
 
 def import_files(
-    files: Annotated[list[Path], typer.Argument(help="Files of one recording; several are joined by time.")],
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder of the new session.")] = None,
+    files: Annotated[list[Path], typer.Argument(help="Files of one recording; several are joined by time.", readable=False)],
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder of the new session.", readable=False)] = None,
     driver: DriverName = None,
     protocol: Annotated[str | None, typer.Option(help="For a raw byte dump: protocol name or TOML file.")] = None,
-    dbc: Annotated[Path | None, typer.Option(help="For a log of a CAN bus: DBC file.")] = None,
+    dbc: Annotated[Path | None, typer.Option(help="For a log of a CAN bus: DBC file.", readable=False)] = None,
     mapping: SignalMap = None,
     channel: Annotated[str | None, typer.Option(help="For a log of several CAN buses: which, e.g. can0.")] = None,
     topic: Annotated[str | None, typer.Option(help="For a recording of ROS: which topic, e.g. /imu/data.")] = None,
@@ -204,7 +204,7 @@ def import_files(
 
 
 def replay(
-    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
+    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).", readable=False)] = None,
     to_pty: Annotated[bool, typer.Option("--to-pty", help="Replay the bytes to a virtual serial port.")] = False,
     bus: Annotated[str | None, typer.Option(help="Replay the frames to a CAN bus, e.g. socketcan:vcan0.")] = None,
     baud: Annotated[int | None, typer.Option(help="Bit rate of the bus, where it is set on opening.", min=50)] = None,
@@ -239,8 +239,10 @@ def emulate(
     rotations: Annotated[str | None, typer.Option(help="Whole turns after the positions: rolled or table.")] = None,
     hold_s: Annotated[float, typer.Option(help="Seconds the virtual operator holds each position.", min=1)] = 14.0,
     wait: Annotated[bool, typer.Option("--wait", help="Power on when a program opens the port.")] = False,
-    link: Annotated[Path | None, typer.Option(help="Make a symbolic link to the port here.")] = None,
-    truth: Annotated[Path | None, typer.Option(help="Write the true parameters and stills to this file.")] = None,
+    link: Annotated[Path | None, typer.Option(help="Make a symbolic link to the port here.", readable=False)] = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="Write the true parameters and stills to this file.", readable=False)
+    ] = None,
     duration_s: Annotated[float | None, typer.Option(help="Stop after so many seconds of sample time.", min=0.1)] = None,
     fault: Annotated[list[str] | None, typer.Option(help="E.g. bit_flip_probability=1e-4; may be repeated.")] = None,
     as_json: AsJson = False,

@@ -13,15 +13,17 @@ from imufield.cli.options import LARGEST_SEED, AsJson, GravityValue, Height, Lat
 def solve(
     context: typer.Context,
     sessions: Annotated[
-        list[Path] | None, typer.Argument(metavar="[SESSION]...", help="Session folders (default: the newest).")
+        list[Path] | None, typer.Argument(metavar="[SESSION]...", help="Session folders (default: the newest).", readable=False)
     ] = None,
-    observations: Annotated[Path | None, typer.Option(help="CSV of position means instead of a session.")] = None,
+    observations: Annotated[
+        Path | None, typer.Option(help="CSV of position means instead of a session.", readable=False)
+    ] = None,
     gravity: GravityValue = None,
     latitude: Latitude = None,
     height: Height = None,
     model: Annotated[str, typer.Option(help="auto, linear or quadratic.")] = "auto",
     gauge: Annotated[str | None, typer.Option(help="preset, lower, upper or symmetric.")] = None,
-    preset: Annotated[Path | None, typer.Option(help="Parameter file in force before.")] = None,
+    preset: Annotated[Path | None, typer.Option(help="Parameter file in force before.", readable=False)] = None,
     zero: Annotated[str | None, typer.Option(help="Raw output at zero input, one or three numbers.")] = None,
     method: Annotated[str, typer.Option(help="least-squares, bsas, ide and others, see docs/study.md.")] = "least-squares",
     polish: Annotated[bool, typer.Option(help="Finish another method by least squares.")] = True,
@@ -30,7 +32,9 @@ def solve(
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=LARGEST_SEED)] = 0,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Where to write the parameter file.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Where to write the parameter file.", readable=False)
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Solve a session: parameters with uncertainty, and a verdict in words. Several: on all cores, with a table of verdicts.
@@ -63,11 +67,15 @@ def solve(
 
 
 def noise(
-    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
+    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).", readable=False)] = None,
     to: Annotated[str, typer.Option(help="Form of --output: kalibr, openvins or vins.")] = "kalibr",
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="YAML for a navigation filter.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw the Allan deviation into this file (needs matplotlib).")] = None,
-    parameters: Annotated[Path | None, typer.Option(help="Parameter file to write the table `noise` into.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="YAML for a navigation filter.", readable=False)] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw the Allan deviation into this file (needs matplotlib).", readable=False)
+    ] = None,
+    parameters: Annotated[
+        Path | None, typer.Option(help="Parameter file to write the table `noise` into.", readable=False)
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure the noise of hours of standstill by Allan deviation.
@@ -86,8 +94,10 @@ def study(
     seed: Annotated[int, typer.Option(help="Seed of all runs.", min=0, max=LARGEST_SEED)] = 0,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder for CSV files and plots.")] = None,
-    document: Annotated[Path | None, typer.Option(help="Write all as one Markdown document.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder for CSV files and plots.", readable=False)
+    ] = None,
+    document: Annotated[Path | None, typer.Option(help="Write all as one Markdown document.", readable=False)] = None,
 ) -> None:
     """Reproduce a table or figure of the papers, paper's and our figures side by side.
 

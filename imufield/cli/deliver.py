@@ -11,11 +11,11 @@ from imufield.cli.options import LARGEST_SEED, AsJson, GravityValue, Height, Lat
 
 
 def export(
-    parameters: Annotated[Path, typer.Argument(help="Parameter file.")],
+    parameters: Annotated[Path, typer.Argument(help="Parameter file.", readable=False)],
     to: Annotated[str | None, typer.Option(help="Target, e.g. c, px4, vectornav (default: list them).")] = None,
     settings: Settings = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="File or folder (default: the usual names here).")
+        Path | None, typer.Option("-o", "--output", help="File or folder (default: the usual names here).", readable=False)
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -29,9 +29,9 @@ def export(
 
 
 def apply(
-    parameters: Annotated[Path, typer.Argument(help="Parameter file.")],
-    source: Annotated[Path, typer.Argument(help="Session folder, or a table (CSV).")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="CSV to write.")],
+    parameters: Annotated[Path, typer.Argument(help="Parameter file.", readable=False)],
+    source: Annotated[Path, typer.Argument(help="Session folder, or a table (CSV).", readable=False)],
+    output: Annotated[Path, typer.Option("-o", "--output", help="CSV to write.", readable=False)],
 ) -> None:
     """Correct a recording with the parameters.
 
@@ -43,9 +43,11 @@ def apply(
 
 
 def export_data(
-    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
+    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).", readable=False)] = None,
     to: Annotated[str, typer.Option(help="csv, parquet, hdf5 or ros2 (MCAP).")] = "csv",
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="File to write (default: SESSION/samples.*).")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="File to write (default: SESSION/samples.*).", readable=False)
+    ] = None,
 ) -> None:
     """Write the decoded samples of a session for other programs.
 
@@ -58,9 +60,13 @@ def export_data(
 
 def verify(
     context: typer.Context,
-    parameters: Annotated[Path, typer.Argument(help="Parameter file under test.")],
-    session: Annotated[Path | None, typer.Argument(help="Session they have not seen (default: the newest).")] = None,
-    preset: Annotated[Path | None, typer.Option(help="Parameter file to compare with (default: no correction).")] = None,
+    parameters: Annotated[Path, typer.Argument(help="Parameter file under test.", readable=False)],
+    session: Annotated[
+        Path | None, typer.Argument(help="Session they have not seen (default: the newest).", readable=False)
+    ] = None,
+    preset: Annotated[
+        Path | None, typer.Option(help="Parameter file to compare with (default: no correction).", readable=False)
+    ] = None,
     hold_out: Annotated[
         int | None, typer.Option(help="Solve without so many positions at a time and check those.", min=1)
     ] = None,
@@ -77,7 +83,9 @@ def verify(
     turn_on_ug: Annotated[float | None, typer.Option(help="Turn-on bias of the accelerometer, 1 sigma.", min=0)] = None,
     turn_on_deg_per_h: Annotated[float | None, typer.Option(help="Turn-on bias of the gyroscope, 1 sigma.", min=0)] = None,
     seed: Annotated[int, typer.Option(help="Seed of the forecast.", min=0, max=LARGEST_SEED)] = 0,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Where to keep the results for the report.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Where to keep the results for the report.", readable=False)
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Prove parameters on data they have not seen: held-out positions, and hours of static navigation.
@@ -107,12 +115,20 @@ def verify(
 
 
 def report(
-    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).")] = None,
-    parameters: Annotated[Path | None, typer.Option(help="Parameter file (default: SESSION/parameters.toml).")] = None,
-    preset: Annotated[Path | None, typer.Option(help="Parameter file in force before, to compare with.")] = None,
+    session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).", readable=False)] = None,
+    parameters: Annotated[
+        Path | None, typer.Option(help="Parameter file (default: SESSION/parameters.toml).", readable=False)
+    ] = None,
+    preset: Annotated[
+        Path | None, typer.Option(help="Parameter file in force before, to compare with.", readable=False)
+    ] = None,
     operator: Annotated[str, typer.Option(help="Who calibrated, for the record.")] = "",
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Page (default: SESSION/report.html).")] = None,
-    record: Annotated[Path | None, typer.Option(help="Calibration record (default: SESSION/calibration-record.html).")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Page (default: SESSION/report.html).", readable=False)
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option(help="Calibration record (default: SESSION/calibration-record.html).", readable=False)
+    ] = None,
 ) -> None:
     """Write the report of a session, one page that needs no network, and a calibration record of one sheet.
 
@@ -127,11 +143,15 @@ def report(
 
 
 def history(
-    folder: Annotated[Path, typer.Argument(help="Folder of parameter files, searched below too.")] = Path("imufield-sessions"),
+    folder: Annotated[Path, typer.Argument(help="Folder of parameter files, searched below too.", readable=False)] = Path(
+        "imufield-sessions"
+    ),
     serial: Annotated[str | None, typer.Option(help="Only this serial number.")] = None,
     stale_days: Annotated[float, typer.Option(help="Age at which a calibration is old.", min=0)] = 365.0,
-    csv: Annotated[Path | None, typer.Option(help="Write every number of every calibration to this file.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw one instrument over time, SVG.")] = None,
+    csv: Annotated[
+        Path | None, typer.Option(help="Write every number of every calibration to this file.", readable=False)
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw one instrument over time, SVG.", readable=False)] = None,
     as_json: AsJson = False,
 ) -> None:
     """Show how the parameters of each instrument changed from calibration to calibration, in units of sigma.

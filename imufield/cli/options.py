@@ -19,7 +19,7 @@ Bus = Annotated[
     str | None,
     typer.Option(help="CAN bus, INTERFACE:CHANNEL, e.g. socketcan:can0, slcan:/dev/ttyACM0.", envvar="IMUFIELD_BUS"),
 ]
-DbcFile = Annotated[Path | None, typer.Option(help="On a CAN bus: the DBC file of your own instrument.")]
+DbcFile = Annotated[Path | None, typer.Option(help="On a CAN bus: the DBC file of your own instrument.", readable=False)]
 SignalMap = Annotated[
     list[str] | None, typer.Option("--map", help="Which signal of --dbc is which axis, e.g. accelerometer.x=AccLong.")
 ]
@@ -27,7 +27,7 @@ DriverName = Annotated[
     str | None, typer.Option("--driver", help="Instrument family, see `imufield devices`.", envvar="IMUFIELD_DRIVER")
 ]
 Baud = Annotated[int | None, typer.Option(help="Bit rate of the port or the bus.", min=50, envvar="IMUFIELD_BAUD")]
-ProtocolFile = Annotated[Path | None, typer.Option("--protocol", help="Your own wire format, a TOML file.")]
+ProtocolFile = Annotated[Path | None, typer.Option("--protocol", help="Your own wire format, a TOML file.", readable=False)]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", help="What the wire does not tell, e.g. accelerometer_range_g=30.")
 ]
@@ -35,7 +35,9 @@ RateHz = Annotated[
     float | None,
     typer.Option(help="Set the output rate of the instrument, where its driver can; put back at the end.", min=0.1),
 ]
-SessionFolder = Annotated[Path | None, typer.Option("--session", help="Folder of the session (default: a new one).")]
+SessionFolder = Annotated[
+    Path | None, typer.Option("--session", help="Folder of the session (default: a new one).", readable=False)
+]
 LARGEST_SEED = 2**63 - 1
 """What a parameter file can hold."""
 AsJson = Annotated[bool, typer.Option("--json", help="JSON on standard output and nothing else.")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tomllib
 from pathlib import Path
@@ -168,3 +169,17 @@ def test_options_that_would_change_nothing(session: Path, line: str) -> None:
     assert run(line.split()) == 2
     assert not Path("new").exists()
     assert (session / "parameters.toml").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "line", ["solve --observations means.csv", "import means.csv -o new --rate-hz 9", "history S", "replay S", "noise S"]
+)
+def test_commands_find_out_themselves_that_a_file_is_unreadable(
+    session: Path, line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("means.csv").write_text("ax,ay,az\n" + "1,2,3\n" * 9)
+    # An administrator may read every file: what the parser asks before a command begins is answered with no.
+    monkeypatch.setattr(os, "access", lambda *_, **__: False)
+    run(line.split())
+    assert "not readable" not in capsys.readouterr().err
+    assert session.is_dir()
