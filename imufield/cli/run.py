@@ -92,7 +92,7 @@ def _interrupted_words(arguments: list[str]) -> str:
     command = arguments[0] if arguments else ""
     if command in RECORDING_COMMANDS:
         return "interrupted; what was recorded is on disk"
-    return "interrupted; the new session is not whole: remove it and import again" if command == "import" else "interrupted"
+    return "interrupted; nothing was imported" if command == "import" else "interrupted"
 
 
 def _was_interrupted(error: BaseException) -> bool:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import shlex
+import shutil
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -142,7 +144,7 @@ def _import_can(options: ImportOptions, protocol: Protocol) -> tuple[Session, li
         raise UsageError("--columns, --rate-hz and --zero are for tables; a log of a CAN bus has its --set")
     sentences = _try_can(options, protocol)
     session = _new_session(options, protocol, None)
-    with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
+    with _whole_or_nothing(session), Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
         for path in options.files:
             import_log(path, recorder, channel=options.channel, losses=[])
     session.update(finished=True)
@@ -183,7 +185,7 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
     )
     protocol = load_protocol(ROWS_PROTOCOL, {**(options.settings or {}), **table.settings})
     session = _new_session(options, protocol, table)
-    with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
+    with _whole_or_nothing(session), Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
         write_rows(recorder, table.rows, table.status)
     session.update(finished=True)
     return session, list(table.assumptions)
@@ -217,7 +219,7 @@ def _import_dump(options: ImportOptions, protocol: Protocol) -> tuple[Session, l
     sentences = _try_dump(options.files, protocol)
     session = _new_session(options, protocol, None)
     utc_ns = SystemClock().utc_ns()
-    with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
+    with _whole_or_nothing(session), Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
         for path in options.files:
             for data in read_pieces(path, DUMP_CHUNK_BYTES):
                 recorder.write_chunk(Chunk(data, math.nan, utc_ns))
@@ -248,6 +250,30 @@ def _try_dump(files: list[Path], protocol: Protocol) -> list[str]:
             bytes=counts.bytes_total,
         )
     return [f"{counts.samples} samples, {counts.bytes_skipped} of {counts.bytes_total} bytes skipped", *assumed(protocol)]
+
+
+@contextmanager
+def _whole_or_nothing(session: Session) -> Iterator[None]:
+    """Remove a new session that cannot be completed: its files are still there to be imported again.
+
+    Raises
+    ------
+    RecordingError
+        If the disk is full.
+    """
+    try:
+        yield
+    except BaseException as error:
+        # The folder was new or empty.
+        shutil.rmtree(session.folder, ignore_errors=True)
+        if isinstance(error, RecordingError) and error.reason is Reason.DISK_FULL:
+            raise RecordingError(
+                f"{session.folder} cannot hold the import, the disk or its quota is full: free some space, or give another "
+                "place with --output, and import again.",
+                Reason.DISK_FULL,
+                path=str(session.folder),
+            ) from error
+        raise
 
 
 def _new_session(options: ImportOptions, protocol: Protocol, table: Table | None) -> Session:

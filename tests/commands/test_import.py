@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import json
 import re
@@ -17,7 +18,9 @@ from imufield.acquire.protocol import Protocol
 from imufield.acquire.registry import load_driver
 from imufield.acquire.session import Session
 from imufield.cli.run import run
+from imufield.commands import import_files
 from imufield.commands.chain import session_samples
+from imufield.errors import Reason, RecordingError
 from imufield.samples import Samples, Status, concatenate, make_samples
 from imufield.simulate.can_encode import CanEncoder
 
@@ -164,3 +167,21 @@ def test_garbage_is_a_typed_error(tmp_path: Path, suffix: str, capsys: pytest.Ca
     assert typed("import", path, *options, "-o", tmp_path / "mine") in (2, 4)
     assert str(path) in capsys.readouterr().err
     assert not (tmp_path / "mine").exists()
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
+def test_an_import_that_ends_early_leaves_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    def fail(recorder: object, *_: object) -> None:
+        if isinstance(error, OSError):
+            raise RecordingError("the disk is full", Reason.DISK_FULL) from error
+        raise error
+
+    path = tmp_path / "rows.csv"
+    path.write_text("time,ax,ay,az\n" + "".join(f"{k / 100},0,0,9.8\n" for k in range(50)))
+    monkeypatch.setattr(import_files, "write_rows", fail)
+    with pytest.raises((RecordingError, KeyboardInterrupt)) as caught:
+        import_files.import_session(import_files.ImportOptions(files=[path], output=tmp_path / "new"))
+    assert not (tmp_path / "new").exists()
+    assert "resume" not in str(caught.value)

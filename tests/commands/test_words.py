@@ -84,7 +84,7 @@ def test_an_import_onto_a_session_names_what_it_can_do(
         ("capture", "what was recorded is on disk"),
         ("solve", "interrupted"),
         ("emulate", "interrupted"),
-        ("import", "not whole"),
+        ("import", "nothing was imported"),
     ],
 )
 def test_an_interrupt_says_what_is_true(command: str, words: str) -> None:
