@@ -282,13 +282,13 @@ def sentences(instrument: InstrumentHistory, now: datetime, stale_days: float = 
     if not instrument.serial_number and len(instrument.entries) > 1:
         yield "the serial number is not known: these calibrations may be of several instruments"
     told = set()
-    for place in (-2, 0):
-        old = instrument.entries[place] if len(instrument.entries) >= 2 else None
-        for change in instrument.changes(place) if old is not None else ():
+    entries = list(instrument.entries)
+    for place in (-2, 0) if len(entries) >= 2 else ():
+        since = _moment(entries[place], entries[-1])
+        for change in instrument.changes(place):
             if not abs(change.in_sigma) > MOVED_SIGMA or change.name in told:
                 continue
             told.add(change.name)
-            since = "" if old is None else _moment(old, instrument.entries[-1])
             yield f"{change.name} moved {abs(change.in_sigma):.1f} sigma since {since} ({change.difference:+.4g} {change.unit})"
     age_days = instrument.age_days(now)
     if age_days > stale_days:
