@@ -27,7 +27,7 @@ from imufield.calibrate.moves import MoveCollector, collect_moves
 from imufield.calibrate.noise import NoiseStream
 from imufield.calibrate.result import GyroscopeParameters
 from imufield.calibrate.solvers.evolution import solve_ide
-from imufield.calibrate.turntable import RATES_DEG_S, TurntableRun, matrix_from_pairs, pair_runs, turns_problem
+from imufield.calibrate.turntable import TurntableRun, matrix_from_pairs, pair_runs, turns_problem
 from imufield.earth import EARTH_RATE_RAD_S, Gravity
 from imufield.guide.free import StillIntervalFinder, find_still_intervals
 from imufield.guide.positions import scheme
@@ -36,6 +36,7 @@ from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
 from imufield.simulate.grades import GRADES, draw_truth
 from imufield.simulate.imu import Imu, ImuSettings
 from imufield.simulate.operator import Operator, OperatorSettings
+from imufield.study.instruments import TURN_RATES_DEG_S
 
 PROJECT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(PROJECT / "tests" / "calibrate"))
@@ -171,7 +172,7 @@ def turntable(count: int = 30) -> None:
         runs = [
             TurntableRun(axis, way * w, M @ axis * way * w + sigma * rng.standard_normal(3), sigma**2 * np.eye(3))
             for axis in np.eye(3)
-            for w in np.radians(RATES_DEG_S)
+            for w in np.radians(TURN_RATES_DEG_S)
             for way in (1.0, -1.0)
         ]
         table = pair_runs(runs)
