@@ -28,7 +28,7 @@ from imufield.samples import Samples
 from imufield.simulate.accounting import random_samples, serial_wires
 from imufield.simulate.can_encode import CanEncoder
 
-SECONDS = float(os.environ.get("IMUFIELD_FUZZ_S", "2"))
+SECONDS = float(os.environ.get("IMUFIELD_FUZZ_S", "5"))
 SAMPLES = 40
 EXAMPLES_PER_ROUND = 40
 GROWTH_LIMIT_MB = 160.0
