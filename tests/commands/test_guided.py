@@ -171,7 +171,7 @@ def test_a_stopped_process_goes_on_where_it_was(program: Program, terminals: lis
 def test_a_full_disk_ends_with_a_sentence_and_a_resume(program: Program, terminals: list[Terminal]) -> None:
     port = program.emulate("--positions", "corners24", "--hold-s", 6, rate_hz=500)
     options = program.capture(port, "--latitude", 48)
-    limit = 1_500_000
+    limit = 500_000
     full = Terminal(program, *options, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
     terminals.append(full)
     assert full.wait() == 4

@@ -84,7 +84,7 @@ def test_options_of_one_session_are_refused(tmp_path: Path) -> None:
     folders = [tmp_path / name for name in NAMES]
     with pytest.raises(UsageError, match="names one file for several sessions"):
         run_solve_many(folders, SolveOptions(output=tmp_path / "p.toml"))
-    with pytest.raises(UsageError, match="sessions or --observations"):
+    with pytest.raises(UsageError, match="leave out the sessions"):
         run_solve_many(folders, SolveOptions(observations=tmp_path / "means.csv"))
     with pytest.raises(UsageError, match="needs the folders"):
         run_solve_many([], SolveOptions(), scheduler="tcp://127.0.0.1:1")

@@ -194,7 +194,7 @@ def test_a_known_heading_is_taken_instead_of_found(solved: Path, tmp_path: Path,
     output = tmp_path / "found.json"
     common = ["verify", str(solved / "parameters.toml"), str(session.folder), "--align-s", "200", "-o", str(output)]
     assert run([*common, "--heading", "-36.87", "--heading-sigma", "1"]) == 0
-    assert "heading -36.87 deg as told" in capsys.readouterr().out
+    assert "heading -36.87 deg as told" in " ".join(capsys.readouterr().out.split())
     document = json.loads(output.read_text())
     assert document["navigation"]["heading_deg"] == pytest.approx(-36.87)
     assert run([*common, "--heading", "400"]) == 2

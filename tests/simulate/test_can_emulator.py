@@ -118,10 +118,12 @@ def test_across_processes(kind: str) -> None:
             opened = open_can(f"{told}?sleep_after_open=0", driver="aceinna_can")
         samples = read(opened, lambda: child.poll() is not None or kind == "slcan")
         child.terminate()
-    assert len(samples) == 400
+    # A busy machine may drop a datagram of UDP; an adapter drops nothing.
+    fewest = 390 if kind == "udp_multicast" else 400
+    whole = samples[(samples.status & np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID)) == 0]
+    assert fewest <= len(whole) <= len(samples) <= 400
     # Something lies on a table.
-    assert np.linalg.norm(samples.accelerometer.mean(axis=0)) == pytest.approx(9.8, abs=0.1)
-    assert not (samples.status & np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID)).any()
+    assert np.linalg.norm(whole.accelerometer.mean(axis=0)) == pytest.approx(9.8, abs=0.1)
 
 
 def test_identity_is_answered(channel: str) -> None:
