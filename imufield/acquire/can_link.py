@@ -146,6 +146,7 @@ def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
         options["bitrate"] = bit_rate
     try:
         bus = can.Bus(address.channel, address.interface, ignore_config=True, **options)
+    # What python-can raises where the driver of an interface, or the package for it, is not installed.
     except can.CanInterfaceNotImplementedError as error:
         raise UsageError(
             f"CAN interface {address.interface} cannot be used here: {error}; install its driver or `pip install "

@@ -35,7 +35,6 @@ _DAMAGE = (
     IndexError,
     AttributeError,
     OverflowError,
-    NotImplementedError,
     RuntimeError,
     OSError,
     EOFError,

@@ -52,8 +52,31 @@ TRIAD_NAMES = tuple(f"{kind}.{axis}" for kind, axes in (
 """The vector of eq. 8 and 19 of [1]_."""
 
 
+class _Bounded:
+    """What both problems have: n first entries of the triad's vector, each between two bounds."""
+
+    __slots__ = ()
+    lower: FloatArray
+    upper: FloatArray
+
+    @property
+    def start(self) -> FloatArray:
+        """The middle of the bounds, shape (n,)."""
+        return (self.lower + self.upper) / 2
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Limits, shape (n,) each."""
+        return self.lower, self.upper
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the n entries."""
+        return TRIAD_NAMES[: len(self.lower)]
+
+
 @dataclass(frozen=True, slots=True)
-class TriadProblem:
+class TriadProblem(_Bounded):
     """N = K E w + n0 against one known norm: L_a and L_g of [1]_ eq. 7, in the vector [K, E, n0] of eq. 8.
 
     Attributes
@@ -70,21 +93,6 @@ class TriadProblem:
     reference: float
     lower: FloatArray
     upper: FloatArray
-
-    @property
-    def start(self) -> FloatArray:
-        """The middle of the bounds."""
-        return (self.lower + self.upper) / 2
-
-    @property
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Limits, shape (12,) each."""
-        return self.lower, self.upper
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the 12 entries."""
-        return TRIAD_NAMES
 
     def inputs(self, candidates: FloatArray) -> FloatArray:
         """Return w = (K E)^-1 (N - n0), shape (c, 12) -> (c, 3, m) (eq. 6 of [1]_)."""
@@ -116,7 +124,7 @@ class TriadProblem:
 
 
 @dataclass(frozen=True, slots=True)
-class TurnsProblem:
+class TurnsProblem(_Bounded):
     """K E from J pairs of opposite turns, in the vector [K, E], shape (9,).
 
     Attributes
@@ -139,21 +147,6 @@ class TurnsProblem:
     unit: float = 1.0
     """Raw units in which the cost is expressed: with the nominal K it is in (deg/s)^2 or deg/s where rates are in deg/s.
     Eq. 17 of [1]_ is not free of units, so a cost in squared pulses would keep its mutation factor up."""
-
-    @property
-    def start(self) -> FloatArray:
-        """The middle of the bounds."""
-        return (self.lower + self.upper) / 2
-
-    @property
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Limits, shape (9,) each."""
-        return self.lower, self.upper
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the 9 entries."""
-        return TRIAD_NAMES[:9]
 
     def _terms(self, candidates: FloatArray) -> FloatArray:
         turned = self.rate @ np.swapaxes(unit_diagonal_matrices(candidates[:, 3:]), 1, 2) * candidates[:, None, :3]
