@@ -46,14 +46,16 @@ class Restart:
     vector: FloatArray
     """The calibration's parameters, shape (15,)."""
     preset: FloatArray | None
+    free: tuple[int, ...]
+    """Parameters that may move."""
 
     def with_cost(self, cost_name: CostName) -> NormProblem:
         """Return the problem with another cost."""
         return replace(self.problem, cost_name=cost_name)
 
-    def in_gauge(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return parameters and basis of coordinates, in the calibration's gauge."""
-        change = change_gauge(self.problem.vector(z), self.calibration.gauge, self.preset)
+    def in_gauge(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return parameters that were found, and the basis of the coordinates, in the calibration's gauge."""
+        change = change_gauge(vector, self.calibration.gauge, self.preset)
         return change.vector, change.jacobian @ self.problem.basis
 
     def gauge_free_sigma(self) -> FloatArray:
@@ -98,7 +100,7 @@ def restart(observations: Observations, calibration: Calibration, preset: Accele
     problem = whitened_problem(
         start, raw, gravity, quadratic_axes=used.quadratic_axes, cost_name="weighted", sigma_m_s2=sigma, free=free
     )
-    return Restart(calibration, problem, vector, before)
+    return Restart(calibration, problem, vector, before, free)
 
 
 def _start(
@@ -172,8 +174,9 @@ def solve_with(
     if find_method(method).name == LEAST_SQUARES:
         return calibration
     again = restart(observations, calibration, preset)
-    found = load_solver(method)(problem_for(again, method), rng=rng, callback=callback)
-    vector, basis = again.in_gauge(found.x)
+    problem = problem_for(again, method)
+    found = load_solver(method)(problem, rng=rng, callback=callback)
+    vector, basis = again.in_gauge(problem.vector(found.x))
     if polish and found.converged:
         found, vector = _polished(again, found, vector, basis)
     return _replaced(
@@ -187,7 +190,7 @@ def problem_for(again: Restart, method: str) -> NormProblem:
     if method != "bsas-staged":
         return problem
     # The paper's own coordinates: the parameters themselves, in their own units.
-    return replace(problem, basis=np.eye(PARAMETERS), reach=np.inf)
+    return replace(problem, basis=np.eye(PARAMETERS)[:, list(again.free)], reach=np.inf)
 
 
 def _polished(again: Restart, found: SolverResult, vector: FloatArray, basis: FloatArray) -> tuple[SolverResult, FloatArray]:
@@ -254,8 +257,9 @@ def cross_check(
     again = restart(observations, calibration, preset)
 
     def attempt(method: str, cost_name: CostName) -> Attempt:
-        found = load_solver(method)(_relative(again, cost_name, method), rng=rng)
-        numbers = intrinsic(again.in_gauge(found.x)[0], again.problem.quadratic_axes)[0]
+        problem = _relative(again, cost_name, method)
+        found = load_solver(method)(problem, rng=rng)
+        numbers = intrinsic(again.in_gauge(problem.vector(found.x))[0], problem.quadratic_axes)[0]
         return numbers, "" if found.converged else found.message
 
     return compare("accelerometer", attempt, GAUGE_FREE_NAMES, again.gauge_free_sigma(), methods)
@@ -263,7 +267,7 @@ def cross_check(
 
 def _relative(again: Restart, cost_name: CostName, method: str) -> NormProblem:
     """Return the problem with weights relative to their median: a swarm's costs should be near those of its paper, in m/s^2."""
-    problem = again.with_cost(cost_name)
+    problem = replace(problem_for(again, method), cost_name=cost_name)
     if method == LEAST_SQUARES:
         return problem
     return replace(problem, sigma_m_s2=problem.sigma_m_s2 / np.median(problem.sigma_m_s2))

@@ -11,6 +11,7 @@ from imufield.calibrate.methods import cross_check, problem_for, restart, solve_
 from imufield.calibrate.models import to_vector
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import AccelerometerParameters, Calibration
+from imufield.calibrate.solvers.registry import METHODS
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 
@@ -59,9 +60,24 @@ def test_a_method_that_did_not_converge_is_called_poor_and_told_so_first() -> No
     assert found.quality.reasons[0].startswith("the method bas did not converge, do not use these parameters")
 
 
-def test_the_staged_form_moves_the_parameters_themselves() -> None:
-    observations, plain = calibrated(1)
-    assert problem_for(restart(observations, plain), "bsas-staged").basis.tolist() == np.eye(15).tolist()
+@pytest.mark.parametrize(("seed", "quadratic", "moved"), [(1, 0.0, 12), (2, 0.05, 15)])
+def test_the_staged_form_moves_the_fitted_parameters_themselves(seed: int, quadratic: float, moved: int) -> None:
+    observations, plain = calibrated(seed, quadratic)
+    assert problem_for(restart(observations, plain), "bsas-staged").basis.tolist() == np.eye(15)[:, :moved].tolist()
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("seed", "quadratic", "polish"), [(1, 0.0, False), (2, 0.05, True)])
+def test_every_method_gives_a_result_of_the_same_model(seed: int, quadratic: float, polish: bool, method: str) -> None:
+    observations, plain = calibrated(seed, quadratic)
+    found = solve_with(method, observations, plain, rng=np.random.default_rng(0), polish=polish)
+    assert np.isfinite(to_vector(found.accelerometer)).all()
+    assert plain.quadratic_fitted or not np.any(found.accelerometer.quadratic)
+    if found.solver.converged:
+        # Each cost has a minimum of its own, a little from that of the squares.
+        assert found.quality.residual_rms_m_s2 < 1.5 * plain.quality.residual_rms_m_s2
+    else:
+        assert found.quality.verdict == "poor"
 
 
 def test_least_squares_is_what_there_is_already() -> None:

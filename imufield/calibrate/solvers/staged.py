@@ -39,7 +39,7 @@ class StagedSettings:
     swarm: BsasSettings = field(default_factory=BsasSettings)
     rounds: int = 1
     categories: Categories | None = None
-    """None: the paper's four for 15 coordinates, else groups of three."""
+    """None: the paper's, see ``default_categories``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,9 +135,9 @@ def solve_bsas_staged(
 
 
 def default_categories(n: int) -> Categories:
-    """Return the paper's categories for its 15 parameters, else groups of three coordinates."""
-    if n == PARAMETERS:
-        return PAPER_CATEGORIES
+    """Return the paper's categories for its 15 parameters or the 12 without K2, else groups of three coordinates."""
+    if n in (PARAMETERS, QUADRATIC.start):
+        return tuple(members for members in PAPER_CATEGORIES if members[0] < n)
     return tuple(tuple(range(first, min(first + _GROUP, n))) for first in range(0, n, _GROUP))
 
 
