@@ -106,7 +106,7 @@ def run_demo(*, seed: int, speed: float, plain: bool, root: Path = DEFAULT_ROOT)
 @contextmanager
 def _emulator(seed: int, speed: float, truth: Path) -> Iterator[str]:
     """Run ``imufield emulate`` in a process of its own; yield the port."""
-    command = [sys.executable, "-m", "imufield", "emulate", "stim300", "--json", "--wait", "--truth", str(truth)]
+    command = [sys.executable, "-P", "-m", "imufield", "emulate", "stim300", "--json", "--wait", "--truth", str(truth)]
     command += [
         "--seed",
         str(seed),
