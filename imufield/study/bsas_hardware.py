@@ -184,6 +184,20 @@ def _navigations(context: StudyContext) -> list[Navigation]:
     return context.campaign("bsas-table6", run_navigation, range(context.runs(40, 2)))
 
 
+_TABLE_6_DIFFERENCES = (
+    (
+        "Alignment hides the accelerometer: a constant error tilts the level found so that it cancels "
+        "while the unit stays as it stood. What is left is the gyroscope, which was not recalibrated: "
+        "0.01 deg/h makes errors of miles in five hours."
+    ),
+    (
+        "So a change of 3 % says next to nothing about the accelerometer: over many instruments it has "
+        "either sign. The proof of an accelerometer calibration is in positions not used for it "
+        "(bsas-table5)."
+    ),
+)
+
+
 def table_6(context: StudyContext) -> StudyReport:
     """Compare the position error of five hours at rest before and after."""
     runs = _navigations(context)
@@ -213,18 +227,7 @@ def table_6(context: StudyContext) -> StudyReport:
         f"{_SETTING} Gyroscope bias 0.01 deg/h on each axis, either sign, 0.003 deg/sqrt(h), 10 ug/sqrt(Hz), ten "
         f"minutes of alignment with the parameters that then navigate; {len(runs)} instruments.",
         comparisons,
-        (
-            (
-                "Alignment hides the accelerometer: a constant error tilts the level found so that it cancels "
-                "while the unit stays as it stood. What is left is the gyroscope, which was not recalibrated: "
-                "0.01 deg/h makes errors of miles in five hours."
-            ),
-            (
-                "So a change of 3 % says next to nothing about the accelerometer: over many instruments it has "
-                "either sign. The proof of an accelerometer calibration is in positions not used for it "
-                "(bsas-table5)."
-            ),
-        ),
+        _TABLE_6_DIFFERENCES,
         (Table("errors", ("instrument", "old maximum", "old mean", "new maximum", "new mean"), rows),),
         figures.bars(("maximum", "mean"), {name: np.median(figures_of[name], axis=0) for name in ("old", "new")}, "nmi"),
     )

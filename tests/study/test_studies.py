@@ -70,6 +70,7 @@ def test_a_report_leaves_csv_and_plot(report_of: Callable[[str], StudyReport], f
     assert len(rows) == 1 + len(report.comparisons)
     tables = list(folder.glob(f"{name}-*.csv"))
     assert len(tables) == len(report.tables)
+    assert all(len(row) == len(table.columns) for table in report.tables for row in table.rows)
     if report.draw is not None:
         assert (folder / f"{name}.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
