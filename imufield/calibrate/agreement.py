@@ -28,7 +28,7 @@ Attempt = tuple[FloatArray, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Disagreement:
+class MethodDifference:
     """The largest difference between two methods in one number."""
 
     sigma: float
@@ -42,9 +42,9 @@ class CrossCheck:
 
     what: str
     """Accelerometer or gyroscope."""
-    own_costs: Disagreement
+    own_costs: MethodDifference
     """Each with the cost of its paper."""
-    one_cost: Disagreement
+    one_cost: MethodDifference
     """All with the weighted cost."""
     not_converged: tuple[str, ...]
     """A sentence for each run that did not converge."""
@@ -106,14 +106,14 @@ def compare(
     return CrossCheck(what, _largest(own, names, sigma), _largest(one, names, sigma), tuple(dict.fromkeys(open_runs)), own)
 
 
-def _largest(found: Mapping[str, FloatArray], names: Sequence[str], sigma: FloatArray) -> Disagreement:
+def _largest(found: Mapping[str, FloatArray], names: Sequence[str], sigma: FloatArray) -> MethodDifference:
     methods = list(found)
-    largest = Disagreement(0.0, "", (methods[0], methods[-1]))
+    largest = MethodDifference(0.0, "", (methods[0], methods[-1]))
     fitted = sigma > 1e-9 * np.maximum(np.abs(found[methods[0]]), np.finfo(float).tiny)
     for i, first in enumerate(methods):
         for second in methods[i + 1 :]:
             apart = np.where(fitted, np.abs(found[first] - found[second]) / np.where(fitted, sigma, 1.0), 0.0)
             worst = int(np.argmax(apart))
             if apart[worst] > largest.sigma:
-                largest = Disagreement(float(apart[worst]), names[worst], (first, second))
+                largest = MethodDifference(float(apart[worst]), names[worst], (first, second))
     return largest
