@@ -67,7 +67,7 @@ class MethodRun:
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class MethodJob:
     """A method on a cost; the library's methods are slow, so a quick study gives them fewer generations."""
 
     method: str
@@ -83,7 +83,7 @@ class Job:
         return load_solver(name)
 
 
-def run_method(job: Job, rng: np.random.Generator) -> MethodRun:
+def run_method(job: MethodJob, rng: np.random.Generator) -> MethodRun:
     """Draw a data set and solve it."""
     cost_name = job.cost_name
     problem: TriadProblem | TurnsProblem = ide_problem(rng) if cost_name == "accelerometer" else make_problem(cost_name, rng)
@@ -96,7 +96,7 @@ def run_method(job: Job, rng: np.random.Generator) -> MethodRun:
 def _runs(context: StudyContext) -> dict[tuple[str, str], list[MethodRun]]:
     keys = [(method, cost) for cost in COSTS for method in METHODS]
     runs = context.runs(30, 2)
-    found = context.campaign("ide-table5", run_method, [Job(*key, context.quick) for key in keys for _ in range(runs)])
+    found = context.campaign("ide-table5", run_method, [MethodJob(*key, context.quick) for key in keys for _ in range(runs)])
     return {key: found[k * runs : (k + 1) * runs] for k, key in enumerate(keys)}
 
 
@@ -156,7 +156,7 @@ class Flight:
     errors: NavigationErrors
 
 
-def run_flight(job: Job, rng: np.random.Generator) -> Flight:
+def run_flight(job: MethodJob, rng: np.random.Generator) -> Flight:
     """Calibrate both triads by one method and navigate at rest with the result, the attitude given as in the paper.
 
     The method "ide, vector form" is IDE with the vector form in place of eq. 26.
@@ -212,7 +212,7 @@ _FLOWN = (*METHODS, "ide, vector form")
 def _flights(context: StudyContext) -> dict[str, list[NavigationErrors]]:
     runs = context.runs(10, 1)
     costs = {method: "vector" if "vector" in method else "norm" for method in _FLOWN}
-    jobs = [Job(method, cost, context.quick) for method, cost in costs.items() for _ in range(runs)]
+    jobs = [MethodJob(method, cost, context.quick) for method, cost in costs.items() for _ in range(runs)]
     found = context.campaign("ide-fig10", run_flight, jobs)
     return {method: [f.errors for f in found if f.method == method] for method in _FLOWN}
 
