@@ -27,8 +27,8 @@ TIME_CONSTANTS_S = 0.5 * _SPACING ** np.arange(9)
 """0.5 s to 5000 s: faster flicker drowns in white noise, slower looks constant over one session."""
 
 
-class Drift:
-    """Drift of several channels, read at rising times.
+class BiasDrift:
+    """Drift of the biases of several channels, read at rising times.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from imufield.calibrate.models import predict, predict_gyroscope
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, IntArray, Samples, Status, no_samples
-from imufield.simulate.drift import Drift
+from imufield.simulate.drift import BiasDrift
 from imufield.simulate.grades import REFERENCE_TEMPERATURE_DEGC, Instrument, TriadGrade
 from imufield.simulate.motion import TrueMotion
 
@@ -71,7 +71,7 @@ class Imu:
         self._sigma = np.sqrt(rate) * _six(grade.accelerometer.noise_density, grade.gyroscope.noise_density)
         instability = _six(grade.accelerometer.bias_instability, grade.gyroscope.bias_instability)
         walk = _six(grade.accelerometer.random_walk, grade.gyroscope.random_walk)
-        self._drift = Drift(instability, walk, drift_rng)
+        self._drift = BiasDrift(instability, walk, drift_rng)
         self._units = replace(grade.units, interval_s=1 / rate) if _increments(instrument) else grade.units
         self._delay = _Delay(instrument.triad_delay_s / self.interval_s)
         self._carry = np.zeros(6)

@@ -19,7 +19,7 @@ from imufield.guide.free import StillIntervalFinder
 from imufield.guide.positions import scheme
 from imufield.guide.scale import RoughScale
 from imufield.samples import FloatArray, Samples
-from imufield.simulate.drift import Drift
+from imufield.simulate.drift import BiasDrift
 from imufield.simulate.grades import GRADES, Instrument, draw_truth
 from imufield.simulate.imu import Imu, ImuSettings
 from imufield.simulate.motion import Site, conjugate, logarithm, multiply
@@ -108,7 +108,7 @@ def mean_drift(instrument: Instrument, seed: int, observations: Observations) ->
     grade = instrument.grade
     instability = np.repeat([grade.accelerometer.bias_instability, grade.gyroscope.bias_instability], 3)
     walk = np.repeat([grade.accelerometer.random_walk, grade.gyroscope.random_walk], 3)
-    drift = Drift(instability, walk, np.random.default_rng([seed, 102]))
+    drift = BiasDrift(instability, walk, np.random.default_rng([seed, 102]))
     centre_s = np.sort(observations.start_s + observations.duration_s / 2)
     return np.asarray(np.mean([drift.at(np.array([time_s]))[0, 3:] for time_s in centre_s], axis=0))
 

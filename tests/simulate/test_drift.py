@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from imufield.simulate.drift import Drift
+from imufield.simulate.drift import BiasDrift
 
 
 def allan(values: np.ndarray, group: int) -> float:
@@ -18,7 +18,7 @@ def allan(values: np.ndarray, group: int) -> float:
 
 
 def read(instability: float, walk: float, duration_s: float, seed: int = 1, channels: int = 8) -> np.ndarray:
-    drift = Drift(np.full(channels, instability), np.full(channels, walk), np.random.default_rng(seed))
+    drift = BiasDrift(np.full(channels, instability), np.full(channels, walk), np.random.default_rng(seed))
     return drift.at(np.arange(0.0, duration_s, 0.5))
 
 
@@ -37,12 +37,12 @@ def test_random_walk_rises_with_the_root_of_time(tau_s: int) -> None:
 
 def test_reading_in_pieces_changes_nothing() -> None:
     time_s = np.arange(0.0, 60.0, 0.013)
-    whole = Drift(np.ones(2), np.ones(2), np.random.default_rng(1)).at(time_s)
-    drift = Drift(np.ones(2), np.ones(2), np.random.default_rng(1))
+    whole = BiasDrift(np.ones(2), np.ones(2), np.random.default_rng(1)).at(time_s)
+    drift = BiasDrift(np.ones(2), np.ones(2), np.random.default_rng(1))
     parts = [drift.at(part) for part in np.array_split(time_s, 37)]
     np.testing.assert_array_equal(np.concatenate(parts), whole)
 
 
 def test_it_is_continuous() -> None:
-    values = Drift(np.ones(3), np.zeros(3), np.random.default_rng(1)).at(np.arange(0.0, 30.0, 1e-3))
+    values = BiasDrift(np.ones(3), np.zeros(3), np.random.default_rng(1)).at(np.arange(0.0, 30.0, 1e-3))
     assert np.abs(np.diff(values, axis=0)).max() < 0.05
