@@ -35,9 +35,9 @@ _EMULATE = """
 import sys
 from imufield.acquire.protocol import load_protocol
 from imufield.simulate.can_emulator import CanEmulator
-from imufield.simulate.emulate import EmulateOptions, make_virtual_imu
+from imufield.simulate.emulate import Emulation, make_virtual_imu
 from imufield.simulate.emulator import EmulatorSettings
-source = make_virtual_imu(EmulateOptions(device="text", rate_hz=float(sys.argv[2])))
+source = make_virtual_imu(Emulation(device="text", rate_hz=float(sys.argv[2])))
 with CanEmulator(load_protocol("j1939_imu"), source, sys.argv[1], EmulatorSettings(duration_s=float(sys.argv[3]))) as emulator:
     print(emulator.bus, flush=True)
     emulator.wait()

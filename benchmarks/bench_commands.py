@@ -28,7 +28,7 @@ from imufield.acquire.session import Session
 from imufield.commands.chain import part_metadata, session_samples
 from imufield.guide.positions import scheme
 from imufield.simulate.devices import Stim300Device
-from imufield.simulate.emulate import EmulateOptions, make_virtual_imu
+from imufield.simulate.emulate import Emulation, make_virtual_imu
 from imufield.simulate.encode import Stim300Format
 from imufield.simulate.operator import OperatorSettings
 
@@ -153,7 +153,7 @@ def write_long_session(folder: Path) -> Session:
     directions = scheme("paper24").directions()
     hold_s = (LONG_SESSION_S - 30) / len(directions) - 3
     operator = OperatorSettings(hold_s=hold_s)
-    source = make_virtual_imu(EmulateOptions(rate_hz=RATE_HZ, seed=1, directions=directions, operator=operator))
+    source = make_virtual_imu(Emulation(rate_hz=RATE_HZ, seed=1, directions=directions, operator=operator))
     protocol = load_driver("stim300").load_protocol({"rate_hz": RATE_HZ})
     device = Stim300Device(Stim300Format(rate_hz=RATE_HZ))
     metadata = {

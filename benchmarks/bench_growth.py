@@ -19,7 +19,7 @@ from imufield.acquire.session import Session
 from imufield.commands.chain import part_metadata
 from imufield.guide.positions import scheme
 from imufield.simulate.devices import Stim300Device
-from imufield.simulate.emulate import EmulateOptions, make_virtual_imu
+from imufield.simulate.emulate import Emulation, make_virtual_imu
 from imufield.simulate.encode import Stim300Format
 from imufield.simulate.operator import OperatorSettings
 
@@ -40,7 +40,7 @@ def write_session(folder: Path, duration_s: float) -> Session:
     """Simulate an operator who holds six faces for as long as it takes."""
     directions = scheme("faces6").directions()
     operator = OperatorSettings(hold_s=(duration_s - 12) / len(directions) - 3, initial_still_s=8.0)
-    source = make_virtual_imu(EmulateOptions(rate_hz=RATE_HZ, seed=1, directions=directions, operator=operator))
+    source = make_virtual_imu(Emulation(rate_hz=RATE_HZ, seed=1, directions=directions, operator=operator))
     protocol = load_driver("stim300").load_protocol({"rate_hz": RATE_HZ})
     device = Stim300Device(Stim300Format(rate_hz=RATE_HZ))
     metadata = {

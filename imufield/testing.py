@@ -131,12 +131,12 @@ def imufield_can_bus() -> Iterator[Callable[..., CanEmulator]]:
 
 
 def _make_emulator(driver: str, faults: WireFaults, options: dict[str, Any]) -> EmulatorCore:
-    from imufield.simulate.emulate import EmulateOptions, make_emulator
+    from imufield.simulate.emulate import Emulation, make_emulator
     from imufield.simulate.emulator_core import EmulatorSettings
 
     names = ("speed", "wait_for_reader", "duration_s")
     run = EmulatorSettings(**{name: options.pop(name) for name in names if name in options})
-    return make_emulator(EmulateOptions(driver, faults=faults, run=run, **options))
+    return make_emulator(Emulation(driver, faults=faults, run=run, **options))
 
 
 @pytest.fixture

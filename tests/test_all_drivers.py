@@ -18,7 +18,7 @@ from imufield.acquire.link import Link, open_link
 from imufield.acquire.protocol import load_protocol, protocol_names
 from imufield.acquire.registry import load_driver, shipped_names
 from imufield.samples import Samples, concatenate
-from imufield.simulate.emulate import EmulateOptions, choose_wire, make_emulator
+from imufield.simulate.emulate import Emulation, choose_wire, make_emulator
 from imufield.simulate.emulator_core import EmulatorCore, EmulatorSettings
 
 NAMES = shipped_names()
@@ -120,7 +120,7 @@ def test_emulated_instrument_is_read_back(driver: type[Driver]) -> None:
     """The instrument lies on a table; every sample comes through port or bus, link and decoder, in SI."""
     run = EmulatorSettings(duration_s=DURATION_S, wait_for_reader=driver.wire == "serial")
     bus = f"virtual:{driver.name}-{os.getpid()}" if driver.wire == "can" else None
-    options = EmulateOptions(driver.name, run=run, bus=bus)
+    options = Emulation(driver.name, run=run, bus=bus)
     wire = choose_wire(options)
     opened = open_can(bus, driver=driver.name) if bus else None
     decoder = Decoder(wire.protocol) if opened is None else opened.decoder

@@ -13,7 +13,7 @@ import pytest
 from imufield.calibrate.gauge import intrinsic
 from imufield.calibrate.models import to_vector
 from imufield.guide.positions import scheme
-from imufield.simulate.emulate import EmulateOptions, make_virtual_imu
+from imufield.simulate.emulate import Emulation, make_virtual_imu
 from imufield.simulate.operator import OperatorSettings
 from imufield.testing import Replayed
 
@@ -35,9 +35,7 @@ def test_every_side_is_accepted_once(replayed: Replayed) -> None:
 
 def test_scale_and_bias_are_those_it_was_simulated_with(replayed: Replayed) -> None:
     habits = OperatorSettings(hold_s=5.0, initial_still_s=8.0)
-    source = make_virtual_imu(
-        EmulateOptions(rate_hz=125.0, seed=SEED, directions=scheme("faces6").directions(), operator=habits)
-    )
+    source = make_virtual_imu(Emulation(rate_hz=125.0, seed=SEED, directions=scheme("faces6").directions(), operator=habits))
     truth = source.imu.instrument.accelerometer
     true, _ = intrinsic(to_vector(truth))
     found = replayed.parameters.calibration.accelerometer

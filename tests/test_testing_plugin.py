@@ -19,7 +19,7 @@ from imufield.acquire.protocol import load_protocol
 from imufield.acquire.recording import RecordedEvent, read_session
 from imufield.acquire.session import Session
 from imufield.guide.positions import scheme
-from imufield.simulate.emulate import EmulateOptions, make_virtual_imu
+from imufield.simulate.emulate import Emulation, make_virtual_imu
 from imufield.simulate.encode import Stim300Encoder, Stim300Format
 from imufield.simulate.operator import OperatorSettings
 from imufield.testing import Replayed
@@ -35,7 +35,7 @@ def dump(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a file of the bytes that an instrument sent while somebody showed its six faces."""
     operator = OperatorSettings(hold_s=6.0, initial_still_s=6.0)
     directions = scheme("faces6").directions()
-    source = make_virtual_imu(EmulateOptions(rate_hz=RATE_HZ, seed=2, directions=directions, operator=operator))
+    source = make_virtual_imu(Emulation(rate_hz=RATE_HZ, seed=2, directions=directions, operator=operator))
     samples = source.next_block(int(source.operator.plan_all() * RATE_HZ))
     path = tmp_path_factory.mktemp("dump") / "imu.bin"
     path.write_bytes(Stim300Encoder(Stim300Format(rate_hz=RATE_HZ)).encode(samples).tobytes())

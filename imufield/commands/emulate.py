@@ -18,8 +18,7 @@ from imufield.deliver.numbers import beside
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting
 from imufield.guide.positions import scheme
-from imufield.simulate.emulate import TRUTH_FORMAT, WireChoice, choose_wire, emulate
-from imufield.simulate.emulate import EmulateOptions as Emulation
+from imufield.simulate.emulate import TRUTH_FORMAT, Emulation, WireChoice, choose_wire, emulate
 from imufield.simulate.emulator_core import EmulatorCore, EmulatorSettings
 from imufield.simulate.faults import CanFaults, Faults, WireFaults
 from imufield.simulate.operator import OperatorSettings

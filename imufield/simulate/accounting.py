@@ -19,7 +19,7 @@ from imufield.acquire.protocol import Protocol, load_protocol
 from imufield.acquire.registry import load_driver, shipped_names
 from imufield.samples import FloatArray, IntArray, Samples, Status, concatenate, make_samples
 from imufield.simulate.devices import Device, Frames
-from imufield.simulate.emulate import OWN_RATE_HZ, EmulateOptions, WireChoice, choose_wire, make_device
+from imufield.simulate.emulate import OWN_RATE_HZ, Emulation, WireChoice, choose_wire, make_device
 from imufield.simulate.wire_forms import wire_forms
 
 BIT_FLIPS, LOST_BYTES = 1e-4, 1e-5
@@ -43,11 +43,11 @@ class Wire:
 
     def choose(self) -> WireChoice:
         """Return protocol, settings and rate."""
-        return choose_wire(EmulateOptions(self.driver, form=self.form or None))
+        return choose_wire(Emulation(self.driver, form=self.form or None))
 
     def device(self) -> Device:
         """Return a new instrument."""
-        return make_device(EmulateOptions(self.driver, form=self.form or None), self.choose())
+        return make_device(Emulation(self.driver, form=self.form or None), self.choose())
 
 
 def serial_wires() -> list[Wire]:

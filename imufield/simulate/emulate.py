@@ -44,7 +44,7 @@ _STIM300_RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
 
 
 @dataclass(frozen=True, slots=True)
-class EmulateOptions:
+class Emulation:
     """What to emulate."""
 
     device: str = "stim300"
@@ -89,7 +89,7 @@ class WireChoice:
     """None for a protocol file of the user."""
 
 
-def choose_wire(options: EmulateOptions) -> WireChoice:
+def choose_wire(options: Emulation) -> WireChoice:
     """Return what goes on the wire.
 
     Raises
@@ -128,7 +128,7 @@ def choose_wire(options: EmulateOptions) -> WireChoice:
     return WireChoice(protocol, rate_hz, form, baud, told, driver)
 
 
-def make_virtual_imu(options: EmulateOptions, rate_hz: float | None = None) -> VirtualImu:
+def make_virtual_imu(options: Emulation, rate_hz: float | None = None) -> VirtualImu:
     """Return the instrument and its operator, drawn from the seed; ``rate_hz`` is the wire's where options have none."""
     grade = find_grade(options.grade)
     instrument = draw_truth(grade, np.random.default_rng([options.seed, 401]))
@@ -137,7 +137,7 @@ def make_virtual_imu(options: EmulateOptions, rate_hz: float | None = None) -> V
     return VirtualImu(Imu(instrument, options.seed, replace(options.imu, rate_hz=rate_hz)), operator)
 
 
-def make_emulator(options: EmulateOptions) -> EmulatorCore:
+def make_emulator(options: Emulation) -> EmulatorCore:
     """Return the emulator, not yet started: a ``CanEmulator`` for an instrument on a bus, else an ``Emulator``.
 
     Raises
@@ -158,7 +158,7 @@ def make_emulator(options: EmulateOptions) -> EmulatorCore:
     return _on_port(options, make_device(options, wire), converted, source)
 
 
-def _on_port(options: EmulateOptions, device: Device, source: Any, virtual: VirtualImu) -> Emulator:
+def _on_port(options: Emulation, device: Device, source: Any, virtual: VirtualImu) -> Emulator:
     if options.bus is not None:
         raise UsageError(f"{options.device} is no instrument of a CAN bus; leave --bus out", bus=options.bus)
     if not isinstance(options.faults, Faults):
@@ -167,7 +167,7 @@ def _on_port(options: EmulateOptions, device: Device, source: Any, virtual: Virt
     return Emulator(device, source, options.run, faults=options.faults, seed=options.seed, on_progress=progress)
 
 
-def _on_bus(options: EmulateOptions, protocol: Protocol, source: InProtocolUnits, virtual: VirtualImu) -> EmulatorCore:
+def _on_bus(options: Emulation, protocol: Protocol, source: InProtocolUnits, virtual: VirtualImu) -> EmulatorCore:
     from imufield.simulate.can_emulator import CanEmulator
 
     # The default of the options is no fault at all, on whatever wire.
@@ -179,12 +179,12 @@ def _on_bus(options: EmulateOptions, protocol: Protocol, source: InProtocolUnits
     return CanEmulator(protocol, source, bus, options.run, faults=faults, seed=options.seed, on_progress=progress)
 
 
-def emulate(options: EmulateOptions, on_start: Callable[[EmulatorCore], None] | None = None) -> EmulatorCore:
+def emulate(options: Emulation, on_start: Callable[[EmulatorCore], None] | None = None) -> EmulatorCore:
     """Run a virtual instrument until its time is over; Ctrl-C ends it too and is passed on.
 
     Parameters
     ----------
-    options : EmulateOptions
+    options : Emulation
     on_start : callable, optional
         Called with the running emulator, which knows its address.
 
@@ -204,7 +204,7 @@ def emulate(options: EmulateOptions, on_start: Callable[[EmulatorCore], None] | 
     return emulator
 
 
-def truth_document(options: EmulateOptions, source: VirtualImu) -> dict[str, Any]:
+def truth_document(options: Emulation, source: VirtualImu) -> dict[str, Any]:
     """Return the truth as plain values; times are on the sample clock, which is 0 at the first sample.
 
     ``mean_drift`` is what the slow drift added to the bias on average so far; a calibration sees the sum.
@@ -238,7 +238,7 @@ def truth_document(options: EmulateOptions, source: VirtualImu) -> dict[str, Any
     }
 
 
-def write_truth(options: EmulateOptions, source: VirtualImu) -> None:
+def write_truth(options: Emulation, source: VirtualImu) -> None:
     """Write the truth known so far to ``options.truth``."""
     if options.truth is None:
         return
@@ -250,7 +250,7 @@ def write_truth(options: EmulateOptions, source: VirtualImu) -> None:
 class _TruthKeeper:
     """Writes the truth at the start and whenever the operator has planned further."""
 
-    def __init__(self, options: EmulateOptions, source: VirtualImu) -> None:
+    def __init__(self, options: Emulation, source: VirtualImu) -> None:
         self._options, self._source = options, source
         self._written: tuple[object, ...] = ()
 
@@ -262,7 +262,7 @@ class _TruthKeeper:
             write_truth(self._options, self._source)
 
 
-def make_device(options: EmulateOptions, wire: WireChoice) -> Device:
+def make_device(options: Emulation, wire: WireChoice) -> Device:
     """Return the instrument on a serial line, without port or samples.
 
     Raises

@@ -24,7 +24,7 @@ from imufield.commands.chain import part_metadata
 from imufield.guide.positions import scheme
 from imufield.samples import Samples
 from imufield.simulate.devices import Stim300Device
-from imufield.simulate.emulate import EmulateOptions, make_virtual_imu
+from imufield.simulate.emulate import Emulation, make_virtual_imu
 from imufield.simulate.emulator import VirtualImu
 from imufield.simulate.encode import Stim300Format
 from imufield.simulate.imu import Imu
@@ -128,9 +128,9 @@ def simulated_session(
         style=style,  # type: ignore[arg-type]
         rotations=rotations,  # type: ignore[arg-type]
     )
-    source = make_virtual_imu(EmulateOptions(rate_hz=RATE_HZ, seed=3, directions=directions, operator=habits))
+    source = make_virtual_imu(Emulation(rate_hz=RATE_HZ, seed=3, directions=directions, operator=habits))
     if day:
-        other = make_virtual_imu(EmulateOptions(rate_hz=RATE_HZ, seed=3 + day, directions=directions, operator=habits))
+        other = make_virtual_imu(Emulation(rate_hz=RATE_HZ, seed=3 + day, directions=directions, operator=habits))
         source = VirtualImu(Imu(source.imu.instrument, 3 + day, source.imu.settings), other.operator)
     duration_s = source.operator.plan_all() - 0.5
     protocol = load_driver("stim300").load_protocol({"rate_hz": RATE_HZ})

@@ -28,7 +28,7 @@ from imufield.commands.chain import session_samples
 from imufield.guide.positions import scheme
 from imufield.samples import Status, concatenate
 from imufield.simulate.can_emulator import CanEmulator
-from imufield.simulate.emulate import EmulateOptions, make_virtual_imu
+from imufield.simulate.emulate import Emulation, make_virtual_imu
 from imufield.simulate.emulator import EmulatorSettings
 from imufield.simulate.faults import CanFaults
 from imufield.simulate.operator import OperatorSettings
@@ -80,7 +80,7 @@ def emulate() -> Iterator[Emulate]:
         ) -> CanEmulator:
             habits = OperatorSettings(hold_s=6.0, initial_still_s=still_s)
             directions = scheme(positions).directions() if positions else ()
-            options = EmulateOptions("text", rate_hz=100.0, grade="mems", seed=5, directions=directions, operator=habits)
+            options = Emulation("text", rate_hz=100.0, grade="mems", seed=5, directions=directions, operator=habits)
             settings = EmulatorSettings(speed=SPEED, link=link, **more.pop("run", {}))
             return stack.enter_context(CanEmulator(protocol, make_virtual_imu(options), bus, settings, **more))
 

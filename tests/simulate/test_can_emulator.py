@@ -30,9 +30,9 @@ CHILD = """
 import sys
 from imufield.acquire.protocol import load_protocol
 from imufield.simulate.can_emulator import CanEmulator
-from imufield.simulate.emulate import EmulateOptions, make_virtual_imu
+from imufield.simulate.emulate import Emulation, make_virtual_imu
 from imufield.simulate.emulator import EmulatorSettings
-source = make_virtual_imu(EmulateOptions(device="text", rate_hz=200.0))
+source = make_virtual_imu(Emulation(device="text", rate_hz=200.0))
 settings = EmulatorSettings(duration_s=2.0)
 with CanEmulator(load_protocol("j1939_imu"), source, sys.argv[1], settings) as emulator:
     print(emulator.bus, flush=True)

@@ -16,12 +16,12 @@ from imufield.errors import UsageError
 from imufield.samples import concatenate
 from imufield.simulate.accounting import serial_wires
 from imufield.simulate.devices import Stim300Device
-from imufield.simulate.emulate import EmulateOptions, emulate, make_emulator, make_virtual_imu
+from imufield.simulate.emulate import Emulation, emulate, make_emulator, make_virtual_imu
 from imufield.simulate.emulator import Emulator, EmulatorSettings
 from imufield.simulate.faults import CanFaults, Faults
 from imufield.simulate.operator import OperatorSettings
 
-OPTIONS = EmulateOptions(
+OPTIONS = Emulation(
     rate_hz=125.0,
     directions=((0, 0, 1), (0, 1, 0)),
     operator=OperatorSettings(hold_s=2.0, initial_still_s=1.0, turn_s=(0.5, 1.0)),

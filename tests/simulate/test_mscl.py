@@ -12,7 +12,7 @@ from imufield.acquire.decoder import Decoder
 from imufield.samples import Samples, concatenate
 from imufield.simulate.accounting import random_samples
 from imufield.simulate.devices import Frames
-from imufield.simulate.emulate import EmulateOptions, WireChoice, choose_wire
+from imufield.simulate.emulate import Emulation, WireChoice, choose_wire
 from imufield.simulate.emulator import Emulator, EmulatorSettings
 from imufield.simulate.protocol_device import ProtocolDevice
 
@@ -51,7 +51,7 @@ class _Taped(ProtocolDevice):
 
 @pytest.mark.parametrize("form", CHANNELS)
 def test_both_decoders_agree_on_every_value(form: str) -> None:
-    choice = choose_wire(EmulateOptions("microstrain_mip", form=form))
+    choice = choose_wire(Emulation("microstrain_mip", form=form))
     assert choice.form is not None
     device = _Taped(choice.protocol, choice.form, choice.rate_hz)
     count = round(2.0 * choice.rate_hz)

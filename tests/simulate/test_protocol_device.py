@@ -16,7 +16,7 @@ from imufield.errors import ProtocolError, UsageError
 from imufield.samples import Samples, Status, concatenate
 from imufield.simulate.accounting import Wire, random_samples, serial_wires
 from imufield.simulate.devices import Device
-from imufield.simulate.emulate import OWN_RATE_HZ, EmulateOptions, choose_wire, make_device
+from imufield.simulate.emulate import OWN_RATE_HZ, Emulation, choose_wire, make_device
 from imufield.simulate.emulator_core import Source
 from imufield.simulate.protocol_device import InProtocolUnits, ProtocolDevice
 from imufield.simulate.wire_forms import choose_form, wire_forms
@@ -194,7 +194,7 @@ def test_a_users_own_file_is_emulated(tmp_path: Path) -> None:
     path = tmp_path / "my_imu.toml"
     blocks = re.findall(r"^```toml\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
     path.write_text(next(block for block in blocks if 'name = "my_imu"' in block), encoding="utf-8")
-    options = EmulateOptions(str(path))
+    options = Emulation(str(path))
     choice = choose_wire(options)
     sent = random_samples(choice.protocol, choice.rate_hz, 0, 300)
     got, _ = decode(choice.protocol, make_device(options, choice), sent)

@@ -17,7 +17,7 @@ from imufield.guide.positions import scheme
 from imufield.guide.settings import GuideSettings
 from imufield.samples import FloatArray
 from imufield.simulate.devices import Stim300Device
-from imufield.simulate.emulate import EmulateOptions, choose_wire, make_device, make_virtual_imu
+from imufield.simulate.emulate import Emulation, choose_wire, make_device, make_virtual_imu
 from imufield.simulate.operator import OperatorSettings
 from imufield.study.campaign import run_campaign
 
@@ -44,7 +44,7 @@ class Sessions:
         """Return the gauge-free errors of one session in units of their stated 95 % limit, shape (12,)."""
         positions = scheme("paper24")
         habits = OperatorSettings(hold_s=VISIT_S, initial_still_s=6.0, begins_in_first_position=True)
-        options = EmulateOptions("stim300", RATE_HZ, self.grade, seed, positions.directions(), habits)
+        options = Emulation("stim300", RATE_HZ, self.grade, seed, positions.directions(), habits)
         source = make_virtual_imu(options)
         wire = choose_wire(options)
         device = make_device(options, wire)
