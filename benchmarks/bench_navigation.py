@@ -14,6 +14,7 @@ import numpy as np
 
 from imufield.calibrate.gyroscope_paths import calibrate_gyroscope
 from imufield.calibrate.result import AccelerometerParameters, Calibration, GyroscopeParameters
+from imufield.calibrate.rotation import exponential, multiply
 from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationResult, StaticNavigation, _OneSet
 from imufield.deliver.navigation.drift import Drift
@@ -22,7 +23,7 @@ from imufield.deliver.parameters import Corrected
 from imufield.samples import Samples
 from imufield.simulate.grades import GRADES, Instrument, draw_truth
 from imufield.simulate.imu import Imu, ImuSettings
-from imufield.simulate.motion import Site, exponential, multiply, sample_motion
+from imufield.simulate.motion import Site, sample_motion
 from imufield.simulate.pieces import Piece
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "calibrate"))

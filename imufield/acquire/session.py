@@ -19,7 +19,7 @@ import numpy as np
 import tomli_w
 
 from imufield import __version__
-from imufield.earth import HEIGHT_RANGE_M
+from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M
 from imufield.errors import Reason, RecordingError
 from imufield.files import sync_folder, write_atomically
 from imufield.samples import ACCELEROMETER_COLUMNS, LARGEST_OUTPUT
@@ -60,6 +60,7 @@ NUMBERS: Mapping[str, tuple[str, ...]] = {
 """Keys inside the tables that a person may edit and a program computes with; those of the guide are larger than zero."""
 
 RANGES: Mapping[str, tuple[float, float]] = {
+    "site.gravity_m_s2": GRAVITY_RANGE_M_S2,
     "site.latitude_deg": (-90.0, 90.0),
     "site.height_m": HEIGHT_RANGE_M,
     "nominal.raw_zero": (-LARGEST_OUTPUT, LARGEST_OUTPUT),
@@ -404,9 +405,10 @@ def _check_numbers(content: Mapping[str, Any], path: Path) -> None:
             continue
         is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
         low, high = RANGES.get(key, (-math.inf, math.inf))
+        limits = f" ({low:g} to {high:g})" if key in RANGES else ""
         if not is_number or not low <= value <= high or (key.startswith("guide.") and value <= 0):
             raise RecordingError(
-                f"{path} has {value!r} under `{key}`, which is no possible value: correct it, or remove the line.",
+                f"{path} has {value!r} under `{key}`, which is no possible value{limits}: correct it, or remove the line.",
                 Reason.DAMAGED,
                 path=str(path),
                 key=key,

@@ -1,4 +1,4 @@
-"""Rotations for integrating a gyroscope, many intervals at once.
+"""Rotations, many at once: of a simulated instrument, and of the intervals of a gyroscope.
 
 Quaternions are ``[w, x, y, z]``, unit. The turn of an interval with rotation vector ``p`` takes vectors of the body frame at
 its end to the body frame at its start, so the turn of a chain of intervals is the product ``q_1 q_2 ... q_n``: the gyroscope
@@ -59,6 +59,19 @@ def logarithm(quaternion: FloatArray) -> FloatArray:
     angle = 2 * np.arctan2(sine, short[..., :1])
     rotation: FloatArray = np.where(sine > 0, angle / np.where(sine > 0, sine, 1.0), 2.0) * short[..., 1:]
     return rotation
+
+
+def conjugate(quaternion: FloatArray) -> FloatArray:
+    """Return the inverse of unit quaternions, shape (..., 4)."""
+    inverse: FloatArray = quaternion * np.array([1.0, -1.0, -1.0, -1.0])
+    return inverse
+
+
+def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return vectors turned by quaternions, shape (..., 4) and (..., 3) to (..., 3)."""
+    w, v = quaternion[..., :1], quaternion[..., 1:]
+    twice = 2 * cross(v, vector)
+    return vector + w * twice + cross(v, twice)
 
 
 def matrix(quaternion: FloatArray) -> FloatArray:

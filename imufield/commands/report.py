@@ -36,7 +36,7 @@ from imufield.deliver.report.data import (
 )
 from imufield.deliver.report.page import render_record, render_report
 from imufield.deliver.report.plots import load_matplotlib
-from imufield.deliver.verification import read_verification, verification_path
+from imufield.deliver.verification import read_verification, verification_note, verification_path
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import refuse_overwriting
 
@@ -91,6 +91,8 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
     found = _Replayed() if session is None else _replay(session, parameters, preset)
     seed = parameters.calibration.solver.seed or 0
     before = None if preset is None else preset.calibration.accelerometer
+    results, sha256 = verification_path(path), content_sha256(parameters.document)
+    left_out = verification_note(results, sha256)
     many = len(parameters.document["position"]) >= _FEWEST_FOR_METHODS
     data = ReportData(
         parameters,
@@ -98,10 +100,10 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
         found.trace,
         found.closure,
         convergence(observations_of(parameters), parameters.calibration, before, seed) if many else (),
-        read_verification(verification_path(path), content_sha256(parameters.document)),
+        read_verification(results, sha256),
         tuple(_provenance(path, parameters, session)),
         options.operator,
-        found.notes,
+        (*found.notes, *([left_out] if left_out else [])),
     )
     return data, path.parent if session is None else session.folder
 

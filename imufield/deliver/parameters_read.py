@@ -17,6 +17,8 @@ from imufield.errors import ParameterFileError, Reason
 LARGEST_FILE_BYTES = 16 * 2**20
 """A thousand positions take half a mebibyte."""
 
+_ROUNDING = 1e-9
+"""Relative: a covariance that was computed and printed is symmetric to a few units of the last digit."""
 _REMEDY = "solve the session again, or take a kept parameters-<n>.toml"
 
 
@@ -135,10 +137,27 @@ def _check_consistency(document: Document, where: str) -> None:
         what = f"session.positions is {positions}, but there are {tables} [[position]] tables"
     elif any(len(row) != len(names) for row in [matrix, *matrix]):
         what = f"covariance.matrix is not {len(names)} by {len(names)} as covariance.names asks"
+    what = what or _covariance_fault(matrix)
     for triad in ("accelerometer", "gyroscope"):
         what = what or _triad_fault(document.get(triad), triad)
     if what:
         raise ParameterFileError(f"{where}: {what}; {_REMEDY}", where=where)
+
+
+def _covariance_fault(rows: list[list[float]]) -> str:
+    """Say what makes it no covariance; elements that are not known, NaN, are none."""
+    matrix = np.array(rows, dtype=np.float64).reshape(len(rows), len(rows))
+    if np.any(np.diagonal(matrix) < 0):
+        return "covariance.matrix has a variance below zero"
+    # Where the gauge fixes a parameter nothing but rounding is left of its row.
+    free = np.diagonal(matrix) > 0
+    sigma = np.sqrt(np.diagonal(matrix)[free])
+    correlation = matrix[np.ix_(free, free)] / np.outer(sigma, sigma)
+    if np.any(np.abs(correlation - correlation.T) > _ROUNDING):
+        return "covariance.matrix is not symmetric"
+    if np.any(np.abs(correlation) > 1 + _ROUNDING):
+        return "covariance.matrix has a correlation beyond 1"
+    return ""
 
 
 def _triad_fault(table: Document | None, triad: str) -> str:

@@ -1,7 +1,8 @@
 """What a verification found: requirements met or not, the file beside the parameters, and the text for a person.
 
 ``parameters.verification.json`` holds the results of the last check of held-out positions and of the last static
-navigation; the report reads it. It belongs to one content of the parameter file, by its hash.
+navigation; the report reads it. It belongs to one content of the parameter file, by its hash, and has a hash of its own: a
+verdict that was edited is none.
 """
 
 from __future__ import annotations
@@ -204,8 +205,9 @@ def write_verification(path: Path, document: Document) -> None:
     """
     kept = read_verification(path, document["parameters_sha256"]) or {}
     merged = {key: kept[key] for key in ("positions", "navigation") if key in kept} | document
+    whole = merged | {"integrity": {"sha256": content_sha256(merged)}}
     try:
-        write_atomically(path, (json.dumps(json_ready(merged)) + "\n").encode("ascii"))
+        write_atomically(path, (json.dumps(json_ready(whole)) + "\n").encode("ascii"))
     except OSError as error:
         raise ParameterFileError(
             f"{path} cannot be written ({error.strerror}); choose another place with --output",
@@ -215,14 +217,25 @@ def write_verification(path: Path, document: Document) -> None:
 
 
 def read_verification(path: Path, parameters_sha256: str) -> Document | None:
-    """Return the results for parameters of this content; None where there are none, or they are of other parameters."""
+    """Return the results for parameters of this content; None where there are none, or ``verification_note`` has a reason."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
         return None
-    return document if document.get("parameters_sha256") == parameters_sha256 else None
+    whole = document.pop("integrity", None) == {"sha256": content_sha256(document)}
+    return document if whole and document.get("parameters_sha256") == parameters_sha256 else None
+
+
+def verification_note(path: Path, parameters_sha256: str) -> str:
+    """Return a sentence where the results that lie there cannot be used for these parameters, else an empty one."""
+    if not path.exists() or read_verification(path, parameters_sha256) is not None:
+        return ""
+    return (
+        f"{path.name} is left out: it belongs to other parameters, or was damaged or changed after it was written; run "
+        "imufield verify again"
+    )
 
 
 def verification_text(verification: Verification) -> str:

@@ -20,8 +20,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from imufield.calibrate.rotation import conjugate, exponential, logarithm, multiply, rotate
 from imufield.earth import EARTH_RATE_RAD_S, normal_gravity
 from imufield.samples import FloatArray
 
@@ -88,45 +89,6 @@ class Path(Protocol):
         ...
 
 
-def multiply(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the quaternion product, broadcasting over leading dimensions."""
-    lw, lv = left[..., :1], left[..., 1:]
-    rw, rv = right[..., :1], right[..., 1:]
-    scalar = lw * rw - np.sum(lv * rv, axis=-1, keepdims=True)
-    return np.concatenate([scalar, lw * rv + rw * lv + _cross(lv, rv)], axis=-1)
-
-
-def conjugate(quaternion: FloatArray) -> FloatArray:
-    """Return the inverse of unit quaternions."""
-    inverse: FloatArray = quaternion * np.array([1.0, -1.0, -1.0, -1.0])
-    return inverse
-
-
-def exponential(rotation_rad: FloatArray) -> FloatArray:
-    """Return quaternions of rotation vectors, shape (..., 3) to (..., 4)."""
-    angle = np.sqrt(np.sum(rotation_rad * rotation_rad, axis=-1, keepdims=True))
-    # np.sinc is sin(pi x)/(pi x): exact at zero, so there is no division to guard.
-    return np.concatenate([np.cos(angle / 2), 0.5 * np.sinc(angle / (2 * math.pi)) * rotation_rad], axis=-1)
-
-
-def logarithm(quaternion: FloatArray) -> FloatArray:
-    """Return rotation vectors of at most pi of unit quaternions, shape (..., 4) to (..., 3)."""
-    short = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
-    vector = short[..., 1:]
-    sine = np.sqrt(np.sum(vector * vector, axis=-1, keepdims=True))
-    tiny: NDArray[np.bool_] = sine < 1e-150
-    factor = 2 * np.arctan2(sine, short[..., :1]) / np.where(tiny, 1.0, sine)
-    rotation: FloatArray = np.where(tiny, 2.0, factor) * vector
-    return rotation
-
-
-def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
-    """Turn vectors by quaternions (``quaternion_nb`` takes body to local level)."""
-    w, v = quaternion[..., :1], quaternion[..., 1:]
-    twice = 2 * _cross(v, vector)
-    return vector + w * twice + _cross(v, twice)
-
-
 def up_direction(quaternion_nb: FloatArray) -> FloatArray:
     """Return the direction of "up" in the body frame, shape (..., 3)."""
     return rotate(conjugate(quaternion_nb), np.array([0.0, 0.0, -1.0]))
@@ -186,10 +148,3 @@ def _second_derivative(values: FloatArray, step: float) -> FloatArray:
     far = values[0:-4:2] + values[4::2]
     near = values[1:-3:2] + values[3:-1:2]
     return (16 * near - far - 30 * values[2:-2:2]) / (12 * step * step)
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    # np.cross is several times slower on long arrays of 3.
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack(np.broadcast_arrays(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=-1)

@@ -17,20 +17,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from imufield.calibrate.rotation import conjugate, exponential, logarithm, multiply, rotate
 from imufield.errors import UsageError
 from imufield.samples import FloatArray
-from imufield.simulate.motion import (
-    Site,
-    TrueMotion,
-    conjugate,
-    exponential,
-    logarithm,
-    multiply,
-    rotate,
-    sample_motion,
-    shortest_turn,
-    up_direction,
-)
+from imufield.simulate.motion import Site, TrueMotion, sample_motion, shortest_turn, up_direction
 from imufield.simulate.pieces import Hand, Piece, Shock, draw_hand
 
 DEG = math.radians(1.0)

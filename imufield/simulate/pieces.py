@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.calibrate.rotation import exponential, multiply
 from imufield.samples import FloatArray
-from imufield.simulate.motion import exponential, multiply
 
 RING_DECAYS = 12.0
 """A ring-down is cut after so many decay times, where 2e-4 of its peak is left."""

@@ -19,6 +19,7 @@ import numpy as np
 from imufield.calibrate.models import BIAS, MISALIGNMENT, QUADRATIC, SCALE, from_vector, predict, recover
 from imufield.calibrate.solvers.beetles import solve_bsas
 from imufield.calibrate.whitening import whitened_problem
+from imufield.deliver.navigation.drift import Drift
 from imufield.earth import MICRO_G_M_S2
 from imufield.samples import FloatArray
 from imufield.study import figures
@@ -31,7 +32,7 @@ from imufield.study.instruments import (
     bsas_directions,
     bsas_outputs,
 )
-from imufield.study.navigation import NavigationErrors, Noise, navigate_at_rest, rest_inputs
+from imufield.study.navigation import Noise, navigate_at_rest, rest_inputs
 from imufield.study.report import Comparison, StudyReport, Table
 
 REPEATABILITY_M_S2 = 5 * MICRO_G_M_S2
@@ -150,10 +151,10 @@ def figure_9(context: StudyContext) -> StudyReport:
 class Navigation:
     """Five hours with old and new parameters: aligned with each, and told the attitude."""
 
-    old: NavigationErrors
-    new: NavigationErrors
-    old_told: NavigationErrors
-    new_told: NavigationErrors
+    old: Drift
+    new: Drift
+    old_told: Drift
+    new_told: Drift
 
 
 def run_navigation(number: int, rng: np.random.Generator) -> Navigation:
@@ -233,7 +234,7 @@ def table_6(context: StudyContext) -> StudyReport:
     )
 
 
-def _first(context: StudyContext) -> dict[str, NavigationErrors]:
+def _first(context: StudyContext) -> dict[str, Drift]:
     run = _navigations(context)[0]
     return {"old": run.old, "recalibrated": run.new}
 
@@ -282,7 +283,7 @@ def figure_11(context: StudyContext) -> StudyReport:
     )
 
 
-def _curves(runs: dict[str, NavigationErrors], names: tuple[str, ...]) -> Table:
+def _curves(runs: dict[str, Drift], names: tuple[str, ...]) -> Table:
     """Return curves once a minute."""
     hours = next(iter(runs.values())).hours[::60]
     columns = [getattr(run, name)[::60] for run in runs.values() for name in names]

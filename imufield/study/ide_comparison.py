@@ -19,6 +19,7 @@ from imufield.calibrate.solvers.base import Solver, SolverResult
 from imufield.calibrate.solvers.library import LibrarySettings
 from imufield.calibrate.solvers.registry import load_solver
 from imufield.calibrate.triad_costs import TriadProblem, TurnsProblem, unit_diagonal_matrices
+from imufield.deliver.navigation.drift import Drift
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext
@@ -33,7 +34,7 @@ from imufield.study.instruments import (
     per_deg_h,
     triad_outputs,
 )
-from imufield.study.navigation import NavigationErrors, Noise, navigate_at_rest, rest_inputs
+from imufield.study.navigation import Noise, navigate_at_rest, rest_inputs
 from imufield.study.optimum import squares_optimum
 from imufield.study.report import Comparison, StudyReport, Table
 
@@ -153,7 +154,7 @@ class Flight:
     """Navigation at rest with the parameters of one method."""
 
     method: str
-    errors: NavigationErrors
+    errors: Drift
 
 
 def run_flight(job: MethodJob, rng: np.random.Generator) -> Flight:
@@ -209,7 +210,7 @@ _FLOWN = (*METHODS, "ide, vector form")
 
 
 @cache
-def _flights(context: StudyContext) -> dict[str, list[NavigationErrors]]:
+def _flights(context: StudyContext) -> dict[str, list[Drift]]:
     runs = context.runs(10, 1)
     costs = {method: "vector" if "vector" in method else "norm" for method in _FLOWN}
     jobs = [MethodJob(method, cost, context.quick) for method, cost in costs.items() for _ in range(runs)]

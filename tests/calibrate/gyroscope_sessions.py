@@ -14,6 +14,7 @@ from imufield.calibrate.models import to_vector
 from imufield.calibrate.moves import MoveCollector, Moves
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import Calibration, GyroscopeParameters
+from imufield.calibrate.rotation import conjugate, logarithm, multiply
 from imufield.earth import Gravity
 from imufield.guide.free import StillIntervalFinder
 from imufield.guide.positions import scheme
@@ -22,7 +23,7 @@ from imufield.samples import FloatArray, Samples
 from imufield.simulate.drift import BiasDrift
 from imufield.simulate.grades import GRADES, Instrument, draw_truth
 from imufield.simulate.imu import Imu, ImuSettings
-from imufield.simulate.motion import Site, conjugate, logarithm, multiply
+from imufield.simulate.motion import Site
 from imufield.simulate.operator import Operator, OperatorSettings
 from imufield.simulate.pieces import Piece
 

@@ -42,6 +42,7 @@ def write(header: list[str], table: np.ndarray) -> None:
         ("nominal", "raw_zero", [1e308, 0.0, 0.0]),
         ("instrument", "colour", "red"),
         ("site", "latitude_deg", 500.0),
+        ("site", "gravity_m_s2", 98.0),
     ],
 )
 def test_an_edited_session_file_is_named(

@@ -66,6 +66,15 @@ def test_verification_gets_into_the_page(solved: Path) -> None:
     assert "<h3>Held-out positions</h3>" in text
 
 
+def test_results_of_other_parameters_are_left_out_and_said(solved: Path) -> None:
+    assert run(["verify", str(solved / "parameters.toml"), str(solved), "--require", "residual-ug=5000"]) == 0
+    results = solved / "parameters.verification.json"
+    results.write_text(results.read_text(encoding="ascii").replace("5000", "5001"), encoding="ascii")
+    data, _ = gather(ReportOptions(session=solved))
+    assert data.verification is None
+    assert "parameters.verification.json is left out" in data.notes[-1]
+
+
 def test_parameters_of_another_recording_are_refused(solved: Path, tmp_path: Path) -> None:
     other = tmp_path / "other"
     shutil.copytree(solved, other)

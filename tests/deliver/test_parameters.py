@@ -191,6 +191,7 @@ def edit(file: Path, old: str, new: str) -> None:
         ('names = ["', 'names = ["extra", "', Reason.DAMAGED, "is not 20 by 20"),
         ("created = ", "created = 2025-01-01 #", Reason.DAMAGED, "created is"),
         ("version = 1", "version = 1" + 5000 * "0", Reason.DAMAGED, "no TOML"),
+        ("gravity_m_s2 = 9.8", "gravity_m_s2 = 98.", Reason.DAMAGED, "site.gravity_m_s2 is 98"),
         ("rank = 12", "rank = 0x" + 9000 * "f", Reason.DAMAGED, "damaged"),
         ("rank = 12", "rank = " + 5000 * "[", Reason.DAMAGED, "damaged"),
         ("rank = 12", "rank" + 5000 * ".a" + " = 1", Reason.DAMAGED, "damaged"),
@@ -203,6 +204,21 @@ def test_refused_in_one_sentence(file: Path, old: str, new: str, reason: Reason,
     error = refused(file)
     assert words in error.message
     assert error.reason is reason
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "factor", "words"),
+    [(0, 0, -1.0, "a variance below zero"), (0, 1, 1.1, "not symmetric"), (1, 1, 1e-6, "a correlation beyond 1")],
+)
+def test_a_covariance_that_is_none_is_refused(file: Path, row: int, column: int, factor: float, words: str) -> None:
+    document = dict(load(file).document)
+    matrix = np.array(document["covariance"]["matrix"], dtype=np.float64)
+    assert matrix[0, 1] != 0
+    matrix[row, column] *= factor
+    document["covariance"] = document["covariance"] | {"matrix": matrix.tolist()}
+    del document["integrity"]
+    file.write_text(to_toml(document), encoding="utf-8")
+    assert words in refused(file).message
 
 
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

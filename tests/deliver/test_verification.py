@@ -17,11 +17,13 @@ from imufield.deliver.navigation.rest import RestNoise
 from imufield.deliver.parameters import Parameters, from_document
 from imufield.deliver.parameters import to_document as parameter_document
 from imufield.deliver.verification import (
+    Requirement,
     Verification,
     judge,
     parse_requirements,
     read_verification,
     to_document,
+    verification_note,
     verification_path,
     verification_text,
     write_verification,
@@ -97,6 +99,18 @@ def test_file_keeps_the_other_check_of_the_same_parameters(
     assert document["navigation"]["drift"]["after"]["position_nmi"][0] == 0
     assert len(document["navigation"]["drift"]["after"]["time_s"]) == 600
     assert read_verification(path, "0" * 64) is None
+
+
+def test_a_verdict_that_was_edited_is_none(tmp_path: Path, loaded: Parameters, held_out: HeldOut) -> None:
+    path = verification_path(tmp_path / "parameters.toml")
+    document = to_document(Verification(loaded, "s", held_out, None, (Requirement("residual-ug", 5.0, 9.0),)))
+    sha256 = document["parameters_sha256"]
+    assert verification_note(path, sha256) == ""
+    write_verification(path, document)
+    assert verification_note(path, sha256) == ""
+    path.write_text(path.read_text().replace('"passed": false', '"passed": true'))
+    assert read_verification(path, sha256) is None
+    assert verification_note(path, sha256).startswith("parameters.verification.json is left out")
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": "other"}', '{"format": "imufield-verification", "version": 2}'])

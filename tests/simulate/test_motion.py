@@ -7,19 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from imufield.calibrate.rotation import conjugate, exponential, logarithm, multiply, rotate
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.samples import FloatArray
-from imufield.simulate.motion import (
-    Site,
-    conjugate,
-    exponential,
-    logarithm,
-    multiply,
-    rotate,
-    sample_motion,
-    shortest_turn,
-    up_direction,
-)
+from imufield.simulate.motion import Site, sample_motion, shortest_turn, up_direction
 
 RNG = np.random.default_rng(7)
 

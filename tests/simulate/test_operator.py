@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from imufield.calibrate.rotation import conjugate, exponential, logarithm, multiply, rotate
 from imufield.errors import UsageError
-from imufield.simulate.motion import TrueMotion, conjugate, exponential, logarithm, multiply, rotate
+from imufield.simulate.motion import TrueMotion
 from imufield.simulate.operator import DEG, NO_POSITION, BumpKind, Operator, OperatorSettings, StillInterval
 
 FACES = [[0, 0, 1], [0, 1, 0], [1, 0, 0], [0, 0, -1], [0, -1, 0], [-1, 0, 0]]

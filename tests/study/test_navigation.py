@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from imufield.deliver.navigation.alignment import coarse_attitude
 from imufield.samples import FloatArray
-from imufield.study.navigation import DOWN_UP, Noise, align, navigate_at_rest, rest_inputs
+from imufield.study.navigation import DOWN_UP, Noise, navigate_at_rest, rest_inputs
 
 pytest.importorskip("pyins", reason="needs the nav extra")
 
@@ -27,7 +28,7 @@ def test_at_rest_the_unit_feels_gravity_up_and_the_earth() -> None:
 
 def test_alignment_finds_the_heading() -> None:
     force, rate = rest(30.0)
-    matrix = align(DOWN_UP @ force, DOWN_UP @ rate)
+    matrix = coarse_attitude(DOWN_UP @ force, DOWN_UP @ rate)
     assert math.degrees(math.atan2(matrix[1, 0], matrix[0, 0])) == pytest.approx(30.0, abs=1e-9)
     assert matrix @ matrix.T == pytest.approx(np.eye(3), abs=1e-12)
 

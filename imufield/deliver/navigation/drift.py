@@ -35,6 +35,11 @@ class Drift:
     """Eq. 23 of [1]_."""
 
     @property
+    def hours(self) -> FloatArray:
+        """Time as it is plotted."""
+        return self.time_s / 3600
+
+    @property
     def rate_nmi_per_h(self) -> float:
         """Largest position error over the time it was navigated; the last one alone may be a zero of an oscillation."""
         return float(self.position_nmi.max() / (self.time_s[-1] / 3600))

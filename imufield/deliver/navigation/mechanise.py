@@ -30,7 +30,7 @@ _COLUMNS = ("lat", "lon", "VN", "VE")
 
 @cache
 def load_pyins() -> Any:
-    """Return the modules of python-ins in use, as ``strapdown``, ``transform``, ``util`` and ``pandas``.
+    """Return the modules of python-ins in use, as ``earth``, ``strapdown``, ``transform``, ``util`` and ``pandas``.
 
     Raises
     ------
@@ -38,15 +38,32 @@ def load_pyins() -> Any:
         If it is not installed.
     """
     try:
-        modules = {name: importlib.import_module(f"pyins.{name}") for name in ("strapdown", "transform", "util")}
+        modules = {name: importlib.import_module(f"pyins.{name}") for name in ("earth", "strapdown", "transform", "util")}
         return SimpleNamespace(pandas=importlib.import_module("pandas"), **modules)
     except ImportError as error:
         raise UsageError(
-            "static navigation needs the package python-ins; install it with `pip install 'imufield[nav]'`, or check held-out "
-            "positions only",
+            "navigation needs the package python-ins; install it with `pip install 'imufield[nav]'`",
             Reason.MISSING_PACKAGE,
             package="python-ins",
         ) from error
+
+
+def integrate(state: FloatArray, start_s: float, increments: Any) -> Any:
+    """Return the trajectory that increments make, both tables of python-ins; the vertical channel is off.
+
+    Parameters
+    ----------
+    state : ndarray, shape (9,)
+        Latitude, longitude (deg), height, velocity (north, east, down), roll, pitch and heading (deg).
+    start_s : float
+    increments : pandas.DataFrame
+    """
+    modules = load_pyins()
+    start = modules.pandas.Series(state, index=modules.util.TRAJECTORY_COLS, name=start_s)
+    with warnings.catch_warnings():
+        # python-ins 1.0 uses a keyword that newer pandas does without.
+        warnings.filterwarnings("ignore", "The copy keyword", DeprecationWarning)
+        return modules.strapdown.Integrator(start, with_altitude=False).integrate(increments)
 
 
 class Mechanisation:
@@ -65,7 +82,6 @@ class Mechanisation:
         self._level = attitude
         self._start_s = start_s
         self._latitude_deg = latitude_deg
-        # Latitude, longitude, height, velocity, roll, pitch and heading.
         self._state = np.array([latitude_deg, 0.0, height_m, 0, 0, 0, 0, 0, 0])
         self._time_s = start_s
         self._waiting: list[FloatArray] = []
@@ -110,11 +126,7 @@ class Mechanisation:
         pandas, util = self._pyins.pandas, self._pyins.util
         imu = pandas.DataFrame(rows[:, 1:], index=rows[:, 0], columns=[*util.GYRO_COLS, *util.ACCEL_COLS])
         increments = self._pyins.strapdown.compute_increments_from_imu(imu, "rate")
-        state = pandas.Series(self._state, index=util.TRAJECTORY_COLS, name=rows[0, 0])
-        with warnings.catch_warnings():
-            # python-ins 1.0 uses a keyword that newer pandas does without.
-            warnings.filterwarnings("ignore", "The copy keyword", DeprecationWarning)
-            trajectory = self._pyins.strapdown.Integrator(state, with_altitude=False).integrate(increments)
+        trajectory = integrate(self._state, rows[0, 0], increments)
         self._state = trajectory.iloc[-1].to_numpy()
         self._keep(trajectory)
 
