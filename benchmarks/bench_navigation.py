@@ -21,7 +21,7 @@ from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.mechanise import load_pyins
 from imufield.deliver.parameters import Corrected
 from imufield.samples import Samples
-from imufield.simulate.grades import GRADES, Instrument, draw_truth
+from imufield.simulate.grades import GRADES, TrueInstrument, draw_truth
 from imufield.simulate.imu import Imu, ImuSettings
 from imufield.simulate.motion import Site, sample_motion
 from imufield.simulate.pieces import Piece
@@ -78,7 +78,7 @@ class Rest:
 
 
 def recording(
-    instrument: Instrument, seed: int, *, hours: float = HOURS, rate_hz: float = 100.0, turned_s: float | None = None
+    instrument: TrueInstrument, seed: int, *, hours: float = HOURS, rate_hz: float = 100.0, turned_s: float | None = None
 ) -> Iterator[Samples]:
     imu = Imu(instrument, seed, ImuSettings(rate_hz=rate_hz))
     path = Rest(seed, turned_s)
@@ -86,7 +86,7 @@ def recording(
         yield imu.feed(sample_motion(path, first, BLOCK, 1 / rate_hz, Site()))
 
 
-def calibrated(seed: int, hold_s: float = 20.0) -> tuple[Instrument, Calibration]:
+def calibrated(seed: int, hold_s: float = 20.0) -> tuple[TrueInstrument, Calibration]:
     """A navigation-grade instrument and what a session of 24 positions finds out about it."""
     instrument = steady(draw_truth(GRADES["navigation"], np.random.default_rng([seed, 7])))
     session = simulate(seed, grade="navigation", hold_s=hold_s)
@@ -94,7 +94,13 @@ def calibrated(seed: int, hold_s: float = 20.0) -> tuple[Instrument, Calibration
 
 
 def navigate(
-    instrument: Instrument, calibration: Calibration, seed: int, *, rate_hz: float, hours: float = HOURS, turned: bool = False
+    instrument: TrueInstrument,
+    calibration: Calibration,
+    seed: int,
+    *,
+    rate_hz: float,
+    hours: float = HOURS,
+    turned: bool = False,
 ) -> NavigationResult:
     nominal = apply_with(
         AccelerometerParameters(np.ones(3), np.zeros(3), np.zeros((3, 3))),

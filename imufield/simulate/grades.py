@@ -222,7 +222,7 @@ GRADES = {grade.name: grade for grade in (NAVIGATION, TACTICAL, INDUSTRIAL, MEMS
 
 
 @dataclass(frozen=True, slots=True)
-class Instrument:
+class TrueInstrument:
     """One IMU: its true parameters at the reference temperature, and the figures of its grade for the noise."""
 
     grade: Grade
@@ -255,7 +255,7 @@ def find_grade(name: str) -> Grade:
     return GRADES[name]
 
 
-def draw_truth(grade: Grade, rng: np.random.Generator) -> Instrument:
+def draw_truth(grade: Grade, rng: np.random.Generator) -> TrueInstrument:
     """Draw one instrument of a grade, every parameter normally distributed about its nominal value."""
     a, g = grade.accelerometer, grade.gyroscope
     accelerometer_scale = grade.accelerometer_scale * (1 + 1e-6 * a.scale_ppm * rng.standard_normal(3))
@@ -272,7 +272,7 @@ def draw_truth(grade: Grade, rng: np.random.Generator) -> Instrument:
         gyroscope_scale * g.bias * rng.standard_normal(3),
         gyroscope_scale[:, np.newaxis] * grade.g_sensitivity * rng.standard_normal((3, 3)),
     )
-    return Instrument(
+    return TrueInstrument(
         grade,
         accelerometer,
         gyroscope,
@@ -285,10 +285,10 @@ def draw_truth(grade: Grade, rng: np.random.Generator) -> Instrument:
     )
 
 
-def perfect_instrument(grade: Grade) -> Instrument:
+def perfect_instrument(grade: Grade) -> TrueInstrument:
     """Return an instrument without parameter errors; the noise is the grade's."""
     zero, none = np.zeros(3), np.zeros((3, 3))
-    return Instrument(
+    return TrueInstrument(
         grade,
         AccelerometerParameters(np.full(3, grade.accelerometer_scale), zero, none),
         GyroscopeParameters(np.full(3, grade.gyroscope_scale), none, zero, none),

@@ -19,7 +19,7 @@ from imufield.calibrate.models import predict, predict_gyroscope
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, IntArray, Samples, Status, no_samples
 from imufield.simulate.drift import BiasDrift
-from imufield.simulate.grades import REFERENCE_TEMPERATURE_DEGC, Instrument, TriadGrade
+from imufield.simulate.grades import REFERENCE_TEMPERATURE_DEGC, TriadGrade, TrueInstrument
 from imufield.simulate.motion import TrueMotion
 
 MAXIMUM_TRIAD_DELAY_S = 0.01
@@ -50,7 +50,7 @@ class Imu:
 
     Parameters
     ----------
-    instrument : Instrument
+    instrument : TrueInstrument
     seed : int
     settings : ImuSettings, optional
 
@@ -60,7 +60,7 @@ class Imu:
         If the rate, the loss probability or the delay between the triads makes no sense.
     """
 
-    def __init__(self, instrument: Instrument, seed: int, settings: ImuSettings | None = None) -> None:
+    def __init__(self, instrument: TrueInstrument, seed: int, settings: ImuSettings | None = None) -> None:
         self.instrument = instrument
         self.settings = settings or ImuSettings()
         _check(self.settings, instrument)
@@ -235,7 +235,7 @@ def _saturate(values: FloatArray, limit: float, flag: Status, status: NDArray[np
     return clipped
 
 
-def _check(settings: ImuSettings, instrument: Instrument) -> None:
+def _check(settings: ImuSettings, instrument: TrueInstrument) -> None:
     if not 0 < settings.rate_hz <= 1e5:
         raise UsageError(f"sample rate {settings.rate_hz:g} Hz is outside 0 to 100000 Hz; give the instrument's rate")
     if not 0 <= settings.loss_probability < 1:
@@ -246,7 +246,7 @@ def _check(settings: ImuSettings, instrument: Instrument) -> None:
         )
 
 
-def _increments(instrument: Instrument) -> bool:
+def _increments(instrument: TrueInstrument) -> bool:
     units = instrument.grade.units
     return units.accelerometer_is_increment or units.gyroscope_is_increment
 

@@ -21,7 +21,7 @@ from imufield.guide.positions import scheme
 from imufield.guide.scale import RoughScale
 from imufield.samples import FloatArray, Samples
 from imufield.simulate.drift import BiasDrift
-from imufield.simulate.grades import GRADES, Instrument, draw_truth
+from imufield.simulate.grades import GRADES, TrueInstrument, draw_truth
 from imufield.simulate.imu import Imu, ImuSettings
 from imufield.simulate.motion import Site
 from imufield.simulate.operator import Operator, OperatorSettings
@@ -99,12 +99,12 @@ def rolled(times: int = 3) -> tuple[Turn, ...]:
     return tuple(Turn(np.eye(3)[axis], way * 2 * np.pi) for _ in range(times) for axis in range(3) for way in (1.0, -1.0))
 
 
-def steady(instrument: Instrument) -> Instrument:
+def steady(instrument: TrueInstrument) -> TrueInstrument:
     """Return the instrument with an exact clock, at one temperature."""
     return replace(instrument, clock_error_ppm=0.0, triad_delay_s=0.0)
 
 
-def mean_drift(instrument: Instrument, seed: int, observations: Observations) -> FloatArray:
+def mean_drift(instrument: TrueInstrument, seed: int, observations: Observations) -> FloatArray:
     """Return the mean drift of the gyroscope over the stills, rad/s: the bias of a session is what it was in that session."""
     grade = instrument.grade
     instability = np.repeat([grade.accelerometer.bias_instability, grade.gyroscope.bias_instability], 3)
