@@ -32,7 +32,7 @@ from imufield.deliver.numbers import hanging
 from imufield.deliver.parameters import (
     PARAMETER_FILE,
     Context,
-    Instrument,
+    InstrumentFacts,
     Parameters,
     SessionFacts,
     json_ready,
@@ -162,7 +162,7 @@ def _measured(
     session: Session, chain: Chain, observations: Observations, moves: MoveListener, site: SiteOptions, reasons: tuple[str, ...]
 ) -> Measured:
     metadata = session.metadata
-    instrument = Instrument(**{key: str(value) for key, value in metadata.get("instrument", {}).items()})
+    instrument = InstrumentFacts(**{key: str(value) for key, value in metadata.get("instrument", {}).items()})
     facts = SessionFacts(session.name, session_sha256(session), _true_rate_hz(chain), chain.temperature_degc)
     nominal = chain.protocol.nominal if chain.protocol is not None else None
     rests = chain.turn_rests()

@@ -24,7 +24,7 @@ def _unknown() -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class Instrument:
+class InstrumentFacts:
     """Which instrument; an empty string where not known."""
 
     driver: str = ""
@@ -67,7 +67,7 @@ class Noise:
 class Context:
     """Everything in a parameter file that the solver does not know."""
 
-    instrument: Instrument = field(default_factory=Instrument)
+    instrument: InstrumentFacts = field(default_factory=InstrumentFacts)
     session: SessionFacts = field(default_factory=SessionFacts)
     noise: Noise | None = None
     created: str = field(default_factory=_now)

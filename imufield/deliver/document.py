@@ -21,7 +21,7 @@ from imufield.calibrate.result import (
     Quality,
     SolverSummary,
 )
-from imufield.deliver.context import Context, Instrument, Noise, SessionFacts
+from imufield.deliver.context import Context, InstrumentFacts, Noise, SessionFacts
 from imufield.earth import Gravity
 from imufield.samples import FloatArray
 
@@ -263,7 +263,7 @@ def context_from_document(document: Document) -> Context:
     session, noise = document["session"], document.get("noise")
     low, high = session["temperature_degc"]
     return Context(
-        instrument=Instrument(**document["instrument"]),
+        instrument=InstrumentFacts(**document["instrument"]),
         session=SessionFacts(session["name"], session["sha256"], session["sample_rate_hz"], (low, high)),
         noise=None if noise is None else Noise(noise["source"], **_arrays(noise, _NOISE)),
         created=document["created"],

@@ -20,7 +20,7 @@ from imufield.calibrate.result import (
     Quality,
     SolverSummary,
 )
-from imufield.deliver.context import Context, Instrument, Noise, SessionFacts
+from imufield.deliver.context import Context, InstrumentFacts, Noise, SessionFacts
 from imufield.earth import Gravity
 from imufield.samples import SampleUnits
 
@@ -128,7 +128,7 @@ def six_faces(calibration: Calibration) -> Calibration:
 @pytest.fixture
 def context() -> Context:
     return Context(
-        instrument=Instrument("stim300", "STIM300", "N25581234567890", "3.1"),
+        instrument=InstrumentFacts("stim300", "STIM300", "N25581234567890", "3.1"),
         session=SessionFacts("2025-03-01T101500Z-stim300", 64 * "a", 1999.987, (30.9, 33.4)),
         noise=Noise("still at the start", np.full(3, 7e-4), np.full(3, 4e-5)),
         created="2025-03-01T10:55:00Z",

@@ -19,7 +19,7 @@ from imufield.calibrate.result import (
     Quality,
     SolverSummary,
 )
-from imufield.deliver.context import Context, Instrument, Noise, SessionFacts
+from imufield.deliver.context import Context, InstrumentFacts, Noise, SessionFacts
 from imufield.deliver.document import to_document
 from imufield.deliver.parameters import Parameters, from_document
 from imufield.earth import Gravity
@@ -112,7 +112,7 @@ def loaded(
         gyroscope=None if gyroscope is None else GyroscopeCalibration(gyroscope, gyroscope, "made up", units[1]),
     )
     known = Context(
-        instrument=Instrument("stim300", "STIM300", "N25581", "3.1"),
+        instrument=InstrumentFacts("stim300", "STIM300", "N25581", "3.1"),
         session=SessionFacts("2025-03-01-stim300", 64 * "a", 1999.987, (30.9, 33.4)),
         noise=Noise("still at the start", np.full(3, 7e-4), np.full(3, 4e-5)),
         created="2025-03-01T10:55:00Z",

@@ -12,7 +12,7 @@ import pytest
 
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import Calibration
-from imufield.deliver.context import Context, Instrument
+from imufield.deliver.context import Context, InstrumentFacts
 from imufield.deliver.parameters import Parameters, from_document, to_document
 from imufield.deliver.report.data import Closure, Convergence, ReportData, Trace
 from imufield.deliver.report.page import render_record, render_report
@@ -110,7 +110,7 @@ def test_page_says_who_when_where_and_how_good(data: ReportData) -> None:
 
 def test_names_cannot_break_out_of_the_page(data: ReportData, calibration: Calibration, observations: Observations) -> None:
     evil = '<script>alert("x")</script>&'
-    context = Context(Instrument("d", evil, evil))
+    context = Context(InstrumentFacts("d", evil, evil))
     named = replace(observations, name=tuple(f"{evil}{k}" for k in range(len(observations))))
     parameters = from_document(to_document(calibration, named, context))
     text = render_report(replace(data, parameters=parameters, operator=evil))
