@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imufield.calibrate.allan import AllanDeviation, AllanStream, degrees_of_freedom, interval_95
-from imufield.calibrate.noise_fit import Figure, NoiseModel, identify
+from imufield.calibrate.noise_fit import NoiseFigure, NoiseModel, identify
 from imufield.calibrate.noise_grid import BRIDGED_S, EvenGrid, EvenRows
 from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.samples import AXES, FloatArray, Samples, SampleUnits
@@ -66,22 +66,22 @@ class AxisNoise:
     sentences: tuple[str, ...] = ()
 
     @property
-    def density(self) -> Figure:
+    def density(self) -> NoiseFigure:
         """White noise, unit per sqrt(Hz)."""
         return _NOT_KNOWN if self.model is None else self.model.density
 
     @property
-    def instability(self) -> Figure:
+    def instability(self) -> NoiseFigure:
         """Bias instability, unit."""
         return _NOT_KNOWN if self.model is None else self.model.instability
 
     @property
-    def walk(self) -> Figure:
+    def walk(self) -> NoiseFigure:
         """Rate random walk, unit per sqrt(s)."""
         return _NOT_KNOWN if self.model is None else self.model.walk
 
 
-_NOT_KNOWN = Figure(math.nan, 0.0, math.nan, False)
+_NOT_KNOWN = NoiseFigure(math.nan, 0.0, math.nan, False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,7 +340,7 @@ def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, unit: s
         model = identify(allan.tau_s, deviation, freedom)
         if quantised:
             limit = max(QUANTISED * step * math.sqrt(best.interval_s), model.density.high)
-            model = replace(model, density=Figure(math.nan, 0.0, limit, False))
+            model = replace(model, density=NoiseFigure(math.nan, 0.0, limit, False))
     axis = AxisNoise(name, unit, allan.tau_s, deviation, low, high, freedom, model, sigma, step, quantised)
     return replace(axis, sentences=_sentences(axis, best.duration_s))
 

@@ -43,7 +43,7 @@ _Q, _N, _B, _K, _R = range(_TERMS)
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class NoiseFigure:
     """One noise figure with its 95 % interval; ``seen`` is False where it is an upper limit only (``value`` NaN)."""
 
     value: float
@@ -56,15 +56,15 @@ class Figure:
 class NoiseModel:
     """What was identified on one axis, SI."""
 
-    density: Figure
+    density: NoiseFigure
     """N, per sqrt(Hz)."""
-    instability: Figure
+    instability: NoiseFigure
     """B."""
-    walk: Figure
+    walk: NoiseFigure
     """K, per sqrt(s)."""
-    quantisation: Figure
+    quantisation: NoiseFigure
     """Q."""
-    ramp: Figure
+    ramp: NoiseFigure
     """R, per second."""
     first: int
     """First point that was used."""
@@ -139,8 +139,8 @@ def _sigma(A: FloatArray, squares: FloatArray) -> FloatArray:
     return sigma
 
 
-def _figure(square: float, sigma: float) -> Figure:
+def _figure(square: float, sigma: float) -> NoiseFigure:
     low, high = max(square - _CONFIDENCE_95 * sigma, 0.0), square + _CONFIDENCE_95 * sigma
     if square < SEEN_SIGMAS * sigma:
-        return Figure(math.nan, 0.0, math.sqrt(high), False)
-    return Figure(math.sqrt(square), math.sqrt(low), math.sqrt(high), True)
+        return NoiseFigure(math.nan, 0.0, math.sqrt(high), False)
+    return NoiseFigure(math.sqrt(square), math.sqrt(low), math.sqrt(high), True)

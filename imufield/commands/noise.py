@@ -13,7 +13,7 @@ import typer
 from imufield.acquire.recording import Damage
 from imufield.acquire.session import Session
 from imufield.calibrate.noise import NoiseResult, measure_noise
-from imufield.calibrate.noise_fit import Figure
+from imufield.calibrate.noise_fit import NoiseFigure
 from imufield.calibrate.noise_texts import NoiseFormat, draw_plot, noise_text
 from imufield.commands.calibration import one_of
 from imufield.commands.chain import recorded_protocol, session_samples
@@ -90,7 +90,7 @@ def _print(result: NoiseResult) -> None:
         typer.echo(f" · {sentence}")
 
 
-def _with_limits(figure: Figure) -> str:
+def _with_limits(figure: NoiseFigure) -> str:
     if not math.isfinite(figure.value):
         return "not seen"
     return f"{figure.value:.3g} [{figure.low:.2g}, {figure.high:.2g}]"
@@ -110,6 +110,6 @@ def _document(result: NoiseResult) -> dict[str, object]:
     }
 
 
-def _numbers(figure: Figure) -> dict[str, float | None]:
+def _numbers(figure: NoiseFigure) -> dict[str, float | None]:
     values = {"value": figure.value, "low": figure.low, "high": figure.high}
     return {name: value if math.isfinite(value) else None for name, value in values.items()}
