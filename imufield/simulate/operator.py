@@ -98,7 +98,7 @@ class StillInterval:
 
 
 @dataclass(frozen=True, slots=True)
-class Move:
+class TrueMove:
     """A stretch of true motion, true time: a turn with its put-down, or a bump."""
 
     start_s: float
@@ -146,7 +146,7 @@ class Operator:
         self._generated_s = 0.0
         self._finished_s: float | None = None
         self._stills: list[StillInterval] = []
-        self._moves: list[Move] = []
+        self._moves: list[TrueMove] = []
         self._hand = self._draw_hand()
         self._pieces: list[Piece] = []
         self._lie_down()
@@ -157,7 +157,7 @@ class Operator:
         return tuple(self._stills)
 
     @property
-    def moves(self) -> tuple[Move, ...]:
+    def moves(self) -> tuple[TrueMove, ...]:
         """True moves so far, in time order."""
         return tuple(self._moves)
 
@@ -274,7 +274,7 @@ class Operator:
                 rng.uniform(*self.settings.lift_m),
             )
         )
-        self._moves.append(Move(last.end_s, end_s, "turn"))
+        self._moves.append(TrueMove(last.end_s, end_s, "turn"))
         self._put_down(rng)
         self._still(NO_POSITION, SPIN_REST_S, bumped=False)
 
@@ -322,7 +322,7 @@ class Operator:
                 hand_at_end=held,
             )
         )
-        self._moves.append(Move(last.end_s, end_s, "turn"))
+        self._moves.append(TrueMove(last.end_s, end_s, "turn"))
         if not held:
             self._put_down(rng)
 
@@ -368,7 +368,7 @@ class Operator:
         turn = rng.uniform(0.1, 1.0) * DEG * _random_direction(rng) if kind == "shift" else np.zeros(3)
         piece = replace(last, start_s=last.end_s, end_s=shock.end_s, quaternion_nb=last.final_quaternion, turn_rad=turn)
         self._pieces.append(replace(piece, shocks=(shock,)))
-        self._moves.append(Move(piece.start_s, piece.end_s, kind))
+        self._moves.append(TrueMove(piece.start_s, piece.end_s, kind))
 
     def _leave(self, next_position: int | None) -> None:
         """End the hold after a reaction time, if waiting; the last one only comes to be known as finished."""
