@@ -31,7 +31,7 @@ WIDTH = 80
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class SessionOutcome:
     """What became of one session; goes from a worker to the process that writes."""
 
     session: Path
@@ -89,22 +89,22 @@ def _check(sessions: Sequence[Path], options: SolveOptions) -> None:
         )
 
 
-def solve_job(options: SolveOptions, _rng: np.random.Generator) -> Outcome:
+def solve_job(options: SolveOptions, _rng: np.random.Generator) -> SessionOutcome:
     """Solve one session; the function that workers are sent. Random numbers are those of ``--seed``, as for one session."""
     folder = options.session or Path()
     try:
         solved = solve_session(Session.open(folder), options)
     except ImufieldError as error:
-        return Outcome(folder, error.exit_code, error.message)
-    return Outcome(folder, document=solved.parameters.document, notes=solved.notes)
+        return SessionOutcome(folder, error.exit_code, error.message)
+    return SessionOutcome(folder, document=solved.parameters.document, notes=solved.notes)
 
 
-def _killed(options: SolveOptions) -> Outcome:
+def _killed(options: SolveOptions) -> SessionOutcome:
     sentence = "its worker was killed again and again, most likely for lack of memory; solve it alone, with more memory"
-    return Outcome(options.session or Path(), UsageError.exit_code, sentence)
+    return SessionOutcome(options.session or Path(), UsageError.exit_code, sentence)
 
 
-def _write(outcome: Outcome) -> Outcome:
+def _write(outcome: SessionOutcome) -> SessionOutcome:
     if outcome.document is None:
         return outcome
     path = outcome.session / PARAMETER_FILE
@@ -115,7 +115,7 @@ def _write(outcome: Outcome) -> Outcome:
     return replace(outcome, written=path)
 
 
-def _print(outcomes: list[Outcome], *, as_json: bool) -> None:
+def _print(outcomes: list[SessionOutcome], *, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps([_as_json(outcome) for outcome in outcomes]))
         return
@@ -128,27 +128,27 @@ def _print(outcomes: list[Outcome], *, as_json: bool) -> None:
     typer.echo(f"{len(outcomes)} sessions, {failed} of them failed; the others have their {PARAMETER_FILE}.")
 
 
-def _as_json(outcome: Outcome) -> dict[str, Any]:
+def _as_json(outcome: SessionOutcome) -> dict[str, Any]:
     shown = {"session": str(outcome.session), "verdict": _verdict(outcome), "exit_code": outcome.exit_code}
     if outcome.error:
         return {**shown, "error": outcome.error}
     return {**shown, "file": str(outcome.written), "parameters": json_ready(outcome.document or {})}
 
 
-def _name(outcome: Outcome) -> str:
+def _name(outcome: SessionOutcome) -> str:
     return outcome.session.name
 
 
-def _parameters(outcome: Outcome) -> Parameters | None:
+def _parameters(outcome: SessionOutcome) -> Parameters | None:
     return None if outcome.document is None else from_document(outcome.document)
 
 
-def _verdict(outcome: Outcome) -> str:
+def _verdict(outcome: SessionOutcome) -> str:
     found = _parameters(outcome)
     return FAILED if found is None or outcome.error else found.calibration.quality.verdict
 
 
-def _sentences(outcome: Outcome) -> tuple[str, ...]:
+def _sentences(outcome: SessionOutcome) -> tuple[str, ...]:
     """Return what is to be read of a session beside its row: an error, or why it is not good."""
     if outcome.error:
         return (outcome.error,)
@@ -158,7 +158,7 @@ def _sentences(outcome: Outcome) -> tuple[str, ...]:
     return (*found.calibration.quality.reasons[:1], *outcome.notes)
 
 
-def _table(outcomes: list[Outcome]) -> Table:
+def _table(outcomes: list[SessionOutcome]) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("session", overflow="fold")
     for heading in ("verdict", "positions", "residual", "bias sigma", "scale sigma"):
@@ -168,7 +168,7 @@ def _table(outcomes: list[Outcome]) -> Table:
     return table
 
 
-def _figures(outcome: Outcome) -> tuple[str, ...]:
+def _figures(outcome: SessionOutcome) -> tuple[str, ...]:
     found = _parameters(outcome)
     if found is None:
         return ()
