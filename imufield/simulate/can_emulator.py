@@ -26,7 +26,7 @@ from imufield.acquire.can_link import make_message, open_bus, parse_bus
 from imufield.acquire.protocol import Protocol
 from imufield.samples import Samples, Status
 from imufield.simulate.can_encode import CanEncoder
-from imufield.simulate.emulator_core import LINGER_S, EmulatorCore, EmulatorSettings, Source
+from imufield.simulate.emulator_core import LINGER_S, EmulatorCore, EmulatorSettings, SampleSource
 from imufield.simulate.faults import CanFaultInjector, CanFaults, error_burst
 from imufield.simulate.port import PseudoTerminal
 from imufield.simulate.slcan import SlcanDevice
@@ -107,7 +107,7 @@ class CanEmulator(EmulatorCore):
     ----------
     protocol : Protocol
         Of kind "can".
-    source : Source
+    source : SampleSource
         Gives the samples, in the units of the protocol.
     bus : str
         ``INTERFACE:CHANNEL``, or ``slcan`` for an adapter on a pseudo-terminal.
@@ -129,7 +129,7 @@ class CanEmulator(EmulatorCore):
     def __init__(
         self,
         protocol: Protocol,
-        source: Source,
+        source: SampleSource,
         bus: str,
         settings: EmulatorSettings | None = None,
         *,

@@ -21,13 +21,13 @@ from imufield.simulate.emulator_core import (
     SLICE_S,
     EmulatorCore,
     EmulatorSettings,
-    Source,
+    SampleSource,
     VirtualImu,
 )
 from imufield.simulate.faults import FaultInjector, Faults
 from imufield.simulate.port import PseudoTerminal
 
-__all__ = ["LINGER_S", "MAXIMUM_SPEED", "Emulator", "EmulatorSettings", "Source", "VirtualImu"]
+__all__ = ["LINGER_S", "MAXIMUM_SPEED", "Emulator", "EmulatorSettings", "SampleSource", "VirtualImu"]
 
 
 class Emulator(EmulatorCore):
@@ -37,7 +37,7 @@ class Emulator(EmulatorCore):
     ----------
     device : Device
         Speaks the protocol.
-    source : Source
+    source : SampleSource
         Gives the samples.
     settings : EmulatorSettings, optional
     faults : Faults, optional
@@ -55,7 +55,7 @@ class Emulator(EmulatorCore):
     def __init__(
         self,
         device: Device,
-        source: Source,
+        source: SampleSource,
         settings: EmulatorSettings | None = None,
         *,
         faults: Faults | None = None,

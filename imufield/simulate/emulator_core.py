@@ -34,7 +34,7 @@ _LARGEST_BLOCK_S = 1.0
 """Instrument's time made at once after a delay; keeps stop() prompt when the machine cannot keep up."""
 
 
-class Source(Protocol):
+class SampleSource(Protocol):
     """Where samples come from."""
 
     interval_s: float
@@ -85,7 +85,7 @@ class EmulatorCore(ABC):
 
     Parameters
     ----------
-    source : Source
+    source : SampleSource
         Gives the samples.
     settings : EmulatorSettings or None
     chances : Chances
@@ -103,7 +103,7 @@ class EmulatorCore(ABC):
 
     def __init__(
         self,
-        source: Source,
+        source: SampleSource,
         settings: EmulatorSettings | None,
         chances: Chances,
         start_up_s: float,

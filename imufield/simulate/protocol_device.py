@@ -10,7 +10,7 @@ from imufield.acquire.protocol import Protocol
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, Samples, SampleUnits
 from imufield.simulate.devices import Answer, Frames
-from imufield.simulate.emulator_core import Source
+from imufield.simulate.emulator_core import SampleSource
 from imufield.simulate.frame_encode import FrameEncoder, WireClock
 from imufield.simulate.sentence_encode import LINE_END, SentenceEncoder
 from imufield.simulate.wire_forms import WireForm
@@ -76,7 +76,7 @@ class InProtocolUnits:
 
     Parameters
     ----------
-    source : Source
+    source : SampleSource
     scale : tuple of float
         Raw unit of the source per m/s^2 and per rad/s.
     protocol : Protocol
@@ -89,7 +89,7 @@ class InProtocolUnits:
         If the protocol leaves open what a count is.
     """
 
-    def __init__(self, source: Source, scale: tuple[float, float], protocol: Protocol, rate_hz: float) -> None:
+    def __init__(self, source: SampleSource, scale: tuple[float, float], protocol: Protocol, rate_hz: float) -> None:
         self._source = source
         self.interval_s = source.interval_s
         self._units: SampleUnits = protocol.units

@@ -17,7 +17,7 @@ from imufield.samples import Samples, Status, concatenate
 from imufield.simulate.accounting import Wire, random_samples, serial_wires
 from imufield.simulate.devices import Device
 from imufield.simulate.emulate import OWN_RATE_HZ, Emulation, choose_wire, make_device
-from imufield.simulate.emulator_core import Source
+from imufield.simulate.emulator_core import SampleSource
 from imufield.simulate.protocol_device import InProtocolUnits, ProtocolDevice
 from imufield.simulate.wire_forms import choose_form, wire_forms
 
@@ -228,7 +228,7 @@ class _AtRest:
 
 
 def test_samples_take_the_units_of_the_protocol() -> None:
-    source: Source = _AtRest()
+    source: SampleSource = _AtRest()
     increments = load_protocol("novatel_oem7", {"imu": "hg4930", "rate_hz": 100})
     block = InProtocolUnits(source, (1.0, 1.0), increments, 100.0).next_block(3)
     np.testing.assert_allclose(block.accelerometer[0], [0, 0, G / 100])
