@@ -28,7 +28,7 @@ __all__ = [
     "PARAMETER_FILE",
     "Context",
     "Corrected",
-    "Instrument",
+    "InstrumentFacts",
     "Noise",
     "Parameters",
     "SessionFacts",

@@ -37,7 +37,7 @@ from imufield.study.instruments import (
     bsas_preset,
 )
 from imufield.study.optimum import INTRINSIC_NAMES, cramer_rao_bound
-from imufield.study.report import Comparison, StudyReport, Table
+from imufield.study.report import Comparison, CsvTable, StudyReport
 
 TURN_SIGMA_RAD = FIELD_PRESET.misalignment_rad / np.sqrt(6)
 """1 sigma of the turn in a preset whose misalignments are uniform within their limit: a turn is half a difference of two."""
@@ -112,7 +112,7 @@ def least_squares_bound(context: StudyContext) -> StudyReport:
             ),
             "On sensing axes, our default, a turn of the frame changes none of these numbers, and the question does not arise.",
         ),
-        (Table("ratios", ("number", "bound", "bound with frame as the preset", *ratios), rows),),
+        (CsvTable("ratios", ("number", "bound", "bound with frame as the preset", *ratios), rows),),
         figures.bars(INTRINSIC_NAMES, ratios, "RMSE over Cramér-Rao bound"),
     )
 

@@ -33,7 +33,7 @@ from imufield.study.instruments import (
     bsas_outputs,
 )
 from imufield.study.navigation import Noise, navigate_at_rest, rest_inputs
-from imufield.study.report import Comparison, StudyReport, Table
+from imufield.study.report import Comparison, CsvTable, StudyReport
 
 REPEATABILITY_M_S2 = 5 * MICRO_G_M_S2
 """1 sigma of the norm of a position: noise of the mean, flicker and turn-on of a 10 ug class instrument."""
@@ -118,7 +118,7 @@ def table_5(context: StudyContext) -> StudyReport:
                 "the 36 directions are among the 24 of the calibration, measured anew."
             ),
         ),
-        (Table("errors", ("instrument", "old mean", "old SD", "new mean", "new SD"), rows),),
+        (CsvTable("errors", ("instrument", "old mean", "old SD", "new mean", "new SD"), rows),),
         figures.runs({"old": figures_of["old"][:, 0], "recalibrated": figures_of["new"][:, 0]}, "mean error (µg)"),
     )
 
@@ -142,7 +142,7 @@ def figure_9(context: StudyContext) -> StudyReport:
         f"{_SETTING} The first instrument of bsas-table5.",
         comparisons,
         ("One instrument of many; bsas-table5 has the distribution.",),
-        (Table("errors", ("position", "old (ug)", "recalibrated (ug)"), rows),),
+        (CsvTable("errors", ("position", "old (ug)", "recalibrated (ug)"), rows),),
         figures.runs({"old": run.old_error_ug, "recalibrated": run.new_error_ug}, "error (µg)", xlabel="position"),
     )
 
@@ -229,7 +229,7 @@ def table_6(context: StudyContext) -> StudyReport:
         f"minutes of alignment with the parameters that then navigate; {len(runs)} instruments.",
         comparisons,
         _TABLE_6_DIFFERENCES,
-        (Table("errors", ("instrument", "old maximum", "old mean", "new maximum", "new mean"), rows),),
+        (CsvTable("errors", ("instrument", "old maximum", "old mean", "new maximum", "new mean"), rows),),
         figures.bars(("maximum", "mean"), {name: np.median(figures_of[name], axis=0) for name in ("old", "new")}, "nmi"),
     )
 
@@ -283,12 +283,12 @@ def figure_11(context: StudyContext) -> StudyReport:
     )
 
 
-def _curves(runs: dict[str, Drift], names: tuple[str, ...]) -> Table:
+def _curves(runs: dict[str, Drift], names: tuple[str, ...]) -> CsvTable:
     """Return curves once a minute."""
     hours = next(iter(runs.values())).hours[::60]
     columns = [getattr(run, name)[::60] for run in runs.values() for name in names]
     heads = tuple(f"{label} {name}" for label in runs for name in names)
-    return Table("curves", ("hours", *heads), tuple(zip(hours, *columns, strict=True)))
+    return CsvTable("curves", ("hours", *heads), tuple(zip(hours, *columns, strict=True)))
 
 
 def directions_shared() -> int:

@@ -33,7 +33,7 @@ from imufield.study.instruments import (
     bsas_preset,
 )
 from imufield.study.optimum import INTRINSIC_NAMES, exact_absolute_minimum
-from imufield.study.report import Comparison, StudyReport, Table
+from imufield.study.report import Comparison, CsvTable, StudyReport
 
 _PAPER_RMSE = (
     3.535e-5, 4.945e-5, 2.523e-5, 3.155e-8, 6.482e-7, 2.039e-7,
@@ -128,7 +128,7 @@ def figure_5(context: StudyContext) -> StudyReport:
         comparisons,
         _FIGURE_5_DIFFERENCES,
         (
-            Table(
+            CsvTable(
                 "costs",
                 ("run", "one data set", "fresh noise"),
                 tuple(zip(range(1, len(one) + 1), last, all_fresh, strict=True)),
@@ -170,7 +170,7 @@ def figure_6(context: StudyContext) -> StudyReport:
             ),
         ),
         (
-            Table(
+            CsvTable(
                 "costs", ("run", *(f"category {k + 1}" for k in range(4))), tuple((i + 1, *row) for i, row in enumerate(costs))
             ),
         ),
@@ -198,7 +198,7 @@ def figure_7(context: StudyContext) -> StudyReport:
                 "one constant offset in all runs: one data set, with presets that are not quite the truth."
             ),
         ),
-        (Table("errors", ("run", *BSAS_NAMES[:3]), tuple((i + 1, *row) for i, row in enumerate(errors))),),
+        (CsvTable("errors", ("run", *BSAS_NAMES[:3]), tuple((i + 1, *row) for i, row in enumerate(errors))),),
         figures.runs({BSAS_NAMES[k]: errors[:, k] for k in range(3)}, "error (raw per m/s$^2$)"),
     )
 
@@ -245,7 +245,7 @@ def table_3(context: StudyContext) -> StudyReport:
         f"reached), 50 runs on one data set, and 50 with fresh noise ({len(one)} here).",
         tuple(comparisons),
         _TABLE_3_DIFFERENCES,
-        (Table("parameters", columns, tuple(rows)),),
+        (CsvTable("parameters", columns, tuple(rows)),),
         figures.bars(
             BSAS_NAMES, {"paper": np.array(_PAPER_RMSE), "ours": np.array([row[5] for row in rows])}, "RMSE", log=True
         ),
@@ -314,7 +314,7 @@ def whitened(context: StudyContext) -> StudyReport:
         "and presets.",
         _compare_costs(runs) + _compare_with_bound(rmse, known / uncertain),
         _WHITENED_DIFFERENCES,
-        (Table("gauge-free", columns, rows),),
+        (CsvTable("gauge-free", columns, rows),),
         figures.bars(INTRINSIC_NAMES, {"bsas": rmse[0], "least squares": rmse[1]}, "RMSE over Cramér-Rao bound"),
     )
 

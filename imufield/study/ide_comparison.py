@@ -36,7 +36,7 @@ from imufield.study.instruments import (
 )
 from imufield.study.navigation import Noise, navigate_at_rest, rest_inputs
 from imufield.study.optimum import squares_optimum
-from imufield.study.report import Comparison, StudyReport, Table
+from imufield.study.report import Comparison, CsvTable, StudyReport
 
 METHODS = ("ga", "pso", "ide")
 COSTS = ("accelerometer", "norm", "vector")
@@ -139,7 +139,7 @@ def table_5(context: StudyContext) -> StudyReport:
         "define it); fresh noise in every run.",
         tuple(comparisons),
         _TABLE_5_DIFFERENCES,
-        (Table("methods", columns, tuple(rows)),),
+        (CsvTable("methods", columns, tuple(rows)),),
         figures.bars(
             [f"{_NAMES[cost].split(',')[0]} {cost} {method.upper()}" for method, cost in _runs(context)],
             {"median cost over the optimum": np.array([row[5] for row in rows])},
@@ -266,6 +266,6 @@ def figure_10(context: StudyContext) -> StudyReport:
         f"{len(flights['ide'])} instruments.",
         tuple(comparisons),
         _FIGURE_10_DIFFERENCES,
-        (Table("curves", ("hours", *heads), tuple(zip(hours, *columns, strict=True))),),
+        (CsvTable("curves", ("hours", *heads), tuple(zip(hours, *columns, strict=True))),),
         figures.over_time(panels),
     )

@@ -28,7 +28,7 @@ from imufield.study.instruments import (
     per_deg_h,
 )
 from imufield.study.optimum import squares_optimum
-from imufield.study.report import Comparison, StudyReport, Table, curves_table
+from imufield.study.report import Comparison, CsvTable, StudyReport, curves_table
 
 SETTING = (
     "Gyroscope of IDE Table 3, simulated, K taken as pulses per deg/s (the paper prints no unit): "
@@ -122,7 +122,7 @@ def table_4(context: StudyContext) -> StudyReport:
         f"{SETTING} {len(found['static'])} runs each.",
         _compare_paths(found),
         _TABLE_4_DIFFERENCES,
-        (Table("runs", ("path", "run", "cost", "optimum", *(f"error {i + 1}" for i in range(_STATIC_PARAMETERS))), rows),),
+        (CsvTable("runs", ("path", "run", "cost", "optimum", *(f"error {i + 1}" for i in range(_STATIC_PARAMETERS))), rows),),
         figures.bars(
             ("K (ppm)", "E (µrad)"),
             {p: np.array([_rmse(found[p], slice(0, 3)) * 1e6, _rmse(found[p], slice(3, 9)) * 1e6]) for p in PATHS},

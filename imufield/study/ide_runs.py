@@ -19,7 +19,7 @@ from imufield.study import figures
 from imufield.study.context import StudyContext
 from imufield.study.instruments import IDE_NOISE_M_S2, ide_problem
 from imufield.study.optimum import squares_optimum
-from imufield.study.report import Comparison, StudyReport, Table, curves_table
+from imufield.study.report import Comparison, CsvTable, StudyReport, curves_table
 
 SETTING = (
     f"Accelerometer of IDE Table 1, simulated: 24 positions, bounds of Table 1, noise of {IDE_NOISE_M_S2:g} m/s^2 "
@@ -90,7 +90,7 @@ def table_2(context: StudyContext) -> StudyReport:
         f"{SETTING} Fresh noise in every run, {len(costs['ide'])} runs.",
         (*_costs_beside_the_paper(costs), *_costs_over_the_optimum(found)),
         _TABLE_2_DIFFERENCES,
-        (Table("runs", ("strategy", "run", "L_a", "optimum"), rows),),
+        (CsvTable("runs", ("strategy", "run", "L_a", "optimum"), rows),),
         figures.bars(
             STRATEGIES,
             {

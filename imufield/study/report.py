@@ -29,7 +29,7 @@ class Comparison:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class CsvTable:
     """A table of numbers or words for a CSV file."""
 
     name: str
@@ -49,16 +49,16 @@ class StudyReport:
     comparisons: tuple[Comparison, ...]
     differences: tuple[str, ...]
     """Sentences: where and why ours differ."""
-    tables: tuple[Table, ...] = ()
+    tables: tuple[CsvTable, ...] = ()
     draw: Draw | None = field(default=None, compare=False)
     columns: tuple[str, str, str] = ("", "paper", "ours")
 
 
-def curves_table(name: str, label: str, curves: dict[str, FloatArray]) -> Table:
+def curves_table(name: str, label: str, curves: dict[str, FloatArray]) -> CsvTable:
     """Return curves of any length side by side, one column each."""
     length = max(len(curve) for curve in curves.values())
     rows = tuple((i + 1, *(f"{curve[i]:.9g}" if i < len(curve) else "" for curve in curves.values())) for i in range(length))
-    return Table(name, (label, *curves), rows)
+    return CsvTable(name, (label, *curves), rows)
 
 
 def as_text(report: StudyReport) -> str:
@@ -96,7 +96,7 @@ def save(report: StudyReport, folder: Path, *, plot: bool = True) -> tuple[Path,
     folder.mkdir(parents=True, exist_ok=True)
     written = [folder / f"{report.name}.csv"]
     comparisons = tuple((c.what, c.paper, c.ours) for c in report.comparisons)
-    _write_csv(written[0], Table("", report.columns, comparisons))
+    _write_csv(written[0], CsvTable("", report.columns, comparisons))
     for table in report.tables:
         written.append(folder / f"{report.name}-{re.sub(r'[^a-z0-9]+', '-', table.name.lower())}.csv")
         _write_csv(written[-1], table)
@@ -106,7 +106,7 @@ def save(report: StudyReport, folder: Path, *, plot: bool = True) -> tuple[Path,
     return tuple(written)
 
 
-def _write_csv(path: Path, table: Table) -> None:
+def _write_csv(path: Path, table: CsvTable) -> None:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table.columns)

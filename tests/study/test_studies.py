@@ -15,7 +15,7 @@ from imufield.study import bsas_bound, bsas_runs, instruments
 from imufield.study.context import StudyContext
 from imufield.study.instruments import BSAS_TRUTH, bsas_preset, static_rates_deg_s
 from imufield.study.registry import STUDIES, find_studies
-from imufield.study.report import Comparison, StudyReport, Table, as_markdown, as_text, save
+from imufield.study.report import Comparison, CsvTable, StudyReport, as_markdown, as_text, save
 from imufield.study.run import run_study, write_document
 
 # The papers' tables and figures (docs/study.md), and the papers' input tables.
@@ -149,7 +149,7 @@ def test_names_of_studies() -> None:
 
 
 EXAMPLE = StudyReport(
-    "x-1", "an example", "A setting.", (Comparison("cost", "1|2", "3"),), ("It differs.",), (Table("A b", ("n",), ((1,),)),)
+    "x-1", "an example", "A setting.", (Comparison("cost", "1|2", "3"),), ("It differs.",), (CsvTable("A b", ("n",), ((1,),)),)
 )
 
 
