@@ -2,7 +2,7 @@
 
 CSV and whitespace text, files of arrays, recordings of ROS; one file or several joined by time. The numbers stay as they are
 (only units that protocol ``rows_f64`` does not know are converted); a mid-scale is kept beside them, not taken off. Whatever
-the files do not say themselves is assumed aloud: ``Table.assumptions`` are sentences for the user.
+the files do not say themselves is assumed aloud: ``ImportedTable.assumptions`` are sentences for the user.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _COLUMN = {name: place for place, name in enumerate(FIELDS)}
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class ImportedTable:
     """What was imported.
 
     Attributes
@@ -108,7 +108,7 @@ def read_tables(
     zero: str | float | Sequence[float] | None = None,
     settings: Mapping[str, object] | None = None,
     topic: str | None = None,
-) -> Table:
+) -> ImportedTable:
     """Read one table, or several that belong together.
 
     Parameters
@@ -159,7 +159,7 @@ def read_tables(
     status = joined[STATUS].astype(np.uint32) if STATUS in joined else None
     if status is not None:
         found["status"] = "true"
-    return Table(rows, found, raw_zero, tuple(said), status)
+    return ImportedTable(rows, found, raw_zero, tuple(said), status)
 
 
 def write_rows(recorder: ChunkWriter, rows: FloatArray | Samples, status: NDArray[np.uint32] | None = None) -> None:

@@ -23,7 +23,7 @@ from imufield.acquire.registry import load_driver
 from imufield.acquire.ros_bags import is_bag
 from imufield.acquire.session import DEFAULT_ROOT, Session
 from imufield.acquire.table_text import read_pieces
-from imufield.acquire.tables import ROWS_PROTOCOL, Table, read_tables, write_rows
+from imufield.acquire.tables import ROWS_PROTOCOL, ImportedTable, read_tables, write_rows
 from imufield.commands.chain import part_metadata
 from imufield.commands.connect import assumed
 from imufield.commands.output import say
@@ -276,7 +276,7 @@ def _whole_or_nothing(session: Session) -> Iterator[None]:
         raise
 
 
-def _new_session(options: ImportOptions, protocol: Protocol, table: Table | None) -> Session:
+def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTable | None) -> Session:
     metadata: dict[str, Any] = {
         "kind": "import",
         "instrument": {"driver": options.driver or protocol.name, "model": options.files[0].name.split(".")[0]},
