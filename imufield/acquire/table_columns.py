@@ -62,7 +62,7 @@ _HEADERLESS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class TableColumn:
     """One column that is used: where it stands, what it is, and the unit its header names (None if it names none)."""
 
     index: int
@@ -79,7 +79,7 @@ class Column:
 class Meaning:
     """The used columns of one file, and what was assumed about them, in sentences."""
 
-    columns: tuple[Column, ...]
+    columns: tuple[TableColumn, ...]
     assumptions: tuple[str, ...] = ()
 
 
@@ -90,12 +90,12 @@ def quantity_of(field: str) -> str:
     return "gyroscope" if field in GYROSCOPE_COLUMNS else field
 
 
-def named_column(text: str, index: int, unit_below: str | None = None) -> Column | None:
+def named_column(text: str, index: int, unit_below: str | None = None) -> TableColumn | None:
     """Understand one column name such as ``Acc X (m/s^2)``, ``gyro_z_dps``, ``linear_acceleration.x`` or ``time_ms``.
 
     Returns
     -------
-    Column or None
+    TableColumn or None
         None for a name that is none of ours.
     """
     bracket = re.search(r"[\[(]([^\])]*)[\])]", text)
@@ -104,7 +104,7 @@ def named_column(text: str, index: int, unit_below: str | None = None) -> Column
     field, tail = _field_of(words)
     if field is None:
         return None
-    return Column(index, field, UNITS_OF[quantity_of(field)].get(_spelling(stated or "".join(tail))))
+    return TableColumn(index, field, UNITS_OF[quantity_of(field)].get(_spelling(stated or "".join(tail))))
 
 
 def _spelling(unit: str) -> str:
@@ -177,7 +177,7 @@ def columns_by_header(path: Path, header: Sequence[str], units: Sequence[str] | 
     below = units if units is not None and len(units) == len(header) else [None] * len(header)
     named = [named_column(name, index, unit) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
     if set(SAMPLE_COLUMNS) <= set(header):
-        named[header.index(STATUS)] = Column(header.index(STATUS), STATUS)
+        named[header.index(STATUS)] = TableColumn(header.index(STATUS), STATUS)
     found = [column for column in named if column is not None]
     ignored = [name for name, column in zip(header, named, strict=True) if column is None and name]
     return _checked(path, found, (f"{path.name}: ignored the columns {', '.join(ignored)}.",) if ignored else ())
@@ -207,10 +207,10 @@ def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning
             width=width,
         )
     said = f"{path.name}: no header, its {width} columns are taken as {', '.join(fields)}."
-    return Meaning(tuple(Column(index, field) for index, field in enumerate(fields)), (said,))
+    return Meaning(tuple(TableColumn(index, field) for index, field in enumerate(fields)), (said,))
 
 
-def _checked(path: Path, found: Sequence[Column], assumptions: tuple[str, ...]) -> Meaning:
+def _checked(path: Path, found: Sequence[TableColumn], assumptions: tuple[str, ...]) -> Meaning:
     """Refuse doubled columns and incomplete triads."""
     fields = [column.field for column in found]
     doubled = next((field for field in fields if fields.count(field) > 1), None)
