@@ -20,7 +20,7 @@ from imufield.samples import AXES, FloatArray, Status
 
 
 @dataclass(frozen=True, slots=True)
-class CheckSettings:
+class CheckLimits:
     """Limits of the checks."""
 
     gravity_share: float = 0.25
@@ -68,7 +68,7 @@ class HoldUnderTest:
     floor: NoiseFloor
     limits: Limits
     scale: RoughScale
-    settings: CheckSettings
+    settings: CheckLimits
     held: HeldMean | None = None
     """For a hold in the hand."""
 

@@ -9,7 +9,7 @@ from imufield.calibrate.observations import Observations
 from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.guide.axes_check import AxesCheck, MoveLog, check_axes
 from imufield.guide.cells import CellBuilder, Cells
-from imufield.guide.checks import CheckSettings, HoldUnderTest, Refusal, examine
+from imufield.guide.checks import CheckLimits, HoldUnderTest, Refusal, examine
 from imufield.guide.limits import StillnessSettings
 from imufield.guide.noise_floor import MAX_FLOOR_M_S2, NoiseFloor
 from imufield.guide.observe import Observation, gather, observe, trim_stretch
@@ -54,12 +54,12 @@ class StillIntervalFinder:
         scale: RoughScale | None = None,
         *,
         settings: StillnessSettings | None = None,
-        checks: CheckSettings | None = None,
+        checks: CheckLimits | None = None,
         shortest_s: float = SHORTEST_S,
     ) -> None:
         self.units = units
         self.detector = StillnessDetector(scale or RoughScale.of_units(units), settings)
-        self._checks = checks or CheckSettings()
+        self._checks = checks or CheckLimits()
         self._shortest_s = shortest_s
         self._found: list[Observation] = []
         self._refused: list[tuple[float, Refusal]] = []
@@ -119,7 +119,7 @@ def find_still_intervals(
     *,
     scale: RoughScale | None = None,
     settings: StillnessSettings | None = None,
-    checks: CheckSettings | None = None,
+    checks: CheckLimits | None = None,
     shortest_s: float = SHORTEST_S,
 ) -> StillIntervals:
     """Find every still interval of a recording.

@@ -65,7 +65,7 @@ KEYS = "r retake  s skip  u undo  p pause  f finish  b big  q quit (resume later
 
 
 @dataclass(frozen=True, slots=True)
-class Wire:
+class LinkState:
     """What the view is told about the link."""
 
     lost_samples: int | None = None
@@ -132,10 +132,10 @@ def _message(event: Event) -> str:
 
 
 def draw(
-    screen: Screen, snapshot: Snapshot, scheme: Scheme, wire: Wire | None = None, *, ascii_only: bool = False
+    screen: Screen, snapshot: Snapshot, scheme: Scheme, wire: LinkState | None = None, *, ascii_only: bool = False
 ) -> RenderableType:
     """Return the whole screen."""
-    wire = wire or Wire()
+    wire = wire or LinkState()
     middle = Table.grid(padding=0, expand=False)
     middle.add_column(width=LEFT_WIDTH)
     middle.add_column(width=MAP_WIDTH)
@@ -148,7 +148,7 @@ def draw(
     )
 
 
-def draw_big(screen: Screen, snapshot: Snapshot, wire: Wire | None = None) -> RenderableType:
+def draw_big(screen: Screen, snapshot: Snapshot, wire: LinkState | None = None) -> RenderableType:
     """Return the screen in letters to be read from three metres."""
     big, small, style = headline(screen, snapshot)
     first, second = big_words(screen, snapshot)
@@ -162,7 +162,7 @@ def draw_big(screen: Screen, snapshot: Snapshot, wire: Wire | None = None) -> Re
         said,
         bars,
         Text(),
-        _link_line(screen, snapshot, wire or Wire()),
+        _link_line(screen, snapshot, wire or LinkState()),
         *_messages(screen, 2),
         Text(KEYS, style="dim"),
     )
@@ -377,7 +377,7 @@ def _cell(name: str, snapshot: Snapshot, width: int) -> Text:
     return Text(f"[{sign}]{name}".ljust(width), style=style, no_wrap=True)
 
 
-def _link_line(screen: Screen, snapshot: Snapshot, wire: Wire) -> Text:
+def _link_line(screen: Screen, snapshot: Snapshot, wire: LinkState) -> Text:
     rate = f"{snapshot.rate_hz:.0f} Hz" if math.isfinite(snapshot.rate_hz) else "- Hz"
     lost = f"{wire.lost_samples} samples lost" if wire.lost_samples is not None else f"{snapshot.lost_cells} gaps"
     warmth = f"{snapshot.temperature_degc:.1f} degC" if math.isfinite(snapshot.temperature_degc) else "no temperature"

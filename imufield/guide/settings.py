@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
-from imufield.guide.checks import CheckSettings
+from imufield.guide.checks import CheckLimits
 from imufield.guide.hold_time import HoldWish
 from imufield.guide.limits import StillnessSettings
 from imufield.guide.plan import TOLERANCE_DEG
@@ -31,7 +31,7 @@ class GuideSettings:
     """No position is accepted first while the temperature changes faster than this."""
     tolerance_deg: float = TOLERANCE_DEG
     stillness: StillnessSettings = field(default_factory=StillnessSettings)
-    checks: CheckSettings = field(default_factory=CheckSettings)
+    checks: CheckLimits = field(default_factory=CheckLimits)
     repeat_s: float = 0.2
     """Least time between two ``turning`` or ``holding`` events."""
     remind_s: float = 10.0

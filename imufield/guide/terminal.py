@@ -12,7 +12,7 @@ from rich.text import Text
 from imufield.guide.events import Event
 from imufield.guide.guide import Snapshot
 from imufield.guide.positions import Scheme
-from imufield.guide.screen import Screen, Wire, draw, draw_big
+from imufield.guide.screen import LinkState, Screen, draw, draw_big
 
 
 class TerminalView:
@@ -56,7 +56,7 @@ class TerminalView:
         ``silent`` says that the port is there, but nothing arrives.
         """
         self._screen.follow(events)
-        wire = Wire(lost_samples, silent, self._cable)
+        wire = LinkState(lost_samples, silent, self._cable)
         if self.big:
             picture = draw_big(self._screen, snapshot, wire)
         else:

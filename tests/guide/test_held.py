@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imufield.guide.cells import cells_of, join_cells
-from imufield.guide.checks import CheckSettings, HoldUnderTest, examine
+from imufield.guide.checks import CheckLimits, HoldUnderTest, examine
 from imufield.guide.events import RefusalCode
 from imufield.guide.held import HeldMean, held_mean
 from imufield.guide.limits import StillnessSettings, noise_limits
@@ -138,7 +138,7 @@ def test_a_hand_alone_makes_no_jolt(seed: int) -> None:
     samples, _ = hold(seed, tremor_rad=math.radians(0.1), sway_rad=math.radians(1.0))
     found = held_mean(samples, SI, QUIET)
     assert found is not None
-    assert found.jolt_m_s2 < 0.6 * CheckSettings().jolt_share * found.usual_jolt_m_s2
+    assert found.jolt_m_s2 < 0.6 * CheckLimits().jolt_share * found.usual_jolt_m_s2
 
 
 @pytest.mark.parametrize("frequency_hz", [15.0, 25.0, 40.0])
@@ -154,7 +154,7 @@ def test_a_bump_is_a_jolt_and_is_refused(frequency_hz: float) -> None:
     cells = join_cells(list(cells_of([bumped])))
     floor = measure_floor(cells)
     limits = noise_limits(floor, SI, StillnessSettings())
-    refusal = examine(HoldUnderTest(cells, floor, limits, SI, CheckSettings(), found))
+    refusal = examine(HoldUnderTest(cells, floor, limits, SI, CheckLimits(), found))
     assert refusal is not None
     assert refusal.reason is RefusalCode.KNOCKED
     assert refusal.measured > refusal.limit > 0

@@ -15,7 +15,7 @@ from imufield.guide.guide import Guide
 from imufield.guide.jsonlines import JsonLinesView
 from imufield.guide.plain import PlainView, line
 from imufield.guide.positions import SCHEMES, scheme
-from imufield.guide.screen import HEIGHT, WIDTH, Screen, Wire, big_words, draw, draw_big, headline
+from imufield.guide.screen import HEIGHT, WIDTH, LinkState, Screen, big_words, draw, draw_big, headline
 from imufield.guide.settings import GuideSettings
 from imufield.guide.terminal import TerminalView
 
@@ -38,7 +38,7 @@ def session(make_path: Any) -> Any:
 
 def picture(screen: Any, guide: Any, **options: Any) -> Any:
     console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing(), **options)
-    console.print(draw(screen, guide.snapshot(), guide.plan.scheme, Wire(0)))
+    console.print(draw(screen, guide.snapshot(), guide.plan.scheme, LinkState(0)))
     return console.export_text()
 
 
@@ -199,7 +199,7 @@ def test_big_letters_say_the_same_and_fit(session: Any, until_s: Any, first: Any
     snapshot = played[-1][1].snapshot()
     assert big_words(screen, snapshot)[0] == first
     console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing())
-    console.print(draw_big(screen, snapshot, Wire(0)))
+    console.print(draw_big(screen, snapshot, LinkState(0)))
     lines = console.export_text().rstrip("\n").split("\n")
     assert len(lines) <= HEIGHT
     assert max(map(len, lines)) <= WIDTH
