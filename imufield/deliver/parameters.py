@@ -13,7 +13,7 @@ import numpy as np
 
 from imufield.calibrate.result import Calibration, GyroscopeParameters
 from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
-from imufield.deliver.context import Context, Noise, SessionFacts
+from imufield.deliver.context import Context, InstrumentFacts, Noise, SessionFacts
 from imufield.deliver.document import VERSION, Document, calibration_from_document, context_from_document, to_document
 from imufield.deliver.parameters_read import read_document
 from imufield.deliver.parameters_write import EDITED, to_toml, write_document, write_parameters

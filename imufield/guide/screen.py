@@ -132,23 +132,23 @@ def _message(event: Event) -> str:
 
 
 def draw(
-    screen: Screen, snapshot: Snapshot, scheme: Scheme, wire: LinkState | None = None, *, ascii_only: bool = False
+    screen: Screen, snapshot: Snapshot, scheme: Scheme, link: LinkState | None = None, *, ascii_only: bool = False
 ) -> RenderableType:
     """Return the whole screen."""
-    wire = wire or LinkState()
+    link = link or LinkState()
     middle = Table.grid(padding=0, expand=False)
     middle.add_column(width=LEFT_WIDTH)
     middle.add_column(width=MAP_WIDTH)
-    now = _now(screen, snapshot, wire.cable, ascii_only=ascii_only)
+    now = _now(screen, snapshot, link.cable, ascii_only=ascii_only)
     left = Panel(now, box=ROUNDED, title=_title(snapshot, scheme), title_align="left", height=PANEL_HEIGHT)
     right = Panel(_right(snapshot, scheme), box=ROUNDED, title="positions", title_align="left", height=PANEL_HEIGHT)
     middle.add_row(left, right)
     return Group(
-        middle, _link_line(screen, snapshot, wire), *_messages(screen, MESSAGES), Text(KEYS, style="dim", no_wrap=True)
+        middle, _link_line(screen, snapshot, link), *_messages(screen, MESSAGES), Text(KEYS, style="dim", no_wrap=True)
     )
 
 
-def draw_big(screen: Screen, snapshot: Snapshot, wire: LinkState | None = None) -> RenderableType:
+def draw_big(screen: Screen, snapshot: Snapshot, link: LinkState | None = None) -> RenderableType:
     """Return the screen in letters to be read from three metres."""
     big, small, style = headline(screen, snapshot)
     first, second = big_words(screen, snapshot)
@@ -162,7 +162,7 @@ def draw_big(screen: Screen, snapshot: Snapshot, wire: LinkState | None = None) 
         said,
         bars,
         Text(),
-        _link_line(screen, snapshot, wire or LinkState()),
+        _link_line(screen, snapshot, link or LinkState()),
         *_messages(screen, 2),
         Text(KEYS, style="dim"),
     )
@@ -377,11 +377,11 @@ def _cell(name: str, snapshot: Snapshot, width: int) -> Text:
     return Text(f"[{sign}]{name}".ljust(width), style=style, no_wrap=True)
 
 
-def _link_line(screen: Screen, snapshot: Snapshot, wire: LinkState) -> Text:
+def _link_line(screen: Screen, snapshot: Snapshot, link: LinkState) -> Text:
     rate = f"{snapshot.rate_hz:.0f} Hz" if math.isfinite(snapshot.rate_hz) else "- Hz"
-    lost = f"{wire.lost_samples} samples lost" if wire.lost_samples is not None else f"{snapshot.lost_cells} gaps"
+    lost = f"{link.lost_samples} samples lost" if link.lost_samples is not None else f"{snapshot.lost_cells} gaps"
     warmth = f"{snapshot.temperature_degc:.1f} degC" if math.isfinite(snapshot.temperature_degc) else "no temperature"
-    bad = wire.silent or not screen.link
+    bad = link.silent or not screen.link
     link = "link ok" if not bad else "NOTHING ARRIVES: check power and cable" if screen.link else "LINK LOST"
     return Text(f" {link}   {rate}   {lost}   {warmth}", style="bold red" if bad else "bold", no_wrap=True)
 

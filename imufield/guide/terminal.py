@@ -56,10 +56,10 @@ class TerminalView:
         ``silent`` says that the port is there, but nothing arrives.
         """
         self._screen.follow(events)
-        wire = LinkState(lost_samples, silent, self._cable)
+        link = LinkState(lost_samples, silent, self._cable)
         if self.big:
-            picture = draw_big(self._screen, snapshot, wire)
+            picture = draw_big(self._screen, snapshot, link)
         else:
             ascii_only = self._live.console.options.ascii_only
-            picture = draw(self._screen, snapshot, self._scheme, wire, ascii_only=ascii_only)
+            picture = draw(self._screen, snapshot, self._scheme, link, ascii_only=ascii_only)
         self._live.update(picture, refresh=True)

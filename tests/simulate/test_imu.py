@@ -17,7 +17,7 @@ from imufield.simulate.grades import (
     REFERENCE_TEMPERATURE_DEGC,
     TACTICAL,
     Grade,
-    Instrument,
+    TrueInstrument,
     draw_truth,
     find_grade,
     perfect_instrument,
@@ -35,7 +35,7 @@ def motion_of(force: np.ndarray, rate: np.ndarray | None = None, rate_hz: float 
     return TrueMotion(time_s, np.tile([1.0, 0, 0, 0], (n, 1)), np.zeros((n, 3)) if rate is None else rate, force)
 
 
-def drawn(grade_name: str = "mems", delay_s: float = 0.0) -> Instrument:
+def drawn(grade_name: str = "mems", delay_s: float = 0.0) -> TrueInstrument:
     return replace(draw_truth(find_grade(grade_name), np.random.default_rng(1)), triad_delay_s=delay_s)
 
 
