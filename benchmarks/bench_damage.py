@@ -11,7 +11,7 @@ import argparse
 import time
 from typing import Any
 
-from imufield.simulate.accounting import Account, Wire, account_for, has_checksum, serial_wires
+from tests.simulate.accounting import Account, Wire, account_for, has_checksum, serial_wires
 
 BY_HOST_TIME = ("vectornav_ascii", "witmotion")
 

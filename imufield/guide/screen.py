@@ -377,11 +377,11 @@ def _cell(name: str, snapshot: Snapshot, width: int) -> Text:
     return Text(f"[{sign}]{name}".ljust(width), style=style, no_wrap=True)
 
 
-def _link_line(screen: Screen, snapshot: Snapshot, link: LinkState) -> Text:
+def _link_line(screen: Screen, snapshot: Snapshot, state: LinkState) -> Text:
     rate = f"{snapshot.rate_hz:.0f} Hz" if math.isfinite(snapshot.rate_hz) else "- Hz"
-    lost = f"{link.lost_samples} samples lost" if link.lost_samples is not None else f"{snapshot.lost_cells} gaps"
+    lost = f"{state.lost_samples} samples lost" if state.lost_samples is not None else f"{snapshot.lost_cells} gaps"
     warmth = f"{snapshot.temperature_degc:.1f} degC" if math.isfinite(snapshot.temperature_degc) else "no temperature"
-    bad = link.silent or not screen.link
+    bad = state.silent or not screen.link
     link = "link ok" if not bad else "NOTHING ARRIVES: check power and cable" if screen.link else "LINK LOST"
     return Text(f" {link}   {rate}   {lost}   {warmth}", style="bold red" if bad else "bold", no_wrap=True)
 

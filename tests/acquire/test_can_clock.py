@@ -14,8 +14,8 @@ from imufield.acquire.protocol import load_protocol
 from imufield.acquire.protocol_schema import ClockRule
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
-from imufield.simulate.accounting import random_samples
 from imufield.simulate.can_encode import CanEncoder
+from tests.simulate.accounting import random_samples
 
 
 def run(

@@ -25,8 +25,8 @@ from imufield.acquire.protocol import Protocol
 from imufield.acquire.registry import load_driver, shipped_names
 from imufield.errors import ProtocolError
 from imufield.samples import Samples
-from imufield.simulate.accounting import random_samples, serial_wires
 from imufield.simulate.can_encode import CanEncoder
+from tests.simulate.accounting import random_samples, serial_wires
 
 SECONDS = float(os.environ.get("IMUFIELD_FUZZ_S", "5"))
 SAMPLES = 40

@@ -8,7 +8,7 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol import load_protocol
 from imufield.acquire.registry import load_driver
 from imufield.samples import concatenate
-from imufield.simulate.accounting import Wire, account_for, has_checksum, random_samples, serial_wires
+from tests.simulate.accounting import Wire, account_for, has_checksum, random_samples, serial_wires
 
 WIRES = serial_wires()
 CHECKED = [wire for wire in WIRES if has_checksum(wire.choose().protocol)]

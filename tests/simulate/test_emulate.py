@@ -14,12 +14,12 @@ import pytest
 
 from imufield.errors import UsageError
 from imufield.samples import concatenate
-from imufield.simulate.accounting import serial_wires
 from imufield.simulate.devices import Stim300Device
 from imufield.simulate.emulate import Emulation, emulate, make_emulator, make_virtual_imu
 from imufield.simulate.emulator import Emulator, EmulatorSettings
 from imufield.simulate.faults import CanFaults, Faults
 from imufield.simulate.operator import OperatorSettings
+from tests.simulate.accounting import serial_wires
 
 OPTIONS = Emulation(
     rate_hz=125.0,

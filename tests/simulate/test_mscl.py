@@ -10,11 +10,11 @@ import pytest
 
 from imufield.acquire.decoder import Decoder
 from imufield.samples import Samples, concatenate
-from imufield.simulate.accounting import random_samples
 from imufield.simulate.devices import Frames
 from imufield.simulate.emulate import Emulation, WireChoice, choose_wire
 from imufield.simulate.emulator import Emulator, EmulatorSettings
 from imufield.simulate.protocol_device import ProtocolDevice
+from tests.simulate.accounting import random_samples
 
 mscl: Any = pytest.importorskip("mscl", reason="the maker's library is not installed: pip install pymscl")
 

@@ -14,12 +14,12 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol import Protocol, load_protocol, parse_protocol
 from imufield.errors import ProtocolError, UsageError
 from imufield.samples import Samples, Status, concatenate
-from imufield.simulate.accounting import Wire, random_samples, serial_wires
 from imufield.simulate.devices import Device
 from imufield.simulate.emulate import OWN_RATE_HZ, Emulation, choose_wire, make_device
 from imufield.simulate.emulator_core import SampleSource
 from imufield.simulate.protocol_device import InProtocolUnits, ProtocolDevice
 from imufield.simulate.wire_forms import choose_form, wire_forms
+from tests.simulate.accounting import Wire, random_samples, serial_wires
 
 G = 9.80665
 DEG = math.pi / 180
