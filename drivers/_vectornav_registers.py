@@ -48,7 +48,7 @@ class VectorNav(Driver):
         return [pause("resume", paused=False)]
 
     @classmethod
-    def stop_orders(cls) -> Sequence[Command]:
+    def stop_orders(cls, state: Sequence[Message] = ()) -> Sequence[Command]:
         """Return the pause of all asynchronous output."""
         return [pause("pause", paused=True)]
 

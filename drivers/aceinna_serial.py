@@ -16,7 +16,7 @@ _DMU_KINDS = frozenset({"0x5330", "0x5331"})
 _RATES_HZ = (200, 100, 50, 20, 10, 5, 2)
 _PACKET_RATE, _PACKET_RATE_DIVIDER = 4, 1
 _DMU_HZ = 100
-_QUIET = 0
+_QUIET, _DELIVERED_HZ = 0, 100
 
 
 class AceinnaSerial(Driver):
@@ -42,7 +42,11 @@ class AceinnaSerial(Driver):
     bauds: ClassVar[tuple[int, ...]] = (115200, 57600, 38400, 230400, 460800)
     status: ClassVar[Evidence] = "verified on real bytes"
     manual: ClassVar[str] = "OpenIMU serial messaging, openimu.readthedocs.io; Aceinna DMU38x user manual: packets S0, S1"
-    abilities: ClassVar[Mapping[Ability, Evidence]] = {"identify": "document only", "rate": "document only"}
+    abilities: ClassVar[Mapping[Ability, Evidence]] = {
+        "identify": "document only",
+        "start and stop": "document only",
+        "rate": "document only",
+    }
 
     @classmethod
     def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
@@ -53,27 +57,41 @@ class AceinnaSerial(Driver):
 
     @classmethod
     def state_questions(cls, heard: Collection[str]) -> Sequence[Command]:
-        """Return the question for the packet rate."""
-        if _DMU_KINDS.intersection(heard):
-            return [packet("rate", "GF", struct.pack(">BH", 1, _PACKET_RATE_DIVIDER), "field")]
-        return [packet("rate", "gP", struct.pack("<I", _PACKET_RATE), "parameter")]
+        """Return the question for the packet rate, of both families while nothing was heard: each refuses the other's."""
+        dmu = packet("rate", "GF", struct.pack(">BH", 1, _PACKET_RATE_DIVIDER), "field")
+        openimu = packet("rate", "gP", struct.pack("<I", _PACKET_RATE), "parameter")
+        return [dmu] if _DMU_KINDS.intersection(heard) else [openimu] if heard else [openimu, dmu]
 
     @classmethod
     def rate_hz(cls, state: Sequence[Message]) -> float | None:
         """Return the packet rate; None for quiet."""
-        for answer in state:
+        for answer in _told(state):
             if answer["value"] != _QUIET:
                 return float(_DMU_HZ / answer["value"] if answer["kind"] == "field" else answer["value"])
         return None
 
     @classmethod
+    def start_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
+        """Return the packet rate that was read; 100 Hz, as delivered, where it was quiet."""
+        return [_set(answer, answer["value"] or (1 if answer["kind"] == "field" else _DELIVERED_HZ)) for answer in _told(state)]
+
+    @classmethod
+    def stop_orders(cls, state: Sequence[Message] = ()) -> Sequence[Command]:
+        """Return the packet rate 0, which is quiet; volatile."""
+        return [_set(answer, _QUIET) for answer in _told(state)]
+
+    @classmethod
     def rate_orders(cls, rate_hz: float, state: Sequence[Message]) -> Sequence[Command]:
         """Return SF with the divider of a DMU, or uP with the rate of an OpenIMU; both change volatile settings."""
-        if any(answer["kind"] == "field" for answer in state):
-            divider = choose_divisor(cls.title, rate_hz, _DMU_HZ)
-            return [packet("set rate", "SF", struct.pack(">BHH", 1, _PACKET_RATE_DIVIDER, divider), "field_set")]
-        rate = int(choose_rate(cls.title, rate_hz, _RATES_HZ))
-        return [packet("set rate", "uP", struct.pack("<Iq", _PACKET_RATE, rate), "parameter_set")]
+        return [
+            _set(
+                answer,
+                choose_divisor(cls.title, rate_hz, _DMU_HZ)
+                if answer["kind"] == "field"
+                else int(choose_rate(cls.title, rate_hz, _RATES_HZ)),
+            )
+            for answer in _told(state)
+        ]
 
     @classmethod
     def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
@@ -94,15 +112,33 @@ class AceinnaSerial(Driver):
         return found
 
 
+def _told(state: Sequence[Message]) -> list[Message]:
+    """Return the answers that hold a packet rate or its divider; a refusal holds none."""
+    return [answer for answer in state if answer["kind"] in ("field", "parameter")]
+
+
+def _set(answer: Message, value: int) -> Command:
+    """Return the order that sets what this was the answer about, until power-off: SF of a DMU, uP of an OpenIMU."""
+    if answer["kind"] == "field":
+        return packet("set rate", "SF", struct.pack(">BHH", 1, _PACKET_RATE_DIVIDER, value), "field_set")
+    return packet("set rate", "uP", struct.pack("<Iq", _PACKET_RATE, value), "parameter_set")
+
+
 def packet(name: str, letters: str, data: bytes, answer: str) -> Command:
-    """Return a packet to the instrument, answered by a message called ``answer``."""
+    """Return a packet to the instrument, answered by a message called ``answer`` or by a refusal of these letters."""
     body = letters.encode() + bytes([len(data)]) + data
     return Command(
         name,
         b"UU" + body + _CRC.of(body).to_bytes(2, "big"),
-        lambda message: message["kind"] == answer,
-        lambda message: f"error {message['error']}" if message.get("error") else "",
+        lambda message: message["kind"] == answer or (message["kind"] == "refused" and message["letters"] == letters),
+        _refusal,
     )
+
+
+def _refusal(answer: Message) -> str:
+    if answer["kind"] == "refused":
+        return f"it knows no {answer['letters']}"
+    return f"error {answer['error']}" if answer.get("error") else ""
 
 
 DRIVER = AceinnaSerial

@@ -92,7 +92,7 @@ class MicroStrainMip(Driver):
         return [command("resume", BASE, _RESUME, is_last=True)]
 
     @classmethod
-    def stop_orders(cls) -> Sequence[Command]:
+    def stop_orders(cls, state: Sequence[Message] = ()) -> Sequence[Command]:
         """Return idle."""
         return [command("idle", BASE, _IDLE)]
 

@@ -85,7 +85,7 @@ class Stim300(Driver):
         return [utility("xn", is_last=True)]
 
     @classmethod
-    def stop_orders(cls) -> Sequence[Command]:
+    def stop_orders(cls, state: Sequence[Message] = ()) -> Sequence[Command]:
         """Return the way into utility mode, where nothing is sent by itself."""
         return [enter_utility_mode()]
 

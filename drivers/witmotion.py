@@ -11,6 +11,7 @@ from imufield.acquire.exchange import Command, Message
 
 _RATE, _VERSION, _SERIAL, _SERIAL_END, _READ, _KEY = 0x03, 0x2E, 0x7F, 0x83, 0x27, 0x69
 _UNLOCK = 0xB588
+_ONCE, _NEVER, _AS_DELIVERED = 0x0C, 0x0D, 0x06
 _RATE_CODES = {0.2: 1, 0.5: 2, 1: 3, 2: 4, 5: 5, 10: 6, 20: 7, 50: 8, 100: 9, 200: 0x0B}
 """Code 0x0A is left out: some models take it for 125 Hz, others for 100 Hz."""
 _RATES_READ_HZ = {code: rate for rate, code in _RATE_CODES.items()} | {0x0A: 125}
@@ -40,7 +41,11 @@ class WitMotion(Driver):
     status: ClassVar[Evidence] = "verified on real bytes"
     manual: ClassVar[str] = "WITMOTION WitStandardProtocol_JY901: standard protocol and register map"
     variants: ClassVar[tuple[Mapping[str, object], ...]] = ({"form": "bluetooth"},)
-    abilities: ClassVar[Mapping[Ability, Evidence]] = {"identify": "document only", "rate": "document only"}
+    abilities: ClassVar[Mapping[Ability, Evidence]] = {
+        "identify": "document only",
+        "start and stop": "document only",
+        "rate": "document only",
+    }
 
     @classmethod
     def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
@@ -53,6 +58,17 @@ class WitMotion(Driver):
         return [read("rate", _RATE)]
 
     @classmethod
+    def start_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
+        """Return the key and the rate that was read; 10 Hz, as delivered, where that was none."""
+        codes = [answer["registers"][0] for answer in state]
+        return [order for code in codes for order in _set_code(_AS_DELIVERED if code & 0xFF in (_ONCE, _NEVER) else code)]
+
+    @classmethod
+    def stop_orders(cls, state: Sequence[Message] = ()) -> Sequence[Command]:
+        """Return the key and the code for no output, not saved."""
+        return _set_code(_NEVER) if state else ()
+
+    @classmethod
     def rate_hz(cls, state: Sequence[Message]) -> float | None:
         """Return the output rate; None where nothing is sent by itself."""
         return next((_RATES_READ_HZ.get(answer["registers"][0] & 0xFF) for answer in state), None)
@@ -60,12 +76,12 @@ class WitMotion(Driver):
     @classmethod
     def rate_orders(cls, rate_hz: float, state: Sequence[Message]) -> Sequence[Command]:
         """Return the key and the rate; without a save both are forgotten at power-off."""
-        return [write("key", _KEY, _UNLOCK), write("rate", _RATE, _RATE_CODES[choose_rate(cls.title, rate_hz, _RATE_CODES)])]
+        return _set_code(_RATE_CODES[choose_rate(cls.title, rate_hz, _RATE_CODES)])
 
     @classmethod
     def restore_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
         """Return the key and the code that was read."""
-        return [write("key", _KEY, _UNLOCK), write("rate", _RATE, state[0]["registers"][0])]
+        return _set_code(state[0]["registers"][0])
 
     @classmethod
     def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
@@ -80,6 +96,10 @@ class WitMotion(Driver):
         serial = struct.pack("<6H", *(*words.get("serial", (0,) * 4), *words.get("serial end", (0,) * 4)[:2]))
         text = serial.strip(b"\0 ").decode("ascii", "replace")
         return {**found, **({"serial_number": text} if text.isalnum() else {})}
+
+
+def _set_code(code: int) -> Sequence[Command]:
+    return [write("key", _KEY, _UNLOCK), write("rate", _RATE, code)]
 
 
 def write(name: str, register: int, value: int) -> Command:

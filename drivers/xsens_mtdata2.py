@@ -64,7 +64,7 @@ class XsensMtData2(Driver):
         return [request("GoToMeasurement", GO_TO_MEASUREMENT, "go_to_measurement_done", is_last=True)]
 
     @classmethod
-    def stop_orders(cls) -> Sequence[Command]:
+    def stop_orders(cls, state: Sequence[Message] = ()) -> Sequence[Command]:
         """Return GoToConfig."""
         return [request("GoToConfig", GO_TO_CONFIG, "go_to_config_done")]
 

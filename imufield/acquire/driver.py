@@ -114,12 +114,12 @@ class Driver:
 
     @classmethod
     def start_orders(cls, state: Sequence[Message]) -> Sequence[Command]:  # noqa: ARG003  for drivers to use
-        """Return the commands that make a silent instrument send samples; ``state`` as it was when it sent, if known."""
+        """Return the commands that make a silent instrument send samples: as ``state`` tells, else as delivered."""
         return ()
 
     @classmethod
-    def stop_orders(cls) -> Sequence[Command]:
-        """Return the commands that silence it until ``start_orders`` or the next power-on."""
+    def stop_orders(cls, state: Sequence[Message] = ()) -> Sequence[Command]:  # noqa: ARG003  for drivers to use
+        """Return the commands that silence it until ``start_orders`` or the next power-on; none where ``state`` is missing."""
         return ()
 
 

@@ -11,7 +11,7 @@ from imufield.acquire.exchange import Command, Exchange
 from imufield.acquire.host_clock import HostClock
 from imufield.acquire.link import Chunk, Link
 from imufield.acquire.protocol import load_protocol
-from imufield.errors import LinkError, Reason, UsageError
+from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
 
 _SAME = 1e-3
 """Rates closer than this are the same: instruments round their divisors."""
@@ -64,18 +64,24 @@ class Instrument:
             No answer, or a refusal.
         """
         self._check("start and stop")
-        self._undo.append(self.driver.stop_orders())
         state = self._state(link)
-        orders = self.driver.start_orders(state)
-        exchange = self._exchange(link, orders)
-        self._finished(exchange, exchange.order(orders))
+        self._switch(link, self.driver.start_orders(state), self.driver.stop_orders(state))
 
     def stop(self, link: Link) -> None:
         """Silence it; ``restore`` makes it send again. Raises as ``start`` does."""
         self._check("start and stop")
         state = self._state(link)
-        self._undo.append(self.driver.start_orders(state))
-        orders = self.driver.stop_orders()
+        self._switch(link, self.driver.stop_orders(state), self.driver.start_orders(state))
+
+    def _switch(self, link: Link, orders: Sequence[Command], back: Sequence[Command]) -> None:
+        if not orders or not back:
+            raise LinkTimeoutError(
+                f"{self.driver.title} on {link.name} does not tell what it sends, so it could not be put back; check that the "
+                "wire to the instrument is connected",
+                Reason.SILENCE,
+                port=link.name,
+            )
+        self._undo.append(back)
         exchange = self._exchange(link, orders)
         self._finished(exchange, exchange.order(orders))
 

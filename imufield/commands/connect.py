@@ -287,7 +287,7 @@ def _introduced(found: Search, ear: Ear, instrument: Instrument | None, options:
         if options.rate_hz is not None:
             rate_before_hz = _set_rate(instrument, found, options.rate_hz, say)
             messages += instrument.state
-        protocol = _with_settings(candidate, messages)
+        protocol = _with_settings(candidate, messages, options.rate_hz)
     elif options.rate_hz is not None:
         raise UsageError("--rate-hz needs an instrument with a driver, a protocol file says nothing of commands; leave it out")
     if identity:
@@ -318,11 +318,14 @@ def _woken(found: Search, clock: HostClock, say: Say) -> Instrument | None:
     return instrument
 
 
-def _with_settings(candidate: Candidate, messages: list[dict[str, Any]]) -> Protocol:
-    """Return the protocol with what the instrument told of its settings."""
-    if candidate.driver is None or not candidate.driver.read_settings(messages):
+def _with_settings(candidate: Candidate, messages: list[dict[str, Any]], rate_hz: float | None) -> Protocol:
+    """Return the protocol with what the instrument told of its settings, and the rate that was set where it must be said."""
+    units = candidate.protocol.units
+    by_increment = units.accelerometer_is_increment or units.gyroscope_is_increment
+    said = {} if rate_hz is None or not by_increment else {"rate_hz": rate_hz}
+    if candidate.driver is None or not (said or candidate.driver.read_settings(messages)):
         return candidate.protocol
-    given = {name: one.value for name, one in candidate.protocol.settings.items() if one.origin == "given"}
+    given = {name: one.value for name, one in candidate.protocol.settings.items() if one.origin == "given"} | said
     return candidate.driver.load_protocol(given, messages=messages)
 
 

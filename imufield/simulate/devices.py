@@ -2,8 +2,8 @@
 
 ``Stim300Device`` follows datasheet TS1524 rev. 31: on power-on part number, serial number and configuration, then 281 ms of
 datagrams with the start-up bit and the rates at full scale, then data. Commands of normal mode are answered; of service
-and utility mode only so much that a host can enter, ask who is there, and leave. The byte maps of the special
-datagrams come from the datasheet only, no recording of them is known.
+and utility mode only so much that a host can enter, ask who is there, set the sample rate until power-off (utility alone), and
+leave. The byte maps of the special datagrams come from the datasheet only, no recording of them is known.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _RATE_CODES = {125: 0, 250: 1, 500: 2, 1000: 3, 2000: 4}
 _BAUD_CODES = {374400: 0, 460800: 1, 921600: 2, 1843200: 3}
 _RANGE_CODES = {10: 0, 2: 2, 5: 3, 30: 4, 80: 6}
 _OUTPUT_CODES = {"rate": 0, "increment": 1, "average": 2}
-_UTILITY_ERROR = 1
+_UTILITY_ERROR, _UTILITY_VALUE_ERROR = 1, 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +58,16 @@ class Device(Protocol):
     @property
     def streaming(self) -> bool:
         """Whether samples are sent in the present mode."""
+        ...
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Output rate that commands have set; None: that of its samples."""
+        ...
+
+    @property
+    def answers_replace_samples(self) -> bool:
+        """Whether an answer takes the place of a sample; otherwise it comes between two."""
         ...
 
     def encode(self, samples: Samples) -> Frames:
@@ -90,6 +100,8 @@ class TextDevice:
     """A home-made instrument that prints lines; it hears no commands."""
 
     start_up_s = 0.0
+    rate_hz = None
+    answers_replace_samples = False
 
     def __init__(self, settings: TextFormat | None = None, baud: int = 921600) -> None:
         self.format = settings or TextFormat()
@@ -142,6 +154,7 @@ class Stim300Device:
     """
 
     start_up_s = _START_UP_S
+    answers_replace_samples = True
 
     def __init__(
         self, settings: Stim300Format | None = None, identity: Stim300Identity | None = None, baud: int = 921600
@@ -150,8 +163,16 @@ class Stim300Device:
         self.identity = identity or Stim300Identity()
         self.baud = baud
         self._encoder = Stim300Encoder(self.format)
+        self.memory_writes: list[bytes] = []
+        """Commands that would have changed memory that outlives the power."""
+        self._found = self.format
         self._mode = "normal"
         self._heard = b""
+
+    @property
+    def rate_hz(self) -> float:
+        """Sample rate now."""
+        return self.format.rate_hz
 
     @property
     def streaming(self) -> bool:
@@ -171,6 +192,7 @@ class Stim300Device:
     def power_on(self) -> bytes:
         """Return part number, serial number and configuration datagrams."""
         self._mode = "normal"
+        self._use(self._found)
         return self._part_number() + self._serial_number() + self._configuration()
 
     def jump_counter(self, by: int) -> None:
@@ -222,6 +244,10 @@ class Stim300Device:
         if name in ("xn", "xi"):
             self._mode = "normal"
             return Answer(utility_message(f"#{name},0"), resets=name == "xi")
+        if name == "save":
+            self.memory_writes.append(command)
+        if name.startswith("sm,"):
+            return self._set_rate(name)
         known = {
             "isn": f"N{self.identity.serial_number}",
             "ix": f"{self.identity.part_number},{self.identity.revision}",
@@ -230,6 +256,20 @@ class Stim300Device:
         if name not in known:
             return Answer(utility_message(f"#{name},{_UTILITY_ERROR}"))
         return Answer(utility_message(f"#{name},0,{known[name]}"))
+
+    def _set_rate(self, name: str) -> Answer:
+        rates = {str(code): rate_hz for rate_hz, code in _RATE_CODES.items()}
+        rate_hz = rates.get(name.removeprefix("sm,"))
+        if rate_hz is None:
+            return Answer(utility_message(f"#sm,{_UTILITY_VALUE_ERROR}"))
+        self._use(replace(self.format, rate_hz=rate_hz))
+        return Answer(utility_message("#sm,0"))
+
+    def _use(self, settings: Stim300Format) -> None:
+        if settings != self.format:
+            offset = self._encoder.counter_offset
+            self.format, self._encoder = settings, Stim300Encoder(settings)
+            self._encoder.counter_offset = offset
 
     def _special(self, plain_id: int, crlf_id: int, body: bytes) -> bytes:
         datagram_id = crlf_id if self.format.crlf else plain_id

@@ -27,6 +27,12 @@ from imufield.simulate.encode import ACCELEROMETER_BITS, Stim300Format, TextForm
 from imufield.simulate.faults import CanFaults, Faults, WireFaults
 from imufield.simulate.grades import draw_truth, find_grade
 from imufield.simulate.imu import Imu, ImuSettings
+from imufield.simulate.instrument_aceinna import AceinnaInstrument
+from imufield.simulate.instrument_microstrain import MicroStrainInstrument
+from imufield.simulate.instrument_vectornav import VectorNavInstrument
+from imufield.simulate.instrument_witmotion import WitMotionInstrument
+from imufield.simulate.instrument_xsens import XsensInstrument
+from imufield.simulate.instruments import ScriptedInstrument
 from imufield.simulate.motion import Site
 from imufield.simulate.operator import Operator, OperatorSettings
 from imufield.simulate.protocol_device import InProtocolUnits, ProtocolDevice
@@ -38,6 +44,15 @@ TRUTH_VERSION = 1
 
 OWN_RATE_HZ = {"stim300": 2000.0, "text": 100.0}
 """Of instruments with a device class of their own; the others' stands in their protocols."""
+SCRIPTS: Mapping[str, Callable[[float, WireForm], ScriptedInstrument]] = {
+    "aceinna_serial": AceinnaInstrument,
+    "microstrain_mip": MicroStrainInstrument,
+    "vectornav_ascii": VectorNavInstrument,
+    "vectornav_binary": VectorNavInstrument,
+    "witmotion": WitMotionInstrument,
+    "xsens_mtdata2": XsensInstrument,
+}
+"""What instruments answer, by driver; a STIM300 does so by its device class, the others hear nothing."""
 DEFAULT_BUS = "slcan"
 _OWN_FORM = WireForm("", 0.0, {}, ())
 _STIM300_RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
@@ -271,7 +286,10 @@ def make_device(options: Emulation, wire: WireChoice) -> Device:
         If it has not the rate, or a setting is not emulated.
     """
     if options.device not in OWN_RATE_HZ:
-        return ProtocolDevice(wire.protocol, wire.form or _OWN_FORM, wire.rate_hz, wire.baud)
+        form = wire.form or _OWN_FORM
+        script = SCRIPTS.get(options.device)
+        answering = None if script is None else script(wire.rate_hz, form)
+        return ProtocolDevice(wire.protocol, form, wire.rate_hz, wire.baud, answering)
     chosen: dict[str, Any] = {name: wire.protocol.settings[name].value for name in options.settings}
     if options.device == "text":
         if "columns" in chosen:

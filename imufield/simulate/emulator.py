@@ -65,6 +65,7 @@ class Emulator(EmulatorCore):
         self.injector = FaultInjector(faults or Faults(), seed)
         super().__init__(source, settings, self.injector, device.start_up_s, on_progress)
         self.device = device
+        self._rate_hz = device.rate_hz
         self._pty = PseudoTerminal(self.settings.link)
         self._answers = b""
         self._held_back = b""
@@ -96,17 +97,26 @@ class Emulator(EmulatorCore):
         if answer.resets:
             self._boot_sample = self._samples_made
             self._answers += self.device.power_on()
+        if self.device.rate_hz not in (None, self._rate_hz):
+            self._rate_hz = self.device.rate_hz
+            self._set_rate(self._rate_hz)
+        if self._answers and not self.device.answers_replace_samples:
+            self._send(b"", stalled=self.time_s < self._stalled_until_s)
 
     def _put(self, samples: Samples, duration_s: float, *, stalled: bool) -> None:
         self.device.jump_counter(self.injector.counter_jump(duration_s))
         if self.device.streaming and len(samples):
-            # The answer to a command takes the place of a datagram.
+            # Only what takes the place of a sample is still waiting here.
             samples = samples[1:] if self._answers and self.samples_sent else samples
             frames = self.device.encode(samples)
             data = self.injector.damage(frames.data, frames.checksum_at, duration_s)
             self.samples_sent += len(samples)
         else:
             data = b""
+        self._send(data, stalled=stalled)
+
+    def _send(self, data: bytes, *, stalled: bool) -> None:
+        """Send the answers there are and samples behind them."""
         self._held_back += self._answers + data
         self._answers = b""
         if not stalled:

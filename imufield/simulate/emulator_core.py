@@ -30,6 +30,8 @@ SLICE_S = 0.008
 MAXIMUM_SPEED = 1000.0
 LINGER_S = 0.5
 """The port outlives the last sample by this."""
+_ROUNDING = 1e-6
+"""Of a sample number at another rate."""
 _LARGEST_BLOCK_S = 1.0
 """Instrument's time made at once after a delay; keeps stop() prompt when the machine cannot keep up."""
 
@@ -37,11 +39,17 @@ _LARGEST_BLOCK_S = 1.0
 class SampleSource(Protocol):
     """Where samples come from."""
 
-    interval_s: float
-    """True time between samples."""
+    @property
+    def interval_s(self) -> float:
+        """True time between samples."""
+        ...
 
     def next_block(self, count: int) -> Samples:
         """Return the next ``count`` samples, fewer where some are lost; ``counter`` is the number of the sample."""
+        ...
+
+    def set_rate(self, rate_hz: float) -> None:
+        """Go on at another nominal rate, from the next whole sample of it since the beginning."""
         ...
 
 
@@ -51,8 +59,12 @@ class VirtualImu:
     def __init__(self, imu: Imu, operator: Operator) -> None:
         self.imu = imu
         self.operator = operator
-        self.interval_s = imu.interval_s
         self._next = 0
+
+    @property
+    def interval_s(self) -> float:
+        """True time between samples."""
+        return self.imu.interval_s
 
     @property
     def time_s(self) -> float:
@@ -64,6 +76,10 @@ class VirtualImu:
         motion = self.operator.block(self._next, count, self.interval_s)
         self._next += count
         return self.imu.feed(motion)
+
+    def set_rate(self, rate_hz: float) -> None:
+        """Go on at another nominal rate, from the next whole sample of it since the beginning."""
+        self._next = self.imu.set_rate(rate_hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +233,7 @@ class EmulatorCore(ABC):
             while self._advance(elapsed_s):
                 if self._stopping.is_set():
                     return
-            if self._samples_made == self._last_sample:
+            if self._samples_made >= self._last_sample:
                 self._linger()
                 return
 
@@ -236,6 +252,14 @@ class EmulatorCore(ABC):
         if self._on_progress is not None:
             self._on_progress()
         return True
+
+    def _set_rate(self, rate_hz: float) -> None:
+        """Go on at another rate."""
+        before_s = self.source.interval_s
+        self.source.set_rate(rate_hz)
+        to_new = before_s / self.source.interval_s
+        self._samples_made = math.ceil(self._samples_made * to_new - _ROUNDING)
+        self._boot_sample = math.ceil(self._boot_sample * to_new - _ROUNDING)
 
     @property
     def _last_sample(self) -> int:

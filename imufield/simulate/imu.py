@@ -24,6 +24,8 @@ from imufield.simulate.motion import TrueMotion
 
 MAXIMUM_TRIAD_DELAY_S = 0.01
 """Bound of the history that is kept; group delays of real instruments stay below 2 ms."""
+_ROUNDING = 1e-6
+"""Of a sample number at another rate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,19 +67,42 @@ class Imu:
         self.settings = settings or ImuSettings()
         _check(self.settings, instrument)
         self.samples_lost = 0
-        grade, rate = instrument.grade, self.settings.rate_hz
+        grade = instrument.grade
         streams = [np.random.default_rng([seed, stream]) for stream in (101, 102, 103)]
         self._noise_rng, drift_rng, self._loss_rng = streams
-        self._sigma = np.sqrt(rate) * _six(grade.accelerometer.noise_density, grade.gyroscope.noise_density)
         instability = _six(grade.accelerometer.bias_instability, grade.gyroscope.bias_instability)
         walk = _six(grade.accelerometer.random_walk, grade.gyroscope.random_walk)
         self._drift = BiasDrift(instability, walk, drift_rng)
-        self._units = replace(grade.units, interval_s=1 / rate) if _increments(instrument) else grade.units
-        self._delay = _Delay(instrument.triad_delay_s / self.interval_s)
-        self._carry = np.zeros(6)
         self._drift_sum = np.zeros(6)
         self._next = 0
         self._gap = False
+        self._begin()
+
+    def _begin(self) -> None:
+        """Prepare what depends on the rate."""
+        grade, rate_hz = self.instrument.grade, self.settings.rate_hz
+        self._sigma = np.sqrt(rate_hz) * _six(grade.accelerometer.noise_density, grade.gyroscope.noise_density)
+        self._units = replace(grade.units, interval_s=1 / rate_hz) if _increments(self.instrument) else grade.units
+        self._delay = _Delay(self.instrument.triad_delay_s / self.interval_s)
+        self._carry = np.zeros(6)
+
+    def set_rate(self, rate_hz: float) -> int:
+        """Go on at another rate; return the number of its next sample, counted from the beginning.
+
+        Raises
+        ------
+        UsageError
+            If the rate makes no sense.
+        """
+        settings = replace(self.settings, rate_hz=rate_hz)
+        _check(settings, self.instrument)
+        to_new = rate_hz / self.settings.rate_hz
+        before, self._next = self._next, int(np.ceil(self._next * to_new - _ROUNDING))
+        # The mean of the drift goes on as that of the time so far.
+        self._drift_sum *= self._next / max(before, 1)
+        self.settings = settings
+        self._begin()
+        return self._next
 
     @property
     def interval_s(self) -> float:

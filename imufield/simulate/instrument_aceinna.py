@@ -4,34 +4,26 @@ from __future__ import annotations
 
 import struct
 
-from imufield.earth import STANDARD_GRAVITY_M_S2
-from imufield.simulate.instruments import FORCE_M_S2, RATE_RAD_S, TEMPERATURE_DEGC, ScriptedInstrument
+from imufield.simulate.instruments import ScriptedInstrument, nearest
+from imufield.simulate.wire_forms import WireForm
 
-_DEGREE_RAD = 0.017453292519943295
 _MEMORY = (b"sC", b"rD", b"WF", b"WE", b"UE", b"JI", b"JA", b"WA")
 _NAK = b"\x15\x15"
+_DMU_KEYS = (0x5330, 0x5331)
+_DMU_HZ = 100
 _RATES_HZ = (0, 2, 5, 10, 20, 50, 100, 200)
 _DIVIDERS = (0, 1, 2, 4, 5, 10, 20, 25, 50)
 
 
 class AceinnaInstrument(ScriptedInstrument):
-    """An OpenIMU that sends z1, or (``dmu``) an IMU381 that sends S1; each refuses the commands of the other."""
+    """An OpenIMU, or where the form is S0 or S1 an IMU381; each refuses the commands of the other."""
 
-    def __init__(self, rate_hz: float = 100, *, dmu: bool = False) -> None:
+    def __init__(self, rate_hz: float, form: WireForm) -> None:
         super().__init__(rate_hz)
-        self.dmu = dmu
-        self._setting = round(100 / rate_hz) if dmu else round(rate_hz)
-
-    def sample(self, number: int, time_s: float) -> bytes:  # noqa: ARG002  nothing in it is numbered
-        """Return one packet."""
-        rate_deg_s = [value / _DEGREE_RAD for value in RATE_RAD_S]
-        if not self.dmu:
-            values = struct.pack("<I9f", round(time_s * 1e6) % 2**32, *FORCE_M_S2, *rate_deg_s, 0.2, 0.0, 0.4)
-            return aceinna_packet(b"z1", values)
-        counts = [round(value / STANDARD_GRAVITY_M_S2 * 65536 / 20) for value in FORCE_M_S2]
-        counts += [round(value * 65536 / 1260) for value in rate_deg_s]
-        counts += [round(TEMPERATURE_DEGC * 65536 / 200)] * 4
-        return aceinna_packet(b"S1", struct.pack(">10hHH", *counts, round(time_s * 327680) % 65536, 0))
+        self.dmu = form.frames[0].key in _DMU_KEYS
+        dividers = {_DMU_HZ / divider: divider for divider in _DIVIDERS if divider}
+        self.setting = dividers[nearest(dividers, rate_hz)] if self.dmu else int(nearest(_RATES_HZ[1:], rate_hz))
+        """Packet rate of an OpenIMU, packet rate divider of a DMU; 0: quiet."""
 
     def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
         begin = heard.find(b"UU")
@@ -57,8 +49,8 @@ class AceinnaInstrument(ScriptedInstrument):
         if letters in texts:
             return aceinna_packet(letters, texts[letters])
         if letters == b"gP" and data == struct.pack("<I", 4):
-            return aceinna_packet(letters, data + struct.pack("<q", self._setting))
-        if letters == b"uP" and data[:4] == struct.pack("<I", 4):
+            return aceinna_packet(letters, data + struct.pack("<q", self.setting))
+        if letters == b"uP" and data[:4] == struct.pack("<I", 4) and len(data) == 12:
             (rate_hz,) = struct.unpack("<q", data[4:])
             good = rate_hz in _RATES_HZ
             if good:
@@ -73,17 +65,17 @@ class AceinnaInstrument(ScriptedInstrument):
         if letters == b"GP" and data in packets:
             return aceinna_packet(data, packets[data])
         if letters == b"GF" and data == struct.pack(">BH", 1, 1):
-            return aceinna_packet(letters, data + struct.pack(">H", self._setting))
+            return aceinna_packet(letters, data + struct.pack(">H", self.setting))
         if letters == b"SF" and data[:3] == struct.pack(">BH", 1, 1):
             divider = int.from_bytes(data[3:], "big")
             good = divider in _DIVIDERS
             if good:
-                self._set(divider, 100 / divider if divider else 0.0)
+                self._set(divider, _DMU_HZ / divider if divider else 0.0)
             return aceinna_packet(letters, struct.pack(">BH", 1, 1) if good else b"\0")
         return None
 
     def _set(self, setting: int, rate_hz: float) -> None:
-        self._setting = setting
+        self.setting = setting
         self.streaming = setting != 0
         self.rate_hz = rate_hz or self.rate_hz
 

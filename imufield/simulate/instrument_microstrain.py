@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-import struct
-
-from imufield.earth import STANDARD_GRAVITY_M_S2
-from imufield.simulate.instruments import FORCE_M_S2, RATE_RAD_S, ScriptedInstrument
+from imufield.simulate.instruments import ScriptedInstrument
+from imufield.simulate.wire_forms import WireForm
 
 _UNKNOWN_COMMAND, _BAD_VALUE = 0x01, 0x03
 _SAVE = 3
+_APPLY, _READ = 1, 2
+_GPS_TIME = 0x12
 
 
 class MicroStrainInstrument(ScriptedInstrument):
-    """A GX5 (``legacy``: commands 0x06 and 0x08) or a CV7 (0x0E and 0x0F); the other generation's are refused."""
+    """A GX5 where the form has a GPS time (commands 0x06 and 0x08), else a CV7 (0x0E and 0x0F); the other's are refused."""
 
-    def __init__(self, rate_hz: float = 100, *, legacy: bool = True) -> None:
-        self.legacy = legacy
-        self.base_hz = 1000 if legacy else 500
-        decimation = round(self.base_hz / rate_hz)
-        self.format = [(0x04, decimation), (0x05, decimation), (0x12 if legacy else 0xD5, decimation), (0x06, 5 * decimation)]
+    def __init__(self, rate_hz: float, form: WireForm) -> None:
         super().__init__(rate_hz)
-
-    def sample(self, number: int, time_s: float) -> bytes:
-        """Return one packet of set 0x80, in every fifth of which is a magnetic field."""
-        acceleration = (value / STANDARD_GRAVITY_M_S2 for value in FORCE_M_S2)
-        fields = _field(0x04, struct.pack(">3f", *acceleration)) + _field(0x05, struct.pack(">3f", *RATE_RAD_S))
-        if self.legacy:
-            fields += _field(0x12, struct.pack(">dHH", time_s, 2300, 6))
-        else:
-            fields += _field(0xD5, struct.pack(">Q", round(time_s * 1e9)))
-        if number % 5 == 0:
-            fields += _field(0x06, struct.pack(">3f", 0.1, 0.2, 0.3))
-        return mip_packet(0x80, fields)
+        sent = form.frames[0].fields
+        self.legacy = _GPS_TIME in sent
+        self.base_hz = 1000 if self.legacy else 500
+        decimation = max(round(self.base_hz / rate_hz), 1)
+        self.format = [(one, decimation) for one in sent]
+        """Descriptor and decimation of each field."""
 
     def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
         begin = heard.find(b"\x75\x65")
@@ -44,7 +34,8 @@ class MicroStrainInstrument(ScriptedInstrument):
 
     def _answer(self, command: bytes) -> bytes:
         fields, answers = command[4:-2], b""
-        while fields:
+        # A field counts itself, so anything below 2 is none.
+        while len(fields) >= 2 and 2 <= fields[0] <= len(fields):
             answers += self._carry_out(command[2], fields[1], fields[2 : fields[0]])
             fields = fields[fields[0] :]
         return mip_packet(command[2], answers) if answers else b""
@@ -64,23 +55,32 @@ class MicroStrainInstrument(ScriptedInstrument):
     def _settings(self, number: int, data: bytes) -> bytes:
         data_set = b"" if self.legacy else b"\x80"
         if number in (0x06, 0x0E):
-            return _acknowledgement(number, 0) + _field(number + 0x7D if self.legacy else 0x8E, data_set + _u16(self.base_hz))
-        if data[0] == 1:
-            held = data[1 + len(data_set) :]
-            fields = [(held[at], int.from_bytes(held[at + 1 : at + 3], "big")) for at in range(1, len(held), 3)]
-            if held[0] != len(fields) or any(decimation == 0 for _, decimation in fields):
-                return _acknowledgement(number, _BAD_VALUE)
-            self.format = fields
-            self.rate_hz = self.base_hz / dict(fields)[0x04]
-            return _acknowledgement(number, 0)
+            return _acknowledgement(number, 0) + mip_field(
+                number + 0x7D if self.legacy else 0x8E, data_set + _u16(self.base_hz)
+            )
+        if data[:1] == bytes([_APPLY]):
+            return _acknowledgement(number, 0 if self._apply(data[1 + len(data_set) :]) else _BAD_VALUE)
+        if data[:1] != bytes([_READ]):
+            return _acknowledgement(number, _BAD_VALUE)
         listed = b"".join(bytes([one]) + _u16(decimation) for one, decimation in self.format)
-        return _acknowledgement(number, 0) + _field(
+        return _acknowledgement(number, 0) + mip_field(
             0x80 if self.legacy else 0x8F, data_set + bytes([len(self.format)]) + listed
         )
 
+    def _apply(self, held: bytes) -> bool:
+        """Take a message format: the fields that are sent, at one decimation; return whether it is one."""
+        fields = [(held[at], int.from_bytes(held[at + 1 : at + 3], "big")) for at in range(1, len(held) - 2, 3)]
+        good = len(held) == 1 + 3 * len(fields) and held[0] == len(fields) and all(decimation for _, decimation in fields)
+        # It sends one kind of packet: other fields, or fields at rates of their own, are not emulated.
+        good = good and [one for one, _ in fields] == [one for one, _ in self.format] and len({rate for _, rate in fields}) == 1
+        if good:
+            self.format = fields
+            self.rate_hz = self.base_hz / fields[0][1]
+        return good
+
     def _information(self) -> bytes:
         names = ("3DM-GX5-25" if self.legacy else "3DM-CV7-AHRS", "6251-4220", "6251.123456", "I042Y", "5g, 300d/s")
-        return _field(0x81, _u16(1134) + b"".join(name.rjust(16).encode() for name in names))
+        return mip_field(0x81, _u16(1134) + b"".join(name.rjust(16).encode() for name in names))
 
 
 def mip_packet(descriptor_set: int, fields: bytes) -> bytes:
@@ -93,12 +93,13 @@ def mip_packet(descriptor_set: int, fields: bytes) -> bytes:
     return data + bytes([first, second])
 
 
-def _field(number: int, data: bytes) -> bytes:
+def mip_field(number: int, data: bytes) -> bytes:
+    """Return a field with its length and descriptor."""
     return bytes([len(data) + 2, number]) + data
 
 
 def _acknowledgement(number: int, error: int) -> bytes:
-    return _field(0xF1, bytes([number, error]))
+    return mip_field(0xF1, bytes([number, error]))
 
 
 def _u16(value: int) -> bytes:

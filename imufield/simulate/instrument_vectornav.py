@@ -2,50 +2,38 @@
 
 from __future__ import annotations
 
-import struct
 from functools import reduce
 from operator import xor
 
-from crccheck.crc import CrcXmodem
-
-from imufield.simulate.instruments import FORCE_M_S2, RATE_RAD_S, TEMPERATURE_DEGC, ScriptedInstrument
+from imufield.simulate.instruments import ScriptedInstrument, nearest
+from imufield.simulate.wire_forms import WireForm
 
 _IMU_HZ = 800
 _FLASH = ("VNWNV", "VNRFS")
 _BINARY_OFF = "0,0"
+_RATES_HZ = (1, 2, 4, 5, 10, 20, 25, 40, 50, 100, 200)
 
 
 class VectorNavInstrument(ScriptedInstrument):
-    """Sends text (VNIMU) while no binary output is on, else output 1: TimeStartup, UncompAccel, UncompGyro, Temp."""
+    """Sends text, or the first binary output; the other two outputs are off."""
 
-    def __init__(self, rate_hz: float = 100, *, binary: bool = True) -> None:
+    def __init__(self, rate_hz: float, form: WireForm) -> None:
         super().__init__(rate_hz)
+        masks = form.frames[0].masks
+        self.writable = 75 if masks else 7
+        """The register of the rate; the others stay as they are."""
+        words = "".join(f",{masks[at + 1]:02X}{masks[at]:02X}" for at in range(1, len(masks) - 1, 2))
+        output = f"1,{max(round(_IMU_HZ / rate_hz), 1)},{masks[:1].hex().upper()}{words}"
         self.registers = {
             1: "VN-100T-CR",
             3: "0100012345",
             4: "2.1.0.0",
             5: "115200",
-            7: "40" if binary else f"{rate_hz:g}",
-            75: f"1,{_IMU_HZ // round(rate_hz)},05,0001,001C" if binary else _BINARY_OFF,
+            7: "40" if masks else f"{nearest(_RATES_HZ, rate_hz):g}",
+            75: output if masks else _BINARY_OFF,
             76: _BINARY_OFF,
             77: _BINARY_OFF,
         }
-
-    @property
-    def binary(self) -> bool:
-        """Whether the first binary output is on."""
-        return not self.registers[75].startswith("0")
-
-    def sample(self, number: int, time_s: float) -> bytes:  # noqa: ARG002  nothing in it is numbered
-        """Return one message; z points down."""
-        force = (FORCE_M_S2[0], -FORCE_M_S2[1], -FORCE_M_S2[2])
-        if not self.binary:
-            numbers = ",".join(f"{value:+010.6f}" for value in RATE_RAD_S)
-            text = f"VNIMU,-00.0350,+00.4222,-00.6643,{','.join(f'{value:+07.3f}' for value in force)},{numbers},+25.5,+084.322"
-            return sentence(text)
-        body = bytes.fromhex("0501001C00") + struct.pack("<Q", round(time_s * 1e9))
-        body += struct.pack("<7f", *force, *RATE_RAD_S, TEMPERATURE_DEGC)
-        return b"\xfa" + body + int(CrcXmodem.calc(body)).to_bytes(2, "big")
 
     def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
         line, end, rest = heard.partition(b"\n")
@@ -63,16 +51,27 @@ class VectorNavInstrument(ScriptedInstrument):
         if name == "VNASY":
             self.streaming = values == ["1"]
             return sentence(text)
-        if name not in ("VNRRG", "VNWRG") or not values or int(values[0]) not in self.registers:
+        if name not in ("VNRRG", "VNWRG"):
+            return sentence("VNERR,04")
+        number = int(values[0]) if values and values[0].isdecimal() else 0
+        if number not in self.registers:
             return sentence("VNERR,08")
-        if name == "VNWRG":
-            self._write(int(values[0]), ",".join(values[1:]))
-        return sentence(f"{name},{int(values[0]):02d},{self.registers[int(values[0])]}")
+        if name == "VNWRG" and not self._write(number, values[1:]):
+            return sentence("VNERR,07")
+        return sentence(f"{name},{number:02d},{self.registers[number]}")
 
-    def _write(self, number: int, values: str) -> None:
-        self.registers[number] = values
-        divisor = self.registers[75].split(",")[1]
-        self.rate_hz = _IMU_HZ / int(divisor) if self.binary else float(self.registers[7])
+    def _write(self, number: int, values: list[str]) -> bool:
+        """Take a rate; return whether it is one."""
+        held = self.registers[number].split(",")
+        at = 1 if number == 75 else 0
+        same = values[:at] + values[at + 1 :] == held[:at] + held[at + 1 :]
+        if number != self.writable or not same or not values[at].isdecimal() or int(values[at]) == 0:
+            return False
+        if number == 7 and int(values[0]) not in _RATES_HZ:
+            return False
+        self.registers[number] = ",".join(values)
+        self.rate_hz = _IMU_HZ / int(values[1]) if number == 75 else float(values[0])
+        return True
 
 
 def sentence(text: str) -> bytes:

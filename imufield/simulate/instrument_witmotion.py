@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import struct
 
-from imufield.earth import STANDARD_GRAVITY_M_S2
-from imufield.simulate.instruments import FORCE_M_S2, RATE_RAD_S, TEMPERATURE_DEGC, ScriptedInstrument
+from imufield.simulate.instruments import ScriptedInstrument, nearest
+from imufield.simulate.wire_forms import WireForm
 
-_DEGREE_RAD = 0.017453292519943295
 _SAVE, _RATE, _READ, _KEY = 0x00, 0x03, 0x27, 0x69
 _OPEN = 0xB588
 _RATES_HZ = {1: 0.2, 2: 0.5, 3: 1.0, 4: 2.0, 5: 5.0, 6: 10.0, 7: 20.0, 8: 50.0, 9: 100.0, 0x0A: 125.0, 0x0B: 200.0}
@@ -16,22 +15,13 @@ _RATES_HZ = {1: 0.2, 2: 0.5, 3: 1.0, 4: 2.0, 5: 5.0, 6: 10.0, 7: 20.0, 8: 50.0, 
 class WitMotionInstrument(ScriptedInstrument):
     """Takes a register only after the key; answers questions alone, and without saying which register it was."""
 
-    def __init__(self, rate_hz: float = 50) -> None:
+    def __init__(self, rate_hz: float, form: WireForm) -> None:  # noqa: ARG002  every form has these registers
         super().__init__(rate_hz)
-        code = next(code for code, rate in _RATES_HZ.items() if rate == rate_hz)
+        codes = {rate: code for code, rate in _RATES_HZ.items()}
         serial = struct.unpack("<6H", b"WT5500001234")
+        code = codes[nearest(codes, rate_hz)]
         self.registers = {_RATE: code, 0x04: 2, 0x2E: 2526, 0x2F: 1, **dict(enumerate(serial, 0x7F))}
         self._unlocked = False
-
-    def sample(self, number: int, time_s: float) -> bytes:  # noqa: ARG002  neither number nor time in it
-        """Return the frames of acceleration, rate and angle."""
-        temperature = round(TEMPERATURE_DEGC * 100)
-        force = [round(value / STANDARD_GRAVITY_M_S2 / 16 * 32768) for value in FORCE_M_S2]
-        rate = [round(value / _DEGREE_RAD / 2000 * 32768) for value in RATE_RAD_S]
-        return b"".join(
-            wit_frame(kind, words)
-            for kind, words in ((0x51, [*force, temperature]), (0x52, [*rate, temperature]), (0x53, [10, -20, 30, 11608]))
-        )
 
     def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
         begin = heard.find(b"\xff\xaa")

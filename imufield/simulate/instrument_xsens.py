@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 
-from imufield.simulate.instruments import FORCE_M_S2, RATE_RAD_S, TEMPERATURE_DEGC, ScriptedInstrument
+from imufield.simulate.instruments import ScriptedInstrument
+from imufield.simulate.wire_forms import WireForm
 
 _ANYWHERE = {0x30, 0x10, 0x40}
 _INVALID_MESSAGE = 0x04
@@ -13,22 +14,12 @@ _INVALID_MESSAGE = 0x04
 class XsensInstrument(ScriptedInstrument):
     """Answers requests in configuration state alone, as the real one; its output configuration is kept over power-off."""
 
-    def __init__(self, rate_hz: float = 100) -> None:
+    def __init__(self, rate_hz: float, form: WireForm) -> None:
         super().__init__(rate_hz)
         self.product_code = "MTi-30-2A8G4"
         self.device_id = 0x0368248C
         self.firmware = bytes([1, 8, 2]) + bytes(8)
-
-    def sample(self, number: int, time_s: float) -> bytes:
-        """Return one MTData2 message."""
-        parts = (
-            (0x1020, struct.pack(">H", number % 65536)),
-            (0x1060, struct.pack(">I", round(time_s * 10000) % 2**32)),
-            (0x4020, struct.pack(">3f", *FORCE_M_S2)),
-            (0x8020, struct.pack(">3f", *RATE_RAD_S)),
-            (0x0810, struct.pack(">f", TEMPERATURE_DEGC)),
-        )
-        return xbus_message(0x36, b"".join(struct.pack(">HB", one, len(data)) + data for one, data in parts))
+        self.outputs = b"".join(struct.pack(">HH", one, round(rate_hz)) for one in form.frames[0].fields)
 
     def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
         begin = heard.find(b"\xfa\xff")
@@ -53,7 +44,7 @@ class XsensInstrument(ScriptedInstrument):
             0x00: self.device_id.to_bytes(4, "big"),
             0x12: self.firmware,
             0x1C: self.product_code.ljust(20).encode(),
-            0xC0: struct.pack(">4H", 0x4020, round(self.rate_hz), 0x8020, round(self.rate_hz)),
+            0xC0: self.outputs,
         }
         if message in answers:
             return xbus_message(message + 1, answers[message])

@@ -1,4 +1,4 @@
-"""Any instrument whose protocol is a file: it sends one of the forms the file lists, and hears no commands."""
+"""Any instrument whose protocol is a file: it sends one of the forms the file lists, and answers by its script."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from imufield.samples import FloatArray, Samples, SampleUnits
 from imufield.simulate.devices import Answer, Frames
 from imufield.simulate.emulator_core import SampleSource
 from imufield.simulate.frame_encode import FrameEncoder, WireClock
+from imufield.simulate.instruments import NoCommands, ScriptedInstrument
 from imufield.simulate.sentence_encode import LINE_END, SentenceEncoder
 from imufield.simulate.wire_forms import WireForm
 
@@ -27,6 +28,8 @@ class ProtocolDevice:
     rate_hz : float
         Nominal rate of the samples.
     baud : int
+    script : ScriptedInstrument, optional
+        What it answers; nothing without.
 
     Raises
     ------
@@ -35,16 +38,39 @@ class ProtocolDevice:
     """
 
     start_up_s = 0.0
-    streaming = True
+    answers_replace_samples = False
 
-    def __init__(self, protocol: Protocol, form: WireForm, rate_hz: float, baud: int = 115200) -> None:
+    def __init__(
+        self,
+        protocol: Protocol,
+        form: WireForm,
+        rate_hz: float,
+        baud: int = 115200,
+        script: ScriptedInstrument | None = None,
+    ) -> None:
         self.protocol = protocol
+        self.script = script or NoCommands(rate_hz)
         self.baud = baud
         self._clock = WireClock(protocol, rate_hz)
         lines = [frame for frame in form.frames if frame.line]
         self._sentences = [SentenceEncoder(protocol, frame, self._clock) for frame in lines]
         self._frames = [] if lines else [FrameEncoder(protocol, frame, self._clock) for frame in form.frames]
         self._has_counter = any(one.has_counter for one in self._sentences) or any(one.has_counter for one in self._frames)
+
+    @property
+    def streaming(self) -> bool:
+        """Whether samples are sent."""
+        return self.script.streaming
+
+    @property
+    def rate_hz(self) -> float:
+        """Output rate now."""
+        return self.script.rate_hz
+
+    @property
+    def memory_writes(self) -> list[bytes]:
+        """Commands that would have changed memory that outlives the power."""
+        return self.script.memory_writes
 
     def encode(self, samples: Samples) -> Frames:
         """Return the frames of a block, all those of a sample one behind another."""
@@ -62,9 +88,11 @@ class ProtocolDevice:
         """Return nothing."""
         return b""
 
-    def hear(self, data: bytes) -> Answer:  # noqa: ARG002 - what is not heard is not answered
-        """Return nothing."""
-        return Answer()
+    def hear(self, data: bytes) -> Answer:
+        """Return what the script answers."""
+        answer = self.script.hear(data)
+        self._clock.rate_hz = self.script.rate_hz
+        return Answer(answer)
 
     def jump_counter(self, by: int) -> None:
         """Let the counter jump, or the time stamp where there is none."""
@@ -91,7 +119,6 @@ class InProtocolUnits:
 
     def __init__(self, source: SampleSource, scale: tuple[float, float], protocol: Protocol, rate_hz: float) -> None:
         self._source = source
-        self.interval_s = source.interval_s
         self._units: SampleUnits = protocol.units
         nominal = (protocol.nominal.accelerometer_scale, protocol.nominal.gyroscope_scale)
         if None in nominal:
@@ -99,17 +126,33 @@ class InProtocolUnits:
                 f"protocol {protocol.name} sends counts whose size it does not know, so nothing can be emulated; choose it "
                 "with --set, see `settings` in its file, or give scales under [nominal]"
             )
-        by_increment = (self._units.accelerometer_is_increment, self._units.gyroscope_is_increment)
-        self._factors = [
-            float(wanted or 1.0) / has / (rate_hz if increment else 1.0)
-            for wanted, has, increment in zip(nominal, scale, by_increment, strict=True)
-        ]
+        self._per_unit = [float(wanted or 1.0) / has for wanted, has in zip(nominal, scale, strict=True)]
+        self._rate_hz = rate_hz
         self._raw_zero = protocol.nominal.raw_zero
+
+    @property
+    def interval_s(self) -> float:
+        """True time between samples."""
+        return self._source.interval_s
+
+    @property
+    def _factors(self) -> list[float]:
+        by_increment = (self._units.accelerometer_is_increment, self._units.gyroscope_is_increment)
+        return [
+            factor / (self._rate_hz if increment else 1.0)
+            for factor, increment in zip(self._per_unit, by_increment, strict=True)
+        ]
+
+    def set_rate(self, rate_hz: float) -> None:
+        """Go on at another nominal rate."""
+        self._source.set_rate(rate_hz)
+        self._rate_hz = rate_hz
 
     def next_block(self, count: int) -> Samples:
         """Return the next ``count`` samples, fewer where some are lost."""
         samples = self._source.next_block(count)
-        accelerometer: FloatArray = samples.accelerometer_rate() * self._factors[0] + self._raw_zero
+        to_accelerometer, to_gyroscope = self._factors
+        accelerometer: FloatArray = samples.accelerometer_rate() * to_accelerometer + self._raw_zero
         return replace(
-            samples, accelerometer=accelerometer, gyroscope=samples.gyroscope_rate() * self._factors[1], units=self._units
+            samples, accelerometer=accelerometer, gyroscope=samples.gyroscope_rate() * to_gyroscope, units=self._units
         )

@@ -9,20 +9,25 @@ from operator import xor
 from pathlib import Path
 
 import numpy as np
-from crccheck.crc import Crc32Base, Crc32Mpeg2, CrcKermit
+from crccheck.crc import Crc32Base, Crc32Mpeg2, CrcKermit, CrcXmodem
 
 from imufield.acquire.link import Chunk
-from imufield.simulate.instrument_aceinna import AceinnaInstrument
-from imufield.simulate.instrument_microstrain import MicroStrainInstrument
-from imufield.simulate.instrument_stim300 import Stim300Instrument
-from imufield.simulate.instrument_vectornav import VectorNavInstrument
-from imufield.simulate.instrument_witmotion import WitMotionInstrument
-from imufield.simulate.instrument_xsens import XsensInstrument
-from imufield.simulate.instruments import ScriptedInstrument
+from imufield.samples import Samples, SampleUnits
+from imufield.simulate.devices import Stim300Device
+from imufield.simulate.encode import Stim300Format
+from imufield.simulate.instrument_aceinna import aceinna_packet
+from imufield.simulate.instrument_microstrain import mip_field, mip_packet
+from imufield.simulate.instrument_vectornav import sentence
+from imufield.simulate.instrument_witmotion import wit_frame
+from imufield.simulate.instrument_xsens import xbus_message
 
 DURATION_S = 2.5
 CHUNK_S = 0.02
 G = 9.80665
+DEGREE = 0.017453292519943295
+FORCE_M_S2 = (0.12, -0.23, 9.79)
+RATE_RAD_S = (0.001, -0.002, 0.0005)
+TEMPERATURE_DEGC = 25.5
 
 
 class _NovatelCrc(Crc32Base):  # type: ignore[misc]
@@ -36,6 +41,76 @@ class _NovatelCrc(Crc32Base):  # type: ignore[misc]
     _reflect_output = True
     _xor_output = 0
     _check_result = 0
+
+
+def stim300(number: int, time_s: float) -> bytes:
+    time, force, rate, temperature, counter = (
+        np.array([one]) for one in (time_s, FORCE_M_S2, RATE_RAD_S, TEMPERATURE_DEGC, number)
+    )
+    one = Samples(time, force, rate, temperature, counter, np.zeros(1, dtype=np.uint32), SampleUnits())
+    return Stim300Device(Stim300Format(rate_hz=500, accelerometer_range_g=30)).encode(one).data.tobytes()
+
+
+def xsens(number: int, time_s: float) -> bytes:
+    parts = (
+        (0x1020, struct.pack(">H", number % 65536)),
+        (0x1060, struct.pack(">I", round(time_s * 10000) % 2**32)),
+        (0x4020, struct.pack(">3f", *FORCE_M_S2)),
+        (0x8020, struct.pack(">3f", *RATE_RAD_S)),
+        (0x0810, struct.pack(">f", TEMPERATURE_DEGC)),
+    )
+    return xbus_message(0x36, b"".join(struct.pack(">HB", one, len(data)) + data for one, data in parts))
+
+
+def vectornav_binary(_: int, time_s: float) -> bytes:
+    """Output 1: TimeStartup, UncompAccel, UncompGyro, Temp; z points down."""
+    force = (FORCE_M_S2[0], -FORCE_M_S2[1], -FORCE_M_S2[2])
+    body = bytes.fromhex("0501001C00") + struct.pack("<Q", round(time_s * 1e9))
+    body += struct.pack("<7f", *force, *RATE_RAD_S, TEMPERATURE_DEGC)
+    return b"\xfa" + body + int(CrcXmodem.calc(body)).to_bytes(2, "big")
+
+
+def vectornav_ascii(_: int, __: float) -> bytes:
+    force = ",".join(f"{value:+07.3f}" for value in (FORCE_M_S2[0], -FORCE_M_S2[1], -FORCE_M_S2[2]))
+    rate = ",".join(f"{value:+010.6f}" for value in RATE_RAD_S)
+    return sentence(f"VNIMU,-00.0350,+00.4222,-00.6643,{force},{rate},+25.5,+084.322")
+
+
+def microstrain(number: int, time: bytes) -> bytes:
+    """Return one packet of set 0x80, in every fifth of which is a magnetic field."""
+    acceleration = (value / G for value in FORCE_M_S2)
+    fields = mip_field(0x04, struct.pack(">3f", *acceleration)) + mip_field(0x05, struct.pack(">3f", *RATE_RAD_S)) + time
+    if number % 5 == 0:
+        fields += mip_field(0x06, struct.pack(">3f", 0.1, 0.2, 0.3))
+    return mip_packet(0x80, fields)
+
+
+def gx5(number: int, time_s: float) -> bytes:
+    return microstrain(number, mip_field(0x12, struct.pack(">dHH", time_s, 2300, 6)))
+
+
+def cv7(number: int, time_s: float) -> bytes:
+    return microstrain(number, mip_field(0xD5, struct.pack(">Q", round(time_s * 1e9))))
+
+
+def openimu(_: int, time_s: float) -> bytes:
+    rate_deg_s = [value / DEGREE for value in RATE_RAD_S]
+    return aceinna_packet(b"z1", struct.pack("<I9f", round(time_s * 1e6) % 2**32, *FORCE_M_S2, *rate_deg_s, 0.2, 0.0, 0.4))
+
+
+def dmu(_: int, time_s: float) -> bytes:
+    counts = [round(value / G * 65536 / 20) for value in FORCE_M_S2]
+    counts += [round(value / DEGREE * 65536 / 1260) for value in RATE_RAD_S]
+    counts += [round(TEMPERATURE_DEGC * 65536 / 200)] * 4
+    return aceinna_packet(b"S1", struct.pack(">10hHH", *counts, round(time_s * 327680) % 65536, 0))
+
+
+def witmotion(_: int, __: float) -> bytes:
+    temperature = round(TEMPERATURE_DEGC * 100)
+    force = [round(value / G / 16 * 32768) for value in FORCE_M_S2]
+    rate = [round(value / DEGREE / 2000 * 32768) for value in RATE_RAD_S]
+    frames = ((0x51, [*force, temperature]), (0x52, [*rate, temperature]), (0x53, [10, -20, 30, 11608]))
+    return b"".join(wit_frame(kind, words) for kind, words in frames)
 
 
 def kvh(number: int, _: float) -> bytes:
@@ -82,20 +157,16 @@ def nmea(number: int, time_s: float) -> bytes:
     return b"".join(f"${text}*{reduce(xor, text.encode(), 0):02X}\r\n".encode() for text in sentences)
 
 
-def _of(instrument: ScriptedInstrument) -> Callable[[int, float], bytes]:
-    return instrument.sample
-
-
 INSTRUMENTS: dict[str, tuple[str, float, Callable[[int, float], bytes]]] = {
-    "stim300": ("stim300", 500, _of(Stim300Instrument(500))),
-    "xsens": ("xsens_mtdata2", 100, _of(XsensInstrument())),
-    "vectornav binary": ("vectornav_binary", 100, _of(VectorNavInstrument())),
-    "vectornav ascii": ("vectornav_ascii", 40, _of(VectorNavInstrument(40, binary=False))),
-    "microstrain GX5": ("microstrain_mip", 100, _of(MicroStrainInstrument())),
-    "microstrain CV7": ("microstrain_mip", 500, _of(MicroStrainInstrument(500, legacy=False))),
-    "aceinna z1": ("aceinna_serial", 100, _of(AceinnaInstrument())),
-    "aceinna S1": ("aceinna_serial", 100, _of(AceinnaInstrument(dmu=True))),
-    "witmotion": ("witmotion", 20, _of(WitMotionInstrument(20))),
+    "stim300": ("stim300", 500, stim300),
+    "xsens": ("xsens_mtdata2", 100, xsens),
+    "vectornav binary": ("vectornav_binary", 100, vectornav_binary),
+    "vectornav ascii": ("vectornav_ascii", 40, vectornav_ascii),
+    "microstrain GX5": ("microstrain_mip", 100, gx5),
+    "microstrain CV7": ("microstrain_mip", 500, cv7),
+    "aceinna z1": ("aceinna_serial", 100, openimu),
+    "aceinna S1": ("aceinna_serial", 100, dmu),
+    "witmotion": ("witmotion", 20, witmotion),
     "witmotion bluetooth": ("witmotion", 50, bluetooth),
     "kvh": ("kvh_17xx", 1000, kvh),
     "sbg": ("sbg_sbgecom", 200, sbg),

@@ -6,10 +6,11 @@ import json
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from imufield.acquire.host_clock import SystemClock
@@ -18,33 +19,30 @@ from imufield.commands.connect import ConnectOptions, check_capacity, connect
 from imufield.commands.listen import SILENT_S, SILENT_TRY_S, search, serial_candidates
 from imufield.commands.probe import probe_port
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
+from imufield.samples import Samples
+from imufield.simulate.devices import Frames, TextDevice
+from imufield.simulate.emulate import SCRIPTS, Emulation, choose_wire, make_emulator, make_virtual_imu
+from imufield.simulate.emulator import Emulator
 from imufield.simulate.instrument_microstrain import MicroStrainInstrument
-from imufield.simulate.instrument_vectornav import VectorNavInstrument
-from imufield.simulate.instrument_witmotion import WitMotionInstrument
-from imufield.simulate.instrument_xsens import XsensInstrument
-from imufield.simulate.instruments import InstrumentOnPort, ScriptedInstrument
 from imufield.simulate.port import PseudoTerminal
+from imufield.simulate.protocol_device import ProtocolDevice
 from tests.acquire.streams import INSTRUMENTS as STREAMS
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
 
-INSTRUMENTS: dict[str, Callable[[], ScriptedInstrument]] = {
-    "xsens_mtdata2": XsensInstrument,
-    "vectornav_ascii": lambda: VectorNavInstrument(binary=False),
-    "microstrain_mip": MicroStrainInstrument,
-    "witmotion": WitMotionInstrument,
-}
+INSTRUMENTS = (*SCRIPTS, "stim300")
 
 
-class Listening(XsensInstrument):
-    """Counts what it hears."""
+def emulated(name: str, rate_hz: float | None = None, form: str | None = None) -> Emulator:
+    emulator = make_emulator(Emulation(name, rate_hz, form=form))
+    assert isinstance(emulator, Emulator)
+    return emulator
 
-    heard_bytes = 0
 
-    def hear(self, data: bytes) -> bytes:
-        self.heard_bytes += len(data)
-        return super().hear(data)
+def script_of(emulator: Emulator) -> Any:
+    assert isinstance(emulator.device, ProtocolDevice)
+    return emulator.device.script
 
 
 @contextmanager
@@ -68,36 +66,34 @@ def sending(data: bytes) -> Iterator[str]:
 
 @pytest.mark.parametrize("name", INSTRUMENTS)
 def test_an_instrument_is_found_with_its_command_line(name: str) -> None:
-    with InstrumentOnPort(INSTRUMENTS[name]()) as there:
+    with emulated(name) as there:
         found = probe_port(there.port, None, SystemClock(), ask=True)
+        assert there.device.streaming
     assert found.found is not None, found.error
     assert found.found.name == name
     assert found.command == f"imufield capture --port {there.port} --driver {name}"
-    assert found.identity["serial_number"]
-    assert there.instrument.streaming
-    assert there.instrument.memory_writes == []
+    # A WitMotion has no register of its model.
+    assert found.identity.keys() >= {"serial_number", "firmware", *(() if name == "witmotion" else ("model",))}
+    assert there.device.memory_writes == []  # type: ignore[attr-defined]  # each of these has it
 
 
-class Playback(ScriptedInstrument):
+class Playback(TextDevice):
     """Sends what an instrument sends, and hears nothing."""
 
     def __init__(self, name: str) -> None:
-        _, rate_hz, self._sample = STREAMS[name]
-        super().__init__(rate_hz)
+        super().__init__()
+        _, _, self._sample = STREAMS[name]
 
-    def sample(self, number: int, time_s: float) -> bytes:
-        return self._sample(number, time_s)
-
-    def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
-        return None, b""
-
-    def _answer(self, command: bytes) -> bytes:
-        return b""
+    def encode(self, samples: Samples) -> Frames:
+        parts = [self._sample(int(number), time_s) for number, time_s in zip(samples.counter, samples.time_s, strict=True)]
+        ends = np.cumsum([len(part) for part in parts], dtype=np.int64)
+        return Frames(np.frombuffer(b"".join(parts), dtype=np.uint8), ends, ends - 1)
 
 
 @pytest.mark.parametrize("name", STREAMS)
 def test_every_protocol_is_found_on_a_port(name: str) -> None:
-    with InstrumentOnPort(Playback(name)) as there:
+    rate_hz = STREAMS[name][1]
+    with Emulator(Playback(name), make_virtual_imu(Emulation(rate_hz=rate_hz))) as there:
         found = probe_port(there.port, None, SystemClock())
     assert found.found is not None, [(one.name, one.reason) for one in found.others]
     assert found.found.name == STREAMS[name][0]
@@ -105,12 +101,15 @@ def test_every_protocol_is_found_on_a_port(name: str) -> None:
 
 
 def test_nothing_is_sent_unless_asked_to() -> None:
-    instrument = Listening()
-    with InstrumentOnPort(instrument) as there:
+    there = emulated("xsens_mtdata2")
+    heard: list[bytes] = []
+    hear = there.device.hear
+    there.device.hear = lambda data: (heard.append(data), hear(data))[1]  # type: ignore[func-returns-value,method-assign]
+    with there:
         assert probe_port(there.port, None, SystemClock()).identity == {}
-        assert instrument.heard_bytes == 0
+        assert b"".join(heard) == b""
         assert probe_port(there.port, 115200, SystemClock(), ask=True).command.endswith("--baud 115200")
-        assert instrument.heard_bytes > 0
+        assert b"".join(heard)
 
 
 def test_silence_and_noise_are_told_apart() -> None:
@@ -128,7 +127,7 @@ def test_silence_and_noise_are_told_apart() -> None:
 
 def test_several_bit_rates_are_tried_on_a_port_that_stays_open() -> None:
     candidates = serial_candidates()
-    with InstrumentOnPort(XsensInstrument()) as there:
+    with emulated("xsens_mtdata2") as there:
         found = search(there.port, candidates, [9600, 115200, 921600], SystemClock())
         try:
             # A WitMotion alone is sought at the first of these; a pseudo-terminal would hand on anything.
@@ -151,7 +150,7 @@ def test_a_silent_port_is_given_up_early() -> None:
 
 
 def test_the_command(program: Program) -> None:
-    with InstrumentOnPort(VectorNavInstrument()) as there:
+    with emulated("vectornav_binary", 100) as there:
         result = program.run("probe", "--port", there.port, "--ask", "--json")
         assert result.returncode == 0, result.stderr
         (port,) = json.loads(result.stdout)["ports"]
@@ -173,9 +172,10 @@ def test_the_command(program: Program) -> None:
 
 @pytest.mark.parametrize("end", [signal.SIGINT, None])
 def test_the_rate_is_put_back_however_a_recording_ends(end: signal.Signals | None, program: Program) -> None:
-    instrument = MicroStrainInstrument()
+    there = emulated("microstrain_mip", 100, "gps_time")
+    instrument = script_of(there)
     before = list(instrument.format)
-    with InstrumentOnPort(instrument) as there:
+    with there:
         duration = () if end is not None else ("--duration-s", 1)
         process = program.start("record", "--port", there.port, "--session", "here", "--rate-hz", 250, "--json", *duration)
         assert process.stdout is not None
@@ -200,12 +200,12 @@ def test_the_rate_is_put_back_however_a_recording_ends(end: signal.Signals | Non
 
 
 def test_a_rate_that_cannot_be_set_is_refused_before_a_session_is_made(program: Program) -> None:
-    with InstrumentOnPort(XsensInstrument()) as there:
+    with emulated("xsens_mtdata2") as there:
         refused = program.run("record", "--port", there.port, "--session", "here", "--rate-hz", 50)
         assert refused.returncode == 2
         assert "never writes" in refused.stderr
         assert not (program.folder / "here").exists()
-        assert there.instrument.streaming
+        assert there.device.streaming
 
 
 def connected(port: str, **options: Any) -> Any:
@@ -214,15 +214,66 @@ def connected(port: str, **options: Any) -> Any:
 
 
 def test_a_silent_instrument_is_told_to_send_and_left_silent() -> None:
-    instrument = XsensInstrument()
+    there = emulated("xsens_mtdata2")
+    instrument = script_of(there)
     instrument.streaming = False
-    with InstrumentOnPort(instrument) as there:
+    with there:
         found, said = connected(there.port, driver="xsens_mtdata2")
         assert found.identity["serial_number"] == "0368248C"
         assert any("was told to send" in one for one in said)
         assert instrument.streaming
         found.close()
         assert not instrument.streaming
+
+
+def test_increments_are_read_at_the_rate_that_was_set() -> None:
+    settings = {"output": "increment", "rate_hz": "100"}
+    with emulated("microstrain_mip", 100, "increments") as there:
+        found, _ = connected(there.port, driver="microstrain_mip", settings=settings, rate_hz=250)
+        assert found.protocol.settings["rate_hz"].value == 250
+        assert found.protocol.units.interval_s == 1 / 250
+        found.close()
+        assert there.device.rate_hz == 100
+
+
+RATES = {
+    "aceinna_serial": (100, 200),
+    "microstrain_mip": (500, 250),
+    "stim300": (2000, 500),
+    "vectornav_ascii": (100, 50),
+    "vectornav_binary": (200, 400),
+    "witmotion": (50, 100),
+    "xsens_mtdata2": (100, None),
+}
+"""Rate of the emulated instrument, and another it can be set to."""
+
+
+@pytest.mark.parametrize("name", RATES)
+def test_two_commands_understand_each_other(name: str, program: Program) -> None:
+    before_hz, rate_hz = RATES[name]
+    port = program.folder / "imu"
+    emulator = program.start("emulate", name, "--positions", "none", "--rate-hz", before_hz, "--link", port, "--json")
+    try:
+        assert emulator.stdout is not None
+        assert json.loads(emulator.stdout.readline())["event"] == "started"
+        found = probe_port(str(port), None, SystemClock(), ask=True)
+        assert found.found is not None, found.error
+        assert found.found.name == name
+        order = () if rate_hz is None else ("--rate-hz", rate_hz)
+        done = program.run("record", "--port", port, "--session", "here", "--duration-s", 1, *order)
+        assert done.returncode == 0, done.stderr
+        again = probe_port(str(port), None, SystemClock())
+        assert again.found is not None
+        assert again.found.rate_hz == pytest.approx(before_hz, rel=0.25), "put back"
+    finally:
+        emulator.send_signal(signal.SIGINT)
+        emulator.communicate(timeout=60)
+    session = Session.open(program.folder / "here")
+    told = {key: session.metadata["instrument"][key] for key in found.identity}
+    assert told == found.identity
+    assert found.identity["serial_number"]
+    assert session.metadata["link"].get("rate_hz") == rate_hz
+    assert session.metadata["link"].get("rate_before_hz") == (None if rate_hz is None else before_hz)
 
 
 class Stubborn(MicroStrainInstrument):
@@ -235,9 +286,13 @@ class Stubborn(MicroStrainInstrument):
 
 
 def test_a_rate_that_was_not_taken_is_an_error_and_all_is_as_before() -> None:
-    instrument = Stubborn(50)
+    there = emulated("microstrain_mip", 50, "gps_time")
+    assert isinstance(there.device, ProtocolDevice)
+    form = choose_wire(Emulation("microstrain_mip", form="gps_time")).form
+    assert form is not None
+    instrument = there.device.script = Stubborn(50, form)
     before = list(instrument.format)
-    with InstrumentOnPort(instrument) as there:
+    with there:
         with pytest.raises(LinkError, match="set to 500 Hz and says it is at 100 Hz") as error:
             connected(there.port, rate_hz=500)
         assert error.value.reason is Reason.REFUSED
@@ -246,25 +301,25 @@ def test_a_rate_that_was_not_taken_is_an_error_and_all_is_as_before() -> None:
 
 
 def test_what_cannot_be_put_back_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    with InstrumentOnPort(WitMotionInstrument()) as there:
+    with emulated("witmotion", 50) as there:
         found, _ = connected(there.port, rate_hz=100)
     found.close()
     assert "not put back" in capsys.readouterr().err
 
 
 def test_a_protocol_file_knows_no_commands() -> None:
-    with InstrumentOnPort(XsensInstrument()) as there, pytest.raises(UsageError, match="protocol file"):
+    with emulated("xsens_mtdata2") as there, pytest.raises(UsageError, match="protocol file"):
         connected(there.port, protocol="xsens_mtdata2", rate_hz=50)
 
 
 def test_a_rate_that_the_wire_cannot_carry() -> None:
-    with InstrumentOnPort(XsensInstrument()) as there:
+    with emulated("xsens_mtdata2") as there:
         found = search(there.port, serial_candidates(), [115200], SystemClock())
         found.link.close()
     assert found.found is not None
     check_capacity(found.found, 100, 115200)
-    # 54 bytes of 10 bits and a tenth to spare: 115200 bit/s carry 194 a second, the cut first frame aside.
-    with pytest.raises(UsageError, match=r"1[89]\d such samples"):
+    # 61 bytes of 10 bits and a tenth to spare: 115200 bit/s carry 172 a second, the cut first frame aside.
+    with pytest.raises(UsageError, match=r"1[67]\d such samples"):
         check_capacity(found.found, 200, 115200)
 
 

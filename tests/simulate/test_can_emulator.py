@@ -48,6 +48,9 @@ class Ramp:
     def __init__(self) -> None:
         self._next = 0
 
+    def set_rate(self, rate_hz: float) -> None:
+        self.interval_s = 1 / rate_hz
+
     def next_block(self, count: int) -> Samples:
         number = np.arange(self._next, self._next + count)
         self._next += count

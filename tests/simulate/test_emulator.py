@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from imufield.errors import UsageError
-from imufield.simulate.devices import Stim300Device, TextDevice
+from imufield.simulate.devices import Stim300Device, TextDevice, utility_message
 from imufield.simulate.emulator import Emulator, EmulatorSettings, VirtualImu
 from imufield.simulate.encode import Stim300Format
 from imufield.simulate.faults import Faults
@@ -225,3 +225,37 @@ def test_every_byte_value_passes_both_ways() -> None:
     finally:
         os.close(descriptor)
         pty.close()
+
+
+@pytest.mark.parametrize("to_hz", [125.0, 200.0, 2000.0])
+def test_at_another_rate_the_same_motion_goes_on(to_hz: float) -> None:
+    virtual = source(500.0)
+    before = virtual.next_block(501)
+    virtual.set_rate(to_hz)
+    after = virtual.next_block(100)
+    # The first sample is the next whole one of the new rate, counted from power-on.
+    assert before.time_s[-1] < after.time_s[0] <= before.time_s[-1] + 1 / 500 + 1 / to_hz + 1e-9
+    np.testing.assert_allclose(np.diff(after.time_s), 1 / to_hz, rtol=1e-9)
+    assert after.counter.tolist() == list(range(round(after.time_s[0] * to_hz), round(after.time_s[0] * to_hz) + 100))
+    sigma = before.accelerometer.std(axis=0), after.accelerometer.std(axis=0)
+    # White noise of a constant density: its standard deviation grows with the root of the rate.
+    np.testing.assert_allclose(sigma[1] / sigma[0], np.sqrt(to_hz / 500), rtol=0.5)
+    allowed = 5 * np.max(sigma[1] / np.sqrt(100) + sigma[0] / np.sqrt(501))
+    np.testing.assert_allclose(after.accelerometer.mean(axis=0), before.accelerometer.mean(axis=0), atol=allowed)
+
+
+def test_rates_go_up_and_down_while_it_runs() -> None:
+    device = stim300()
+    with Emulator(device, source(), EmulatorSettings(speed=4.0)) as emulator:
+        port = open_port(emulator.port)
+        for code, rate_hz in ((0, 125), (4, 2000), (2, 500)):
+            os.write(port, b"UTILITYMODE\r" + utility_message(f"$sm,{code}") + utility_message("$xn"))
+            until(lambda wanted=rate_hz: device.rate_hz == wanted)  # type: ignore[misc]
+            begin = emulator.samples_sent, emulator.time_s
+            until(lambda since=begin[1]: emulator.time_s > since + 2.0)  # type: ignore[misc]
+            sent, elapsed_s = emulator.samples_sent - begin[0], emulator.time_s - begin[1]
+            assert sent == pytest.approx(rate_hz * elapsed_s, rel=0.1)
+            os.read(port, 65536)
+        os.write(port, b"R\r")
+        os.close(port)
+    assert emulator.failure is None

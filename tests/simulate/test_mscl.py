@@ -33,6 +33,9 @@ class _Random:
         self.interval_s = 1 / choice.rate_hz
         self._choice, self._next = choice, 0
 
+    def set_rate(self, rate_hz: float) -> None:
+        self.interval_s = 1 / rate_hz
+
     def next_block(self, count: int) -> Samples:
         first, self._next = self._next, self._next + count
         return random_samples(self._choice.protocol, self._choice.rate_hz, first, count)

@@ -219,6 +219,9 @@ def test_a_wrong_table_is_an_error(before: str, after: str, problem: str) -> Non
 class _AtRest:
     interval_s = 0.01
 
+    def set_rate(self, rate_hz: float) -> None:
+        self.interval_s = 1 / rate_hz
+
     def next_block(self, count: int) -> Samples:
         protocol = load_protocol("kvh_17xx", {"gyroscope_output": "rad/s"})
         samples = random_samples(protocol, 100.0, 0, count)
