@@ -17,17 +17,16 @@ from typing import Any
 import numpy as np
 
 from imufield.calibrate.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gyroscope_fit import fit_turns_only
 from imufield.calibrate.gyroscope_paths import GyroscopeInput, calibrate_gyroscope, make_data
 from imufield.calibrate.gyroscope_report import GYROSCOPE_NAMES
 from imufield.calibrate.gyroscope_static import StaticData, StaticFree, fit_static, seen_latitude_deg
 from imufield.calibrate.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.move_integration import rough_inverse
-from imufield.calibrate.moves import MoveCollector, collect_moves
+from imufield.calibrate.moves import MoveCollector
 from imufield.calibrate.noise import NoiseStream
 from imufield.calibrate.result import GyroscopeParameters
 from imufield.calibrate.solvers.evolution import solve_ide
-from imufield.calibrate.turntable import TurntableRun, matrix_from_pairs, pair_runs, turns_problem
+from imufield.calibrate.turntable import TurntableRun, pair_runs
 from imufield.earth import EARTH_RATE_RAD_S, Gravity
 from imufield.guide.free import StillIntervalFinder, find_still_intervals
 from imufield.guide.positions import scheme
@@ -40,7 +39,17 @@ from imufield.study.instruments import TURN_RATES_DEG_S
 
 PROJECT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(PROJECT / "tests" / "calibrate"))
-from gyroscope_sessions import BLOCK, Session, rolled, simulate, steady  # noqa: E402 (it lies beside the tests)
+from gyroscope_sessions import (  # noqa: E402 (it lies beside the tests)
+    BLOCK,
+    Session,
+    collect_moves,
+    fit_turns_only,
+    matrix_from_pairs,
+    rolled,
+    simulate,
+    steady,
+    turns_problem,
+)
 
 SHARED = PROJECT.parent / "shared" / "data"
 LONG: dict[str, Any] = {"rate_hz": 200.0, "hold_s": 12.0}

@@ -12,12 +12,7 @@ HOST_ADDRESS = 0xF9
 """J1939 address of an off-board service tool."""
 EVERYBODY = 0xFF
 _REQUEST_PGN, _VERSION_PGN = 0xEA00, 0xFEDA
-_RATE_PGN, _TYPES_PGN = 0xFF55, 0xFF56
 _PRIORITY = 6
-_HIGHEST_RATE_HZ = 100
-_DIVIDERS = (0, 1, 2, 4, 5, 10, 20, 25, 50)
-SLOPE, RATE, ACCELERATION = 1, 2, 4
-"""Packet types of ``packet_types``."""
 
 
 class AceinnaCan(Driver):
@@ -63,26 +58,6 @@ class AceinnaCan(Driver):
 def request(pgn: int, destination: int = EVERYBODY, source: int = HOST_ADDRESS) -> bytes:
     """Return the request for a message, as a packed frame. The number goes out least significant byte first."""
     return _command(_REQUEST_PGN | destination, pgn.to_bytes(3, "little"), source)
-
-
-def packet_rate(rate_hz: int, address: int, source: int = HOST_ADDRESS) -> bytes:
-    """Return the command that sets the output rate until power-off; 0 is silence.
-
-    Raises
-    ------
-    ValueError
-        If 100 Hz cannot be divided to it.
-    """
-    divider = 0 if rate_hz == 0 else _HIGHEST_RATE_HZ // rate_hz
-    if divider not in _DIVIDERS or divider * rate_hz not in (0, _HIGHEST_RATE_HZ):
-        rates = ", ".join(f"{_HIGHEST_RATE_HZ // one}" for one in _DIVIDERS[1:])
-        raise ValueError(f"`rate_hz` is {rate_hz}; an MTLT305 sends at 0, {rates} Hz")
-    return _command(_RATE_PGN, bytes([address, divider]), source)
-
-
-def packet_types(types: int, address: int, source: int = HOST_ADDRESS) -> bytes:
-    """Return the command that chooses the messages sent until power-off, e.g. ``RATE | ACCELERATION``."""
-    return _command(_TYPES_PGN, bytes([address, types]), source)
 
 
 def _command(pgn: int, data: bytes, source: int) -> bytes:

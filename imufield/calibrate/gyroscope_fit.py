@@ -273,24 +273,3 @@ def _walk(
         if cost <= step.cost * (1 + 1e-9) + 1e-9 or tried == _HALVINGS:
             return trial, now, tried
         share /= 2
-
-
-def fit_turns_only(data: GyroscopeData, start: FloatArray, *, iterations: int = 30) -> FloatArray:
-    """Return ``p`` with A fitted to the moves alone, unweighted, everything else held: the model of [1]_.
-
-    For comparison with other programs; it knows no uncertainty.
-
-    References
-    ----------
-    .. [1] D. Tedaldi, A. Pretto, E. Menegatti, "A robust and easy to implement method for IMU calibration without external
-       equipments", ICRA 2014.
-    """
-    p = start.copy()
-    for _ in range(iterations):
-        now = evaluate(p, data)
-        rows = 2 * now.moves
-        change = -np.linalg.lstsq(now.jacobian[:rows, :9], now.residual[:rows], rcond=None)[0]
-        p[:9] += change
-        if np.abs(change).max() <= 1e-12 * np.abs(p[:9]).max():
-            break
-    return p

@@ -208,12 +208,3 @@ def predict_gyroscope(parameters: GyroscopeParameters, rate: FloatArray, a: Floa
     turned = rate + rate @ parameters.misalignment_rad.T
     output: FloatArray = parameters.scale * turned + parameters.bias
     return output if a is None else output + a @ parameters.g_sensitivity.T
-
-
-def recover_rate(parameters: GyroscopeParameters, raw: FloatArray, a: FloatArray | None = None) -> FloatArray:
-    """Return rates in rad/s for raw outputs; without ``a`` the g-sensitivity is left out. Shape (..., 3)."""
-    unbiased = raw - parameters.bias
-    if a is not None:
-        unbiased = unbiased - a @ parameters.g_sensitivity.T
-    rate: FloatArray = (unbiased / parameters.scale) @ np.linalg.inv(np.eye(3) + parameters.misalignment_rad).T
-    return rate

@@ -26,7 +26,6 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from enum import IntFlag
 from itertools import pairwise
@@ -331,25 +330,6 @@ class MoveCollector:
     def finish(self, start_s: FloatArray, duration_s: FloatArray) -> Moves:
         """Return the moves between still intervals (sample clock, shape (s,), in any order)."""
         return cut_moves(self._builder.finish(), start_s, duration_s, (self._builder.low, self._builder.high))
-
-
-def collect_moves(blocks: Iterable[Samples], start_s: FloatArray, duration_s: FloatArray) -> Moves:
-    """Return the moves between the still intervals of a recording.
-
-    Parameters
-    ----------
-    blocks : iterable of Samples
-        In time order, of the same units, cut anywhere.
-    start_s, duration_s : ndarray, shape (s,)
-        Still intervals, as ``Observations`` has them; in any order.
-    """
-    collector: MoveCollector | None = None
-    for block in blocks:
-        collector = collector or MoveCollector(block.units)
-        collector.feed(block)
-    if collector is None:
-        return cut_moves(no_slots(), start_s, duration_s)
-    return collector.finish(start_s, duration_s)
 
 
 def cut_moves(

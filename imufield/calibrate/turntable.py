@@ -5,7 +5,7 @@ A run at +w about an axis and one at -w about the same axis, in the same attitud
 Each pair gives three numbers, so three axes give all nine entries of K E.
 
 The paper's own cost for this path (eq. 26) compares only the *lengths* of ``N+ - N-`` and ``2 K E w``. With turns about the
-sensor axes it sees nothing but the three column norms of K E: rank 3 of 9. ``turns_problem`` offers both for the solvers.
+sensor axes it sees nothing but the three column norms of K E: rank 3 of 9 (``triad_costs.TurnsProblem`` has both).
 
 References
 ----------
@@ -17,12 +17,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from imufield.calibrate.gyroscope_model import TableRows
-from imufield.calibrate.triad_costs import TurnsProblem
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
@@ -97,39 +95,3 @@ def _rows(pairs: list[tuple[TurntableRun, TurntableRun]]) -> TableRows:
         along, across = plus.rate_sigma_rad_s**2 / 2, (w * plus.axis_sigma_rad) ** 2
         covariance[k] = along * np.outer(u, u) + across * (np.eye(3) - np.outer(u, u))
     return TableRows(half, raw_covariance, rate, covariance)
-
-
-def matrix_from_pairs(table: TableRows) -> FloatArray:
-    """Return K E by plain least squares over all pairs, shape (3, 3): eq. 25 in vector form.
-
-    Raises
-    ------
-    CalibrationError
-        If the axes do not fill space.
-    """
-    values = np.linalg.svd(table.rate, compute_uv=False) if len(table) >= 3 else np.zeros(3)
-    if values[-1] <= 1e-3 * max(float(values[0]), 1e-300):
-        raise CalibrationError(
-            f"{len(table)} pairs of turntable runs do not turn about three independent axes; add the missing axis, both ways",
-            Reason.UNOBSERVABLE,
-            pairs=len(table),
-        )
-    solution: FloatArray = np.asarray(np.linalg.lstsq(table.rate, table.half_difference_raw, rcond=None)[0], dtype=np.float64)
-    return solution.T
-
-
-def turns_problem(table: TableRows, reach: float = 0.05, form: Literal["norm", "vector"] = "vector") -> TurnsProblem:
-    """Return the pairs as a problem that any solver takes.
-
-    Parameters
-    ----------
-    table : TableRows
-    reach : float
-        Bounds: scale within this share of that of ``matrix_from_pairs``' diagonal, misalignment within this, rad.
-    form : {"norm", "vector"}
-        The paper's eq. 26, or the vector form of its eq. 25.
-    """
-    K = np.diag(matrix_from_pairs(table))
-    half = np.concatenate([reach * np.abs(K), np.full(6, reach)])
-    middle = np.concatenate([K, np.zeros(6)])
-    return TurnsProblem(2 * table.half_difference_raw, table.rate, middle - half, middle + half, form)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from imufield.calibrate.accelerometer import calibrate_accelerometer
 from imufield.calibrate.gauge import change_gauge, turn_gyroscope
+from imufield.calibrate.gyroscope_model import GyroscopeData, TableRows, evaluate
 from imufield.calibrate.gyroscope_paths import GyroscopeInput
 from imufield.calibrate.models import to_vector
-from imufield.calibrate.moves import MoveCollector, Moves
+from imufield.calibrate.moves import MoveCollector, Moves, cut_moves, no_slots
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import Calibration, GyroscopeParameters
 from imufield.calibrate.rotation import conjugate, logarithm, multiply
+from imufield.calibrate.triad_costs import TurnsProblem
 from imufield.earth import Gravity
 from imufield.guide.free import StillIntervalFinder
 from imufield.guide.positions import scheme
@@ -167,3 +170,48 @@ def simulate(
     rotation = change_gauge(to_vector(drawn.accelerometer), "lower").rotation
     given = GyroscopeInput(observations, moves, calibration, latitude_deg=latitude_deg)
     return Session(given, turn_gyroscope(truth, rotation), calibration, tuple(operator.turn_times_s))
+
+
+def collect_moves(blocks: Iterable[Samples], start_s: FloatArray, duration_s: FloatArray) -> Moves:
+    """The moves between still intervals of a recording whose blocks, in time order, are cut anywhere."""
+    collector: MoveCollector | None = None
+    for block in blocks:
+        collector = collector or MoveCollector(block.units)
+        collector.feed(block)
+    if collector is None:
+        return cut_moves(no_slots(), start_s, duration_s)
+    return collector.finish(start_s, duration_s)
+
+
+def fit_turns_only(data: GyroscopeData, start: FloatArray, *, iterations: int = 30) -> FloatArray:
+    """``p`` with A fitted to the moves alone, unweighted, everything else held: the model of [1]_.
+
+    For comparison with other programs; it knows no uncertainty.
+
+    References
+    ----------
+    .. [1] D. Tedaldi, A. Pretto, E. Menegatti, "A robust and easy to implement method for IMU calibration without external
+       equipments", ICRA 2014.
+    """
+    p = start.copy()
+    for _ in range(iterations):
+        now = evaluate(p, data)
+        rows = 2 * now.moves
+        change = -np.linalg.lstsq(now.jacobian[:rows, :9], now.residual[:rows], rcond=None)[0]
+        p[:9] += change
+        if np.abs(change).max() <= 1e-12 * np.abs(p[:9]).max():
+            break
+    return p
+
+
+def matrix_from_pairs(table: TableRows) -> FloatArray:
+    """K E by plain least squares over all pairs of turntable runs, shape (3, 3): eq. 25 of IDE in vector form."""
+    return np.asarray(np.linalg.lstsq(table.rate, table.half_difference_raw, rcond=None)[0], dtype=np.float64).T
+
+
+def turns_problem(table: TableRows, reach: float = 0.05, form: Literal["norm", "vector"] = "vector") -> TurnsProblem:
+    """Pairs as a problem for any solver, within ``reach`` of plain least squares: eq. 26 of IDE ("norm") or the vector form."""
+    K = np.diag(matrix_from_pairs(table))
+    half = np.concatenate([reach * np.abs(K), np.full(6, reach)])
+    middle = np.concatenate([K, np.zeros(6)])
+    return TurnsProblem(2 * table.half_difference_raw, table.rate, middle - half, middle + half, form)

@@ -7,16 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gyroscope_sessions import Session, Turn, record, rolled, simulate
+from gyroscope_sessions import Session, Turn, collect_moves, fit_turns_only, record, rolled, simulate
 
 from imufield.calibrate.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gyroscope_fit import fit_turns_only
 from imufield.calibrate.gyroscope_model import evaluate
 from imufield.calibrate.gyroscope_paths import GyroscopeInput, calibrate_gyroscope, make_data
 from imufield.calibrate.gyroscope_report import GYROSCOPE_NAMES, GyroscopeResult, forward
 from imufield.calibrate.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.move_integration import rough_inverse
-from imufield.calibrate.moves import collect_moves
 from imufield.calibrate.result import ACCELEROMETER_NAMES, GRAVITY_NAME, GyroscopeParameters
 from imufield.calibrate.turntable import TurntableRun
 from imufield.calibrate.whole_turns import Stop

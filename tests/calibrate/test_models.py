@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,6 @@ from imufield.calibrate.models import (
     predict,
     predict_gyroscope,
     recover,
-    recover_rate,
     recover_vectors,
     to_vector,
 )
@@ -129,7 +127,7 @@ def test_gradient_by_output_against_central_differences(parameters: Acceleromete
         assert exact[:, axis] == pytest.approx((norms[0] - norms[1]) / 2e-2, abs=1e-9)
 
 
-def test_gyroscope_by_hand_and_back() -> None:
+def test_gyroscope_by_hand() -> None:
     parameters = GyroscopeParameters(
         np.array([1000.0, 2000, 3000]),
         np.array([[0, 0.01, 0], [0, 0, 0.02], [0.03, 0, 0]]),
@@ -139,5 +137,3 @@ def test_gyroscope_by_hand_and_back() -> None:
     rate, a = np.array([[1.0, 2, 3]]), np.array([[2.0, 4, 8]])
     by_hand = [[1000 * 1.02 + 1 + 1, 2000 * 2.06 + 2 + 1, 3000 * 3.03 + 3 + 1]]
     assert predict_gyroscope(parameters, rate, a) == pytest.approx(np.array(by_hand), rel=1e-15)
-    assert recover_rate(parameters, np.array(by_hand), a) == pytest.approx(rate, rel=1e-14)
-    assert math.isclose(recover_rate(parameters, predict_gyroscope(parameters, rate))[0, 2], 3.0)

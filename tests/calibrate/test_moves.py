@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from gyroscope_sessions import collect_moves
 
 from imufield.calibrate.move_integration import centre, integrate, rough_inverse
-from imufield.calibrate.moves import MoveCollector, Moves, collect_moves, join_slots
+from imufield.calibrate.moves import MoveCollector, Moves, join_slots
 from imufield.calibrate.rotation import exponential, multiply
 from imufield.samples import FloatArray, Samples, SampleUnits, Status, make_samples
 

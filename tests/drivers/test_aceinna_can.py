@@ -6,8 +6,6 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import pytest
-
 from imufield.acquire.can_frames import unpack_frames
 
 if TYPE_CHECKING:
@@ -25,14 +23,6 @@ def test_the_request_of_the_recording(shared_folder: Path) -> None:
     vectors = json.loads((shared_folder / "wire" / "aceinna_mtlt_can.vectors.json").read_text())
     (recorded,) = [vector["hex"] for vector in vectors if vector["decoded"]["pgn"] == 59904]
     assert text(aceinna_can.request(0xFF53, source=0x80)) == recorded.upper()
-
-
-def test_commands() -> None:
-    assert text(aceinna_can.packet_rate(50, 0x80)) == "18FF55F9#8002"
-    assert text(aceinna_can.packet_rate(0, 0x81)) == "18FF55F9#8100"
-    assert text(aceinna_can.packet_types(aceinna_can.RATE | aceinna_can.ACCELERATION, 0x80)) == "18FF56F9#8006"
-    with pytest.raises(ValueError, match="100, 50, 25, 20, 10, 5, 4, 2"):
-        aceinna_can.packet_rate(30, 0x80)
 
 
 def test_identity_asks_for_the_version_and_nothing_else() -> None:

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imufield.calibrate.models import recover, recover_rate
+from imufield.calibrate.models import recover
+from imufield.deliver.apply import correct_gyroscope
 from imufield.errors import UsageError
 from imufield.samples import SampleUnits, Status
 from imufield.simulate.grades import (
@@ -45,7 +46,7 @@ def test_quiet_instrument_is_undone_by_its_parameters(grade: str) -> None:
     force, rate = 9.8 * RNG.standard_normal((100, 3)), RNG.standard_normal((100, 3))
     samples = Imu(instrument, 1, QUIET).feed(motion_of(force, rate))
     np.testing.assert_allclose(recover(instrument.accelerometer, samples.accelerometer), force, atol=1e-10)
-    np.testing.assert_allclose(recover_rate(instrument.gyroscope, samples.gyroscope, force), rate, atol=1e-10)
+    np.testing.assert_allclose(correct_gyroscope(instrument.gyroscope, samples.gyroscope, force), rate, atol=1e-10)
     assert np.all(samples.status == Status.GOOD)
 
 
