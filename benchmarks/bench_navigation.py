@@ -169,11 +169,12 @@ def distance_mm(blocks: list[Samples], apply: Apply, drift: Drift) -> float:
 
 def coverage(seeds: int, *, turned: bool) -> list[dict[str, Any]]:
     """Return in how many seeds the drift was within its band."""
-    inside, rates = 0, []
+    inside, rates, shares = 0, [], []
     for seed in range(seeds):
         instrument, calibration = calibrated(seed)
         result = navigate(instrument, calibration, seed, rate_hz=10.0, turned=turned)
         inside += result.forecast.holds(result.drifts["new"])
+        shares.append(result.drifts["new"].rate_nmi_per_h / result.forecast.rate_95_nmi_per_h)
         rates.append(
             [result.drifts["before"].rate_nmi_per_h, result.drifts["new"].rate_nmi_per_h, result.forecast.rate_95_nmi_per_h]
         )
@@ -183,6 +184,7 @@ def coverage(seeds: int, *, turned: bool) -> list[dict[str, Any]]:
         {"name": f"{words}: within the 95 % band", "value": inside, "unit": f"of {seeds} seeds"},
         {"name": f"{words}: median drift (peer: without calibration)", "value": new, "unit": "nmi/h drift", "peer": before},
         {"name": f"{words}: median of the 95 % forecast", "value": most, "unit": "nmi/h drift"},
+        {"name": f"{words}: median drift over its 95 % forecast (forecast itself)", "value": np.median(shares), "unit": "of 1"},
     ]
 
 

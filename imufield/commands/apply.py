@@ -10,6 +10,7 @@ from imufield.acquire.recording import Damage
 from imufield.acquire.session import Session
 from imufield.commands.chain import session_samples
 from imufield.commands.import_files import table_samples
+from imufield.commands.output import say
 from imufield.commands.rows import RowCount
 from imufield.deliver.apply_session import apply_session
 from imufield.deliver.numbers import beside, hanging
@@ -37,8 +38,8 @@ def run_apply(parameters: Path, source: Path, output: Path) -> None:
     count = RowCount()
     rows = apply_session(loaded, count.through(blocks), output, serial_number=serial_number)
     for one in damage:
-        typer.echo(one.what, err=True)
+        say(one.what, err=True)
     typer.echo(beside(f"{rows} corrected samples in", output))
-    typer.echo("time in s, specific force in m/s^2, angular rate in rad/s, temperature in degC")
+    say("time in s, specific force in m/s^2, angular rate in rad/s, temperature in degC")
     if count.flags():
         typer.echo(hanging("", count.flags()))

@@ -14,9 +14,9 @@ import typer
 from imufield.acquire.protocol_toml import spell
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.commands.capture import REVISIT_FROM, ROTATIONS
+from imufield.commands.output import replace_only
 from imufield.deliver.numbers import beside
 from imufield.errors import UsageError
-from imufield.files import refuse_overwriting
 from imufield.guide.positions import scheme
 from imufield.simulate.emulate import TRUTH_FORMAT, Emulation, WireChoice, choose_wire, emulate
 from imufield.simulate.emulator_core import EmulatorCore, EmulatorSettings
@@ -24,8 +24,6 @@ from imufield.simulate.faults import CanFaults, Faults, WireFaults
 from imufield.simulate.operator import OperatorSettings
 
 STANDS_STILL = "none"
-_HEAD_BYTES = 200
-"""The format is the first key of a truth file."""
 INITIAL_STILL_S = 6.0
 """Before the first hold; the guide needs 3 s of it for the noise floor."""
 ROUNDS = 20
@@ -60,31 +58,13 @@ class EmulateOptions:
 
 def run_emulate(options: EmulateOptions) -> None:
     """Emulate until the time is over or the user interrupts, telling the port first."""
-    _refuse_no_truth(options.truth)
+    if options.truth is not None:
+        what = f"--truth {options.truth} holds something else than the truth of an emulation"
+        replace_only(options.truth, TRUTH_FORMAT, what)
     emulation = make_emulation(options)
     emulator = emulate(emulation, on_start=lambda running: _announce(options, emulation, running))
     if not options.as_json:
         typer.echo(f"stopped after {emulator.samples_sent} samples")
-
-
-def _refuse_no_truth(path: Path | None) -> None:
-    """Write over nothing but the truth of an emulation before.
-
-    Raises
-    ------
-    UsageError
-        If ``path`` holds something else.
-    """
-    if path is None:
-        return
-    refuse_overwriting(path)
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES)
-    except OSError:
-        return  # not there, or no file: writing says which
-    if head and TRUTH_FORMAT.encode() not in head:
-        raise UsageError(f"--truth {path} holds something else than the truth of an emulation; choose a new file")
 
 
 def make_emulation(options: EmulateOptions) -> Emulation:

@@ -11,6 +11,7 @@ from imufield.acquire.protocol import Protocol
 from imufield.acquire.recording import Damage
 from imufield.acquire.session import Session
 from imufield.commands.chain import recorded_protocol, session_samples
+from imufield.commands.output import say
 from imufield.commands.rows import RowCount
 from imufield.deliver.export_data import FORMATS, export_samples, facts_of
 from imufield.deliver.numbers import beside, hanging
@@ -41,9 +42,9 @@ def run_export_data(folder: Path | None, to: str, output: Path | None) -> None:
     blocks = count.through(session_samples(session, damage))
     rows = export_samples(blocks, path, to, facts_of(protocol, _raw_zero(session, protocol)))
     for one in damage:
-        typer.echo(one.what, err=True)
+        say(one.what, err=True)
     typer.echo(beside(f"{rows} samples in", path))
-    typer.echo(f"time in s, {count.units()}, temperature in degC")
+    say(f"time in s, {count.units()}, temperature in degC")
     if count.flags():
         typer.echo(hanging("", count.flags()))
 

@@ -13,7 +13,7 @@ from typing import Any
 import typer
 
 from imufield.acquire.session import DEFAULT_ROOT
-from imufield.commands.output import write_output
+from imufield.commands.output import say, write_output
 from imufield.deliver.gauge_free import Number
 from imufield.deliver.history import (
     STALE_DAYS,
@@ -69,7 +69,7 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
     else:
         _print(history, options, now)
     for fault in history.faults:
-        typer.echo(f"left out: {fault}", err=True)
+        say(f"left out: {fault}", err=True, indent=2)
     return history
 
 

@@ -18,7 +18,7 @@ from imufield.calibrate.noise_texts import NoiseFormat, draw_plot, noise_text
 from imufield.commands.calibration import one_of
 from imufield.commands.chain import recorded_protocol, session_samples
 from imufield.commands.damage import naming_damage
-from imufield.commands.output import write_output
+from imufield.commands.output import say, write_output
 from imufield.deliver.document import noise_table
 from imufield.deliver.parameters import Noise, Parameters, load, write_document
 from imufield.files import refuse_overwriting
@@ -54,7 +54,7 @@ def run_noise(options: NoiseOptions) -> None:
     with naming_damage(session, damage):
         result = measure_noise(session_samples(session, damage), nominal.accelerometer_scale, nominal.gyroscope_scale)
     for one in damage:
-        typer.echo(one.what, err=True)
+        say(one.what, err=True)
     if options.output is not None:
         write_output(options.output, noise_text(result, form).encode())
     if options.plot is not None:
@@ -81,13 +81,13 @@ def _write_into(path: Path, parameters: Parameters, result: NoiseResult) -> None
 
 
 def _print(result: NoiseResult) -> None:
-    typer.echo(f"{result.source} ({result.samples} samples, {result.bridged} lost ones bridged)")
+    say(f"{result.source} ({result.samples} samples, {result.bridged} lost ones bridged)")
     typer.echo(f"{'':<16}{'density':>24}{'bias instability':>24}{'random walk':>24}  unit")
     for axis in result.axes:
         figures = "".join(f"{_with_limits(one):>24}" for one in (axis.density, axis.instability, axis.walk))
         typer.echo(f"{axis.name:<16}{figures}  {axis.unit}")
     for sentence in (*result.sentences, *(sentence for axis in result.axes for sentence in axis.sentences)):
-        typer.echo(f" · {sentence}")
+        say(f" · {sentence}", indent=3)
 
 
 def _with_limits(figure: NoiseFigure) -> str:

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import typer
 
-from imufield.errors import ParameterFileError, Reason
-from imufield.files import write_atomically
+from imufield.errors import ParameterFileError, Reason, UsageError
+from imufield.files import refuse_overwriting, write_atomically
+
+_HEAD_BYTES = 512
 
 
 def write_output(path: Path, data: bytes) -> None:
@@ -29,6 +31,33 @@ def write_output(path: Path, data: bytes) -> None:
             Reason.NO_PERMISSION,
             path=str(path),
         ) from error
+
+
+def replace_only(path: Path, mark: str, what: str) -> None:
+    """Let an output go over nothing but an earlier one of its own kind.
+
+    Parameters
+    ----------
+    path : Path
+        It need not exist.
+    mark : str
+        What stands at the beginning of such a file.
+    what : str
+        Option and kind for the sentence, e.g. "--truth t.toml holds something else than the truth of an emulation".
+
+    Raises
+    ------
+    UsageError
+        If ``path`` holds something else.
+    """
+    refuse_overwriting(path)
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except OSError:
+        return  # not there, or no file: writing says which
+    if head and mark.encode() not in head:
+        raise UsageError(f"{what}; choose a new file")
 
 
 def say(sentence: str, *, err: bool = False, indent: int = 0, color: str | None = None) -> None:

@@ -17,6 +17,7 @@ from imufield.acquire.recorder import Recorder
 from imufield.acquire.session import DEFAULT_ROOT, Session
 from imufield.commands.chain import part_metadata
 from imufield.commands.connect import Connected, ConnectOptions, connect
+from imufield.deliver.numbers import beside
 from imufield.errors import RecordingError
 
 TELL_EVERY_S = 1.0
@@ -118,4 +119,4 @@ def _tell_end(session: Session, decoder: Decoder, as_json: bool) -> None:
     lost = counts.samples_lost + counts.losses_estimated
     if sys.stdout.isatty():
         typer.echo()
-    typer.echo(f"{counts.samples} samples, {lost} lost, session {session.folder}")
+    typer.echo(beside(f"{counts.samples} samples, {lost} lost, session", session.folder))

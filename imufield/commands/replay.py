@@ -13,6 +13,7 @@ from imufield.acquire.link import Chunk
 from imufield.acquire.recording import Damage, EndOfRecordingError, RecordingLink
 from imufield.acquire.session import Session
 from imufield.commands.chain import Chain, ReadingPlan, recorded_protocol, replay_into
+from imufield.commands.output import say
 from imufield.errors import UsageError
 from imufield.guide.jsonlines import JsonLinesView
 from imufield.guide.plain import PlainView
@@ -55,10 +56,10 @@ def run_replay(options: ReplayOptions) -> None:
         return
     damage: list[Damage] = []
     chain = Chain(ReadingPlan.of(session))
-    view = JsonLinesView(typer.echo) if options.as_json else PlainView(typer.echo)
+    view = JsonLinesView(typer.echo) if options.as_json else PlainView(say)
     replay_into(chain, session, damage, view.show)
     for one in damage:
-        typer.echo(one.what, err=True)
+        say(one.what, err=True)
     if not options.as_json:
         _tell(chain)
 
@@ -68,7 +69,7 @@ def _tell(chain: Chain) -> None:
     samples, frames = sum(part.samples for part in parts), sum(part.frames for part in parts)
     lost = sum(part.samples_lost + part.losses_estimated for part in parts)
     bad, skipped = sum(part.frames_bad_checksum for part in parts), sum(part.bytes_skipped for part in parts)
-    typer.echo(f"{samples} samples of {frames} frames; {lost} lost, {bad} with a bad checksum, {skipped} bytes skipped")
+    say(f"{samples} samples of {frames} frames; {lost} lost, {bad} with a bad checksum, {skipped} bytes skipped")
     if chain.finder is not None:
         found = chain.still_intervals()
         typer.echo(f"{len(found.observations)} still intervals, {len(found.refused)} refused")

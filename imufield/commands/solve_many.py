@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from imufield.acquire.session import Session
+from imufield.commands.output import say
 from imufield.commands.solve import SolveOptions, solve_session
 from imufield.deliver.parameters import PARAMETER_FILE, Parameters, from_document, json_ready, write_document
 from imufield.earth import MICRO_G_M_S2
@@ -123,9 +124,9 @@ def _print(outcomes: list[SessionOutcome], *, as_json: bool) -> None:
     console.print(_table(outcomes))
     for outcome in outcomes:
         for sentence in _sentences(outcome):
-            typer.echo(f"{_name(outcome)}: {sentence}")
+            say(f"{_name(outcome)}: {sentence}", indent=2)
     failed = sum(outcome.error != "" for outcome in outcomes)
-    typer.echo(f"{len(outcomes)} sessions, {failed} of them failed; the others have their {PARAMETER_FILE}.")
+    say(f"{len(outcomes)} sessions, {failed} of them failed; the others have their {PARAMETER_FILE}.")
 
 
 def _as_json(outcome: SessionOutcome) -> dict[str, Any]:

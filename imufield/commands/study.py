@@ -7,9 +7,11 @@ from pathlib import Path
 
 import typer
 
+from imufield.commands.output import replace_only, say
+from imufield.errors import UsageError
 from imufield.study.context import StudyContext
 from imufield.study.report import StudyReport, as_text
-from imufield.study.run import run_study, write_document
+from imufield.study.run import TITLE, run_study, write_document
 
 
 def run_study_command(
@@ -27,18 +29,31 @@ def run_study_command(
     Raises
     ------
     UsageError
-        If there is no such study, or a package it needs is not installed.
+        If there is no such study, a package it needs is not installed, or the results have no place to go.
     LinkError
         If the scheduler does not answer.
     """
+    _check_places(output, document)
     context = StudyContext(seed=seed, quick=quick, workers=workers, scheduler=scheduler, progress=_tell)
     reports: list[StudyReport] = []
     for report in run_study(name, context, folder=output):
-        typer.echo(as_text(report))
+        for line in as_text(report).splitlines():
+            say(line, indent=2)
         reports.append(report)
     if document is not None:
         write_document(reports, document, context)
         typer.echo(f"written: {document}")
+
+
+def _check_places(folder: Path | None, document: Path | None) -> None:
+    """Refuse before hours of computing what would be refused after them."""
+    if folder is not None and folder.exists() and not folder.is_dir():
+        raise UsageError(f"--output {folder} is no folder, and a study writes several files; choose a folder")
+    if document is None:
+        return
+    if document.is_dir() or not document.parent.is_dir():
+        raise UsageError(f"--document {document} is no place for a file; give a file in a folder that exists")
+    replace_only(document, TITLE, f"--document {document} holds something else than the results of a study")
 
 
 def _tell(done: int, total: int) -> None:

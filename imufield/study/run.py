@@ -11,7 +11,9 @@ from imufield.study.context import StudyContext
 from imufield.study.registry import find_studies, load_study
 from imufield.study.report import StudyReport, as_markdown, save
 
-_HEAD = """# The papers' tables and figures, reproduced
+TITLE = "# The papers' tables and figures, reproduced"
+"""First line of the document."""
+_HEAD = """{title}
 
 Every table and figure of the two papers that can be computed, the paper's figure beside ours. Where the paper used
 hardware, a simulated instrument stands in its place, and the setting says so.
@@ -60,6 +62,6 @@ def run_study(
 def write_document(reports: Iterable[StudyReport], path: Path, context: StudyContext) -> None:
     """Write reports as one Markdown document, with seed and version."""
     size = "a quick run, too few runs to quote" if context.quick else "a full run"
-    head = _HEAD.format(size=size, seed=context.seed, version=__version__)
+    head = _HEAD.format(title=TITLE, size=size, seed=context.seed, version=__version__)
     sections = [as_markdown(report) for report in reports]
     write_atomically(path, "\n".join([head, *sections]).encode())

@@ -10,6 +10,7 @@ import pytest
 from imufield.cli.run import run
 
 USAGE = 2
+ENDS = (" choose another output.", " choose a new file.", " choose a folder.", " in a folder that exists.")
 
 
 @pytest.fixture
@@ -47,6 +48,10 @@ def contents(folder: Path) -> dict[str, bytes]:
         "history S --csv S/session.toml",
         "emulate stim300 --truth ok.csv",
         "emulate stim300 --truth S/session.toml",
+        "study bsas-table1 --document S/parameters.toml",
+        "study bsas-table1 --document S/session.toml",
+        "study bsas-table1 --document nowhere/study.md",
+        "study bsas-table1 --output ok.csv",
         "solve --observations ok.csv --output ok.csv",
         "solve S --output S/session.toml",
         "solve S --output S/part-001.mcap",
@@ -57,7 +62,7 @@ def test_what_was_recorded_stays(folder: Path, line: str, capsys: pytest.Capture
     before = contents(folder)
     assert run(line.split()) == USAGE
     assert contents(folder) == before
-    assert capsys.readouterr().err.strip().splitlines()[-1].endswith((" choose another output.", " choose a new file."))
+    assert capsys.readouterr().err.strip().splitlines()[-1].endswith(ENDS)
 
 
 def test_the_truth_of_an_emulation_before_is_replaced(folder: Path) -> None:
@@ -66,6 +71,12 @@ def test_the_truth_of_an_emulation_before_is_replaced(folder: Path) -> None:
     (folder / "truth.toml").write_text((folder / "truth.toml").read_text().replace("seed = 0", "seed = 7"))
     assert run(line.split()) == 0
     assert "seed = 7" not in (folder / "truth.toml").read_text()
+
+
+def test_the_document_of_a_study_before_is_replaced(folder: Path) -> None:
+    for name in ("bsas-table1", "ide-table1"):
+        assert run(["study", name, "--document", "study.md"]) == 0
+    assert "ide-table1" in (folder / "study.md").read_text(encoding="utf-8")
 
 
 def test_a_solve_into_the_parameters_compared_with_keeps_them(folder: Path) -> None:

@@ -1,7 +1,20 @@
-"""What an instrument at rest does second by second: means, whether it was moved, its noise."""
+"""What an instrument at rest does second by second: means, whether it was moved, its noise.
+
+Bias instability. The lowest point of the Allan deviation has white noise in it: of a navigation-grade gyroscope in five hours
+it is 1.5 times the instability, and a forecast made with it held 100 of 100 instruments where it says 95. So both are fitted
+to the overlapped Allan variance q at octaves of t, ``q(t) = N^2 / t + (2 ln 2 / pi) B^2`` [1]_, each point weighted by its
+degrees of freedom [2]_. What is returned is the root of the mean of B^2 given the fit and that it is not negative: near
+the fitted value where the recording shows it, and as large as could have been overlooked where it does not.
+
+References
+----------
+.. [1] IEEE Std 952-2020, annex C.
+.. [2] W. J. Riley, "Handbook of Frequency Stability Analysis", NIST Special Publication 1065, 2008: table 5, white FM.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,10 +30,12 @@ MOVED_FORCE_M_S2 = 0.05
 _MOVED_SIGMAS = 8.0
 _FORCE_LAG = 10
 """Seconds over which the specific force is compared with itself: temperature is slower, a hand is faster."""
-_SHORTEST_FOR_FLOOR = 600
-"""Seconds: below, the lowest point of the Allan deviation is still on the slope of white noise."""
-_FLOOR = np.sqrt(2 * np.log(2) / np.pi)
-"""Allan deviation at its lowest over the bias instability (IEEE Std 952)."""
+_SHORTEST_FOR_FLICKER = 600
+"""Seconds: below, there is nothing but white noise to be seen."""
+_FLICKER = 2 * math.log(2) / math.pi
+_SHARED = 1.8
+"""Octaves share data: B^2 of 82 simulated recordings scattered so much more than it would if they did not."""
+_PASSES = 6
 
 
 class IntervalMeans:
@@ -76,7 +91,7 @@ class RestNoise:
     density: FloatArray
     """White noise, per sqrt(Hz)."""
     instability: FloatArray
-    """Bias instability: an upper limit, since white noise is still in it; NaN where the recording is too short."""
+    """Bias instability; NaN where the recording is too short to say anything."""
 
     def triads(self) -> NoiseDensity:
         """Return one density a triad."""
@@ -120,12 +135,42 @@ def measure_noise(means: FloatArray) -> RestNoise:
     """Return the noise of an undisturbed stretch, shape (n, 6)."""
     filled = fill_gaps(means)
     density = measure_density(filled)
-    if len(filled) < _SHORTEST_FOR_FLOOR:
+    if len(filled) < _SHORTEST_FOR_FLICKER:
         return RestNoise(density, np.full(6, np.nan))
-    lowest = np.full(6, np.inf)
-    factor = 16
-    while len(filled) // factor >= 5:
-        rows = filled[: len(filled) // factor * factor].reshape(-1, factor, 6).mean(axis=1)
-        lowest = np.minimum(lowest, np.sqrt(np.mean(np.diff(rows, axis=0) ** 2, axis=0) / 2))
-        factor *= 2
-    return RestNoise(density, lowest / _FLOOR)
+    tau_s, variance = allan_variance(filled)
+    return RestNoise(density, np.array([_instability(tau_s, column, len(filled)) for column in variance.T]))
+
+
+def allan_variance(means: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return averaging times, shape (m,), and the overlapped Allan variance there, shape (m, columns)."""
+    # Starting from zero keeps the running sum small against its rounding.
+    sums = np.vstack([np.zeros((1, means.shape[1])), np.cumsum(means - means[0], axis=0)])
+    factors = 2 ** np.arange(int(np.log2(len(means) // 3)) + 1)
+    second = (sums[2 * m :] - 2 * sums[m:-m] + sums[: -2 * m] for m in factors)
+    variance = [np.mean((change / m) ** 2, axis=0) / 2 for m, change in zip(factors, second, strict=True)]
+    return np.asarray(factors * SECOND_S, dtype=np.float64), np.array(variance)
+
+
+def _instability(tau_s: FloatArray, variance: FloatArray, seconds: int) -> float:
+    """Return the root of the expected B^2."""
+    if not variance.any():
+        return 0.0
+    m = tau_s / SECOND_S
+    freedom = np.maximum((3 * (seconds - 1) / (2 * m) - 2 * (seconds - 2) / seconds) * 4 * m**2 / (4 * m**2 + 5), 1.0)
+    X = np.column_stack([1 / tau_s, np.full_like(tau_s, _FLICKER)])
+    squares, A, expected = np.zeros(2), X, variance
+    for _ in range(_PASSES):
+        # A variance with f degrees of freedom is known to sqrt(2 / f) of what it is, not of how it came out.
+        weight = np.sqrt(freedom / 2) / np.maximum(expected, 1e-6 * variance.max())
+        A = X * weight[:, None]
+        squares = np.linalg.lstsq(A, variance * weight, rcond=None)[0]
+        expected = X @ np.maximum(squares, 0.0)
+    sigma = _SHARED * math.sqrt(np.linalg.inv(A.T @ A)[1, 1])
+    return math.sqrt(_mean_above_zero(float(squares[1]), sigma))
+
+
+def _mean_above_zero(mean: float, sigma: float) -> float:
+    """Return the mean of what is left of a normal distribution above zero."""
+    z = max(mean / sigma, -30.0)  # beyond, what is left is too little for a float
+    above = math.erfc(-z / math.sqrt(2)) / 2
+    return sigma * (z + math.exp(-(z**2) / 2) / math.sqrt(2 * math.pi) / above)

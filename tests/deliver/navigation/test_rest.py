@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imufield.deliver.navigation.rest import IntervalMeans, fill_gaps, measure_noise, moving_seconds
+from imufield.deliver.navigation.rest import IntervalMeans, allan_variance, fill_gaps, measure_noise, moving_seconds
 from imufield.samples import FloatArray
+from imufield.simulate.drift import BiasDrift
 
 RNG_SEED = 3
 
@@ -54,9 +55,29 @@ def test_noise_density_is_that_of_the_second_means() -> None:
     assert noise.triads().rate == pytest.approx(6e-7, rel=0.04)
 
 
-def test_instability_is_an_upper_limit_and_unknown_in_minutes() -> None:
-    flicker = 3e-6
+def test_instability_is_that_of_the_flicker_and_not_of_the_floor() -> None:
+    flicker = np.repeat([30e-6, 2e-8], 3)
+    found = []
+    for seed in range(4):
+        drift = BiasDrift(flicker, np.zeros(6), np.random.default_rng(seed)).at(np.arange(18_000.0))
+        found.append(measure_noise(rest(18_000, seed=seed) + drift).instability / flicker)
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(1.0, abs=0.1)
+
+
+def test_instability_of_white_noise_is_what_could_be_overlooked() -> None:
     means = rest(18_000)
+    floor = 0.3 * np.sqrt(allan_variance(means)[1].min(axis=0))
     found = measure_noise(means).instability
-    assert np.all(found[:3] < flicker)
+    assert np.all((found > 0) & (found < 10 * floor))
     assert np.isnan(measure_noise(means[:500]).instability).all()
+
+
+def test_allan_variance_is_that_of_the_definition() -> None:
+    means = rest(700)
+    tau_s, variance = allan_variance(means)
+    assert tau_s[-1] == 128.0
+    m = 32
+    averages = np.array([means[k : k + m].mean(axis=0) for k in range(len(means) - m + 1)])
+    expected = np.mean((averages[m:] - averages[:-m]) ** 2, axis=0) / 2
+    np.testing.assert_allclose(variance[list(tau_s).index(m)], expected, rtol=1e-9)
+    assert measure_noise(np.ones((700, 6))).instability.tolist() == [0.0] * 6
