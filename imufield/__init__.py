@@ -22,6 +22,7 @@ Measurement equations (docs/maths.md names them after the papers; ``T`` and ``E`
 Words
     link, chunk, frame, samples, still interval, position, observation, preset, session: the
     types of those names live in ``imufield.acquire``, ``imufield.samples``, ``imufield.guide``, ``imufield.calibrate``.
+    A serial port has a baud rate, a CAN bus a bit rate; what serves both is called ``baud`` (``--baud``, ``Driver.bauds``).
 
 Names carry their unit: ``rate_hz``, ``time_s``, ``bias_m_s2``, ``temperature_degc``.
 """

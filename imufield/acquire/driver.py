@@ -29,7 +29,7 @@ class Driver:
     protocol: ClassVar[str]
     """Name of the protocol it speaks."""
     wire: ClassVar[Wire] = "serial"
-    """What it is connected by; bit rates are those of that wire, and commands to a CAN instrument are packed frames."""
+    """What it is connected by; ``bauds`` are baud rates or bit rates accordingly, and commands on CAN are packed frames."""
     default_baud: ClassVar[int]
     bauds: ClassVar[tuple[int, ...]]
     """All rates it can be set to, the likeliest first."""

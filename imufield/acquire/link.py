@@ -216,7 +216,7 @@ class SerialLink:
             raise self._gone(error) from error
 
     def set_baud(self, baud: int) -> None:
-        """Go on at another bit rate, and throw away what arrived at the old one.
+        """Go on at another baud rate, and throw away what arrived at the old one.
 
         The port stays open: opening one anew resets instruments that hang on its DTR line, as hobby boards do.
 

@@ -1,7 +1,7 @@
 """Open a port and make sure that an instrument speaks there, before a session is begun.
 
 What is heard while listening is kept and goes into the recording first, so nothing is lost to it. Where the driver or the
-bit rate are not given, each is tried, and what was assumed is said.
+baud rate are not given, each is tried, and what was assumed is said.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from imufield.commands.output import say as tell
 from imufield.errors import LinkError, Reason, UsageError
 
 FALLBACK_BAUD = 115200
-"""Where a protocol file is given without a bit rate: the usual setting of serial instruments."""
+"""Where a protocol file is given without a baud rate: the usual setting of serial instruments."""
 SPARE = 1.1
 """Bytes do not follow one another without a gap (the 1.1 of the STIM300 datasheet holds for the others as well)."""
 
@@ -170,7 +170,7 @@ def connect(options: ConnectOptions, clock: HostClock, *, say: Say | None = None
     candidates = _candidates(options)
     bauds = bauds_to_try(candidates, port, options.baud)
     if len(bauds) > 1:
-        say(f"listening on {port} at {len(bauds)} bit rates, up to {SEARCH_S:g} s in all (--baud and --driver are quicker)")
+        say(f"listening on {port} at {len(bauds)} baud rates, up to {SEARCH_S:g} s in all (--baud and --driver are quicker)")
     is_given = any(one is not None for one in (options.driver, options.protocol, options.protocol_text))
     found = search(port, candidates, bauds, clock, is_given=is_given)
     try:
@@ -355,14 +355,14 @@ def check_capacity(ear: Ear, rate_hz: float, baud: int) -> None:
     if rate_hz > highest_hz:
         raise UsageError(
             f"{rate_hz:g} Hz do not fit on a wire of {baud} bit/s, which carries {highest_hz:.0f} such samples a second; "
-            "give a lower --rate-hz, or set a higher bit rate with the maker's program",
+            "give a lower --rate-hz, or set a higher baud rate with the maker's program",
             rate_hz=rate_hz,
             highest_hz=highest_hz,
         )
 
 
 def _baud_of(found: Search, ear: Ear, options: ConnectOptions) -> int:
-    """Return the bit rate; where it means nothing, the instrument's own is what a real port would need."""
+    """Return the baud rate; where it means nothing, the instrument's own is what a real port would need."""
     assumed_it = options.baud is None and has_no_baud(found.link.name)
     return ear.candidate.bauds[0] if assumed_it else found.last.baud
 
@@ -373,7 +373,7 @@ def _say_found(found: Search, ear: Ear, options: ConnectOptions, say: Say) -> No
         for name, value in ear.candidate.variant.items():
             say(f"{name} = {value} (recognised)")
     if options.baud is None and "://" not in found.link.name:
-        say(f"bit rate {_baud_of(found, ear, options)} (assumed)")
+        say(f"baud rate {_baud_of(found, ear, options)} (assumed)")
 
 
 def assumed(protocol: Protocol) -> list[str]:

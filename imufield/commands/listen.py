@@ -1,4 +1,4 @@
-"""Listen on a serial port at one bit rate after another, until an instrument is recognised or the time is over."""
+"""Listen on a serial port at one baud rate after another, until an instrument is recognised or the time is over."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from imufield.acquire.registry import driver_names, load_driver
 from imufield.errors import LinkError, LinkTimeoutError, ProtocolError, Reason
 
 LISTEN_S = 5.0
-"""Longest silence or noise before giving up at the one bit rate that is possible: instruments start within 1 s to 5 s."""
+"""Longest silence or noise before giving up at the one baud rate that is possible: instruments start within 1 s to 5 s."""
 SEARCH_S = 10.0
-"""All bit rates together."""
+"""All baud rates together."""
 TRY_S = 0.5
-"""Each bit rate that gives nothing: ten frames of a 20 Hz instrument."""
+"""Each baud rate that gives nothing: ten frames of a 20 Hz instrument."""
 PROMISING_S = 2.5
-"""A bit rate at which frames are heard: twenty samples of a 10 Hz instrument."""
+"""A baud rate at which frames are heard: twenty samples of a 10 Hz instrument."""
 SILENT_S = 2.0
-"""The first bit rate without a byte: at a wrong bit rate an instrument is heard, too, as noise."""
+"""The first baud rate without a byte: at a wrong baud rate an instrument is heard, too, as noise."""
 SILENT_TRY_S = 0.2
-"""Each further bit rate of a port that was silent at the first."""
+"""Each further baud rate of a port that was silent at the first."""
 
 
 @dataclass(slots=True)
 class Hearing:
-    """What was heard at one bit rate."""
+    """What was heard at one baud rate."""
 
     baud: int
     chunks: list[Chunk]
@@ -45,7 +45,7 @@ class Hearing:
 
 @dataclass(slots=True)
 class Search:
-    """What was heard on one port; the link is open and at the bit rate of the last hearing."""
+    """What was heard on one port; the link is open and at the baud rate of the last hearing."""
 
     link: SerialLink
     hearings: list[Hearing]
@@ -82,7 +82,7 @@ def driver_candidates(
 
 
 def bauds_to_try(candidates: list[Candidate], port: str, baud: int | None) -> list[int]:
-    """Return the bit rates to try: one where it is given or means nothing, else those of the candidates, likeliest first."""
+    """Return the baud rates to try: one where it is given or means nothing, else those of the candidates, likeliest first."""
     if baud is not None:
         return [baud]
     if has_no_baud(port):
@@ -93,12 +93,12 @@ def bauds_to_try(candidates: list[Candidate], port: str, baud: int | None) -> li
 
 
 def has_no_baud(port: str) -> bool:
-    """Return whether the bit rate means nothing to a port: addresses and pseudo-terminals take any."""
+    """Return whether the baud rate means nothing to a port: addresses and pseudo-terminals take any."""
     return "://" in port or str(Path(port).resolve()).startswith("/dev/pts/")
 
 
 def search(port: str, candidates: list[Candidate], bauds: list[int], clock: HostClock, *, is_given: bool = False) -> Search:
-    """Listen at each bit rate until a candidate is recognised.
+    """Listen at each baud rate until a candidate is recognised.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def search(port: str, candidates: list[Candidate], bauds: list[int], clock: Host
     Raises
     ------
     LinkError
-        The port cannot be opened, is gone, or takes none of the bit rates.
+        The port cannot be opened, is gone, or takes none of the baud rates.
     """
     link = open_link(port, baud=_first_baud(port, bauds), clock=clock)
     found = Search(link, [], None)
@@ -135,7 +135,7 @@ def search(port: str, candidates: list[Candidate], bauds: list[int], clock: Host
 
 
 def listen_again(found: Search, clock: HostClock) -> None:
-    """Listen once more at the last bit rate, to an instrument that was told to send in between."""
+    """Listen once more at the last baud rate, to an instrument that was told to send in between."""
     before = found.last
     hearing = Hearing(before.baud, [], [Ear(ear.candidate, is_given=True) for ear in before.ears])
     found.hearings.append(hearing)
@@ -144,12 +144,12 @@ def listen_again(found: Search, clock: HostClock) -> None:
 
 
 def _first_baud(port: str, bauds: list[int]) -> int:
-    # A bit rate that an adapter does not know may only show when it is set: 115200 is known to all.
+    # A baud rate that an adapter does not know may only show when it is set: 115200 is known to all.
     return bauds[0] if len(bauds) == 1 or has_no_baud(port) else 115200
 
 
 def _set_baud(link: SerialLink, baud: int, bauds: list[int]) -> bool:
-    """Go to a bit rate; return whether the adapter knows it, where there are others to try."""
+    """Go to a baud rate; return whether the adapter knows it, where there are others to try."""
     if len(bauds) == 1:
         return True
     try:

@@ -33,7 +33,7 @@ class Probed:
     port : str
     found : Finding or None
     baud : int or None
-        Bit rate that was found; None where it means nothing to the port.
+        Baud rate that was found; None where it means nothing to the port.
     command : str
         Command line that reads it.
     identity : dict
@@ -162,7 +162,7 @@ def _show_found(one: Probed, found: Finding) -> None:
     say(f"{one.port}: {found.title}", indent=2)
     say(f"  evidence    {found.evidence()}", indent=_SECOND_COLUMN)
     if one.baud is not None:
-        typer.echo(f"  bit rate    {one.baud}")
+        typer.echo(f"  baud rate   {one.baud}")
     if one.identity:
         identity = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in one.identity.items())
         say(f"  instrument  {identity}", indent=_SECOND_COLUMN)

@@ -51,7 +51,7 @@ def test_port_alone_is_enough_and_what_is_assumed_is_said(program: Program) -> N
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=20)
     assert "driver stim300 (recognised" in error
-    assert "bit rate 921600 (assumed)" in error
+    assert "baud rate 921600 (assumed)" in error
     assert lines[0].startswith("session imufield-sessions/")
     metadata = newest(program).metadata
     assert metadata["scheme"] == "paper24"
@@ -127,7 +127,7 @@ def test_resume(program: Program) -> None:
         assert (refused.returncode, refused.stdout) == (code, "")
         assert words in refused.stderr
 
-    # Port, driver, bit rate, positions and site are those of the session.
+    # Port, driver, baud rate, positions and site are those of the session.
     resumed = program.run("capture", "--resume", variables={"IMUFIELD_CLOCK_SPEED": "16"})
     assert resumed.returncode == 0, resumed.stderr
     assert "6 of 6 positions measured" in resumed.stdout

@@ -1,4 +1,4 @@
-"""``probe`` and connecting without a driver, on real pseudo-terminals; which have no bit rate to get wrong."""
+"""``probe`` and connecting without a driver, on real pseudo-terminals; which have no baud rate to get wrong."""
 
 from __future__ import annotations
 
