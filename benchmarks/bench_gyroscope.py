@@ -163,7 +163,7 @@ def navigation(count: int = 100) -> None:
             found = np.linalg.inv(fitted.x[:9].reshape(3, 3)) @ fitted.x[9:12]
             errors.append((found - bias) / DEG_PER_HOUR)
             wrong = fit_static(data, A, 45.5, free)
-            latitude, sigma = seen_latitude_deg(wrong.vertical, wrong.vertical_sigma)
+            latitude, sigma = seen_latitude_deg(wrong.vertical_rad_s, wrong.vertical_sigma_rad_s)
             contradiction.append(abs(latitude - 45.5) / sigma)
         rms = np.sqrt(np.mean(np.square(errors)))
         print(

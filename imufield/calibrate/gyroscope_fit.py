@@ -19,12 +19,15 @@ from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray, IntArray
 
 _ITERATIONS = 60
+"""Steps before it says that it did not converge; the scatters settle last."""
 _SETTLED = 1e-8
 """Sum of squared changes in sigma at which it stops: a ten-thousandth of a sigma."""
 _SCATTER_SETTLED = 1e-3
+"""Relative change of each scatter at which it stops: 24 stills tell a scatter to a tenth."""
 _HALVINGS = 6
+"""Shares of a step that are tried, 1 to 1/32; the last is taken as it is, and the next step is another."""
 _SESSION_ROOT_S = 20.0
-"""Root of the length of a session, to start from."""
+"""Root of the length of a session, sqrt(s), to start from: 400 s, 24 positions of 17 s."""
 HEADING_SEEN = 0.2
 """Sigma of the horizontal Earth rate over its length below which its length is taken as known and one azimuth is fitted."""
 _LENGTH_SIGMA = 1e-4
@@ -33,14 +36,14 @@ _LENGTH_SIGMA = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class EarthKnowledge:
-    """What is known of the Earth's rate before the fit, rad/s."""
+    """What is known of the Earth's rate before the fit."""
 
-    vertical: float
-    vertical_sigma: float
+    vertical_rad_s: float
+    vertical_sigma_rad_s: float
     """0 where the latitude is known."""
-    horizontal_sigma: float
+    horizontal_sigma_rad_s: float
     """Of each horizontal component while the azimuth is unknown."""
-    horizontal: float | None
+    horizontal_rad_s: float | None
     """Length of the horizontal part, None where the latitude is not known."""
 
     @classmethod
@@ -50,8 +53,8 @@ class EarthKnowledge:
             anywhere = EARTH_RATE_RAD_S / np.sqrt(3.0)
             return cls(0.0, float(anywhere), float(anywhere), None)
         latitude = np.radians(latitude_deg)
-        horizontal = float(EARTH_RATE_RAD_S * np.cos(latitude))
-        return cls(float(EARTH_RATE_RAD_S * np.sin(latitude)), 0.0, horizontal / np.sqrt(2.0), horizontal)
+        horizontal_rad_s = float(EARTH_RATE_RAD_S * np.cos(latitude))
+        return cls(float(EARTH_RATE_RAD_S * np.sin(latitude)), 0.0, horizontal_rad_s / np.sqrt(2.0), horizontal_rad_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +88,7 @@ class _Prior:
     mean: FloatArray
     sigma: FloatArray
     """inf where nothing is known."""
-    length: float | None
+    length_rad_s: float | None
 
     def rows(self, p: FloatArray, free: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return residuals and derivatives in units of sigma."""
@@ -94,7 +97,7 @@ class _Prior:
         jacobian = np.zeros((len(known), len(p)))
         jacobian[range(len(known)), known] = 1 / self.sigma[known]
         residual = (p[known] - self.mean[known]) / self.sigma[known]
-        if self.length is not None:
+        if self.length_rad_s is not None:
             extra_residual, extra_jacobian = self._length_rows(p)
             residual, jacobian = np.append(residual, extra_residual), np.vstack([jacobian, extra_jacobian])
         return residual, jacobian[:, free]
@@ -107,18 +110,18 @@ class _Prior:
         for k in range(len(h)):
             column = FIRST_HORIZONTAL + 2 * k
             jacobian[k, column : column + 2] = h[k] / size[k] / sigma
-        return (size - (self.length or 0.0)) / sigma, jacobian
+        return (size - (self.length_rad_s or 0.0)) / sigma, jacobian
 
 
 def make_prior(data: GyroscopeData, earth: EarthKnowledge, *, heading: bool) -> _Prior:
     """Return what is known of the Earth's rate; ``heading``: its horizontal length is known and strictly kept."""
     mean, sigma = np.zeros(data.parameters), np.full(data.parameters, np.inf)
-    mean[VERTICAL] = earth.vertical
-    if earth.vertical_sigma > 0:
-        sigma[VERTICAL] = earth.vertical_sigma
+    mean[VERTICAL] = earth.vertical_rad_s
+    if earth.vertical_sigma_rad_s > 0:
+        sigma[VERTICAL] = earth.vertical_sigma_rad_s
     if not heading:
-        sigma[FIRST_HORIZONTAL:] = earth.horizontal_sigma
-    return _Prior(mean, sigma, earth.horizontal if heading else None)
+        sigma[FIRST_HORIZONTAL:] = earth.horizontal_sigma_rad_s
+    return _Prior(mean, sigma, earth.horizontal_rad_s if heading else None)
 
 
 def fit_jointly(
@@ -143,27 +146,27 @@ def fit_jointly(
         To start from.
     """
     p = start.copy()
-    p[VERTICAL] = earth.vertical
-    nuisance = [] if earth.vertical_sigma == 0 else [VERTICAL]
+    p[VERTICAL] = earth.vertical_rad_s
+    nuisance = [] if earth.vertical_sigma_rad_s == 0 else [VERTICAL]
     columns = np.array([*free, *nuisance, *range(FIRST_HORIZONTAL, data.parameters)], dtype=np.int64)
     fitted = _gauss_newton(data, errors, p, columns, make_prior(data, earth, heading=False), scatter)
-    if earth.horizontal and _heading_seen(fitted, earth.horizontal):
-        p = _at_length(fitted.p, earth.horizontal)
+    if earth.horizontal_rad_s and _heading_seen(fitted, earth.horizontal_rad_s):
+        p = _at_length(fitted.p, earth.horizontal_rad_s)
         fitted = _gauss_newton(data, errors, p, columns, make_prior(data, earth, heading=True), fitted.scatter)
     return fitted
 
 
-def _heading_seen(fitted: JointFit, horizontal: float) -> bool:
+def _heading_seen(fitted: JointFit, horizontal_rad_s: float) -> bool:
     """Whether every chain knows its azimuth."""
     places = np.flatnonzero(fitted.free >= FIRST_HORIZONTAL)
     variance = np.diag(fitted.covariance)[places].reshape(-1, 2).sum(axis=1)
-    return bool(np.all(np.sqrt(variance) < HEADING_SEEN * horizontal))
+    return bool(np.all(np.sqrt(variance) < HEADING_SEEN * horizontal_rad_s))
 
 
-def _at_length(p: FloatArray, horizontal: float) -> FloatArray:
+def _at_length(p: FloatArray, horizontal_rad_s: float) -> FloatArray:
     result = p.copy()
     h = result[FIRST_HORIZONTAL:].reshape(-1, 2)
-    h *= horizontal / np.linalg.norm(h, axis=1)[:, None]
+    h *= horizontal_rad_s / np.linalg.norm(h, axis=1)[:, None]
     return result
 
 
@@ -204,7 +207,7 @@ def _gauss_newton(
     settled = status is SolverStatus.CONVERGED
     message = "changes are below a ten-thousandth of a sigma" if settled else f"not settled after {_ITERATIONS} steps"
     solved = SolverResult(p[free], step.cost, status, message, count)
-    return JointFit(p, free, step.covariance, step.gain, now, parts, scatter, solved, prior.length is not None)
+    return JointFit(p, free, step.covariance, step.gain, now, parts, scatter, solved, prior.length_rad_s is not None)
 
 
 def _same(before: Scatter, after: Scatter) -> bool:

@@ -43,19 +43,19 @@ class TableRows:
     half_difference_raw : ndarray, shape (t, 3)
         (N+ - N-) / 2.
     covariance_raw : ndarray, shape (t, 3, 3)
-    rate : ndarray, shape (t, 3)
-        Body rate in the positive run, rad/s.
-    covariance : ndarray, shape (t, 3, 3)
-        Of that rate: speed of the table and direction of its axis.
+    rate_rad_s : ndarray, shape (t, 3)
+        Body rate in the positive run.
+    rate_covariance : ndarray, shape (t, 3, 3)
+        Of that rate, (rad/s)^2: speed of the table and direction of its axis.
     """
 
     half_difference_raw: FloatArray
     covariance_raw: FloatArray
-    rate: FloatArray
-    covariance: FloatArray
+    rate_rad_s: FloatArray
+    rate_covariance: FloatArray
 
     def __len__(self) -> int:
-        return len(self.rate)
+        return len(self.rate_rad_s)
 
 
 def no_table() -> TableRows:
@@ -174,7 +174,7 @@ def evaluate(p: FloatArray, data: GyroscopeData) -> Evaluation:
     A, H = x[INVERSE].reshape(3, 3), x[SENSITIVITY].reshape(3, 3)
     residual_stills = data.rate_raw @ A.T - x[BIAS] - data.force @ H.T - earth
     stops, stop_rows = _stop_rows(data, turns, carry)
-    table = data.table.half_difference_raw @ A.T - data.table.rate
+    table = data.table.half_difference_raw @ A.T - data.table.rate_rad_s
     jacobian = np.vstack(
         [_move_rows(data, turns, tangent, predicted, carry, Q), _still_rows(data, Q), stop_rows, _table_rows(data)]
     )

@@ -138,14 +138,13 @@ class Scatter:
     """1 sigma of what the residuals show beyond the noise."""
 
     drift_rad_s: float
-    wander: float
-    """rad/s per sqrt(s)."""
+    wander_rad_s_per_root_s: float
     turn_rad: float
 
     @property
     def sizes(self) -> tuple[float, float, float]:
         """In the order of the parts of S."""
-        return self.drift_rad_s, self.wander, self.turn_rad
+        return self.drift_rad_s, self.wander_rad_s_per_root_s, self.turn_rad
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,7 +223,7 @@ def _add_stops_and_table(
         fixed[2 * k : 2 * k + 2, place] += shared
     table = data.table
     start = len(fixed) - 3 * len(table)
-    _add_blocks(fixed, A @ table.covariance_raw @ A.T + table.covariance, start)
+    _add_blocks(fixed, A @ table.covariance_raw @ A.T + table.rate_covariance, start)
 
 
 def _by_force(evaluation: Evaluation, data: GyroscopeData, H: FloatArray) -> FloatArray:

@@ -204,7 +204,7 @@ def static_norm_result(what: StaticNorm) -> GyroscopeResult:
     seen = "scale, misalignment and bias" if free else "bias; scale and misalignment as given, not calibrated"
     path = f"static norm of the Earth rate at {len(given.observations)} still positions, any heading: {seen}"
     unsettled = () if fitted.converged else ("the static gyroscope fit did not settle",)
-    latitude = latitude_words(given.latitude_deg or 0.0, fitted.vertical, fitted.vertical_sigma)
+    latitude = latitude_words(given.latitude_deg or 0.0, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)
     none = np.empty(0)
     return GyroscopeResult(
         GyroscopeCalibration(as_parameters(values), as_parameters(sigma), path, given.observations.units.gyroscope_rate_unit),
@@ -290,7 +290,7 @@ def _path(what: Described) -> str:
 def _earth_words(what: Described) -> str:
     if what.fit.heading_fitted:
         return "Earth rate seen: one azimuth fitted for each unbroken chain of moves"
-    if what.earth.vertical_sigma > 0:
+    if what.earth.vertical_sigma_rad_s > 0:
         return "Earth rate in the sigma, because the latitude is not known"
     return "vertical Earth rate taken off, horizontal part with unknown azimuth in the sigma"
 

@@ -35,7 +35,11 @@ SEES_EARTH = 0.1
 CONTRADICTED = 4.0
 """Sigmas between the latitude given and seen: once in 16 000 good sessions."""
 _ITERATIONS = 40
+"""Steps before it says that it did not converge; Gauss-Newton on a nearly linear problem, the scatters settle last."""
 _SETTLED = 1e-10
+"""Sum of squared changes in sigma at which it stops: a hundred-thousandth of a sigma."""
+_AT_POLE = 1e-4
+"""Of the Earth's rate, 1 sigma, in each row: at the pole its two directions are one, and their covariance singular."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,22 +69,22 @@ class StaticFit:
     covariance: FloatArray
     """Shape (12, 12), zero where not fitted."""
     scatter: Scatter
-    vertical: float
-    vertical_sigma: float
-    """u . w as the stills show it with the latitude left free, rad/s."""
+    vertical_rad_s: float
+    vertical_sigma_rad_s: float
+    """u . w as the stills show it with the latitude left free."""
     converged: bool
 
 
-def seen_latitude_deg(vertical: float, sigma: float) -> tuple[float, float]:
+def seen_latitude_deg(vertical_rad_s: float, sigma_rad_s: float) -> tuple[float, float]:
     """Return the latitude of a vertical Earth rate, and its sigma."""
-    sine = float(np.clip(vertical / EARTH_RATE_RAD_S, -1, 1))
+    sine = float(np.clip(vertical_rad_s / EARTH_RATE_RAD_S, -1, 1))
     cosine = math.sqrt(max(1 - sine**2, 1e-6))
-    return math.degrees(math.asin(sine)), math.degrees(sigma / EARTH_RATE_RAD_S / cosine)
+    return math.degrees(math.asin(sine)), math.degrees(sigma_rad_s / EARTH_RATE_RAD_S / cosine)
 
 
-def latitude_words(latitude_deg: float, vertical: float, sigma: float) -> tuple[str, ...]:
+def latitude_words(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) -> tuple[str, ...]:
     """Return what u . w says about the latitude that was given."""
-    seen, seen_sigma = seen_latitude_deg(vertical, sigma)
+    seen, seen_sigma = seen_latitude_deg(vertical_rad_s, sigma_rad_s)
     if abs(seen - latitude_deg) > CONTRADICTED * seen_sigma:
         sentence = (
             f"the latitude {latitude_deg:g} deg contradicts the gyroscope, which sees {seen:.2f} deg ({seen_sigma:.2f} deg "
@@ -123,9 +127,9 @@ def static_columns(free: StaticFree) -> list[int]:
 
 def static_start(data: StaticData, A: FloatArray, latitude_deg: float) -> FloatArray:
     """Return A, the bias with the vertical Earth rate taken off, and that rate, shape (13,)."""
-    vertical = EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg))
-    bias = (data.rate_raw @ A.T - vertical * data.up).mean(axis=0)
-    return np.concatenate([A.ravel(), bias, [vertical]])
+    vertical_rad_s = EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg))
+    bias = (data.rate_raw @ A.T - vertical_rad_s * data.up).mean(axis=0)
+    return np.concatenate([A.ravel(), bias, [vertical_rad_s]])
 
 
 def _fit(data: StaticData, start: FloatArray, columns: list[int]) -> tuple[FloatArray, FloatArray, Scatter, bool]:
@@ -167,8 +171,7 @@ def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, Float
     for k, block in enumerate(A @ data.covariance_raw @ A.T):
         noise[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = block
     fixed = spread @ noise @ spread.T
-    # At the pole the two directions are one: without this the covariance would be singular there.
-    fixed += np.eye(2 * s) * (1e-4 * EARTH_RATE_RAD_S) ** 2
+    fixed += np.eye(2 * s) * (_AT_POLE * EARTH_RATE_RAD_S) ** 2
     wander = spread @ np.kron(random_walk(data.time_s), np.eye(3)) @ spread.T
     parts = Covariances(fixed, spread @ spread.T, wander, np.zeros_like(fixed), np.zeros((2 * s, 16)))
     return residual.ravel(), jacobian.reshape(2 * s, 13), parts

@@ -26,7 +26,9 @@ SignalMap = Annotated[
 DriverName = Annotated[
     str | None, typer.Option("--driver", help="Instrument family, see `imufield devices`.", envvar="IMUFIELD_DRIVER")
 ]
-Baud = Annotated[int | None, typer.Option(help="Baud rate of the port, or bit rate of the bus.", min=50, envvar="IMUFIELD_BAUD")]
+Baud = Annotated[
+    int | None, typer.Option(help="Baud rate of the port, or bit rate of the bus.", min=50, envvar="IMUFIELD_BAUD")
+]
 ProtocolFile = Annotated[Path | None, typer.Option("--protocol", help="Your own wire format, a TOML file.", readable=False)]
 Settings = Annotated[
     list[str] | None, typer.Option("--set", help="What the wire does not tell, e.g. accelerometer_range_g=30.")

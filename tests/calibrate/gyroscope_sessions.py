@@ -206,7 +206,7 @@ def fit_turns_only(data: GyroscopeData, start: FloatArray, *, iterations: int = 
 
 def matrix_from_pairs(table: TableRows) -> FloatArray:
     """K E by plain least squares over all pairs of turntable runs, shape (3, 3): eq. 25 of IDE in vector form."""
-    return np.asarray(np.linalg.lstsq(table.rate, table.half_difference_raw, rcond=None)[0], dtype=np.float64).T
+    return np.asarray(np.linalg.lstsq(table.rate_rad_s, table.half_difference_raw, rcond=None)[0], dtype=np.float64).T
 
 
 def turns_problem(table: TableRows, reach: float = 0.05, form: Literal["norm", "vector"] = "vector") -> TurnsProblem:
@@ -214,4 +214,4 @@ def turns_problem(table: TableRows, reach: float = 0.05, form: Literal["norm", "
     K = np.diag(matrix_from_pairs(table))
     half = np.concatenate([reach * np.abs(K), np.full(6, reach)])
     middle = np.concatenate([K, np.zeros(6)])
-    return TurnsProblem(2 * table.half_difference_raw, table.rate, middle - half, middle + half, form)
+    return TurnsProblem(2 * table.half_difference_raw, table.rate_rad_s, middle - half, middle + half, form)

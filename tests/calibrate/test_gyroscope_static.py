@@ -73,10 +73,10 @@ def test_a_wrong_latitude_is_seen() -> None:
     for seed in range(10):
         data, M, _ = stills(seed, 10.0)
         fitted = fit_static(data, np.asarray(np.linalg.inv(M)), 45.5)
-        latitude, sigma = seen_latitude_deg(fitted.vertical, fitted.vertical_sigma)
+        latitude, sigma = seen_latitude_deg(fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)
         assert latitude == pytest.approx(45.0, abs=4 * sigma)
-        assert "contradicts" in latitude_words(45.5, fitted.vertical, fitted.vertical_sigma)[0]
-        assert "contradicts" not in latitude_words(45.0, fitted.vertical, fitted.vertical_sigma)[0]
+        assert "contradicts" in latitude_words(45.5, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)[0]
+        assert "contradicts" not in latitude_words(45.0, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)[0]
 
 
 def test_only_fine_instruments_see_the_earth() -> None:

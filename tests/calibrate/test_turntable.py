@@ -30,7 +30,7 @@ def test_pairs_are_free_of_bias_and_centripetal_force() -> None:
     table = pair_runs(runs(np.eye(3)))
     assert len(table) == 9
     assert matrix_from_pairs(table) == pytest.approx(M, abs=1e-12)
-    assert np.linalg.eigvalsh(table.covariance).min() > 0
+    assert np.linalg.eigvalsh(table.rate_covariance).min() > 0
 
 
 def test_a_run_without_counterpart_is_refused() -> None:
