@@ -19,7 +19,7 @@ help:
 	@echo "make fuzz    a minute of random and damaged bytes for every instrument"
 	@echo "make lint    style, types"
 	@echo "make docs    build the documentation into build/docs; broken links and examples fail"
-	@echo "make torture  kills, cuts, bad wires and files, in full, half an hour; writes docs/reliability.md"
+	@echo "make torture  kills, cuts, bad wires and files, in full, about half an hour; writes docs/reliability.md"
 	@echo "make coverage  branches tested in acquire, calibrate and guide; below 90 % fails"
 	@echo "make audit   every dependency as it was tested; make lock notes them anew"
 	@echo "make changelog  what has changed since the last release"
@@ -55,8 +55,15 @@ docs: $(DEV)
 	$(BIN)/python -m pytest tests/test_docs.py tests/test_docs_build.py tests/commands/test_docs_commands.py
 	$(BIN)/python -m mkdocs build --strict
 
+# Two at a time keep two cores busy; the claims take all cores by themselves. What was interrupted goes on where it stopped,
+# and what fails keeps nothing else from being done. PART=killed, cut, faults, link, files or claims does one of them.
+TORTURE_PARTS := $(if $(PART),$(PART),killed cut faults link files)
 torture: $(TEST)
-	TORTURE=full $(BIN)/python -m pytest tests/torture
+	status=0; export TORTURE=full; \
+	$(if $(filter-out claims,$(TORTURE_PARTS)),$(BIN)/python -m pytest -n 2 --dist worksteal \
+	  $(patsubst %,tests/torture/test_%.py,$(filter-out claims,$(TORTURE_PARTS))) || status=1;) \
+	$(if $(filter claims,$(or $(PART),claims)),$(BIN)/python -m pytest tests/torture/test_claims.py || status=1;) \
+	exit $$status
 
 changelog: $(DEV)
 	$(BIN)/python -m towncrier build --draft --version "not released yet"
@@ -68,7 +75,7 @@ lock: $(DEV)
 	$(BIN)/python .ci/audit.py --write
 
 coverage: $(DEV)
-	$(BIN)/python -m coverage run -m pytest tests/acquire tests/calibrate tests/guide
+	$(BIN)/python -m coverage run -m pytest tests/acquire tests/calibrate tests/guide tests/drivers
 	$(BIN)/python .ci/coverage_floor.py
 
 screens: $(DEV)

@@ -105,14 +105,13 @@ class Emulator(EmulatorCore):
 
     def _put(self, samples: Samples, duration_s: float, *, stalled: bool) -> None:
         self.device.jump_counter(self.injector.counter_jump(duration_s))
+        # Only what takes the place of a sample is still waiting here; that may be the only one that is due.
+        samples = samples[1:] if self._answers and self.samples_sent else samples
+        data = b""
         if self.device.streaming and len(samples):
-            # Only what takes the place of a sample is still waiting here.
-            samples = samples[1:] if self._answers and self.samples_sent else samples
             frames = self.device.encode(samples)
             data = self.injector.damage(frames.data, frames.checksum_at, duration_s)
             self.samples_sent += len(samples)
-        else:
-            data = b""
         self._send(data, stalled=stalled)
 
     def _send(self, data: bytes, *, stalled: bool) -> None:

@@ -132,6 +132,19 @@ def test_commands_are_answered_within_the_stream() -> None:
         os.close(descriptor)
 
 
+def test_an_answer_takes_the_place_of_the_only_datagram_that_is_due() -> None:
+    with Emulator(stim300(50.0), source(50.0), EmulatorSettings(wait_for_reader=True)) as emulator:
+        descriptor = open_port(emulator.port)
+        read_until(descriptor, lambda got: len(normal_frames(got)) > 2)
+        answer = stim300(50.0).answer(b"C").data
+        for _ in range(3):
+            os.write(descriptor, b"C\r")
+            read_until(descriptor, lambda got: answer in got)
+        read_until(descriptor, lambda got: len(normal_frames(got)) > 0)
+        os.close(descriptor)
+    assert emulator.failure is None
+
+
 def test_port_goes_away_and_comes_back_under_its_name(tmp_path: Path) -> None:
     link = tmp_path / "imu"
     settings = EmulatorSettings(speed=2.0, wait_for_reader=True, link=link)

@@ -11,7 +11,7 @@ from imufield.acquire.protocol import load_protocol
 from imufield.calibrate.accelerometer import calibrate_accelerometer
 from imufield.calibrate.gauge import intrinsic
 from imufield.calibrate.models import to_vector
-from imufield.earth import choose_gravity
+from imufield.earth import Gravity, choose_gravity
 from imufield.guide.guide import Guide
 from imufield.guide.positions import scheme
 from imufield.guide.settings import GuideSettings
@@ -57,7 +57,7 @@ class Sessions:
             guide.feed(decoder.feed(device.encode(source.next_block(BLOCK)).data.tobytes()))
         observations = guide.observations()
         assert len(observations) == len(positions), f"{self.grade} {seed}: {len(observations)} positions"
-        gravity = choose_gravity(options.site.gravity_m_s2)
+        gravity = self._typed_gravity(options.site.gravity_m_s2, seed)
         calibration = calibrate_accelerometer(observations, gravity, model=self.model)  # type: ignore[arg-type]
         found = calibration.intrinsic
         truth = source.imu.instrument.accelerometer
@@ -67,6 +67,13 @@ class Sessions:
         sigma = np.concatenate([found.scale_sigma, found.bias_raw_sigma, found.angle_sigma_rad, found.quadratic_sigma])
         error: FloatArray = (values - true) / (calibration.quality.student_factor_95 * sigma)
         return error
+
+    @staticmethod
+    def _typed_gravity(true_m_s2: float, seed: int) -> Gravity:
+        """Return what a person types, as far off as is believed of it: else the scale would seem to be known too badly."""
+        exact = choose_gravity(true_m_s2)
+        error_m_s2 = exact.sigma_m_s2 * np.random.default_rng([seed, 981]).standard_normal()
+        return replace(exact, gravity_m_s2=true_m_s2 + float(error_m_s2))
 
     def errors_over_limit(self, seeds: int) -> FloatArray:
         """Return the errors of sessions 0 to ``seeds`` in units of their limit, on all cores, shape (seeds, 12)."""

@@ -24,6 +24,7 @@ def test_intervals_hold_the_truth(grade: str, campaign: Campaign) -> None:
     assert together[0] <= pooled <= together[1]
     campaign.tell(
         f"95 % intervals of {grade} grade against the simulated truth, all twelve gauge-free parameters",
-        f"{seeds} sessions",
+        seeds,
+        "sessions",
         f"hold it in {pooled:.1f} % of cases; single parameters {share.min():.1f} to {share.max():.1f} %",
     )

@@ -66,6 +66,7 @@ def test_cut_at_any_byte(session: Path, tmp_path: Path, campaign: Campaign, caps
     assert all(max(fewer) <= min(more) for fewer, more in pairwise(counts)), "a whole block is missing"
     campaign.tell(
         "recording cut at any byte, opened, some of them solved",
-        f"{times} cuts",
+        times,
+        "cuts",
         "at most the block that was being written (0.3 s live); all else byte for byte",
     )

@@ -138,6 +138,9 @@ def test_damaged_files(
     refused = sum(outcome.code != 0 for outcome in ends)
     campaign.tell(
         f"{corpus.name}: damaged and edited at random, read by `{corpus.commands[0].split()[0]}` and others",
-        f"{len(ends)} commands",
-        f"{refused} refused in a sentence, {len(ends) - refused} read; no traceback, no hang, nothing written outside",
+        len(ends),
+        "commands",
+        "{refused} refused in a sentence, {read} read; no traceback, no hang, nothing written outside",
+        refused=refused,
+        read=len(ends) - refused,
     )

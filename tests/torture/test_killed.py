@@ -13,33 +13,17 @@ from typing import TYPE_CHECKING, Any, Self
 
 import pytest
 
-from imufield.acquire.recording import RecordedEvent, read_session
 from imufield.acquire.session import Session
-from imufield.guide.positions import scheme
+from tests.torture.captures import accepted_on_disk, capture_into, end_and_solve, show_rounds
 from tests.torture.conftest import FULL, Campaign
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
 
-SPEED = 16
-SCHEME = "corners24"
 LAST_S = 1.0
 """What may be lost, real time, beyond what the disk and a busy machine themselves took."""
-ROUNDS = 8
 KILLS_A_SESSION = 20
 """Then it is resumed to its end and solved."""
-
-
-@pytest.fixture
-def port(program: Program) -> str:
-    """An emulator whose operator shows all positions again and again."""
-    lines = []
-    for number in range(ROUNDS):
-        for position in scheme(SCHEME).positions:
-            lines += ["[[position]]", f'name = "{position.name} round {number}"', f"up = {position.direction.tolist()}"]
-    path = program.folder / "rounds.toml"
-    path.write_text("\n".join(lines))
-    return program.emulate("--positions", path, "--hold-s", 6, speed=SPEED)
 
 
 class Stalls:
@@ -101,43 +85,33 @@ class Watched:
         return {event["position"] for event in accepted if event["received_s"] < moment_s}
 
 
-def events_on_disk(folder: Path) -> list[dict[str, Any]]:
-    return [item.event for item in read_session(Session.open(folder)) if isinstance(item, RecordedEvent)]
-
-
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize("number", range(10 if FULL else 1))
-def test_killed_twenty_times(program: Program, port: str, number: int, campaign: Campaign) -> None:
+def test_killed_twenty_times(program: Program, number: int, campaign: Campaign) -> None:
     rng = random.Random(20 + number)
     folder = program.folder / "session"
-    arguments = (*program.capture(port, "--session", folder, "--json"), "--positions", SCHEME)
+    port = show_rounds(program)
     must_be_there: set[str] = set()
     for kill in range(KILLS_A_SESSION):
-        resume = ("--resume",) if (folder / "session.toml").exists() else ()
         with Stalls(program.folder) as stalls:
-            watched = Watched(program.start(*arguments, *resume))
+            watched = Watched(program.start(*capture_into(program, port, folder)))
             watched.kill_after(rng.randrange(12), rng.uniform(0.0, 0.8))
         may_miss_s = LAST_S + 2 * stalls.longest_s
         if not (folder / "session.toml").exists():
             continue
-        recorded = events_on_disk(folder)
-        accepted = [event["position"] for event in recorded if event["event"] == "accepted"]
+        accepted = accepted_on_disk(folder)
+        assert len(accepted) == len(set(accepted)), f"kill {kill}: a position was asked for again"
         unwritten_s = watched.killed_s - Session.open(folder).parts[-1].stat().st_mtime
         assert unwritten_s < may_miss_s, f"kill {kill}"
         must_be_there |= watched.accepted_before(watched.killed_s - may_miss_s)
         assert must_be_there <= set(accepted), f"kill {kill}"
-        assert len(accepted) == len(set(accepted)), f"kill {kill}: a position was asked for again"
         must_be_there |= set(accepted)
     assert len(must_be_there) > 3
-    ended = program.run(*arguments, "--resume", timeout_s=180)
-    assert ended.returncode == 0, ended.stderr
-    assert Session.open(folder).finished
-    solved = program.run("solve", folder, "--json")
-    assert solved.returncode == 0, solved.stderr
-    names = [position["name"] for position in json.loads(solved.stdout)["position"]]
-    assert sorted(names) == sorted(position.name for position in scheme(SCHEME).positions)
+    end_and_solve(program, port, folder)
     campaign.tell(
         "`capture` killed (SIGKILL) at a random moment and resumed; then the session ended and solved",
-        f"{KILLS_A_SESSION} kills",
-        f"at most the last second; {len(must_be_there)} positions accepted before a kill, all there",
+        KILLS_A_SESSION,
+        "kills",
+        "at most the last second; {positions} positions accepted before a kill, all there",
+        positions=len(must_be_there),
     )

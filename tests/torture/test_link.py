@@ -228,7 +228,8 @@ def test_the_books_balance(fault: Fault, campaign: Campaign) -> None:
     losses = f"losses: {told.samples_lost} counted, {told.losses_estimated} estimated{allowed}, {true} true"
     campaign.tell(
         f"wire at 2000 Hz, {fault.name}",
-        f"{minutes} min, {books.sent} frames",
+        books.sent,
+        f"frames in {minutes} min",
         f"{books.sent - books.intact} damaged or lost; all {books.intact} intact ones decoded, none false; "
         f"{losses}; +{max(growth_mib, 0):.0f} MiB",
     )

@@ -1,0 +1,60 @@
+"""A capture of 24 positions that something ends again and again, and what must be left of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from imufield.acquire.link import Chunk
+from imufield.acquire.recording import RecordedEvent, read_session
+from imufield.acquire.session import Session
+from imufield.guide.positions import scheme
+
+if TYPE_CHECKING:
+    from tests.commands.conftest import Program
+
+SPEED = 16
+SCHEME = "corners24"
+ROUNDS = 8
+
+
+def show_rounds(program: Program) -> str:
+    """Start an emulator whose operator shows all positions again and again; return its port."""
+    lines = []
+    for number in range(ROUNDS):
+        for position in scheme(SCHEME).positions:
+            lines += ["[[position]]", f'name = "{position.name} round {number}"', f"up = {position.direction.tolist()}"]
+    path = program.folder / "rounds.toml"
+    path.write_text("\n".join(lines))
+    return program.emulate("--positions", path, "--hold-s", 6, speed=SPEED)
+
+
+def capture_into(program: Program, port: str, folder: Path) -> tuple[str, ...]:
+    """Return the arguments that capture these positions into a folder, or go on there."""
+    resume = ("--resume",) if (folder / "session.toml").exists() else ()
+    return (*program.capture(port, "--session", folder, "--json"), "--positions", SCHEME, *resume)
+
+
+def events_on_disk(folder: Path) -> list[dict[str, Any]]:
+    return [item.event for item in read_session(Session.open(folder)) if isinstance(item, RecordedEvent)]
+
+
+def accepted_on_disk(folder: Path) -> list[str]:
+    """Return the positions that were accepted, in their order."""
+    return [event["position"] for event in events_on_disk(folder) if event["event"] == "accepted"]
+
+
+def bytes_on_disk(folder: Path) -> int:
+    return sum(len(item.data) for item in read_session(Session.open(folder)) if isinstance(item, Chunk))
+
+
+def end_and_solve(program: Program, port: str, folder: Path) -> None:
+    """Resume it to its end and solve: every position is there once."""
+    ended = program.run(*capture_into(program, port, folder), timeout_s=180)
+    assert ended.returncode == 0, ended.stderr
+    assert Session.open(folder).finished
+    solved = program.run("solve", folder, "--json")
+    assert solved.returncode == 0, solved.stderr
+    names = [position["name"] for position in json.loads(solved.stdout)["position"]]
+    assert sorted(names) == sorted(position.name for position in scheme(SCHEME).positions)
