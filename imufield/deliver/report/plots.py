@@ -88,7 +88,9 @@ def figure(height_in: float) -> Any:
 def to_svg(drawn: Any, name: str) -> str:
     """Return a figure as an ``<svg>`` element whose ids are its own."""
     buffer = io.StringIO()
-    drawn.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    canvas = importlib.import_module("matplotlib.backends.backend_svg").FigureCanvasSVG(drawn)
+    # savefig draws everything twice, once for a layout that drawing makes by itself.
+    canvas.print_svg(buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
@@ -120,13 +122,13 @@ def sphere_map(up: FloatArray, residual_m_s2: FloatArray, names: tuple[str, ...]
         _hemisphere(axes, upper)
         rows = np.flatnonzero((up[:, 2] >= 0) == upper)
         place = _equal_area(up[rows])
-        for k, (x, y) in zip(rows, place, strict=True):
-            size = 12 + _LARGEST_MARKER * abs(residual_m_s2[k]) / largest
-            face = INK if residual_m_s2[k] >= 0 else "white"
-            axes.scatter([x], [y], s=size, facecolor=face, edgecolor=INK, linewidth=1.0, alpha=0.85)
+        sizes = 12 + _LARGEST_MARKER * np.abs(residual_m_s2[rows]) / largest
+        faces = [INK if residual >= 0 else "white" for residual in residual_m_s2[rows]]
+        axes.scatter(*place.T, s=sizes, facecolor=faces, edgecolor=INK, linewidth=1.0, alpha=0.85)
+        for k, at, size in zip(rows, place, sizes, strict=True):
             if k in named:
                 axes.annotate(
-                    names[k], (x, y), xytext=(0, 3 + np.sqrt(size) / 2), textcoords="offset points", ha="center", fontsize=7
+                    names[k], at, xytext=(0, 3 + np.sqrt(size) / 2), textcoords="offset points", ha="center", fontsize=7
                 )
     unit, size_si = acceleration_unit(largest)
     drawn.supxlabel(f"filled: longer than gravity, hollow: shorter; largest {largest / size_si:.3g} {unit}", fontsize=8)
