@@ -234,8 +234,8 @@ def _figures(data: ReportData) -> Iterator[Figure]:
             "Scatter of the specific force inside half a second, and the rate of turning.",
             "Stillness over time",
         )
-    yield from _correlation_figures(data.parameters.calibration)
     yield from _method_figures(data)
+    yield from _correlation_figures(data.parameters.calibration)
     yield from _check_figures(data.verification or {})
 
 
