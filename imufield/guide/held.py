@@ -109,7 +109,7 @@ def held_mean(
     angle = logarithm(attitude)
     tremor = angle - _running_mean(angle, steps.time_s)
     sway = angle - tremor
-    white = noise_density_raw**2 * float(taper @ taper) * float(np.median(np.diff(steps.time_s)))
+    white = noise_density_raw**2 * float(taper @ taper) / float(np.median(np.diff(steps.time_s)))
     tremor_rad = float(np.sqrt(np.mean(tremor.var(axis=0))))
     left = (_LEFT_OF_TREMOR * tremor_rad**2) ** 2 * float(mean @ mean)
     spread = _covariance(turned - mean, steps, taper) + np.diag(white + left)

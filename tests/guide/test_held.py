@@ -91,6 +91,23 @@ def test_the_sway_of_the_arm_is_in_the_sigma() -> None:
     assert 0.1 < np.sqrt(np.mean(np.square(ratio))) < 1.3
 
 
+def test_the_noise_of_the_instrument_is_in_the_sigma() -> None:
+    """A quiet hand and a noisy chip: the scatter of such means is what is stated."""
+    samples, gravity = hold(1, tremor_rad=math.radians(0.02), sway_rad=0.0, sway_m=0.0)
+    sigma, density = 0.04, 0.04 / math.sqrt(500)
+    rng = np.random.default_rng(5)
+    ratio = []
+    for _ in range(60):
+        noisy = replace(samples, accelerometer=samples.accelerometer + sigma * rng.standard_normal(samples.accelerometer.shape))
+        found = held_mean(noisy, SI, np.full(3, density))
+        assert found is not None
+        along = found.force_raw / np.linalg.norm(found.force_raw)
+        error = float(np.linalg.norm(found.force_raw)) - gravity
+        ratio.append(error / math.sqrt(along @ found.covariance_raw @ along))
+    # The Hann taper costs sqrt(1.5) against the plain mean of white noise.
+    assert np.sqrt(np.mean(np.square(ratio))) == pytest.approx(1.0, abs=0.2)
+
+
 def test_tremor_and_sway_are_told_apart() -> None:
     found = error_ug(0, tremor_rad=math.radians(0.1), sway_rad=math.radians(0.5), sway_m=0.0)[1]
     assert found.tremor_deg == pytest.approx(0.1, rel=0.15)
