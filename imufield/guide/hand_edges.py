@@ -2,10 +2,14 @@
 
 A turn fades into the sway of the arm, and limits wide enough for any arm let the end of a slow turn pass. How much *this* arm
 moves is known once it has held for some seconds: the rms change of force and rate of the cells well inside the stretch. At both
-ends, what lies outside the innermost cell that departs by clearly more belongs to the turn.
+ends, what departs by clearly more belongs to the turn, seen from outside: a turn goes on without a pause up to the hold, while a
+single swing of the arm, however large, has calm cells on both sides. Next to the turn a smaller departure is enough, since
+something moves there for certain; a slow turn in a hand that sways much begins below what this hand does now and then.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -16,7 +20,13 @@ SURELY_INSIDE = 20
 """Cells at either end of a stretch that may be of a turn and have no say in the standard; a third of a short stretch."""
 FEWEST = 30
 DEPARTS = 2.8
-"""Times the rms. Sway stays below; a turn is above until 0.3 s before what is left of it is less than the sway, or later."""
+"""Times the rms. Sway stays below but for rare swings; a turn is above until what is left of it is less than the sway, or nearly."""
+DEPARTS_BESIDE = 2.2
+"""The same for a cell beside the turn, or at the very edge of the stretch, where a turn begins for certain."""
+CALM = 5
+"""More cells than these below the limit, and what comes farther inside is the arm's own."""
+_SLOW = 10
+"""Cells of one swing of the arm: over n cells its rms is known only to a share of sqrt(10 / n), or so."""
 _LEAST_SHARE = 0.04
 """Of the hand's limit: the least rms, for a unit that does not move at all."""
 
@@ -35,11 +45,20 @@ def hand_edges(cells: Cells, change_limit: FloatArray) -> slice:
     if m < FEWEST:
         return slice(0, m)
     margin = min(SURELY_INSIDE, m // 3)
-    departs = _departure(cells.mean, change_limit, slice(margin, m - margin)) > DEPARTS
-    before, after = np.flatnonzero(departs[:margin]), np.flatnonzero(departs[m - margin :])
-    start = int(before[-1]) + 1 if len(before) else 0
-    stop = m - margin + int(after[0]) if len(after) else m
-    return slice(start, stop)
+    departs = _departure(cells.mean, change_limit, slice(margin, m - margin))
+    departs /= math.sqrt(1 + _SLOW / (m - 2 * margin))
+    return slice(_of_the_turn(departs[:margin]), m - _of_the_turn(departs[::-1][:margin]))
+
+
+def _of_the_turn(departs: FloatArray) -> int:
+    """Return how many cells, counted from the edge inwards, are of the turn; departures from the edge inwards, shape (k,)."""
+    cut = 0
+    for row, size in enumerate(departs.tolist()):
+        if size > (DEPARTS_BESIDE if row == cut else DEPARTS):
+            cut = row + 1
+        elif row - cut >= CALM:
+            break
+    return cut
 
 
 def _departure(mean: FloatArray, change_limit: FloatArray, inside: slice) -> FloatArray:

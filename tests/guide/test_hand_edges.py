@@ -43,11 +43,23 @@ def test_a_turn_that_fades_is_cut_off_at_both_ends() -> None:
     rate[:10] += fading
     rate[-10:] += fading[::-1]
     rows = hand_edges(cells_with(rate), LIMIT)
-    # 2 deg/s of amplitude are 1.41 rms: what departs by 2.8 times that, 4 deg/s, is of the turn.
-    departs = np.flatnonzero(np.abs(np.degrees(rate)) > 4.1)
-    assert rows.start == departs[departs < 60][-1] + 1
-    assert rows.stop == departs[departs >= 60][0]
+    # 2 deg/s of amplitude are 1.41 rms: beside a turn what departs by 2.2 times that, 3.1 deg/s and a little, is of the turn.
+    calm = np.flatnonzero(np.abs(np.degrees(rate)) < 3.3)
+    assert rows.start == calm[0]
+    assert rows.stop == calm[-1] + 1
     assert 3 <= rows.start <= 8
+
+
+def test_a_large_swing_of_the_arm_is_not_the_turn() -> None:
+    rate = math.radians(2) * np.sin(np.arange(120) * 0.7)
+    rate[107:109] = math.radians(6)
+    assert hand_edges(cells_with(rate), LIMIT) == slice(0, 120)
+
+
+def test_a_turn_that_begins_below_the_largest_swings_is_seen_at_the_edge() -> None:
+    rate = math.radians(2) * np.sin(np.arange(120) * 0.7)
+    rate[117:] = math.radians(3.7)
+    assert hand_edges(cells_with(rate), LIMIT) == slice(0, 117)
 
 
 def test_sway_alone_is_kept_whole() -> None:
