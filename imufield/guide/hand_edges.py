@@ -2,9 +2,9 @@
 
 A turn fades into the sway of the arm, and limits wide enough for any arm let the end of a slow turn pass. How much *this* arm
 moves is known once it has held for some seconds: the rms change of force and rate of the cells well inside the stretch. At both
-ends, what departs by clearly more belongs to the turn, seen from outside: a turn goes on without a pause up to the hold, while a
-single swing of the arm, however large, has calm cells on both sides. Next to the turn a smaller departure is enough, since
-something moves there for certain; a slow turn in a hand that sways much begins below what this hand does now and then.
+ends, what departs by clearly more belongs to the turn, seen from outside: a turn goes on without a pause up to the hold, and
+a single swing of the arm has calm cells on both sides. Next to the turn a smaller departure is enough, since something moves
+there for certain; a slow turn in a hand that sways much begins below what this hand does now and then.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SURELY_INSIDE = 20
 """Cells at either end of a stretch that may be of a turn and have no say in the standard; a third of a short stretch."""
 FEWEST = 30
 DEPARTS = 2.8
-"""Times the rms. Sway stays below but for rare swings; a turn is above until what is left of it is less than the sway, or nearly."""
+"""Times the rms. Sway stays below but for rare swings; a turn is above until what is left of it is hardly more than the sway."""
 DEPARTS_BESIDE = 2.2
 """The same for a cell beside the turn, or at the very edge of the stretch, where a turn begins for certain."""
 CALM = 5
