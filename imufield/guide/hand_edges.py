@@ -20,7 +20,7 @@ SURELY_INSIDE = 20
 """Cells at either end of a stretch that may be of a turn and have no say in the standard; a third of a short stretch."""
 FEWEST = 30
 DEPARTS = 2.8
-"""Times the rms. Sway stays below but for rare swings; a turn is above until what is left of it is hardly more than the sway."""
+"""Times the rms. Sway stays below but for rare swings; a turn is above until less of it is left than of the sway."""
 DEPARTS_BESIDE = 2.2
 """The same for a cell beside the turn, or at the very edge of the stretch, where a turn begins for certain."""
 CALM = 5
