@@ -38,7 +38,8 @@ from imufield.simulate.grades import GRADES, draw_truth
 from imufield.simulate.imu import Imu, ImuSettings
 from imufield.simulate.operator import Operator, OperatorSettings
 
-BLOCK_S = 0.1
+BLOCK_S = 0.3
+"""What the guide gets at once, and how late the operator may hear it."""
 LONGEST_S = 3600.0
 LONG_ENOUGH_S = 3.0
 """Stills shorter than this are pauses in a turn."""

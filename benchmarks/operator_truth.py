@@ -136,7 +136,7 @@ def imu_seed(operator: Operator) -> int:
 
 
 def _play(operator: Operator, imu: Imu, until_s: float) -> Iterator[Samples]:
-    size = max(1, round(0.1 * imu.settings.rate_hz))
+    size = max(1, round(2.0 * imu.settings.rate_hz))
     for first in range(0, round(until_s * imu.settings.rate_hz), size):
         yield imu.feed(operator.block(first, size, imu.interval_s))
 
