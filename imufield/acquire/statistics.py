@@ -32,6 +32,11 @@ class DecoderStatistics:
     rate_hz: float | None = None
     """Sample rate measured against the host clock; None while not known (needs 2 s)."""
 
+    @property
+    def lost(self) -> int:
+        """Samples that are missing, counted and estimated."""
+        return self.samples_lost + self.losses_estimated
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
         return asdict(self)

@@ -58,6 +58,11 @@ def static_bias(
         Direction of the specific force in the body frame (need not be unit). Default: the planned directions.
     latitude_deg : float, optional
 
+    Returns
+    -------
+    GyroscopeCalibration
+        Sigma of the bias from the scatter between positions; scale and misalignment as given, their sigma NaN.
+
     Raises
     ------
     CalibrationError

@@ -107,6 +107,18 @@ class GyroscopeInput:
 def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -> GyroscopeResult:
     """Calibrate the gyroscope by every path the session allows.
 
+    Parameters
+    ----------
+    given : GyroscopeInput
+    model : {"auto", "basic", "g-sensitive"}
+        Without or with the g-sensitivity G; "auto" keeps it where it proves itself.
+
+    Returns
+    -------
+    GyroscopeResult
+        ``calibration`` has scale (raw unit per rad/s), misalignment (rad), bias (raw unit) and their sigmas;
+        ``join`` puts it into the calibration of the accelerometer.
+
     Raises
     ------
     CalibrationError

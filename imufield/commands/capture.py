@@ -306,7 +306,7 @@ class CaptureLoop:
         silent_s = now_s - self._last_byte_s
         state: LinkState = "lost" if self._next_try_s is not None else "silent" if silent_s > SILENCE_S else "ok"
         statistics = self.chain.statistics
-        lost = sum(part.samples_lost + part.losses_estimated for part in statistics)
+        lost = sum(part.lost for part in statistics)
         self.view.refresh(LiveStatus(self.chain.guide.snapshot(), self.connected.link.name, state, lost))
 
 

@@ -170,8 +170,7 @@ def _try_can(options: ImportOptions, protocol: Protocol) -> list[str]:
             Reason.NO_FRAMES,
             frames=counts.frames,
         )
-    lost = counts.samples_lost + counts.losses_estimated
-    return [*losses, f"{counts.samples} samples of {counts.frames} frames, {lost} lost", *assumed(protocol)]
+    return [*losses, f"{counts.samples} samples of {counts.frames} frames, {counts.lost} lost", *assumed(protocol)]
 
 
 def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:

@@ -103,8 +103,7 @@ def _tell_progress(decoder: Decoder, elapsed_s: float, as_json: bool) -> None:
         typer.echo(json.dumps({"event": "recording", "elapsed_s": round(elapsed_s, 3), **decoder.statistics.to_dict()}))
     elif sys.stdout.isatty():
         counts = decoder.statistics
-        lost = counts.samples_lost + counts.losses_estimated
-        typer.echo(f"\r{elapsed_s:8.0f} s  {counts.samples} samples  {lost} lost  (Ctrl-C ends)", nl=False)
+        typer.echo(f"\r{elapsed_s:8.0f} s  {counts.samples} samples  {counts.lost} lost  (Ctrl-C ends)", nl=False)
 
 
 def _tell_end(session: Session, decoder: Decoder, as_json: bool) -> None:
@@ -116,7 +115,6 @@ def _tell_end(session: Session, decoder: Decoder, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps({"event": "recorded", "session": str(session.folder), **counts.to_dict()}))
         return
-    lost = counts.samples_lost + counts.losses_estimated
     if sys.stdout.isatty():
         typer.echo()
-    typer.echo(beside(f"{counts.samples} samples, {lost} lost, session", session.folder))
+    typer.echo(beside(f"{counts.samples} samples, {counts.lost} lost, session", session.folder))

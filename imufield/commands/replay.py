@@ -67,7 +67,7 @@ def run_replay(options: ReplayOptions) -> None:
 def _tell(chain: Chain) -> None:
     parts = chain.statistics
     samples, frames = sum(part.samples for part in parts), sum(part.frames for part in parts)
-    lost = sum(part.samples_lost + part.losses_estimated for part in parts)
+    lost = sum(part.lost for part in parts)
     bad, skipped = sum(part.frames_bad_checksum for part in parts), sum(part.bytes_skipped for part in parts)
     say(f"{samples} samples of {frames} frames; {lost} lost, {bad} with a bad checksum, {skipped} bytes skipped")
     if chain.finder is not None:

@@ -69,16 +69,32 @@ class Parameters:
     """Of the file; an older one was converted."""
 
     def apply_accelerometer(self, raw: FloatArray) -> FloatArray:
-        """Return specific force in m/s^2 for raw outputs, both of shape (..., 3); raises as ``correct_accelerometer``."""
+        """Return specific force in m/s^2 for raw outputs (increments divided by their interval), both of shape (..., 3).
+
+        Raises
+        ------
+        CalibrationError
+            If no specific force gives such an output with these parameters; NaN is passed on as NaN.
+        ParameterFileError
+            If the last axis of ``raw`` has not 3 entries.
+        """
         return correct_accelerometer(self.calibration.accelerometer, raw)
 
     def apply_gyroscope(self, raw: FloatArray, specific_force: FloatArray | None = None) -> FloatArray:
-        """Return angular rate in rad/s for raw outputs, both of shape (..., 3); raises as ``correct_gyroscope``.
+        """Return angular rate in rad/s for raw outputs, both of shape (..., 3).
+
+        Parameters
+        ----------
+        raw : ndarray, shape (..., 3)
+            Raw unit; increments divided by their interval.
+        specific_force : ndarray, shape (..., 3), optional
+            What ``apply_accelerometer`` returns, m/s^2; needed where a g-sensitivity was fitted.
 
         Raises
         ------
         ParameterFileError
-            If the file has no gyroscope, or not its scale.
+            If the file has no gyroscope or not its scale, a g-sensitivity was fitted and ``specific_force`` is not given, or a
+            shape is wrong.
         """
         return correct_gyroscope(self._gyroscope(), raw, specific_force)
 
@@ -190,7 +206,16 @@ def from_document(document: Document, *, path: Path | None = None) -> Parameters
 def load(path: str | Path) -> Parameters:
     """Load a parameter file, or that of a session whose folder is given.
 
-    ``.apply(samples)`` of what is returned corrects raw values; ``.calibration`` has every number with its uncertainty.
+    Parameters
+    ----------
+    path : str or Path
+        Parameter file, or session folder.
+
+    Returns
+    -------
+    loaded : Parameters
+        ``apply(samples)`` corrects raw values; ``calibration`` has every number with its uncertainty, in the units of the
+        dictionary (``imufield``); ``document`` is the file's content under the file's keys.
 
     Raises
     ------

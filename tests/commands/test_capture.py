@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
-import pty
-import re
-import select
 import shlex
 import signal
-import struct
 import subprocess
-import termios
 import time
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +17,7 @@ from imufield.acquire.recording import RecordedEvent, read_session
 from imufield.acquire.session import Session
 from imufield.commands.chain import session_samples
 from tests.commands.conftest import IMUFIELD
+from tests.commands.terminal import Terminal
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
@@ -217,59 +212,23 @@ def test_defaults_from_file_and_variables(program: Program) -> None:
     assert metadata["settings"]["accelerometer_range_g"] == {"value": 30, "origin": "given"}
 
 
-class Terminal:
-    """The program on a terminal of 80 columns and 24 lines."""
+@pytest.fixture
+def open_terminal(program: Program) -> Iterator[Callable[..., Terminal]]:
+    opened: list[Terminal] = []
 
-    def __init__(self, program: Program, *arguments: str, variables: dict[str, str] | None = None) -> None:
-        self.master, slave = pty.openpty()
-        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-        self.process = program.start(
-            *arguments,
-            variables={"TERM": "xterm-256color", "IMUFIELD_CLOCK_SPEED": "16", **(variables or {})},
-            stdin=slave,
-            stdout=slave,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
-        )
-        self.before = termios.tcgetattr(slave)
-        self.slave = slave
-        self.text = ""
+    def open_one(*arguments: str, speed: int = 16) -> Terminal:
+        opened.append(Terminal(program, *arguments, variables={"IMUFIELD_CLOCK_SPEED": str(speed)}))
+        return opened[-1]
 
-    def wait_for(self, words: str, within_s: float = 30.0) -> str:
-        """Return everything shown since the last call, without control sequences, once these words are in it."""
-        end_s = time.monotonic() + within_s
-        while words not in self.text:
-            assert time.monotonic() < end_s, f"{words!r} is not in {self.text[-2000:]}"
-            self.read()
-        shown, self.text = self.text, ""
-        return shown
-
-    def read(self) -> None:
-        if select.select([self.master], [], [], 0.2)[0]:
-            data = os.read(self.master, 65536).decode(errors="replace")
-            self.text += re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", data)
-
-    def type(self, keys: str) -> None:
-        os.write(self.master, keys.encode())
-
-    def ended(self) -> int:
-        end_s = time.monotonic() + 20
-        while self.process.poll() is None:
-            # A program that writes to a terminal nobody reads would wait for ever.
-            self.read()
-            assert time.monotonic() < end_s
-        code = self.process.returncode
-        assert termios.tcgetattr(self.slave) == self.before, "the terminal is not as it was"
-        os.close(self.slave)
-        os.close(self.master)
-        return code
+    yield open_one
+    for one in opened:
+        one.close()
 
 
 @pytest.fixture
-def screen(program: Program) -> Terminal:
+def screen(program: Program, open_terminal: Callable[..., Terminal]) -> Terminal:
     port = program.emulate("--positions", "faces6", "--hold-s", 12, "--wait")
-    return Terminal(program, "capture", "--port", port, "--driver", "stim300", "--positions", "faces6", "--hold-s", "2")
+    return open_terminal("capture", "--port", port, "--driver", "stim300", "--positions", "faces6", "--hold-s", "2")
 
 
 def test_keys_on_a_terminal(program: Program, screen: Terminal) -> None:
@@ -282,7 +241,7 @@ def test_keys_on_a_terminal(program: Program, screen: Terminal) -> None:
     screen.wait_for("accepted -")
     screen.type("f")
     screen.wait_for("finished with")
-    assert screen.ended() == 0
+    assert screen.wait() == 0
     session = newest(program)
     assert session.finished
     assert session.metadata["site"] == {"latitude_deg": 48.1}
@@ -293,24 +252,24 @@ def test_keys_on_a_terminal(program: Program, screen: Terminal) -> None:
     assert [json.loads(line) for line in told] == live
 
 
-def test_quit_and_go_on(program: Program, screen: Terminal) -> None:
+def test_quit_and_go_on(program: Program, screen: Terminal, open_terminal: Callable[..., Terminal]) -> None:
     screen.wait_for("Latitude in degrees")
     screen.type("\n")
     screen.wait_for("1 of 6 done")
     screen.type("q")
     shown = screen.wait_for("imufield capture --resume")
     assert "1 of 6 positions measured so far" in shown
-    assert screen.ended() == 0
+    assert screen.wait() == 0
     session = newest(program)
     assert not session.finished
-    again = Terminal(program, "capture", "--session", str(session.folder))
+    again = open_terminal("capture", "--session", str(session.folder))
     again.wait_for("Go on with the unfinished session")
     again.type("y\n")
     again.wait_for("Latitude in degrees")
     again.type("51\n")
     again.wait_for("2 of 6 done")
     again.type("\x03")
-    assert again.ended() == 130
+    assert again.wait() == 130
     assert newest(program).metadata["site"] == {"latitude_deg": 51.0}
 
 
@@ -318,8 +277,7 @@ def test_a_terminal_that_is_closed(program: Program, screen: Terminal) -> None:
     screen.wait_for("Latitude in degrees")
     screen.type("48\n")
     screen.wait_for("1 of 6 done")
-    os.close(screen.slave)
-    os.close(screen.master)
+    screen.close()
     assert screen.process.wait(20) == 130
     session = newest(program)
     assert not session.finished
@@ -327,15 +285,16 @@ def test_a_terminal_that_is_closed(program: Program, screen: Terminal) -> None:
     assert program.run("replay").returncode == 0
 
 
-def test_a_terminal_that_stands_still_loses_nothing_of_the_wire(program: Program) -> None:
+def test_a_terminal_that_stands_still_loses_nothing_of_the_wire(
+    program: Program, open_terminal: Callable[..., Terminal]
+) -> None:
     port = program.emulate("--positions", "none", "--wait", rate_hz=2000, speed=1)
-    variables = {"IMUFIELD_CLOCK_SPEED": "1"}
-    screen = Terminal(program, "capture", "--port", port, "--driver", "stim300", "--latitude", "48", variables=variables)
+    screen = open_terminal("capture", "--port", port, "--driver", "stim300", "--latitude", "48", speed=1)
     screen.wait_for("link ok")
     time.sleep(5)  # a terminal takes a few kilobytes; this is 400 kB of wire
     screen.type("q")
     screen.wait_for("imufield capture --resume")
-    assert screen.ended() == 0
+    assert screen.wait() == 0
     counter = np.concatenate([block.counter for block in session_samples(newest(program), [])])
     assert len(counter) > 5 * 2000
     assert set(np.diff(counter) % 256) == {1}
@@ -345,5 +304,5 @@ def test_a_latitude_that_is_none(program: Program, screen: Terminal) -> None:
     screen.wait_for("Latitude in degrees")
     screen.type("here\n")
     screen.wait_for("write decimal degrees")
-    assert screen.ended() == 2
+    assert screen.wait() == 2
     assert not (program.folder / "imufield-sessions").exists()

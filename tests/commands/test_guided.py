@@ -2,71 +2,20 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
-import pty
 import re
 import resource
-import select
 import signal
-import struct
-import subprocess
-import termios
 import time
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
 from imufield.acquire.session import Session
+from tests.commands.terminal import Terminal
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
-
-WAIT_S = 60.0
-
-
-class Terminal:
-    """A terminal of 80 by 24 with the program in it."""
-
-    def __init__(self, program: Program, *arguments: object, variables: dict[str, str] | None = None, **options: Any) -> None:
-        self._master, slave = pty.openpty()
-        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-        streams = {"stdin": slave, "stdout": slave, "stderr": slave, "start_new_session": True, **options}
-        self.process: subprocess.Popen[str] = program.start(
-            *arguments, variables={"TERM": "xterm-256color", **(variables or {})}, **streams
-        )
-        os.close(slave)
-        self.text = ""
-
-    def read(self, seconds: float = 0.1) -> None:
-        ready, _, _ = select.select([self._master], [], [], seconds)
-        if ready:
-            try:
-                self.text += os.read(self._master, 65536).decode("utf-8", "replace")
-            except OSError:
-                return
-
-    def expect(self, words: str, *, after: int = 0) -> int:
-        """Wait for words on the screen; return where they ended."""
-        limit = time.monotonic() + WAIT_S
-        while words not in self.text[after:]:
-            assert time.monotonic() < limit, f"{words!r} is not in {self.text[-3000:]!r}"
-            self.read()
-        return self.text.index(words, after) + len(words)
-
-    def type(self, keys: str) -> None:
-        os.write(self._master, keys.encode())
-
-    def wait(self) -> int:
-        limit = time.monotonic() + WAIT_S
-        while self.process.poll() is None and time.monotonic() < limit:
-            self.read()
-        self.read()
-        return self.process.wait(5)
-
-    def close(self) -> None:
-        os.close(self._master)
 
 
 def newest(program: Program) -> Session:
@@ -102,7 +51,7 @@ def test_a_session_with_pictures_keys_big_letters_and_bell(program: Program, ter
     terminal.expect("is undone", after=place)
     terminal.type("f")
     assert terminal.wait() == 0
-    assert "\a" in terminal.text
+    assert "\a" in terminal.raw
     assert "imufield solve" in terminal.text
     assert newest(program).finished
 
@@ -114,9 +63,9 @@ def test_quiet_is_quiet_and_no_colour_is_none(program: Program, terminals: list[
     terminal.expect("accepted")
     terminal.type("q")
     assert terminal.wait() == 0
-    assert "\a" not in terminal.text
-    assert "\x1b[32m" not in terminal.text
-    assert "\x1b[1;32m" not in terminal.text
+    assert "\a" not in terminal.raw
+    assert "\x1b[32m" not in terminal.raw
+    assert "\x1b[1;32m" not in terminal.raw
 
 
 def test_a_killed_capture_goes_on_where_it_was(program: Program, terminals: list[Terminal]) -> None:
@@ -139,7 +88,7 @@ def test_unplugged_and_plugged_in_again(program: Program, terminals: list[Termin
     first = program.emulate("--positions", "faces6", "--hold-s", 6, "--link", link)
     emulator = program.started[-1]
     terminal = open_terminal(terminals, program, *program.capture(first, "--latitude", 48))
-    place = terminal.expect("1 of 6 done")
+    place = terminal.expect("accepted")
     emulator.kill()
     emulator.wait()
     place = terminal.expect("N O   L I N K", after=place)
@@ -156,7 +105,7 @@ def test_a_stopped_process_goes_on_where_it_was(program: Program, terminals: lis
     """What a suspended computer does: the program stands still, the instrument goes on, the host's clock jumps."""
     port = program.emulate("--positions", "corners24", "--hold-s", 6)
     terminal = open_terminal(terminals, program, *program.capture(port, "--latitude", 48))
-    place = terminal.expect("1 of 6 done")
+    place = terminal.expect("accepted")
     terminal.process.send_signal(signal.SIGSTOP)
     time.sleep(3.0)
     terminal.process.send_signal(signal.SIGCONT)
@@ -172,7 +121,7 @@ def test_a_full_disk_ends_with_a_sentence_and_a_resume(program: Program, termina
     port = program.emulate("--positions", "corners24", "--hold-s", 6, rate_hz=500)
     options = program.capture(port, "--latitude", 48)
     limit = 500_000
-    full = Terminal(program, *options, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    full = Terminal(program, *options, at_start=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
     terminals.append(full)
     assert full.wait() == 4
     assert "free some space" in " ".join(full.text.split())

@@ -1,0 +1,96 @@
+"""The program on a terminal of its own: keys in, screen out."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import select
+import struct
+import termios
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tests.commands.conftest import Program
+
+WAIT_S = 60.0
+_CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+
+
+class Terminal:
+    """A terminal of 80 columns and 24 lines with the program in it; ``at_start`` is called in its process."""
+
+    def __init__(
+        self,
+        program: Program,
+        *arguments: object,
+        variables: dict[str, str] | None = None,
+        at_start: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._master, self._slave = pty.openpty()
+        self._is_open = True
+        fcntl.ioctl(self._slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        self._before = termios.tcgetattr(self._slave)
+
+        def begin() -> None:
+            fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+            at_start()
+
+        self.process = program.start(
+            *arguments,
+            variables={"TERM": "xterm-256color", **(variables or {})},
+            stdin=self._slave,
+            stdout=self._slave,
+            stderr=self._slave,
+            start_new_session=True,
+            preexec_fn=begin,
+        )
+        self.raw = ""
+        """All that was sent, control sequences included."""
+        self.text = ""
+        """All that was shown."""
+        self._seen = 0
+
+    def read(self, seconds: float = 0.1) -> None:
+        if select.select([self._master], [], [], seconds)[0]:
+            data = os.read(self._master, 65536).decode("utf-8", "replace")
+            self.raw += data
+            self.text += _CONTROL.sub("", data)
+
+    def expect(self, words: str, *, after: int = 0) -> int:
+        """Wait for words on the screen; return where they ended."""
+        limit_s = time.monotonic() + WAIT_S
+        while words not in self.text[after:]:
+            assert time.monotonic() < limit_s, f"{words!r} is not in {self.text[-3000:]!r}"
+            self.read()
+        return self.text.index(words, after) + len(words)
+
+    def wait_for(self, words: str) -> str:
+        """Return everything shown since the last call, once these words are in it."""
+        begin = self._seen
+        self.expect(words, after=begin)
+        self._seen = len(self.text)
+        return self.text[begin:]
+
+    def type(self, keys: str) -> None:
+        os.write(self._master, keys.encode())
+
+    def wait(self) -> int:
+        """Return the exit code; a program that was not killed has left the terminal as it was."""
+        limit_s = time.monotonic() + WAIT_S
+        while self.process.poll() is None and time.monotonic() < limit_s:
+            # A program that writes to a terminal nobody reads would wait for ever.
+            self.read()
+        self.read()
+        code = self.process.wait(5)
+        assert code < 0 or termios.tcgetattr(self._slave) == self._before, "the terminal is not as it was"
+        return code
+
+    def close(self) -> None:
+        if self._is_open:
+            self._is_open = False
+            os.close(self._slave)
+            os.close(self._master)
