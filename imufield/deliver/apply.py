@@ -15,7 +15,7 @@ from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray
 
 _ROWS_AT_ONCE = 4096
-"""Two pieces of 96 KiB, read and written: they stay in a second-level cache of 256 KiB."""
+"""Pieces of 96 KiB a triad, read and written: they stay in a second-level cache."""
 
 
 def correct_accelerometer(parameters: AccelerometerParameters, raw: FloatArray, *, out: FloatArray | None = None) -> FloatArray:
@@ -75,6 +75,40 @@ def correct_gyroscope(
     return _affine(inverse, parameters.bias, raw, (inverse @ parameters.g_sensitivity, force), out=out)
 
 
+def correct_both(accelerometer: AccelerometerParameters, gyroscope: GyroscopeParameters, raw: FloatArray) -> FloatArray:
+    """Return specific force and angular rate side by side for raw outputs side by side, both of shape (n, 6).
+
+    Without a quadratic term the two are one affine map of six numbers, g-sensitivity included: the rows are read once.
+
+    Raises
+    ------
+    CalibrationError
+        If no specific force gives such an output with these parameters; NaN stays in its triad.
+    """
+    corrected = np.empty(raw.shape)
+    if np.any(accelerometer.quadratic):
+        return _by_triads(accelerometer, gyroscope, raw, corrected)
+    force = _inverse(accelerometer.scale, accelerometer.misalignment_rad)
+    rate = _inverse(gyroscope.scale, gyroscope.misalignment_rad)
+    matrix = np.block([[force, np.zeros((3, 3))], [-rate @ gyroscope.g_sensitivity @ force, rate]])
+    offset = np.concatenate([accelerometer.raw_zero + accelerometer.scale * accelerometer.bias_m_s2, gyroscope.bias])
+    with np.errstate(invalid="ignore"):
+        _affine(matrix, offset, raw, out=corrected)
+    if not np.isfinite(corrected.sum()):
+        # Zero times NaN is NaN: what one triad lacks must not spoil the other.
+        spoilt = np.flatnonzero(~np.isfinite(corrected).all(axis=1))
+        corrected[spoilt] = _by_triads(accelerometer, gyroscope, raw[spoilt], corrected[spoilt])
+    return corrected
+
+
+def _by_triads(
+    accelerometer: AccelerometerParameters, gyroscope: GyroscopeParameters, raw: FloatArray, out: FloatArray
+) -> FloatArray:
+    force = correct_accelerometer(accelerometer, raw[:, :3], out=out[:, :3])
+    correct_gyroscope(gyroscope, raw[:, 3:], force, out=out[:, 3:])
+    return out
+
+
 def _inverse(scale: FloatArray, misalignment_rad: FloatArray) -> FloatArray:
     forward = scale[:, None] * (np.eye(3) + misalignment_rad)
     return np.asarray(np.linalg.inv(forward), dtype=np.float64)
@@ -88,11 +122,12 @@ def _affine(
     *,
     out: FloatArray | None = None,
 ) -> FloatArray:
-    """Return C N - C o, less a matrix times vectors of the same shape as ``raw``."""
+    """Return C N - C o, less a matrix times vectors of the same shape as ``raw``; C is (3, 3), or (6, 6) for six columns."""
     out = np.empty(raw.shape) if out is None else out
-    rows, target = raw.reshape(-1, 3), out.reshape(-1, 3)
+    columns = len(offset)
+    rows, target = raw.reshape(-1, columns), out.reshape(-1, columns)
     matrix = np.ascontiguousarray(inverse.T)
-    product = np.empty((min(_ROWS_AT_ONCE, len(rows)), 3))
+    product = np.empty((min(_ROWS_AT_ONCE, len(rows)), columns))
     # Rows of the constant written out: subtracting equal shapes is three times as fast as spreading one row.
     shift = np.tile(inverse @ offset, (len(product), 1))
     for start in range(0, len(rows), _ROWS_AT_ONCE):

@@ -12,7 +12,7 @@ from typing import NamedTuple, overload
 import numpy as np
 
 from imufield.calibrate.result import Calibration, GyroscopeParameters
-from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
+from imufield.deliver.apply import correct_accelerometer, correct_both, correct_gyroscope
 from imufield.deliver.context import Context, InstrumentFacts, Noise, SessionFacts
 from imufield.deliver.document import VERSION, Document, calibration_from_document, context_from_document, to_document
 from imufield.deliver.parameters_read import read_document
@@ -165,12 +165,7 @@ class Parameters:
         raw = np.asarray(raw, dtype=np.float64)
         if raw.shape[-1:] != (6,):
             return self.apply_accelerometer(raw)
-        rows = raw.reshape(-1, 6)
-        corrected = np.empty_like(rows)
-        force, rate = corrected[:, :3], corrected[:, 3:]
-        correct_accelerometer(self.calibration.accelerometer, rows[:, :3], out=force)
-        correct_gyroscope(self._gyroscope(), rows[:, 3:], force, out=rate)
-        return corrected.reshape(raw.shape)
+        return correct_both(self.calibration.accelerometer, self._gyroscope(), raw.reshape(-1, 6)).reshape(raw.shape)
 
     def check_unit(self, triad: str, unit: str) -> None:
         """Raise ``ParameterFileError`` if a triad whose rates are in this unit is not what the parameters are for."""

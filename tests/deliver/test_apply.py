@@ -13,7 +13,7 @@ from imufield.calibrate.result import (
     GyroscopeParameters,
     QuadraticAxes,
 )
-from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
+from imufield.deliver.apply import correct_accelerometer, correct_both, correct_gyroscope
 from imufield.deliver.context import Context
 from imufield.deliver.parameters import Parameters, from_document, to_document
 from imufield.deliver.schema import first_fault
@@ -155,3 +155,15 @@ def test_six_columns_of_any_length_and_shape_equal_three_and_three(
     assert np.isfinite(corrected[1, 4, :3]).all()
     assert loaded.apply(raw[0, 0]).shape == (6,)
     assert loaded.apply(raw[:0]).shape == (0, 5000, 6)
+
+
+def test_six_columns_of_a_linear_model_are_one_map() -> None:
+    accelerometer = AccelerometerParameters(np.array([1.01, 0.98, -1.0]), np.array([0.1, -0.2, 0.3]), 2e-3 * (1 - np.eye(3)))
+    raw = RNG.uniform(-20, 20, (5000, 6))
+    raw[3, 1], raw[4, 5], raw[5, 4] = np.nan, np.nan, np.inf
+    force = correct_accelerometer(accelerometer, raw[:, :3])
+    rate = correct_gyroscope(FULL_GYROSCOPE, raw[:, 3:], force)
+    assert np.isfinite(force[4:6]).all()
+    np.testing.assert_allclose(
+        correct_both(accelerometer, FULL_GYROSCOPE, raw), np.hstack([force, rate]), rtol=1e-12, atol=1e-12
+    )
