@@ -19,6 +19,7 @@ from imufield.commands.solve import SolveOptions
 from imufield.commands.solve_many import run_solve_many
 from imufield.deliver.parameters import load
 from imufield.errors import UsageError
+from tests.study.local_cluster import local_cluster
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
@@ -92,16 +93,7 @@ def test_options_of_one_session_are_refused(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    distributed = pytest.importorskip("distributed", reason="needs the study extra")
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=True,
-        dashboard_address=None,
-        worker_dashboard_address=None,
-        silence_logs=50,
-        env={"PYTHONPATH": str(Path(solve_many.__file__).parents[2])},
-    ) as cluster:
+    with local_cluster(Path(solve_many.__file__).parents[2]) as cluster:
         yield cluster
 
 

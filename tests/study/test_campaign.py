@@ -13,6 +13,7 @@ import pytest
 
 from imufield.errors import LinkError, Reason, UsageError
 from imufield.study.campaign import BLAS_VARIABLES, one_blas_thread, run_batch, run_campaign
+from tests.study.local_cluster import local_cluster
 
 LIBRARY = Path(__file__).with_name("campaign_runs.py")
 
@@ -101,17 +102,7 @@ def test_a_scheduler_that_is_not_there(runs: Any, monkeypatch: pytest.MonkeyPatc
 
 @pytest.fixture(scope="module")
 def cluster(runs: Any) -> Any:
-    distributed = pytest.importorskip("distributed", reason="needs the study extra")
-    # The nanny gives the path to a worker that replaces a killed one, too.
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=True,
-        dashboard_address=None,
-        worker_dashboard_address=None,
-        silence_logs=50,
-        env={"PYTHONPATH": str(LIBRARY.parent)},
-    ) as cluster:
+    with local_cluster(LIBRARY.parent) as cluster:
         yield cluster
 
 
