@@ -7,7 +7,7 @@
     +-- LinkError             3  port, bus, permission, silence, disconnection
     +-- RecordingError        4  a recording or session that cannot be read or written
     +-- ProtocolError         4  wire data or a protocol file that cannot be understood
-    |                           (SettingError is both: a setting that was typed, 2)
+    |                           (SettingError and UnknownNameError are both: a setting or a name that was typed, 2)
     +-- ParameterFileError    5  a parameter file that is damaged, newer or foreign
     +-- CalibrationError      6  a calibration that is impossible or refused
     +-- VerificationError     7  ``verify`` says FAIL
@@ -19,6 +19,8 @@ from __future__ import annotations
 
 from enum import Enum
 from typing import Any, ClassVar
+
+_LONGEST_SHOWN = 40
 
 
 class Reason(Enum):
@@ -60,6 +62,11 @@ class Reason(Enum):
 def counted(number: int, noun: str) -> str:
     """Return "1 position", "2 positions": a number with its noun, for sentences."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def shortened(text: str) -> str:
+    """Return the beginning of a long text out of somebody's file, for sentences."""
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
 
 
 class ImufieldError(Exception):
@@ -121,6 +128,10 @@ class ProtocolError(ImufieldError, ValueError):
 
 class SettingError(UsageError, ProtocolError):
     """A setting of a protocol that was given does not exist, or cannot have this value."""
+
+
+class UnknownNameError(UsageError, ProtocolError):
+    """There is no driver or protocol of the name that was typed."""
 
 
 class ParameterFileError(ImufieldError, ValueError):

@@ -32,7 +32,12 @@ BANNED_CALLS = {
     *("pandas.read_pickle", "torch.load", "allantools.Dataset.load"),
 }
 BANNED_OPTIONS = {"shell", "allow_pickle"}
-MAY_START_PROGRAMS = {"imufield/guide/sound.py", "imufield/commands/demo.py", "imufield/acquire/table_arrays.py"}
+MAY_START_PROGRAMS = {
+    "imufield/guide/sound.py",
+    "imufield/commands/demo.py",
+    "imufield/acquire/can_logs.py",
+    "imufield/acquire/table_arrays.py",
+}
 MAY_USE = {("imufield/simulate/port.py", "pty")}
 """The emulator makes pseudo-terminals; it starts nothing in them."""
 SAMPLES = {

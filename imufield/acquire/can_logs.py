@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import importlib.util
 import re
 import struct
+import subprocess
+import sys
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -20,6 +23,7 @@ from imufield.acquire.can_link import make_message, open_bus, pack_message, pars
 from imufield.acquire.host_clock import NANOSECONDS
 from imufield.acquire.link import WRITE_TIMEOUT_S, Chunk
 from imufield.acquire.recording import EndOfRecordingError, RecordingLink
+from imufield.acquire.table_arrays import missing_package
 from imufield.acquire.tables import ChunkWriter
 from imufield.errors import LinkError, Reason, RecordingError, UsageError
 
@@ -31,11 +35,11 @@ _READERS: Mapping[str, Callable[..., Iterable[can.Message]]] = {
     ".asc": can.ASCReader,
     ".blf": can.BLFReader,
     ".trc": can.TRCReader,
-    ".mf4": can.MF4Reader,
+    ".mf4": can.CanutilsLogReader,
 }
 SUFFIXES = tuple(_READERS)
 """Logs this module reads, packed with gzip too."""
-_BINARY = (".blf", ".mf4")
+_BINARY = (".blf",)
 _HEAD_BYTES = 256
 _HEADS = {
     ".log": rb"\s*\(\d+\.\d+\)\s",
@@ -178,9 +182,11 @@ class _Reader:
         if not kind:
             raise UsageError(f"{path} has none of the suffixes {', '.join(SUFFIXES)}: rename it", path=str(path))
         opener: Callable[..., IO[Any]] = gzip.open if suffixes[-1] == ".gz" else open
+        self._process = _start_mf4(path) if kind == ".mf4" else None
         mode: dict[str, Any] = {"mode": "rb"} if kind in _BINARY else {"mode": "rt", "encoding": "utf-8", "errors": "replace"}
         self._size = None if suffixes[-1] == ".gz" else path.stat().st_size
-        self._file = opener(path, **mode)
+        output = None if self._process is None else self._process.stdout
+        self._file: IO[Any] = opener(path, **mode) if output is None else output
         # ASC counts from its start unless told otherwise; the date in its head makes it a time of day.
         options = {"relative_timestamp": False} if kind == ".asc" else {}
         try:
@@ -193,11 +199,13 @@ class _Reader:
         return iter(self._reader)
 
     def cut(self, count: int) -> str:
-        """Say what is missing at the end of a BLF file that was read to its end with ``count`` frames; "" for nothing.
+        """Say what is missing at the end of a BLF or MF4 file that was read to its end with ``count`` frames; "" for nothing.
 
         Its reader stops without a word where a file ends in the middle. What the whole file holds stands in its head, or
         nothing does where the logger was never stopped.
         """
+        if self._process is not None and self._process.wait() != 0:
+            return f"is damaged behind frame {count}"
         reader = self._reader
         if not isinstance(reader, can.BLFReader):
             return ""
@@ -210,6 +218,19 @@ class _Reader:
 
     def close(self) -> None:
         self._file.close()
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+
+def _start_mf4(path: Path) -> subprocess.Popen[str]:
+    """Begin to read MF4 in a process of its own, ``mf4_reader``, which writes what candump would have."""
+    if importlib.util.find_spec("asammdf") is None:
+        raise missing_package(f"{path} is MF4, which", "asammdf", "mf4")
+    # -P: what stands in the present folder is nothing to import.
+    command = [sys.executable, "-P", str(Path(__file__).with_name("mf4_reader.py")), str(path)]
+    quiet = subprocess.DEVNULL
+    return subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, text=True)  # noqa: S603  (our own)
 
 
 def _two_buses(path: Path, first: object, second: object) -> UsageError:

@@ -36,6 +36,10 @@ def open_error(port: str, baud: int, error: Exception) -> ImufieldError:
     """Turn what pyserial raised into the error a user can act on."""
     if isinstance(error, ValueError):
         return _bad_value(port, baud, error)
+    if _has_no_host(port):
+        return UsageError(
+            f"{port} names no host and port; give both, as in {port.partition('://')[0]}://192.168.1.5:4001.", port=port
+        )
     if "://" in port and "spy:" not in port:
         return LinkError(
             f"{port} cannot be opened ({_cause(error)}): check address, port number and that the other end listens.",
@@ -54,6 +58,13 @@ def open_error(port: str, baud: int, error: Exception) -> ImufieldError:
     reason = Reason.PORT_NOT_FOUND if number in _ABSENT else Reason.DISCONNECTED
     what = "does not exist" if number == errno.ENOENT else f"cannot be opened ({_cause(error)})"
     return LinkError(f"{port} {what}; {_there_are()}.", reason, port=port)
+
+
+def _has_no_host(port: str) -> bool:
+    """Tell whether an address of a network names no place there: pyserial then fails with a text of Python's own."""
+    scheme, _, rest = port.partition("://")
+    host, _, number = rest.partition("/")[0].rpartition(":")
+    return scheme.lower() in ("socket", "rfc2217") and not (host and number.isdecimal())
 
 
 def _bad_value(port: str, baud: int, error: ValueError) -> ImufieldError:

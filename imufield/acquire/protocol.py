@@ -30,7 +30,7 @@ from imufield.acquire.protocol_schema import (
 from imufield.acquire.protocol_settings import Setting, choose_settings, read_rules
 from imufield.acquire.protocol_toml import FILE_LIMIT_BYTES, Source, Table, near
 from imufield.earth import STANDARD_GRAVITY_M_S2
-from imufield.errors import ProtocolError
+from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.samples import FloatArray, SampleUnits
 
 if TYPE_CHECKING:
@@ -184,9 +184,10 @@ def _find_text(name_or_path: str | Path) -> tuple[str, str]:
         return f"protocol {name_or_path}", shipped.read_text(encoding="utf-8")
     path = Path(name_or_path)
     if not (path.suffix or path.parent.name or path.exists()):
-        raise ProtocolError(
+        raise UnknownNameError(
             f"there is no protocol {str(name_or_path)!r}{near(name_or_path, names)}; "
             f"shipped are {', '.join(names)}, your own is given by its path, ending in .toml",
+            reason=Reason.BAD_PROTOCOL,
             name=str(name_or_path),
         )
     try:

@@ -11,9 +11,11 @@ from importlib.metadata import EntryPoint, entry_points
 
 from imufield.acquire.driver import Driver
 from imufield.acquire.protocol_toml import near
-from imufield.errors import ProtocolError, Reason
+from imufield.errors import ProtocolError, Reason, UnknownNameError
 
 GROUP = "imufield.drivers"
+_STATED = ("name", "title", "protocol", "default_baud", "bauds", "status", "manual")
+"""What every driver says of its instrument."""
 
 
 def driver_names() -> list[str]:
@@ -26,8 +28,10 @@ def load_driver(name: str) -> type[Driver]:
 
     Raises
     ------
+    UnknownNameError
+        If there is no such driver.
     ProtocolError
-        If there is no such driver, two distributions have one of that name, or its import fails.
+        If two distributions have one of that name, or it cannot be imported.
     """
     points = tuple(entry_points(group=GROUP, name=name))
     shipped = name in shipped_names()
@@ -43,7 +47,7 @@ def load_driver(name: str) -> type[Driver]:
     if points:
         return _load(points[0])
     names = driver_names()
-    raise ProtocolError(
+    raise UnknownNameError(
         f"there is no driver {name!r}{near(name, names)}; there are: {', '.join(names)}",
         Reason.UNKNOWN_DRIVER,
         name=name,
@@ -63,15 +67,23 @@ def _owner(point: EntryPoint) -> str:
 def _load(point: EntryPoint) -> type[Driver]:
     try:
         found = point.load()
-    except (ImportError, AttributeError, SyntaxError) as error:
+    except (Exception, SystemExit) as error:  # a module of somebody else, whose first run can fail in any way
         raise ProtocolError(
-            f"driver {point.name!r} cannot be loaded from {point.value}: {error}; repair or reinstall it",
+            f"driver {point.name!r} cannot be loaded from {point.value} ({type(error).__name__}: {error}); repair it or "
+            "install it anew",
             Reason.DRIVER_FAILED,
             name=point.name,
         ) from error
     if not (isinstance(found, type) and issubclass(found, Driver)):
         raise ProtocolError(
             f"driver {point.name!r} from {point.value} is a {type(found).__name__}, not a class derived from Driver",
+            Reason.DRIVER_FAILED,
+            name=point.name,
+        )
+    missing = [name for name in _STATED if not hasattr(found, name)]
+    if missing:
+        raise ProtocolError(
+            f"driver {point.name!r} from {point.value} does not state {', '.join(missing)}; complete it",
             Reason.DRIVER_FAILED,
             name=point.name,
         )

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.table_columns import named_column
-from imufield.errors import Reason, RecordingError, UsageError
+from imufield.errors import Reason, RecordingError, UsageError, shortened
 from imufield.samples import AXES, FloatArray
 
 MATLAB_7_3, MATLAB_5 = b"MATLAB 7.3", b"MATLAB 5.0"
@@ -220,7 +220,7 @@ def _table(path: Path, arrays: Mapping[str, NDArray[Any]], stated: Mapping[str, 
     left_out = sorted(name for name in arrays if name not in used)
     said: tuple[str, ...] = ()
     if left_out:
-        said = (f"{path.name}: ignored {', '.join(left_out)}, which have not {rows} rows of numbers.",)
+        said = (f"{path.name}: ignored {', '.join(map(shortened, left_out))}, which have not {rows} rows of numbers.",)
     columns, times = zip(*(_as_numbers(array) for array in used.values()), strict=True)
     values = np.hstack(columns)
     if any(times):

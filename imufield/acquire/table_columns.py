@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from imufield.errors import UsageError
+from imufield.errors import UsageError, shortened
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, SAMPLE_COLUMNS
 
 TIME = "time"
@@ -180,7 +180,9 @@ def columns_by_header(path: Path, header: Sequence[str], units: Sequence[str] | 
         named[header.index(STATUS)] = TableColumn(header.index(STATUS), STATUS)
     found = [column for column in named if column is not None]
     ignored = [name for name, column in zip(header, named, strict=True) if column is None and name]
-    return _checked(path, found, (f"{path.name}: ignored the columns {', '.join(ignored)}.",) if ignored else ())
+    return _checked(
+        path, found, (f"{path.name}: ignored the columns {', '.join(map(shortened, ignored))}.",) if ignored else ()
+    )
 
 
 def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning:

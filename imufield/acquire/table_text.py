@@ -7,6 +7,7 @@ looked at one by one only to say which of them is wrong.
 from __future__ import annotations
 
 import gzip
+import re
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from typing import BinaryIO, cast
 
 import numpy as np
 
-from imufield.errors import Reason, RecordingError
+from imufield.errors import Reason, RecordingError, shortened
 from imufield.samples import FloatArray
 
 BLOCK_BYTES = 8 << 20
@@ -26,7 +27,8 @@ LINE_LIMIT_BYTES = 1 << 20
 """No table has longer lines; a file without line ends is not one."""
 _GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")
-_TEXT_SHOWN = 40
+_CORRECT = "correct or remove it"
+_DATE = re.compile(r"\d{4}-\d\d-\d\d|\d\d:\d\d")
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +87,7 @@ class TextTable:
         """
         found = list(self.blocks(columns))
         if not found:
-            raise _bad(self.path, "holds no rows of numbers: check that it is the right file")
+            raise _bad(self.path, "holds no rows of numbers", "check that it is the right file")
         return found[0] if len(found) == 1 else np.concatenate(found)
 
     def line_of_row(self, row: int) -> tuple[int, str]:
@@ -138,13 +140,14 @@ class TextTable:
                 continue
             cells = self.split(text)
             if len(cells) != self.width:
-                return _bad(
-                    self.path, f"has {len(cells)} instead of {self.width} columns in line {number}, {_shown(text)}", number
-                )
+                what = f"has {len(cells)} instead of {self.width} columns in line {number}, {_shown(text)}"
+                return _bad(self.path, what, _CORRECT, number)
             wrong = next((cells[column] for column in columns if not _is_number(cells[column])), None)
             if wrong is not None:
-                return _bad(self.path, f"has {_shown(wrong)} where a number should stand in line {number}", number)
-        return _bad(self.path, f"has a row that cannot be read behind line {lines_before}", lines_before)
+                return _bad(
+                    self.path, f"has {_shown(wrong)} where a number should stand in line {number}", _remedy(wrong), number
+                )
+        return _bad(self.path, f"has a row that cannot be read behind line {lines_before}", _CORRECT, lines_before)
 
 
 def open_table(path: str | Path) -> TextTable:
@@ -171,7 +174,7 @@ def open_table(path: str | Path) -> TextTable:
                 header, units = _header(path, names, marked, len(cells))
                 return TextTable(path, delimiter, header, units, len(cells), number, decimal_comma)
             names.append([cell.strip('" ') for cell in cells])
-    raise _bad(path, "holds no rows of numbers: check that it is the right file")
+    raise _bad(path, "holds no rows of numbers", "check that it is the right file")
 
 
 def _header(
@@ -179,7 +182,7 @@ def _header(
 ) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None]:
     """Return names and units: the lines before the numbers, or the last commented line that has a name for each column."""
     if len(names) > 2:
-        raise _bad(path, f"starts with {len(names)} lines that are no numbers, {_shown(' '.join(names[0]))}: remove them")
+        raise _bad(path, f"starts with {len(names)} lines that are no numbers, {_shown(' '.join(names[0]))}", "remove them")
     if names:
         return tuple(names[0]), tuple(names[1]) if len(names) > 1 else None
     for line in reversed(marked):
@@ -234,7 +237,7 @@ def _fill_empty_cells(block: bytes, delimiter: bytes) -> bytes:
 def _head_lines(path: Path) -> list[str]:
     head = next(read_pieces(path, HEAD_BYTES), b"")
     if b"\0" in head:
-        raise _bad(path, "is not text: give CSV or columns of numbers, or `--protocol` for the bytes of an instrument")
+        raise _bad(path, "is not text", "give CSV or columns of numbers, or `--protocol` for the bytes of an instrument")
     return head.removeprefix(b"\xef\xbb\xbf").decode("utf-8", errors="replace").split("\n")
 
 
@@ -249,7 +252,7 @@ def _line_blocks(path: Path) -> Iterator[bytes]:
         else:
             rest += piece
         if len(rest) > LINE_LIMIT_BYTES:
-            raise _bad(path, f"has a line of more than {LINE_LIMIT_BYTES} characters: it is no table")
+            raise _bad(path, f"has a line of more than {LINE_LIMIT_BYTES} characters", "it is no table")
     if rest:
         yield rest
 
@@ -280,9 +283,12 @@ def read_pieces(path: Path, size: int) -> Iterator[bytes]:
 
 
 def _shown(text: str) -> str:
-    return f'"{text}"' if len(text) <= _TEXT_SHOWN else f'"{text[:_TEXT_SHOWN]}..."'
+    return f'"{shortened(text)}"'
 
 
-def _bad(path: Path, what: str, line: int | None = None) -> RecordingError:
-    remedy = "" if ":" in what else ": correct or remove it"
-    return RecordingError(f"{path} {what}{remedy}.", Reason.BAD_DATA, path=str(path), line=line)
+def _remedy(cell: str) -> str:
+    return "in text a time is a number, so write seconds" if _DATE.match(cell) else _CORRECT
+
+
+def _bad(path: Path, what: str, remedy: str, line: int | None = None) -> RecordingError:
+    return RecordingError(f"{path} {what}: {remedy}.", Reason.BAD_DATA, path=str(path), line=line)

@@ -6,7 +6,7 @@ baud rate are not given, each is tried, and what was assumed is said.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +24,7 @@ from imufield.acquire.recognise import Candidate, Ear
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.commands.listen import (
     SEARCH_S,
+    Say,
     Search,
     bauds_to_try,
     driver_candidates,
@@ -40,8 +41,6 @@ FALLBACK_BAUD = 115200
 """Where a protocol file is given without a baud rate: the usual setting of serial instruments."""
 SPARE = 1.1
 """Bytes do not follow one another without a gap (the 1.1 of the STIM300 datasheet holds for the others as well)."""
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,7 +166,7 @@ def connect(options: ConnectOptions, clock: HostClock, *, say: Say | None = None
         return connect_bus(options, clock, say)
     _refuse_can_options(options)
     port = options.port or _only_port(say)
-    candidates = _candidates(options)
+    candidates = _candidates(options, say)
     bauds = bauds_to_try(candidates, port, options.baud)
     if len(bauds) > 1:
         say(f"listening on {port} at {len(bauds)} baud rates, up to {SEARCH_S:g} s in all (--baud and --driver are quicker)")
@@ -211,12 +210,16 @@ def _only_port(say: Say) -> str:
 
 
 def check_files(options: ConnectOptions) -> None:
-    """Refuse a protocol file or a driver that cannot be used, before anybody is asked anything; raises as they do."""
-    if options.bus is None and (options.protocol is not None or options.driver is not None):
+    """Refuse a protocol, a driver or a DBC file that cannot be used, before anybody is asked anything; raises as they do."""
+    if options.bus is not None:
+        from imufield.commands.connect_can import can_descriptions
+
+        can_descriptions(options)
+    elif options.protocol is not None or options.driver is not None:
         _candidates(options)
 
 
-def _candidates(options: ConnectOptions) -> list[Candidate]:
+def _candidates(options: ConnectOptions, say: Say | None = None) -> list[Candidate]:
     if options.protocol is not None or options.protocol_text is not None:
         if options.protocol is not None:
             protocol = load_protocol(options.protocol, options.settings)
@@ -225,7 +228,7 @@ def _candidates(options: ConnectOptions) -> list[Candidate]:
         baud = options.baud or FALLBACK_BAUD
         return [Candidate(protocol.name, protocol.title, protocol, (baud,), None)]
     if options.driver is None:
-        return serial_candidates(options.settings)
+        return serial_candidates(options.settings, say=say)
     names = driver_names()
     if options.driver not in names:
         raise UsageError(f"there is no driver {options.driver!r}; choose one of {', '.join(names)}", Reason.UNKNOWN_DRIVER)
@@ -287,7 +290,7 @@ def _introduced(found: Search, ear: Ear, instrument: Instrument | None, options:
         if options.rate_hz is not None:
             rate_before_hz = _set_rate(instrument, found, options.rate_hz, say)
             messages += instrument.state
-        protocol = _with_settings(candidate, messages, options.rate_hz)
+        protocol = with_settings(candidate.driver, protocol, messages, options.rate_hz)
     elif options.rate_hz is not None:
         raise UsageError("--rate-hz needs an instrument with a driver, a protocol file says nothing of commands; leave it out")
     if identity:
@@ -318,15 +321,16 @@ def _woken(found: Search, clock: HostClock, say: Say) -> Instrument | None:
     return instrument
 
 
-def _with_settings(candidate: Candidate, messages: list[dict[str, Any]], rate_hz: float | None) -> Protocol:
+def with_settings(
+    driver: type[Driver] | None, protocol: Protocol, messages: list[dict[str, Any]], rate_hz: float | None = None
+) -> Protocol:
     """Return the protocol with what the instrument told of its settings, and the rate that was set where it must be said."""
-    units = candidate.protocol.units
-    by_increment = units.accelerometer_is_increment or units.gyroscope_is_increment
+    by_increment = protocol.units.accelerometer_is_increment or protocol.units.gyroscope_is_increment
     said = {} if rate_hz is None or not by_increment else {"rate_hz": rate_hz}
-    if candidate.driver is None or not (said or candidate.driver.read_settings(messages)):
-        return candidate.protocol
-    given = {name: one.value for name, one in candidate.protocol.settings.items() if one.origin == "given"} | said
-    return candidate.driver.load_protocol(given, messages=messages)
+    if driver is None or not (said or driver.read_settings(messages)):
+        return protocol
+    given = {name: one.value for name, one in protocol.settings.items() if one.origin == "given"} | said
+    return driver.load_protocol(given, messages=messages)
 
 
 def _set_rate(instrument: Instrument, found: Search, rate_hz: float, say: Say) -> float:

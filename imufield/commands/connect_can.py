@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import dataclass
 
 from imufield.acquire.background_link import BackgroundLink
@@ -23,10 +22,9 @@ from imufield.acquire.host_clock import HostClock
 from imufield.acquire.link import Chunk
 from imufield.acquire.protocol import parse_protocol
 from imufield.acquire.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES
-from imufield.acquire.registry import driver_names, load_driver
-from imufield.commands.connect import Connected, ConnectOptions, Say, ask_identity, assumed
-from imufield.commands.listen import LISTEN_S
-from imufield.errors import LinkError, LinkTimeoutError, ProtocolError, Reason, UsageError
+from imufield.commands.connect import Connected, ConnectOptions, ask_identity, assumed, with_settings
+from imufield.commands.listen import LISTEN_S, Say, usable
+from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
 
 _IDENTIFIERS_NAMED = 8
 """More identifiers than this do not help a reader of an error message."""
@@ -77,7 +75,7 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
     # What python-can has to say of drivers that are not installed is said in one sentence by the error of the bus.
     logging.getLogger("can").setLevel(logging.CRITICAL)
     address = parse_bus(options.bus or "")
-    descriptions = _descriptions(options)
+    descriptions = can_descriptions(options, say)
     bit_rate = _bit_rate(options, address, descriptions, say)
     link = open_can_link(options.bus or "", bit_rate=bit_rate, clock=clock)
     ears = [_Ear(one, Decoder(one.protocol)) for one in descriptions]
@@ -92,7 +90,8 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
         raise
 
 
-def _descriptions(options: ConnectOptions) -> list[CanDescription]:
+def can_descriptions(options: ConnectOptions, say: Say | None = None) -> list[CanDescription]:
+    """Return what the bus may be understood by; raises as ``connect_bus``."""
     if options.protocol is not None and options.dbc is not None:
         raise UsageError("--protocol and --dbc contradict each other; give one of them")
     if options.mapping and options.dbc is None:
@@ -112,20 +111,18 @@ def _descriptions(options: ConnectOptions) -> list[CanDescription]:
                 settings=options.settings,
             )
         ]
-    return _all_drivers(options)
+    return _all_drivers(options, say)
 
 
-def _all_drivers(options: ConnectOptions) -> list[CanDescription]:
-    """Return every CAN instrument there is a driver for; one that cannot be loaded is not what is looked for."""
-    found = []
-    for name in driver_names():
-        with suppress(ProtocolError):
-            driver = load_driver(name)
-            if driver.wire == "can":
-                known = driver.load_protocol().settings
-                settings = {key: value for key, value in options.settings.items() if key in known}
-                found.append(describe_can(driver=name, settings=settings))
-    return found
+def _all_drivers(options: ConnectOptions, say: Say | None) -> list[CanDescription]:
+    """Return every CAN instrument there is a driver for."""
+
+    def describe(driver: type[Driver]) -> list[CanDescription]:
+        known = driver.load_protocol().settings
+        settings = {key: value for key, value in options.settings.items() if key in known}
+        return [describe_can(driver=driver.name, settings=settings)]
+
+    return usable("can", describe, say)
 
 
 def _bit_rate(options: ConnectOptions, address: BusAddress, descriptions: list[CanDescription], say: Say) -> int | None:
@@ -188,9 +185,7 @@ def _connected(
     if found.driver is not None:
         messages = ask_identity(link, chunks, found.driver, found.decoder, clock)
         identity = found.driver.identity(messages)
-        if found.driver.read_settings(messages):
-            given = {name: one.value for name, one in protocol.settings.items() if one.origin == "given"}
-            protocol = found.driver.load_protocol(given, messages=messages)
+        protocol = with_settings(found.driver, protocol, messages)
     name = found.description.name
     if found.driver is not None and options.driver is None:
         say(f"driver {name} (recognised by {found.frames} frames with identifiers of {protocol.title})")

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
-from imufield.acquire.driver import Driver
+from imufield.acquire.driver import Driver, Wire
 from imufield.acquire.host_clock import HostClock
 from imufield.acquire.link import Chunk, SerialLink, open_link
 from imufield.acquire.protocol import load_protocol
 from imufield.acquire.recognise import FEWEST_SAMPLES, Candidate, Ear, best
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.errors import LinkError, LinkTimeoutError, ProtocolError, Reason
+from imufield.errors import LinkError, LinkTimeoutError, ProtocolError, Reason, SettingError
+
+Say = Callable[[str], None]
+Described = TypeVar("Described")
 
 LISTEN_S = 5.0
 """Longest silence or noise before giving up at the one baud rate that is possible: instruments start within 1 s to 5 s."""
@@ -57,15 +60,27 @@ class Search:
         return self.hearings[-1]
 
 
-def serial_candidates(settings: Mapping[str, str] | None = None, *, variants: bool = True) -> list[Candidate]:
+def serial_candidates(settings: Mapping[str, str] | None = None, *, say: Say | None = None) -> list[Candidate]:
     """Return every way to read a serial port that the drivers know; ``settings`` go to those that have them."""
-    found: list[Candidate] = []
+
+    def candidates(driver: type[Driver]) -> list[Candidate]:
+        return list(driver_candidates(driver, settings or {}, only_known=True, variants=True))
+
+    return usable("serial", candidates, say)
+
+
+def usable(wire: Wire, describe: Callable[[type[Driver]], list[Described]], say: Say | None = None) -> list[Described]:
+    """Return what the drivers of a wire give; one that cannot be used is passed over, and ``say`` told in one sentence."""
+    found: list[Described] = []
     for name in driver_names():
-        # A driver that cannot be loaded is not what is looked for; `imufield devices` names it.
-        with suppress(ProtocolError):
+        try:
             driver = load_driver(name)
-            if driver.wire == "serial":
-                found += driver_candidates(driver, settings or {}, only_known=True, variants=variants)
+            found += describe(driver) if driver.wire == wire else []
+        except SettingError:
+            raise
+        except ProtocolError as error:
+            if say is not None:
+                say(f"passed over: {error.message}")
     return found
 
 

@@ -13,7 +13,7 @@ import typer
 from imufield.acquire.host_clock import HostClock
 from imufield.acquire.instrument import Instrument
 from imufield.acquire.ports import serial_ports
-from imufield.acquire.recognise import Ear, Finding
+from imufield.acquire.recognise import Candidate, Ear, Finding
 from imufield.commands.listen import Search, bauds_to_try, has_no_baud, nothing_recognised, search, serial_candidates
 from imufield.commands.output import say
 from imufield.deliver.numbers import beside
@@ -82,7 +82,8 @@ def run_probe(port: str | None, baud: int | None, clock: HostClock, *, ask: bool
     if not as_json:
         say(f"listening on {', '.join(ports)}, up to 10 s; {_WRITES if ask else _SILENT}", err=True)
     with ThreadPoolExecutor(min(len(ports), PORTS_AT_ONCE)) as pool:
-        results = list(pool.map(lambda one: probe_port(one, baud, clock, ask=ask), ports))
+        candidates = serial_candidates(say=lambda sentence: say(sentence, err=True))
+        results = list(pool.map(lambda one: probe_port(one, baud, clock, ask=ask, candidates=candidates), ports))
     if as_json:
         typer.echo(json.dumps({"ports": [one.to_dict() for one in results]}))
     else:
@@ -98,9 +99,11 @@ _SILENT = "nothing is sent to the instrument (--ask lets it say who it is)"
 _WRITES = "the instrument is asked who it is"
 
 
-def probe_port(port: str, baud: int | None, clock: HostClock, *, ask: bool = False) -> Probed:
+def probe_port(
+    port: str, baud: int | None, clock: HostClock, *, ask: bool = False, candidates: list[Candidate] | None = None
+) -> Probed:
     """Listen on one port, and (``ask``) let the instrument say who it is; errors of the port are part of the result."""
-    candidates = serial_candidates()
+    candidates = candidates or serial_candidates()
     bauds = bauds_to_try(candidates, port, baud)
     try:
         found = search(port, candidates, bauds, clock)

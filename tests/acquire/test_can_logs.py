@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import random
+import sys
 import time
 from pathlib import Path
 
@@ -37,8 +39,10 @@ def make_messages(count: int = 400) -> list[can.Message]:
     ]
 
 
-@pytest.mark.parametrize("suffix", ["log", "asc", "blf", "trc"])
+@pytest.mark.parametrize("suffix", ["log", "asc", "blf", "trc", "mf4"])
 def test_every_format(tmp_path: Path, suffix: str) -> None:
+    if suffix == "mf4":
+        pytest.importorskip("asammdf")
     path = tmp_path / f"bench.{suffix}"
     sent = make_messages()
     with can.Logger(path) as logger:
@@ -127,6 +131,31 @@ def test_logs_are_told_from_others_of_the_same_suffix(tmp_path: Path) -> None:
         path.write_text("0.0 1 2 3\n0.1 1 2 3\n")
         assert not begins_as_can_log(path)
     assert not begins_as_can_log(tmp_path / "nowhere.log")
+
+
+def test_damaged_mf4_is_an_error_or_a_loss(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("asammdf")
+    path, bad = tmp_path / "whole.mf4", tmp_path / "bad.mf4"
+    with can.Logger(path) as logger:
+        for message in make_messages():
+            logger(message)
+    content, rng = path.read_bytes(), random.Random(3)
+    for number in range(16):
+        damaged = bytearray(content if number % 4 else content[: rng.randrange(len(content))])
+        for _ in range(5 if damaged else 0):
+            damaged[rng.randrange(len(damaged))] = rng.randrange(256)
+        bad.write_bytes(damaged)
+        with contextlib.suppress(RecordingError):
+            assert sum(1 for chunk in read_log(bad) for _ in unpack_frames(chunk.data)) <= len(make_messages())
+    assert capfd.readouterr().err == ""
+
+
+def test_mf4_without_its_package_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "drive.mf4"
+    path.write_bytes(b"MDF     4.10")
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    with pytest.raises(UsageError, match=r"needs the package asammdf; install it with `pip install 'imufield\[mf4\]'`"):
+        list(read_log(path))
 
 
 def test_two_buses_must_be_told_apart(tmp_path: Path) -> None:

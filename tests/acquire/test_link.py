@@ -199,6 +199,10 @@ def test_closing_twice_is_allowed_and_reading_afterwards_is_not(terminal: Termin
         ("/dev/null", LinkError, Reason.PORT_NOT_FOUND, "is not a serial port"),
         ("socket://127.0.0.1:1", LinkError, Reason.PORT_NOT_FOUND, "Connection refused"),
         ("telepathy://x", UsageError, Reason.USAGE, "no kind of address"),
+        ("socket://", UsageError, Reason.USAGE, "names no host and port; give both, as in socket://192.168.1.5:4001"),
+        ("socket://:99", UsageError, Reason.USAGE, "names no host and port"),
+        ("socket://there", UsageError, Reason.USAGE, "names no host and port"),
+        ("rfc2217://", UsageError, Reason.USAGE, "as in rfc2217://192.168.1.5:4001"),
     ],
 )
 def test_what_cannot_be_opened_says_why(port: str, kind: type[ImufieldError], reason: Reason, words: str) -> None:

@@ -10,8 +10,10 @@ import pytest
 
 from imufield.acquire import registry
 from imufield.acquire.driver import Driver
+from imufield.acquire.protocol import load_protocol
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.errors import ProtocolError, Reason
+from imufield.commands.listen import serial_candidates
+from imufield.errors import ProtocolError, Reason, UsageError
 
 
 @pytest.fixture
@@ -24,12 +26,24 @@ def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "good": "other_good:DRIVER",
         "broken": "other_broken:DRIVER",
         "odd": "other_odd:DRIVER",
+        "angry": "other_angry:DRIVER",
+        "leaving": "other_leaving:DRIVER",
+        "bare": "other_bare:DRIVER",
+        "lost": "other_lost:DRIVER",
         "text": "other_good:DRIVER",
     }
     points = "\n".join(f"{name} = {value}" for name, value in names.items())
     (dist / "entry_points.txt").write_text(f"[imufield.drivers]\n{points}\n")
     (tmp_path / "other_good.py").write_text(
-        "from imufield.acquire.driver import Driver\nclass Good(Driver):\n    name = 'good'\nDRIVER = Good\n"
+        "from imufield.drivers.text import Text\nclass Good(Text):\n    name = 'good'\nDRIVER = Good\n"
+    )
+    (tmp_path / "other_angry.py").write_text("{}['key']\n")
+    (tmp_path / "other_leaving.py").write_text("import sys\nsys.exit(3)\n")
+    (tmp_path / "other_bare.py").write_text(
+        "from imufield.acquire.driver import Driver\nclass Bare(Driver):\n    name = 'bare'\nDRIVER = Bare\n"
+    )
+    (tmp_path / "other_lost.py").write_text(
+        "from other_good import Good\nclass Lost(Good):\n    name = 'lost'\n    protocol = 'nowhere'\nDRIVER = Lost\n"
     )
     (tmp_path / "other_broken.py").write_text("import no_such_library_anywhere\n")
     (tmp_path / "other_odd.py").write_text("DRIVER = 5\n")
@@ -55,6 +69,9 @@ def test_drivers_of_others_load_like_ours(plugins: Path) -> None:
         ("stim30", "did you mean 'stim300'", Reason.UNKNOWN_DRIVER),
         ("broken", "no_such_library_anywhere", Reason.DRIVER_FAILED),
         ("odd", "is a int, not a class", Reason.DRIVER_FAILED),
+        ("angry", "KeyError: 'key'", Reason.DRIVER_FAILED),
+        ("leaving", "SystemExit", Reason.DRIVER_FAILED),
+        ("bare", "does not state title, protocol, default_baud, bauds, status, manual", Reason.DRIVER_FAILED),
         ("text", "2 drivers called 'text', from imufield, other", Reason.UNKNOWN_DRIVER),
         ("", "there is no driver ''", Reason.UNKNOWN_DRIVER),
         ("../conftest", "there is no driver", Reason.UNKNOWN_DRIVER),
@@ -65,6 +82,36 @@ def test_failures_are_typed(plugins: Path, name: str, says: str, reason: Reason)
         load_driver(name)
     assert says in caught.value.message
     assert caught.value.reason is reason
+
+
+@pytest.mark.parametrize("name", ["stim30", "", "../conftest"])
+def test_a_name_that_was_typed_wrong_is_a_usage_error(plugins: Path, name: str) -> None:
+    with pytest.raises(UsageError):
+        load_driver(name)
+
+
+def test_a_protocol_that_was_typed_wrong_is_a_usage_error() -> None:
+    with pytest.raises(UsageError, match="there is no protocol 'nix'"):
+        load_protocol("nix")
+
+
+def test_recognition_passes_over_drivers_that_cannot_be_used(plugins: Path) -> None:
+    # Two of one name are an error of their own; what is left here is others' alone.
+    points = plugins / "other-1.0.dist-info" / "entry_points.txt"
+    points.write_text(points.read_text().replace("text = other_good:DRIVER", ""))
+    said: list[str] = []
+    found = {one.name for one in serial_candidates(say=said.append)}
+    assert {"good", "text", "stim300", "xsens_mtdata2"} <= found
+    assert not {"broken", "odd", "angry", "leaving", "bare", "lost"} & found
+    assert [next(name for name in ("angry", "bare", "broken", "leaving", "nowhere", "odd") if name in one) for one in said] == [
+        "angry",
+        "bare",
+        "broken",
+        "leaving",
+        "nowhere",
+        "odd",
+    ]
+    assert all(one.startswith("passed over: ") and "\n" not in one for one in said)
 
 
 def test_a_failed_import_keeps_its_cause(plugins: Path) -> None:

@@ -81,7 +81,7 @@ TYPED = [
     Case("no such table", "import none.csv", RECORDING, ("none.csv",)),
     Case("bytes as a table", "import noise.bin", RECORDING, ("noise.bin", "--protocol")),
     Case("noise as a dump", "import noise.bin --protocol stim300", RECORDING, ("noise.bin", "100000 bytes", "--protocol")),
-    Case("unknown protocol", "import noise.bin --protocol stim301", RECORDING, ("stim301", "stim300")),
+    Case("unknown protocol", "import noise.bin --protocol stim301", USAGE, ("stim301", "stim300")),
     Case("rate for a dump", "import noise.bin --protocol stim300 --rate-hz 5", USAGE, ("--set",)),
     Case("unknown format", "export-data whole --to xls", USAGE, ("xls", "csv")),
     Case("export nowhere", "export-data whole -o none/s.csv", RECORDING, ("none/s.csv",)),

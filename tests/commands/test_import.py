@@ -185,3 +185,33 @@ def test_an_import_that_ends_early_leaves_no_folder(
         import_files.import_session(import_files.ImportOptions(files=[path], output=tmp_path / "new"))
     assert not (tmp_path / "new").exists()
     assert "resume" not in str(caught.value)
+
+
+def test_a_protocol_that_does_not_exist_is_a_typing_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert typed("import", tmp_path / "x.bin", "--protocol", "nix", "-o", tmp_path / "mine") == 2
+    assert "there is no protocol 'nix'" in capsys.readouterr().err
+    assert typed("import", tmp_path / "x.bin", "--driver", "nix", "-o", tmp_path / "mine") == 2
+
+
+def test_sentences_about_cells_are_short_and_have_a_remedy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "table.csv"
+    rows = "".join(f"{number / 100},0,0,9.8\n" for number in range(50))
+    for cell, remedy in (
+        ("2026-01-01T00:00:00", "in text a time is a number, so write seconds"),
+        ("x" * 5000, "correct or remove it"),
+    ):
+        path.write_text(f"t,ax,ay,az\n{rows}{cell},0,0,9.8\n")
+        assert typed("import", path, "-o", tmp_path / "mine") == 4
+        error = capsys.readouterr().err
+        assert remedy in error
+        assert len(error) < 300
+    path.write_text(f"t,ax,ay,az,{'h' * 4000}\n" + rows.replace("\n", ",1\n"))
+    assert typed("import", path, "-o", tmp_path / "mine") == 0
+    assert len(max(capsys.readouterr().err.splitlines(), key=len)) < 300
+
+
+def test_a_cell_with_a_colon_has_a_remedy_as_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("t,ax,ay,az\n" + "0.01,0,0,9.8\n" * 50 + "a:b,0,0\n")
+    assert typed("import", path, "-o", tmp_path / "mine") == 4
+    assert "correct or remove it" in capsys.readouterr().err
