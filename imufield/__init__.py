@@ -33,9 +33,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from imufield.deliver.history import find
     from imufield.deliver.parameters import load
 
-__all__ = ["__version__", "load"]
+__all__ = ["__version__", "find", "load"]
 __version__ = "0.1.0"
 
 # A wheel has drivers/ and protocols/ inside this package, a checkout has them beside it.
@@ -45,9 +46,13 @@ if (_checkout / "pyproject.toml").is_file():
 
 
 def __getattr__(name: str) -> Any:
-    """Import ``load`` on first use: NumPy and the rooms take longer than a prompt should wait."""
+    """Import ``load`` and ``find`` on first use: NumPy and the rooms take longer than a prompt should wait."""
     if name == "load":
         from imufield.deliver.parameters import load
 
         return load
+    if name == "find":
+        from imufield.deliver.history import find
+
+        return find
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -147,6 +147,9 @@ def history(
         "imufield-sessions"
     ),
     serial: Annotated[str | None, typer.Option(help="Only this serial number.")] = None,
+    at: Annotated[
+        str | None, typer.Option(help="Print only the file calibrated closest to this date, e.g. 2026-03-04.")
+    ] = None,
     stale_days: Annotated[float, typer.Option(help="Age at which a calibration is old.", min=0)] = 365.0,
     csv: Annotated[
         Path | None, typer.Option(help="Write every number of every calibration to this file.", readable=False)
@@ -160,5 +163,7 @@ def history(
     """
     from imufield.commands.history import HistoryOptions, run_history
 
-    options = HistoryOptions(folder=folder, serial_number=serial, stale_days=stale_days, csv=csv, plot=plot, as_json=as_json)
+    options = HistoryOptions(
+        folder=folder, serial_number=serial, at=at, stale_days=stale_days, csv=csv, plot=plot, as_json=as_json
+    )
     run_history(options)

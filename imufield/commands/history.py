@@ -20,6 +20,8 @@ from imufield.deliver.history import (
     Change,
     History,
     InstrumentHistory,
+    as_utc,
+    one_instrument,
     plot_history,
     read_history,
     sentences,
@@ -36,6 +38,8 @@ class HistoryOptions:
 
     folder: Path = DEFAULT_ROOT
     serial_number: str | None = None
+    at: str | None = None
+    """Date or time, ISO 8601; only the file that was calibrated closest to it is printed."""
     stale_days: float = STALE_DAYS
     csv: Path | None = None
     plot: Path | None = None
@@ -50,13 +54,15 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
     ParameterFileError
         If the folder holds no parameter file, or a file cannot be written.
     UsageError
-        If several instruments are to be plotted at once.
+        If several instruments are to be plotted at once, or the time is none.
     """
     now = now or datetime.now(UTC)
     history = read_history(options.folder, options.serial_number)
-    if options.plot is not None and len(history.instruments) > 1:
-        names = ", ".join(one.serial_number or one.title for one in history.instruments)
-        raise UsageError(f"--plot shows one instrument and {options.folder} holds {names}; choose one with --serial")
+    if options.at is not None:
+        _print_nearest(history, options)
+        return history
+    if options.plot is not None:
+        one_instrument(history)
     for path in filter(None, (options.csv, options.plot)):
         refuse_overwriting(path, (options.folder / entry.path for one in history.instruments for entry in one.entries))
     if options.csv is not None:
@@ -71,6 +77,21 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
     for fault in history.faults:
         say(f"left out: {fault}", err=True, indent=2)
     return history
+
+
+def _print_nearest(history: History, options: HistoryOptions) -> None:
+    """Print the path alone, for scripts, and on the other stream how far it is in time."""
+    try:
+        at = as_utc(datetime.fromisoformat(str(options.at)))
+    except ValueError as error:
+        raise UsageError(f"--at {options.at!r} is no date; write it like 2026-03-04 or 2026-03-04T10:30") from error
+    instrument = one_instrument(history)
+    entry = instrument.nearest(at)
+    typer.echo(str(options.folder / entry.path))
+    days = (entry.time - at).total_seconds() / 86400
+    old = f", more than the {options.stale_days:g} of --stale-days: calibrate again" if abs(days) > options.stale_days else ""
+    when = "after" if days > 0 else "before"
+    say(f"{instrument.title}, {entry.verdict}, calibrated {abs(days):.0f} days {when} {options.at}{old}", err=True, indent=2)
 
 
 def _print(history: History, options: HistoryOptions, now: datetime) -> None:

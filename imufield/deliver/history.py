@@ -101,6 +101,10 @@ class InstrumentHistory:
         """Return the age of the newest calibration."""
         return (now - self.entries[-1].time).total_seconds() / 86400
 
+    def nearest(self, at: datetime) -> Entry:
+        """Return the calibration closest in time, before or after."""
+        return min(self.entries, key=lambda entry: abs((entry.time - at).total_seconds()))
+
     def changes(self, since: int = -2) -> tuple[Change, ...]:
         """Return what has changed from an earlier calibration to the newest; nothing where there is none."""
         if len(self.entries) < 2:
@@ -118,6 +122,46 @@ class History:
     """A sentence for each file that could not be read."""
     read: int = 0
     """Files read in this run; the others were in the index."""
+
+
+def find(folder: Path | str, serial_number: str, at: datetime | None = None) -> Parameters:
+    """Return the parameters of an instrument that were calibrated closest to a time.
+
+    Parameters
+    ----------
+    folder : Path or str
+        Of parameter files, searched below too.
+    serial_number : str
+    at : datetime, optional
+        When the data were taken, UTC where it has no time zone; None: now.
+
+    Raises
+    ------
+    ParameterFileError
+        If there is no parameter file of that instrument, or it cannot be used.
+    """
+    history = read_history(Path(folder), serial_number)
+    entry = one_instrument(history).nearest(as_utc(at or datetime.now(UTC)))
+    return load(history.folder / entry.path)
+
+
+def one_instrument(history: History) -> InstrumentHistory:
+    """Return the only instrument of a history.
+
+    Raises
+    ------
+    UsageError
+        If there are several.
+    """
+    if len(history.instruments) > 1:
+        names = ", ".join(one.serial_number or one.title for one in history.instruments)
+        raise UsageError(f"{history.folder} holds {len(history.instruments)} instruments ({names}); choose one with --serial")
+    return history.instruments[0]
+
+
+def as_utc(time: datetime) -> datetime:
+    """Return the time with its zone, UTC where it has none."""
+    return time if time.tzinfo is not None else time.replace(tzinfo=UTC)
 
 
 def read_history(folder: Path, serial_number: str | None = None) -> History:

@@ -63,3 +63,12 @@ def test_one_instrument_at_a_time_is_drawn(folder: Path, tmp_path: Path) -> None
 
 def test_empty_folder_is_one_sentence(tmp_path: Path) -> None:
     assert run(["history", str(tmp_path)]) == 5
+
+
+def test_the_file_for_a_date_is_printed_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["history", str(folder), "--at", "2001-03-04"]) == 0
+    said = capsys.readouterr()
+    assert said.out == f"{folder / 'one' / 'parameters.toml'}\n"
+    assert "days after 2001-03-04, more than the 365 of --stale-days: calibrate again" in said.err
+    assert run(["history", str(folder), "--at", "yesterday"]) == 2
+    assert "is no date" in capsys.readouterr().err

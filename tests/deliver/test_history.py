@@ -16,7 +16,7 @@ from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import Calibration
 from imufield.deliver.context import Context
 from imufield.deliver.gauge_free import numbers_of
-from imufield.deliver.history import INDEX_FILE, plot_history, read_history, sentences, to_csv
+from imufield.deliver.history import INDEX_FILE, find, plot_history, read_history, sentences, to_csv
 from imufield.deliver.parameters import write_parameters
 from imufield.errors import ParameterFileError
 
@@ -170,3 +170,14 @@ def test_plot_is_a_drawing_of_every_kind(tmp_path: Path, write) -> None:  # type
     drawn = plot_history(read_history(tmp_path).instruments[0]).decode()
     assert drawn.startswith("<svg")
     assert all(f">{kind}<" in drawn for kind in ("bias", "scale", "angle"))
+
+
+def test_the_calibration_closest_in_time_is_found(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    dates = ["2026-01-10T00:00:00Z", "2026-03-10T00:00:00Z", "2026-08-10T00:00:00Z"]
+    paths = [write(f"{k}.toml", date, session=str(k) * 64) for k, date in enumerate(dates)]
+    write("other.toml", "2026-05-01T00:00:00Z", serial="N2", session="f" * 64)
+    for day, expected in ((datetime(2025, 1, 1), 0), (datetime(2026, 3, 20, tzinfo=UTC), 1), (datetime(2026, 6, 1), 2)):  # noqa: DTZ001
+        assert find(tmp_path, "N1", day).path == paths[expected]
+    assert find(str(tmp_path), "N1").path == paths[2]
+    with pytest.raises(ParameterFileError, match="serial number N3"):
+        find(tmp_path, "N3")
