@@ -16,11 +16,11 @@ from imufield.calibrate.noise import NoiseResult
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import Reason, UsageError
 
-NoiseFormat = Literal["kalibr", "openvins", "vins"]
+NoiseFormat = Literal["kalibr", "openvins", "vins", "ros2"]
 
 
 def noise_text(result: NoiseResult, form: NoiseFormat, *, topic: str = "/imu0", gravity_m_s2: float | None = None) -> str:
-    """Return YAML text for Kalibr, OpenVINS or VINS-Fusion.
+    """Return YAML text for Kalibr, OpenVINS, VINS-Fusion, or the publisher of a ROS 2 ``sensor_msgs/Imu``.
 
     Raises
     ------
@@ -34,6 +34,8 @@ def noise_text(result: NoiseResult, form: NoiseFormat, *, topic: str = "/imu0", 
         )
     if form == "vins":
         return _vins(result, STANDARD_GRAVITY_M_S2 if gravity_m_s2 is None else gravity_m_s2)
+    if form == "ros2":
+        return _covariances(result)
     lines = [
         f"# {result.source}; largest axis of each triad",
         *(["imu0:"] if form == "openvins" else []),
@@ -63,6 +65,23 @@ def _vins(result: NoiseResult, gravity_m_s2: float) -> str:
     lines = [f"# {result.source}; largest axis of each triad"]
     lines += [f"{name}: {_largest(result, triad, figure)} SI" for name, triad, figure in names]
     return "\n".join([*lines, f"g_norm: {gravity_m_s2:.6f}"]) + "\n"
+
+
+def _covariances(result: NoiseResult) -> str:
+    """Return the covariances that belong into every message at the recorded rate, axis by axis.
+
+    A filter takes messages for independent, so what counts is the white noise it adds up, N^2 times the rate: where the
+    instrument filters its output, single samples scatter less than that.
+    """
+    lines = [f"# {result.source}; of sensor_msgs/Imu at this rate, row by row"]
+    for triad, name, unit in (
+        ("accelerometer", "linear_acceleration_covariance", "(m/s^2)^2"),
+        ("gyroscope", "angular_velocity_covariance", "(rad/s)^2"),
+    ):
+        known, most = result.values(triad, "density"), result.upper_limits(triad, "density")
+        diagonal = np.diag(np.where(np.isfinite(known), known, most) ** 2 * result.rate_hz)
+        lines.append(f"{name}: [{', '.join(f'{value:.6e}' if value else '0.0' for value in diagonal.ravel())}]  # {unit}")
+    return "\n".join(lines) + "\n"
 
 
 def _largest(result: NoiseResult, triad: str, figure: str) -> str:

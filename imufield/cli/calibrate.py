@@ -68,7 +68,7 @@ def solve(
 
 def noise(
     session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).", readable=False)] = None,
-    to: Annotated[str, typer.Option(help="Form of --output: kalibr, openvins or vins.")] = "kalibr",
+    to: Annotated[str, typer.Option(help="Form of --output: kalibr, openvins, vins or ros2.")] = "kalibr",
     output: Annotated[Path | None, typer.Option("-o", "--output", help="YAML for a navigation filter.", readable=False)] = None,
     plot: Annotated[
         Path | None, typer.Option(help="Draw the Allan deviation into this file (needs matplotlib).", readable=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -194,6 +195,11 @@ def test_texts_hold_what_filters_read(tmp_path: Path) -> None:
     assert openvins.splitlines()[1] == "imu0:"
     assert vins.count(":") >= 5
     assert "g_norm: 9.806650" in vins
+    covariances = dict(line.split("  #")[0].split(": ") for line in noise_text(result, "ros2").splitlines()[1:])
+    for k, name in ((0, "linear_acceleration_covariance"), (3, "angular_velocity_covariance")):
+        matrix = np.array(json.loads(covariances[name])).reshape(3, 3)
+        assert np.diag(matrix) == pytest.approx(DENSITY[k : k + 3] ** 2 * RATE_HZ, rel=0.1)
+        assert np.count_nonzero(matrix) == 3
     assert "upper 95 % limit" in noise_text(measure_noise(standstill(0.1)), "kalibr")
     pytest.importorskip("matplotlib")
     assert draw_plot(result, "png")[:4] == b"\x89PNG"
