@@ -14,7 +14,9 @@ from dataclasses import dataclass
 from imufield.errors import CalibrationError, Reason, UsageError
 
 EARTH_RATE_RAD_S = 7.292115e-5
+"""WGS 84."""
 STANDARD_GRAVITY_M_S2 = 9.80665
+"""By definition (CGPM 1901)."""
 MILLI_G_M_S2 = 9.80665e-3
 MICRO_G_M_S2 = 9.80665e-6
 
@@ -37,6 +39,7 @@ ASSUMED_GRAVITY_SIGMA_M_S2 = 0.018
 GRAVITY_RANGE_M_S2 = (9.76, 9.84)
 """Surface gravity from Huascaran (9.7639) to the Arctic Ocean (9.8337), with a margin."""
 HEIGHT_RANGE_M = (-500.0, 9000.0)
+"""From the shore of the Dead Sea to the top of Mount Everest, with a margin."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from imufield.calibrate.uncertainty import between_position_sigma, within_varian
 from imufield.samples import FloatArray
 
 _REWEIGHTINGS = 4
+"""At most; where tau has not settled by then, the last weights count."""
 _SETTLED = 1e-3
 """Relative change of tau at which weights count as settled: it moves parameters by far less than their sigma."""
 

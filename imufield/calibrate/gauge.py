@@ -45,6 +45,7 @@ from imufield.samples import FloatArray
 _UPPER_ENTRIES = (6, 7, 9)
 _LOWER_ENTRIES = (8, 10, 11)
 _SYMMETRIC_PASSES = 50
+"""At most: Newton takes two for misalignments up to 0.05 rad."""
 _INTRINSIC_SIZE = 12
 
 

@@ -56,6 +56,7 @@ from imufield.samples import FloatArray
 
 GyroscopeModel = Literal["auto", "basic", "g-sensitive"]
 FEWEST_STILLS = 2
+"""One alone says nothing about its scatter."""
 BASIC = np.arange(12)
 FULL = np.arange(PARAMETERS)
 _WRONG_START = 3.0

@@ -28,9 +28,13 @@ from imufield.samples import FloatArray
 _REACH = 5.0
 """Bounds of the coordinates: the solution is about one unit away, and this leaves room."""
 _COST_AT_START = 0.01
+"""Of a round, in the problem's unit: the size of the papers' costs, for which the first steps of their swarms are made."""
 _ROUNDS = 20
+"""At most; then it says that it did not converge."""
 _HALVINGS = 6
+"""Of a step that does not lower the cost: down to a sixty-fourth."""
 _SETTLED_SIGMA = 1.0
+"""Move of a round, per root of the number of coordinates, after which what is not linear is of second order."""
 _INVISIBLE = 1e-12
 """Singular values below this share of the largest are directions that nothing shows; they stay where they are."""
 

@@ -45,6 +45,7 @@ MISALIGNMENT_COLUMNS = np.array([1, 2, 0, 2, 0, 1])
 _CONTRACTION_TOLERANCE = 1e-14
 """Relative change at which the iteration stops: navigation grade gets there in four or five passes."""
 _CONTRACTION_ACCEPTED = 1e-12
+"""Rounding can keep the last bits moving for ever; a real failure moves by far more."""
 _CONTRACTION_PASSES = 60
 """A contraction by 0.6 a pass reaches the tolerance in 60; what is slower is no instrument."""
 
@@ -141,7 +142,6 @@ def _body_input(vector: FloatArray, raw: FloatArray, inverse_transposed: FloatAr
             change = np.abs(a - previous).max(axis=-1) / np.abs(a).max(axis=-1)
             if not np.any(change > _CONTRACTION_TOLERANCE):
                 break
-    # Rounding can keep the last bit moving for ever; a real failure moves by far more.
     stuck = np.asarray(~(change <= _CONTRACTION_ACCEPTED))
     return np.where(stuck[..., None], np.nan, a)
 

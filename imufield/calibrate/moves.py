@@ -50,11 +50,13 @@ LONGEST_MOVE_S = 300.0
 INTERRUPTED_S = 1.0
 """A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out."""
 _LOST_INTERVALS = 1.5
+"""Between one interval, however unsteady the clock, and the two of a lost sample."""
 _PLATEAU = 4
 """Equal values in a row at the largest or smallest output of the session that make it a saturated axis."""
 _COMPACT_AT = 1_000_000
 """Slots before quiet stretches are joined: 83 minutes, 170 MB."""
 _SLOT_MARGIN = 1e-6
+"""Of a slot, or s: rounding may put a time just below the edge it stands on."""
 
 DropReason = Literal["saturated", "lost samples", "interrupted", "clock jump", "no samples", "too long", "invalid samples"]
 

@@ -23,14 +23,18 @@ MOVED = 0.005
 REFERENCE_S = 60.0
 """The mean that a second is held against follows the last minute: warm-up passes, a touch does not."""
 LEAST_SAMPLES = 1000
+"""The deviation at one sample interval is then known to 3 %."""
 LEAST_S = 60.0
+"""In less, nothing but white noise can be seen."""
 QUANTISED = 0.5
 """Scatter of samples below this many steps of the output: the steps do not average out, the true noise is hidden."""
 _IDENTIFIED_POINTS = 6
+"""Octaves that tell the five kinds of noise of ``noise_fit`` apart: one more than there are kinds."""
 _FIRST_BLOCK = 3
 """Samples that tell the interval where nothing else does."""
 _HOURS = 3600.0
 _SPLITS_NAMED = 3
+"""Disturbances that are told one by one; the others are counted."""
 
 
 @dataclass(frozen=True, slots=True)

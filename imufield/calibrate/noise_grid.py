@@ -13,6 +13,7 @@ import numpy as np
 from imufield.samples import FloatArray, IntArray
 
 BRIDGED_S = 1.0
+"""A longer hole ends the stretch."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,6 +48,7 @@ The 24-position schemes give misalignment 1.0 and the quadratic term 0.7 or more
 _FLATTEST = 0.1
 """Thickness over spread of the outputs of positions in one plane, placed to 5 deg; 24 positions have 0.9."""
 _DEAD = 1e-3
+"""Spread of an axis over that of the widest at which it counts as dead."""
 _ROUND = 0.2
 """Positions in a plane keep their distance to a degree or so; those of a scheme, seen along an axis, go through the middle."""
 OUTPUT_SIZE = (1e-9, LARGEST_OUTPUT)

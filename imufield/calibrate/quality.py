@@ -33,9 +33,11 @@ SCALE_REFUSED = 0.2
 SATURATION_RESIDUAL_M_S2 = POOR_RESIDUAL_M_S2
 """A fit bends around two clipped faces and leaves a tenth of what was cut off: 30 mg of 300 mg."""
 _SATURATED_POSITIONS = 2
+"""Means at the same extreme of an axis: two different placements do not agree to the last digit by chance."""
 _SAME_OUTPUT = 1e-9
 """Share of an axis' span within which two means are the same number: the mean of a constant is that to rounding."""
 _OUTLIER_LEVEL = 0.01
+"""Chance that one of all positions of a good session is called an outlier (both sides, Bonferroni)."""
 
 
 @dataclass(frozen=True, slots=True)

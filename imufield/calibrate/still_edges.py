@@ -12,9 +12,11 @@ import numpy as np
 from imufield.samples import FloatArray, IntArray
 
 CELL_S = 0.1
+"""The guide's cell."""
 GUARD_CELLS = 10
 """Kept between the stretched still and what looks like motion."""
 _SIGMAS = 5.0
+"""Of the cells inside the still; what is further off looks like motion."""
 _FEWEST = 5
 """Cells inside a still that tell its scatter."""
 

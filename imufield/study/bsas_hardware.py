@@ -44,6 +44,7 @@ OLD_QUADRATIC = 0.5
 """1 sigma of what the old calibration is off by, quadratic term as a share of itself."""
 GYROSCOPE_BIAS_DEG_PER_H = 0.01
 HOURS = 5.0
+"""As in the paper's Table 6."""
 _SETTING = (
     "Instrument of BSAS Tables 1 and 4, simulated in place of the hardware. The old calibration is off by 10 ug, "
     "10 ppm, 10 urad (1 sigma) and half of K2; a position repeats to 5 ug. Recalibrated from 24 positions by bsas."

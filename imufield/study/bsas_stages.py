@@ -179,6 +179,7 @@ def figure_4(context: StudyContext) -> StudyReport:
 
 
 _ROUNDS = 8
+"""The paper repeats "until the requirements are met" and gives no number."""
 _MODERATE = PresetError(0.5 / 734.9, 0.5e-3, 1e-5, 1.0)
 
 

@@ -52,7 +52,9 @@ _PAPER = {
 }
 _NAMES = {"accelerometer": "accelerometer, L_a", "norm": "gyroscope, L_gm as printed", "vector": "gyroscope, vector form"}
 HOURS = 5.0
+"""As in the paper's Fig. 10."""
 _QUICK_GENERATIONS = 100
+"""Of GA and PSO in a quick study: enough to see that they work."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,9 +15,11 @@ from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
 _RINGS = 24
+"""Distances at which a finished swarm is probed."""
 _SMALLEST_RING = 1e-12
 """Of the largest ring, which is the first step: below that a cost in double precision says nothing."""
 _DIRECTIONS_PER_COORDINATE = 4
+"""Directions drawn for each coordinate, beside its own two."""
 _CLEARLY_BETTER = 0.01
 """Share of the cost a probe must gain: L1 costs have edges along which a finished swarm is still 1e-4 above the minimum."""
 
