@@ -214,7 +214,11 @@ def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
     A copy would count as evidence of its own and make every uncertainty too small.
     """
     begun: dict[Path, int] = {}
+    before = 0
     for path in session.parts:
+        if damage is not None:
+            damage.extend(_missing_before(path, before))
+        before = _number(path) or before
         size = _size(path)
         original = next((other for other in begun if begun[other] == size and filecmp.cmp(path, other, shallow=False)), None)
         if size and original is None:
@@ -227,6 +231,20 @@ def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
             damage.append(
                 Damage(path, 0, 0, f"{path} is empty: the program was killed before anything arrived.", torn_end=True)
             )
+
+
+def _missing_before(path: Path, before: int) -> Iterator[Damage]:
+    """Yield what is gone between two parts: numbers are given one after the other."""
+    number = _number(path) or before + 1
+    if number > before + 1:
+        first, last = (path.with_name(f"part-{one:03d}{path.suffix}") for one in (before + 1, number - 1))
+        gone = f"{first} is" if first == last else f"{first} to {last.name} are"
+        yield Damage(first, 0, 0, f"{gone} gone, and what was recorded there.")
+
+
+def _number(path: Path) -> int:
+    digits = path.stem.rpartition("-")[2]
+    return int(digits) if digits.isdecimal() else 0
 
 
 def _size(path: Path) -> int:

@@ -65,6 +65,10 @@ _MOVED = 0.05
 """Share of all turning that an axis must have to be compared."""
 _CONSTANT = 1e-9
 """Of the output at rest: more than sums of equal numbers differ by, and less than the last bit of any instrument."""
+_NOISE_ONLY = 3.0
+"""Turns of the slots beyond what noise gives; a hand that turns a unit is hundreds of times beyond."""
+_TURNED = 0.98
+"""Cosine of 11 deg between the directions of gravity before and after a move."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,6 +184,7 @@ def _refuse_dead(given: GyroscopeInput, data: GyroscopeData) -> None:
     largest = np.abs(data.slots.turn).max(axis=0, initial=0.0)
     dead = largest <= _CONSTANT * np.maximum(rest, np.finfo(float).tiny)
     if not dead.any():
+        _refuse_noise(given, data)
         return
     axes = ", ".join(axis for axis, is_dead in zip("xyz", dead, strict=True) if is_dead)
     raise CalibrationError(
@@ -187,6 +192,23 @@ def _refuse_dead(given: GyroscopeInput, data: GyroscopeData) -> None:
         f"{counted(len(given.moves), 'move')}; check that it is switched on, and the columns or fields it is read from",
         Reason.UNOBSERVABLE,
         axes=axes,
+    )
+
+
+def _refuse_noise(given: GyroscopeInput, data: GyroscopeData) -> None:
+    """Refuse a gyroscope that shows nothing but its noise at rest while gravity shows that the unit was turned."""
+    noise = data.noise_density_raw * np.sqrt(data.slots.duration_s.sum())
+    noisy = np.sqrt(np.sum(data.slots.turn**2, axis=0)) <= _NOISE_ONLY * noise
+    up = data.force / np.linalg.norm(data.force, axis=1)[:, None]
+    along = np.sum(up[data.before] * up[data.after], axis=1)
+    if not noisy.all() or along.min(initial=1.0) > _TURNED:
+        return
+    raise CalibrationError(
+        "the gyroscope shows no rotation on any axis: during all "
+        f"{counted(len(given.moves), 'move')} it has the noise that it has at rest, although gravity shows that the unit was "
+        f"turned by up to {np.degrees(np.arccos(along.min())):.0f} deg; check the columns or fields it is read from",
+        Reason.UNOBSERVABLE,
+        axes="x, y, z",
     )
 
 

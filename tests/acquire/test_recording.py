@@ -338,6 +338,25 @@ def test_a_session_is_read_part_by_part(made: MadePart, tmp_path: Path) -> None:
     assert [entry.path.name for entry in damage] == ["part-001.mcap", "part-002.mcap"]
 
 
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [
+        ((1, 2), []),
+        ((1, 3), ["part-002.mcap is gone"]),
+        ((2,), ["part-001.mcap is gone"]),
+        ((1, 9), ["002.mcap to part-008.mcap are gone"]),
+    ],
+)
+def test_parts_that_are_gone_are_named(made: MadePart, tmp_path: Path, numbers: tuple[int, ...], words: list[str]) -> None:
+    # Not copies of each other: those count once.
+    parts = [written(tmp_path, make_part(2 + number).data, f"part-{number:03d}.mcap") for number in numbers]
+    for read in (read_session, read_blocks):
+        damage: list[Damage] = []
+        list(read(SimpleNamespace(parts=parts), damage))
+        assert len(damage) == len(words)
+        assert all(word in one.what for one, word in zip(damage, words, strict=True))
+
+
 def make_flow(times_s: list[float], size: int = 10, events_after: tuple[int, ...] = ()) -> bytes:
     records = []
     for i, time_s in enumerate(times_s):

@@ -110,6 +110,18 @@ def test_a_gyroscope_that_says_the_same_number(rows: tuple[list[str], np.ndarray
     assert "handedness" not in said
 
 
+def test_a_gyroscope_that_shows_its_noise_only(rows: tuple[list[str], np.ndarray], capsys: pytest.CaptureFixture[str]) -> None:
+    header, table = rows
+    for seed, name in enumerate(("gx", "gy", "gz")):
+        table[:, header.index(name)] = 1e-3 * np.random.default_rng(seed).standard_normal(len(table))
+    write(header, table)
+    assert run(["import", "changed.csv", "-o", "new"]) == 0
+    assert run(["solve", "new"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "shows no rotation on any axis" in said
+    assert "handedness" not in said
+
+
 def test_means_without_times_say_nothing_of_moves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     directions = np.random.default_rng(3).normal(size=(24, 3))
     force = 9.81 * directions / np.linalg.norm(directions, axis=1)[:, None]
