@@ -32,7 +32,7 @@ from imufield.study.instruments import (
     bsas_directions,
     bsas_outputs,
 )
-from imufield.study.navigation import Noise, navigate_at_rest, rest_inputs
+from imufield.study.navigation import WhiteNoise, navigate_at_rest, rest_inputs
 from imufield.study.report import Comparison, CsvTable, StudyReport
 
 REPEATABILITY_M_S2 = 5 * MICRO_G_M_S2
@@ -175,7 +175,7 @@ def run_navigation(number: int, rng: np.random.Generator) -> Navigation:
             noise_rng = np.random.default_rng(seed)  # the same noise: one recording, two parameter sets
             flown.append(
                 navigate_at_rest(
-                    shown, rate, HARBIN_LATITUDE_DEG, hours=HOURS, noise=Noise(), rng=noise_rng, attitude_rph_deg=told
+                    shown, rate, HARBIN_LATITUDE_DEG, hours=HOURS, noise=WhiteNoise(), rng=noise_rng, attitude_rph_deg=told
                 )
             )
     return Navigation(*flown)

@@ -34,7 +34,7 @@ from imufield.study.instruments import (
     per_deg_h,
     triad_outputs,
 )
-from imufield.study.navigation import Noise, navigate_at_rest, rest_inputs
+from imufield.study.navigation import WhiteNoise, navigate_at_rest, rest_inputs
 from imufield.study.optimum import squares_optimum
 from imufield.study.report import Comparison, CsvTable, StudyReport
 
@@ -174,7 +174,7 @@ def run_flight(job: MethodJob, rng: np.random.Generator) -> Flight:
     shown_force = _inputs(accelerometer, triad_outputs(IDE_TRUTH, force[None]))
     shown_rate = np.radians(_inputs(gyroscope, triad_outputs(GYROSCOPE_TRUTH, np.degrees(rate)[None])))
     errors = navigate_at_rest(
-        shown_force, shown_rate, BEIJING_LATITUDE_DEG, hours=HOURS, noise=Noise(), rng=rng, attitude_rph_deg=np.zeros(3)
+        shown_force, shown_rate, BEIJING_LATITUDE_DEG, hours=HOURS, noise=WhiteNoise(), rng=rng, attitude_rph_deg=np.zeros(3)
     )
     return Flight(job.method, errors)
 

@@ -27,7 +27,7 @@ DOWN_UP = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class WhiteNoise:
     """White noise of the instrument that navigates."""
 
     accelerometer_m_s2_per_root_hz: float = 10 * MICRO_G_M_S2
@@ -49,7 +49,7 @@ def navigate_at_rest(
     latitude_deg: float,
     *,
     hours: float,
-    noise: Noise,
+    noise: WhiteNoise,
     rng: np.random.Generator,
     attitude_rph_deg: FloatArray | None = None,
 ) -> Drift:
@@ -61,7 +61,7 @@ def navigate_at_rest(
         What the calibrated instrument shows at rest, noise apart, in our body axes.
     latitude_deg : float
     hours : float
-    noise : Noise
+    noise : WhiteNoise
     rng : Generator
     attitude_rph_deg : ndarray, shape (3,), optional
         Roll, pitch, heading to start with; without it the unit aligns itself for ten minutes first.

@@ -95,7 +95,6 @@ class Account:
     """Frames none of whose bytes were hit."""
     frames_decoded: int = 0
     samples_sent: int = 0
-    samples_intact: int = 0
     samples_decoded: int = 0
     samples_missed: int = 0
     """Intact, yet not decoded."""
@@ -214,7 +213,7 @@ def _compare(sent: Samples, got: Samples, intact: NDArray[np.bool_], account: Ac
     found = np.array([number.get(row, -1) for row in _rows(got)])
     decoded = np.zeros(len(sent), dtype=np.bool_)
     decoded[found[found >= 0]] = True
-    account.samples_sent, account.samples_intact, account.samples_decoded = len(sent), int(intact.sum()), len(got)
+    account.samples_sent, account.samples_decoded = len(sent), len(got)
     account.samples_missed = int(np.count_nonzero(intact & ~decoded))
     account.samples_false = int(np.count_nonzero(found < 0)) + int(np.count_nonzero(np.diff(found[found >= 0]) <= 0))
     known = np.flatnonzero(decoded)

@@ -7,12 +7,12 @@ import pytest
 
 from imufield.deliver.navigation.alignment import coarse_attitude
 from imufield.samples import FloatArray
-from imufield.study.navigation import DOWN_UP, Noise, navigate_at_rest, rest_inputs
+from imufield.study.navigation import DOWN_UP, WhiteNoise, navigate_at_rest, rest_inputs
 
 pytest.importorskip("pyins", reason="needs the nav extra")
 
 LATITUDE = 45.0
-SILENT = Noise(0.0, 0.0)
+SILENT = WhiteNoise(0.0, 0.0)
 
 
 def rest(heading_deg: float = 0.0) -> tuple[FloatArray, FloatArray]:
