@@ -153,10 +153,11 @@ def one_instrument(history: History) -> InstrumentHistory:
     UsageError
         If there are several.
     """
-    if len(history.instruments) > 1:
+    only, *others = history.instruments
+    if others:
         names = ", ".join(one.serial_number or one.title for one in history.instruments)
         raise UsageError(f"{history.folder} holds {len(history.instruments)} instruments ({names}); choose one with --serial")
-    return history.instruments[0]
+    return only
 
 
 def as_utc(time: datetime) -> datetime:
