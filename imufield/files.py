@@ -21,6 +21,25 @@ _RECORDED = re.compile(r"part-\d+\.mcap|session\.toml|positions\.toml")
 """Names of what a session was recorded as; no command computes them again."""
 
 
+SMALL_FILE_LIMIT_BYTES = 1 << 24
+"""A thousand positions take half a mebibyte; what is read whole is never larger than this."""
+
+
+def read_small_file(path: str | Path) -> bytes:
+    """Return the content of a file that is read whole.
+
+    Raises
+    ------
+    OSError
+        As the system reports it, or the file is larger than ``SMALL_FILE_LIMIT_BYTES``: a device may have no end.
+    """
+    with Path(path).open("rb") as file:
+        content = file.read(SMALL_FILE_LIMIT_BYTES + 1)
+    if len(content) > SMALL_FILE_LIMIT_BYTES:
+        raise OSError(errno.EFBIG, f"it is larger than {SMALL_FILE_LIMIT_BYTES} bytes", str(path))
+    return content
+
+
 def sync_folder(folder: Path) -> None:
     """Make a creation or renaming inside ``folder`` durable; without effect where a folder cannot be opened (Windows)."""
     try:

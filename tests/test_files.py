@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from imufield.files import keep_previous, write_atomically
+from imufield.files import keep_previous, read_small_file, write_atomically
 
 
 def test_content_is_replaced_and_nothing_else_stays(tmp_path: Path) -> None:
@@ -49,3 +49,14 @@ def test_previous_results_are_numbered(tmp_path: Path) -> None:
         assert kept == tmp_path / f"parameters-{number}.toml"
         assert kept.read_text() == content
     assert not path.exists()
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs a file without end")
+def test_a_file_without_end_is_not_read_whole() -> None:
+    with pytest.raises(OSError, match="larger than 16777216 bytes"):
+        read_small_file("/dev/zero")
+
+
+def test_a_small_file_is_read_whole(tmp_path: Path) -> None:
+    (tmp_path / "small").write_bytes(b"a\x00b")
+    assert read_small_file(tmp_path / "small") == b"a\x00b"

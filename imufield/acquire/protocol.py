@@ -209,7 +209,8 @@ def _read_beside(name_or_path: str | Path, name: str) -> str:
     shipped = str(name_or_path) in protocol_names()
     folder = importlib.resources.files(FOLDER) if shipped else Path(name_or_path).parent
     try:
-        content = (folder / name).read_bytes()
+        with (folder / name).open("rb") as file:
+            content = file.read(DBC_LIMIT_BYTES + 1)
     except OSError as error:
         raise ProtocolError(f"DBC file {name} of {name_or_path} cannot be read: {error.strerror}", path=name) from error
     return decode_dbc(content, name)

@@ -21,7 +21,7 @@ import tomli_w
 from imufield import __version__
 from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M
 from imufield.errors import Reason, RecordingError
-from imufield.files import sync_folder, write_atomically
+from imufield.files import read_small_file, sync_folder, write_atomically
 from imufield.samples import ACCELEROMETER_COLUMNS, LARGEST_OUTPUT
 
 FORMAT = "imufield-session"
@@ -155,7 +155,7 @@ class Session:
             folder = folder.parent
         path = folder / SETTINGS_FILE
         try:
-            content = tomllib.loads(path.read_bytes().decode())
+            content = tomllib.loads(read_small_file(path).decode())
         except (FileNotFoundError, NotADirectoryError) as error:
             raise RecordingError(
                 f"{folder} is no session, it has no {SETTINGS_FILE}: give the folder that `imufield capture` or `import` made.",

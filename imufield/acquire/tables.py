@@ -237,6 +237,8 @@ def _read_file(path: Path, columns: str | None, number: int, files: int, topic: 
     fields = {column.field: values[:, place] for place, column in enumerate(meaning.columns)}
     units = _units(path, meaning)
     kept = {name: column for name, column in fields.items() if not _is_empty(column)}
+    if not kept:
+        raise RecordingError(f"{path} has no number in any of its columns: check the file.", Reason.BAD_DATA, path=str(path))
     _check_whole_triads(path, fields, kept)
     for name, column in kept.items():
         if name != TEMPERATURE:

@@ -18,6 +18,7 @@ import numpy as np
 
 from imufield.calibrate.observations import Observations
 from imufield.errors import Reason, RecordingError
+from imufield.files import read_small_file
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray, SampleUnits
 
 NAME = "name"
@@ -112,7 +113,7 @@ def _read_table(path: Path) -> _Table:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return read_small_file(path).decode("utf-8-sig")
     except OSError as error:
         what = f"{path} cannot be read ({error.strerror}); check the file name and its permissions"
         raise RecordingError(what, Reason.NOT_A_RECORDING, path=str(path)) from error

@@ -24,7 +24,7 @@ from imufield.commands.site import SiteOptions
 from imufield.commands.views import LinkState, LiveStatus, Manner, View, ViewName, make_view
 from imufield.deliver.numbers import beside
 from imufield.errors import ImufieldError, LinkError, UsageError
-from imufield.files import write_atomically
+from imufield.files import read_small_file, write_atomically
 from imufield.guide.events import Event
 from imufield.guide.keys import Keyboard
 from imufield.guide.positions import SCHEMES, scheme
@@ -171,7 +171,7 @@ def _guide_table(options: CaptureOptions) -> dict[str, object]:
 
 def _read_positions(path: str) -> bytes:
     try:
-        return Path(path).read_bytes()
+        return read_small_file(path)
     except OSError as error:
         raise UsageError(f"{path} cannot be read ({error.strerror}); check the name", path=path) from error
 

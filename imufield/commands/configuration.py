@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from imufield.errors import Reason, UsageError
+from imufield.files import read_small_file
 
 FILE_NAME = "imufield.toml"
 KEYS: dict[str, tuple[str, ...]] = {
@@ -96,7 +97,7 @@ def _user_file() -> Path:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(read_small_file(path).decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise UsageError(f"{path} cannot be read as TOML ({error}); mend or remove it", path=str(path)) from error
     unknown = sorted(set(content) - set(KEYS))

@@ -6,7 +6,8 @@ import json
 import math
 import shlex
 import shutil
-from collections.abc import Iterator, Mapping
+import stat
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -78,6 +79,7 @@ def run_import(options: ImportOptions) -> Session:
 
 def import_session(options: ImportOptions) -> tuple[Session, list[str]]:
     """Return the new session and what was assumed, in sentences; raises as ``run_import``."""
+    _refuse_endless(options.files)
     protocol = _protocol(options)
     _refuse_ignored(options, protocol)
     if protocol is None:
@@ -86,6 +88,25 @@ def import_session(options: ImportOptions) -> tuple[Session, list[str]]:
     if protocol.can is not None:
         return _import_can(options, protocol)
     return _import_dump(options, protocol)
+
+
+def _refuse_endless(paths: Sequence[Path]) -> None:
+    """Refuse devices, which have no end, and names that no file can have.
+
+    Raises
+    ------
+    UsageError, RecordingError
+        If there is one.
+    """
+    for path in paths:
+        try:
+            mode = path.stat().st_mode
+        except FileNotFoundError:
+            continue  # said by what reads it
+        except OSError as error:
+            raise RecordingError(f"{path} cannot be read ({error.strerror}): check its name", Reason.NOT_A_RECORDING) from error
+        if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
+            raise UsageError(f"{path} is a device, which has no end: record from it with --port, and import files")
 
 
 def _protocol(options: ImportOptions) -> Protocol | None:

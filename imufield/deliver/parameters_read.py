@@ -13,9 +13,7 @@ from imufield.deliver.parameters_write import EDITED, content_sha256
 from imufield.deliver.schema import first_fault, shown
 from imufield.deliver.versions import CONVERTERS, to_current
 from imufield.errors import ParameterFileError, Reason
-
-LARGEST_FILE_BYTES = 16 * 2**20
-"""A thousand positions take half a mebibyte."""
+from imufield.files import read_small_file
 
 _ROUNDING = 1e-9
 """Relative: a covariance that was computed and printed is symmetric to a few units of the last digit."""
@@ -80,14 +78,7 @@ def _check(document: Document, where: str) -> None:
 
 def _text(path: Path) -> str:
     try:
-        size = path.stat().st_size
-        if size > LARGEST_FILE_BYTES:
-            raise ParameterFileError(
-                f"{path} has {size} bytes where a parameter file has at most {LARGEST_FILE_BYTES}; check the file name",
-                Reason.FOREIGN,
-                size=size,
-            )
-        return path.read_text(encoding="utf-8")
+        return read_small_file(path).decode()
     except UnicodeDecodeError as error:
         raise ParameterFileError(f"{path} is no text file; check the file name, or {_REMEDY}", where=str(path)) from error
     except OSError as error:

@@ -27,7 +27,7 @@ from imufield.deliver.parameters_write import content_sha256
 from imufield.deliver.verify import HeldOut
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ParameterFileError, Reason, UsageError
-from imufield.files import write_atomically
+from imufield.files import read_small_file, write_atomically
 from imufield.samples import FloatArray
 
 Document = dict[str, Any]
@@ -219,7 +219,7 @@ def write_verification(path: Path, document: Document) -> None:
 def read_verification(path: Path, parameters_sha256: str) -> Document | None:
     """Return the results for parameters of this content; None where there are none, or ``verification_note`` has a reason."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_small_file(path))
     except (OSError, ValueError):
         return None
     if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.errors import UsageError
+from imufield.files import read_small_file
 from imufield.samples import AXES, FloatArray
 
 _SHUFFLES = 2000
@@ -240,7 +241,7 @@ def read_positions(path: Path) -> tuple[tuple[Position, ...], str]:
             path=str(path),
         )
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_small_file(path).decode()
         content = tomllib.loads(text)
     except OSError as error:
         raise UsageError(f"{path} cannot be read ({error.strerror}); check its permissions", path=str(path)) from error

@@ -215,3 +215,34 @@ def test_a_cell_with_a_colon_has_a_remedy_as_well(tmp_path: Path, capsys: pytest
     path.write_text("t,ax,ay,az\n" + "0.01,0,0,9.8\n" * 50 + "a:b,0,0\n")
     assert typed("import", path, "-o", tmp_path / "mine") == 4
     assert "correct or remove it" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["/dev/zero", "x" * 300, "empty.csv"])
+def test_what_has_no_end_no_name_or_no_number(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("empty.csv").write_text("ax,ay,az\n" + "nan,nan,nan\n" * 50)
+    for more in ([], ["--protocol", "stim300"]) if name != "empty.csv" else ([],):
+        assert run(["import", name, "-o", "new", *more]) in (2, 4)
+        said = capsys.readouterr().err
+        assert any(words in said for words in ("no end", "check its name", "no number in any"))
+        assert not Path("new").exists()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "solve --observations {} -o out.toml",
+        "report {}",
+        "export {} --to c -o out.h",
+        "solve {}",
+        "emulate stim300 --positions {}",
+    ],
+)
+def test_small_files_without_end(
+    tmp_path: Path, command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(command.format("/dev/zero").split()) in (2, 4, 5)
+    assert "Traceback" not in capsys.readouterr().err
