@@ -321,7 +321,7 @@ class Guide:
         waited_s = self._waited * self.detector.settings.cell_s
         floor_s = self.detector.settings.floor_s
         if waited_s > 2 * floor_s and cells.usable.any() and self._do.due("not quiet", self.settings.remind_s):
-            self._do.reject(not_quiet_refusal(cells, self.detector.scale, floor_s))
+            self._do.reject(not_quiet_refusal(self.detector.waited(), self.detector.scale, floor_s))
 
     def _apply_mark(self, action: str, name: str | None) -> None:
         before = self.plan.proposed()

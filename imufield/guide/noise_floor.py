@@ -9,7 +9,9 @@ session starts after N cells; a clearly quieter stretch found later lowers it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -118,10 +120,47 @@ def _is_steady(cells: Cells, floor: NoiseFloor, columns: int) -> bool:
 
 
 def _does_not_stray(cells: Cells, floor: NoiseFloor, scale: RoughScale, columns: int) -> bool:
+    stray, allowed = _straying(cells, floor, scale)
+    return bool((stray[:columns] <= allowed[:columns]).all())
+
+
+def _straying(cells: Cells, floor: NoiseFloor, scale: RoughScale) -> tuple[FloatArray, FloatArray]:
+    """Return how far the cell means stray from the window's, each axis, and how far they may; shape (6,)."""
     step = np.where(np.isfinite(floor.step), floor.step, 0.0)
     allowed = np.maximum(_STRAY_SIGMAS * np.maximum(floor.sigma, step), _per_axis(scale, STRAY_M_S2, STRAY_RAD_S, missing=0.0))
-    stray = np.abs(cells.mean - floor.mean)[:, :columns]
-    return bool((stray <= allowed[:columns]).all())
+    stray: FloatArray = np.abs(cells.mean - floor.mean).max(axis=0)
+    return stray, allowed
+
+
+class Unquiet(NamedTuple):
+    """What keeps a window from being a noise floor; raw rates."""
+
+    shakes: bool
+    """Too large a scatter; else it does not stay where it is."""
+    column: int
+    """Of the axis: accelerometer x, y, z, gyroscope x, y, z."""
+    measured: float
+    limit: float
+
+
+def why_not_quiet(cells: Cells, scale: RoughScale) -> Unquiet | None:
+    """Return what departs most from a noise floor in a window of two cells or more; None where nothing does."""
+    floor = measure_floor(cells)
+    scale = scale.learn(floor.mean[:3])
+    factor = _NOISIEST_CELL if floor.samples_per_cell >= 8 else _NOISIEST_CELL_FEW
+    step = np.where(np.isfinite(floor.step), floor.step, 0.0)
+    pairs = (
+        (True, floor.sigma, _per_axis(scale, MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)),
+        (True, np.sqrt(cells.variance.max(axis=0)), math.sqrt(factor) * np.fmax(floor.sigma, step)),
+        (False, *_straying(cells, floor, scale)),
+    )
+    found = [
+        Unquiet(shakes, column, float(measured[column]), float(limit[column]))
+        for shakes, measured, limit in pairs
+        for column in range(6)
+        if measured[column] > limit[column] > 0
+    ]
+    return max(found, key=lambda one: one.measured / one.limit, default=None)
 
 
 def _triads(columns: int) -> list[slice]:

@@ -41,7 +41,7 @@ from imufield.guide.guide import Snapshot
 from imufield.guide.plain import words
 from imufield.guide.positions import Scheme, nearest_cube_direction
 from imufield.guide.state_table import State
-from imufield.guide.wording import quantity
+from imufield.guide.wording import motion_words, quantity
 from imufield.samples import FloatArray
 
 WIDTH, HEIGHT = 80, 24
@@ -300,15 +300,17 @@ def _stillness_words(snapshot: Snapshot) -> str:
 
 
 def _cause(snapshot: Snapshot) -> Text:
-    """Return the largest activity in physical units against its limit."""
+    """Return what moves most, in words and physical units, against its limit."""
     activity = snapshot.activity
     if activity is None:
         return Text()
     measured, limit = quantity(activity.measured, activity.unit), quantity(activity.limit, activity.unit)
     if measured.split()[1:] == limit.split()[1:]:
         measured = measured.split()[0]
-    triad = {"accelerometer": "acc", "gyroscope": "gyro"}[activity.triad]
-    return Text(f"{triad} {activity.axis} {activity.kind} {measured} of {limit}", no_wrap=True, style="dim")
+    what = motion_words(activity).split(",", maxsplit=1)[0]
+    sensor = {"accelerometer": "acc", "gyroscope": "gyro"}[activity.triad]
+    allowed = f"{what} {measured}, {limit} allowed"
+    return Text(f"{allowed} ({sensor} {activity.axis})", no_wrap=True, style="dim")
 
 
 _SIGNS = {

@@ -136,6 +136,11 @@ class StillnessDetector:
                 judged += 1
                 yield judgement
 
+    def waited(self) -> Cells:
+        """Return the last cells, as many as a noise floor needs, while there is none; at least one was judged."""
+        window = self.settings.cells(self.settings.floor_s)
+        return join_cells(self._waiting[-window:])[-window:]
+
     def explain(self, judgement: Judgement) -> Activity:
         """Return what the activity of a cell comes from, with value and limit in SI where the scale is known."""
         limits = judgement.limits or self.limits

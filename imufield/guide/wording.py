@@ -12,14 +12,14 @@ from imufield.guide.cells import Cells
 from imufield.guide.checks import Refusal
 from imufield.guide.events import Accepted, NoiseFloorMeasured, RefusalCode, Vector
 from imufield.guide.limits import Activity
-from imufield.guide.noise_floor import MAX_FLOOR_M_S2, NoiseFloor
+from imufield.guide.noise_floor import NoiseFloor, why_not_quiet
 from imufield.guide.observe import Observation
 from imufield.guide.plan import Found, Plan
 from imufield.guide.positions import angle_deg
 from imufield.guide.running_fit import RunningFit
 from imufield.guide.scale import RoughScale
 from imufield.guide.stillness import StillnessDetector
-from imufield.samples import FloatArray
+from imufield.samples import AXES, FloatArray
 
 _NAMED_AT_ONCE = 4
 """Positions named in a sentence: what the screen has room for."""
@@ -126,13 +126,19 @@ def moved_refusal(activity: Activity, leave_factor: float, held_s: float, hold_s
     )
 
 
+def motion_words(activity: Activity) -> str:
+    """Return what moves, in words, and by how much: "turns, gyroscope z 12 deg/s"."""
+    changes = {"accelerometer": "tilts", "gyroscope": "turns"}[activity.triad]
+    what = changes if activity.kind == "change" else "shakes"
+    return f"{what}, {activity.triad} {activity.axis} {quantity(activity.measured, activity.unit)}"
+
+
 def not_still_refusal(activity: Activity) -> Refusal:
     """Return what keeps a unit from being still that somebody holds in place."""
-    measured, limit = quantity(activity.measured, activity.unit), quantity(activity.limit, activity.unit)
     return Refusal(
         RefusalCode.NOT_STILL,
-        f"not still yet: {activity.triad} {activity.axis} {activity.kind} {measured} (limit {limit})",
-        "put it on a firm support, or lean it against one, and take the hands off",
+        f"not still yet: it {motion_words(activity)} (limit {quantity(activity.limit, activity.unit)})",
+        "put it on a firm support or lean it on one, hands off",
         activity.measured,
         activity.limit,
         activity.unit,
@@ -170,18 +176,27 @@ def _what_is_left(names: Sequence[str]) -> str:
 
 
 def not_quiet_refusal(cells: Cells, scale: RoughScale, floor_s: float) -> Refusal:
-    """Return what to say while no quiet stretch has been seen."""
-    known = scale.accelerometer is not None
-    rms = float(np.sqrt(np.median(cells.variance[:, :3].mean(axis=1)))) / (scale.accelerometer or 1.0)
-    unit = "m/s^2" if known else "raw unit"
-    limit = f" (limit {quantity(MAX_FLOOR_M_S2, unit)})" if known else ""
+    """Return what kept the last cells from being quiet while there is no noise floor."""
+    cells = cells[np.flatnonzero(cells.usable)]
+    found = why_not_quiet(cells, scale) if len(cells) > 1 else None
+    waiting = f"waiting for {floor_s:g} s without motion to measure the noise floor"
+    if found is None:
+        remedy, whole_s = "check cable, baud rate and load of the computer", float((cells.end_s - cells.start_s).sum())
+        return Refusal(RefusalCode.NOT_QUIET, f"{waiting}: samples are missing", remedy, whole_s, floor_s, "s")
+    triad, axis = ("accelerometer", "gyroscope")[found.column // 3], AXES[found.column % 3]
+    factor, unit = ((scale.accelerometer, "m/s^2"), (scale.gyroscope, "rad/s"))[found.column // 3]
+    measured, limit = (value / (factor or 1.0) for value in (found.measured, found.limit))
+    unit = unit if factor else "raw unit"
+    what = "it shakes" if found.shakes else "it does not keep still"
     return Refusal(
         RefusalCode.NOT_QUIET,
-        f"waiting for {floor_s:g} s without motion to measure the noise floor: accelerometer {quantity(rms, unit)} rms{limit}",
+        f"{waiting}: {what}, {triad} {axis} {'' if found.shakes else 'strays by '}{quantity(measured, unit)} "
+        f"(limit {quantity(limit, unit)})",
         "lay the unit on a firm surface and take the hands off",
-        rms,
-        MAX_FLOOR_M_S2 if known else math.nan,
+        measured,
+        limit,
         unit,
+        axis,
     )
 
 

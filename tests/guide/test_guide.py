@@ -331,7 +331,21 @@ def test_waiting_for_quiet_says_what_it_waits_for(make_path: Any) -> None:
     assert guide.state is State.LEARNING
     assert {event.reason for event in events} == {RefusalCode.NOT_QUIET}
     assert 2 <= len(events) <= 3
-    assert "waiting for 3 s without motion" in events[0].words
+    # Amplitudes of 2 m/s^2 at 3.3 Hz and 1 m/s^2 on top: rms 1.6 m/s^2.
+    assert "waiting for 3 s without motion to measure the noise floor: it shakes, accelerometer" in events[0].words
+    assert events[0].measured > events[0].limit > 0
+
+
+def test_waiting_for_quiet_names_a_slow_turn_that_noise_does_not_show(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 20).samples()
+    samples.gyroscope[:, 2] += np.radians(3.0) * np.sin(2 * np.pi * 0.2 * samples.time_s)
+    _, events = run(samples)
+    assert isinstance(events[0], Rejected)
+    assert "it does not keep still, gyroscope z strays by " in events[0].words
+    assert events[0].axis == "z"
+    assert events[0].unit == "rad/s"
+    # Within 3 s of 5 s the rate strays from its mean by the amplitude at least, and by twice that at most.
+    assert np.radians(2.0) < events[0].measured < np.radians(6.0)
 
 
 def test_turning_is_told_a_few_times_a_second_with_the_angle(make_path: Any) -> None:

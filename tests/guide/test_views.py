@@ -169,8 +169,8 @@ def test_what_is_nobodys_mistake_is_not_called_refused(session: Any) -> None:
 def test_the_newest_message_is_there_to_its_end(session: Any) -> None:
     guide = list(session(6.5))[-1][1]
     screen = Screen()
-    remedy = "put it on a firm support, or lean it against one, and take the hands off"
-    words = "not still yet: accelerometer x vibration 154 mm/s^2 (limit 50 mm/s^2)"
+    remedy = "put it on a firm support or lean it on one, hands off"
+    words = "not still yet: it shakes, accelerometer x 154 mm/s^2 (limit 50 mm/s^2)"
     screen.follow([refused(RefusalCode.NOT_STILL, words, remedy, time_s) for time_s in (7.0, 8.0, 9.0)])
     text = " ".join(picture(screen, guide).split())
     assert text.count(f"refused: {words}; {remedy}") == 2
@@ -232,7 +232,7 @@ SNAPSHOT = """\
 │ to target ................                 ││                                │
 │ hold      ................                 ││                                │
 │ stillness ##......|....... still           ││                                │
-│ acc z vibration 11 of 50 mm/s^2            ││                                │
+│ shakes 11, 50 mm/s^2 allowed (acc z)       ││                                │
 ╰────────────────────────────────────────────╯╰────────────────────────────────╯
  link ok   100 Hz   0 samples lost   no temperature
  noise floor: accelerometer 9.62 mm/s^2 rms per axis, gyroscope 0.057 deg/s;
