@@ -96,6 +96,10 @@ def capture(
     target_scale_ppm: Annotated[
         float | None, typer.Option("--target-scale-ppm", help="The same for scale factors.", min=0.1)
     ] = None,
+    preset: Annotated[
+        Path | None,
+        typer.Option(help="Parameter file in force before: shows a wrong gravity.", readable=False),
+    ] = None,
     rotations: Annotated[
         str | None, typer.Option(help="Whole turns for the gyroscope: rolled (edge over edge) or table (against a stop).")
     ] = None,
@@ -125,6 +129,7 @@ def capture(
         view="json" if as_json else "plain" if plain else "auto",
         target_bias_ug=target_bias_ug,
         target_scale_ppm=target_scale_ppm,
+        preset=preset,
         rotations=rotations,
         manner=Manner(quiet, speak, big, parse_side(cable)),
     )
@@ -238,7 +243,12 @@ def emulate(
     style: Annotated[str, typer.Option(help="placed (on a surface) or held (in the hand).")] = "placed",
     rotations: Annotated[str | None, typer.Option(help="Whole turns after the positions: rolled or table.")] = None,
     hold_s: Annotated[float, typer.Option(help="Seconds the virtual operator holds each position.", min=1)] = 14.0,
-    wait: Annotated[bool, typer.Option("--wait", help="Power on when a program opens the port.")] = False,
+    wait: Annotated[
+        bool | None,
+        typer.Option(
+            "--wait/--no-wait", help="Begin when a program opens the port (default without --json, --duration-s)."
+        ),
+    ] = None,
     link: Annotated[Path | None, typer.Option(help="Make a symbolic link to the port here.", readable=False)] = None,
     truth: Annotated[
         Path | None, typer.Option(help="Write the true parameters and stills to this file.", readable=False)
@@ -266,7 +276,8 @@ def emulate(
         truth=truth,
         duration_s=duration_s,
         faults=fault or [],
-        wait_for_reader=wait,
+        # A person starts the reader a minute later; a script says what it wants.
+        wait_for_reader=not as_json and duration_s is None if wait is None else wait,
         style=style,
         rotations=rotations,
         as_json=as_json,

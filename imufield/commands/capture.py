@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import sys
 from collections.abc import Iterator
@@ -9,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 import typer
 
 from imufield.acquire.host_clock import HostClock, ScaledClock, SystemClock
@@ -23,6 +25,7 @@ from imufield.commands.resume import check_instrument, check_plan, connect_as_be
 from imufield.commands.site import SiteOptions
 from imufield.commands.views import LinkState, LiveStatus, Manner, View, ViewName, make_view
 from imufield.deliver.numbers import beside
+from imufield.deliver.parameters import load
 from imufield.errors import ImufieldError, LinkError, UsageError
 from imufield.files import read_small_file, write_atomically
 from imufield.guide.events import Event
@@ -57,6 +60,8 @@ class CaptureOptions:
     root: Path = DEFAULT_ROOT
     target_bias_ug: float | None = None
     target_scale_ppm: float | None = None
+    preset: Path | None = None
+    """Parameters in force before: what the common scale is held against at the end."""
     rotations: str | None = None
     """"rolled" or "table"; None without."""
     manner: Manner = field(default_factory=Manner)
@@ -136,7 +141,7 @@ def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions
         **connected.session_tables(),
         "kind": "capture",
         "scheme": name if positions is None else SCHEME_FILE,
-        "guide": _guide_table(options),
+        "guide": _guide_table(options) | _earlier_scale(options.preset, connected),
         "site": site.table(),
     }
     if options.session is not None:
@@ -167,6 +172,27 @@ def _guide_table(options: CaptureOptions) -> dict[str, object]:
         "rotations": None if options.rotations is None else ROTATIONS[options.rotations],
     }
     return {key: value for key, value in values.items() if value is not None}
+
+
+def _earlier_scale(path: Path | None, connected: Connected) -> dict[str, object]:
+    """Return what the guide is told of an earlier calibration.
+
+    Raises
+    ------
+    ParameterFileError
+        If it is of another instrument or in another unit.
+    """
+    if path is None:
+        return {}
+    preset = load(path)
+    preset.check_instrument(connected.identity.get("serial_number", ""))
+    preset.check_unit("accelerometer", connected.protocol.units.accelerometer_rate_unit)
+    found = preset.calibration.intrinsic
+    share = float(np.nanmax(found.scale_sigma / np.abs(found.scale)))
+    return {
+        "earlier_scale_raw": float(np.exp(np.mean(np.log(np.abs(found.scale))))),
+        "earlier_scale_sigma": share if math.isfinite(share) else 0.0,
+    }
 
 
 def _read_positions(path: str) -> bytes:

@@ -76,6 +76,8 @@ def guide_settings(metadata: Mapping[str, Any]) -> GuideSettings:
         revisit_first=bool(table.get("revisit_first", False)),
         rotations=table.get("rotations"),
         gravity_m_s2=gravity.gravity_m_s2,
+        earlier_scale_raw=number("earlier_scale_raw"),
+        earlier_scale_sigma=number("earlier_scale_sigma") or 0.0,
     )
 
 

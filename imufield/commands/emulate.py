@@ -161,7 +161,8 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     latitude = f"--latitude {emulation.site.latitude_deg:g}"
     typer.echo("read it with:")
     typer.echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {_reader(options, wire)}{latitude}")
-    typer.echo("Ctrl-C ends it")
+    waits = "it begins when a program opens the port; " if options.wait_for_reader and kind == "port" else ""
+    typer.echo(f"{waits}Ctrl-C ends it")
 
 
 def _reader(options: EmulateOptions, wire: WireChoice) -> str:

@@ -10,7 +10,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from imufield.guide.advice import doubtful_advice, drift_advice, scale_advice, scheme_advice, target_advice
+from imufield.guide.advice import (
+    doubtful_advice,
+    drift_advice,
+    final_scale_advice,
+    scale_advice,
+    scheme_advice,
+    target_advice,
+)
 from imufield.guide.checks import HoldUnderTest, Refusal, examine, explain_flags
 from imufield.guide.events import (
     Done,
@@ -23,6 +30,7 @@ from imufield.guide.events import (
     Move,
     RefusalCode,
     Rejected,
+    Topic,
     Turning,
     Vector,
 )
@@ -365,6 +373,13 @@ class GuideActions:
         before = self.plan.accepted[first]
         self.events.append(drift_advice(self.now_s, before, self.plan.revisited, self.detector.scale, self.fit))
 
+    def _advise_scale(self) -> None:
+        """Say at the end what the common scale is against the earlier one, or the nominal one where that was not said."""
+        told = f"{Topic.SCALE.value} None" in self._advised and self.settings.earlier_scale_raw is None
+        scale = None if self.fit is None or told else final_scale_advice(self.now_s, self.fit, self.settings)
+        if scale is not None:
+            self.events.append(scale)
+
     def begin_turn(self) -> None:
         """Follow a turn from the end of a still stretch."""
         if self.judgement is not None:
@@ -469,6 +484,7 @@ class GuideActions:
     def finish(self) -> None:
         """Say that the session is over."""
         self.turns.left = []
+        self._advise_scale()
         accepted, planned, missing = len(self.plan.accepted), len(self.plan.scheme), self.plan.missing()
         words = "all positions are measured" if not missing else f"finished with {accepted} of {planned} positions"
         self.events.append(Done(self.now_s, accepted, planned, missing, words))

@@ -19,6 +19,8 @@ _FEWEST_FOR_QUADRATIC = 18
 _FEWEST_FOR_SCALE = 9
 SCALE_SHARE = 0.02
 """Common scale against the nominal one: instruments repeat to 0.1 to 1 %, a wrong range or a wrong g shows as more."""
+EARLIER_SHARE = 2e-4
+"""Common scale against an earlier calibration's: 2 degrees of latitude; good instruments repeat to it, chips within 1 degC."""
 DRIFT_SIGMAS = 4.0
 
 
@@ -81,8 +83,8 @@ def scale_advice(now_s: float, fit: RunningFit) -> Advice | None:
     nominal = fit.scale.accelerometer
     if not nominal or fit.scale.learned or len(fit.names) < _FEWEST_FOR_SCALE:
         return None
-    share = float(np.mean(fit.vector[:3])) / nominal - 1
-    sigma = float(np.sqrt(np.mean(np.diag(fit.covariance)[:3]))) / nominal
+    found, sigma = fit.common_scale()
+    share = found / nominal - 1
     if abs(share) < max(SCALE_SHARE, 4 * sigma):
         return None
     return Advice(
@@ -93,6 +95,39 @@ def scale_advice(now_s: float, fit: RunningFit) -> Advice | None:
         "check range and unit settings, latitude and gravity: the residual cannot show this",
         abs(share),
         SCALE_SHARE,
+        "1",
+    )
+
+
+def final_scale_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Advice | None:
+    """Return what the common scale is against an earlier calibration's, or the nominal one; None where neither is known.
+
+    Gravity and a common scale are one parameter: a wrong latitude shows here or nowhere.
+    """
+    earlier = settings.earlier_scale_raw
+    nominal = None if fit.scale.learned else fit.scale.accelerometer
+    reference = earlier or nominal
+    if reference is None or len(fit.names) < _FEWEST_FOR_SCALE:
+        return None
+    share, own_sigma = fit.common_scale()
+    change = share / reference - 1
+    sigma = math.hypot(own_sigma, settings.earlier_scale_sigma if earlier else 0.0)
+    limit = max(EARLIER_SHARE if earlier else SCALE_SHARE, 4 * sigma)
+    whose = "the earlier calibration's" if earlier else "the instrument's nominal one"
+    if abs(change) > limit:
+        remedy = "check latitude, height and gravity: the residual cannot show a wrong one"
+    elif earlier:
+        remedy = "gravity and scale are what they were"
+    else:
+        remedy = "a wrong latitude (0.5 % from equator to pole) shows only against an earlier calibration: capture --preset"
+    return Advice(
+        now_s,
+        Topic.SCALE,
+        None,
+        f"the common scale is {1e6 * change:+.0f} ppm off {whose} (limit {1e6 * limit:.0f} ppm)",
+        remedy,
+        abs(change),
+        limit,
         "1",
     )
 

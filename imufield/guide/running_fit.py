@@ -88,6 +88,16 @@ class RunningFit:
             "quadratic_ug_per_g2": float((sigma[9:] / K).max() * STANDARD_GRAVITY_M_S2**2 / MICRO_G_M_S2),
         }
 
+    def common_scale(self) -> tuple[float, float]:
+        """Return the mean of the sensing axes' scales, raw rate per m/s^2, and its relative 1 sigma; free of the gauge."""
+        T = np.eye(3)
+        T[[0, 0, 1, 1, 2, 2], [1, 2, 0, 2, 0, 1]] = self.vector[6:12]
+        K = np.abs(self.vector[:3])
+        share = np.zeros(12)
+        share[:3] = 1 / (3 * self.vector[:3])
+        sigma = math.sqrt(float(share @ self.covariance @ share))
+        return float(np.exp(np.mean(np.log(K * np.linalg.norm(T, axis=1))))), sigma
+
     def disagreements(self) -> list[Disagreement]:
         """Return how each position fits the others, in their order."""
         weighted = self.jacobian / self.sigma_m_s2[:, None]

@@ -38,6 +38,7 @@ from imufield.guide.events import (
     Turning,
 )
 from imufield.guide.guide import Snapshot
+from imufield.guide.limits import Activity
 from imufield.guide.plain import words
 from imufield.guide.positions import Scheme, nearest_cube_direction
 from imufield.guide.state_table import State
@@ -168,6 +169,23 @@ def draw_big(screen: Screen, snapshot: Snapshot, link: LinkState | None = None) 
     )
 
 
+def draw_small(screen: Screen, snapshot: Snapshot, link: LinkState | None = None, *, width: int, height: int) -> RenderableType:
+    """Return what matters in a window too small for pictures and map: what to do, three bars, the link, the newest words."""
+    big, small, style = headline(screen, snapshot)
+    lines: list[RenderableType] = [
+        Text(big, style=style, no_wrap=True),
+        *(Text(line, no_wrap=True) for line in textwrap.wrap(small, width)[:4]),
+        Text(f"{len(snapshot.accepted)} of {snapshot.planned} done"),
+        _bars(screen, snapshot),
+        _link_line(screen, snapshot, link or LinkState()),
+    ]
+    # Three bars and what moves have four rows, the last row is for the way out.
+    room = max(height - len(lines) - 3 - 1, 0)
+    said = [line for message in screen.messages for line in textwrap.wrap(message, width, break_on_hyphens=False)]
+    newest = said[-room:] if room else []
+    return Group(*lines, *(Text(line, no_wrap=True) for line in newest), Text(f"pictures need {WIDTH} x {HEIGHT}", style="dim"))
+
+
 def big_words(screen: Screen, snapshot: Snapshot) -> tuple[str, str]:
     """Return two words of six letters at most: what to do, and the side or the seconds left."""
     side = screen.target
@@ -285,23 +303,30 @@ def bar(fraction: float, style: str) -> Text:
     return Text("#" * full, style=style).append("." * (BAR_WIDTH - full), style="dim")
 
 
+def _activity(snapshot: Snapshot) -> Activity | None:
+    """Return what moves now; without a link nobody knows."""
+    return None if snapshot.state is State.LOST else snapshot.activity
+
+
 def _stillness_bar(snapshot: Snapshot) -> Text:
     """Return activity against the limit, which stands in the middle of the bar."""
-    ratio = 0.0 if snapshot.activity is None else snapshot.activity.ratio
+    activity = _activity(snapshot)
+    ratio = 0.0 if activity is None else activity.ratio
     shown = bar(ratio / 2, "green" if ratio <= 1 else "red")
     middle = BAR_WIDTH // 2
     return Text.assemble(shown[:middle], "|", shown[middle + 1 :])
 
 
 def _stillness_words(snapshot: Snapshot) -> str:
-    if snapshot.activity is None:
+    activity = _activity(snapshot)
+    if activity is None:
         return ""
-    return "still" if snapshot.activity.ratio <= 1 else "moving"
+    return "still" if activity.ratio <= 1 else "moving"
 
 
 def _cause(snapshot: Snapshot) -> Text:
     """Return what moves most, in words and physical units, against its limit."""
-    activity = snapshot.activity
+    activity = _activity(snapshot)
     if activity is None:
         return Text()
     measured, limit = quantity(activity.measured, activity.unit), quantity(activity.limit, activity.unit)
@@ -380,12 +405,12 @@ def _cell(name: str, snapshot: Snapshot, width: int) -> Text:
 
 
 def _link_line(screen: Screen, snapshot: Snapshot, state: LinkState) -> Text:
-    rate = f"{snapshot.rate_hz:.0f} Hz" if math.isfinite(snapshot.rate_hz) else "- Hz"
+    arrives = screen.link and not state.silent
+    rate = f"{snapshot.rate_hz:.0f} Hz" if arrives and math.isfinite(snapshot.rate_hz) else "- Hz"
     lost = f"{state.lost_samples} samples lost" if state.lost_samples is not None else f"{snapshot.lost_cells} gaps"
     warmth = f"{snapshot.temperature_degc:.1f} degC" if math.isfinite(snapshot.temperature_degc) else "no temperature"
-    bad = state.silent or not screen.link
-    link = "link ok" if not bad else "NOTHING ARRIVES: check power and cable" if screen.link else "LINK LOST"
-    return Text(f" {link}   {rate}   {lost}   {warmth}", style="bold red" if bad else "bold", no_wrap=True)
+    link = "link ok" if arrives else "NOTHING ARRIVES: check power and cable" if screen.link else "LINK LOST"
+    return Text(f" {link}   {rate}   {lost}   {warmth}", style="bold" if arrives else "bold red", no_wrap=True)
 
 
 def _line(text: str) -> Text:

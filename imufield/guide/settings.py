@@ -27,6 +27,10 @@ class GuideSettings:
     turns_each_way: int = 1
     gravity_m_s2: float = STANDARD_GRAVITY_M_S2
     """For the running fit only."""
+    earlier_scale_raw: float | None = None
+    """Common scale of an earlier calibration of this instrument, raw rate per m/s^2: what a wrong gravity shows against."""
+    earlier_scale_sigma: float = 0.0
+    """Its 1 sigma, relative."""
     warm_up_degc_min: float = 0.5
     """No position is accepted first while the temperature changes faster than this."""
     tolerance_deg: float = TOLERANCE_DEG

@@ -12,7 +12,7 @@ from rich.text import Text
 from imufield.guide.events import Event
 from imufield.guide.guide import Snapshot
 from imufield.guide.positions import Scheme
-from imufield.guide.screen import LinkState, Screen, draw, draw_big
+from imufield.guide.screen import HEIGHT, WIDTH, LinkState, Screen, draw, draw_big, draw_small
 
 
 class TerminalView:
@@ -57,7 +57,10 @@ class TerminalView:
         """
         self._screen.follow(events)
         link = LinkState(lost_samples, silent, self._cable)
-        if self.big:
+        width, height = self._live.console.size
+        if width < WIDTH or height < HEIGHT:
+            picture = draw_small(self._screen, snapshot, link, width=width, height=height)
+        elif self.big:
             picture = draw_big(self._screen, snapshot, link)
         else:
             ascii_only = self._live.console.options.ascii_only

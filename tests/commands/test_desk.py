@@ -195,9 +195,10 @@ def test_devices(program: Program) -> None:
 def test_emulate_says_where_and_how(program: Program) -> None:
     process = program.start("emulate", "stim300", "--speed", 4, "--link", "imu")
     assert process.stdout is not None
-    lines = [process.stdout.readline() for _ in range(3)]
+    lines = [process.stdout.readline() for _ in range(4)]
     assert "stim300 at 2000 Hz, 4 times real time, on imu" in lines[0]
     assert "IMUFIELD_CLOCK_SPEED=4 imufield capture --port imu" in lines[2]
+    assert lines[3] == "it begins when a program opens the port; Ctrl-C ends it\n"
     process.send_signal(signal.SIGINT)
     assert process.wait(20) == 130
     assert not (program.folder / "imu").is_symlink()

@@ -170,6 +170,20 @@ def test_a_wrong_common_scale_is_told(make_path: Any) -> None:
     assert told[0].measured == pytest.approx(0.05, abs=0.002)
 
 
+@pytest.mark.parametrize(("latitude_error_deg", "told"), [(0.0, "what they were"), (5.0, "check latitude")])
+def test_a_wrong_latitude_shows_against_an_earlier_calibration(make_path: Any, latitude_error_deg: float, told: str) -> None:
+    """Gravity of WGS 84 at 45 degrees grows by 90 ppm per degree of latitude."""
+    wrong = 1 + 90e-6 * latitude_error_deg
+    samples = corners(make_path)
+    gravity = float(np.linalg.norm(samples.accelerometer[:300].mean(axis=0)))
+    _, events = feed(samples, "corners24", gravity_m_s2=gravity * wrong, earlier_scale_raw=1.0)
+    said = [event for event in of(events, Advice) if event.topic is Topic.SCALE]
+    assert len(said) == 1
+    assert told in said[0].remedy
+    assert said[0].measured == pytest.approx(90e-6 * latitude_error_deg, abs=40e-6)
+    assert isinstance(events[-1], Done)
+
+
 def warming(make_path: Any, slope_degc_min: float) -> Samples:
     samples = make_path(100.0).hold([0, 0, 1], 40).samples()
     samples.temperature_degc[:] = 20 + np.round(slope_degc_min / 60 * samples.time_s, 2)

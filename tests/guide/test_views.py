@@ -15,7 +15,7 @@ from imufield.guide.guide import Guide
 from imufield.guide.jsonlines import JsonLinesView
 from imufield.guide.plain import PlainView, line
 from imufield.guide.positions import SCHEMES, scheme
-from imufield.guide.screen import HEIGHT, WIDTH, LinkState, Screen, big_words, draw, draw_big, headline
+from imufield.guide.screen import HEIGHT, WIDTH, LinkState, Screen, big_words, draw, draw_big, draw_small, headline
 from imufield.guide.settings import GuideSettings
 from imufield.guide.terminal import TerminalView
 
@@ -164,6 +164,33 @@ def test_what_is_nobodys_mistake_is_not_called_refused(session: Any) -> None:
         assert headline(screen, guide.snapshot())[:2] == (big, f"{event.words}; {event.remedy}")
         assert big_words(screen, guide.snapshot())[0] == short
         assert "refused" not in line(event)
+
+
+@pytest.mark.parametrize(("width", "height"), [(60, 20), (40, 12)])
+def test_a_small_window_says_what_to_do_and_is_not_cut(session: Any, width: int, height: int) -> None:
+    played = list(session(9.0))
+    screen = Screen()
+    for events, _ in played:
+        screen.follow(events)
+    console = Console(width=width, height=height, record=True, file=open_nothing())
+    snapshot = played[-1][1].snapshot()
+    console.print(draw_small(screen, snapshot, LinkState(0), width=width, height=height))
+    lines = console.export_text().splitlines()
+    assert len(lines) <= height
+    assert lines[0] == headline(screen, snapshot)[0]
+    assert any(line.startswith("stillness") for line in lines)
+    assert any("of 6 done" in line for line in lines)
+    assert lines[-1].rstrip() == "pictures need 80 x 24"
+    assert not any("…" in line for line in lines if "Hz" not in line)
+
+
+def test_without_a_link_nothing_old_is_shown(session: Any) -> None:
+    guide = list(session(9.0))[-1][1]
+    screen = Screen()
+    screen.follow(guide.link_lost())
+    text = picture(screen, guide)
+    assert "LINK LOST   - Hz" in text
+    assert "allowed" not in text
 
 
 def test_the_newest_message_is_there_to_its_end(session: Any) -> None:
