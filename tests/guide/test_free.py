@@ -66,17 +66,19 @@ def test_xsens_session_does_not_depend_on_the_cuts(xsens: Any, cut_blocks: Any) 
     np.testing.assert_array_equal(parts.covariance_raw, whole.covariance_raw)
 
 
-@pytest.mark.parametrize("name", ["imu0", "imu2"])
-def test_mpu_9150_session(shared_folder: Any, name: str) -> None:
+@pytest.mark.parametrize(("name", "residual_mg"), [("imu0", 0.193), ("imu2", 0.203)])
+def test_mpu_9150_session(shared_folder: Any, name: str, residual_mg: float) -> None:
     table = load(shared_folder / "data" / "mikoff" / f"{name}.log.gz")
     samples = make_samples(np.arange(len(table)) / 100, table[:, :3], table[:, 3:], units=SampleUnits())
     found = find_still_intervals([samples])
     assert 17 <= len(found.observations) <= 23
     gravity, scale, bias, misalignment = REFERENCE[name]
     fit = fit_norms(found.observations.mean_raw, 0, np.array([*scale, *bias, *misalignment]), gravity)
-    assert np.abs(fit.x[:3] - scale).max() < 6e-4
-    assert np.abs(fit.x[3:6] - bias).max() < 3e-3
-    assert np.abs(fit.x[6:] - misalignment).max() < 7e-4
+    # The reference moves by so much when the settings of its own detector are swept.
+    assert np.abs(fit.x[:3] - scale).max() < 2.9e-4
+    assert np.abs(fit.x[3:6] - bias).max() < 1.9e-3
+    assert np.abs(fit.x[6:] - misalignment).max() < 5.1e-4
+    assert 1e3 * np.sqrt(np.mean(fit.fun**2)) / 9.80665 == pytest.approx(residual_mg, rel=0.1)
     assert found.axes.agrees
 
 
