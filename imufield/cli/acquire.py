@@ -245,9 +245,7 @@ def emulate(
     hold_s: Annotated[float, typer.Option(help="Seconds the virtual operator holds each position.", min=1)] = 14.0,
     wait: Annotated[
         bool | None,
-        typer.Option(
-            "--wait/--no-wait", help="Begin when a program opens the port (default without --json, --duration-s)."
-        ),
+        typer.Option("--wait/--no-wait", help="Begin when a program opens the port (default without --json, --duration-s)."),
     ] = None,
     link: Annotated[Path | None, typer.Option(help="Make a symbolic link to the port here.", readable=False)] = None,
     truth: Annotated[
