@@ -40,6 +40,10 @@ _WINDOW_S = 0.25
 _LEAST_WINDOW = 2
 """Periods; slow instruments send less than that in a quarter second."""
 _LEARN_SAMPLES, _LEARN_S = 8, 1.0
+_LONGEST_LEARN_S = 3.0
+"""Shorter than a bus is listened to before it counts as not understood."""
+_UNEVEN, _SLEEPS = 4.0, 8.0
+"""A step that many times the usual one is a host that slept; a rate takes so many sleeps."""
 _MOST_LEARNED = 4096
 """Samples after which the period is learned even if the stamps stand still."""
 _REGULAR = 0.25
@@ -288,7 +292,12 @@ def _losses(envelope_s: FloatArray, moved_s: FloatArray, phase: _Phase) -> IntAr
 
 def _enough(stamp_s: FloatArray) -> bool:
     span_s = float(stamp_s[-1] - stamp_s[0])
-    return (len(stamp_s) > _LEARN_SAMPLES and span_s >= _LEARN_S) or len(stamp_s) >= _MOST_LEARNED
+    if len(stamp_s) <= _LEARN_SAMPLES or span_s < _LEARN_S:
+        return len(stamp_s) >= _MOST_LEARNED
+    longest_s = float(np.diff(stamp_s).max())
+    # A host that sleeps hands over many samples at once: a rate takes several such sleeps, not a part of one.
+    is_even = longest_s <= _UNEVEN * span_s / len(stamp_s)
+    return is_even or span_s >= min(_SLEEPS * longest_s, _LONGEST_LEARN_S)
 
 
 def _period(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> float:

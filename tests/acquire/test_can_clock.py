@@ -99,6 +99,27 @@ def test_a_host_that_sleeps_for_a_tenth_of_a_second_loses_nothing() -> None:
     np.testing.assert_allclose(samples.time_s, true_s, atol=1e-3)
 
 
+def fast_host(true_s: FloatArray, seed: int, speed: float = 8.0) -> FloatArray:
+    """Return what a host stamps that counts its own time ``speed`` times fast, and sleeps in every twentieth look."""
+    rng = np.random.default_rng(seed)
+    looks = round((true_s[-1] + 5.0) / (speed * 0.008))
+    sleeps_s = np.where(rng.random(looks) < 0.05, rng.uniform(0.02, 0.12, looks), 0.0)
+    edges_s = np.cumsum(speed * (0.008 + rng.exponential(0.002, looks) + sleeps_s))
+    place = np.searchsorted(edges_s, true_s)
+    # Frames of one look are stamped one behind another.
+    return np.asarray(edges_s[place] + speed * 3e-5 * (np.arange(len(true_s)) - np.searchsorted(place, place)))
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 400.0])
+def test_a_host_whose_clock_runs_fast_learns_the_rate(rate_hz: float) -> None:
+    for seed in range(12):
+        true_s = np.arange(round(20 * rate_hz)) / rate_hz
+        samples, statistics = run(fast_host(true_s, seed), block=40)
+        assert statistics.nominal_rate_hz == pytest.approx(rate_hz, rel=0.15)
+        assert statistics.losses_estimated <= rate_hz, "a sleep of a second may pass for one loss, not for thousands"
+        np.testing.assert_allclose(np.diff(samples.time_s[[0, -1]]), true_s[-1], atol=1.2)
+
+
 def test_a_large_loss_shows_through_bursts() -> None:
     true_s = np.concatenate([np.arange(4000), np.arange(4300, 8000)]) / 1000.0
     samples, statistics = run(bursty(true_s, 0.010, 0.003), block=20)
