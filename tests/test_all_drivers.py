@@ -6,16 +6,19 @@ import inspect
 import json
 import os
 import re
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from imufield.acquire.can_frames import EXTENDED, pack_frame
 from imufield.acquire.can_map import open_can
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver
 from imufield.acquire.link import Link, open_link
-from imufield.acquire.protocol import load_protocol, protocol_names
+from imufield.acquire.protocol import Protocol, load_protocol, protocol_names
 from imufield.acquire.registry import load_driver, shipped_names
 from imufield.samples import Samples, concatenate
 from imufield.simulate.emulate import Emulation, choose_wire, make_emulator
@@ -43,6 +46,7 @@ VECTORS = {
     "xsens_mtdata2": "xsens_mtdata2",
 }
 """Files of test vectors by protocol; those of each format are compared value by value in tests/acquire."""
+NUMBER_OF_VECTORS = 229
 WITHOUT_VECTORS = {"text": "numbers as one writes them"}
 DURATION_S = 2.0
 
@@ -97,6 +101,58 @@ def test_every_protocol_has_vectors(driver: type[Driver], shared_folder: Path) -
     if driver.protocol in VECTORS:
         path = shared_folder / "wire" / f"{VECTORS[driver.protocol]}.vectors.json"
         assert json.loads(path.read_text(encoding="utf-8"))
+
+
+def vectors_of(path: Path) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
+    return found
+
+
+def test_every_file_of_vectors_belongs_to_a_protocol(shared_folder: Path) -> None:
+    paths = list((shared_folder / "wire").glob("*.vectors.json"))
+    assert {path.name.partition(".")[0] for path in paths} == set(VECTORS.values())
+    assert sum(len(vectors_of(path)) for path in paths) == NUMBER_OF_VECTORS
+
+
+def bytes_of(protocol: Protocol, vector: dict[str, Any]) -> bytes:
+    if protocol.can is None:
+        return bytes.fromhex(vector["hex"])
+    identifier, _, data = vector["hex"].partition("#")
+    number = int(identifier, 16)
+    return pack_frame(number | EXTENDED if len(identifier) > 3 else number, bytes.fromhex(data), 1.0)
+
+
+def outcome(protocol: Protocol, data: bytes, edges: list[int]) -> tuple[Any, ...]:
+    """Return all that a decoder makes of bytes that come in pieces: frames, what was wrong, messages, samples."""
+    decoder = Decoder(protocol)
+    blocks = [decoder.feed(data[begin:end], 0.0) for begin, end in pairwise([0, *edges, len(data)])]
+    samples, counts = concatenate([*blocks, decoder.flush()]), decoder.statistics
+    parts = (samples.accelerometer, samples.gyroscope, samples.temperature_degc, samples.counter, samples.status)
+    numbers = (counts.frames, counts.frames_bad_checksum, counts.bytes_skipped, dict(counts.by_kind), len(samples))
+    return (*numbers, repr(decoder.messages()), *(part.tobytes() for part in parts))
+
+
+def test_vectors_mean_the_same_however_they_are_cut(driver: type[Driver], shared_folder: Path) -> None:
+    """All vectors of the driver's file, good and bad: whole, byte by byte, cut at random, and one behind another."""
+    if driver.protocol not in VECTORS:
+        return
+    protocol, rng = driver.load_protocol(), np.random.default_rng(5)
+    vectors = vectors_of(shared_folder / "wire" / f"{VECTORS[driver.protocol]}.vectors.json")
+    every = [bytes_of(protocol, vector) for vector in vectors]
+    for data in (*every, b"".join(every), b"".join(reversed(every))):
+        whole = outcome(protocol, data, [])
+        assert outcome(protocol, data, list(range(1, len(data)))) == whole
+        for _ in range(3):
+            assert outcome(protocol, data, sorted(rng.integers(0, len(data), 4).tolist())) == whole
+
+
+def test_a_vector_that_is_said_to_be_wrong_is_no_frame(driver: type[Driver], shared_folder: Path) -> None:
+    if driver.protocol in VECTORS:
+        for vector in vectors_of(shared_folder / "wire" / f"{VECTORS[driver.protocol]}.vectors.json"):
+            if not vector.get("valid", True):
+                protocol = driver.load_protocol()
+                frames = outcome(protocol, bytes_of(protocol, vector), [])[0]
+                assert frames == 0, vector
 
 
 def test_status_is_that_of_the_protocol(driver: type[Driver]) -> None:

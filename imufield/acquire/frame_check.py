@@ -117,6 +117,12 @@ class FormCheck:
         at = range(self.form.key_at, self.form.key_at + self.form.key_size)
         return all(bool((rows[:, column] == rows[0, column]).all()) for column in at)
 
+    def have_first_key(self, rows: Rows) -> NDArray[np.bool_]:
+        """Return which rows have the key of the first one, shape (n,)."""
+        at = slice(self.form.key_at, self.form.key_at + self.form.key_size)
+        same: NDArray[np.bool_] = (rows[:, at] == rows[0, at]).all(axis=1)
+        return same
+
     def same_length(self, rows: Rows) -> NDArray[np.bool_]:
         """Return which rows have a header that gives them the length they have, shape (n,)."""
         form, length = self.form, rows.shape[1]
@@ -284,8 +290,8 @@ class FrameCheck:
     def rows_fit(self, rows: Rows) -> tuple[NDArray[np.bool_], int]:
         """Return which frames of one length are good, shape (n,), and the shape they have in common.
 
-        Where parts of frames may differ, a good frame has the shape of the first one. Elsewhere there are several shapes if
-        keys differ, and ``NO_SHAPE`` is returned.
+        Where parts of frames may differ, a good frame has the key and the shape of the first one. Elsewhere there are several
+        shapes if keys differ, and ``NO_SHAPE`` is returned.
         """
         one = len(self._forms) == 1
         form = self._forms[0 if one else int(self._form_of(rows[0], np.zeros(1, dtype=np.intp))[0])]
@@ -295,6 +301,8 @@ class FrameCheck:
             if number == NO_SHAPE:
                 return np.zeros(len(rows), dtype=np.bool_), NO_SHAPE
             good &= _have(rows, self._shapes[number])
+            if not form.same_key(rows):
+                good &= form.have_first_key(rows)
             good &= form.fits(rows)
             return good, number
         good &= form.fits(rows)
