@@ -131,3 +131,14 @@ def test_standard_output_on_a_full_disk(tmp_path: Path) -> None:
     assert ended.returncode == 4
     assert ended.stderr.startswith("imufield: standard output cannot be written (No space left on device)")
     assert ended.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("export", "{}", "--to", "c"), ("solve", "--observations", "{}"), ("report", "{}"), ("import", "a", "--dbc", "{}")],
+)
+def test_names_longer_than_a_file_can_have(command: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([one.format("x" * 300) for one in command]) in (2, 4, 5)
+    said = capsys.readouterr().err
+    assert "Traceback" not in said
+    assert said.strip()

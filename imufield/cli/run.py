@@ -15,7 +15,7 @@ import typer
 
 from imufield.cli import EXIT_INTERRUPTED
 from imufield.cli.app import app
-from imufield.errors import ImufieldError, RecordingError
+from imufield.errors import ImufieldError, RecordingError, UsageError
 
 RECORDING_COMMANDS = ("capture", "record", "demo")
 
@@ -50,6 +50,10 @@ def run(arguments: list[str]) -> int:
             _forget(sys.stdout)
             _complain(f"standard output cannot be written ({error.strerror}); free some space, or send it elsewhere")
             return RecordingError.exit_code
+        # Whether a name is there is asked in many places, and the answer to this one is always the same.
+        if error.errno == errno.ENAMETOOLONG:
+            _complain(f"{str(error.filename)[:60]}... is longer than the name of a file can be; check what was typed")
+            return UsageError.exit_code
         # The reader of our output went away (`imufield ... | head`), or the terminal was closed: there is nobody to tell.
         closed = error.errno == errno.EIO and _was_interrupted(error)
         if not (closed or isinstance(error, BrokenPipeError)):

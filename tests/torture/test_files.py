@@ -13,9 +13,11 @@ import pytest
 import scipy.io
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
+from imufield.acquire.can_map import parse_map, protocol_from_dbc
 from imufield.acquire.recording import RecordedBlock, read_blocks
 from imufield.acquire.session import Session
 from imufield.guide.positions import scheme
+from tests.commands.test_import import DBC, MAP, write_log
 from tests.torture.conftest import Campaign
 from tests.torture.mutations import binary_edits, damaged, text_edits
 from tests.torture.watch import Outcome, attempt
@@ -68,6 +70,10 @@ def _defaults(_: Path) -> bytes:
     return b'port = "/dev/ttyUSB0"\nlatitude_deg = 48.1\nheight_m = 520.0\n'
 
 
+MAPPED = " ".join(f"--map {one}" for one in MAP)
+READ_DRIVE = f"import {{}} --dbc mine.dbc {MAPPED} -o new"
+
+
 def _copy(name: str) -> Callable[[Path], bytes]:
     return lambda folder: (folder / "session" / name).read_bytes()
 
@@ -91,6 +97,9 @@ CORPORA = (
     ),
     Corpus("protocol", "mine.toml", lambda _: PROTOCOL.read_bytes(), ("import dump.bin --protocol {} -o new",)),
     Corpus("byte dump", "dump.bin", _dump, ("import {} --protocol stim300 -o new",), False),
+    Corpus("DBC file", "mine.dbc", lambda _: DBC.encode("ascii"), (f"import drive.log --dbc {{}} {MAPPED} -o new",)),
+    Corpus("text log of a CAN bus", "drive.log", lambda folder: (folder / "drive.log").read_bytes(), (READ_DRIVE,)),
+    Corpus("binary log of a CAN bus", "drive.blf", lambda folder: (folder / "drive.blf").read_bytes(), (READ_DRIVE,), False),
     Corpus("position means", "means.csv", _observations, ("solve --observations {} -o out.toml",)),
     Corpus("table", "table.csv", _table, ("import {} -o new",)),
     Corpus("packed table", "table.csv.gz", lambda folder: gzip.compress(_table(folder), mtime=0), ("import {} -o new",), False),
@@ -102,10 +111,13 @@ CORPORA = (
 
 @pytest.fixture(scope="module")
 def sound(solved_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a solved session and a byte dump of it."""
+    """Return a folder with a solved session, a byte dump of it, and logs of a CAN bus."""
     folder = tmp_path_factory.mktemp("sound")
     shutil.copytree(solved_session, folder / "session")
     (folder / "dump.bin").write_bytes(_dump(folder))
+    (folder / "mine.dbc").write_text(DBC, encoding="ascii")
+    for name in ("drive.log", "drive.blf"):
+        write_log(folder / name, protocol_from_dbc(folder / "mine.dbc", parse_map(MAP)))
     return folder
 
 
