@@ -47,7 +47,7 @@ fuzz: $(TEST)
 lint: $(DEV)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy imufield drivers tests
+	$(BIN)/mypy imufield drivers tests benchmarks .ci/*.py
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 # Not --quiet: mkdocs counts only the warnings that it prints.

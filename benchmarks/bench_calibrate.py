@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -121,7 +122,7 @@ def run() -> list[dict[str, Any]]:
     linear, quadratic = plain_problem(observations, 9), plain_problem(observations, 12)
     population = np.random.default_rng(0).normal(0, 1e-3, (60, 12))
     whole = {
-        model: best_ms(lambda model=model: calibrate_accelerometer(observations, GRAVITY, model=model))
+        model: best_ms(partial(calibrate_accelerometer, observations, GRAVITY, model=model))
         for model in ("linear", "quadratic", "auto")
     }
     theirs = 1e6 * np.abs(peer(observations)[:3] / truth[:3] - 1).max()

@@ -177,7 +177,7 @@ def decode_rows() -> list[dict[str, Any]]:
     units = np.frombuffer(data, dtype=np.uint8).reshape(-1, UNIT_BYTES)[:PEER_FRAMES]
     times = units.view("<f8")[:, 1].tolist()
     frames = [(int(unit.view("<u4")[0]), unit[16:].tobytes(), at) for unit, at in zip(units, times, strict=True)]
-    messages = [database.get_message_by_name(name) for name in ("AccelerationSensor", "AngularRate")]  # type: ignore[union-attr]
+    messages = [database.get_message_by_name(name) for name in ("AccelerationSensor", "AngularRate")]
     assert _decode(data, BLOCK_BYTES) == SAMPLES
     assert len(peer_decode(database, frames)) == PEER_FRAMES // 2
     small_data = data[: len(data) // 4]

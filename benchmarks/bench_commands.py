@@ -139,7 +139,7 @@ def live_rows(folder: Path, duration_s: float) -> list[dict[str, Any]]:
             else:
                 ended = run_program(folder, command, *common, until_s=duration_s, code=130)
         counter = np.concatenate([block.counter for block in session_samples(Session.open(folder / command), [])])
-        step = np.diff(counter.astype(np.int64)) % 256
+        step = np.mod(np.diff(counter.astype(np.int64)), 256)
         lost = float((step - 1).sum())
         rows += [
             row(f"{command}, 2000 Hz for {duration_s:g} s: processor", 100 * ended.cpu_s / ended.wall_s, "% of a core"),

@@ -194,7 +194,8 @@ def turntable(count: int = 30) -> None:
 
 
 def _off_diagonal(M: FloatArray) -> FloatArray:
-    return np.asarray(M / np.diag(M)[:, None])[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS]
+    off: FloatArray = np.asarray(M / np.diag(M)[:, None])[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS]
+    return off
 
 
 def speed() -> None:

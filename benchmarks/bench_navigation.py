@@ -20,7 +20,7 @@ from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationRe
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.mechanise import load_pyins
 from imufield.deliver.parameters import Corrected
-from imufield.samples import Samples
+from imufield.samples import FloatArray, Samples
 from imufield.simulate.grades import GRADES, TrueInstrument, draw_truth
 from imufield.simulate.imu import Imu, ImuSettings
 from imufield.simulate.motion import Site, sample_motion
@@ -57,7 +57,7 @@ class Rest:
             turn = Piece(end_s, end_s + 4.0, start, np.array([np.pi, 0.0, 0.0]), np.zeros(3))
             self._pieces += [turn, Piece(turn.end_s, 1e6, turn.final_quaternion, np.zeros(3), np.zeros(3))]
 
-    def attitude(self, time_s):
+    def attitude(self, time_s: FloatArray) -> FloatArray:
         out = np.empty((len(time_s), 4))
         for piece in self._pieces:
             inside = (time_s >= piece.start_s) & (time_s <= piece.end_s)
@@ -66,10 +66,10 @@ class Rest:
         out[time_s < 0] = self._pieces[0].quaternion_nb
         return out
 
-    def acceleration(self, time_s):
+    def acceleration(self, time_s: FloatArray) -> FloatArray:
         return np.zeros((len(time_s), 3))
 
-    def resting_attitude(self, start_s, end_s):
+    def resting_attitude(self, start_s: float, end_s: float) -> FloatArray | None:
         for piece in self._pieces:
             still = not np.any(piece.turn_rad)
             if still and (start_s >= piece.start_s or piece is self._pieces[0]) and end_s <= piece.end_s:

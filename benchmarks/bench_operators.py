@@ -249,7 +249,7 @@ def summarise(runs: list[Run]) -> list[dict[str, object]]:
             continue
         starts = np.concatenate([run.starts_s for run in some])
         found = np.array([one for run in some for one in run.found_s])
-        row(f"{style}: stillness used, guard bands aside, mean", 100 * np.mean([run.used for run in some]), "%")
+        row(f"{style}: stillness used, guard bands aside, mean", 100 * float(np.mean([run.used for run in some])), "%")
         row(f"{style}: the same, worst session", 100 * min(run.used for run in some), "%")
         row(f"{style}: the same, worst hold", 100 * min(run.used_worst for run in some), "%")
         row(f"{style}: accepted start late by at most", max(starts.max(), 0), "s")
@@ -259,7 +259,7 @@ def summarise(runs: list[Run]) -> list[dict[str, object]]:
             row(f"{style}: detector {edge} late by at most", max(found[:, column].max(), 0), "s")
             row(f"{style}: detector {edge} early by at most", max(-found[:, column].min(), 0), "s")
             row(f"{style}: detector {edge}s within 0.3 s", 100 * np.mean(np.abs(found[:, column]) <= 0.3), "%")
-        row(f"{style}: holds that the detector broke", 100 * np.mean(found[:, 2] > 1), "%")
+        row(f"{style}: holds that the detector broke", 100 * float(np.mean(found[:, 2] > 1)), "%")
         row(f"{style}: error of the norm, rms over sessions' rms", np.sqrt(np.mean([run.error_ug**2 for run in some])), "ug")
         row(f"{style}: sigma stated, the same way", np.sqrt(np.mean([run.sigma_ug**2 for run in some])), "ug")
         row(f"{style}: worst error over its sigma", max(run.worst_sigma for run in some), "sigma")

@@ -6,12 +6,14 @@ import argparse
 import os
 import time
 from collections.abc import Callable
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from scipy.optimize import differential_evolution
 
+from imufield.calibrate.costs import NormProblem
 from imufield.calibrate.solvers.beetles import BasSettings, solve_bas, solve_bsas
 from imufield.calibrate.solvers.evolution import solve_ide
 from imufield.calibrate.solvers.least_squares import solve_least_squares
@@ -36,7 +38,7 @@ def median_time_s(call: Callable[[int], object], runs: int) -> float:
     return float(np.median(times))
 
 
-def table_3_problem(seed: int):
+def table_3_problem(seed: int) -> tuple[NormProblem, np.random.Generator]:
     rng = np.random.default_rng(seed)
     raw, preset = bsas_outputs(rng), bsas_preset(rng)
     return whitened_problem(preset, raw, BSAS_GRAVITY_M_S2, quadratic_axes=BSAS_AXES), rng
@@ -70,11 +72,13 @@ def scipy_until(problem: TriadProblem, near: Callable[[float], bool]) -> None:
         best[0] = min(best[0], float(costs.min()))
         return costs
 
-    def stop(_x: FloatArray, convergence: float = 0.0) -> bool:
+    def stop(_x: FloatArray, /, convergence: float = 0.0) -> bool:
         del convergence
         return near(best[0])
 
-    differential_evolution(
+    # The stubs know neither a cost of whole populations nor a plain list of bounds.
+    minimise: Any = differential_evolution
+    minimise(
         cost,
         list(zip(*problem.bounds, strict=True)),
         vectorized=True,
