@@ -293,6 +293,8 @@ def _introduced(found: Search, ear: Ear, instrument: Instrument | None, options:
         protocol = with_settings(candidate.driver, protocol, messages, options.rate_hz)
     elif options.rate_hz is not None:
         raise UsageError("--rate-hz needs an instrument with a driver, a protocol file says nothing of commands; leave it out")
+    for sentence in untried(candidate.driver):
+        say(sentence)
     if identity:
         say("instrument: " + ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in identity.items()))
     for sentence in assumed(protocol):
@@ -378,6 +380,13 @@ def _say_found(found: Search, ear: Ear, options: ConnectOptions, say: Say) -> No
             say(f"{name} = {value} (recognised)")
     if options.baud is None and "://" not in found.link.name:
         say(f"baud rate {_baud_of(found, ear, options)} (assumed)")
+
+
+def untried(driver: type[Driver] | None) -> list[str]:
+    """Return a sentence where the format of an instrument was never tried on bytes of a real one."""
+    if driver is None or driver.status == "verified on real bytes":
+        return []
+    return [f"experimental: {driver.title} was written from documents and never tried on a real one; check scale and axes"]
 
 
 def assumed(protocol: Protocol) -> list[str]:

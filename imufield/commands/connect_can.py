@@ -22,7 +22,7 @@ from imufield.acquire.host_clock import HostClock
 from imufield.acquire.link import Chunk
 from imufield.acquire.protocol import parse_protocol
 from imufield.acquire.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES
-from imufield.commands.connect import Connected, ConnectOptions, ask_identity, assumed, with_settings
+from imufield.commands.connect import Connected, ConnectOptions, ask_identity, assumed, untried, with_settings
 from imufield.commands.listen import LISTEN_S, Say, usable
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
 
@@ -189,7 +189,7 @@ def _connected(
     name = found.description.name
     if found.driver is not None and options.driver is None:
         say(f"driver {name} (recognised by {found.frames} frames with identifiers of {protocol.title})")
-    for sentence in assumed(protocol):
+    for sentence in (*untried(found.driver), *assumed(protocol)):
         say(sentence)
     model = identity.pop("model", "") or name
     bit_rate = link.address.options.get("bitrate", link.bit_rate)

@@ -276,6 +276,14 @@ def test_two_commands_understand_each_other(name: str, program: Program) -> None
     assert session.metadata["link"].get("rate_before_hz") == (None if rate_hz is None else before_hz)
 
 
+@pytest.mark.parametrize(("name", "is_untried"), [("kvh_17xx", True), ("sbg_sbgecom", True), ("xsens_mtdata2", False)])
+def test_what_was_never_tried_on_a_real_instrument_is_said(name: str, is_untried: bool) -> None:
+    with emulated(name) as there:
+        found, said = connected(there.port, driver=name)
+        found.close()
+    assert any(one.startswith("experimental: ") for one in said) == is_untried
+
+
 class Stubborn(MicroStrainInstrument):
     """Takes every rate, and sends no faster than 100 Hz."""
 
