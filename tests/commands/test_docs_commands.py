@@ -20,7 +20,6 @@ PROJECT = Path(__file__).resolve().parents[2]
 PAGES = sorted([PROJECT / "README.md", *(PROJECT / "docs").rglob("*.md")])
 LINE = re.compile(r"^(?:    |\$ )(imufield [a-z].*?)(?:  +#.*)?$", re.MULTILINE)
 ELSEWHERE = {
-    "imufield emulate": "they run until Ctrl-C; tests/simulate and every test of a capture run emulators",
     "imufield demo": "tests/commands/test_desk.py runs it to its end",
     "imufield capture --port /dev/ttyUSB0 --resume --session imufield-sessions/NAME": "tests/commands/test_capture.py resumes",
     "imufield capture --port /dev/ttyUSB0 --baud 115200 --protocol my_imu.toml": "tests/test_docs_protocols.py decodes it",
