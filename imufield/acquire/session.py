@@ -55,7 +55,7 @@ KEYS: Mapping[str, type | tuple[type, ...]] = {
 
 NUMBERS: Mapping[str, tuple[str, ...]] = {
     "site": ("gravity_m_s2", "gravity_sigma_m_s2", "latitude_deg", "height_m"),
-    "guide": ("hold_s", "target_bias_ug", "target_scale_ppm"),
+    "guide": ("hold_s", "target_bias_ug", "target_scale_ppm", "earlier_scale_raw", "earlier_scale_sigma"),
 }
 """Keys inside the tables that a person may edit and a program computes with; those of the guide are larger than zero."""
 

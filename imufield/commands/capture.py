@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 import sys
 from collections.abc import Iterator
@@ -188,11 +187,9 @@ def _earlier_scale(path: Path | None, connected: Connected) -> dict[str, object]
     preset.check_instrument(connected.identity.get("serial_number", ""))
     preset.check_unit("accelerometer", connected.protocol.units.accelerometer_rate_unit)
     found = preset.calibration.intrinsic
-    share = float(np.nanmax(found.scale_sigma / np.abs(found.scale)))
-    return {
-        "earlier_scale_raw": float(np.exp(np.mean(np.log(np.abs(found.scale))))),
-        "earlier_scale_sigma": share if math.isfinite(share) else 0.0,
-    }
+    sigma = float(np.max(found.scale_sigma / np.abs(found.scale)))
+    common = {"earlier_scale_raw": float(np.exp(np.mean(np.log(np.abs(found.scale)))))}
+    return common | ({"earlier_scale_sigma": sigma} if sigma > 0 else {})
 
 
 def _read_positions(path: str) -> bytes:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,6 +80,26 @@ def test_a_whole_session_in_plain_lines_then_solve(program: Program, faces: str)
     assert document["instrument"]["serial_number"] == session.metadata["instrument"]["serial_number"]
     assert sorted(position["name"] for position in document["position"]) == FACES
     assert (session.folder / "parameters.toml").is_file()
+
+
+def test_an_earlier_calibration_goes_into_the_session(program: Program, faces: str, solved_session: Path) -> None:
+    process = program.start(*program.capture(faces, "--preset", solved_session))
+    assert process.stdout is not None
+    assert process.stdout.readline().startswith("session ")
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=60)
+    guide = newest(program).metadata["guide"]
+    # The simulated instrument is right to a tenth of a percent, the calibration to a thousandth.
+    assert guide["earlier_scale_raw"] == pytest.approx(1.0, abs=2e-3)
+    assert 0 < guide["earlier_scale_sigma"] < 1e-3
+
+
+def test_an_earlier_calibration_of_another_instrument_is_refused(program: Program, faces: str) -> None:
+    example = Path(__file__).parents[2] / "docs" / "exports" / "example.toml"
+    ended = program.run(*program.capture(faces, "--preset", example))
+    assert ended.returncode == 5
+    assert "serial number 0001" in ended.stderr
+    assert not list((program.folder / "imufield-sessions").glob("*"))
 
 
 def test_json_lines_and_nothing_else(program: Program, faces: str) -> None:
