@@ -27,8 +27,9 @@ from imufield.deliver.numbers import beside
 from imufield.deliver.parameters import load
 from imufield.errors import ImufieldError, LinkError, UsageError
 from imufield.files import read_small_file, write_atomically
-from imufield.guide.events import Event
+from imufield.guide.events import Advice, Event, Topic
 from imufield.guide.keys import Keyboard
+from imufield.guide.plain import words
 from imufield.guide.positions import SCHEMES, scheme
 from imufield.guide.rotations import HORIZONTAL, VERTICAL
 
@@ -74,6 +75,8 @@ class Captured:
     accepted: int
     planned: int
     finished: bool
+    summary: tuple[str, ...] = ()
+    """What the screen showed last, which is gone with it: how well all is known, drift, common scale."""
 
 
 def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Captured:
@@ -188,7 +191,7 @@ def _earlier_scale(path: Path | None, connected: Connected) -> dict[str, object]
     preset.check_unit("accelerometer", connected.protocol.units.accelerometer_rate_unit)
     found = preset.calibration.intrinsic
     sigma = float(np.max(found.scale_sigma / np.abs(found.scale)))
-    common = {"earlier_scale_raw": float(np.exp(np.mean(np.log(np.abs(found.scale)))))}
+    common: dict[str, object] = {"earlier_scale_raw": float(np.exp(np.mean(np.log(np.abs(found.scale)))))}
     return common | ({"earlier_scale_sigma": sigma} if sigma > 0 else {})
 
 
@@ -239,6 +242,8 @@ class CaptureLoop:
         self._last_refresh_s = float("-inf")
         self._next_try_s: float | None = None
         """When to try the port again; None while it is there."""
+        self._advice: dict[Topic, Advice] = {}
+        """The newest of those that are for the end."""
 
     def run(self) -> Captured:
         """Go on until all is done or the operator quits."""
@@ -273,7 +278,14 @@ class CaptureLoop:
         """Return how far the session has come."""
         guide = self.chain.guide
         accepted, planned = (0, 0) if guide is None else (len(guide.plan.accepted), len(guide.plan.scheme))
-        return Captured(self.session, accepted, planned, self._done)
+        return Captured(self.session, accepted, planned, self._done, tuple(self._summary()))
+
+    def _summary(self) -> Iterator[str]:
+        """Say how well the parameters are known, and what was advised at the end."""
+        known = None if self.chain.guide is None else self.chain.guide.snapshot().forecast
+        if known is not None:
+            yield f"known to (1 sigma): bias {known['bias_ug']:.3g} ug, scale {known['scale_ppm']:.3g} ppm; solve tells more"
+        yield from (words(advice) for advice in self._advice.values())
 
     @property
     def _done(self) -> bool:
@@ -318,6 +330,8 @@ class CaptureLoop:
     def _publish(self, events: list[Event]) -> None:
         for event in events:
             self.recorder.write_event(event.to_dict())
+            if isinstance(event, Advice) and event.topic in (Topic.DRIFT, Topic.SCALE):
+                self._advice[event.topic] = event
         if events:
             self.view.show(events)
 
@@ -338,6 +352,9 @@ def _farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
     folder = captured.session.folder
     if view == "json" or not folder.exists():
         return
+    # Whoever reads lines has read these already.
+    for line in captured.summary if view == "auto" and sys.stdout.isatty() else ():
+        say(line)
     if captured.finished:
         typer.echo(beside(f"{captured.accepted} of {captured.planned} positions measured, session", folder))
         typer.echo(beside("next: ", f"imufield solve {shlex.quote(str(folder))}"))
