@@ -132,7 +132,8 @@ def test_resume(program: Program) -> None:
     folder = session.folder.relative_to(program.folder)
     solved = program.run("solve", folder)
     assert solved.returncode == 6
-    assert "positions are too few" in solved.stderr
+    # Broken off in a hold that a busy machine had delayed, there is a refusal to name as well.
+    assert "positions are too few" in solved.stderr or "positions are left, scale and bias need 6" in solved.stderr
 
     for options, code, words in (
         ((), 4, "--resume"),
