@@ -76,12 +76,19 @@ def emulate() -> Iterator[Emulate]:
     with ExitStack() as stack:
 
         def start(
-            protocol: Protocol, bus: str, positions: str = "", *, still_s: float = 6.0, link: Path | None = None, **more: Any
+            protocol: Protocol,
+            bus: str,
+            positions: str = "",
+            *,
+            still_s: float = 6.0,
+            link: Path | None = None,
+            speed: float = SPEED,
+            **more: Any,
         ) -> CanEmulator:
             habits = OperatorSettings(hold_s=6.0, initial_still_s=still_s)
             directions = scheme(positions).directions() if positions else ()
             options = Emulation("text", rate_hz=100.0, grade="mems", seed=5, directions=directions, operator=habits)
-            settings = EmulatorSettings(speed=SPEED, link=link, **more.pop("run", {}))
+            settings = EmulatorSettings(speed=speed, link=link, **more.pop("run", {}))
             return stack.enter_context(CanEmulator(protocol, make_virtual_imu(options), bus, settings, **more))
 
         yield start
@@ -156,13 +163,15 @@ def test_exchanged_axes_are_refused_by_guide_and_solver(program: Program, emulat
 
 
 def test_record_from_multicast_then_solve(program: Program, emulate: Emulate, multicast: str) -> None:
-    emulate(load_driver("xsens_can").load_protocol(), multicast, "faces6", still_s=40.0)
-    ended = program.run("record", "--bus", multicast, "--duration-s", 100, "--clock-speed", SPEED, "--json", timeout_s=90)
+    # No faster: a datagram that finds the buffer of a busy reader full is gone, as on no real bus.
+    speed = 3.0
+    emulate(load_driver("xsens_can").load_protocol(), multicast, "faces6", still_s=20.0, speed=speed)
+    ended = program.run("record", "--bus", multicast, "--duration-s", 75, "--clock-speed", speed, "--json", timeout_s=90)
     assert ended.returncode == 0, ended.stderr
     assert "driver xsens_can (recognised by" in ended.stderr
     told = events(ended.stdout)[-1]
     assert told["event"] == "recorded"
-    assert told["samples"] > 9000
+    assert told["samples"] > 6000
     solved = program.run("solve", "--json", "--latitude", 48)
     assert solved.returncode == 0, solved.stderr
     assert json.loads(solved.stdout)["quality"]["residual_rms_m_s2"] < 0.05
