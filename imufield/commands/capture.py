@@ -44,6 +44,10 @@ BIG = "b"
 REVISIT_FROM = 12
 """Schemes with so many positions end with the first one again, as a check for drift; a quick look does without."""
 QUIT = "q"
+FINISH = "f"
+REOPEN = "reopen"
+AGAIN_WITHIN_S = 10.0
+"""Finishing with something left ends the session only with the same key again within this time of the host."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,7 +107,7 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
         stack.enter_context(session.lock())
         if earlier is not None:
             check_instrument(session, connected)
-            session.update(site=site.table())
+            session.update(site=site.table(), finished=False)
         captured = _capture(session, connected, clock, options)
     _farewell(captured, options.view, clock)
     return captured
@@ -242,12 +246,17 @@ class CaptureLoop:
         self._last_refresh_s = float("-inf")
         self._next_try_s: float | None = None
         """When to try the port again; None while it is there."""
+        self._finish_until_s = float("-inf")
+        """Until then the key that finishes is believed."""
         self._advice: dict[Topic, Advice] = {}
         """The newest of those that are for the end."""
 
     def run(self) -> Captured:
         """Go on until all is done or the operator quits."""
         self._publish(self.chain.start_part(self.connected.protocol))
+        if self._done:
+            # Finished early, and to go on: noted as what it is, so that a replay does the same.
+            self._mark(REOPEN)
         for heard in self.connected.chunks:
             self._take(heard)
         try:
@@ -321,10 +330,24 @@ class CaptureLoop:
                 return True
             if key == BIG:
                 self.view.toggle_big()
-            if key in KEYS and self.chain.guide is not None:
-                time_s = self.chain.guide.time_s
-                self.recorder.write_event({"event": MARK, "action": KEYS[key], "time_s": time_s})
-                self._publish(self.chain.mark(KEYS[key], time_s))
+            if key in KEYS and (key != FINISH or self._is_sure()):
+                self._mark(KEYS[key])
+        return False
+
+    def _mark(self, action: str) -> None:
+        """Record what the operator says, and tell the guide."""
+        if self.chain.guide is not None:
+            time_s = self.chain.guide.time_s
+            self.recorder.write_event({"event": MARK, "action": action, "time_s": time_s})
+            self._publish(self.chain.mark(action, time_s))
+
+    def _is_sure(self) -> bool:
+        """Whether the session may be finished: at the second press, said at the first; nothing of the first is recorded."""
+        now_s, guide = self.clock.monotonic_s(), self.chain.guide
+        if guide is None or now_s <= self._finish_until_s:
+            return True
+        self._finish_until_s = now_s + AGAIN_WITHIN_S
+        self.view.show([guide.asked_to_finish()])
         return False
 
     def _publish(self, events: list[Event]) -> None:

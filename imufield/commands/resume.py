@@ -11,7 +11,7 @@ import typer
 
 from imufield.acquire.registry import driver_names
 from imufield.acquire.session import Session
-from imufield.commands.chain import ReadingPlan
+from imufield.commands.chain import Chain, ReadingPlan, replay_into
 from imufield.commands.connect import Connected, ConnectOptions
 from imufield.commands.site import SiteOptions
 from imufield.errors import Reason, RecordingError, UsageError
@@ -36,7 +36,7 @@ def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactiv
     Raises
     ------
     RecordingError
-        If ``folder`` holds an unfinished session and nobody said that it should go on.
+        If ``folder`` holds an unfinished session and nobody said that it should go on, or one that cannot be read.
     UsageError
         If there is nothing to resume.
     """
@@ -48,8 +48,8 @@ def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactiv
         return None
     session = Session.open(folder)
     if session.finished:
-        command = f"imufield solve {shlex.quote(str(session.folder))}"
-        raise UsageError(f"{session.folder} is finished; name a new folder, or solve it with: {command}")
+        _check_finished(session, resume=resume)
+        return session
     if not session.metadata.get("scheme"):
         raise UsageError(f"{session.folder} is a plain recording without a guide; name a new folder")
     if not resume and not (interactive and typer.confirm(f"Go on with the unfinished session {session.folder}?", True)):
@@ -59,6 +59,29 @@ def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactiv
             folder=str(session.folder),
         )
     return session
+
+
+def _check_finished(session: Session, *, resume: bool) -> None:
+    """Refuse a finished session, but one that was finished early where it is to go on.
+
+    Raises
+    ------
+    UsageError
+        If nothing is left to measure, or nobody said that it should go on.
+    """
+    early = session.metadata.get("scheme") is not None and _was_finished_early(session)
+    if early and resume:
+        return
+    command = f"imufield solve {shlex.quote(str(session.folder))}"
+    others = "go on with --resume" if early else "name a new folder"
+    raise UsageError(f"{session.folder} is finished{' early' if early else ''}; {others}, or solve it with: {command}")
+
+
+def _was_finished_early(session: Session) -> bool:
+    """Replay a session and see whether something is left that was asked for."""
+    chain = Chain(ReadingPlan.of(session))
+    replay_into(chain, session, [])
+    return chain.guide is not None and chain.guide.finished_early
 
 
 def _newest_unfinished(root: Path) -> Session:

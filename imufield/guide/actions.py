@@ -481,9 +481,14 @@ class GuideActions:
         self.now_s = math.nan
         return answer
 
+    def reopen(self) -> None:
+        """Go on with a session that was finished early, as after a lost link."""
+        self.turns.take_up()
+        self.lose_link()
+
     def finish(self) -> None:
         """Say that the session is over."""
-        self.turns.left = []
+        self.turns.give_up()
         self._advise_scale()
         accepted, planned, missing = len(self.plan.accepted), len(self.plan.scheme), self.plan.missing()
         words = "all positions are measured" if not missing else f"finished with {accepted} of {planned} positions"

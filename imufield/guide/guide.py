@@ -33,7 +33,9 @@ from imufield.samples import Samples, SampleUnits
 
 _BAD_IN_A_ROW = 3
 """Cells without usable samples before anybody is told."""
-ACTIONS = ("retake", "skip", "undo", "pause", "finish", "go_on")
+ACTIONS = ("retake", "skip", "undo", "pause", "finish", "go_on", "reopen")
+_INPUTS = {"pause": Input.PAUSE, "finish": Input.FINISH, "reopen": Input.RESUMED}
+"""What the operator says that is an input of the table and nothing else."""
 RATE_CELLS = 50
 RATE_SHARE = 0.05
 """Change of the sample rate over five seconds that is told: oscillators differ by 0.01 %."""
@@ -113,6 +115,18 @@ class Guide:
         """Whether nothing is left to do."""
         return self.state is State.DONE
 
+    @property
+    def finished_early(self) -> bool:
+        """Whether the operator ended it with something left that was asked for."""
+        return self.done and (self.plan.proposed() is not None or self._do.turns.was_given_up)
+
+    def asked_to_finish(self) -> Marked:
+        """Return what to say when somebody wants to finish: what there would be, and how to mean it."""
+        turns = self._do.turns
+        rolled = f" and {turns.planned - len(turns.left)} of {turns.planned} turns" if turns.planned else ""
+        words = f"f again to finish with {len(self.plan.accepted)} of {len(self.plan.scheme)} positions{rolled}"
+        return Marked(self.time_s, "finish", None, words)
+
     def feed(self, samples: Samples) -> list[Event]:
         """Take the next samples and return what there is to say."""
         if not len(samples):
@@ -128,7 +142,7 @@ class Guide:
         return self._said_now()
 
     def mark(self, action: str, time_s: float, position: str | None = None) -> list[Event]:
-        """Take what the operator says: one of ``ACTIONS``; ``retake`` may name a position, otherwise the last is meant.
+        """Take what the operator says, one of ``ACTIONS``; ``retake`` may name a position, otherwise the last is meant.
 
         It takes effect when the cell of ``time_s`` is complete; so on replay all marks may be given beforehand. Without
         a link it takes effect at once.
@@ -325,8 +339,8 @@ class Guide:
 
     def _apply_mark(self, action: str, name: str | None) -> None:
         before = self.plan.proposed()
-        if action in ("pause", "finish"):
-            self._handle(Input.PAUSE if action == "pause" else Input.FINISH)
+        if action in _INPUTS:
+            self._handle(_INPUTS[action])
             return
         if action == "go_on":
             self._do.go_cold = True

@@ -53,6 +53,8 @@ class Input(Enum):
     """All positions are done, whole turns are wanted."""
     COMPLETE = "complete"
     REOPENED = "reopened"
+    RESUMED = "resumed"
+    """A session that was finished early is to go on."""
     PAUSE = "pause"
     FINISH = "finish"
     LINK_LOST = "link lost"
@@ -120,7 +122,10 @@ TABLE: dict[State, dict[Input, Transition]] = {
         Input.LINK_BACK: Transition("find_link", State.TURNING),
         Input.FINISH: Transition("finish", State.DONE),
     },
-    State.DONE: {Input.REOPENED: Transition("propose", State.TURNING)},
+    State.DONE: {
+        Input.REOPENED: Transition("propose", State.TURNING),
+        Input.RESUMED: Transition("reopen", State.LOST),
+    },
 }
 
 

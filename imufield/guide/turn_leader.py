@@ -34,6 +34,20 @@ class TurnLeader:
         self._follower = TurnFollower(cell_s)
         self._moved = False
         self._resting = False
+        self._given_up = self.left[:0]
+
+    @property
+    def was_given_up(self) -> bool:
+        """Whether turns were left when the session was ended."""
+        return bool(self._given_up)
+
+    def give_up(self) -> None:
+        """Ask for no more turns: the session is over."""
+        self.left, self._given_up = [], self.left
+
+    def take_up(self) -> None:
+        """Ask again for those that were given up: the session goes on."""
+        self.left, self._given_up = self._given_up or self.left, []
 
     def forget_move(self) -> None:
         """Forget the move under way: the link is gone."""

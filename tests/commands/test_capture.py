@@ -262,6 +262,9 @@ def test_keys_on_a_terminal(program: Program, screen: Terminal) -> None:
         screen.wait_for(words)
     screen.wait_for("accepted -")
     screen.type("f")
+    screen.wait_for("f again to finish with")
+    assert screen.process.poll() is None
+    screen.type("f")
     screen.wait_for("finished with")
     assert screen.wait() == 0
     session = newest(program)
@@ -272,6 +275,31 @@ def test_keys_on_a_terminal(program: Program, screen: Terminal) -> None:
     told = program.run("replay", "--json").stdout.splitlines()
     live = [event for event in events(session) if event["event"] != "mark"]
     assert [json.loads(line) for line in told] == live
+
+
+def test_what_was_finished_early_goes_on_when_it_is_named(
+    program: Program, screen: Terminal, open_terminal: Callable[..., Terminal]
+) -> None:
+    screen.wait_for("Latitude in degrees")
+    screen.type("48\n")
+    screen.wait_for("1 of 6 done")
+    screen.type("ff")
+    assert screen.wait() == 0
+    session = newest(program)
+    assert session.finished
+    refused = program.run("capture", "--session", session.folder)
+    assert refused.returncode == 2
+    assert "finished early; go on with --resume" in " ".join(refused.stderr.split())
+    again = open_terminal("capture", "--resume", "--session", str(session.folder))
+    again.wait_for("2 of 6 done")
+    again.type("q")
+    assert again.wait() == 0
+    session = newest(program)
+    assert not session.finished
+    recorded = events(session)
+    assert [event["action"] for event in recorded if event["event"] == "mark"] == ["finish", "reopen"]
+    told = program.run("replay", "--json").stdout.splitlines()
+    assert [json.loads(line) for line in told] == [event for event in recorded if event["event"] != "mark"]
 
 
 def test_quit_and_go_on(program: Program, screen: Terminal, open_terminal: Callable[..., Terminal]) -> None:

@@ -49,7 +49,7 @@ def test_a_session_with_pictures_keys_big_letters_and_bell(program: Program, ter
     place = terminal.expect("stillness", after=len(terminal.text))
     terminal.type("u")
     terminal.expect("is undone", after=place)
-    terminal.type("f")
+    terminal.type("ff")
     assert terminal.wait() == 0
     assert "\a" in terminal.raw
     assert "imufield solve" in terminal.text
@@ -78,7 +78,7 @@ def test_a_killed_capture_goes_on_where_it_was(program: Program, terminals: list
         terminals, program, "capture", "--resume", "--session", newest(program).folder, IMUFIELD_CLOCK_SPEED="16"
     )
     again.expect("2 of 6 done")
-    again.type("f")
+    again.type("ff")
     assert again.wait() == 0
     assert len(newest(program).parts) == 2
 
@@ -131,7 +131,7 @@ def test_a_full_disk_ends_with_a_sentence_and_a_resume(program: Program, termina
     folder = newest(program).folder
     again = open_terminal(terminals, program, "capture", "--resume", "--session", folder, IMUFIELD_CLOCK_SPEED="16")
     again.expect(f"{before[-1]} of 6 done")
-    again.type("f")
+    again.type("ff")
     assert again.wait() == 0
     assert len(newest(program).parts) == 2
 
@@ -142,7 +142,7 @@ def test_whole_turns_are_asked_for_after_the_positions(program: Program, termina
     terminal.expect("accepted")
     terminal.type("sssss")
     terminal.expect("R O L L")
-    terminal.type("f")
+    terminal.type("ff")
     assert terminal.wait() == 0
     assert newest(program).metadata["guide"]["rotations"] == "horizontal"
     refused = program.run(*program.capture(port, "--rotations", "sideways"))

@@ -230,3 +230,20 @@ def test_finish_ends_a_session_with_turns_left(make_path: Any) -> None:
     guide.feed(samples)
     assert of(guide.mark("finish", math.nan), Done)
     assert guide.done
+
+
+def test_what_was_finished_early_is_taken_up_again(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 10).turn([1, 0, 0], 2).hold([1, 0, 0], 10).samples()
+    guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=3.0, rotations="horizontal"))
+    first = int(np.searchsorted(samples.time_s, 10.5))
+    guide.feed(samples[:first])
+    guide.mark("finish", math.nan)
+    assert guide.finished_early
+    assert [event.kind for event in guide.mark("reopen", math.nan)] == ["link_lost"]
+    events = guide.feed(samples[first:])
+    assert not guide.done
+    assert not guide.finished_early
+    assert of(events, Move)[0].accepted == 1
+    assert [event.accepted for event in of(events, Accepted)] == [2]
+    assert "with 2 of 6 positions and 0 of 6 turns" in guide.asked_to_finish().words
+    assert not guide.mark("reopen", math.nan)
