@@ -11,7 +11,6 @@ from collections.abc import Callable
 import numpy as np
 
 from imufield.guide.advice import (
-    doubtful_advice,
     drift_advice,
     final_scale_advice,
     scale_advice,
@@ -19,6 +18,7 @@ from imufield.guide.advice import (
     target_advice,
 )
 from imufield.guide.checks import HoldUnderTest, Refusal, examine, explain_flags
+from imufield.guide.doubts import Doubts
 from imufield.guide.events import (
     Done,
     Event,
@@ -37,7 +37,7 @@ from imufield.guide.events import (
 from imufield.guide.observe import observe
 from imufield.guide.plan import Plan
 from imufield.guide.positions import Position, angle_deg
-from imufield.guide.running_fit import Disagreement, RunningFit, running_fit
+from imufield.guide.running_fit import RunningFit, running_fit
 from imufield.guide.settings import GuideSettings
 from imufield.guide.sides_check import SidesCheck
 from imufield.guide.state_table import TABLE, Input
@@ -91,8 +91,7 @@ class GuideActions:
         self.go_cold = False
         """The operator said to go on although the temperature changes."""
         self.fit: RunningFit | None = None
-        self.doubtful_now: list[Disagreement] = []
-        """Positions that the others contradict, the worst first."""
+        self.doubts = Doubts()
         self.turns = TurnLeader(settings, detector.settings.cell_s)
         self._advised: set[str] = set()
         self._sides = SidesCheck()
@@ -325,10 +324,8 @@ class GuideActions:
 
     def _ask_again(self) -> None:
         """Ask for doubtful positions once more, each once, and then for the first one, as a check for drift."""
-        for one in self.doubtful_now:
-            index = self.plan.find(one.name)
-            if index is not None and f"again {one.name}" not in self._advised:
-                self._advised.add(f"again {one.name}")
+        for name in self.doubts.ask_again():
+            if (index := self.plan.find(name)) is not None:
                 self.plan.want_again(index)
         first = self.plan.first_accepted
         unseen = self.plan.revisited is None and "revisit" not in self._advised
@@ -340,8 +337,7 @@ class GuideActions:
         """Fit everything measured so far, and choose the next position where another helps clearly more."""
         observations = list(self.plan.accepted.values())
         self.fit = running_fit(observations, self.detector.scale, self.settings.gravity_m_s2)
-        found = [] if self.fit is None else [one for one in self.fit.disagreements() if one.doubtful]
-        self.doubtful_now = sorted(found, key=lambda one: -abs(one.sigmas))
+        self.doubts.follow(self.fit)
         self.plan.preferred = None
         pending = self.plan.pending()
         if self.fit is None or len(pending) < 2:
@@ -355,9 +351,8 @@ class GuideActions:
         """Say what the running fit shows that the operator may want to act on; each thing once."""
         if self.fit is None:
             return
-        worst = self.doubtful_now[:1]
+        self.events += self.doubts.say(self.now_s, self.fit, self.plan)
         for advice in (
-            *(doubtful_advice(self.now_s, one) for one in worst),
             target_advice(self.now_s, self.fit, self.settings),
             scheme_advice(self.now_s, self.fit, self.plan),
             scale_advice(self.now_s, self.fit),
@@ -492,4 +487,6 @@ class GuideActions:
         self._advise_scale()
         accepted, planned, missing = len(self.plan.accepted), len(self.plan.scheme), self.plan.missing()
         words = "all positions are measured" if not missing else f"finished with {accepted} of {planned} positions"
+        if self.doubts.now:
+            words += f"; still in doubt: {', '.join(one.name for one in self.doubts.now)}"
         self.events.append(Done(self.now_s, accepted, planned, missing, words))

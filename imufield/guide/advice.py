@@ -32,9 +32,24 @@ def doubtful_advice(now_s: float, found: Disagreement) -> Advice:
         Topic.DOUBTFUL,
         found.name,
         f"position {found.name} disagrees with the others by {value:.2g} mg, {abs(found.sigmas):.0f} sigma: moved or bumped",
-        "r retakes it now; otherwise it is asked for again at the end",
+        "r retakes it now; otherwise it is asked for again at the end, if it disagrees then",
         abs(found.leave_one_out_m_s2),
-        abs(found.leave_one_out_m_s2 / found.sigmas) * 5,
+        abs(found.leave_one_out_m_s2 / found.sigmas) * found.limit_sigmas,
+        "m/s^2",
+    )
+
+
+def settled_advice(now_s: float, found: Disagreement) -> Advice:
+    """Return the withdrawal of a doubt."""
+    value = abs(found.leave_one_out_m_s2) / MILLI_G_M_S2
+    return Advice(
+        now_s,
+        Topic.SETTLED,
+        found.name,
+        f"position {found.name} no longer disagrees with the others ({value:.2g} mg, {abs(found.sigmas):.1f} sigma)",
+        "the doubt is withdrawn",
+        abs(found.leave_one_out_m_s2),
+        abs(found.leave_one_out_m_s2 / found.sigmas) * found.limit_sigmas if found.sigmas else 0.0,
         "m/s^2",
     )
 
@@ -54,7 +69,7 @@ def target_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Adv
         Topic.TARGET_MET,
         None,
         f"the target is met: {said}",
-        "f finishes now; going on makes it better still",
+        "f, pressed twice, finishes now; going on makes it better still",
         forecast[key],
         value,
         unit[key],

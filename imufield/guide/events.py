@@ -201,6 +201,8 @@ class Topic(Enum):
     """What an advice is about."""
 
     DOUBTFUL = "doubtful"
+    SETTLED = "settled"
+    """A doubt is withdrawn."""
     TARGET_MET = "target_met"
     SCHEME = "scheme"
     DRIFT = "drift"

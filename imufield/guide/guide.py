@@ -214,7 +214,7 @@ class Guide:
             direction=self._do.direction_now(),
             target_direction=None if target is None else vector(self.plan.position(target).direction),
             in_hand=self.detector.in_hand,
-            doubtful=tuple(one.name for one in self._do.doubtful_now),
+            doubtful=tuple(one.name for one in self._do.doubts.now),
             forecast=None if self._do.fit is None else self._do.fit.forecast(),
         )
 
@@ -370,7 +370,7 @@ class Guide:
             self._handle(Input.COMPLETE)
 
     def _retake(self, name: str | None) -> tuple[int | None, str]:
-        doubtful = [one.name for one in self._do.doubtful_now if self.plan.find(one.name) not in self.plan.wanted_again]
+        doubtful = [one.name for one in self._do.doubts.now if self.plan.find(one.name) not in self.plan.wanted_again]
         named = name or next(iter(doubtful), None)
         index = self.plan.last_accepted if named is None else self.plan.find(named)
         if index is None or index not in self.plan.accepted:

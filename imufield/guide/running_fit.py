@@ -28,7 +28,11 @@ FEWEST = 4
 EXPECTED_SCATTER_M_S2 = 1e-4 * STANDARD_GRAVITY_M_S2
 _EXPECTED_FREEDOM = 3.0
 DOUBT_SIGMAS = 5.0
-"""A position that the others contradict by this much is doubted; of 24 good ones one in thousands is."""
+"""A position that the others contradict by this much is doubted, where there are many."""
+DOUBT_SHARE = 1e-4
+"""Of good positions so many may be doubted at one look: a session of 24 looks some hundred times, at much the same."""
+_FEW = (28.0, 15.54, 11.18, 9.08, 7.88, 7.12, 6.59, 6.21, 5.92, 5.69, 5.51, 5.36, 5.24, 5.13, 5.04)
+"""Two-sided quantiles of Student's distribution at ``DOUBT_SHARE``, from ``_EXPECTED_FREEDOM`` degrees of freedom on."""
 DOUBT_M_S2 = 3e-4 * STANDARD_GRAVITY_M_S2
 """And by this much: less does no harm that another hold would cure."""
 _STEPS = 8
@@ -43,11 +47,13 @@ class Disagreement:
     name: str
     leave_one_out_m_s2: float
     sigmas: float
+    limit_sigmas: float = DOUBT_SIGMAS
+    """More is doubted; larger while few positions tell what a usual disagreement is."""
 
     @property
     def doubtful(self) -> bool:
         """Whether somebody should look at it again."""
-        return abs(self.sigmas) > DOUBT_SIGMAS and abs(self.leave_one_out_m_s2) > DOUBT_M_S2
+        return abs(self.sigmas) > self.limit_sigmas and abs(self.leave_one_out_m_s2) > DOUBT_M_S2
 
 
 @dataclass(frozen=True)
@@ -106,12 +112,13 @@ class RunningFit:
         without = ratio / (1 - leverage)
         squares = ratio**2 / (1 - leverage)
         freedom = max(float((1 - leverage).sum()), 0.0)
+        limit = _doubt_limit(_EXPECTED_FREEDOM + max(freedom - 1, 0.0))
         found = []
         for k, name in enumerate(self.names):
             others = max(float(ratio @ ratio - squares[k]), 0.0)
             variance = (_EXPECTED_FREEDOM + others) / (_EXPECTED_FREEDOM + max(freedom - 1, 0.0))
             sigmas = without[k] * math.sqrt(1 - leverage[k]) / math.sqrt(max(variance, 0.05))
-            found.append(Disagreement(name, float(without[k] * self.sigma_m_s2[k]), float(sigmas)))
+            found.append(Disagreement(name, float(without[k] * self.sigma_m_s2[k]), float(sigmas), limit))
         return found
 
     def gain(self, directions: FloatArray) -> FloatArray:
@@ -127,6 +134,11 @@ class RunningFit:
         """Return the largest quadratic term over its sigma."""
         sigma = np.sqrt(np.diag(self.covariance))[9:]
         return float(np.max(np.abs(self.vector[12:]) / sigma))
+
+
+def _doubt_limit(freedom: float) -> float:
+    """Return the sigmas from which on a position is doubted: few degrees of freedom leave large ones to chance."""
+    return max(DOUBT_SIGMAS, float(np.interp(freedom - _EXPECTED_FREEDOM, np.arange(len(_FEW)), _FEW)))
 
 
 def _predict_zeroed(vector: FloatArray, force: FloatArray) -> FloatArray:

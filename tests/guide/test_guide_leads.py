@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from imufield.guide.doubts import Doubts
 from imufield.guide.events import Accepted, Advice, Done, Event, Move, RefusalCode, Rejected, Topic
 from imufield.guide.guide import Guide
 from imufield.guide.positions import scheme
@@ -114,6 +116,51 @@ def test_a_position_that_disagrees_is_named_and_asked_for_again(make_path: Any) 
     assert [event.position for event in of(events, Accepted) if event.replaces] == [name]
     assert guide.done
     assert guide.snapshot().doubtful == ()
+
+
+def test_a_doubt_that_no_longer_stands_is_withdrawn_aloud(make_path: Any) -> None:
+    """The doubtful position is measured again at once: the doubt is said once and withdrawn once."""
+    positions = scheme("corners24").positions
+    samples = corners(make_path, spoil=21, again=(21,))
+    guide = Guide(scheme("corners24"), samples.units, settings=GuideSettings(hold_s=3.0))
+    events: list[Event] = []
+    for start in range(0, len(samples), 100):
+        new = guide.feed(samples[start : start + 100])
+        if any(event.topic is Topic.DOUBTFUL for event in of(new, Advice)):
+            guide.mark("retake", guide.time_s)
+        events += new
+    told = [event for event in of(events, Advice) if event.topic in (Topic.DOUBTFUL, Topic.SETTLED)]
+    assert [(event.topic, event.position) for event in told] == [
+        (Topic.DOUBTFUL, positions[21].name),
+        (Topic.SETTLED, positions[21].name),
+    ]
+    assert "no longer disagrees" in told[1].words
+    assert told[1].measured < told[1].limit
+    assert "doubt" not in of(events, Done)[-1].words
+
+
+def test_a_doubt_that_others_settle_asks_for_nothing_any_more(make_path: Any) -> None:
+    guide, _ = feed(corners(make_path), "corners24")
+    fit = guide._do.fit
+    assert fit is not None
+    first = fit.names[3]
+    doubts = Doubts()
+    doubts.now = [replace(fit.disagreements()[3], sigmas=50.0)]
+    assert [one.topic for one in doubts.say(1.0, fit, guide.plan)] == [Topic.DOUBTFUL]
+    (asked,) = doubts.ask_again()
+    index = guide.plan.find(asked)
+    assert index is not None
+    guide.plan.want_again(index)
+    doubts.follow(fit)
+    assert [(one.topic, one.position) for one in doubts.say(2.0, fit, guide.plan)] == [(Topic.SETTLED, first)]
+    assert not guide.plan.wanted_again
+    assert doubts.ask_again() == []
+
+
+def test_a_doubt_that_stands_is_named_at_the_end(make_path: Any) -> None:
+    guide, _ = feed(corners(make_path, spoil=14), "corners24")
+    done = of(guide.mark("finish", guide.time_s) + guide.flush(), Done)
+    assert done[0].words.endswith(f"still in doubt: {scheme('corners24').positions[14].name}")
 
 
 def test_retake_means_the_doubtful_position(make_path: Any) -> None:

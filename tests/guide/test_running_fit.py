@@ -6,7 +6,7 @@ import pytest
 from imufield.calibrate.models import predict
 from imufield.guide.observe import Observation
 from imufield.guide.positions import scheme
-from imufield.guide.running_fit import FEWEST, running_fit
+from imufield.guide.running_fit import DOUBT_M_S2, DOUBT_SHARE, FEWEST, running_fit
 from imufield.guide.scale import RoughScale
 from imufield.simulate.grades import GRADES, draw_truth
 
@@ -83,3 +83,26 @@ def test_quadratic_terms_that_matter_show() -> None:
     bent = [replace(one, mean_raw=one.mean_raw + 2e-4 * one.mean_raw**2 / G) for one in some]
     assert running_fit(bent, SI, G).quadratic_sigmas() > 3
     assert running_fit(some, SI, G).quadratic_sigmas() < 3
+
+
+def test_few_positions_need_a_larger_disagreement() -> None:
+    from scipy.special import stdtrit
+
+    fit = running_fit(observations("tactical", 6), SI, G)
+    weighted = fit.jacobian / fit.sigma_m_s2[:, None]
+    freedom = 24 - np.trace(weighted @ fit.covariance @ weighted.T)
+    assert 10 < freedom < 16
+    (limit,) = {one.limit_sigmas for one in fit.disagreements()}
+    assert limit == pytest.approx(max(stdtrit(3 + freedom - 1, 1 - DOUBT_SHARE / 2), 5.0), rel=0.01)
+    few = running_fit(observations("tactical", 6)[:8], SI, G)
+    assert few.disagreements()[0].limit_sigmas > 10
+
+
+@pytest.mark.parametrize("seed", [0, 15, 21, 41, 47])
+def test_no_good_position_is_doubted_at_any_look(seed: int) -> None:
+    """Chips whose positions scatter more than their noise lets expect: a fixed 5 sigma doubts one in each of these seeds."""
+    some = [replace(one, covariance_raw=one.covariance_raw / 16) for one in observations("mems", seed, scatter=2e-3)]
+    fits = [running_fit(some[:count], SI, G) for count in range(FEWEST, 25)]
+    found = [one for fit in fits if fit is not None for one in fit.disagreements()]
+    assert not [one.name for one in found if one.doubtful]
+    assert [one.name for one in found if abs(one.sigmas) > 5 and abs(one.leave_one_out_m_s2) > DOUBT_M_S2]
