@@ -18,6 +18,7 @@ from imufield.acquire.can_frames import Frame, pack_frames
 from imufield.acquire.can_map import parse_map, protocol_from_dbc
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol import Protocol, load_protocol
+from imufield.acquire.statistics import remarks
 from imufield.samples import Samples, Status, concatenate
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -89,8 +90,8 @@ def bus_file(tmp_path: Path) -> Path:
     return path
 
 
-def frames(dbc: Path) -> bytes:
-    """Return what cantools makes of known values, 100 samples a second."""
+def frames(dbc: Path, late_s: float = 0.0) -> bytes:
+    """Return what cantools makes of known values, 100 samples a second; some second frames are stamped ``late_s`` later."""
     database = cantools.database.load_file(dbc)
     found = []
     for number in range(N):
@@ -101,7 +102,8 @@ def frames(dbc: Path) -> bytes:
         turning = {"RollRate": 1.0, "PitchRate": 2.0, "YawRate": number}
         for name, values in (("Motion", motion), ("Turning", turning), ("Housekeeping", {"Temperature": 25.5})):
             message = database.get_message_by_name(name)
-            found.append(Frame(message.frame_id, bytes(message.encode(values)), at_s))
+            stamp_s = at_s + (late_s if name == "Turning" and number % 16 == 5 else 0.0)
+            found.append(Frame(message.frame_id, bytes(message.encode(values)), stamp_s))
             at_s += 0.0005
     return pack_frames(found)
 
@@ -129,3 +131,17 @@ def test_the_same_as_a_file(bus_file: Path, tmp_path: Path) -> None:
     samples = check(load_protocol(tmp_path / "my_imu.toml"), bus_file)
     np.testing.assert_allclose(samples.temperature_degc, 25.5)
     assert np.flatnonzero(samples.status & np.uint32(Status.INSTRUMENT_FAULT)).tolist() == [20]
+
+
+@pytest.mark.parametrize(("limit", "incomplete"), [("", 0), ("limit_s = 0.005\n", 3)])
+def test_the_file_loses_nothing_where_a_busy_host_stamps_late(
+    limit: str, incomplete: int, bus_file: Path, tmp_path: Path
+) -> None:
+    page = fenced("can.md", "toml").replace('starts_with = "Motion"\n', f'starts_with = "Motion"\n{limit}')
+    (tmp_path / "my_imu.toml").write_text(page, encoding="utf-8")
+    decoder = Decoder(load_protocol(tmp_path / "my_imu.toml"))
+    samples = concatenate([decoder.feed(frames(bus_file, 0.008), N * 0.01), decoder.flush()])
+    assert len(samples) == decoder.statistics.samples == N
+    assert decoder.statistics.samples_incomplete == np.isnan(samples.gyroscope).any(axis=1).sum() == incomplete
+    said = [f"{incomplete} of {N} samples ({2 * incomplete} %) lack acceleration or rate, and enter no mean"]
+    assert remarks([decoder.statistics]) == (said if incomplete else [])

@@ -26,11 +26,12 @@ from imufield.acquire.protocol_schema import NANOSECONDS, ClockRule
 from imufield.acquire.sample_clock import Arrivals, SampleClock
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.acquire.text_lines import LineReader
-from imufield.samples import FloatArray, IntArray, Samples, concatenate, no_samples
+from imufield.samples import FloatArray, IntArray, Samples, Status, concatenate, no_samples
 
 if TYPE_CHECKING:
     from imufield.acquire.can_protocol import CanRule
 
+_INCOMPLETE = np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID)
 _PIECE_BYTES = 1 << 18
 """Larger feeds are worked off in pieces of this size: memory stays bounded, and the pieces stay in cache."""
 _MESSAGES_KEPT = 1000
@@ -124,6 +125,8 @@ class Decoder:
             self._messages.append(message)
 
     def _joined(self, blocks: list[Samples]) -> Samples:
+        for block in blocks:
+            self.statistics.samples_incomplete += int(np.count_nonzero(block.status & _INCOMPLETE))
         if len(blocks) == 1:
             return blocks[0]
         return concatenate(blocks) if blocks else no_samples(self.protocol.units)

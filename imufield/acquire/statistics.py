@@ -1,7 +1,8 @@
-"""Counts of what a decoder has seen."""
+"""Counts of what a decoder has seen, and what a person should be told of them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -18,6 +19,8 @@ class DecoderStatistics:
     """Bytes that belong to no good frame."""
     bytes_total: int = 0
     samples: int = 0
+    samples_incomplete: int = 0
+    """Of these, without acceleration or without rate: not available, or the frame that carries it is missing."""
     samples_lost: int = 0
     """Known from the counter or the time stamps of the instrument."""
     losses_estimated: int = 0
@@ -40,3 +43,18 @@ class DecoderStatistics:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
         return asdict(self)
+
+
+def remarks(parts: Sequence[DecoderStatistics]) -> list[str]:
+    """Return sentences about what the numbers of samples and losses do not show; none where all is well."""
+    samples = sum(part.samples for part in parts)
+    incomplete = sum(part.samples_incomplete for part in parts)
+    resets = sum(part.clock_resets for part in parts)
+    found = []
+    if incomplete:
+        share = 100 * incomplete / max(samples, 1)
+        found.append(f"{incomplete} of {samples} samples ({share:.2g} %) lack acceleration or rate, and enter no mean")
+    if resets:
+        times = "once" if resets == 1 else f"{resets} times"
+        found.append(f"counter or time of the instrument jumped {times} where nothing was lost, as a restart does")
+    return found

@@ -17,6 +17,7 @@ from imufield.acquire.link import Chunk
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.recording import Damage
 from imufield.acquire.session import DEFAULT_ROOT, Session
+from imufield.acquire.statistics import remarks
 from imufield.commands.chain import MARK, SCHEME_FILE, Chain, ReadingPlan, part_metadata, replay_into
 from imufield.commands.connect import Connected, ConnectOptions, check_files, connect
 from imufield.commands.output import say
@@ -79,6 +80,8 @@ class Captured:
     accepted: int
     planned: int
     finished: bool
+    remarks: tuple[str, ...] = ()
+    """About the samples."""
     summary: tuple[str, ...] = ()
     """What the screen showed last, which is gone with it: how well all is known, drift, common scale."""
 
@@ -287,7 +290,8 @@ class CaptureLoop:
         """Return how far the session has come."""
         guide = self.chain.guide
         accepted, planned = (0, 0) if guide is None else (len(guide.plan.accepted), len(guide.plan.scheme))
-        return Captured(self.session, accepted, planned, self._done, tuple(self._summary()))
+        said = tuple(remarks(self.chain.statistics))
+        return Captured(self.session, accepted, planned, self._done, said, tuple(self._summary()))
 
     def _summary(self) -> Iterator[str]:
         """Say how well the parameters are known, and what was advised at the end."""
@@ -377,6 +381,8 @@ def _farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
         return
     # Whoever reads lines has read these already.
     for line in captured.summary if view == "auto" and sys.stdout.isatty() else ():
+        say(line)
+    for line in captured.remarks:
         say(line)
     if captured.finished:
         typer.echo(beside(f"{captured.accepted} of {captured.planned} positions measured, session", folder))

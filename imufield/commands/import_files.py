@@ -23,6 +23,7 @@ from imufield.acquire.recorder import Recorder
 from imufield.acquire.registry import load_driver
 from imufield.acquire.ros_bags import is_bag
 from imufield.acquire.session import DEFAULT_ROOT, Session
+from imufield.acquire.statistics import remarks
 from imufield.acquire.table_text import read_pieces
 from imufield.acquire.tables import ROWS_PROTOCOL, ImportedTable, read_tables, write_rows
 from imufield.commands.chain import part_metadata
@@ -191,7 +192,8 @@ def _try_can(options: ImportOptions, protocol: Protocol) -> list[str]:
             Reason.NO_FRAMES,
             frames=counts.frames,
         )
-    return [*losses, f"{counts.samples} samples of {counts.frames} frames, {counts.lost} lost", *assumed(protocol)]
+    said = f"{counts.samples} samples of {counts.frames} frames, {counts.lost} lost"
+    return [*losses, said, *remarks([counts]), *assumed(protocol)]
 
 
 def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
@@ -269,7 +271,8 @@ def _try_dump(files: list[Path], protocol: Protocol) -> list[str]:
             Reason.NO_FRAMES,
             bytes=counts.bytes_total,
         )
-    return [f"{counts.samples} samples, {counts.bytes_skipped} of {counts.bytes_total} bytes skipped", *assumed(protocol)]
+    said = f"{counts.samples} samples, {counts.bytes_skipped} of {counts.bytes_total} bytes skipped"
+    return [said, *remarks([counts]), *assumed(protocol)]
 
 
 @contextmanager

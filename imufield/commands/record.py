@@ -15,8 +15,10 @@ from imufield.acquire.host_clock import HostClock, SystemClock
 from imufield.acquire.link import Chunk
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.session import DEFAULT_ROOT, Session
+from imufield.acquire.statistics import remarks
 from imufield.commands.chain import part_metadata
 from imufield.commands.connect import Connected, ConnectOptions, connect
+from imufield.commands.output import say
 from imufield.deliver.numbers import beside
 from imufield.errors import RecordingError
 
@@ -79,12 +81,14 @@ def _finish(session: Session, cause: BaseException | None) -> None:
 
 
 def _record(connected: Connected, decoder: Decoder, recorder: Recorder, clock: HostClock, options: RecordOptions) -> None:
-    start_s = clock.monotonic_s()
-    told_s = start_s
-    chunks = iter(connected.chunks)
+    # What was heard while connecting is recorded, so its time is part of what was asked for.
+    _take(connected.chunks, decoder, recorder)
+    told_s = clock.monotonic_s()
+    start_s, is_silent = (connected.chunks[0].monotonic_s, False) if connected.chunks else (told_s, True)
     while options.duration_s is None or clock.monotonic_s() - start_s < options.duration_s:
-        chunk = next(chunks, None) or connected.link.read()
+        chunk = connected.link.read()
         if chunk is not None:
+            start_s, is_silent = (chunk.monotonic_s if is_silent else start_s), False
             _take([chunk], decoder, recorder)
         now_s = clock.monotonic_s()
         if now_s - told_s >= TELL_EVERY_S:
@@ -118,3 +122,5 @@ def _tell_end(session: Session, decoder: Decoder, as_json: bool) -> None:
     if sys.stdout.isatty():
         typer.echo()
     typer.echo(beside(f"{counts.samples} samples, {counts.lost} lost, session", session.folder))
+    for sentence in remarks([counts]):
+        say(sentence)

@@ -127,18 +127,21 @@ def choose_wire(options: Emulation) -> WireChoice:
     if options.device in OWN_RATE_HZ:
         return WireChoice(load(given), options.rate_hz or OWN_RATE_HZ[options.device], _OWN_FORM, baud, given, driver)
     form = choose_form(base, options.form, options.settings)
-    rate_hz = options.rate_hz or form.rate_hz
     settings: dict[str, object] = {**form.settings, **options.settings}
     defaults = {name: setting.value for name, setting in base.settings.items()}
+    told_hz = load(settings).clock.rate_hz if "rate_hz" in settings else 0.0
+    rate_hz = options.rate_hz or told_hz or form.rate_hz
     # A reader measures the rate; increments need it said.
     if "rate_hz" in defaults and "rate_hz" not in settings:
         settings["rate_hz"] = rate_hz
     protocol = load(settings)
     by_increment = protocol.units.accelerometer_is_increment or protocol.units.gyroscope_is_increment
+    # A counter of lines tells the time by the rate alone.
+    counts_by_rate = protocol.lines is not None and "counter" in protocol.lines.columns
     told = {
         name: value
         for name, value in settings.items()
-        if str(defaults.get(name)) != str(value) and (name != "rate_hz" or by_increment)
+        if str(defaults.get(name)) != str(value) and (name != "rate_hz" or by_increment or counts_by_rate)
     }
     return WireChoice(protocol, rate_hz, form, baud, told, driver)
 

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from imufield.acquire.protocol import Protocol
-from imufield.errors import UsageError
+from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray, Samples, SampleUnits
 from imufield.simulate.devices import Answer, Frames
 from imufield.simulate.emulator_core import SampleSource
 from imufield.simulate.frame_encode import FrameEncoder, WireClock
 from imufield.simulate.instruments import NoCommands, ScriptedInstrument
-from imufield.simulate.sentence_encode import LINE_END, SentenceEncoder
+from imufield.simulate.sentence_encode import LINE_END, LineEncoder, SentenceEncoder
 from imufield.simulate.wire_forms import WireForm
+
+COUNTS_OF_A_CONVERTER = 32768.0
+"""From the middle of a 16-bit converter to its end."""
+CONVERTER_RANGE_M_S2, CONVERTER_RANGE_RAD_S = 4 * STANDARD_GRAVITY_M_S2, math.radians(500.0)
+"""What the end of the converter stands for where a protocol says neither scale nor range."""
 
 
 class ProtocolDevice:
@@ -53,8 +59,12 @@ class ProtocolDevice:
         self.baud = baud
         self._clock = WireClock(protocol, rate_hz)
         lines = [frame for frame in form.frames if frame.line]
-        self._sentences = [SentenceEncoder(protocol, frame, self._clock) for frame in lines]
-        self._frames = [] if lines else [FrameEncoder(protocol, frame, self._clock) for frame in form.frames]
+        self._sentences: list[SentenceEncoder | LineEncoder] = [
+            SentenceEncoder(protocol, frame, self._clock) for frame in lines
+        ]
+        if protocol.lines is not None and not protocol.lines.sentences:
+            self._sentences = [LineEncoder(protocol, self._clock)]
+        self._frames = [] if self._sentences else [FrameEncoder(protocol, frame, self._clock) for frame in form.frames]
         self._has_counter = any(one.has_counter for one in self._sentences) or any(one.has_counter for one in self._frames)
 
     @property
@@ -99,6 +109,21 @@ class ProtocolDevice:
         self._clock.jump(by, self._has_counter)
 
 
+def _scales(protocol: Protocol, rate_hz: float) -> tuple[float, float]:
+    """Return the raw unit per m/s^2 and per rad/s of what a protocol sends (per m/s and per rad of increments).
+
+    Where a file leaves open what a count is, a converter is assumed: solving finds its scale as that of any other.
+    """
+    nominal, units = protocol.nominal, protocol.units
+    middle = float(np.mean(nominal.raw_zero)) or COUNTS_OF_A_CONVERTER
+    accelerometer = middle / (nominal.accelerometer_range_m_s2 or CONVERTER_RANGE_M_S2)
+    gyroscope = COUNTS_OF_A_CONVERTER / (nominal.gyroscope_range_rad_s or CONVERTER_RANGE_RAD_S)
+    return (
+        nominal.accelerometer_scale or accelerometer * (rate_hz if units.accelerometer_is_increment else 1.0),
+        nominal.gyroscope_scale or gyroscope * (rate_hz if units.gyroscope_is_increment else 1.0),
+    )
+
+
 class InProtocolUnits:
     """A source whose samples come in the units of a protocol.
 
@@ -110,23 +135,13 @@ class InProtocolUnits:
     protocol : Protocol
     rate_hz : float
         Nominal rate, for increments.
-
-    Raises
-    ------
-    UsageError
-        If the protocol leaves open what a count is.
     """
 
     def __init__(self, source: SampleSource, scale: tuple[float, float], protocol: Protocol, rate_hz: float) -> None:
         self._source = source
         self._units: SampleUnits = protocol.units
-        nominal = (protocol.nominal.accelerometer_scale, protocol.nominal.gyroscope_scale)
-        if None in nominal:
-            raise UsageError(
-                f"protocol {protocol.name} sends counts whose size it does not know, so nothing can be emulated; choose it "
-                "with --set, see `settings` in its file, or give scales under [nominal]"
-            )
-        self._per_unit = [float(wanted or 1.0) / has for wanted, has in zip(nominal, scale, strict=True)]
+        nominal = _scales(protocol, rate_hz)
+        self._per_unit = [wanted / has for wanted, has in zip(nominal, scale, strict=True)]
         self._rate_hz = rate_hz
         self._raw_zero = protocol.nominal.raw_zero
 

@@ -1,4 +1,4 @@
-"""Samples to sentences, ``$NAME,number,...*checksum``: by the columns that decode them and a template of the line."""
+"""Samples to lines, by the columns that decode them: numbers alone, or sentences, ``$NAME,number,...*checksum``."""
 
 from __future__ import annotations
 
@@ -6,12 +6,47 @@ import numpy as np
 
 from imufield.acquire.protocol import Protocol
 from imufield.acquire.protocol_schema import TextRule
+from imufield.acquire.table_columns import quantity_of
 from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, IntArray, Samples
 from imufield.simulate.frame_encode import WireClock
-from imufield.simulate.wire_forms import WireFrame
+from imufield.simulate.wire_forms import WireFrame, number_template
 
 LINE_END = "\r\n"
+RAW_UNITS = ("count", "pulse")
+_SEPARATORS = {"comma": ",", "semicolon": ";", "whitespace": " "}
+
+
+class LineEncoder:
+    """Encodes one line of numbers for each sample.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        Of kind "text" without sentences.
+    clock : WireClock
+    """
+
+    def __init__(self, protocol: Protocol, clock: WireClock) -> None:
+        assert protocol.lines is not None  # noqa: S101  the caller looked
+        self._protocol, self._clock = protocol, clock
+        separator = _SEPARATORS.get(protocol.lines.delimiter, ",")
+        raw = {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope}
+        ticks_per_s = protocol.clock.time_ticks_per_s
+        self._cells = [
+            (name, number_template(name, ticks_per_s, whole=raw.get(quantity_of(name)) in RAW_UNITS))
+            for name in protocol.lines.columns
+        ]
+        self._head = protocol.lines.prefix + separator if protocol.lines.prefix else ""
+        self._separator = separator
+        self.has_counter = "counter" in protocol.lines.columns
+
+    def encode(self, samples: Samples) -> list[bytes]:
+        """Return the lines of a block."""
+        columns = [
+            _print(text, _column_values(name, samples, self._protocol, self._clock), len(samples)) for name, text in self._cells
+        ]
+        return [(self._head + self._separator.join(row) + LINE_END).encode("ascii") for row in zip(*columns, strict=True)]
 
 
 class SentenceEncoder:
@@ -44,7 +79,9 @@ class SentenceEncoder:
 
     def encode(self, samples: Samples) -> list[bytes]:
         """Return the lines of a block."""
-        columns = [_print(text, self._values(name, samples), len(samples)) for name, text in self._cells]
+        columns = [
+            _print(text, _column_values(name, samples, self._protocol, self._clock), len(samples)) for name, text in self._cells
+        ]
         bodies = [(self._head + ",".join(row)).encode("ascii") for row in zip(*columns, strict=True)]
         return [self._closed(body) for body in bodies]
 
@@ -52,20 +89,21 @@ class SentenceEncoder:
         value = int(self._checksum.of_rows(np.frombuffer(body, dtype=np.uint8).reshape(1, -1))[0])
         return self._marker.encode() + body + f"*{self._check.format(value)}{LINE_END}".encode()
 
-    def _values(self, column: str, samples: Samples) -> FloatArray | IntArray | None:
-        """Return the numbers of one column as they are printed; None for one that means nothing in a sample."""
-        name = column.removeprefix("-")
-        sign, factors, clock = (-1.0 if column.startswith("-") else 1.0), self._protocol.factors, self._protocol.clock
-        if name in ACCELEROMETER_COLUMNS:
-            return sign * samples.accelerometer[:, ACCELEROMETER_COLUMNS.index(name)] / factors["accelerometer"]
-        if name in GYROSCOPE_COLUMNS:
-            return sign * samples.gyroscope[:, GYROSCOPE_COLUMNS.index(name)] / factors["gyroscope"]
-        if name == "temperature":
-            return samples.temperature_degc
-        if name == "time":
-            ticks = self._clock.time_s(samples) * clock.time_ticks_per_s
-            return ticks % clock.time_modulus if clock.time_modulus else ticks
-        return self._clock.counter(samples, 0) if name == "counter" else None
+
+def _column_values(column: str, samples: Samples, protocol: Protocol, wire: WireClock) -> FloatArray | IntArray | None:
+    """Return the numbers of one column as they are printed; None for one that means nothing in a sample."""
+    name = column.removeprefix("-")
+    sign, factors, clock = (-1.0 if column.startswith("-") else 1.0), protocol.factors, protocol.clock
+    if name in ACCELEROMETER_COLUMNS:
+        return sign * samples.accelerometer[:, ACCELEROMETER_COLUMNS.index(name)] / factors["accelerometer"]
+    if name in GYROSCOPE_COLUMNS:
+        return sign * samples.gyroscope[:, GYROSCOPE_COLUMNS.index(name)] / factors["gyroscope"]
+    if name == "temperature":
+        return samples.temperature_degc
+    if name == "time":
+        ticks = wire.time_s(samples) * clock.time_ticks_per_s
+        return ticks % clock.time_modulus if clock.time_modulus else ticks
+    return wire.counter(samples, 0) if name == "counter" else None
 
 
 def _split(rule: TextRule, line: str) -> tuple[str, str, list[str], str]:

@@ -1,10 +1,12 @@
 """What an emulated instrument sends: the table ``[[emulate]]`` of a protocol file.
 
-Without such a table it is the first kind of frame that has an accelerometer or a gyroscope, once for each sample.
+Without such a table it is the first kind of frame or sentence that has an accelerometer or a gyroscope, once for each sample;
+of a protocol whose lines are all of one kind it is that line.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,6 +14,7 @@ from typing import Any
 from imufield.acquire.protocol import Protocol
 from imufield.acquire.protocol_toml import Source, Table, near, spell
 from imufield.errors import UsageError
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS
 
 DEFAULT_RATE_HZ = 100.0
 
@@ -83,12 +86,41 @@ def _agree(given: object, value: object) -> bool:
     return given is None or spell(given) == spell(value)
 
 
+def number_template(column: str, ticks_per_s: float = 1.0, *, whole: bool = False) -> str:
+    """Return how a number of a line is printed where nothing says so.
+
+    Parameters
+    ----------
+    column : str
+        Its name; a minus in front is the sign, alone it means nothing.
+    ticks_per_s : float
+        Of a time.
+    whole : bool
+        Outputs are counts.
+    """
+    name = column.removeprefix("-")
+    if name == "":
+        return "0"
+    if name == "time":
+        return f"{{:.{max(0, 6 - round(math.log10(ticks_per_s)))}f}}"
+    return {"counter": "{:d}", "temperature": "{:.2f}"}.get(name, "{:.0f}" if whole else "{:.9f}")
+
+
 def _first_frame(protocol: Protocol) -> WireFrame:
+    if protocol.lines is not None and not protocol.lines.sentences:
+        return WireFrame()
     wanted = {*protocol.samples.accelerometer.fields, *protocol.samples.gyroscope.fields}
     for form in protocol.frame.forms if protocol.frame else ():
         for key, layout in form.layouts.items():
             if not layout.is_message and any(one.name in wanted for one in layout.fields):
                 return WireFrame(form.sync, key)
+    triads = {*ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS}
+    rule = protocol.lines
+    for sentence in rule.sentences if rule else ():
+        if rule and rule.checksums and triads & {column.removeprefix("-") for column in sentence.columns}:
+            cells = [number_template(column, protocol.clock.time_ticks_per_s) for column in sentence.columns]
+            head = f"{rule.markers[0]}{sentence.name},{rule.header_end}"
+            return WireFrame(line=f"{head}{','.join(cells)}*{{:0{2 * rule.checksums[0].size}X}}")
     raise UsageError(f"protocol {protocol.name} does not say what to send; add a table [[emulate]] to its file")
 
 

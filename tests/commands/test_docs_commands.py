@@ -33,6 +33,10 @@ ELSEWHERE = {
     "imufield probe": "tests/commands/test_probe.py finds instruments on ports",
     "imufield emulate xsens_can": "tests/simulate/test_can_slcan.py opens its adapter, which waits for somebody to do so",
     "imufield emulate my_imu.toml": "tests/simulate/test_protocol_device.py emulates formats of the user's own",
+    "imufield emulate my_logger.toml": "tests/commands/test_emulate_own.py emulates and captures it",
+    "imufield capture --port /tmp/imu --protocol my_logger.toml": "tests/commands/test_emulate_own.py emulates and captures it",
+    "imufield emulate my_imu --link": "tests/commands/test_emulate_own.py emulates and captures it",
+    "imufield capture --port /tmp/imu --driver my_imu": "tests/commands/test_emulate_own.py emulates and captures it",
 }
 """Beginnings of lines, or options, and where they are run."""
 LIVE = "imufield capture --port /dev/ttyUSB0 --latitude 48.1 --height 520"

@@ -236,5 +236,54 @@ def test_samples_take_the_units_of_the_protocol() -> None:
     block = InProtocolUnits(source, (1.0, 1.0), increments, 100.0).next_block(3)
     np.testing.assert_allclose(block.accelerometer[0], [0, 0, G / 100])
     np.testing.assert_allclose(block.gyroscope[0], 0.001)
-    with pytest.raises(UsageError, match="counts whose size"):
-        InProtocolUnits(source, (1.0, 1.0), load_protocol("novatel_oem7"), 100.0)
+
+
+def test_a_count_of_unknown_size_is_that_of_a_converter(tmp_path: Path) -> None:
+    """1 g is a quarter of the way from the middle of a 10-bit converter to its end."""
+    page = (Path(__file__).resolve().parents[2] / "docs" / "protocols.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```toml\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
+    path = tmp_path / "my_logger.toml"
+    path.write_text(next(block for block in blocks if 'name = "my_logger"' in block), encoding="utf-8")
+    options = Emulation(str(path))
+    choice = choose_wire(options)
+    source: SampleSource = _AtRest()
+    sent = InProtocolUnits(source, (1.0, 1.0), choice.protocol, choice.rate_hz).next_block(5)
+    frames = make_device(options, choice).encode(sent)
+    lines = frames.data.tobytes().decode().splitlines()
+    assert [line.split(",")[:5] for line in lines] == [["$HOME", str(n), "512", "512", "640"] for n in range(5)]
+
+
+TEXTS = [
+    {"columns": "ax,ay,az", "accelerometer_unit": "g", "delimiter": "semicolon"},
+    {"columns": "counter,-,gx,gy,gz,ax,ay,az,temperature", "gyroscope_unit": "deg/s", "delimiter": "whitespace"},
+    {"columns": "time,ax,ay,az,gx,gy,gz", "time_unit": "ms", "prefix": "$IMU"},
+    {"columns": "time,ax,ay,az", "time_unit": "us", "accelerometer_unit": "m/s", "rate_hz": "50"},
+]
+
+
+@pytest.mark.parametrize("settings", TEXTS, ids=lambda one: one["columns"])
+def test_lines_without_a_table_come_back(settings: dict[str, str], tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(load_protocol("text").text, encoding="utf-8")
+    options = Emulation(str(path), settings=settings)
+    choice = choose_wire(options)
+    sent = random_samples(choice.protocol, choice.rate_hz, 0, 300)
+    got, decoder = decode(choice.protocol, make_device(options, choice), sent)
+    assert len(got) == 300
+    assert decoder.statistics.bytes_skipped == 0
+    np.testing.assert_allclose(got.accelerometer, sent.accelerometer, atol=1e-8)
+    if "gx" in settings["columns"]:
+        np.testing.assert_allclose(got.gyroscope, sent.gyroscope, atol=1e-8)
+    if "temperature" in settings["columns"]:
+        np.testing.assert_allclose(got.temperature_degc, sent.temperature_degc, atol=0.0051)
+    if "time" in settings["columns"]:
+        np.testing.assert_allclose(got.time_s, sent.time_s, atol=1e-6)
+
+
+def test_sentences_without_a_table_come_back() -> None:
+    protocol = parse_protocol(load_protocol("vectornav_ascii").text.partition("[[emulate]]")[0])
+    (form,) = wire_forms(protocol)
+    sent = random_samples(protocol, form.rate_hz, 0, 300)
+    got, decoder = decode(protocol, ProtocolDevice(protocol, form, form.rate_hz), sent)
+    assert (len(got), decoder.statistics.bytes_skipped) == (300, 0)
+    np.testing.assert_allclose(got.accelerometer, sent.accelerometer, atol=1e-8)

@@ -1,0 +1,76 @@
+"""The instruments of the pages: emulated from their files as they stand there, then captured or recorded."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from imufield.acquire.session import Session
+from imufield.commands.chain import session_samples
+from imufield.samples import concatenate
+
+if TYPE_CHECKING:
+    from tests.commands.conftest import Program
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals")
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+SPEED = 8
+
+
+def fenced(page: str, kind: str, mark: str) -> str:
+    text = (DOCS / page).read_text(encoding="utf-8")
+    blocks = re.findall(rf"^```{kind}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+    return next(str(block) for block in blocks if mark in block)
+
+
+def captured(program: Program, who: list[str], how: list[str]) -> Session:
+    """Emulate and capture six faces; return the session."""
+    emulator = program.start(
+        "emulate", *who, "--json", "--speed", SPEED, "--positions", "faces6", "--hold-s", 6, "--wait", "--grade", "mems"
+    )
+    assert emulator.stdout is not None
+    line = emulator.stdout.readline()
+    assert line, emulator.communicate()[1]
+    reading = ("--positions", "faces6", "--hold-s", 2, "--clock-speed", SPEED, "--latitude", 45, "--plain", "--session", "mine")
+    ended = program.run("capture", "--port", json.loads(line)["port"], *how, *reading)
+    assert ended.returncode == 0, ended.stderr
+    assert "6 of 6 positions measured" in ended.stdout
+    assert "lack acceleration" not in ended.stdout
+    solved = program.run("solve", "mine", "--json")
+    assert solved.returncode == 0, solved.stderr
+    return Session.open(program.folder / "mine")
+
+
+def test_the_logger_of_the_page(program: Program) -> None:
+    (program.folder / "my_logger.toml").write_text(fenced("protocols.md", "toml", 'name = "my_logger"'), encoding="utf-8")
+    session = captured(program, ["my_logger.toml"], ["--protocol", "my_logger.toml"])
+    samples = concatenate(list(session_samples(session, [])))
+    assert np.all(samples.accelerometer == np.rint(samples.accelerometer))
+    assert abs(np.median(samples.accelerometer) - 512) < 30
+    assert abs(np.median(samples.temperature_degc) - 25) < 5
+
+
+def test_the_driver_of_the_page(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
+    site = program.folder / "site"
+    (site / "my_package").mkdir(parents=True)
+    (site / "my_package" / "__init__.py").touch()
+    (site / "my_package" / "my_imu.py").write_text(fenced("protocols.md", "python", "MyImu"), encoding="utf-8")
+    about = site / "my_package-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my-package\nVersion: 1.0\n", encoding="utf-8")
+    (about / "entry_points.txt").write_text("[imufield.drivers]\nmy_imu = my_package.my_imu:MyImu\n", encoding="utf-8")
+    paths = [str(site), *filter(None, [os.environ.get("PYTHONPATH")])]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
+    session = captured(program, ["my_imu"], ["--driver", "my_imu"])
+    assert session.metadata["settings"]["columns"]["value"] == "counter,ax,ay,az"
+    samples = concatenate(list(session_samples(session, [])))
+    assert np.median(np.linalg.norm(samples.accelerometer, axis=1)) == pytest.approx(9.8, abs=0.3)
+    assert samples.counter[0] >= 0

@@ -1,0 +1,73 @@
+"""``imufield record`` without a port: how long it goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from imufield.acquire.link import Chunk
+from imufield.acquire.protocol import load_protocol
+from imufield.acquire.session import Session
+from imufield.commands import record as module
+from imufield.commands.chain import session_samples
+from imufield.commands.connect import Connected, ConnectOptions
+from imufield.commands.record import RecordOptions, run_record
+from imufield.samples import concatenate
+
+
+def chunk(number: int) -> Chunk:
+    """Return line ``number`` of an instrument that prints ten a second, and arrives when it is printed."""
+    return Chunk(f"{number / 10:.1f},0.0,0.0,9.8\n".encode(), number / 10, round(1e8 * number))
+
+
+@dataclass
+class Simulated:
+    """A host whose time goes on while it reads: its clock, and the link to an instrument that starts late."""
+
+    now_s: float
+    first_s: float = 0.0
+    name: str = "line"
+    losses: list[str] = field(default_factory=list)
+
+    def monotonic_s(self) -> float:
+        return self.now_s
+
+    def utc_ns(self) -> int:
+        return round(1e9 * self.now_s)
+
+    def sleep(self, duration_s: float) -> None:
+        self.now_s += duration_s
+
+    def read(self) -> Chunk | None:
+        self.now_s = round(self.now_s + 0.1, 6)
+        return chunk(round(10 * self.now_s)) if self.now_s >= self.first_s else None
+
+    def drain(self) -> list[Chunk]:
+        return []
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("heard", "first_s", "wanted"),
+    [
+        pytest.param(11, 0.0, 50, id="a second was heard while connecting"),
+        pytest.param(0, 0.0, 50, id="nothing was"),
+        pytest.param(0, 4.0, 50, id="it starts late"),
+        pytest.param(81, 0.0, 81, id="what was heard is longer, and kept"),
+    ],
+)
+def test_the_duration_counts_from_the_first_bytes(
+    heard: int, first_s: float, wanted: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    host = Simulated(max(heard - 1, 0) / 10, first_s)
+    protocol = load_protocol("text", {"columns": "time,ax,ay,az", "rate_hz": 10})
+    heard_chunks = [chunk(number) for number in range(heard)]
+    connected = Connected(host, protocol, "text", "text", 9600, heard_chunks, {}, "serial", None, None, None)  # type: ignore[arg-type]
+    monkeypatch.setattr(module, "connect", lambda *_: connected)
+    run_record(RecordOptions(connect=ConnectOptions(), session=tmp_path / "here", duration_s=5.0), host)
+    samples = concatenate(list(session_samples(Session.open(tmp_path / "here"), [])))
+    assert abs(len(samples) - wanted) <= 1
