@@ -205,7 +205,7 @@ def _gauss_newton(
             break
     step = _linear_step(now, parts, scatter, p, free, prior)
     settled = status is SolverStatus.CONVERGED
-    message = "changes are below a ten-thousandth of a sigma" if settled else f"not settled after {_ITERATIONS} steps"
+    message = "changes are below a ten-thousandth of a sigma" if settled else f"it still moves after {_ITERATIONS} steps"
     solved = SolverResult(p[free], step.cost, status, message, count)
     return JointFit(p, free, step.covariance, step.gain, now, parts, scatter, solved, prior.length_rad_s is not None)
 

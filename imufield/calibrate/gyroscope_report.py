@@ -81,6 +81,8 @@ class GyroscopeResult:
     """Scatter of the bias from still to still, beyond noise."""
     reasons: tuple[str, ...]
     """Sentences: every warning, and what the result rests on."""
+    cautions: tuple[str, ...] = ()
+    """Sentences that make the verdict on the whole no better than usable."""
     basis: Described | StaticNorm | None = None
     """What it was fitted to, for other methods; None for a static bias."""
 
@@ -106,6 +108,8 @@ class GyroscopeResult:
 
 def _with_reasons(calibration: Calibration, result: GyroscopeResult) -> Calibration:
     quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *result.reasons))
+    if result.cautions:
+        quality = quality.lowered("usable", *result.cautions)
     return replace(calibration, quality=quality, unobservable=(*calibration.unobservable, *result.unobservable))
 
 
@@ -168,6 +172,7 @@ def describe(what: Described) -> GyroscopeResult:
         fitted.heading_fitted,
         fitted.scatter.drift_rad_s,
         _reasons(what),
+        () if fitted.solved.converged else (_unsettled(fitted.solved.message, what.given.latitude_deg),),
         what,
     )
 
@@ -203,7 +208,7 @@ def static_norm_result(what: StaticNorm) -> GyroscopeResult:
     sigma = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
     seen = "scale, misalignment and bias" if free else "bias; scale and misalignment as given, not calibrated"
     path = f"static norm of the Earth rate at {len(given.observations)} still positions, any heading: {seen}"
-    unsettled = () if fitted.converged else ("the static gyroscope fit did not settle",)
+    unsettled = () if fitted.converged else (_unsettled("it still moves after the last step", given.latitude_deg),)
     latitude = latitude_words(given.latitude_deg or 0.0, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)
     none = np.empty(0)
     return GyroscopeResult(
@@ -218,8 +223,20 @@ def static_norm_result(what: StaticNorm) -> GyroscopeResult:
         () if free else GYROSCOPE_NAMES[:9],
         True,
         fitted.scatter.drift_rad_s,
-        (*latitude, *unsettled, *(one.sentence for one in given.moves.dropped)),
+        (*latitude, *(one.sentence for one in given.moves.dropped)),
+        unsettled,
         what,
+    )
+
+
+def _unsettled(how: str, latitude_deg: float | None) -> str:
+    """Say that a fit has not ended, and what usually helps."""
+    start = f"the gyroscope fit did not come to an end ({how}), so its parameters and their sigma are not final: "
+    if latitude_deg is None:
+        return start + "repeat the session with longer holds and slower turns"
+    return start + (
+        "most often the data do not show the Earth's rate that the latitude stands for (it was simulated without, or taken "
+        "off before); solve again with --gravity in place of --latitude, and if it stays so, repeat the session"
     )
 
 
@@ -296,7 +313,6 @@ def _earth_words(what: Described) -> str:
 
 
 def _reasons(what: Described) -> tuple[str, ...]:
-    fitted = what.fit
     sentences = list(what.words)
     report = _move_report(what)
     if len(report.after_deg):
@@ -304,8 +320,6 @@ def _reasons(what: Described) -> tuple[str, ...]:
         sentences.append(
             f"gyroscope: angle error of {len(report.after_deg)} moves {before}{report.rms_after_deg:.3f} deg RMS after"
         )
-    if not fitted.solved.converged:
-        sentences.append(f"the gyroscope fit did not settle: {fitted.solved.message}")
     if what.sight.hidden:
         names = ", ".join(what.sight.hidden_names)
         sentences.append(f"these moves cannot show {names}; left at the preset's value")

@@ -225,7 +225,7 @@ def _quality(quality: Quality, residual: FloatArray, summary: SolverSummary) -> 
     if summary.converged:
         return figures
     sentence = f"the method {summary.method} did not converge, do not use these parameters: {summary.message}"
-    return replace(figures, verdict="poor", reasons=(sentence, *quality.reasons))
+    return figures.lowered("poor", sentence)
 
 
 def cross_check(

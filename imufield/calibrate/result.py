@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -131,7 +131,17 @@ class Quality:
     verdict: str
     """"good", "usable" or "poor"."""
     reasons: tuple[str, ...]
-    """Sentences: what the verdict rests on, and every warning."""
+    """Sentences: what the verdict rests on, then what lowered it, then every other warning."""
+
+    @property
+    def main_reason(self) -> str:
+        """What lowered the verdict, or what a good one rests on."""
+        return self.reasons[min(1, len(self.reasons) - 1) if self.verdict != "good" else 0] if self.reasons else ""
+
+    def lowered(self, verdict: str, *why: str) -> Quality:
+        """Return the same with a verdict no better than ``verdict``, and the sentences that say why."""
+        worst = max(self.verdict, verdict, key=("good", "usable", "poor").index)
+        return replace(self, verdict=worst, reasons=(*self.reasons[:1], *why, *self.reasons[1:]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -185,6 +185,13 @@ def student_factor_95(degrees_of_freedom: float, of: int = 1) -> float:
     return float(stdtrit(degrees_of_freedom, 1 - 0.025 / of)) if degrees_of_freedom > 0 else float("nan")
 
 
+def f_chance(value: float, numerator: int, denominator: int) -> float:
+    """Return the probability that a variable of the F distribution is at least ``value``."""
+    from scipy.special import fdtrc  # slow to load, as above
+
+    return float(fdtrc(numerator, denominator, value))
+
+
 def f_limit_95(numerator: int, denominator: int) -> float:
     """Return the 95 % point of the F distribution; infinite without degrees of freedom."""
     from scipy.special import fdtri  # slow to load, as above

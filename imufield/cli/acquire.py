@@ -24,6 +24,7 @@ from imufield.cli.options import (
     SessionFolder,
     Settings,
     SignalMap,
+    TableRateHz,
     connect_options,
     site,
 )
@@ -176,7 +177,7 @@ def import_files(
     topic: Annotated[str | None, typer.Option(help="For a recording of ROS: which topic, e.g. /imu/data.")] = None,
     settings: Settings = None,
     columns: Annotated[str | None, typer.Option(help="Columns of a table, e.g. time,ax,ay,az,gx,gy,gz.")] = None,
-    rate_hz: Annotated[float | None, typer.Option(help="Sample rate of a table without a time column.", min=1e-3)] = None,
+    rate_hz: TableRateHz = None,
     zero: Annotated[str | None, typer.Option(help="Raw output at zero input, one or three numbers (mid-scale).")] = None,
     as_json: AsJson = False,
 ) -> None:

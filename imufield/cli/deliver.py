@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from imufield.cli.options import LARGEST_SEED, AsJson, GravityValue, Height, Latitude, Settings, site
+from imufield.cli.options import LARGEST_SEED, AsJson, GravityValue, Height, Latitude, Settings, TableRateHz, site
 
 
 def export(
@@ -32,6 +32,7 @@ def apply(
     parameters: Annotated[Path, typer.Argument(help="Parameter file.", readable=False)],
     source: Annotated[Path, typer.Argument(help="Session folder, or a table (CSV).", readable=False)],
     output: Annotated[Path, typer.Option("-o", "--output", help="CSV to write.", readable=False)],
+    rate_hz: TableRateHz = None,
 ) -> None:
     """Correct a recording with the parameters.
 
@@ -39,7 +40,7 @@ def apply(
     """
     from imufield.commands.apply import run_apply
 
-    run_apply(parameters, source, output)
+    run_apply(parameters, source, output, rate_hz)
 
 
 def export_data(

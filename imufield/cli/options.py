@@ -37,6 +37,7 @@ RateHz = Annotated[
     float | None,
     typer.Option(help="Set the output rate of the instrument, where its driver can; put back at the end.", min=0.1),
 ]
+TableRateHz = Annotated[float | None, typer.Option("--rate-hz", help="Sample rate of a table without a time column.", min=1e-3)]
 SessionFolder = Annotated[
     Path | None, typer.Option("--session", help="Folder of the session (default: a new one).", readable=False)
 ]

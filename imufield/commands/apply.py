@@ -15,11 +15,12 @@ from imufield.commands.rows import RowCount
 from imufield.deliver.apply_session import apply_session
 from imufield.deliver.numbers import beside, hanging
 from imufield.deliver.parameters import load
+from imufield.errors import UsageError
 from imufield.files import refuse_overwriting
 
 
-def run_apply(parameters: Path, source: Path, output: Path) -> None:
-    """Write a CSV of corrected samples from a session folder or a table.
+def run_apply(parameters: Path, source: Path, output: Path, rate_hz: float | None = None) -> None:
+    """Write a CSV of corrected samples from a session folder or a table; ``rate_hz`` of one without a time column.
 
     Raises
     ------
@@ -29,12 +30,14 @@ def run_apply(parameters: Path, source: Path, output: Path) -> None:
     loaded = load(parameters)
     damage: list[Damage] = []
     if source.is_dir():
+        if rate_hz is not None:
+            raise UsageError("--rate-hz is for tables without a time column; a session has its time, leave it out")
         session = Session.open(source)
         refuse_overwriting(output, [parameters, *session.parts])
         serial_number, blocks = session.serial_number, session_samples(session, damage)
     else:
         refuse_overwriting(output, [parameters, source])
-        serial_number, blocks = "", table_samples(source)
+        serial_number, blocks = "", table_samples(source, rate_hz)
     count = RowCount()
     rows = apply_session(loaded, count.through(blocks), output, serial_number=serial_number)
     for one in damage:

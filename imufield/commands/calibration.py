@@ -163,17 +163,15 @@ def _by_method(result: GyroscopeResult, calibration: Calibration, wishes: Wishes
     check = cross_check_gyroscope(result, rng=rng) if wishes.cross_check else None
     result, solved = solve_gyroscope_with(wishes.method, result, rng=rng, polish=wishes.polish)
     joined = result.join(calibration)
-    reasons = joined.quality.reasons
     quality = joined.quality
     if solved is not None and not solved.converged:
         sentence = f"the method {wishes.method} did not converge on the gyroscope, do not use its parameters: {solved.message}"
-        quality = replace(quality, verdict="poor")
-        reasons = (sentence, *reasons)
+        quality = quality.lowered("poor", sentence)
     elif solved is not None:
-        reasons = (*reasons, f"gyroscope solved by {wishes.method}: {solved.message}")
+        quality = replace(quality, reasons=(*quality.reasons, f"gyroscope solved by {wishes.method}: {solved.message}"))
     if check is not None:
-        reasons = (*reasons, check.sentence)
-    return replace(joined, quality=replace(quality, reasons=reasons))
+        quality = replace(quality, reasons=(*quality.reasons, check.sentence))
+    return replace(joined, quality=quality)
 
 
 def _check_preset(preset: Parameters, measured: Measured) -> None:

@@ -213,9 +213,9 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
     return session, list(table.assumptions)
 
 
-def table_samples(path: Path) -> Iterator[Samples]:
+def table_samples(path: Path, rate_hz: float | None = None) -> Iterator[Samples]:
     """Yield the samples of a table, e.g. an exported CSV, block by block."""
-    table = read_tables([path])
+    table = read_tables([path], rate_hz=rate_hz)
     decoder = Decoder(load_protocol(ROWS_PROTOCOL, table.settings))
     chunks = _Chunks([])
     write_rows(chunks, table.rows, table.status)

@@ -23,6 +23,13 @@ from imufield.deliver.document import noise_table
 from imufield.deliver.parameters import Noise, Parameters, load, write_document
 from imufield.files import refuse_overwriting
 
+_FIGURES = {
+    "density": ("density", "/sqrt(Hz)"),
+    "instability": ("bias instability", ""),
+    "walk": ("random walk", "/sqrt(s)"),
+}
+"""Title of each figure, and what its unit has behind that of the axis."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseOptions:
@@ -82,23 +89,25 @@ def _write_into(path: Path, parameters: Parameters, result: NoiseResult) -> None
 
 def _print(result: NoiseResult) -> None:
     say(f"{result.source} ({result.samples} samples, {result.bridged} lost ones bridged)")
-    typer.echo(f"{'':<16}{'density':>24}{'bias instability':>24}{'random walk':>24}  unit")
-    for axis in result.axes:
-        figures = "".join(f"{_with_limits(one):>24}" for one in (axis.density, axis.instability, axis.walk))
-        typer.echo(f"{axis.name:<16}{figures}  {axis.unit}")
+    for name, (title, per) in _FIGURES.items():
+        typer.echo(f"{title:<18}{'value':>12}   {'95 % interval':<23} unit")
+        for axis in result.axes:
+            typer.echo(f"  {axis.name:<16}{_value_and_limits(getattr(axis, name))} {axis.unit}{per}".rstrip())
     for sentence in (*result.sentences, *(sentence for axis in result.axes for sentence in axis.sentences)):
         say(f" · {sentence}", indent=3)
 
 
-def _with_limits(figure: NoiseFigure) -> str:
+def _value_and_limits(figure: NoiseFigure) -> str:
+    """Return the two columns of a figure, 38 characters."""
     if not math.isfinite(figure.value):
-        return "not seen"
-    return f"{figure.value:.3g} [{figure.low:.2g}, {figure.high:.2g}]"
+        return f"{'not seen':>12}   {f'below {figure.high:.2g}' if math.isfinite(figure.high) else '':<23}"
+    return f"{figure.value:>12.3g}   {f'{figure.low:.2g} to {figure.high:.2g}':<23}"
 
 
 def _document(result: NoiseResult) -> dict[str, object]:
-    axes = {
-        axis.name: {name: _numbers(getattr(axis, name)) for name in ("density", "instability", "walk")} for axis in result.axes
+    axes: dict[str, dict[str, dict[str, float | str | None]]] = {
+        axis.name: {name: {**_numbers(getattr(axis, name)), "unit": axis.unit + per} for name, (_, per) in _FIGURES.items()}
+        for axis in result.axes
     }
     return {
         "source": result.source,

@@ -40,13 +40,16 @@ from imufield.deliver.parameters import (
     write_document,
 )
 from imufield.deliver.summary import Outcome, print_summary
-from imufield.errors import CalibrationError, Reason, UsageError, counted
+from imufield.earth import Gravity
+from imufield.errors import CalibrationError, ImufieldError, Reason, UsageError, counted
 from imufield.files import refuse_overwriting
 from imufield.guide.axes_check import AxesCheck
 from imufield.guide.events import Event, RefusalCode, Rejected
 from imufield.guide.guide import Guide
 
 HASH_BLOCK_BYTES = 1 << 20
+_BETTER_KNOWN = 3.0
+"""Factor between sigmas of gravity from which the common scale of a session is another in practice."""
 FEWEST_POSITIONS = 6
 """For scale and bias, each axis up and down."""
 
@@ -95,13 +98,29 @@ def run_solve(options: SolveOptions) -> None:
         refuse_overwriting(path, session.parts)
         with ProgressLine("reading") as progress:
             solved = solve_session(session, options, progress)
+    better = better_gravity(path, solved.parameters.calibration.gravity)
     kept = write_document(path, solved.parameters.document)
     if options.as_json:
         typer.echo(json.dumps(json_ready(solved.parameters.document)))
         return
     print_summary(solved.parameters, Outcome(path, kept, None if session is None else session.folder))
-    for note in solved.notes:
+    for note in (*solved.notes, *better):
         typer.echo(hanging("", note))
+
+
+def better_gravity(path: Path, now: Gravity) -> tuple[str, ...]:
+    """Return a sentence where the parameter file that stands at ``path`` knows gravity much better than it is known now."""
+    try:
+        before = load(path).calibration.gravity
+    except ImufieldError:
+        return ()
+    if not before.sigma_m_s2 * _BETTER_KNOWN < now.sigma_m_s2:
+        return ()
+    again = f"--gravity {before.gravity_m_s2:.6g}"
+    if before.source == "normal" and before.latitude_deg is not None:
+        again = f"--latitude {before.latitude_deg:g} --height {before.height_m or 0:g}"
+    known = f"that file had gravity to {before.sigma_m_s2:.2g} m/s^2, this one has it to {now.sigma_m_s2:.2g} m/s^2"
+    return (f"{known}: to solve as it was, add {again}",)
 
 
 def solve_session(session: Session, options: SolveOptions, progress: ProgressLine | None = None) -> Solved:

@@ -20,7 +20,7 @@ from rich.table import Table
 
 from imufield.acquire.session import Session
 from imufield.commands.output import say
-from imufield.commands.solve import SolveOptions, solve_session
+from imufield.commands.solve import SolveOptions, better_gravity, solve_session
 from imufield.deliver.parameters import PARAMETER_FILE, Parameters, from_document, json_ready, write_document
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ImufieldError, UsageError
@@ -41,6 +41,8 @@ class SessionOutcome:
     document: dict[str, Any] | None = None
     notes: tuple[str, ...] = ()
     written: Path | None = None
+    kept: Path | None = None
+    """Where the parameter file that stood there before is kept."""
 
 
 def run_solve_many(
@@ -60,15 +62,20 @@ def run_solve_many(
     preset = None if options.preset is None else options.preset.resolve()
     folders = dict.fromkeys(folder.resolve() for folder in sessions)
     jobs = [replace(options, session=folder, preset=preset) for folder in folders]
+    done: list[SessionOutcome] = []
+
+    def tell(outcome: SessionOutcome) -> None:
+        done.append(outcome)
+        say(f"{len(done)} of {len(jobs)}: {_name(outcome)}, {_verdict(outcome)}", err=True)
+
     found = run_campaign(
         solve_job,
         jobs,
         seed=options.seed,
         workers=workers,
         scheduler=scheduler,
-        progress=_tell,
         on_killed=_killed,
-        largest_batch=1,
+        hear=tell,
     )
     outcomes = [_write(outcome) for outcome in found]
     _print(outcomes, as_json=options.as_json)
@@ -109,11 +116,13 @@ def _write(outcome: SessionOutcome) -> SessionOutcome:
     if outcome.document is None:
         return outcome
     path = outcome.session / PARAMETER_FILE
+    better = better_gravity(path, from_document(outcome.document).calibration.gravity)
     try:
-        write_document(path, outcome.document)
+        kept = write_document(path, outcome.document)
     except ImufieldError as error:
         return replace(outcome, exit_code=error.exit_code, error=error.message)
-    return replace(outcome, written=path)
+    moved = () if kept is None else (f"the file that stood there before is now {kept.name}",)
+    return replace(outcome, written=path, kept=kept, notes=(*outcome.notes, *moved, *better))
 
 
 def _print(outcomes: list[SessionOutcome], *, as_json: bool) -> None:
@@ -126,14 +135,18 @@ def _print(outcomes: list[SessionOutcome], *, as_json: bool) -> None:
         for sentence in _sentences(outcome):
             say(f"{_name(outcome)}: {sentence}", indent=2)
     failed = sum(outcome.error != "" for outcome in outcomes)
-    say(f"{len(outcomes)} sessions, {failed} of them failed; the others have their {PARAMETER_FILE}.")
+    solved = f"{len(outcomes) - failed} of {len(outcomes)} sessions solved"
+    if failed < len(outcomes):
+        solved += f", each has its {PARAMETER_FILE} now"
+    say(f"{solved}; {failed} failed, for the reasons above." if failed else f"{solved}.")
 
 
 def _as_json(outcome: SessionOutcome) -> dict[str, Any]:
     shown = {"session": str(outcome.session), "verdict": _verdict(outcome), "exit_code": outcome.exit_code}
     if outcome.error:
         return {**shown, "error": outcome.error}
-    return {**shown, "file": str(outcome.written), "parameters": json_ready(outcome.document or {})}
+    files = {"file": str(outcome.written), "kept": None if outcome.kept is None else str(outcome.kept)}
+    return {**shown, **files, "parameters": json_ready(outcome.document or {})}
 
 
 def _name(outcome: SessionOutcome) -> str:
@@ -156,7 +169,7 @@ def _sentences(outcome: SessionOutcome) -> tuple[str, ...]:
     found = _parameters(outcome)
     if found is None or found.calibration.quality.verdict == "good":
         return outcome.notes
-    return (*found.calibration.quality.reasons[:1], *outcome.notes)
+    return (found.calibration.quality.main_reason, *outcome.notes)
 
 
 def _table(outcomes: list[SessionOutcome]) -> Table:
@@ -185,8 +198,3 @@ def _figures(outcome: SessionOutcome) -> tuple[str, ...]:
 
 def _largest(values: FloatArray) -> float:
     return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
-
-
-def _tell(done: int, total: int) -> None:
-    if sys.stderr.isatty():
-        typer.echo(f"\r{done} of {total} sessions", nl=done == total, err=True)

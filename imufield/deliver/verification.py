@@ -39,6 +39,8 @@ REQUIREMENTS = {
     "nav-nmi-per-h": "largest position error over the time navigated, nautical miles an hour",
 }
 _WIDTH = 80
+_HOURS_FROM_S = 7200.0
+"""Shorter recordings are told in minutes: a sixth of them has one decimal in hours."""
 _POINTS = 600
 """Of each curve in the file: more than a plot shows."""
 
@@ -145,6 +147,8 @@ def _positions(held_out: HeldOut) -> Document:
         "misfit": held_out.misfit,
         "misfit_limit": held_out.misfit_limit,
         "as_forecast": held_out.as_forecast,
+        "chance": held_out.chance,
+        "words": held_out.words,
         "name": list(held_out.name),
         **{key: getattr(held_out, key).tolist() for key in ("up", "residual_m_s2", "before_m_s2", "sigma_m_s2")},
     }
@@ -268,10 +272,8 @@ def _position_lines(found: HeldOut) -> Iterator[str]:
     figures = [found.before_rms_m_s2, found.rms_m_s2, found.forecast_rms_m_s2]
     before, after, sigma = (figure / size for figure in figures)
     yield f"  {'RMS':<{width}} {_cell(before, ''):>10} {_cell(after, ''):>10} {_cell(sigma, ''):>10}"
-    if math.isfinite(found.misfit):
-        word = "as forecast" if found.as_forecast else "LARGER THAN FORECAST: the stated uncertainty is too small"
-        misfit = f"(misfit {found.misfit:.2f}, by chance up to {found.misfit_limit:.2f})"
-        yield from textwrap.wrap(f"  {word} {misfit}", _WIDTH, subsequent_indent="  ")
+    if found.words:
+        yield from textwrap.wrap(f"  {found.words}", _WIDTH, subsequent_indent="  ")
 
 
 def _cell(value: float, sign: str = "+") -> str:
@@ -282,21 +284,21 @@ def _cell(value: float, sign: str = "+") -> str:
 
 
 def _navigation_lines(result: NavigationResult) -> Iterator[str]:
-    hours = result.navigated_s / 3600
     turned = ", turned over after it" if result.settings.turned else ""
     told = result.settings.heading
     heading = "" if told is None else f", heading {math.degrees(told.angle_rad):g} deg as told"
-    how = f"{hours:.2f} h after an alignment of {result.settings.align_s:g} s{heading}{turned}"
+    how = f"{duration_words(result.navigated_s)} after an alignment of {result.settings.align_s:g} s{heading}{turned}"
     yield from textwrap.wrap(f"Static navigation: {how}", _WIDTH, subsequent_indent="  ")
     yield f"  {'time':>8} {'latitude':>12} {'longitude':>12} {'v north':>9} {'v east':>9} {'position':>9}  95 %"
-    yield f"  {'h':>8} {'deg':>12} {'deg':>12} {'m/s':>9} {'m/s':>9} {'nmi':>9}  {'nmi' if result.forecast else ''}"
+    unit, size_s = ("h", 3600) if result.navigated_s >= _HOURS_FROM_S else ("min", 60)
+    yield f"  {unit:>8} {'deg':>12} {'deg':>12} {'m/s':>9} {'m/s':>9} {'nmi':>9}  {'nmi' if result.forecast else ''}"
     for name, drift in result.drifts.items():
         yield f"  {name}"
         last = name == list(result.drifts)[-1]
         for row in _rows_shown(drift.time_s):
             most = "" if result.forecast is None or not last else f"{_at(result, float(drift.time_s[row])):.3f}"
             yield (
-                f"  {drift.time_s[row] / 3600:8.2f} {drift.latitude_deg[row]:+12.6f} {drift.longitude_deg[row]:+12.6f} "
+                f"  {drift.time_s[row] / size_s:8.2f} {drift.latitude_deg[row]:+12.6f} {drift.longitude_deg[row]:+12.6f} "
                 f"{drift.north_velocity_m_s[row]:+9.4f} {drift.east_velocity_m_s[row]:+9.4f} "
                 f"{drift.position_nmi[row]:9.3f}  {most}"
             )
@@ -320,6 +322,11 @@ def _forecast_lines(result: NavigationResult) -> Iterator[str]:
     if not result.settings.turned:
         yield "  Alignment hides the accelerometer: held-out positions prove it, or turn over"
         yield "  after it (--turned)."
+
+
+def duration_words(duration_s: float) -> str:
+    """Return hours, or minutes where they have more digits."""
+    return f"{duration_s / 3600:.2f} h" if duration_s >= _HOURS_FROM_S else f"{duration_s / 60:.1f} min"
 
 
 def _rows_shown(time_s: FloatArray) -> list[int]:

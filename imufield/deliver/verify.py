@@ -9,6 +9,9 @@ where tau is the scatter between positions of the calibration. Gravity is common
 place, so its error, which went into every scale, cancels here: this check proves nothing about g.
 
 ``cross_validate`` needs no second session: each group of positions is predicted by a calibration from all the others.
+
+What is called large: for another session the F distribution with as many degrees of freedom as the calibration had residuals
+to spare (exact where the scatter rules, too wide where the noise within a hold does); for the own session simulated ones.
 """
 
 from __future__ import annotations
@@ -19,15 +22,21 @@ import numpy as np
 
 from imufield.calibrate.accelerometer import calibrate_accelerometer
 from imufield.calibrate.models import norm_derivatives, to_vector
+from imufield.calibrate.observability import parameter_scale
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration
-from imufield.calibrate.uncertainty import f_limit_95, known_covariance, within_variance
+from imufield.calibrate.uncertainty import f_chance, f_limit_95, known_covariance, within_variance
+from imufield.deliver.held_out_chance import Session, simulated_misfits
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
 
 FEWEST_LEFT = 6
 """Positions that must be left to calibrate from."""
+STRONG = 1e-3
+"""A misfit less probable than this is called a defect; among fewer than a thousand checks it does not come by chance."""
+FOREIGN = 10.0
+"""Misfit of another session beyond this, three times the forecast: no uncertainty that was honest at all is so far off."""
 _SAME_GRAVITY_M_S2 = 1e-7
 
 
@@ -49,6 +58,10 @@ class HeldOut:
     """Exceeded by chance in 1 of 20 checks."""
     how: str
     """In words: which positions, and who predicted them."""
+    chance: float = float("nan")
+    """Probability of a misfit at least so large where instrument and uncertainty are as stated; NaN where not known."""
+    is_own: bool = False
+    """Whether the positions are those of the calibration."""
 
     @property
     def rms_m_s2(self) -> float:
@@ -70,6 +83,27 @@ class HeldOut:
         """Whether the residuals are no larger than the stated uncertainty allows."""
         return self.misfit <= self.misfit_limit
 
+    @property
+    def words(self) -> str:
+        """The misfit in a sentence; empty where there is no forecast."""
+        if not np.isfinite(self.misfit):
+            return ""
+        figures = f"misfit {self.misfit:.2f}; 1 in 20 sound checks has more than {self.misfit_limit:.2f}"
+        if self.as_forecast:
+            return f"as forecast ({figures})"
+        if self.chance >= STRONG:
+            again = "another --hold-out" if self.is_own else "a second session"
+            rare = f"so large in 1 of {1 / self.chance:.0f} sound checks"
+            return f"larger than forecast, by chance {rare} ({figures}): look at the largest, and check again with {again}"
+        cause = (
+            "the stated uncertainty is too small, or single positions were disturbed"
+            if self.is_own
+            else "this is not the instrument the parameters were made for, or it has changed since"
+            if self.misfit > FOREIGN
+            else "the instrument has changed since, or the stated uncertainty is too small"
+        )
+        return f"LARGER THAN FORECAST, by chance in fewer than 1 of {1 / STRONG:.0f} sound checks ({figures}): {cause}"
+
 
 def check_positions(
     calibration: Calibration, observations: Observations, gravity: Gravity, before: AccelerometerParameters | None = None
@@ -84,15 +118,17 @@ def check_positions(
     _require_finite(observations)
     residual, S = _residual(calibration, observations, gravity)
     m = len(observations)
+    freedom, misfit = max(calibration.quality.degrees_of_freedom, 1), _misfit(residual, S)
     return HeldOut(
         observations.name,
         _up(calibration, observations),
         residual,
         _residual_of(before, observations, gravity),
         np.sqrt(np.diag(S)),
-        _misfit(residual, S),
-        f_limit_95(m, max(calibration.quality.degrees_of_freedom, 1)),
+        misfit,
+        f_limit_95(m, freedom),
         f"{m} position{'s' if m > 1 else ''} of another session",
+        f_chance(misfit, m, freedom),
     )
 
 
@@ -122,12 +158,13 @@ def cross_validate(
     _require_enough(m, hold_out)
     groups = -(-m // hold_out)
     residual, misfit, sigma = np.empty(m), 0.0, np.empty(m)
-    for first in range(groups):
-        held = np.arange(m) % groups == first
+    parts = [np.arange(m) % groups == first for first in range(groups)]
+    for held in parts:
         left = _again(calibration, observations[~held])
         residual[held], S = _residual(left, observations[held], calibration.gravity)
         sigma[held] = np.sqrt(np.diag(S))
         misfit += _misfit(residual[held], S) * int(held.sum()) / m
+    by_chance = simulated_misfits(_linearised(calibration, observations), parts)
     return HeldOut(
         observations.name,
         _up(calibration, observations),
@@ -135,9 +172,25 @@ def cross_validate(
         _residual_of(before, observations, calibration.gravity),
         sigma,
         misfit,
-        f_limit_95(m, max(calibration.quality.degrees_of_freedom - hold_out, 1)),
+        float(np.quantile(by_chance, 0.95)),
         f"{m} positions of its own session, up to {hold_out} at a time predicted by a calibration from all the others",
+        float((1 + np.count_nonzero(by_chance >= misfit)) / (1 + len(by_chance))),
+        is_own=True,
     )
+
+
+def _linearised(calibration: Calibration, observations: Observations) -> Session:
+    """Return the session as ``simulated_misfits`` takes it."""
+    p, quality = calibration.accelerometer, calibration.quality
+    at = norm_derivatives(to_vector(p), observations.mean_raw - p.raw_zero, p.quadratic_axes)
+    fitted = np.diag(_covariance(calibration))[:-1] > 0
+    size = parameter_scale(to_vector(p), calibration.gravity.gravity_m_s2)
+    # In most gauges columns hang together; as many as were fitted are independent.
+    columns = np.linalg.svd((at.jacobian * size)[:, fitted], full_matrices=False)[0][:, : quality.parameters_fitted]
+    within = np.zeros(len(observations))
+    if known_covariance(observations.covariance_raw):
+        within = within_variance(at.raw_gradient, observations.covariance_raw)
+    return Session(columns, within, quality.between_position_sigma_m_s2)
 
 
 def _rms(values: FloatArray) -> float:

@@ -51,7 +51,7 @@ def run_campaign(
     scheduler: str | None = None,
     progress: Progress | None = None,
     on_killed: Callable[[Argument], Result] | None = None,
-    largest_batch: int = LARGEST_BATCH,
+    hear: Callable[[Result], None] | None = None,
 ) -> list[Result]:
     """Return ``run(argument, generator)`` of every argument, in their order.
 
@@ -69,9 +69,10 @@ def run_campaign(
     progress : callable, optional
         Told runs done and runs in all.
     on_killed : callable, optional
-        What takes the place of a result that kills its worker again and again; without it that ends the campaign.
-    largest_batch : int
-        Runs sent at once; 1 where a run takes seconds, or may kill its worker.
+        What takes the place of a result that kills its worker again and again; without it that ends the campaign. Runs are
+        sent one by one then.
+    hear : callable, optional
+        Told each result as it comes, in any order.
 
     Raises
     ------
@@ -86,8 +87,8 @@ def run_campaign(
         raise UsageError(f"{workers} workers can do nothing; use 1 or more, or leave it out for one per core", workers=workers)
     count = min(workers or os.cpu_count() or 1, max(len(arguments), 1))
     if scheduler is None and count == 1:
-        return _here(run, arguments, seeds, tell)
-    campaign = _Campaign(run, tuple(arguments), tuple(seeds), tell, on_killed, largest_batch)
+        return _here(run, arguments, seeds, tell, hear)
+    campaign = _Campaign(run, tuple(arguments), tuple(seeds), tell, on_killed, hear)
     return _on_processes(campaign, count) if scheduler is None else _on_cluster(campaign, scheduler)
 
 
@@ -100,7 +101,7 @@ class _Campaign(Generic[Argument, Result]):
     seeds: tuple[np.random.SeedSequence, ...]
     tell: Progress
     on_killed: Callable[[Argument], Result] | None
-    largest_batch: int
+    hear: Callable[[Result], None] | None
     results: dict[int, list[Result]] = field(default_factory=dict)
     """By the number of the batch's first run."""
 
@@ -109,7 +110,7 @@ class _Campaign(Generic[Argument, Result]):
         batches: list[_Batch] = []
         first, count = 0, len(self.arguments)
         while first < count:
-            size = min(math.ceil((count - first) / (workers * _SHARE_OF_REST)), self.largest_batch)
+            size = min(math.ceil((count - first) / (workers * _SHARE_OF_REST)), LARGEST_BATCH if self.on_killed is None else 1)
             batches.append((first, list(self.arguments[first : first + size]), list(self.seeds[first : first + size])))
             first += size
         return batches
@@ -117,6 +118,8 @@ class _Campaign(Generic[Argument, Result]):
     def take(self, first: int, results: list[Result]) -> None:
         """Keep the results of a batch."""
         self.results[first] = results
+        for result in results if self.hear is not None else ():
+            self.hear(result)
         self.tell(sum(len(done) for done in self.results.values()), len(self.arguments))
 
     def in_order(self) -> list[Result]:
@@ -129,11 +132,17 @@ def _silent(_done: int, _total: int) -> None:
 
 
 def _here(
-    run: Run[Argument, Result], arguments: Sequence[Argument], seeds: list[np.random.SeedSequence], tell: Progress
+    run: Run[Argument, Result],
+    arguments: Sequence[Argument],
+    seeds: list[np.random.SeedSequence],
+    tell: Progress,
+    hear: Callable[[Result], None] | None,
 ) -> list[Result]:
     results = []
     for argument, seed in zip(arguments, seeds, strict=True):
         results.append(run(argument, np.random.default_rng(seed)))
+        if hear is not None:
+            hear(results[-1])
         tell(len(results), len(arguments))
     return results
 

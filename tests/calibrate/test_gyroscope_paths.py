@@ -23,6 +23,7 @@ from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.guide.free import find_still_intervals
 from imufield.guide.scale import RoughScale
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
+from imufield.simulate.motion import Site
 
 
 def vector(p: GyroscopeParameters) -> FloatArray:
@@ -317,3 +318,18 @@ def test_mpu_9150(shared_folder: Path, name: str) -> None:
     rows = np.loadtxt(shared_folder / "data" / "mikoff" / f"{name}.log.gz")
     samples = make_samples(np.arange(len(rows)) / 100, rows[:, :3], rows[:, 3:6], units=SampleUnits())
     assert calibrate_gyroscope(real_session(samples, 0.0, 9.81)).moves.rms_after_deg <= 0.15
+
+
+def test_a_fit_that_does_not_end_makes_the_whole_usable_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A latitude for data without the Earth's rate, as simulators that leave it out write them."""
+    monkeypatch.setattr(Site, "earth_rate_n", property(lambda _: np.zeros(3)))
+    still = simulate(1, grade="tactical")
+    found = calibrate_gyroscope(still.given)
+    joined = found.join(still.calibration).quality
+    assert still.calibration.quality.verdict == "good"
+    assert joined.verdict == "usable"
+    assert "did not come to an end" in joined.main_reason
+    assert "--gravity in place of --latitude" in joined.main_reason
+    remedied = calibrate_gyroscope(replace(still.given, latitude_deg=None))
+    assert remedied.cautions == ()
+    assert remedied.join(still.calibration).quality.verdict == "good"

@@ -64,11 +64,32 @@ def test_one_that_fails_does_not_stop_the_others(program: Program, sessions: lis
     rows = {line.split()[0]: line.split()[1] for line in ended.stdout.splitlines()[1:5]}
     assert rows == {"a": "good", "b": "failed", "c": rows["c"], "nowhere": "failed"}
     assert rows["c"] in ("good", "usable")
-    assert "4 sessions, 2 of them failed" in ended.stdout
+    assert "2 of 4 sessions solved, each has its parameters.toml now; 2 failed, for the reasons above." in ended.stdout
+    assert sorted(line.split(": ")[1] for line in ended.stderr.splitlines()) == [
+        "a, good", "b, failed", f"c, {rows['c']}", "nowhere, failed"
+    ]  # fmt: skip
     assert max(map(len, ended.stdout.splitlines()[:5])) <= 80
     assert written(sessions[0]) == alone(program, sessions[0])
     assert written(sessions[2]) == alone(program, sessions[2])
     assert not (sessions[1] / "parameters.toml").exists()
+
+
+def test_what_stood_there_is_kept_and_told(program: Program, sessions: list[Path]) -> None:
+    for folder in sessions[:2]:
+        settings = (folder / "session.toml").read_text()
+        (folder / "session.toml").write_text(settings.replace("gravity_m_s2 = 9.80665\n", ""))
+    assert program.run("solve", sessions[0], "--latitude", 45).returncode == 0
+    before = (sessions[0] / "parameters.toml").read_bytes()
+    ended = program.run("solve", *sessions[:2], "--workers", 1)
+    assert ended.returncode == 0, ended.stderr
+    assert (sessions[0] / "parameters-1.toml").read_bytes() == before
+    assert "a: the file that stood there before is now parameters-1.toml" in ended.stdout
+    assert "to solve as it was, add --latitude 45 --height 0" in ended.stdout
+    assert "b: the file that stood there" not in ended.stdout
+    assert "b: gravity is not known and " in ended.stdout
+    assert ended.stdout.endswith("2 of 2 sessions solved, each has its parameters.toml now.\n")
+    alone = program.run("solve", sessions[0], "--gravity", 9.8)
+    assert "to solve as it was" not in alone.stdout
 
 
 def test_json_has_one_entry_a_session(program: Program, sessions: list[Path]) -> None:

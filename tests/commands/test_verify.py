@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from imufield.deliver.parameters import load
 from imufield.deliver.parameters_write import to_toml, write_document
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import ParameterFileError, Reason, VerificationError
-from imufield.samples import FloatArray
+from imufield.samples import FloatArray, Samples
 
 GRAVITY_M_S2 = 9.80665
 LATITUDE_DEG = 48.0
@@ -102,6 +103,20 @@ def test_another_session_of_36_positions_proves_the_parameters(
     assert 0.6 < found["rms_m_s2"] / found["forecast_rms_m_s2"] < 1.4
     inside = np.abs(found["residual_m_s2"]) < 1.96 * np.array(found["sigma_m_s2"])
     assert inside.sum() >= 31
+
+
+def test_parameters_of_another_instrument_are_called_so(
+    solved: Path, make_session: Callable[..., Session], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def other(samples: Samples) -> Samples:
+        return replace(samples, accelerometer=samples.accelerometer * 1.01)
+
+    session = make_session("faces6", change=other)
+    arguments = ["verify", str(solved / "parameters.toml"), str(session.folder), "-o", str(tmp_path / "found.json")]
+    assert run([*arguments, "--latitude", "48"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "LARGER THAN FORECAST, by chance in fewer than 1 of 1000 sound checks" in text
+    assert "this is not the instrument the parameters were made for, or it has changed since" in text
 
 
 def test_results_are_kept_beside_the_parameters(solved: Path) -> None:

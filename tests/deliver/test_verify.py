@@ -84,6 +84,45 @@ def test_cross_validation_predicts_every_position_once() -> None:
     assert np.isnan(found.before_rms_m_s2)
 
 
+def scattered(seed: int, tau_m_s2: float) -> Observations:
+    """Return positions that scatter by more than their noise."""
+    observations = observe(seed)
+    up = observations.mean_raw / np.linalg.norm(observations.mean_raw, axis=1)[:, None]
+    scatter = tau_m_s2 * np.random.default_rng(9000 + seed).normal(size=(len(up), 1))
+    return replace(observations, mean_raw=observations.mean_raw + scatter * up)
+
+
+def test_chance_is_what_it_says_for_few_and_many_held_out() -> None:
+    """Were it as told, a share p of sound sessions has a chance below p, whatever is held out (binomial 99.9 % bounds)."""
+    sessions = [scattered(seed, 5e-3) for seed in range(30)]
+    calibrations = [calibrate_accelerometer(one, GRAVITY, model="linear") for one in sessions]
+    for hold_out in (2, 6):
+        chance = [cross_validate(*pair, hold_out).chance for pair in zip(calibrations, sessions, strict=True)]
+        assert sum(one < 0.05 for one in chance) <= 6
+        assert 5 <= sum(one < 0.5 for one in chance) <= 24
+
+
+def test_limit_of_the_own_session_grows_with_what_is_held_out() -> None:
+    observations = scattered(1, 5e-3)
+    calibration = calibrate_accelerometer(observations, GRAVITY, model="linear")
+    limits = [cross_validate(calibration, observations, hold_out).misfit_limit for hold_out in (1, 4, 8)]
+    assert 1.0 < limits[0] < limits[1] < limits[2] < 4.0
+
+
+def test_words_say_how_probable_and_accuse_only_where_chance_does_not_do_it() -> None:
+    found = check_positions(calibrated(), observe(9), GRAVITY)
+    assert found.words.startswith("as forecast (misfit ")
+    larger = replace(found, misfit=3.15, misfit_limit=2.9, chance=0.02, is_own=True)
+    assert larger.words.startswith("larger than forecast, by chance so large in 1 of 50 sound checks (misfit 3.15; 1 in 20")
+    assert "uncertainty is too small" not in larger.words
+    rare = replace(larger, chance=2e-4)
+    assert rare.words.startswith("LARGER THAN FORECAST, by chance in fewer than 1 of 1000")
+    assert "the stated uncertainty is too small" in rare.words
+    foreign = replace(rare, misfit=55.0, is_own=False)
+    assert "not the instrument the parameters were made for, or it has changed since" in foreign.words
+    assert "uncertainty is too small" not in foreign.words
+
+
 def test_one_at_a_time_is_leave_one_out() -> None:
     calibration = calibrated(3)
     found = cross_validate(calibration, observe(3), 1)

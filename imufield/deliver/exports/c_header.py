@@ -8,7 +8,7 @@ import numpy as np
 
 from imufield.calibrate.models import predict, predict_gyroscope
 from imufield.deliver.exports.job import Draft, Job
-from imufield.deliver.exports.text import number, row, text_file
+from imufield.deliver.exports.text import number, text_file
 from imufield.deliver.exports.whole_model import WholeModel, apply_header, gauge_note, whole_model
 from imufield.errors import UsageError
 from imufield.samples import FloatArray
@@ -50,7 +50,8 @@ def export(job: Job) -> Draft:
 
 def _initializer(values: FloatArray) -> str:
     if values.ndim == 1:
-        return f"{{{row(values.tolist())}}}"
+        # Without the cast every number is a warning where imufield_real is float.
+        return f"{{{', '.join(f'(imufield_real){number(value)}' for value in values.tolist())}}}"
     return f"{{{', '.join(map(_initializer, values))}}}"
 
 

@@ -1,0 +1,35 @@
+"""``imufield noise`` as a user reads it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from imufield.cli.run import run
+from tests.commands.test_verify import rest_session
+
+UNITS = {"density": "/sqrt(Hz)", "instability": "", "walk": "/sqrt(s)"}
+
+
+def test_every_figure_has_its_interval_and_unit_in_80_columns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = rest_session(tmp_path, 1800.0).folder
+    assert run(["noise", str(folder), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert run(["noise", str(folder)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    heads = [k for k, line in enumerate(lines) if "95 % interval" in line]
+    assert [lines[k].split("  ")[0] for k in heads] == ["density", "bias instability", "random walk"]
+    assert len({lines[k].index("unit") for k in heads}) == 1
+    at = lines[heads[0]].index("unit")
+    for head, (name, per) in zip(heads, UNITS.items(), strict=True):
+        for line, (axis, figures) in zip(lines[head + 1 :], found["axes"].items(), strict=False):
+            assert len(line) <= 80
+            assert line[2:17].rstrip() == axis
+            unit = ("m/s^2" if axis.startswith("accelerometer") else "rad/s") + per
+            assert line[at:] == unit == figures[name]["unit"]
+            value = figures[name]["value"]
+            assert line[18:30].strip() == ("not seen" if value is None else f"{value:.3g}")
+    density = [found["axes"][f"gyroscope {axis}"]["density"]["value"] for axis in "xyz"]
+    assert density == pytest.approx([1e-6 / 20**0.5] * 3, rel=0.1)
