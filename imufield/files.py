@@ -126,6 +126,30 @@ def _usual_mode(path: Path) -> int:
         return 0o666 & ~mask
 
 
+def write_keeping(path: str | Path, data: bytes) -> Path | None:
+    """Write as ``write_atomically`` does; a file with other content that stood there is kept as by ``keep_previous``.
+
+    Returns
+    -------
+    Path or None
+        Where it is kept.
+
+    Raises
+    ------
+    OSError
+        As the system reports it; what stood there stands there again.
+    """
+    path = Path(path)
+    kept = None if path.is_file() and path.read_bytes() == data else keep_previous(path)
+    try:
+        write_atomically(path, data)
+    except OSError:
+        if kept is not None:
+            kept.rename(path)
+        raise
+    return kept
+
+
 def keep_previous(path: str | Path) -> Path | None:
     """Rename an existing ``parameters.toml`` to the next free ``parameters-<n>.toml``; return the new name, or None."""
     path = Path(path)

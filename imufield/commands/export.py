@@ -26,12 +26,15 @@ def run_export(path: Path, target: str | None, settings: list[str] | None, outpu
             typer.echo(hanging(f"{one.name:<12} ", f"{one.title}: {one.holds}"))
         return
     exported = export_parameters(load(path), target, export_options(parse_settings(settings)))
-    written = [str(one) for one in write_exported(exported, output, inputs=[path])]
+    written = write_exported(exported, output, inputs=[path])
     if as_json:
-        typer.echo(json.dumps({"files": written, "losses": list(exported.losses), "notes": list(exported.notes)}))
+        files, kept = [str(one.path) for one in written], [str(one.kept) for one in written if one.kept is not None]
+        typer.echo(json.dumps({"files": files, "kept": kept, "losses": list(exported.losses), "notes": list(exported.notes)}))
         return
-    for name in written:
-        typer.echo(f"written: {name}")
+    for one in written:
+        typer.echo(f"written: {one.path}")
+        if one.kept is not None:
+            typer.echo(hanging("         ", f"the file that stood there before is now {one.kept.name}"))
     for loss in exported.losses:
         typer.echo(hanging("lost:    ", loss))
     for note in exported.notes:

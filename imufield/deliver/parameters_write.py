@@ -19,8 +19,7 @@ from imufield.deliver.context import Context
 from imufield.deliver.document import Document, to_document
 from imufield.deliver.schema import first_fault, json_ready
 from imufield.errors import ParameterFileError, Reason
-from imufield.files import keep_previous, write_atomically
-
+from imufield.files import write_keeping
 EDITED = "edited"
 """Stands in place of the hash where a person changed the file on purpose."""
 
@@ -106,15 +105,10 @@ def write_document(path: Path | str, document: Document) -> Path | None:
     """
     path = Path(path)
     text = to_toml(document)
-    kept = None
     try:
-        kept = keep_previous(path)
-        write_atomically(path, text.encode("utf-8"))
+        return write_keeping(path, text.encode("utf-8"))
     except OSError as error:
-        if kept is not None:
-            kept.rename(path)
         raise _not_written(path, error) from error
-    return kept
 
 
 def _not_written(path: Path, error: OSError) -> ParameterFileError:

@@ -118,8 +118,9 @@ class _Campaign(Generic[Argument, Result]):
     def take(self, first: int, results: list[Result]) -> None:
         """Keep the results of a batch."""
         self.results[first] = results
-        for result in results if self.hear is not None else ():
-            self.hear(result)
+        if self.hear is not None:
+            for result in results:
+                self.hear(result)
         self.tell(sum(len(done) for done in self.results.values()), len(self.arguments))
 
     def in_order(self) -> list[Result]:

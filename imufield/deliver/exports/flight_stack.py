@@ -11,7 +11,7 @@ from imufield.deliver.conventions import Correction, Corrections, diagonal_corre
 from imufield.deliver.exports.job import Job
 from imufield.samples import FloatArray
 
-LACKS_ACCELEROMETER = "misalignment cannot be held, scale and bias were refitted over all directions"
+LACKS_ACCELEROMETER = "misalignment cannot be held, scale and bias were refitted"
 LACKS_GYROSCOPE = "scale and misalignment cannot be held"
 
 

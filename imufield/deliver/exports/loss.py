@@ -76,17 +76,15 @@ def loss_sentences(parameters: Parameters, held: Held, accelerometer_lacks: str,
     if loss.accelerometer_m_s2.largest > _NOTHING * parameters.calibration.gravity.gravity_m_s2:
         rms, largest = (f"{value / MILLI_G_M_S2:.3g}" for value in loss.accelerometer_m_s2)
         sentences.append(
-            f"accelerometer: {accelerometer_lacks or _quadratic(parameters)}, which costs {rms} mg rms and {largest} mg at "
-            f"most over all directions at 1 g{_at_positions(parameters, held)}"
+            f"accelerometer: {accelerometer_lacks or _quadratic(parameters)}: {rms} mg rms, {largest} mg at most at 1 g"
+            f"{_at_positions(parameters, held)}"
         )
     if loss.gyroscope_rad_s.largest > _NOTHING:
         rms, largest = (f"{value * 1e3:.3g}" for value in loss.gyroscope_rad_s)
-        sentences.append(f"gyroscope: {gyroscope_lacks}, which costs {rms} mrad/s rms and {largest} mrad/s at most at 1 rad/s")
+        sentences.append(f"gyroscope: {gyroscope_lacks}: {rms} mrad/s rms, {largest} mrad/s at most at 1 rad/s")
     if loss.g_sensitivity_rad_s.largest > _NOTHING:
         rms, largest = (f"{value * 1e3:.3g}" for value in loss.g_sensitivity_rad_s)
-        sentences.append(
-            f"gyroscope: the g-sensitivity cannot be held, which costs {rms} mrad/s rms and {largest} mrad/s at most at 1 g"
-        )
+        sentences.append(f"gyroscope: the g-sensitivity cannot be held: {rms} mrad/s rms, {largest} mrad/s at most at 1 g")
     return tuple(sentences)
 
 
@@ -105,4 +103,4 @@ def _at_positions(parameters: Parameters, held: Held) -> str:
         round(float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - g) ** 2)) / MILLI_G_M_S2), 6)
         for force in (parameters.apply_accelerometer(raw), held.apply_accelerometer(raw))
     )
-    return f" (residual of its {len(raw)} positions {ours:.3g} mg rms with the whole model, {theirs:.3g} mg there)"
+    return f" (residual of its {len(raw)} positions {theirs:.3g} mg rms, {ours:.3g} mg with the whole model)"

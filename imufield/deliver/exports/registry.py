@@ -6,10 +6,10 @@ import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from imufield.errors import ParameterFileError, Reason, UsageError
-from imufield.files import refuse_overwriting, write_atomically
+from imufield.files import refuse_overwriting, write_keeping
 
 if TYPE_CHECKING:  # the parameter file needs NumPy and SciPy; a list of targets does not
     from imufield.deliver.parameters import Parameters
@@ -164,12 +164,20 @@ def _value(name: str, kind: str, text: str) -> object:
         raise UsageError(f"export option {name} = {text!r} is not a number", name=name, value=text) from error
 
 
-def write_exported(exported: Exported, output: str | Path | None = None, *, inputs: Sequence[Path] = ()) -> list[Path]:
+class Written(NamedTuple):
+    """One file on disk."""
+
+    path: Path
+    kept: Path | None
+    """Where the other file that stood there before is kept."""
+
+
+def write_exported(exported: Exported, output: str | Path | None = None, *, inputs: Sequence[Path] = ()) -> list[Written]:
     """Write the files, each atomically: into the folder ``output``, or one file under that name; never over ``inputs``.
 
     Returns
     -------
-    list of Path
+    list of Written
         In the order of ``exported.files``.
 
     Raises
@@ -191,13 +199,14 @@ def write_exported(exported: Exported, output: str | Path | None = None, *, inpu
         )
     for path in paths:
         refuse_overwriting(path, inputs)
+    written = []
     for path, content in zip(paths, exported.files.values(), strict=True):
         try:
-            write_atomically(path, content)
+            written.append(Written(path, write_keeping(path, content)))
         except OSError as error:
             raise ParameterFileError(
                 f"{path} cannot be written ({error.strerror}); check the folder, its permissions and the disk space",
                 Reason.DISK_FULL,
                 path=str(path),
             ) from error
-    return paths
+    return written

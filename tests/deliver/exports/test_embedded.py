@@ -19,7 +19,7 @@ from imufield.deliver.parameters import Parameters
 from imufield.errors import ParameterFileError, Reason, UsageError
 
 GCC, GXX = shutil.which("gcc"), shutil.which("g++")
-FLAGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-O1"]
+FLAGS = ["-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic", "-O1"]
 needs_gcc = pytest.mark.skipif(GCC is None, reason="gcc is not installed; install it to test the C export")
 
 PROGRAM = """

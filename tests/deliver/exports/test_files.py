@@ -252,9 +252,9 @@ def test_openvins_rpng_needs_a_gyroscope() -> None:
 
 def test_files_go_into_a_folder_or_under_one_name(tmp_path: Path) -> None:
     two = export_parameters(made_up(21), "imu_tk")
-    assert [path.name for path in write_exported(two, tmp_path)] == ["imu_tk_acc.calib", "imu_tk_gyro.calib"]
+    assert [one.path.name for one in write_exported(two, tmp_path)] == ["imu_tk_acc.calib", "imu_tk_gyro.calib"]
     one = export_parameters(made_up(21), "px4")
-    assert write_exported(one, tmp_path / "drone.params") == [tmp_path / "drone.params"]
+    assert write_exported(one, tmp_path / "drone.params") == [(tmp_path / "drone.params", None)]
     assert (tmp_path / "drone.params").read_bytes() == one.files["px4.params"]
     with pytest.raises(UsageError, match="2 files"):
         write_exported(two, tmp_path / "one.calib")
@@ -266,3 +266,13 @@ def test_old_file_stays_where_the_new_one_cannot_be_written(tmp_path: Path) -> N
     with pytest.raises(ImufieldError):
         write_exported(export_parameters(made_up(22), "px4"), old / "px4.params")
     assert old.read_text() == "old"
+
+
+def test_an_earlier_file_of_other_content_is_kept_under_a_number(tmp_path: Path) -> None:
+    first, second = (export_parameters(made_up(seed), "px4") for seed in (21, 22))
+    path = tmp_path / "px4.params"
+    assert write_exported(first, tmp_path) == [(path, None)]
+    assert write_exported(first, tmp_path) == [(path, None)]
+    assert write_exported(second, tmp_path) == [(path, tmp_path / "px4-1.params")]
+    assert path.read_bytes() == second.files["px4.params"]
+    assert (tmp_path / "px4-1.params").read_bytes() == first.files["px4.params"]
