@@ -28,13 +28,13 @@ def run_export(path: Path, target: str | None, settings: list[str] | None, outpu
     exported = export_parameters(load(path), target, export_options(parse_settings(settings)))
     written = write_exported(exported, output, inputs=[path])
     if as_json:
-        files, kept = [str(one.path) for one in written], [str(one.kept) for one in written if one.kept is not None]
+        files, kept = [str(file.path) for file in written], [str(file.kept) for file in written if file.kept is not None]
         typer.echo(json.dumps({"files": files, "kept": kept, "losses": list(exported.losses), "notes": list(exported.notes)}))
         return
-    for one in written:
-        typer.echo(f"written: {one.path}")
-        if one.kept is not None:
-            typer.echo(hanging("         ", f"the file that stood there before is now {one.kept.name}"))
+    for file in written:
+        typer.echo(f"written: {file.path}")
+        if file.kept is not None:
+            typer.echo(hanging("         ", f"the file that stood there before is now {file.kept.name}"))
     for loss in exported.losses:
         typer.echo(hanging("lost:    ", loss))
     for note in exported.notes:

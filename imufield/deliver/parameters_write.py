@@ -20,6 +20,7 @@ from imufield.deliver.document import Document, to_document
 from imufield.deliver.schema import first_fault, json_ready
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import write_keeping
+
 EDITED = "edited"
 """Stands in place of the hash where a person changed the file on purpose."""
 
