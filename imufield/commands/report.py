@@ -161,6 +161,13 @@ def _replay(session: Session, parameters: Parameters, preset: Parameters | None)
     return _Replayed(trace.finish(), closed, tuple(one.what for one in damage))
 
 
+def _setting(name: str, value: object, origin: str) -> str:
+    """Return a setting and where it came from; a rate of zero stands for one that only the recording tells."""
+    if name == "rate_hz" and value == 0:
+        return "rate_hz measured on the recording"
+    return f"{name} = {value} ({origin})"
+
+
 def _provenance(path: Path, parameters: Parameters, session: Session | None) -> Iterator[tuple[str, str]]:
     converted = "" if parameters.version == VERSION else f", converted from version {parameters.version}"
     yield "Parameter file", f"{path}{converted}"
@@ -169,7 +176,7 @@ def _provenance(path: Path, parameters: Parameters, session: Session | None) -> 
         yield "Protocol", f"{protocol.get('name', '')}, SHA-256 {protocol.get('sha256', 'not known')}"
         settings = session.metadata.get("settings", {})
         if settings:
-            yield "Settings", "; ".join(f"{name} = {one['value']} ({one['origin']})" for name, one in settings.items())
+            yield "Settings", "; ".join(_setting(name, **one) for name, one in settings.items())
         yield "Recorded by", str(session.metadata.get("software", "not known"))
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "matplotlib", "jinja2"))
     yield "Report by", f"imufield {__version__}, Python {platform.python_version()}, {packages}"

@@ -13,6 +13,14 @@ Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
 
 _TOLERANCE = 1e-14
 """Relative change of cost and coordinates at which it stops: a few ulp above what double precision can resolve."""
+_ENDINGS = {
+    0: "the limit of evaluations was reached",
+    1: "no slope was left",
+    2: "the cost fell no further",
+    3: "the parameters moved no further",
+    4: "neither cost nor parameters changed any more",
+}
+"""By the status of ``scipy.optimize.least_squares``, whose own words are about the names of its settings."""
 
 
 def solve_least_squares(
@@ -67,4 +75,6 @@ def solve_least_squares(
     if callback is not None:
         callback(int(fit.nfev), x, cost)
     status = SolverStatus(min(int(fit.status), SolverStatus.CONVERGED))  # scipy tells convergence by 1 to 4
-    return SolverResult(x, cost, status, str(fit.message), int(fit.nfev) + int(fit.njev or 0), np.array([cost]))
+    return SolverResult(
+        x, cost, status, _ENDINGS.get(int(fit.status), str(fit.message)), int(fit.nfev) + int(fit.njev or 0), np.array([cost])
+    )

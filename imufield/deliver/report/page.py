@@ -18,7 +18,9 @@ from imufield.deliver.report import plots
 from imufield.deliver.report.correlations import correlations
 from imufield.deliver.report.data import Convergence, ReportData
 from imufield.deliver.report.rows import Row, parameter_rows
+from imufield.deliver.verification import duration_words
 from imufield.earth import MICRO_G_M_S2
+from imufield.errors import counted
 
 _VERDICT_WORDS = {
     "good": "fit for use",
@@ -102,6 +104,7 @@ def _facts(data: ReportData) -> dict[str, Any]:
         "equation": calibration.equation,
         "checks": list(_checks(data.verification)),
         "requirements": _requirements(data.verification),
+        "failed": data.verification is not None and data.verification.get("passed") is False,
         "passed": None if data.verification is None else data.verification.get("passed"),
         "provenance": [*_provenance(data), *data.provenance],
         "record_provenance": [*_provenance(data), *data.provenance[:2]],
@@ -168,8 +171,7 @@ def _checks(verification: Document | None) -> Iterator[tuple[str, str]]:
         if positions["before_rms_m_s2"] is not None:
             words += f", before {_short(positions['before_rms_m_s2'] / MICRO_G_M_S2)} µg"
         if sigma is not None:
-            verdict = "as forecast" if positions["as_forecast"] else "larger than forecast"
-            words += f"; forecast {_short(sigma / MICRO_G_M_S2)} µg: {verdict}"
+            words += f"; forecast {_short(sigma / MICRO_G_M_S2)} µg: {_forecast_words(positions)}"
         yield f"Held-out positions ({positions['how']})", words
     if navigation:
         drifts = ", ".join(f"{name} {_short(drift['rate_nmi_per_h'])} nmi/h" for name, drift in navigation["drift"].items())
@@ -178,7 +180,12 @@ def _checks(verification: Document | None) -> Iterator[tuple[str, str]]:
             verdict = "as forecast" if forecast["as_forecast"] else "more than forecast"
             drifts += f"; forecast at most {_short(forecast['rate_95_nmi_per_h'])} nmi/h (95 %): {verdict}"
         turned = ", turned over after the alignment" if navigation["turned"] else ""
-        yield f"Static navigation, {navigation['navigated_s'] / 3600:.2f} h{turned}", drifts
+        yield f"Static navigation, {duration_words(navigation['navigated_s'])}{turned}", drifts
+
+
+def _forecast_words(positions: Document) -> str:
+    """Return whether held-out positions are as forecast; files of earlier versions have no sentence of their own."""
+    return str(positions.get("words") or ("as forecast" if positions["as_forecast"] else "larger than forecast"))
 
 
 def _short(value: float) -> str:
@@ -204,7 +211,10 @@ def _provenance(data: ReportData) -> Iterator[tuple[str, str]]:
         yield "Preset", f"content SHA-256 {content_sha256(data.preset.document)}"
     yield "Solved by", parameters.context.software
     seed = "" if solver.seed is None else f", seed {solver.seed}"
-    yield "Method", f"{solver.method}{seed}: {solver.message} ({solver.evaluations} evaluations, status {solver.status})"
+    ended = f"{'converged' if solver.converged else 'did NOT converge'} after {counted(solver.evaluations, 'evaluation')}"
+    # Earlier versions wrote down what the library said, which names settings in backquotes.
+    how = "" if "`" in solver.message else f": {solver.message}"
+    yield "Method", f"{solver.method}{seed}, {ended}{how}"
 
 
 def _figures(data: ReportData) -> Iterator[Figure]:
@@ -280,7 +290,8 @@ def _check_figures(verification: Document) -> Iterator[Figure]:
         yield Figure(
             "Held-out positions",
             plots.held_out(positions),
-            f"Residuals of {positions['how']}, and what the stated uncertainty forecasts for them.",
+            f"Residuals of {positions['how']}, and what the stated uncertainty forecasts for them: "
+            f"{_forecast_words(positions)}.",
             "Residuals of held-out positions",
         )
     if navigation:

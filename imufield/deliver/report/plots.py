@@ -24,6 +24,8 @@ from imufield.samples import FloatArray
 INK, BLUE, ORANGE, GREY = "#111111", "#0b5394", "#b45f06", "#8a8a8a"
 """Dark enough on paper; blue and orange differ in lightness too."""
 WIDTH_IN = 7.0
+_TALLEST_IN = 8.5
+"""With title and caption on one sheet."""
 _STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "imufield",
@@ -52,6 +54,11 @@ _LABELS = {
 LEAST_CORRELATION = 0.1
 """Weaker ones are not drawn: they change no sigma by more than half a per cent."""
 _LARGEST_MARKER = 260.0
+_LABEL_SIZE = 7.5
+"""Points; the smallest that is read on paper without a glass."""
+_POINTS_PER_UNIT = 82.0
+"""Of the sphere map as it is laid out: labels need no more than a rough idea of it."""
+_AXIS_NAMES = (("+x", 1.2, 0.0), ("-x", -1.2, 0.0), ("+y", 0.0, 1.24), ("-y", 0.0, -1.2))
 _NAMED = 6
 """Positions named on the sphere map, the largest residuals first."""
 
@@ -125,14 +132,55 @@ def sphere_map(up: FloatArray, residual_m_s2: FloatArray, names: tuple[str, ...]
         sizes = 12 + _LARGEST_MARKER * np.abs(residual_m_s2[rows]) / largest
         faces = [INK if residual >= 0 else "white" for residual in residual_m_s2[rows]]
         axes.scatter(*place.T, s=sizes, facecolor=faces, edgecolor=INK, linewidth=1.0, alpha=0.85)
-        for k, at, size in zip(rows, place, sizes, strict=True):
-            if k in named:
-                axes.annotate(
-                    names[k], at, xytext=(0, 3 + np.sqrt(size) / 2), textcoords="offset points", ha="center", fontsize=7
-                )
+        shown = [row for row, k in enumerate(rows) if k in named]
+        marks = np.vstack([place, *(one[1:] for one in _AXIS_NAMES)]) * _POINTS_PER_UNIT
+        radius = np.append(np.sqrt(sizes) / 2, [_LABEL_SIZE / 2] * len(_AXIS_NAMES))
+        offsets = label_offsets(marks, radius, {row: names[rows[row]] for row in shown})
+        for row, offset in offsets.items():
+            axes.annotate(
+                names[rows[row]], place[row], xytext=offset, textcoords="offset points", ha="center", va="center",
+                fontsize=_LABEL_SIZE, arrowprops={"arrowstyle": "-", "linewidth": 0.4, "color": GREY},
+            )  # fmt: skip
     unit, size_si = acceleration_unit(largest)
     drawn.supxlabel(f"filled: longer than gravity, hollow: shorter; largest {largest / size_si:.3g} {unit}", fontsize=8)
     return to_svg(drawn, "sphere")
+
+
+def label_offsets(place: FloatArray, radius: FloatArray, names: dict[int, str]) -> dict[int, FloatArray]:
+    """Return where to put the middle of each name beside its mark, so that it covers no mark and no other name.
+
+    Parameters
+    ----------
+    place : ndarray, shape (n, 2)
+        Marks, in points of print.
+    radius : ndarray, shape (n,)
+        Of the marks, points.
+    names : dict
+        Of some of the rows.
+    """
+    taken = [np.array([*(at - half), *(at + half)]) for at, half in zip(place, radius, strict=True)]
+    found: dict[int, FloatArray] = {}
+    angles = np.radians(90 + 30 * np.array([0, 6, 1, -1, 5, -5, 2, -2, 4, -4, 3, -3]))
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    for row, name in names.items():
+        half = np.array([0.29 * len(name), 0.6]) * _LABEL_SIZE
+        best, least = np.zeros(2), np.inf
+        for reach in (1.0, 8.0, 16.0, 28.0):
+            for direction in directions:
+                offset = direction * (radius[row] + reach + half)
+                box = np.array([*(place[row] + offset - half), *(place[row] + offset + half)])
+                covered = sum(_overlap(box, one) for one in taken)
+                if covered < least:
+                    best, least = offset, covered
+        found[row] = best
+        taken.append(np.array([*(place[row] + best - half), *(place[row] + best + half)]))
+    return found
+
+
+def _overlap(a: FloatArray, b: FloatArray) -> float:
+    """Return the area that two boxes (left, bottom, right, top) share."""
+    sides = np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2])
+    return float(np.prod(np.maximum(sides, 0.0)))
 
 
 def _hemisphere(axes: Any, upper: bool) -> None:
@@ -140,7 +188,7 @@ def _hemisphere(axes: Any, upper: bool) -> None:
     for tilt, style in ((90, "-"), (45, ":")):
         radius = np.sqrt(2) * np.sin(np.radians(tilt) / 2)
         axes.plot(radius * np.cos(angle), radius * np.sin(angle), style, color=GREY, linewidth=0.8)
-    for label, x, y in (("+x", 1.2, 0), ("-x", -1.2, 0), ("+y", 0, 1.24), ("-y", 0, -1.2)):
+    for label, x, y in _AXIS_NAMES:
         axes.text(x, y, label, ha="center", va="center", fontsize=8, color=GREY)
     axes.set_title("z axis up or level" if upper else "z axis down")
     axes.set_aspect("equal")
@@ -189,6 +237,9 @@ def held_out(document: Document) -> str:
     inside = np.abs(before) <= 1.5 * max(np.nanmax(np.abs(residual), initial=0.0), np.nanmax(2 * sigma, initial=0.0))
     if np.all(inside):
         axes.plot(at, before / size, "x", color=ORANGE, markersize=5, label="before")
+    # Bars hold the axis at their ends; with a margin one sees that they end there.
+    axes.use_sticky_edges = False
+    axes.margins(y=0.08)
     _position_axis(axes, tuple(document["name"]), unit)
     return to_svg(drawn, "heldout")
 
@@ -269,7 +320,7 @@ def closure(found: Closure) -> str:
 def correlations(found: Correlations) -> str:
     """Draw the correlation of each pair of parameters below the diagonal."""
     n = len(found.names)
-    drawn = figure(min(0.16 * n + 1.2, WIDTH_IN))
+    drawn = figure(min(0.17 * n + 1.4, _TALLEST_IN))
     axes = drawn.subplots()
     rows, columns = np.tril_indices(n, -1)
     values = found.matrix[rows, columns]
@@ -279,8 +330,8 @@ def correlations(found: Correlations) -> str:
         axes.scatter(
             columns[chosen], rows[chosen], 40 * np.abs(values[chosen]), facecolor=face, edgecolor=INK, linewidth=0.6, zorder=2
         )
-    axes.set_xticks(range(n), found.names, rotation=90, fontsize=6)
-    axes.set_yticks(range(n), found.names, fontsize=6)
+    axes.set_xticks(range(n), found.names, rotation=90, fontsize=_LABEL_SIZE)
+    axes.set_yticks(range(n), found.names, fontsize=_LABEL_SIZE)
     axes.set_ylim(n - 0.5, -0.5)
     axes.set_xlim(-0.5, n - 0.5)
     axes.set_aspect("equal")

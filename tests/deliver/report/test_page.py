@@ -16,6 +16,7 @@ from imufield.deliver.context import Context, InstrumentFacts
 from imufield.deliver.parameters import Parameters, from_document, to_document
 from imufield.deliver.report.data import Closure, Convergence, ReportData, Trace
 from imufield.deliver.report.page import render_record, render_report
+from imufield.deliver.report.plots import label_offsets
 from imufield.deliver.report.rows import Row, parameter_rows
 from imufield.errors import Reason, UsageError
 
@@ -148,6 +149,46 @@ def test_verification_is_shown(data: ReportData) -> None:
     assert "40.8 µg RMS; forecast 51 µg: as forecast" in words
     assert "turned over after the alignment" in words
     assert "PASS" in " ".join(Page(render_record(replace(data, verification=verification))).text)
+
+
+def test_a_requirement_that_is_not_met_leads(data: ReportData) -> None:
+    requirement = [{"name": "residual-ug", "limit": 50.0, "measured": 133.7, "passed": False}]
+    verified = replace(data, verification={"passed": False, "requirement": requirement})
+    for text in (render_report(verified), render_record(verified)):
+        words = " ".join(" ".join(Page(text).text).split())
+        assert words.index("fail : residual-ug 133.7 (limit 50), NOT MET") < words.lower().index("quality of the fit: ")
+        assert "fit for use" not in words
+
+
+def test_held_out_caption_says_what_the_test_found(data: ReportData) -> None:
+    figures = {"name": ["a", "b"], "residual_m_s2": [4e-4, -4e-4], "before_m_s2": [None, None], "sigma_m_s2": [5e-4, 5e-4]}
+    found = {"how": "2 positions of another session", "rms_m_s2": 4e-4, "before_rms_m_s2": None, "forecast_rms_m_s2": 5e-4}
+    words = "larger than forecast, by chance so large in 1 of 50 sound checks"
+    positions = {**figures, **found, "as_forecast": False, "words": words}
+    assert render_report(replace(data, verification={"positions": positions})).count(words) == 2
+
+
+def test_provenance_speaks_our_words(data: ReportData) -> None:
+    solver = replace(data.parameters.calibration.solver, message="`ftol` termination condition is satisfied.", evaluations=25)
+    calibration = replace(data.parameters.calibration, solver=solver)
+    words = " ".join(Page(render_report(replace(data, parameters=replace(data.parameters, calibration=calibration)))).text)
+    assert "converged after 25 evaluations" in words
+    assert "ftol" not in words
+
+
+def test_names_on_the_sphere_cover_neither_marks_nor_each_other() -> None:
+    place = np.array([[0.0, 0.0], [1.0, 0.5], [2.0, -1.0], [80.0, 0.0], [80.5, 1.0]])
+    radius = np.array([8.0, 6.0, 5.0, 4.0, 4.0])
+    names = {0: "z+180", 1: "x+270", 2: "y+270", 3: "y+270", 4: "x+180"}
+    offsets = label_offsets(place, radius, names)
+    half = np.array([0.29 * 5, 0.6]) * 7.5
+    boxes = [(place[row] + offset - half, place[row] + offset + half) for row, offset in offsets.items()]
+    boxes += [(at - one, at + one) for at, one in zip(place, radius, strict=True)]
+    for k in range(len(offsets)):
+        for other in range(k):
+            assert np.any(np.maximum(boxes[k][0], boxes[other][0]) >= np.minimum(boxes[k][1], boxes[other][1]))
+        for mark in boxes[len(offsets) :]:
+            assert np.any(np.maximum(boxes[k][0], mark[0]) >= np.minimum(boxes[k][1], mark[1]))
 
 
 def test_record_has_all_parameters_and_lines_to_sign(data: ReportData) -> None:
