@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gzip
 import importlib.util
+import math
 import re
 import struct
 import subprocess
@@ -139,6 +140,8 @@ def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iter
     try:
         with contextlib.closing(_Reader(path)) as reader:
             for message in _of_channel(reader, path, channel):
+                if not math.isfinite(message.timestamp):
+                    raise ValueError(f"a frame at {message.timestamp} s")
                 count += 1
                 yield message
             lost = reader.cut(count)

@@ -133,7 +133,10 @@ class TextTable:
         return values
 
     def _find_fault(self, rows: list[str], columns: Sequence[int], lines_before: int) -> RecordingError:
-        """Name the first line that is not a row of the table."""
+        """Name the first line that is not a row of the table, or what the heading promises more than the rows hold."""
+        if max(columns) >= self.width:
+            what = f"has {self.width} columns in its first row of numbers, but its heading names more"
+            return _bad(self.path, what, _CORRECT, lines_before + 1)
         for number, row in enumerate(rows, start=lines_before + 1):
             text = row.split("#")[0].strip()
             if not text:

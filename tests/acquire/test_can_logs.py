@@ -76,6 +76,18 @@ def test_import_makes_a_session_that_decodes(tmp_path: Path) -> None:
     assert decoder.statistics.losses_estimated == 0
 
 
+def test_a_damaged_time_stamp_costs_no_frame_or_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    session = Session.create(tmp_path / "sessions", "drive")
+    path.write_text("(1700000000.005) can0 100#00\n(1700000000005000000.0) can0 100#01\n")
+    with Recorder(session.add_part(), {}) as recorder:
+        assert import_log(path, recorder) == 2
+    path.write_text("(1700000000.005) can0 100#00\n(nan) can0 100#01\n(1700000000.015) can0 100#02\n")
+    losses: list[str] = []
+    assert sum(1 for chunk in read_log(path, losses=losses) for _ in unpack_frames(chunk.data)) == 1
+    assert "is damaged behind frame 1 (a frame at nan s)" in losses[0]
+
+
 def test_a_cut_blf_says_what_is_missing(tmp_path: Path) -> None:
     whole = tmp_path / "whole.blf"
     with can.Logger(whole) as logger:

@@ -333,6 +333,12 @@ def test_a_bad_line_is_named(
     assert caught.value.values["line"] == line
 
 
+def test_a_heading_that_names_more_than_the_rows_hold(tmp_path: Path) -> None:
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER, header="t ax ay az gx gy gz\n"))
+    with pytest.raises(RecordingError, match="has 4 columns in its first row of numbers, but its heading names more"):
+        read_tables([path])
+
+
 def test_blank_and_commented_lines_do_not_shift_the_count(tmp_path: Path) -> None:
     text = "# logger\n\nt ax ay az\n0.00 1 2 3\n\n# pause\n0.01 1 2 3\n0.02 1 nan 3\n"
     with pytest.raises(RecordingError, match="in line 8"):
