@@ -255,7 +255,8 @@ class Ear:
             return self._fault
         if counts.samples < FEWEST_SAMPLES:
             if counts.frames >= FEWEST_SAMPLES and self._checked_bits >= STRONG_BITS and share >= STRONG_SHARE:
-                return f"it sends frames of this kind, but no acceleration and rate: {', '.join(sorted(counts.by_kind))}"
+                kinds = ", ".join(sorted(counts.by_kind))
+                return f"its frames are understood, but none of them holds acceleration or rate; their kinds: {kinds}"
             return f"{counts.samples} samples, {FEWEST_SAMPLES} are needed"
         if share < STRONG_SHARE:
             return f"{100 * share:.0f} % of the bytes are in frames, {100 * STRONG_SHARE:.0f} % are needed"

@@ -55,20 +55,28 @@ def devices(as_json: AsJson = False) -> None:
 
 
 def probe(
+    context: typer.Context,
     port: Port = None,
+    bus: Bus = None,
     baud: Baud = None,
     ask: Annotated[bool, typer.Option("--ask", help="Ask the instrument who it is: the only thing that is sent.")] = False,
     as_json: AsJson = False,
     clock_speed: ClockSpeed = 1.0,
 ) -> None:
-    """Listen and say what instrument is on a port (default: on every port), and how to read it.
+    """Listen and say what instrument is on a port (default: on every port) or a CAN bus, and how to read it.
 
     Example: imufield probe --port /dev/ttyUSB0
+
+    Example: imufield probe --bus socketcan:can0
     """
     from imufield.commands.connect import host_clock
-    from imufield.commands.probe import run_probe
+    from imufield.commands.probe import run_probe, run_probe_bus
 
-    run_probe(port, baud, host_clock(clock_speed), ask=ask, as_json=as_json)
+    options = connect_options(context, port, bus, None, baud, None, None, None, None)
+    if options.bus is not None:
+        run_probe_bus(options, host_clock(clock_speed), ask=ask, as_json=as_json)
+        return
+    run_probe(options.port, baud, host_clock(clock_speed), ask=ask, as_json=as_json)
 
 
 def capture(

@@ -72,6 +72,40 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
     ProtocolError
         DBC file or protocol cannot be understood.
     """
+    link, chunks, found = _heard(options, clock, say)
+    try:
+        return _connected(link, chunks, found, options, clock, say)
+    except BaseException:
+        link.close()
+        raise
+
+
+@dataclass(frozen=True, slots=True)
+class BusFinding:
+    """What speaks on a bus: driver, its title, frames it knows, samples made of them, and what it said of itself."""
+
+    name: str
+    title: str
+    frames: int
+    samples: int
+    identity: dict[str, str]
+
+
+def probe_bus(options: ConnectOptions, clock: HostClock, say: Say, *, ask: bool) -> BusFinding:
+    """Listen on a bus, send nothing unless ``ask``, and leave it; raises as ``connect_bus``."""
+    link, chunks, found = _heard(options, clock, say)
+    try:
+        driver, messages = found.driver, found.decoder.messages()
+        if driver is not None and ask:
+            messages = ask_identity(link, chunks, driver, found.decoder, clock)
+        identity = {} if driver is None else driver.identity(messages)
+    finally:
+        link.close()
+    return BusFinding(found.description.name, found.description.protocol.title, found.frames, found.samples, identity)
+
+
+def _heard(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[CanLink, list[Chunk], _Ear]:
+    """Return the open bus, what came, and who understood it; raises as ``connect_bus``."""
     # What python-can has to say of drivers that are not installed is said in one sentence by the error of the bus.
     logging.getLogger("can").setLevel(logging.CRITICAL)
     address = parse_bus(options.bus or "")
@@ -84,10 +118,10 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
         found = _best(link.name, ears)
         if found is None:
             raise _nothing_understood(link.name, chunks, ears)
-        return _connected(link, chunks, found, options, clock, say)
     except BaseException:
         link.close()
         raise
+    return link, chunks, found
 
 
 def can_descriptions(options: ConnectOptions, say: Say | None = None) -> list[CanDescription]:

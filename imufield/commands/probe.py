@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import shlex
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -18,6 +18,10 @@ from imufield.commands.listen import Search, bauds_to_try, has_no_baud, nothing_
 from imufield.commands.output import say
 from imufield.deliver.numbers import beside
 from imufield.errors import ImufieldError, LinkError, Reason
+
+if TYPE_CHECKING:
+    from imufield.commands.connect import ConnectOptions
+    from imufield.commands.connect_can import BusFinding
 
 PORTS_AT_ONCE = 8
 _OTHERS_NAMED = 3
@@ -95,6 +99,33 @@ def run_probe(port: str | None, baud: int | None, clock: HostClock, *, ask: bool
     return results
 
 
+def run_probe_bus(options: ConnectOptions, clock: HostClock, *, ask: bool, as_json: bool) -> BusFinding:
+    """Listen on one CAN bus and print who speaks there.
+
+    Raises
+    ------
+    LinkError
+        Nobody that is known does.
+    UsageError
+        The bit rate is needed, or several instruments send the same messages.
+    """
+    from imufield.commands.connect_can import probe_bus
+
+    bus = options.bus or ""
+    if not as_json:
+        say(f"listening on {bus}, up to 5 s; {_WRITES if ask else _SILENT}", err=True)
+    found = probe_bus(options, clock, lambda sentence: say(sentence, err=True), ask=ask)
+    words = ["imufield", "capture", "--bus", bus, *([] if options.baud is None else ["--baud", str(options.baud)])]
+    command = shlex.join([*words, "--driver", found.name])
+    if as_json:
+        typer.echo(json.dumps({"buses": [{"bus": bus, "found": asdict(found), "command": command}]}))
+        return found
+    say(f"{bus}: {found.title}", indent=2)
+    say(f"  evidence    {found.frames} frames with its identifiers, {found.samples} samples", indent=_SECOND_COLUMN)
+    _show_rest(found.identity, command)
+    return found
+
+
 _SILENT = "nothing is sent to the instrument (--ask lets it say who it is)"
 _WRITES = "the instrument is asked who it is"
 
@@ -135,7 +166,9 @@ def _identity(found: Search, ear: Ear, clock: HostClock, *, ask: bool) -> dict[s
 
 
 def _others(found: Search) -> list[Finding]:
-    ears = [ear for hearing in found.hearings for ear in hearing.ears if ear is not found.found]
+    # Another form of the instrument that was found is the same instrument.
+    name = None if found.found is None else found.found.candidate.name
+    ears = [ear for hearing in found.hearings for ear in hearing.ears if ear.candidate.name != name]
     findings = sorted((ear.finding() for ear in ears), key=lambda one: (one.frames, one.share), reverse=True)
     return [one for one in findings if one.frames][:_OTHERS_NAMED]
 
@@ -166,10 +199,14 @@ def _show_found(one: Probed, found: Finding) -> None:
     say(f"  evidence    {found.evidence()}", indent=_SECOND_COLUMN)
     if one.baud is not None:
         typer.echo(f"  baud rate   {one.baud}")
-    if one.identity:
-        identity = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in one.identity.items())
-        say(f"  instrument  {identity}", indent=_SECOND_COLUMN)
-    typer.echo(beside("  command    ", one.command))
+    _show_rest(one.identity, one.command)
+
+
+def _show_rest(identity: dict[str, str], command: str) -> None:
+    if identity:
+        told = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in identity.items())
+        say(f"  instrument  {told}", indent=_SECOND_COLUMN)
+    typer.echo(beside("  command    ", command))
 
 
 def _nothing_anywhere(results: list[Probed]) -> LinkError:

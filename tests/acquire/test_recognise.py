@@ -85,7 +85,7 @@ def test_frames_without_samples_are_named_but_are_no_finding(shared_folder: Path
     ears = ears_of(data, 8000)
     assert best(ears) is None
     reasons = {ear.candidate.name: ear.finding().reason for ear in ears}
-    assert "no acceleration and rate" in reasons["novatel_oem7"]
+    assert "none of them holds acceleration or rate" in reasons["novatel_oem7"]
 
 
 def test_lines_in_g_are_doubted_unless_the_user_says_so() -> None:

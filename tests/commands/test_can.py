@@ -368,3 +368,19 @@ def test_a_typed_bus_goes_before_a_port_by_default(
     monkeypatch.setenv("IMUFIELD_BUS", "virtual:other")
     assert in_this_process(*RECORD, "--port", "/dev/nowhere", "--driver", "stim300") == 3
     assert "/dev/nowhere does not exist" in capsys.readouterr().err
+
+
+def test_probe_of_a_bus_says_who_is_there_and_how_to_read_it(capsys: pytest.CaptureFixture[str]) -> None:
+    sbg = [can.Message(arbitration_id=one, is_extended_id=False, data=bytes(8)) for one in (0x121, 0x122)]
+    with Talker("probed", sbg):
+        assert in_this_process("probe", "--bus", "virtual:probed", "--json") == 0
+        (told,) = json.loads(capsys.readouterr().out)["buses"]
+        assert in_this_process("probe", "--bus", "virtual:probed") == 0
+    command = "imufield capture --bus virtual:probed --driver sbg_can"
+    assert (told["bus"], told["found"]["name"], told["command"]) == ("virtual:probed", "sbg_can", command)
+    assert told["found"]["samples"] >= 20
+    said = capsys.readouterr()
+    assert command in said.out
+    assert "nothing is sent" in said.err
+    assert in_this_process("probe", "--bus", "virtual:nobody-probed") == 3
+    assert in_this_process("probe", "--bus", "virtual:probed", "--port", "/dev/ttyUSB0") == 2

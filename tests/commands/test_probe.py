@@ -162,6 +162,8 @@ def test_the_command(program: Program) -> None:
         words = program.run("probe", "--port", there.port)
         assert words.returncode == 0
         assert f"imufield capture --port {there.port} --driver vectornav_binary" in words.stdout
+        # Another form of it is no other instrument.
+        assert "not         vectornav_binary" not in words.stdout
     gone = program.run("probe", "--port", "/dev/nowhere", "--json")
     assert gone.returncode == 3
     assert json.loads(gone.stdout)["ports"][0]["error"]["reason"] == "port_not_found"
