@@ -11,6 +11,8 @@ from imufield.errors import UsageError
 from imufield.samples import LARGEST_OUTPUT, FloatArray
 
 TIME_SCALE = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNIT = "time_unit"
+"""Setting of an import; rows themselves are in seconds."""
 SHORTEST_STEP_S, LONGEST_STEP_S = 2.5e-4, 0.2
 """Instruments send 5 to 4000 samples a second. The two limits are less than a factor of 1000 apart, so a median step fits one
 unit of time at most."""
@@ -24,6 +26,20 @@ _FAST = 0.999
 _STANDS_FOR_G = (0.8, 1.25)
 _STANDS_FOR_M_S2 = (8.0, 12.0)
 """Where the median norm of an accelerometer lies that stands still most of the time."""
+
+
+def given_time_unit(settings: Mapping[str, object]) -> str | None:
+    """Return the unit of time the user gives, None without.
+
+    Raises
+    ------
+    UsageError
+        If it is none.
+    """
+    unit = settings.get(TIME_UNIT)
+    if unit is not None and unit not in TIME_SCALE:
+        raise UsageError(f"--set {TIME_UNIT}={unit} is no unit of time; choose one of {', '.join(TIME_SCALE)}.")
+    return None if unit is None else str(unit)
 
 
 def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: float | None) -> tuple[float, str]:
@@ -48,7 +64,7 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
     if not fitting:
         if rate_hz is not None and SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
             _check_rate(path, step, rate_hz)
-        named = "write the unit into the name, e.g. --columns time_ms,ax,ay,az, or give --rate-hz"
+        named = "give it with --set time_unit=..., or the rate with --rate-hz, or other --columns"
         hint = named if rate_hz is None else "give the right --rate-hz"
         raise UsageError(
             f"the time column of {path} has a median step of {step:g}, which is no plausible rate in s, ms, us or ns: {hint}.",
@@ -58,7 +74,8 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
         )
     name = fitting[0]
     rate = 1.0 / (step * TIME_SCALE[name])
-    return TIME_SCALE[name], f"{path.name}: time is taken as {name}, because a median step of {step:g} is then {rate:.6g} Hz."
+    why = f"a median step of {step:g} is then {rate:.6g} Hz; --set {TIME_UNIT}=... says otherwise"
+    return TIME_SCALE[name], f"{path.name}: time is taken as {name}, because {why}."
 
 
 def _check_rate(path: Path, step_s: float, rate_hz: float | None) -> None:

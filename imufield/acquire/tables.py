@@ -30,7 +30,7 @@ from imufield.acquire.table_columns import (
 )
 from imufield.acquire.table_join import join_by_row, join_by_time
 from imufield.acquire.table_text import TextTable, open_table
-from imufield.acquire.table_units import choose_time_scale, choose_unit
+from imufield.acquire.table_units import choose_time_scale, choose_unit, given_time_unit
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, Samples, Status
 
@@ -122,7 +122,7 @@ def read_tables(
     zero : str, float or three floats, optional
         Mid-scale of the accelerometer, raw unit. Not taken off.
     settings : mapping, optional
-        ``accelerometer_unit`` and ``gyroscope_unit`` where the user knows better.
+        ``accelerometer_unit``, ``gyroscope_unit`` and ``time_unit`` where the user knows better.
     topic : str, optional
         Of a recording of ROS, where it holds several.
 
@@ -140,7 +140,7 @@ def read_tables(
     known = {name: value for file in files for name, value in file.settings.items()}
     given = {**known, **(settings or {})}
     said = [sentence for file in files for sentence in file.assumptions]
-    joined, units, joining = _join(files, rate_hz)
+    joined, units, joining = _join(files, rate_hz, given_time_unit(settings or {}))
     said += joining
     rows = _rows(joined)
     _check_values(rows, [file.path for file in files])
@@ -243,7 +243,7 @@ def _read_file(path: Path, columns: str | None, number: int, files: int, topic: 
     for name, column in kept.items():
         if name != TEMPERATURE:
             _check_finite(source, name, column, kept.get(STATUS))
-    _check_no_step_back(source, kept.get(TIME))
+    _check_no_step_back(source, kept.get(TIME), is_guess=columns is None and source.header is None)
     if isinstance(source, TextTable):
         return _File(path, kept, units, meaning.assumptions)
     return _File(path, kept, units, (*source.assumptions, *meaning.assumptions), source.settings, source.raw_zero)
@@ -311,21 +311,25 @@ def _check_finite(source: Source, name: str, column: FloatArray, status: FloatAr
         )
 
 
-def _check_no_step_back(source: Source, time: FloatArray | None) -> None:
+def _check_no_step_back(source: Source, time: FloatArray | None, *, is_guess: bool) -> None:
     if time is None or not (steps_back := np.diff(time) < 0.0).any():
         return
     row = int(np.argmax(steps_back)) + 1
     line, where = source.where(row)
-    raise RecordingError(
-        f"{source.path} steps back in time from {time[row - 1]:.9g} to {time[row]:.9g} in {where}: "
-        "sort the file or cut it there.",
-        Reason.BAD_DATA,
-        path=str(source.path),
-        line=line,
-    )
+    wrong = f"steps back in time from {time[row - 1]:.9g} to {time[row]:.9g} in {where}"
+    sentence = f"{source.path} {wrong}: sort the file or cut it there."
+    if is_guess:
+        sentence = (
+            f"{source.path} has no header, and its first column, taken for time, {wrong}: say with --columns what its "
+            f"{source.width} columns are, e.g. --columns {','.join(FIELDS[: source.width])} (`-` skips one), or, if it is the "
+            "time, sort the file or cut it there."
+        )
+    raise RecordingError(sentence, Reason.BAD_DATA, path=str(source.path), line=line)
 
 
-def _join(files: Sequence[_File], rate_hz: float | None) -> tuple[dict[str, FloatArray], dict[str, str], list[str]]:
+def _join(
+    files: Sequence[_File], rate_hz: float | None, time_unit: str | None = None
+) -> tuple[dict[str, FloatArray], dict[str, str], list[str]]:
     """Bring the columns of all files onto one time in seconds."""
     units: dict[str, str] = {}
     for number, file in enumerate(files):
@@ -339,7 +343,7 @@ def _join(files: Sequence[_File], rate_hz: float | None) -> tuple[dict[str, Floa
         if time is None:
             timed.append(file.fields)
             continue
-        scale, sentence = choose_time_scale(file.path, time, file.units.get(TIME), rate_hz)
+        scale, sentence = choose_time_scale(file.path, time, time_unit or file.units.get(TIME), rate_hz)
         said += [sentence] if sentence else []
         timed.append({**file.fields, TIME: time * scale if scale != 1.0 else time})
     names = [file.path for file in files]

@@ -157,6 +157,9 @@ def record(
     settings: Settings = None,
     rate_hz: RateHz = None,
     session: SessionFolder = None,
+    gravity: GravityValue = None,
+    latitude: Latitude = None,
+    height: Height = None,
     duration_s: Annotated[float | None, typer.Option(help="Stop after so many seconds (default: Ctrl-C).", min=0.1)] = None,
     as_json: AsJson = False,
     clock_speed: ClockSpeed = 1.0,
@@ -171,10 +174,18 @@ def record(
     from imufield.commands.record import RecordOptions, run_record
 
     connect = connect_options(context, port, bus, driver, baud, protocol, dbc, mapping, settings, rate_hz)
-    run_record(RecordOptions(connect=connect, session=session, duration_s=duration_s, as_json=as_json), host_clock(clock_speed))
+    options = RecordOptions(
+        connect=connect,
+        session=session,
+        duration_s=duration_s,
+        as_json=as_json,
+        site=site(context, gravity, latitude, height),
+    )
+    run_record(options, host_clock(clock_speed))
 
 
 def import_files(
+    context: typer.Context,
     files: Annotated[list[Path], typer.Argument(help="Files of one recording; several are joined by time.", readable=False)],
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder of the new session.", readable=False)] = None,
     driver: DriverName = None,
@@ -187,6 +198,12 @@ def import_files(
     columns: Annotated[str | None, typer.Option(help="Columns of a table, e.g. time,ax,ay,az,gx,gy,gz.")] = None,
     rate_hz: TableRateHz = None,
     zero: Annotated[str | None, typer.Option(help="Raw output at zero input, one or three numbers (mid-scale).")] = None,
+    gravity: GravityValue = None,
+    latitude: Latitude = None,
+    height: Height = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Put it in the place of an earlier import that is not solved yet.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Turn files of another program into a session: tables, MATLAB, HDF5, Parquet, ROS, CAN logs, raw bytes.
@@ -213,6 +230,8 @@ def import_files(
         mapping=parse_mapping(mapping),
         channel=channel,
         topic=topic,
+        site=site(context, gravity, latitude, height),
+        replace=replace,
     )
     run_import(options)
 

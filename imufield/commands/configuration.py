@@ -24,9 +24,9 @@ KEYS: dict[str, tuple[str, ...]] = {
     "baud": ("capture", "record"),
     "positions": ("capture",),
     "hold_s": ("capture",),
-    "gravity": ("capture", "solve"),
-    "latitude": ("capture", "solve"),
-    "height": ("capture", "solve"),
+    "gravity": ("capture", "record", "solve"),
+    "latitude": ("capture", "record", "solve"),
+    "height": ("capture", "record", "solve"),
     "settings": ("capture", "record"),
 }
 """Keys of the file, and the commands each is a default of."""

@@ -22,13 +22,15 @@ from imufield.acquire.protocol import Protocol, load_protocol
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.registry import load_driver
 from imufield.acquire.ros_bags import is_bag
-from imufield.acquire.session import DEFAULT_ROOT, Session
+from imufield.acquire.session import DEFAULT_ROOT, LOCK_FILE, SETTINGS_FILE, Session
 from imufield.acquire.statistics import remarks
 from imufield.acquire.table_text import read_pieces
+from imufield.acquire.table_units import TIME_UNIT
 from imufield.acquire.tables import ROWS_PROTOCOL, ImportedTable, read_tables, write_rows
 from imufield.commands.chain import part_metadata
 from imufield.commands.connect import assumed
 from imufield.commands.output import say
+from imufield.commands.site import SiteOptions
 from imufield.deliver.numbers import beside
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import Samples
@@ -57,6 +59,9 @@ class ImportOptions:
     """Of a log of several CAN buses."""
     topic: str | None = None
     """Of a recording of ROS."""
+    site: SiteOptions = field(default_factory=SiteOptions)
+    replace: bool = False
+    """Put the session in the place of an earlier import."""
 
 
 def run_import(options: ImportOptions) -> Session:
@@ -81,8 +86,14 @@ def run_import(options: ImportOptions) -> Session:
 def import_session(options: ImportOptions) -> tuple[Session, list[str]]:
     """Return the new session and what was assumed, in sentences; raises as ``run_import``."""
     _refuse_endless(options.files)
+    options.site.gravity()
     protocol = _protocol(options)
     _refuse_ignored(options, protocol)
+    with _in_place_of_earlier(options):
+        return _import(options, protocol)
+
+
+def _import(options: ImportOptions, protocol: Protocol | None) -> tuple[Session, list[str]]:
     if protocol is None:
         _refuse_can_log(options)
         return _import_tables(options)
@@ -205,7 +216,8 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
         settings=options.settings,
         topic=options.topic,
     )
-    protocol = load_protocol(ROWS_PROTOCOL, {**(options.settings or {}), **table.settings})
+    of_rows = {name: value for name, value in (options.settings or {}).items() if name != TIME_UNIT}
+    protocol = load_protocol(ROWS_PROTOCOL, {**of_rows, **table.settings})
     session = _new_session(options, protocol, table)
     with _whole_or_nothing(session), Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
         write_rows(recorder, table.rows, table.status)
@@ -276,6 +288,48 @@ def _try_dump(files: list[Path], protocol: Protocol) -> list[str]:
 
 
 @contextmanager
+def _in_place_of_earlier(options: ImportOptions) -> Iterator[None]:
+    """Put an earlier import aside, and remove it when the new one is whole.
+
+    Raises
+    ------
+    UsageError
+        If ``replace`` says nothing, or what is there is no import or holds more than one.
+    """
+    folder = options.output
+    if not options.replace:
+        yield
+        return
+    if folder is None:
+        raise UsageError("--replace needs the folder of the earlier import; give it with --output")
+    if not (folder / SETTINGS_FILE).exists():
+        yield
+        return
+    _refuse_replacing(folder)
+    aside = folder.with_name(f".{folder.name}.replaced")
+    shutil.rmtree(aside, ignore_errors=True)
+    folder.rename(aside)
+    try:
+        yield
+    except BaseException:
+        aside.rename(folder)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def _refuse_replacing(folder: Path) -> None:
+    """Refuse to replace anything that cannot be imported again from its files; raises as ``_in_place_of_earlier``."""
+    earlier = Session.open(folder)
+    kind = earlier.metadata.get("kind")
+    if kind != "import":
+        raise UsageError(f"--replace goes for imports alone, and {folder} is a {kind}; choose a new folder")
+    own = {SETTINGS_FILE, LOCK_FILE, *(part.name for part in earlier.parts)}
+    others = sorted(path.name for path in folder.iterdir() if path.name not in own)
+    if others:
+        raise UsageError(f"{folder} holds {', '.join(others[:3])} besides the import; move that away, or choose a new folder")
+
+
+@contextmanager
 def _whole_or_nothing(session: Session) -> Iterator[None]:
     """Remove a new session that cannot be completed: its files are still there to be imported again.
 
@@ -306,6 +360,8 @@ def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTabl
         "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
         "settings": {name: {"value": one.value, "origin": one.origin} for name, one in protocol.settings.items()},
         "units": {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope},
+        # What is a default of its own today says nothing about where files of another program were recorded.
+        "site": {} if options.site.is_default else options.site.table(),
         "import": {"files": [str(path) for path in options.files]},
     }
     if table is not None:
@@ -313,5 +369,12 @@ def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTabl
         metadata["notes"] = list(table.assumptions)
     model = options.files[0].name.split(".")[0]
     if options.output is not None:
+        if not options.replace and (options.output / SETTINGS_FILE).exists():
+            raise RecordingError(
+                f"{options.output} holds a session already and nothing is overwritten: choose a new folder, or give "
+                "--replace if it is an import to be done again.",
+                Reason.UNFINISHED,
+                folder=str(options.output),
+            )
         return Session.create_in(options.output, model, metadata)
     return Session.create(options.root, model, metadata)

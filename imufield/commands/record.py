@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import ExitStack, nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import typer
@@ -19,6 +19,7 @@ from imufield.acquire.statistics import remarks
 from imufield.commands.chain import part_metadata
 from imufield.commands.connect import Connected, ConnectOptions, connect
 from imufield.commands.output import say
+from imufield.commands.site import SiteOptions
 from imufield.deliver.numbers import beside
 from imufield.errors import RecordingError
 
@@ -33,6 +34,7 @@ class RecordOptions:
     session: Path | None = None
     duration_s: float | None = None
     as_json: bool = False
+    site: SiteOptions = field(default_factory=SiteOptions)
     root: Path = DEFAULT_ROOT
 
 
@@ -45,6 +47,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
         Link or recording errors; what was recorded stays.
     """
     clock = clock or SystemClock()
+    options.site.gravity()
     connected = connect(options.connect, clock)
     with ExitStack() as stack:
         stack.callback(connected.close)
@@ -68,7 +71,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
 
 
 def _new_session(options: RecordOptions, connected: Connected) -> Session:
-    metadata = {**connected.session_tables(), "kind": "record"}
+    metadata = {**connected.session_tables(), "kind": "record", "site": options.site.table()}
     if options.session is not None:
         return Session.create_in(options.session, connected.model, metadata)
     return Session.create(options.root, connected.model, metadata)

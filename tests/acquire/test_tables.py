@@ -447,3 +447,24 @@ def test_a_rate_that_contradicts_the_time_is_said(tmp_path: Path) -> None:
     path = write(tmp_path, text_of(TIME, ACCELEROMETER, delimiter=",", header="time,ax,ay,az\n"))
     with pytest.raises(UsageError, match=r"--rate-hz 50 contradicts the time column .*, 100 Hz"):
         read_tables([path], rate_hz=50)
+
+
+def test_a_file_without_header_whose_first_column_is_no_time(tmp_path: Path) -> None:
+    path = write(tmp_path, text_of(GYROSCOPE[:, 2:], ACCELEROMETER, GYROSCOPE, delimiter=","))
+    with pytest.raises(
+        RecordingError, match=r"no header, and its first column, taken for time, steps back in time .* --columns time,ax"
+    ):
+        read_tables([path])
+    named = text_of(GYROSCOPE[:, 2:], ACCELEROMETER, header="t,ax,ay,az\n", delimiter=",")
+    with pytest.raises(RecordingError, match="sort the file or cut it there"):
+        read_tables([write(tmp_path, named)])
+
+
+@pytest.mark.parametrize(("unit", "per_s"), [("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_the_unit_of_time_that_is_given_counts(tmp_path: Path, unit: str, per_s: float) -> None:
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER))
+    np.testing.assert_allclose(read_tables([path], settings={"time_unit": unit}).rows[:, 0], TIME / per_s)
+    by_name = read_tables([path], columns=f"time_{unit},ax,ay,az")
+    np.testing.assert_allclose(by_name.rows[:, 0], TIME / per_s)
+    with pytest.raises(UsageError, match=r"time_unit=min is no unit of time; choose one of s, ms, us, ns"):
+        read_tables([path], settings={"time_unit": "min"})

@@ -41,7 +41,8 @@ def document(program: Program, *arguments: object) -> dict[str, Any]:
 
 def test_record_for_a_time(program: Program) -> None:
     port = program.emulate("--positions", "none", "--wait")
-    ended = program.run("record", "--port", port, "--duration-s", 20, "--clock-speed", 16, "--json", "--session", "here")
+    typed = ("--duration-s", 20, "--clock-speed", 16, "--json", "--session", "here", "--latitude", 45, "--height", 300)
+    ended = program.run("record", "--port", port, *typed)
     assert ended.returncode == 0, ended.stderr
     *progress, last = [json.loads(line) for line in ended.stdout.splitlines()]
     assert {line["event"] for line in progress} == {"recording"}
@@ -51,6 +52,7 @@ def test_record_for_a_time(program: Program) -> None:
     session = Session.open(program.folder / "here")
     assert session.finished
     assert session.metadata["kind"] == "record"
+    assert session.metadata["site"] == {"latitude_deg": 45.0, "height_m": 300.0}
     assert session.metadata["instrument"]["serial_number"].startswith("N")
     solved = program.run("solve", "here")
     assert solved.returncode == 6

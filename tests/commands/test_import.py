@@ -246,3 +246,57 @@ def test_small_files_without_end(
     monkeypatch.chdir(tmp_path)
     assert run(command.format("/dev/zero").split()) in (2, 4, 5)
     assert "Traceback" not in capsys.readouterr().err
+
+
+def write_lines(path: Path, factor: float = 1.0) -> None:
+    rng = np.random.default_rng(1)
+    force = np.array([0.0, 0.0, 9.8 * factor]) + 0.01 * rng.standard_normal((N, 3))
+    np.savetxt(path, np.column_stack([1000 * np.arange(N) / 100, force]), delimiter=",")
+
+
+def test_the_unit_of_time_and_the_site_are_kept(tmp_path: Path) -> None:
+    write_lines(tmp_path / "a.csv")
+    typed = ["--set", "time_unit=ms", "--latitude", "45", "--height", "300"]
+    assert run(["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "here"), *typed]) == 0
+    session = Session.open(tmp_path / "here")
+    assert session.metadata["site"] == {"latitude_deg": 45.0, "height_m": 300.0}
+    samples = concatenate(list(session_samples(session, [])))
+    assert np.diff(samples.time_s).mean() == pytest.approx(0.01)
+    assert run(["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "there"), "--latitude", "95"]) == 2
+    assert not (tmp_path / "there").exists()
+
+
+def test_a_default_site_is_not_that_of_another_programs_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IMUFIELD_LATITUDE_DEG", "45")
+    write_lines(tmp_path / "a.csv")
+    assert run(["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "here")]) == 0
+    assert not Session.open(tmp_path / "here").metadata.get("site")
+
+
+def test_an_import_is_replaced_when_asked_and_nothing_else_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_lines(tmp_path / "a.csv")
+    write_lines(tmp_path / "b.csv", 2.0)
+    here = tmp_path / "here"
+
+    def imported(name: str, *options: str) -> int:
+        return run(["import", str(tmp_path / name), "-o", str(here), *options])
+
+    def level() -> float:
+        return float(concatenate(list(session_samples(Session.open(here), []))).accelerometer[:, 2].mean())
+
+    assert imported("a.csv", "--replace") == 0
+    assert imported("b.csv") == 4
+    assert "--replace" in capsys.readouterr().err
+    assert imported("nowhere.csv", "--replace") == 4
+    assert level() == pytest.approx(9.8, rel=1e-3)
+    assert imported("b.csv", "--replace") == 0
+    assert level() == pytest.approx(19.6, rel=1e-3)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv", "b.csv", "here"]
+    (here / "parameters.toml").touch()
+    assert imported("a.csv", "--replace") == 2
+    assert "holds parameters.toml besides the import" in capsys.readouterr().err
+    (here / "parameters.toml").unlink()
+    Session.open(here).update(kind="capture")
+    assert imported("a.csv", "--replace") == 2
+    assert "for imports alone" in capsys.readouterr().err
+    assert run(["import", str(tmp_path / "a.csv"), "--replace"]) == 2
