@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import typer
@@ -27,6 +28,7 @@ from imufield.deliver.numbers import DEG_PER_HOUR_RAD_S, to_ascii
 from imufield.deliver.parameters import Corrected, Parameters, json_ready, load
 from imufield.deliver.verification import (
     Verification,
+    doubt,
     judge,
     parse_requirements,
     to_document,
@@ -34,7 +36,7 @@ from imufield.deliver.verification import (
     verification_text,
     write_verification,
 )
-from imufield.deliver.verify import HeldOut, check_positions, cross_validate
+from imufield.deliver.verify import HeldOut, check_positions, contradiction, cross_validate
 from imufield.earth import MICRO_G_M_S2, Gravity
 from imufield.errors import CalibrationError, ImufieldError, ParameterFileError, Reason, UsageError, VerificationError
 from imufield.files import refuse_overwriting
@@ -44,6 +46,8 @@ HOLD_OUT = 4
 """Positions left out at a time, where the session is the one the parameters come from."""
 FEWEST_OF_ONE_SIGN = 4
 """Residuals that say something of gravity: fewer have one sign by chance too often."""
+SAME_M_S2 = 1e-6
+"""Gravity that differs by less is the same: an option is typed with as many digits as the summary prints."""
 AFTER = "after"
 BEFORE = "before"
 
@@ -131,8 +135,8 @@ def verify_session(task: _Task) -> Verification:
         navigated = navigation.finish()
         if held_out is None and navigated is None:
             raise problems[0] if problems else CalibrationError("the session holds nothing to check", Reason.TOO_FEW)
-    gravity = () if held_out is None else _gravity_notes(task, held_out)
-    notes = (*chain.notes, *gravity, *(one.what for one in damage), *(one.message for one in problems))
+    found = () if held_out is None else (*_gravity_notes(task, held_out), *_instrument_notes(task))
+    notes = (*_file_notes(task), *chain.notes, *found, *(one.what for one in damage), *(one.message for one in problems))
     requirements = judge(task.limits, held_out, navigated)
     return Verification(task.parameters, task.session.name, held_out, navigated, requirements, notes)
 
@@ -145,11 +149,38 @@ def _task(options: VerifyOptions) -> _Task:
     for one in filter(None, (parameters, preset)):
         one.check_instrument(session.serial_number)
     recorded = session.metadata.get("site")
+    task = _Task(options, session, parameters, preset, limits, *_site(options, parameters, recorded))
+    _refuse_ignored(task)
+    return task
+
+
+def _site(options: VerifyOptions, parameters: Parameters, recorded: Mapping[str, Any] | None) -> tuple[Gravity, float | None]:
+    """Return gravity at the place of the session, and its latitude."""
     known = options.site.is_known or bool(recorded)
     own = parameters.calibration.gravity
     gravity = options.site.gravity(recorded) if known else own
     latitude = gravity.latitude_deg if gravity.latitude_deg is not None else options.site.latitude_deg
-    return _Task(options, session, parameters, preset, limits, gravity, own.latitude_deg if latitude is None else latitude)
+    return gravity, own.latitude_deg if latitude is None else latitude
+
+
+def _refuse_ignored(task: _Task) -> None:
+    """Refuse options that would change nothing; raises ``UsageError``."""
+    options, own = task.options, task.parameters.calibration.gravity
+    if options.hold_out is not None and not task.is_its_own:
+        raise UsageError(
+            f"--hold-out {options.hold_out} is for the session the parameters come from, and {task.session.name} is another: "
+            "there every position is one that they have not seen; leave it out",
+            hold_out=options.hold_out,
+        )
+    here = task.gravity.gravity_m_s2
+    typed = options.site.is_known and not options.site.is_default and not task.wants_navigation
+    if typed and task.is_its_own and abs(here - own.gravity_m_s2) > SAME_M_S2:
+        raise UsageError(
+            f"--gravity and --latitude, here {here:.6f} m/s^2, change nothing where the session is the one the parameters "
+            f"come from, solved with {own.gravity_m_s2:.6f} m/s^2 ({own.source}); leave them out, or solve again with them",
+            typed=here,
+            solved=own.gravity_m_s2,
+        )
 
 
 def _held_out(task: _Task, chain: Chain, problems: list[ImufieldError]) -> HeldOut | None:
@@ -169,7 +200,7 @@ def _gravity_notes(task: _Task, found: HeldOut) -> Iterator[str]:
     """Yield what it looks like when the axes agree with one another and not with gravity."""
     residual = found.residual_m_s2
     one_sign = bool(np.all(residual > 0) or np.all(residual < 0))
-    if found.as_forecast or not one_sign or len(residual) < FEWEST_OF_ONE_SIGN:
+    if found.as_forecast or found.is_own or not one_sign or len(residual) < FEWEST_OF_ONE_SIGN:
         return
     own, here = task.parameters.calibration.gravity, task.gravity
     yield (
@@ -180,12 +211,33 @@ def _gravity_notes(task: _Task, found: HeldOut) -> Iterator[str]:
     )
 
 
+def _file_notes(task: _Task) -> Iterator[str]:
+    """Yield what the parameter file says against itself; with requirements ``doubt`` is an objection."""
+    said = doubt(task.parameters)
+    if said and not task.limits:
+        yield said
+
+
+def _instrument_notes(task: _Task) -> Iterator[str]:
+    """Yield that nothing shows whether session and parameters are of one instrument, where that is so."""
+    stated, recorded = task.parameters.context.instrument.serial_number, task.session.serial_number
+    if task.is_its_own or (stated and recorded):
+        return
+    where = "recording" if stated else "parameter file" if recorded else "recording and the parameter file"
+    yield (
+        f"the {where} {'names' if stated or recorded else 'name'} no serial number, so nothing shows that both are of one "
+        "instrument; if the residuals are large, another unit is the likeliest cause"
+    )
+
+
 def _check(task: _Task, observations: Observations, chain: Chain) -> HeldOut:
     before = _before_accelerometer(task, chain.protocol)
-    hold_out = task.options.hold_out
-    if hold_out is None and not task.is_its_own:
-        return check_positions(task.parameters.calibration, observations, task.gravity, before)
-    return cross_validate(task.parameters.calibration, observations, hold_out or HOLD_OUT, before)
+    calibration = task.parameters.calibration
+    if not task.is_its_own:
+        return check_positions(calibration, observations, task.gravity, before)
+    # Predicting positions from the others says nothing of parameters that did not come from these.
+    changed = contradiction(calibration, observations, before)
+    return changed or cross_validate(calibration, observations, task.options.hold_out or HOLD_OUT, before)
 
 
 def _check_unit(task: _Task, chain: Chain) -> None:
@@ -316,6 +368,8 @@ def _instability(parameters: Parameters) -> FloatArray | None:
 
 
 def _refuse_failed(found: Verification) -> None:
+    if found.objections:
+        raise VerificationError(f"FAIL: {found.objections[0]}")
     failed = [one for one in found.requirements if not one.passed]
     if not failed:
         return

@@ -72,8 +72,29 @@ class Verification:
 
     @property
     def passed(self) -> bool | None:
-        """Whether all requirements are met; None without any."""
+        """Whether all requirements are met and nothing objects to the parameters; None without either."""
+        if self.objections:
+            return False
         return all(one.passed for one in self.requirements) if self.requirements else None
+
+    @property
+    def objections(self) -> tuple[str, ...]:
+        """Sentences that make it fail whatever was measured: what the held-out positions and the file itself say."""
+        own = self.held_out.objection if self.held_out is not None else ""
+        return tuple(filter(None, (own, doubt(self.parameters) if self.requirements else "")))
+
+
+def doubt(parameters: Parameters) -> str:
+    """Say why parameters are not to be relied on by what their own file says; empty where it says nothing of the kind."""
+    solver, quality = parameters.calibration.solver, parameters.calibration.quality
+    if not solver.converged:
+        return (
+            f"the file says itself that {solver.method} did not converge (status {solver.status}: {solver.message}); "
+            f"its verdict is {quality.verdict}; solve again"
+        )
+    if quality.verdict == "poor":
+        return f"the file itself has the verdict poor: {quality.main_reason}"
+    return ""
 
 
 def parse_requirements(text: str | None) -> dict[str, float]:
@@ -82,13 +103,11 @@ def parse_requirements(text: str | None) -> dict[str, float]:
     Raises
     ------
     UsageError
-        If a name is not known or a limit is no positive number.
+        If a name is not known or stands twice, a limit is no positive number, or nothing is required.
     """
     limits: dict[str, float] = {}
-    for part in (text or "").split(","):
+    for part in [] if text is None else text.split(","):
         name, _, value = (piece.strip() for piece in part.partition("="))
-        if not part.strip():
-            continue
         if name not in REQUIREMENTS:
             raise UsageError(
                 f"--require {part.strip()!r} is unknown; give NAME=LIMIT with NAME one of {', '.join(REQUIREMENTS)}"
@@ -99,6 +118,8 @@ def parse_requirements(text: str | None) -> dict[str, float]:
             limit = math.nan
         if not 0 < limit < math.inf:
             raise UsageError(f"--require {name} has the limit {value!r}; give a positive number, e.g. {name}=50")
+        if name in limits:
+            raise UsageError(f"--require gives {name} twice, {limits[name]:g} and {limit:g}; give the limit that is meant")
         limits[name] = limit
     return limits
 
@@ -129,6 +150,7 @@ def to_document(verification: Verification) -> Document:
             {"name": one.name, "limit": one.limit, "measured": one.measured, "passed": one.passed}
             for one in verification.requirements
         ],
+        "objections": list(verification.objections),
         "notes": list(verification.notes),
     }
     if verification.held_out is not None:
@@ -251,6 +273,10 @@ def verification_text(verification: Verification) -> str:
         lines += [*_navigation_lines(verification.navigation), ""]
     for note in verification.notes:
         lines += textwrap.wrap(f" · {note}", _WIDTH, subsequent_indent="   ")
+    held = verification.held_out
+    for sentence in verification.objections:
+        if held is None or sentence != held.objection:  # which stands below its table
+            lines += textwrap.wrap(f"Objection: {sentence}", _WIDTH, subsequent_indent="  ")
     for one in verification.requirements:
         word = "met" if one.passed else "NOT MET"
         measured = "not measured" if math.isnan(one.measured) else f"{one.measured:.4g}"

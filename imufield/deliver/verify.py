@@ -16,18 +16,19 @@ to spare (exact where the scatter rules, too wide where the noise within a hold 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imufield.calibrate.accelerometer import calibrate_accelerometer
+from imufield.calibrate.agreement import AGREEMENT_SIGMA
 from imufield.calibrate.models import norm_derivatives, to_vector
 from imufield.calibrate.observability import parameter_scale
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration
 from imufield.calibrate.uncertainty import f_chance, f_limit_95, known_covariance, within_variance
 from imufield.deliver.held_out_chance import Session, simulated_misfits
-from imufield.earth import Gravity
+from imufield.earth import MICRO_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
 
@@ -38,6 +39,7 @@ STRONG = 1e-3
 FOREIGN = 10.0
 """Misfit of another session beyond this, three times the forecast: no uncertainty that was honest at all is so far off."""
 _SAME_GRAVITY_M_S2 = 1e-7
+_ROUNDING_M_S2 = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +64,8 @@ class HeldOut:
     """Probability of a misfit at least so large where instrument and uncertainty are as stated; NaN where not known."""
     is_own: bool = False
     """Whether the positions are those of the calibration."""
+    objection: str = ""
+    """Why the parameters fail, whatever is required: a sentence, empty where nothing speaks against them."""
 
     @property
     def rms_m_s2(self) -> float:
@@ -81,11 +85,13 @@ class HeldOut:
     @property
     def as_forecast(self) -> bool:
         """Whether the residuals are no larger than the stated uncertainty allows."""
-        return self.misfit <= self.misfit_limit
+        return not self.objection and self.misfit <= self.misfit_limit
 
     @property
     def words(self) -> str:
-        """The misfit in a sentence; empty where there is no forecast."""
+        """The misfit in a sentence, or the objection; empty where there is no forecast."""
+        if self.objection:
+            return self.objection
         if not np.isfinite(self.misfit):
             return ""
         figures = f"misfit {self.misfit:.2f}; 1 in 20 sound checks has more than {self.misfit_limit:.2f}"
@@ -130,6 +136,40 @@ def check_positions(
         f"{m} position{'s' if m > 1 else ''} of another session",
         f_chance(misfit, m, freedom),
     )
+
+
+def contradiction(
+    calibration: Calibration, observations: Observations, before: AccelerometerParameters | None = None
+) -> HeldOut | None:
+    """Hold parameters against the positions they are said to come from; None where solving these again gives the same.
+
+    Compared is the corrected specific force at each position, in sigma of the parameters solved again: that knows no gauge, and
+    the error of gravity, which is in both, cancels. Methods with costs of their own may differ by ``AGREEMENT_SIGMA``.
+
+    Raises
+    ------
+    CalibrationError
+        If an output is not finite, or the positions cannot be calibrated from.
+    """
+    _require_finite(observations)
+    gravity, again = calibration.gravity, _again(calibration, observations)
+    stated, solved = (_residual_of(one.accelerometer, observations, gravity) for one in (calibration, again))
+    sigma = np.sqrt(np.diag(_forecast(again, observations)))
+    known = np.where(np.isfinite(sigma), sigma, _rms(solved))
+    apart = float(np.max(np.abs(stated - solved) / (known + _ROUNDING_M_S2)))
+    # NaN, of parameters that give no specific force here, is no agreement.
+    if apart <= AGREEMENT_SIGMA:
+        return None
+    m = len(observations)
+    left = f"{_rms(stated) / MICRO_G_M_S2:.0f} ug RMS at the {m} positions they are said to come from"
+    objection = (
+        f"NOT WHAT THIS SESSION GIVES: these parameters leave {left}, where solving again leaves "
+        f"{_rms(solved) / MICRO_G_M_S2:.0f} ug, and are up to {apart:.0f} sigma away from that, {AGREEMENT_SIGMA:g} at most by "
+        "another method: the file was changed, or its solver did not converge; solve the session again"
+    )
+    how = f"{m} positions of its own session, as the parameters under test leave them"
+    found = check_positions(calibration, observations, gravity, before)
+    return replace(found, how=how, misfit=float("nan"), chance=float("nan"), is_own=True, objection=objection)
 
 
 def cross_validate(
@@ -249,15 +289,22 @@ def _residual(calibration: Calibration, observations: Observations, gravity: Gra
     """Return r, shape (m,), and S, shape (m, m)."""
     p = calibration.accelerometer
     at = norm_derivatives(to_vector(p), observations.mean_raw - p.raw_zero, p.quadratic_axes)
-    covariance = _covariance(calibration)
     one_place = abs(gravity.gravity_m_s2 - calibration.gravity.gravity_m_s2) < _SAME_GRAVITY_M_S2
-    J = np.column_stack([at.jacobian, np.full(len(observations), -1.0 if one_place else 0.0)])
-    S = J @ covariance @ J.T
+    S = _forecast(calibration, observations, one_place=one_place)
     own = np.full(len(observations), calibration.quality.between_position_sigma_m_s2**2)
     if known_covariance(observations.covariance_raw):
         own = own + within_variance(at.raw_gradient, observations.covariance_raw)
     S = S + np.diag(own) + (0.0 if one_place else gravity.sigma_m_s2**2)
     return at.norm - gravity.gravity_m_s2, S
+
+
+def _forecast(calibration: Calibration, observations: Observations, *, one_place: bool = True) -> FloatArray:
+    """Return the covariance of the residuals as far as the parameters make them, shape (m, m)."""
+    p = calibration.accelerometer
+    at = norm_derivatives(to_vector(p), observations.mean_raw - p.raw_zero, p.quadratic_axes)
+    J = np.column_stack([at.jacobian, np.full(len(observations), -1.0 if one_place else 0.0)])
+    covariance: FloatArray = J @ _covariance(calibration) @ J.T
+    return covariance
 
 
 def _covariance(calibration: Calibration) -> FloatArray:

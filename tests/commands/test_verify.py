@@ -17,12 +17,14 @@ from imufield.acquire.protocol import load_protocol
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.session import Session
 from imufield.acquire.tables import write_rows
+from imufield.calibrate.gauge import intrinsic
+from imufield.calibrate.models import to_vector
 from imufield.cli.run import run
 from imufield.commands.chain import part_metadata
 from imufield.commands.site import SiteOptions
 from imufield.commands.verify import VerifyOptions, run_verify
-from imufield.deliver.parameters import load
-from imufield.deliver.parameters_write import to_toml, write_document
+from imufield.deliver.parameters import from_document, load
+from imufield.deliver.parameters_write import content_sha256, to_toml, write_document
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import ParameterFileError, Reason, VerificationError
 from imufield.samples import FloatArray, Samples
@@ -132,6 +134,105 @@ def test_failed_requirement_leaves_with_7_and_says_what(solved: Path, capsys: py
     output = capsys.readouterr()
     assert "Verdict: FAIL" in output.out
     assert run(["verify", str(solved / "parameters.toml"), str(solved), "--require", "residual-ug=5000"]) == 0
+
+
+def edited(path: Path, target: Path, **changes: Any) -> Path:
+    """Write a file as somebody does who changes values and says so; intrinsic values follow where scale and bias change."""
+    document = load(path).document
+    for table, values in changes.items():
+        document[table] = document[table] | values
+    if "accelerometer" in changes:
+        of_file = from_document(document).calibration.accelerometer
+        values = intrinsic(to_vector(of_file), of_file.quadratic_axes)[0].reshape(4, 3).tolist()
+        own = dict(zip(("scale", "bias_raw", "angle_rad", "quadratic"), values, strict=True))
+        document["accelerometer"]["intrinsic"] = document["accelerometer"]["intrinsic"] | own
+    del document["integrity"]
+    text = to_toml(document)
+    target.write_text(text.replace(content_sha256(document), "edited"))
+    return target
+
+
+@pytest.mark.parametrize("limits", [[], ["--require", "residual-ug=1000000"], ["--hold-out", "6"]])
+def test_parameters_that_the_own_session_does_not_give_fail_on_it(
+    solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], limits: list[str]
+) -> None:
+    """The positions predict one another whatever stands in the file; the file itself must be held against them."""
+    before = load(solved / "parameters.toml").document["accelerometer"]
+    wrong = {"scale": [1.1, *before["scale"][1:]], "bias_m_s2": [1.0, *before["bias_m_s2"][1:]]}
+    path = edited(solved / "parameters.toml", tmp_path / "bad.toml", accelerometer=wrong)
+    output = tmp_path / "found.json"
+    assert run(["verify", str(path), str(solved), "-o", str(output), *limits]) == 7
+    printed = capsys.readouterr()
+    text = " ".join(printed.out.split())
+    assert "NOT WHAT THIS SESSION GIVES: these parameters leave" in text
+    assert "Verdict: FAIL" in text
+    assert "as forecast" not in text
+    assert "FAIL: NOT WHAT THIS SESSION GIVES" in printed.err
+    document = json.loads(output.read_text())
+    assert document["passed"] is False
+    assert document["positions"]["rms_m_s2"] > 0.1
+    assert not document["positions"]["as_forecast"]
+
+
+def test_a_common_scale_that_gravity_would_hide_fails_too(solved: Path, tmp_path: Path) -> None:
+    """The sigma of gravity is in every scale and says nothing of whether these positions gave this scale."""
+    assert run(["solve", str(solved), "--gravity", "9.8", "-o", str(tmp_path / "coarse.toml")]) == 0
+    scale = np.array(load(tmp_path / "coarse.toml").document["accelerometer"]["scale"]) * 1.003
+    path = edited(tmp_path / "coarse.toml", tmp_path / "bad.toml", accelerometer={"scale": scale.tolist()})
+    assert run(["verify", str(tmp_path / "coarse.toml"), str(solved), "-o", str(tmp_path / "found.json")]) == 0
+    assert run(["verify", str(path), str(solved), "-o", str(tmp_path / "found.json")]) == 7
+
+
+def test_what_the_file_says_of_itself_goes_into_the_verdict(
+    solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stalled = {"status": -3, "message": "stalled"}
+    path = with_document(solved / "parameters.toml", tmp_path / "stalled.toml", solver=stalled, quality={"verdict": "poor"})
+    common = ["verify", str(path), str(solved), "-o", str(tmp_path / "found.json")]
+    assert run([*common, "--require", "residual-ug=5000"]) == 7
+    text = " ".join(capsys.readouterr().out.split())
+    assert "did not converge (status -3: stalled)" in text
+    assert "Verdict: FAIL" in text
+    assert run(common) == 0
+    assert "did not converge (status -3: stalled)" in " ".join(capsys.readouterr().out.split())
+    poor = with_document(solved / "parameters.toml", tmp_path / "poor.toml", quality={"verdict": "poor"})
+    arguments = ["verify", str(poor), str(solved), "-o", str(tmp_path / "found.json"), "--require", "residual-ug=5000"]
+    assert run(arguments) == 7
+    assert "the file itself has the verdict poor" in " ".join(capsys.readouterr().out.split())
+
+
+def test_options_that_would_change_nothing_are_refused(
+    solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    foreign = with_document(solved / "parameters.toml", tmp_path / "foreign.toml", session={"sha256": "0" * 64})
+    output = ["-o", str(tmp_path / "found.json")]
+    assert run(["verify", str(foreign), str(solved), "--hold-out", "4", *output]) == 2
+    assert "--hold-out 4 is for the session the parameters come from" in capsys.readouterr().err
+    own = ["verify", str(solved / "parameters.toml"), str(solved), *output]
+    for site in (["--gravity", "9.83"], ["--latitude", "10"]):
+        assert run([*own, *site]) == 2
+        assert "change nothing where the session is the one the parameters come from" in capsys.readouterr().err
+    assert run([*own, "--latitude", "48"]) == 0
+
+
+def test_an_instrument_without_serial_number_is_said_not_to_be_checked(
+    solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    named = with_document(
+        solved / "parameters.toml", tmp_path / "named.toml", session={"sha256": "0" * 64}, instrument={"serial_number": "A1"}
+    )
+    found = run_verify(VerifyOptions(parameters=named, session=solved, output=tmp_path / "found.json"))
+    (note,) = [one for one in found.notes if "serial number" in one]
+    assert note.startswith("the recording names no serial number")
+    assert "another unit is the likeliest cause" in " ".join(capsys.readouterr().out.split())
+    own = run_verify(VerifyOptions(parameters=solved / "parameters.toml", session=solved, output=tmp_path / "found.json"))
+    assert not [one for one in own.notes if "serial number" in one]
+
+
+@pytest.mark.parametrize("text", ["", ",", "residual-ug=50,", "residual-ug=50,residual-ug=500"])
+def test_requirements_that_amount_to_nothing_are_refused(solved: Path, tmp_path: Path, text: str) -> None:
+    arguments = ["verify", str(solved / "parameters.toml"), str(solved), "-o", str(tmp_path / "found.json")]
+    assert run([*arguments, "--require", text]) == 2
 
 
 def test_rest_is_navigated_before_and_after(solved: Path, tmp_path: Path) -> None:
