@@ -17,7 +17,7 @@ A frame is one unit of 24 bytes, little-endian; a CAN FD frame of more than 8 by
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,12 +85,6 @@ class Frame:
         """The frame as candump prints it, e.g. ``0CF02A80#807F008080800000``."""
         width = 8 if self.can_id & EXTENDED else 3
         return f"{self.can_id & ID_MASK:0{width}X}#{self.data.hex().upper()}"
-
-
-def parse_candump(text: str) -> Frame:
-    """Return the frame written as ``ID#DATA``; an identifier of more than 3 digits is extended."""
-    identifier, _, data = text.partition("#")
-    return Frame(int(identifier, 16) | (EXTENDED if len(identifier) > 3 else 0), bytes.fromhex(data))
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,8 +272,3 @@ def unpack_frames(data: bytes) -> Iterator[Frame]:
         size = int(frames.size[number])
         data_bytes = b"" if int(frames.can_id[number]) & REMOTE else row[:size].tobytes()
         yield Frame(int(frames.can_id[number]), data_bytes, float(frames.time_s[number]), int(frames.flags[number]))
-
-
-def pack_frames(frames: Iterable[Frame]) -> bytes:
-    """Return frames as bytes."""
-    return b"".join(pack_frame(frame.can_id, frame.data, frame.time_s, frame.flags) for frame in frames)

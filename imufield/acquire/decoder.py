@@ -8,7 +8,7 @@ feeds, except where host arrival time is used because the stream cannot tell (``
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -137,20 +137,6 @@ def _can_parts(protocol: Protocol, rule: CanRule, statistics: DecoderStatistics,
     from imufield.acquire.can_source import CanSource
 
     return CanSource(rule, statistics, keep), CanClock(protocol.clock, protocol.units, rule.counter_steps, statistics)
-
-
-def decode_fields(protocol: Protocol, data: bytes) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield every good frame in ``data`` as (kind, fields by name), raw and in its unit.
-
-    Slow and complete: for tests, for looking at a stream, for protocols being written.
-    """
-    if protocol.frame is None:
-        return
-    framer = Framer(protocol.frame)
-    for block in (framer.feed(data), framer.feed(b"", last=True)):
-        for start, key in zip(block.starts.tolist(), block.shapes.tolist(), strict=True):
-            layout = framer.layout(key)
-            yield layout.kind, layout.describe(block.data[start : start + layout.length].tobytes())
 
 
 class _FrameSource:

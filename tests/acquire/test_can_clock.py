@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import NDArray
 
 from imufield.acquire.can_clock import CanClock
-from imufield.acquire.can_frames import pack_frames
 from imufield.acquire.can_source import CanBlock
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol import load_protocol
@@ -15,6 +14,7 @@ from imufield.acquire.protocol_schema import ClockRule
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
 from imufield.simulate.can_encode import CanEncoder
+from tests.acquire.plain_frames import pack_frames
 from tests.simulate.accounting import random_samples
 
 

@@ -12,12 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imufield.acquire.can_frames import ERROR, EXTENDED, FD, REMOTE, Frame, pack_frame, parse_candump
+from imufield.acquire.can_frames import ERROR, EXTENDED, FD, REMOTE, Frame, pack_frame
 from imufield.acquire.can_map import protocol_from_dbc
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol import Protocol, load_protocol
 from imufield.acquire.statistics import DecoderStatistics
 from imufield.samples import Samples, Status, concatenate
+from tests.acquire.plain_frames import parse_candump
 
 ACCELERATION, RATE = 0x08F02D80 | EXTENDED, 0x0CF02A80 | EXTENDED
 J1939, XSENS, SBG = (load_protocol(name) for name in ("j1939_imu", "xsens_can", "sbg_can"))

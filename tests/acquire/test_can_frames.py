@@ -19,10 +19,9 @@ from imufield.acquire.can_frames import (
     Frame,
     Unpacker,
     pack_frame,
-    pack_frames,
-    parse_candump,
     unpack_frames,
 )
+from tests.acquire.plain_frames import pack_frames, parse_candump
 
 SIZES = (0, 1, 6, 8, 12, 16, 20, 24, 28, 32, 48, 64)
 

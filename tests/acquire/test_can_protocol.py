@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imufield.acquire.can_frames import Frame, pack_frame, parse_candump
+from imufield.acquire.can_frames import Frame, pack_frame
 from imufield.acquire.can_map import parse_map, protocol_from_dbc, protocol_text
 from imufield.acquire.can_protocol import unit_name
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol import Protocol, load_protocol, parse_protocol
 from imufield.errors import ProtocolError, Reason, UsageError
 from imufield.samples import Samples, Status, concatenate
+from tests.acquire.plain_frames import parse_candump
 
 DBC = """VERSION ""
 BS_:

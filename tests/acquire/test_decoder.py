@@ -15,10 +15,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imufield.acquire.decoder import Decoder, decode_fields
+from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol import Protocol, load_protocol
 from imufield.errors import ProtocolError
 from imufield.samples import Samples, Status, concatenate
+from tests.acquire.plain_frames import decode_fields
 
 MakeDatagram = Callable[..., bytes]
 CAPTURE = "captures/stim300/stim300_0x93_crlf_125hz_30g_motion_corrupt_tail_ubc3.bin"

@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 
 from imufield.acquire.checksum import make_checksum
-from imufield.acquire.decoder import Decoder, decode_fields
+from imufield.acquire.decoder import Decoder
 from imufield.acquire.framing import Framer
 from imufield.acquire.protocol import Protocol, load_protocol
 from imufield.errors import ProtocolError
 from imufield.samples import FloatArray, Samples, concatenate
+from tests.acquire.plain_frames import decode_fields
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 DEG = math.pi / 180

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imufield.acquire.can_frames import pack_frames
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol import load_protocol, protocol_names
 from imufield.errors import UsageError
 from imufield.samples import Samples, Status, concatenate, make_samples
 from imufield.simulate.can_encode import CanEncoder
+from tests.acquire.plain_frames import pack_frames
 
 NAMES = [name for name in protocol_names() if load_protocol(name).can is not None]
 

@@ -1,0 +1,35 @@
+"""Frames one by one: packed, read from text, and all their fields; slow, and by other ways than the decoder's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from imufield.acquire.can_frames import EXTENDED, Frame, pack_frame
+from imufield.acquire.framing import Framer
+from imufield.acquire.protocol import Protocol
+
+
+def pack_frames(frames: Iterable[Frame]) -> bytes:
+    """Return frames as bytes."""
+    return b"".join(pack_frame(frame.can_id, frame.data, frame.time_s, frame.flags) for frame in frames)
+
+
+def parse_candump(text: str) -> Frame:
+    """Return the frame written as ``ID#DATA``; an identifier of more than 3 digits is extended."""
+    identifier, _, data = text.partition("#")
+    return Frame(int(identifier, 16) | (EXTENDED if len(identifier) > 3 else 0), bytes.fromhex(data))
+
+
+def decode_fields(protocol: Protocol, data: bytes) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield every good frame in ``data`` as (kind, fields by name), raw and in its unit.
+
+    Slow and complete, by another way than the decoder's.
+    """
+    if protocol.frame is None:
+        return
+    framer = Framer(protocol.frame)
+    for block in (framer.feed(data), framer.feed(b"", last=True)):
+        for start, key in zip(block.starts.tolist(), block.shapes.tolist(), strict=True):
+            layout = framer.layout(key)
+            yield layout.kind, layout.describe(block.data[start : start + layout.length].tobytes())
