@@ -29,6 +29,9 @@ help:
 
 demo: $(CORE)
 	$(BIN)/imufield demo
+	@echo
+	@echo "imufield is installed as $(BIN)/imufield: run it so, or type \". $(BIN)/activate\" once in each terminal"
+	@echo "and then imufield alone."
 
 # Much of the time of tests goes in waiting for ports: three at a time keep two cores busy. A file stays in one process.
 test: $(TEST)

@@ -32,12 +32,21 @@ def test_help_has_an_example(command: str, monkeypatch: pytest.MonkeyPatch, caps
     shown = capsys.readouterr().out
     assert f"Example: imufield {command}" in " ".join(shown.split())
     assert max(map(len, shown.splitlines())) <= 80
+    # Neither cut names nor limits that take the room of the words.
+    assert "…" not in shown
+    assert "<=x" not in shown
 
 
 def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["--help"]) == 0
     shown = capsys.readouterr().out
     assert all(command in shown for command in COMMANDS)
+
+
+@pytest.mark.parametrize(("option", "value"), [("--seed", "-1"), ("--seed", str(2**63)), ("--workers", "0")])
+def test_values_out_of_range_are_refused(option: str, value: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["study", "bsas-table1", option, value]) == 2
+    assert "out of range, it must be" in capsys.readouterr().err
 
 
 def test_version() -> None:

@@ -27,12 +27,15 @@ from imufield.cli.options import (
     TableRateHz,
     connect_options,
     site,
+    within,
 )
 
 
 def demo(
-    seed: Annotated[int, typer.Option(help="Seed of the simulated instrument and operator.", min=0, max=LARGEST_SEED)] = 2,
-    speed: Annotated[float, typer.Option(help="Times real time.", min=1)] = 8.0,
+    seed: Annotated[
+        int, typer.Option(help="Seed of the simulated instrument and operator.", callback=within(0, LARGEST_SEED))
+    ] = 2,
+    speed: Annotated[float, typer.Option(help="Times real time.", callback=within(1))] = 8.0,
     plain: Annotated[bool, typer.Option("--plain", help="Plain lines instead of pictures.")] = False,
 ) -> None:
     """Run the whole chain with no hardware: virtual IMU and operator, capture, solve.
@@ -91,7 +94,7 @@ def capture(
     settings: Settings = None,
     rate_hz: RateHz = None,
     positions: Annotated[str | None, typer.Option(help="Scheme: paper24, paper36, corners24, faces6 or a TOML list.")] = None,
-    hold_s: Annotated[float | None, typer.Option(help="Seconds to hold each position.", min=1, max=600)] = None,
+    hold_s: Annotated[float | None, typer.Option(help="Seconds to hold each position.", callback=within(1, 600))] = None,
     session: SessionFolder = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with an unfinished session.")] = False,
     gravity: GravityValue = None,
@@ -100,10 +103,11 @@ def capture(
     plain: Annotated[bool, typer.Option("--plain", help="Plain lines instead of pictures.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Events as JSON lines on standard output.")] = False,
     target_bias_ug: Annotated[
-        float | None, typer.Option("--target-bias-ug", help="Hold and go on until biases are known so well, 1 sigma.", min=0.1)
+        float | None,
+        typer.Option("--target-bias-ug", help="Hold and go on until biases are known so well, 1 sigma.", callback=within(0.1)),
     ] = None,
     target_scale_ppm: Annotated[
-        float | None, typer.Option("--target-scale-ppm", help="The same for scale factors.", min=0.1)
+        float | None, typer.Option("--target-scale-ppm", help="The same for scale factors.", callback=within(0.1))
     ] = None,
     preset: Annotated[
         Path | None,
@@ -160,7 +164,9 @@ def record(
     gravity: GravityValue = None,
     latitude: Latitude = None,
     height: Height = None,
-    duration_s: Annotated[float | None, typer.Option(help="Stop after so many seconds (default: Ctrl-C).", min=0.1)] = None,
+    duration_s: Annotated[
+        float | None, typer.Option(help="Stop after so many seconds (default: Ctrl-C).", callback=within(0.1))
+    ] = None,
     as_json: AsJson = False,
     clock_speed: ClockSpeed = 1.0,
 ) -> None:
@@ -240,9 +246,11 @@ def replay(
     session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).", readable=False)] = None,
     to_pty: Annotated[bool, typer.Option("--to-pty", help="Replay the bytes to a virtual serial port.")] = False,
     bus: Annotated[str | None, typer.Option(help="Replay the frames to a CAN bus, e.g. socketcan:vcan0.")] = None,
-    baud: Annotated[int | None, typer.Option(help="Bit rate of the bus, where it is set on opening.", min=50)] = None,
+    baud: Annotated[
+        int | None, typer.Option(help="Bit rate of the bus, where it is set on opening.", callback=within(50))
+    ] = None,
     speed: Annotated[
-        float, typer.Option(help="Times real time for --to-pty and --bus; 0 is as fast as possible.", min=0)
+        float, typer.Option(help="Times real time for --to-pty and --bus; 0 is as fast as possible.", callback=within(0))
     ] = 1.0,
     as_json: Annotated[bool, typer.Option("--json", help="Events as JSON lines on standard output.")] = False,
 ) -> None:
@@ -260,17 +268,20 @@ def emulate(
     form: Annotated[str | None, typer.Option(help="What it sends, e.g. RAWIMUX; a wrong name lists all.")] = None,
     settings: Settings = None,
     bus: Annotated[str | None, typer.Option(help="CAN bus, e.g. udp_multicast:239.0.0.1 (default: slcan on a port).")] = None,
-    rate_hz: Annotated[float | None, typer.Option(help="Sample rate (default: the instrument's usual one).", min=1)] = None,
-    speed: Annotated[float, typer.Option(help="Times real time.", min=0.1)] = 1.0,
+    rate_hz: Annotated[
+        float | None, typer.Option(help="Sample rate (default: the instrument's usual one).", callback=within(1))
+    ] = None,
+    speed: Annotated[float, typer.Option(help="Times real time.", callback=within(0.1))] = 1.0,
     grade: Annotated[str, typer.Option(help="navigation, tactical, industrial or mems.")] = "tactical",
-    seed: Annotated[int, typer.Option(help="Seed of instrument, operator and faults.", min=0, max=LARGEST_SEED)] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of instrument, operator and faults.", callback=within(0, LARGEST_SEED))] = 1,
     positions: Annotated[str, typer.Option(help="Scheme the operator works through; `none`: it lies still.")] = "paper24",
     rounds: Annotated[
-        int | None, typer.Option(help="How often: what a reader missed comes up again (20; 1 before turns).", min=1, max=1000)
+        int | None,
+        typer.Option(help="How often: what a reader missed comes up again (20; 1 before turns).", callback=within(1, 1000)),
     ] = None,
     style: Annotated[str, typer.Option(help="placed (on a surface) or held (in the hand).")] = "placed",
     rotations: Annotated[str | None, typer.Option(help="Whole turns after the positions: rolled or table.")] = None,
-    hold_s: Annotated[float, typer.Option(help="Seconds the virtual operator holds each position.", min=1)] = 14.0,
+    hold_s: Annotated[float, typer.Option(help="Seconds the virtual operator holds each position.", callback=within(1))] = 14.0,
     wait: Annotated[
         bool | None,
         typer.Option("--wait/--no-wait", help="Begin when a program opens the port (default without --json, --duration-s)."),
@@ -279,7 +290,9 @@ def emulate(
     truth: Annotated[
         Path | None, typer.Option(help="Write the true parameters and stills to this file.", readable=False)
     ] = None,
-    duration_s: Annotated[float | None, typer.Option(help="Stop after so many seconds of sample time.", min=0.1)] = None,
+    duration_s: Annotated[
+        float | None, typer.Option(help="Stop after so many seconds of sample time.", callback=within(0.1))
+    ] = None,
     fault: Annotated[list[str] | None, typer.Option(help="E.g. bit_flip_probability=1e-4; may be repeated.")] = None,
     as_json: AsJson = False,
 ) -> None:

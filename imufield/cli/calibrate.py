@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from imufield.cli.options import LARGEST_SEED, AsJson, GravityValue, Height, Latitude, Scheduler, Workers, site
+from imufield.cli.options import LARGEST_SEED, AsJson, GravityValue, Height, Latitude, Scheduler, Workers, site, within
 
 
 def solve(
@@ -29,7 +29,7 @@ def solve(
     polish: Annotated[bool, typer.Option(help="Finish another method by least squares.")] = True,
     cross_check: Annotated[bool, typer.Option("--cross-check", help="Solve by bsas, ide and least squares, compare.")] = False,
     gyro_model: Annotated[str, typer.Option(help="auto, basic or g-sensitive.")] = "auto",
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=LARGEST_SEED)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", callback=within(0, LARGEST_SEED))] = 0,
     workers: Workers = None,
     scheduler: Scheduler = None,
     output: Annotated[
@@ -89,9 +89,9 @@ def noise(
 
 
 def study(
-    name: Annotated[str, typer.Argument(help="A study, e.g. bsas-table3, or bsas, ide, all.")],
+    name: Annotated[str, typer.Argument(help="One of the studies below, a paper (bsas, ide), or all.")],
     quick: Annotated[bool, typer.Option("--quick", help="Few runs, to see that it works.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of all runs.", min=0, max=LARGEST_SEED)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of all runs.", callback=within(0, LARGEST_SEED))] = 0,
     workers: Workers = None,
     scheduler: Scheduler = None,
     output: Annotated[
@@ -100,6 +100,13 @@ def study(
     document: Annotated[Path | None, typer.Option(help="Write all as one Markdown document.", readable=False)] = None,
 ) -> None:
     """Reproduce a table or figure of the papers, paper's and our figures side by side.
+
+    BAS is beetle antennae search, BSAS the swarm of it (with m beetles); IDE is improved differential evolution.
+
+    Studies: bsas-table1, bsas-table2, bsas-fig3, bsas-fig4, bsas-fig5, bsas-fig6, bsas-fig7, bsas-table3,
+    bsas-staged, bsas-whitened, bsas-bound, bsas-table4, bsas-table5, bsas-fig9, bsas-table6, bsas-fig10,
+    bsas-fig11, ide-table1, ide-fig2, ide-fig3, ide-fig4, ide-fig5, ide-table2, ide-table3, ide-fig6, ide-fig8,
+    ide-table4, ide-table5, ide-fig10.
 
     Example: imufield study bsas-table3 --quick
     """

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from imufield.cli.options import LARGEST_SEED, AsJson, GravityValue, Height, Latitude, Settings, TableRateHz, site
+from imufield.cli.options import LARGEST_SEED, AsJson, GravityValue, Height, Latitude, Settings, TableRateHz, site, within
 
 
 def export(
@@ -69,21 +69,26 @@ def verify(
         Path | None, typer.Option(help="Parameter file to compare with (default: no correction).", readable=False)
     ] = None,
     hold_out: Annotated[
-        int | None, typer.Option(help="Solve without so many positions at a time and check those.", min=1)
+        int | None, typer.Option(help="Solve without so many positions at a time and check those.", callback=within(1))
     ] = None,
     turned: Annotated[bool, typer.Option("--turned", help="The instrument was turned over after the alignment.")] = False,
-    align_s: Annotated[float, typer.Option(help="Seconds of rest at the start to align with.", min=1)] = 600.0,
+    align_s: Annotated[float, typer.Option(help="Seconds of rest at the start to align with.", callback=within(1))] = 600.0,
     heading: Annotated[
-        float | None, typer.Option(help="Known heading of the body x axis, degrees clockwise from north.", min=-360, max=360)
+        float | None,
+        typer.Option(help="Known heading of the body x axis, degrees clockwise from north.", callback=within(-360, 360)),
     ] = None,
-    heading_sigma: Annotated[float, typer.Option(help="1 sigma of that heading, degrees.", min=0, max=30)] = 0.0,
+    heading_sigma: Annotated[float, typer.Option(help="1 sigma of that heading, degrees.", callback=within(0, 30))] = 0.0,
     gravity: GravityValue = None,
     latitude: Latitude = None,
     height: Height = None,
     require: Annotated[str | None, typer.Option(help="Limits, e.g. residual-ug=50,nav-nmi-per-h=1.")] = None,
-    turn_on_ug: Annotated[float | None, typer.Option(help="Turn-on bias of the accelerometer, 1 sigma.", min=0)] = None,
-    turn_on_deg_per_h: Annotated[float | None, typer.Option(help="Turn-on bias of the gyroscope, 1 sigma.", min=0)] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the forecast.", min=0, max=LARGEST_SEED)] = 0,
+    turn_on_ug: Annotated[
+        float | None, typer.Option(help="Turn-on bias of the accelerometer, 1 sigma.", callback=within(0))
+    ] = None,
+    turn_on_deg_per_h: Annotated[
+        float | None, typer.Option(help="Turn-on bias of the gyroscope, 1 sigma.", callback=within(0))
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the forecast.", callback=within(0, LARGEST_SEED))] = 0,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Where to keep the results for the report.", readable=False)
     ] = None,
@@ -151,11 +156,11 @@ def history(
     at: Annotated[
         str | None, typer.Option(help="Print only the file calibrated closest to this date, e.g. 2026-03-04.")
     ] = None,
-    stale_days: Annotated[float, typer.Option(help="Age at which a calibration is old.", min=0)] = 365.0,
+    stale_days: Annotated[float, typer.Option(help="Age at which a calibration is old.", callback=within(0))] = 365.0,
     csv: Annotated[
         Path | None, typer.Option(help="Write every number of every calibration to this file.", readable=False)
     ] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw one instrument over time, SVG.", readable=False)] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw instruments over time, SVG, a file each.", readable=False)] = None,
     as_json: AsJson = False,
 ) -> None:
     """Show how the parameters of each instrument changed from calibration to calibration, in units of sigma.

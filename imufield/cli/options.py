@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
 if TYPE_CHECKING:
     from imufield.commands.connect import ConnectOptions
     from imufield.commands.site import SiteOptions
+
+
+def within(low: float, high: float = math.inf) -> Callable[[Any], Any]:
+    """Return a check of an option's value.
+
+    The limits of typer itself are printed in every help, where those of a seed leave no room for words.
+    """
+
+    def check(value: Any) -> Any:
+        # Written so that NaN is outside.
+        if value is not None and not low <= value <= high:
+            limits = f"between {low} and {high}" if high < math.inf else f"{low} or more"
+            raise typer.BadParameter(f"{value!r} is out of range, it must be {limits}")
+        return value
+
+    return check
+
 
 Port = Annotated[
     str | None,
@@ -27,7 +46,7 @@ DriverName = Annotated[
     str | None, typer.Option("--driver", help="Instrument family, see `imufield devices`.", envvar="IMUFIELD_DRIVER")
 ]
 Baud = Annotated[
-    int | None, typer.Option(help="Baud rate of the port, or bit rate of the bus.", min=50, envvar="IMUFIELD_BAUD")
+    int | None, typer.Option(help="Baud rate of the port, or bit rate of the bus.", callback=within(50), envvar="IMUFIELD_BAUD")
 ]
 ProtocolFile = Annotated[Path | None, typer.Option("--protocol", help="Your own wire format, a TOML file.", readable=False)]
 Settings = Annotated[
@@ -35,9 +54,13 @@ Settings = Annotated[
 ]
 RateHz = Annotated[
     float | None,
-    typer.Option(help="Set the output rate of the instrument, where its driver can; put back at the end.", min=0.1),
+    typer.Option(
+        help="Set the output rate of the instrument, where its driver can; put back at the end.", callback=within(0.1)
+    ),
 ]
-TableRateHz = Annotated[float | None, typer.Option("--rate-hz", help="Sample rate of a table without a time column.", min=1e-3)]
+TableRateHz = Annotated[
+    float | None, typer.Option("--rate-hz", help="Sample rate of a table without a time column.", callback=within(1e-3))
+]
 SessionFolder = Annotated[
     Path | None, typer.Option("--session", help="Folder of the session (default: a new one).", readable=False)
 ]
@@ -75,7 +98,7 @@ Latitude = Annotated[
     float | None, typer.Option(help="Latitude, decimal degrees: gravity by WGS-84.", envvar="IMUFIELD_LATITUDE_DEG")
 ]
 Height = Annotated[float | None, typer.Option(help="Height above the ellipsoid, m.", envvar="IMUFIELD_HEIGHT_M")]
-Workers = Annotated[int | None, typer.Option(help="Processes (default: all cores).", min=1)]
+Workers = Annotated[int | None, typer.Option(help="Processes (default: all cores).", callback=within(1))]
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask scheduler, e.g. tcp://host:8786.")]
 ClockSpeed = Annotated[
     float,
@@ -83,8 +106,7 @@ ClockSpeed = Annotated[
         help="Times real time the instrument runs: only for an emulated one.",
         envvar="IMUFIELD_CLOCK_SPEED",
         hidden=True,
-        min=1,
-        max=1000,
+        callback=within(1, 1000),
     ),
 ]
 

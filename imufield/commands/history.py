@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -27,8 +28,8 @@ from imufield.deliver.history import (
     sentences,
     to_csv,
 )
-from imufield.deliver.numbers import WIDTH, hanging, to_ascii, with_sigma
-from imufield.errors import UsageError
+from imufield.deliver.numbers import WIDTH, beside, hanging, to_ascii, with_sigma
+from imufield.errors import UsageError, counted
 from imufield.files import refuse_overwriting
 
 
@@ -54,29 +55,43 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
     ParameterFileError
         If the folder holds no parameter file, or a file cannot be written.
     UsageError
-        If several instruments are to be plotted at once, or the time is none.
+        If the time is none, or there are several instruments to choose the closest file from.
     """
     now = now or datetime.now(UTC)
     history = read_history(options.folder, options.serial_number)
     if options.at is not None:
         _print_nearest(history, options)
         return history
-    if options.plot is not None:
-        one_instrument(history)
-    for path in filter(None, (options.csv, options.plot)):
+    plots = {} if options.plot is None else _plot_paths(history, options.plot)
+    for path in filter(None, (options.csv, *plots)):
         refuse_overwriting(path, (options.folder / entry.path for one in history.instruments for entry in one.entries))
     if options.csv is not None:
         write_output(options.csv, to_csv(history).encode())
-    if options.plot is not None:
-        for instrument in history.instruments:  # the only one
-            write_output(options.plot, plot_history(instrument))
+    for path, instrument in plots.items():
+        write_output(path, plot_history(instrument))
     if options.as_json:
         typer.echo(json.dumps(_document(history, options, now)))
     else:
         _print(history, options, now)
+        for path in plots if len(plots) > 1 else ():
+            typer.echo(beside("drawn:", path))
     for fault in history.faults:
         say(f"left out: {fault}", err=True, indent=2)
     return history
+
+
+def _plot_paths(history: History, path: Path) -> dict[Path, InstrumentHistory]:
+    """Return where each instrument is drawn: several get a file each, with the serial number in its name."""
+    if len(history.instruments) == 1:
+        return {path: history.instruments[0]}
+    found: dict[Path, InstrumentHistory] = {}
+    for instrument in history.instruments:
+        who = re.sub(r"[^\w.-]+", "_", instrument.serial_number or instrument.title)
+        place = path.with_name(f"{path.stem}-{who}{path.suffix}")
+        while place in found:
+            place = place.with_name(f"{place.stem}-{len(found)}{place.suffix}")
+        found[place] = instrument
+    return found
 
 
 def _print_nearest(history: History, options: HistoryOptions) -> None:
@@ -103,11 +118,16 @@ def _print(history: History, options: HistoryOptions, now: datetime) -> None:
             # A path that is broken in two cannot be copied.
             typer.echo(line if len(line) <= WIDTH else f"{line.removesuffix(entry.path).rstrip()}\n    {entry.path}")
         changes = {one.name: one for one in instrument.changes()}
-        for line in _table([_cells(number, changes.get(number.name)) for number in instrument.entries[-1].numbers]):
+        # One calibration has nothing to compare, and its numbers are in its file.
+        numbers = instrument.entries[-1].numbers if changes else ()
+        for line in _table([_cells(number, changes.get(number.name)) for number in numbers]):
             typer.echo(line)
         for sentence in sentences(instrument, now, options.stale_days):
             typer.echo(hanging("  - ", sentence))
-        typer.echo("")
+    alone = sum(len(instrument.entries) == 1 for instrument in history.instruments)
+    if alone:
+        what = "It has" if len(history.instruments) == 1 else f"{counted(alone, 'instrument')} with"
+        typer.echo(hanging("", f"{what} one calibration, so there is nothing to compare; --csv and --json have every number."))
 
 
 def _cells(number: Number, change: Change | None) -> tuple[str, str, str, str]:

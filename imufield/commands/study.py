@@ -7,7 +7,7 @@ from pathlib import Path
 
 import typer
 
-from imufield.commands.output import replace_only, say
+from imufield.commands.output import replace_only
 from imufield.errors import UsageError
 from imufield.study.context import StudyContext
 from imufield.study.report import StudyReport, as_text
@@ -37,8 +37,7 @@ def run_study_command(
     context = StudyContext(seed=seed, quick=quick, workers=workers, scheduler=scheduler, progress=_tell)
     reports: list[StudyReport] = []
     for report in run_study(name, context, folder=output):
-        for line in as_text(report).splitlines():
-            say(line, indent=2)
+        typer.echo(as_text(report), nl=False)
         reports.append(report)
     if document is not None:
         write_document(reports, document, context)

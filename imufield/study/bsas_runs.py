@@ -19,6 +19,7 @@ from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings, solve_
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.staged import PAPER_CATEGORIES, solve_stages
 from imufield.calibrate.whitening import whitened_problem
+from imufield.errors import counted
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.bsas_bound import TURN_SIGMA_RAD, bound
@@ -240,9 +241,10 @@ def table_3(context: StudyContext) -> StudyReport:
     columns = ("parameter", "truth", "paper RMSE", "paper SD", "mean", "RMSE", "SD", "RMSE fresh noise", "RMSE BAS")
     return StudyReport(
         "bsas-table3",
-        "15 parameters of 50 runs",
+        f"15 parameters of {counted(len(one), 'run')}",
         f"{SETTING} Each category with the others at the truth (the only setting in which the paper's costs are "
-        f"reached), 50 runs on one data set, and 50 with fresh noise ({len(one)} here).",
+        f"reached), {counted(len(one), 'run')} on one data set, and {len(fresh)} with fresh noise. BAS is the same search with "
+        "one beetle in place of a swarm.",
         tuple(comparisons),
         _TABLE_3_DIFFERENCES,
         (CsvTable("parameters", columns, tuple(rows)),),

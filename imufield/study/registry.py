@@ -31,7 +31,7 @@ _ALL = (
     Study("bsas-fig5", "final costs of BSAS", "bsas_runs", "figure_5"),
     Study("bsas-fig6", "final costs of BAS", "bsas_runs", "figure_6"),
     Study("bsas-fig7", "errors of the scale factors", "bsas_runs", "figure_7"),
-    Study("bsas-table3", "15 parameters of 50 runs", "bsas_runs", "table_3"),
+    Study("bsas-table3", "15 parameters over many runs", "bsas_runs", "table_3"),
     Study("bsas-staged", "the staged procedure with presets off the truth", "bsas_stages", "staged"),
     Study("bsas-whitened", "all parameters at once, in whitened coordinates", "bsas_runs", "whitened"),
     Study("bsas-bound", "least squares against the Cramér-Rao bound", "bsas_bound", "least_squares_bound"),

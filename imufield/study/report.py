@@ -6,15 +6,17 @@ import csv
 import importlib
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from imufield.deliver.numbers import WIDTH, hanging
 from imufield.errors import Reason, UsageError
 from imufield.files import write_atomically
 from imufield.samples import FloatArray
 
+_GAP = "  "
 Draw = Callable[[Any], None]
 """Draws into a matplotlib figure."""
 
@@ -64,12 +66,24 @@ def curves_table(name: str, label: str, curves: dict[str, FloatArray]) -> CsvTab
 def as_text(report: StudyReport) -> str:
     """Return a report for a terminal."""
     heading = f"{report.name}: {report.title}"
-    lines = [heading, "-" * len(heading), report.setting, ""]
+    lines = [heading, "-" * len(heading), hanging("", report.setting), ""]
     cells = [report.columns, *((c.what, c.paper, c.ours) for c in report.comparisons)]
     widths = [max(len(row[k]) for row in cells) for k in range(3)]
-    lines += ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells]
-    lines += ["", *(f"* {sentence}" for sentence in report.differences)]
+    if sum(widths) + 2 * len(_GAP) <= WIDTH:
+        lines += [_GAP.join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells]
+    else:
+        lines += [line for one in report.comparisons for line in _one_below_the_other(one, report.columns)]
+    lines += ["", *(hanging("* ", sentence) for sentence in report.differences)]
     return "\n".join(lines) + "\n"
+
+
+def _one_below_the_other(one: Comparison, columns: tuple[str, str, str]) -> Iterator[str]:
+    """Yield a comparison that is too wide for a row in 80 columns."""
+    width = max(map(len, columns[1:]))
+    yield one.what
+    for name, words in zip(columns[1:], (one.paper, one.ours), strict=True):
+        if words:
+            yield hanging(f"  {name:<{width}}  ", words)
 
 
 def as_markdown(report: StudyReport) -> str:

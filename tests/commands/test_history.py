@@ -11,7 +11,6 @@ import pytest
 
 from imufield.cli.run import run
 from imufield.commands.history import HistoryOptions, run_history
-from imufield.errors import UsageError
 
 
 @pytest.fixture
@@ -27,6 +26,9 @@ def test_history_is_printed_and_written(folder: Path, tmp_path: Path, capsys: py
     assert "stim300: 1 calibration" in text
     assert "one/parameters.toml" in text
     assert "days old (limit 365): calibrate again" in text
+    # Nothing to compare: the instrument, its file, what there is to say, and where the numbers are.
+    assert len(text.splitlines()) <= 6
+    assert "nothing to compare" in text
     assert table.read_text().startswith("instrument,serial_number,created")
     assert plot.read_text().startswith("<svg")
 
@@ -47,7 +49,9 @@ def test_damaged_file_is_told_and_left_out(folder: Path, capsys: pytest.CaptureF
     assert "left out: " in capsys.readouterr().err
 
 
-def test_one_instrument_at_a_time_is_drawn(folder: Path, tmp_path: Path) -> None:
+def test_several_instruments_are_drawn_into_a_file_each(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     from imufield.deliver.parameters import load
     from imufield.deliver.parameters_write import to_toml
 
@@ -55,8 +59,9 @@ def test_one_instrument_at_a_time_is_drawn(folder: Path, tmp_path: Path) -> None
     document["instrument"] = document["instrument"] | {"serial_number": "X"}
     document.pop("integrity", None)
     (folder / "other.toml").write_text(to_toml(document))
-    with pytest.raises(UsageError, match="choose one with --serial"):
-        run_history(HistoryOptions(folder=folder, plot=tmp_path / "x.svg"))
+    assert run(["history", str(folder), "--csv", str(tmp_path / "x.csv"), "--plot", str(tmp_path / "x.svg")]) == 0
+    assert sorted(path.name for path in tmp_path.glob("x*")) == ["x-X.svg", "x-stim300.svg", "x.csv"]
+    assert f"drawn: {tmp_path / 'x-X.svg'}" in capsys.readouterr().out.replace("\n/", " /")
     run_history(HistoryOptions(folder=folder, serial_number="X", plot=tmp_path / "x.svg"))
     assert (tmp_path / "x.svg").is_file()
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from imufield.cli.calibrate import study
 from imufield.errors import UsageError
 from imufield.study import bsas_bound, bsas_runs, instruments
 from imufield.study.context import StudyContext
@@ -167,3 +170,17 @@ def test_files_are_named_after_study_and_table(tmp_path: Path) -> None:
     written = save(EXAMPLE, tmp_path / "new")
     assert [path.name for path in written] == ["x-1.csv", "x-1-a-b.csv"]
     assert written[1].read_text() == "n\n1\n"
+
+
+def test_text_that_is_wide_is_folded_to_80_columns() -> None:
+    long = "RMSE 3.53e-05, SD 4.72e-09; fresh noise 1.00e-07; BAS 2.9442"
+    text = as_text(
+        replace(EXAMPLE, comparisons=(Comparison("K_ax", long, long),), setting=f"{long} " * 3, differences=(long * 2,))
+    )
+    assert f"K_ax\n  paper  {long}\n  ours   {long}\n" in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_help_names_every_study() -> None:
+    assert study.__doc__ is not None
+    assert set(re.findall(r"(?:bsas|ide)-\w+", study.__doc__)) == set(STUDIES)
