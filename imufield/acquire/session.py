@@ -261,6 +261,19 @@ class Session:
         finally:
             os.close(file)
 
+    @property
+    def is_being_recorded(self) -> bool:
+        """Whether a program holds the lock now."""
+        try:
+            file = os.open(self.folder / LOCK_FILE, os.O_RDWR)
+        except OSError:
+            # Never recorded here, or not ours to write: whoever records made it for all.
+            return False
+        try:
+            return not _lock(file)
+        finally:
+            os.close(file)
+
     def _take_lock(self, file: int) -> None:
         if not _lock(file):
             holder = os.pread(file, 20, 0).decode(errors="replace") if hasattr(os, "pread") else ""

@@ -86,14 +86,20 @@ def _run(arguments: list[str]) -> int:
             # typer leaves with 1 then, which is kept for defects.
             raise leave.__context__ from None
         if leave.code == EXIT_INTERRUPTED or isinstance(leave.__context__, typer.Abort):
-            typer.secho(f"imufield: {_interrupted_words(arguments)}.", err=True)
+            typer.secho(f"imufield: {_interrupted_words(arguments, leave)}.", err=True)
             return EXIT_INTERRUPTED
         return leave.code if isinstance(leave.code, int) else 0
     return 0
 
 
-def _interrupted_words(arguments: list[str]) -> str:
+def _interrupted_words(arguments: list[str], leave: BaseException | None = None) -> str:
+    from imufield.commands.output import NothingRecorded
+
     command = arguments[0] if arguments else ""
+    while leave is not None and not isinstance(leave, NothingRecorded):
+        leave = leave.__context__
+    if leave is not None:
+        return "interrupted; nothing was recorded"
     if command in RECORDING_COMMANDS:
         return "interrupted; what was recorded is on disk"
     return "interrupted; nothing was imported" if command == "import" else "interrupted"

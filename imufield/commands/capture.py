@@ -20,7 +20,7 @@ from imufield.acquire.session import DEFAULT_ROOT, Session
 from imufield.acquire.statistics import remarks
 from imufield.commands.chain import MARK, SCHEME_FILE, Chain, ReadingPlan, part_metadata, replay_into
 from imufield.commands.connect import Connected, ConnectOptions, check_files, connect
-from imufield.commands.output import say
+from imufield.commands.output import before_recording, say
 from imufield.commands.resume import check_instrument, check_plan, connect_as_before, find_unfinished, site_as_before
 from imufield.commands.site import SiteOptions
 from imufield.commands.views import LinkState, LiveStatus, Manner, View, ViewName, make_view
@@ -30,7 +30,7 @@ from imufield.errors import ImufieldError, LinkError, UsageError
 from imufield.files import read_small_file, write_atomically
 from imufield.guide.events import Advice, Event, Topic
 from imufield.guide.keys import Keyboard
-from imufield.guide.plain import words
+from imufield.guide.plain import known_words, words
 from imufield.guide.positions import SCHEMES, scheme
 from imufield.guide.rotations import HORIZONTAL, VERTICAL
 
@@ -44,6 +44,9 @@ KEYS = {"r": "retake", "s": "skip", "u": "undo", "p": "pause", "f": "finish", "g
 BIG = "b"
 REVISIT_FROM = 12
 """Schemes with so many positions end with the first one again, as a check for drift; a quick look does without."""
+_GRAVITY_UNKNOWN = (
+    "gravity here is not known, so the scale is good to 0.2 %: give --latitude LATITUDE, in degrees, here or to solve"
+)
 QUIT = "q"
 FINISH = "f"
 REOPEN = "reopen"
@@ -97,13 +100,16 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
     interactive = options.view == "auto" and sys.stdout.isatty()
     clock = clock or SystemClock()
     scheme(options.positions or DEFAULT_SCHEME)
-    earlier = find_unfinished(options.session, options.root, resume=options.resume, interactive=interactive)
-    if earlier is not None:
-        check_plan(earlier, options.positions, options.hold_s)
-    check_files(options.connect)
-    site = ask_site(options.site if earlier is None else site_as_before(options.site, earlier), interactive)
-    site.gravity()
-    connected = connect(options.connect if earlier is None else connect_as_before(options.connect, earlier), clock)
+    with before_recording():
+        earlier = find_unfinished(options.session, options.root, resume=options.resume, interactive=interactive)
+        if earlier is not None:
+            check_plan(earlier, options.positions, options.hold_s)
+        check_files(options.connect)
+        site = ask_site(options.site if earlier is None else site_as_before(options.site, earlier), interactive)
+        if not (site.is_known or interactive or options.view == "json"):
+            say(_GRAVITY_UNKNOWN, err=True)
+        site.gravity()
+        connected = connect(options.connect if earlier is None else connect_as_before(options.connect, earlier), clock)
     with ExitStack() as stack:
         stack.callback(connected.close)
         session = earlier or new_session(options, connected, site)
@@ -221,7 +227,8 @@ def open_loop(
     with ExitStack() as stack:
         recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
         keyboard = stack.enter_context(Keyboard())
-        view = stack.enter_context(make_view(view_name, session.folder, scheme(chain.plan.scheme or DEFAULT_SCHEME), manner))
+        positions = scheme(chain.plan.scheme or DEFAULT_SCHEME)
+        view = stack.enter_context(make_view(view_name, session.folder, positions, manner, chain.origin_s))
         yield CaptureLoop(session, connected, chain, recorder, view, keyboard, clock)
 
 
@@ -297,7 +304,8 @@ class CaptureLoop:
         """Say how well the parameters are known, and what was advised at the end."""
         known = None if self.chain.guide is None else self.chain.guide.snapshot().forecast
         if known is not None:
-            yield f"known to (1 sigma): bias {known['bias_ug']:.3g} ug, scale {known['scale_ppm']:.3g} ppm; solve tells more"
+            bias, scale = known_words(known, "bias_ug"), known_words(known, "scale_ppm")
+            yield f"known to (1 sigma): bias {bias}, scale {scale}; solve tells more"
         yield from (words(advice) for advice in self._advice.values())
 
     @property

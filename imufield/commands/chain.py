@@ -108,6 +108,7 @@ class Chain:
         """Sentences about how the recording was read."""
         self._listeners = listeners
         self._offset_s: float | None = 0.0
+        self._first_s: float | None = None
         self._last_s: float | None = None
         self._last_utc_ns = 0
 
@@ -146,6 +147,8 @@ class Chain:
         if not len(samples):
             return []
         samples = self._on_session_clock(samples, utc_ns)
+        if self._first_s is None:
+            self._first_s = float(samples.time_s[0])
         self._last_s, self._last_utc_ns = float(samples.time_s[-1]), utc_ns
         self._note_temperature(samples.temperature_degc)
         for listener in self._listeners:
@@ -153,6 +156,10 @@ class Chain:
         if self.finder is not None:
             self.finder.feed(samples)
         return self.guide.feed(samples) if self.guide is not None else []
+
+    def origin_s(self) -> float:
+        """Return the sample clock at the session's first sample, what a person counts from; 0 before it."""
+        return self._first_s or 0.0
 
     def mark(self, action: str, time_s: float | None = None, position: str | None = None) -> list[Event]:
         """Take what the operator says, now or at a time of the sample clock."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import shutil
 import sys
 import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import typer
@@ -13,6 +15,25 @@ from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.files import refuse_overwriting, write_atomically
 
 _HEAD_BYTES = 512
+
+
+class NothingRecorded(KeyboardInterrupt):
+    """Ctrl-C before the first byte was written."""
+
+
+@contextmanager
+def before_recording() -> Iterator[None]:
+    """Let an interrupt say that nothing was recorded.
+
+    Raises
+    ------
+    NothingRecorded
+        Instead of the interrupt, at a question too.
+    """
+    try:
+        yield
+    except (KeyboardInterrupt, typer.Abort) as interrupt:
+        raise NothingRecorded(*interrupt.args) from interrupt
 
 
 def write_output(path: Path, data: bytes) -> None:

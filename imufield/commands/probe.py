@@ -206,7 +206,8 @@ def _show_rest(identity: dict[str, str], command: str) -> None:
     if identity:
         told = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in identity.items())
         say(f"  instrument  {told}", indent=_SECOND_COLUMN)
-    typer.echo(beside("  command    ", command))
+    # The word in capitals is for the reader to fill in; programs are given the command without it.
+    typer.echo(beside("  command    ", f"{command} --latitude LATITUDE"))
 
 
 def _nothing_anywhere(results: list[Probed]) -> LinkError:

@@ -56,7 +56,7 @@ def run_replay(options: ReplayOptions) -> None:
         return
     damage: list[Damage] = []
     chain = Chain(ReadingPlan.of(session))
-    view = JsonLinesView(typer.echo) if options.as_json else PlainView(say)
+    view = JsonLinesView(typer.echo) if options.as_json else PlainView(say, origin_s=chain.origin_s)
     replay_into(chain, session, damage, view.show)
     for one in damage:
         say(one.what, err=True)

@@ -133,6 +133,7 @@ def solve_session(session: Session, options: SolveOptions, progress: ProgressLin
     """
     wishes = _wishes(options)
     damage: list[Damage] = []
+    goes_on = session.is_being_recorded
     moves = MoveListener()
     chain = Chain(ReadingPlan.of(session), listeners=(moves.feed,) if progress is None else (moves.feed, progress.feed))
     refusals: list[Rejected] = []
@@ -142,6 +143,10 @@ def solve_session(session: Session, options: SolveOptions, progress: ProgressLin
         refusals.extend(event for event in events if isinstance(event, Rejected))
 
     replay_into(chain, session, damage, hear)
+    if goes_on:
+        # The end of the part under way is no damage.
+        damage = [one for one in damage if not (one.torn_end and one.path == session.parts[-1])]
+        chain.notes.append("This session is still being recorded: solved is what was on disk; solve again when it is over.")
     if progress is not None:
         progress.say("solving")
     with naming_damage(session, damage):

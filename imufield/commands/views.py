@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -121,19 +121,25 @@ class _Pictures:
 
 
 @contextmanager
-def make_view(name: ViewName, session: Path, positions: Scheme, manner: Manner | None = None) -> Iterator[View]:
+def make_view(
+    name: ViewName,
+    session: Path,
+    positions: Scheme,
+    manner: Manner | None = None,
+    origin_s: Callable[[], float] = lambda: 0.0,
+) -> Iterator[View]:
     """Yield the view asked for; "auto" is the terminal view where there is a terminal, else plain lines.
 
-    Sound goes with every view that a person reads.
+    Sound goes with every view that a person reads; ``origin_s`` is what plain lines count their time from.
     """
     manner = manner or Manner()
     if name == "json" or manner.quiet:
-        with _silent_view(name, session, positions, manner) as view:
+        with _silent_view(name, session, positions, manner, origin_s) as view:
             yield view
         return
     from imufield.guide.sound import open_sound
 
-    with _silent_view(name, session, positions, manner) as view, open_sound(speak=manner.speak) as sound:
+    with _silent_view(name, session, positions, manner, origin_s) as view, open_sound(speak=manner.speak) as sound:
         yield _WithSound(view, sound)
 
 
@@ -155,13 +161,15 @@ class _WithSound:
 
 
 @contextmanager
-def _silent_view(name: ViewName, session: Path, positions: Scheme, manner: Manner) -> Iterator[View]:
+def _silent_view(
+    name: ViewName, session: Path, positions: Scheme, manner: Manner, origin_s: Callable[[], float]
+) -> Iterator[View]:
     if name == "json":
         typer.echo(json.dumps({"version": EVENT_VERSION, "event": "session", "session": str(session)}))
         yield _Lines(JsonLinesView(typer.echo), says_silence=False)
     elif name == "plain" or not sys.stdout.isatty():
         typer.echo(beside("session", session))
-        yield _Lines(PlainView(lambda line: say(line, indent=PLAIN_INDENT)), says_silence=True)
+        yield _Lines(PlainView(lambda line: say(line, indent=PLAIN_INDENT), origin_s=origin_s), says_silence=True)
     else:
         from imufield.guide.terminal import TerminalView
 

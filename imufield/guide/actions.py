@@ -29,7 +29,6 @@ from imufield.guide.events import (
     Marked,
     Move,
     RefusalCode,
-    Rejected,
     Topic,
     Turning,
     Vector,
@@ -108,6 +107,8 @@ class GuideActions:
         self._rest_direction: FloatArray | None = None
         self._moved_cells = 0
         self._moved_deg = 0.0
+        self._let_go = 0
+        """Holds in a row that ended by motion."""
         self._refusal: Refusal | None = None
         self._hold: HoldUnderTest | None = None
         self._linger_direction: FloatArray | None = None
@@ -127,19 +128,7 @@ class GuideActions:
 
     def reject(self, refusal: Refusal, position: str | None = None) -> None:
         """Say why something is refused."""
-        self.events.append(
-            Rejected(
-                self.now_s,
-                position,
-                refusal.reason,
-                refusal.words,
-                refusal.remedy,
-                refusal.measured,
-                refusal.limit,
-                refusal.unit,
-                refusal.axis,
-            )
-        )
+        self.events.append(refusal.event(self.now_s, position))
 
     def _reject_hold(self) -> None:
         if self._refusal is not None:
@@ -257,7 +246,11 @@ class GuideActions:
     def _check_side(self, direction: FloatArray) -> None:
         """Say when the sides shown contradict the accelerometer's axes."""
         target = self.plan.proposed()
-        doubt = None if target is None else self._sides.note(self.plan.position(target).direction, direction)
+        doubt = (
+            None
+            if target is None
+            else self._sides.note(self.plan.position(target).direction, direction, chosen=bool(self.plan.accepted))
+        )
         if doubt is not None:
             self.reject(doubt)
 
@@ -308,6 +301,7 @@ class GuideActions:
         self.events.append(accepted_event(self.now_s, observation, hold.scale, self.plan, replaces=replaces, fit=self.fit))
         self.rested, self._rest_direction = index, direction
         self._forget_hold()
+        self._let_go = 0
         if revisit:
             self._advise_drift()
         self._advise()
@@ -423,7 +417,10 @@ class GuideActions:
             self._refusal = explain_flags(cells, 0.0, 1 - self.settings.checks.lost_share)
             self._reject_hold()
         elif held_s >= self.settings.silent_s:
-            self._refusal = moved_refusal(activity, self.detector.settings.leave_factor, held_s, self.weighing.latest_s)
+            self._let_go += 1
+            self._refusal = moved_refusal(
+                activity, self.detector.settings.leave_factor, (held_s, self.weighing.latest_s), self._let_go
+            )
             self._reject_hold()
         self._forget_hold()
         self.lift()

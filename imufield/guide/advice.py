@@ -59,7 +59,8 @@ def target_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Adv
     forecast = fit.forecast()
     wanted = {"bias_ug": settings.target_bias_ug, "scale_ppm": settings.target_scale_ppm}
     asked = {key: value for key, value in wanted.items() if value is not None}
-    if not asked or len(fit.names) < _FEWEST_FOR_SCALE or any(forecast[key] > value for key, value in asked.items()):
+    missed = any(forecast.get(key, math.inf) > value for key, value in asked.items())
+    if not asked or missed or len(fit.names) < _FEWEST_FOR_SCALE:
         return None
     unit = {"bias_ug": "ug", "scale_ppm": "ppm"}
     said = ", ".join(f"{key.split('_')[0]} {forecast[key]:.3g} {unit[key]} (wanted {value:g})" for key, value in asked.items())

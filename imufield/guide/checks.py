@@ -10,7 +10,7 @@ import numpy as np
 
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide.cells import Cells
-from imufield.guide.events import RefusalCode
+from imufield.guide.events import RefusalCode, Rejected
 from imufield.guide.held import HeldMean
 from imufield.guide.limits import Limits
 from imufield.guide.noise_floor import NoiseFloor
@@ -58,6 +58,11 @@ class Refusal:
     limit: float
     unit: str
     axis: str | None = None
+
+    def event(self, now_s: float, position: str | None) -> Rejected:
+        """Return the event that says it."""
+        rest = (self.reason, self.words, self.remedy, self.measured, self.limit, self.unit, self.axis)
+        return Rejected(now_s, position, *rest)
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,6 +40,7 @@ class RefusalCode(Enum):
     RATE = "rate"
     SCALE = "scale"
     NOT_WHOLE = "not_whole"
+    OTHER_SIDE = "other_side"
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +167,8 @@ class Accepted(Event):
     residual_m_s2: float | None = None
     """Of a fit to all positions so far; None until there are four."""
     forecast: dict[str, float] | None = None
-    """1 sigma that the parameters have now: bias_ug, scale_ppm, misalignment_urad, quadratic_ug_per_g2."""
+    """1 sigma that the parameters have now: bias_ug, scale_ppm, misalignment_urad, quadratic_ug_per_g2; what the positions have
+    not told yet is left out."""
     leave_one_out_m_s2: float | None = None
     """Against a fit to all others; None likewise."""
     rank: int | None = None

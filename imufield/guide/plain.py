@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from imufield.earth import MICRO_G_M_S2
 from imufield.guide.events import (
     Accepted,
     Advice,
@@ -25,6 +26,11 @@ from imufield.guide.events import (
     Turning,
 )
 
+NOT_TOLD = "not known yet"
+_LARGE = 999.5
+"""Three digits of the smaller unit end here."""
+_KNOWN_UNITS = {"bias_ug": ("ug", 1e3, "mg"), "scale_ppm": ("ppm", 1e4, "%"), "misalignment_urad": ("urad", 1e3, "mrad")}
+
 
 class PlainView:
     """Writes events as lines.
@@ -35,9 +41,14 @@ class PlainView:
         Takes one line without its end.
     every_s : float
         Least time between two lines that only tell progress.
+    origin_s : callable, optional
+        Returns the sample clock at the first sample: the lines count from there, whatever the instrument's clock began with.
     """
 
-    def __init__(self, write: Callable[[str], object], every_s: float = 5.0) -> None:
+    def __init__(
+        self, write: Callable[[str], object], every_s: float = 5.0, origin_s: Callable[[], float] = lambda: 0.0
+    ) -> None:
+        self._origin_s = origin_s
         self._write = write
         self._every_s = every_s
         self._last_s = -math.inf
@@ -52,18 +63,34 @@ class PlainView:
             elif not math.isnan(event.time_s):
                 # A line of its own starts the wait for the next line of progress.
                 self._last_s = event.time_s
-            self._write(line(event))
+            self._write(line(event, self._origin_s()))
 
 
-def line(event: Event) -> str:
-    """Return the line for an event: time, then words."""
-    time = f"{event.time_s:9.1f} s" if math.isfinite(event.time_s) else " " * 9 + "- s"
+def line(event: Event, origin_s: float = 0.0) -> str:
+    """Return the line for an event: time since ``origin_s``, then words."""
+    time = f"{event.time_s - origin_s:9.1f} s" if math.isfinite(event.time_s) else " " * 9 + "- s"
     return f"{time}  {words(event)}"
 
 
 def words(event: Event) -> str:
     """Return the words for an event."""
     return _WORDS[type(event)](event)
+
+
+def force_words(value_m_s2: float) -> str:
+    """Return a specific force in micro-g or milli-g, as its size asks."""
+    return _in_unit(value_m_s2 / MICRO_G_M_S2, "ug", 1e3, "mg")
+
+
+def known_words(forecast: dict[str, float], name: str) -> str:
+    """Return how well a group of parameters is known, 1 sigma, in the unit its size asks for: 172 ug, 25.8 mg, 2.6 %."""
+    if name not in forecast:
+        return NOT_TOLD
+    return _in_unit(forecast[name], *_KNOWN_UNITS[name])
+
+
+def _in_unit(value: float, unit: str, larger: float, larger_unit: str) -> str:
+    return f"{value:.3g} {unit}" if value < _LARGE else f"{value / larger:.3g} {larger_unit}"
 
 
 def _move(event: Move) -> str:
@@ -84,7 +111,7 @@ def _holding(event: Holding) -> str:
 
 
 def _rejected(event: Rejected) -> str:
-    if event.reason in (RefusalCode.ALREADY_DONE, RefusalCode.NOT_QUIET):
+    if event.reason in (RefusalCode.ALREADY_DONE, RefusalCode.NOT_QUIET, RefusalCode.OTHER_SIDE):
         return f"{event.words}; {event.remedy}"
     if event.reason in (RefusalCode.START_UP, RefusalCode.WARMING_UP):
         return f"wait: {event.words}; {event.remedy}"
@@ -106,7 +133,7 @@ def _done(event: Done) -> str:
 
 
 def _accepted(event: Accepted) -> str:
-    sigma = f", mean known to {1e3 * event.sigma_m_s2:.2g} mm/s^2" if math.isfinite(event.sigma_m_s2) else ""
+    sigma = f", mean known to {force_words(event.sigma_m_s2)}" if math.isfinite(event.sigma_m_s2) else ""
     warmth = f", {event.temperature_degc:.1f} degC" if math.isfinite(event.temperature_degc) else ""
     again = " (replaces the older one)" if event.replaces else ""
     held = f", in the hand (tremor {event.tremor_deg:.2f} deg)" if event.tremor_deg is not None else ""
@@ -117,7 +144,7 @@ def _accepted(event: Accepted) -> str:
 def _forecast(event: Accepted) -> str:
     if event.forecast is None:
         return ""
-    return f"; bias now to {event.forecast['bias_ug']:.2g} ug, scale to {event.forecast['scale_ppm']:.2g} ppm"
+    return f"; known now: bias {known_words(event.forecast, 'bias_ug')}, scale {known_words(event.forecast, 'scale_ppm')}"
 
 
 def _turn(event: Turn) -> str:

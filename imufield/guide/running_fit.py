@@ -35,6 +35,10 @@ _FEW = (28.0, 15.54, 11.18, 9.08, 7.88, 7.12, 6.59, 6.21, 5.92, 5.69, 5.51, 5.36
 """Two-sided quantiles of Student's distribution at ``DOUBT_SHARE``, from ``_EXPECTED_FREEDOM`` degrees of freedom on."""
 DOUBT_M_S2 = 3e-4 * STANDARD_GRAVITY_M_S2
 """And by this much: less does no harm that another hold would cure."""
+TOLD_SHARE = 0.5
+"""What is known no better than to so much of the prior was assumed rather than measured."""
+_GROUPS = {"bias_ug": 1, "scale_ppm": 0, "misalignment_urad": 2, "quadratic_ug_per_g2": 3}
+"""Names of the groups of a forecast, and their places among the parameters."""
 _STEPS = 8
 _LINEAR = 9
 """Free parameters without the quadratic term."""
@@ -84,15 +88,20 @@ class RunningFit:
         return np.asarray(np.linalg.inv(self.information), dtype=np.float64)
 
     def forecast(self) -> dict[str, float]:
-        """Return 1 sigma of the groups of parameters, the largest axis of each, in the units people use."""
+        """Return 1 sigma of the groups of parameters, the largest axis of each, in the units people use.
+
+        A group of which the positions have not told yet, whose sigma is still that of the prior, is left out.
+        """
         sigma = np.sqrt(np.diag(self.covariance))
+        told = (sigma / self.prior_sigma).reshape(4, 3).max(axis=1) < TOLD_SHARE
         K = np.abs(self.vector[:3])
-        return {
+        known = {
             "bias_ug": float(sigma[3:6].max() / MICRO_G_M_S2),
             "scale_ppm": float((sigma[:3] / K).max() * 1e6),
             "misalignment_urad": float(sigma[6:9].max() * 1e6),
             "quadratic_ug_per_g2": float((sigma[9:] / K).max() * STANDARD_GRAVITY_M_S2**2 / MICRO_G_M_S2),
         }
+        return {name: known[name] for name, group in _GROUPS.items() if told[group]}
 
     def common_scale(self) -> tuple[float, float]:
         """Return the mean of the sensing axes' scales, raw rate per m/s^2, and its relative 1 sigma; free of the gauge."""

@@ -39,7 +39,7 @@ from imufield.guide.events import (
 )
 from imufield.guide.guide import Snapshot
 from imufield.guide.limits import Activity
-from imufield.guide.plain import words
+from imufield.guide.plain import NOT_TOLD, known_words, words
 from imufield.guide.positions import Scheme, nearest_cube_direction
 from imufield.guide.state_table import State
 from imufield.guide.wording import motion_words, quantity
@@ -57,11 +57,18 @@ READ_S = 4.0
 """A refusal stays on the screen for this long although the unit moves on."""
 _REFUSED = {
     RefusalCode.ALREADY_DONE: ("DONE BEFORE", "bold green"),
+    RefusalCode.OTHER_SIDE: ("OTHER SIDE", "bold yellow"),
     RefusalCode.START_UP: ("WAIT", "bold yellow"),
     RefusalCode.WARMING_UP: ("WAIT", "bold yellow"),
 }
 """Words and style for a refusal that is nobody's mistake."""
-_REFUSED_BIG = {RefusalCode.ALREADY_DONE: "TURN", RefusalCode.START_UP: "WAIT", RefusalCode.WARMING_UP: "WAIT"}
+_WAITS = (RefusalCode.START_UP, RefusalCode.WARMING_UP, RefusalCode.NOT_QUIET)
+_REFUSED_BIG = {
+    RefusalCode.ALREADY_DONE: "TURN",
+    RefusalCode.OTHER_SIDE: "TURN",
+    RefusalCode.START_UP: "WAIT",
+    RefusalCode.WARMING_UP: "WAIT",
+}
 KEYS = "r retake  s skip  u undo  p pause  f finish  b big  q quit (resume later)"
 
 
@@ -92,6 +99,8 @@ class Screen:
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
     """Of the box as it is drawn; its heading is kept from frame to frame."""
     messages: deque[str] = field(default_factory=lambda: deque(maxlen=MESSAGES))
+    _waits: set[str] = field(default_factory=set)
+    """Messages that no longer hold once a hold begins."""
 
     def follow(self, events: list[Event]) -> None:
         """Take the events in order."""
@@ -99,6 +108,12 @@ class Screen:
             self._take(event)
             if not isinstance(event, (Turning, Hold, Holding, Move, Turn)):
                 self.messages.append(_message(event))
+            if isinstance(event, Rejected) and event.reason in _WAITS:
+                self._waits.add(self.messages[-1])
+            elif isinstance(event, (Hold, Accepted)) and self._waits:
+                # What was waited for is over.
+                self.messages = deque((one for one in self.messages if one not in self._waits), self.messages.maxlen)
+                self._waits.clear()
 
     def _take(self, event: Event) -> None:
         if isinstance(event, Move):
@@ -350,24 +365,20 @@ _SIGNS = {
 
 def _right(snapshot: Snapshot, scheme: Scheme) -> RenderableType:
     """Return the right panel: the map, its legend, and how well the parameters are known."""
-    found = snapshot.forecast
-    lines = [Text("x done > next @ here ? doubt", style="dim", no_wrap=True)]
-    if found is not None:
-        lines += [
-            Text(f"bias {_known(found['bias_ug'], 'ug', 'mg')}, scale {_share(found['scale_ppm'])}", no_wrap=True),
-            Text(f"angles {_known(found['misalignment_urad'], 'urad', 'mrad')} (1 sigma)", no_wrap=True),
-        ]
-    else:
-        lines.append(Text("known from the 4th position on", style="dim", no_wrap=True))
+    lines = [Text("x done > next @ here ? doubt", style="dim", no_wrap=True), *_known(snapshot.forecast)]
     return Group(_map(snapshot, scheme), *lines)
 
 
-def _known(value: float, unit: str, thousand: str) -> str:
-    return f"{value:.0f} {unit}" if value < 1000 else f"{value / 1000:.1f} {thousand}"
-
-
-def _share(ppm: float) -> str:
-    return f"{ppm:.0f} ppm" if ppm < 1000 else f"{ppm / 1e4:.1f} %"
+def _known(forecast: dict[str, float] | None) -> list[Text]:
+    """Return how well the parameters are known, in two lines as wide as the map."""
+    if forecast is None:
+        return [Text("known from the 4th position on", style="dim", no_wrap=True)]
+    bias, scale, angles = (known_words(forecast, name) for name in ("bias_ug", "scale_ppm", "misalignment_urad"))
+    # Thirty columns do not hold the words twice.
+    both = f"bias {bias}, scale {scale}".replace(NOT_TOLD, "unknown")
+    both = f"bias, scale {NOT_TOLD}" if bias == scale == NOT_TOLD else both
+    sigma = "" if angles == NOT_TOLD else " (1 sigma)"
+    return [Text(both, no_wrap=True), Text(f"angles {angles}{sigma}", no_wrap=True)]
 
 
 def _map(snapshot: Snapshot, scheme: Scheme) -> RenderableType:

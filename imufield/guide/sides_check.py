@@ -39,16 +39,24 @@ class SidesCheck:
     def __init__(self) -> None:
         self._sides: list[_Side] = []
         self._left = True
+        self._could_be = signed_permutations()
+        """Arrangements of the axes that agree with all sides shown as asked; once it is only one, the axes are right."""
 
     def follow(self, direction: FloatArray) -> None:
         """Take where up is while the unit moves: a side counts again only after it was left."""
         if self._sides and not self._left:
             self._left = _angle_deg(self._sides[-1].shown, direction) > LEFT_DEG
 
-    def note(self, asked: FloatArray, shown: FloatArray) -> Refusal | None:
-        """Take a side, unit vectors (3,) of up in the body; return what to say where the axes are contradicted."""
+    def note(self, asked: FloatArray, shown: FloatArray, *, chosen: bool = True) -> Refusal | None:
+        """Take a side, unit vectors (3,) of up in the body; return what to say where the axes are contradicted.
+
+        ``chosen`` is False where what is asked for was taken from what the accelerometer saw, which proves nothing.
+        """
         if _angle_deg(asked, shown) <= NEAR_DEG:
             self._sides = []
+            if chosen:
+                along = np.einsum("i,pij,j->p", asked, self._could_be, asked)
+                self._could_be = self._could_be[along >= np.cos(np.radians(NEAR_DEG))]
             return None
         if self._sides and not self._left:
             return None
@@ -65,10 +73,21 @@ class SidesCheck:
         if len(last) < ENOUGH_TIMES or not same:
             return None
         asked, seen = (nearest_cube_direction(side) for side in (last[0].asked, last[0].shown))
+        if len(self._could_be) == 1:
+            angle_deg = _angle_deg(last[-1].asked, last[-1].shown)
+            return Refusal(
+                RefusalCode.OTHER_SIDE,
+                f"the unit is on another side than asked: {seen} is up, {asked} up is asked for",
+                f"bring it to {asked} up, or to any other pending position",
+                angle_deg,
+                NEAR_DEG,
+                "deg",
+            )
         return _refusal(f"{ENOUGH_TIMES} times {asked} up was asked for and the accelerometer saw {seen} up", ENOUGH_TIMES)
 
     def _all_explained(self) -> Refusal | None:
-        found = self._explanation() if len(self._sides) >= ENOUGH_SIDES else None
+        open_still = len(self._could_be) > 1 and len(self._sides) >= ENOUGH_SIDES
+        found = self._explanation() if open_still else None
         if found is None:
             return None
         axes = ", ".join(

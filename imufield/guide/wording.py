@@ -21,6 +21,8 @@ from imufield.guide.scale import RoughScale
 from imufield.guide.stillness import StillnessDetector
 from imufield.samples import AXES, FloatArray
 
+_IN_A_ROW = 2
+"""Holds that end by motion before anybody is told what to do otherwise."""
 _NAMED_AT_ONCE = 4
 """Positions named in a sentence: what the screen has room for."""
 
@@ -110,15 +112,19 @@ def warming_refusal(slope_degc_min: float, limit_degc_min: float) -> Refusal | N
     )
 
 
-def moved_refusal(activity: Activity, leave_factor: float, held_s: float, hold_s: float) -> Refusal:
-    """Return the refusal of a hold that ended by motion."""
+def moved_refusal(activity: Activity, leave_factor: float, held_of_s: tuple[float, float], times: int = 1) -> Refusal:
+    """Return the refusal of a hold that ended by motion: after how long of how long, for which time in a row."""
+    held_s, hold_s = held_of_s
     limit = leave_factor * activity.limit
     what = {"vibration": "shook", "change": "moved"}[activity.kind]
     return Refusal(
         RefusalCode.MOVED,
         f"it {what} after {held_s:.1f} of {hold_s:g} s: {activity.triad} {activity.axis} "
         f"{quantity(activity.measured, activity.unit)} (limit {quantity(limit, activity.unit)})",
-        "hold again; only this hold is repeated",
+        "hold again; only this hold is repeated"
+        if times < _IN_A_ROW
+        else f"{times} times in a row it was let go or lifted too early: keep it as it is until the two tones, or until the "
+        "screen says accepted",
         activity.measured,
         limit,
         activity.unit,

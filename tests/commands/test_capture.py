@@ -48,6 +48,8 @@ def test_port_alone_is_enough_and_what_is_assumed_is_said(program: Program) -> N
     _, error = process.communicate(timeout=20)
     assert "driver stim300 (recognised" in error
     assert "baud rate 921600 (assumed)" in error
+    assert " ".join(error.split()).count("gravity here is not known") == 1
+    assert "--latitude LATITUDE" in " ".join(error.split())
     assert lines[0].startswith("session imufield-sessions/")
     metadata = newest(program).metadata
     assert metadata["scheme"] == "paper24"
@@ -355,4 +357,14 @@ def test_a_latitude_that_is_none(program: Program, screen: Terminal) -> None:
     screen.type("here\n")
     screen.wait_for("write decimal degrees")
     assert screen.wait() == 2
+    assert not (program.folder / "imufield-sessions").exists()
+
+
+def test_an_interrupt_at_the_question_recorded_nothing(program: Program, screen: Terminal) -> None:
+    screen.wait_for("Latitude in degrees")
+    screen.type("\x03")
+    assert screen.wait() == 130
+    assert "interrupted; nothing was recorded." in screen.text
+    assert "Aborted" not in screen.text
+    assert "on disk" not in screen.text
     assert not (program.folder / "imufield-sessions").exists()

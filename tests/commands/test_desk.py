@@ -59,6 +59,18 @@ def test_record_for_a_time(program: Program) -> None:
     assert "too few: scale and bias need 6" in solved.stderr
 
 
+def test_a_session_that_is_still_being_recorded_is_called_that(program: Program, whole: Path) -> None:
+    """The lock of the capture is held, and its part has no end yet: that is no damage."""
+    part = whole / "part-001.mcap"
+    part.write_bytes(part.read_bytes()[:-2000])
+    cut = document(program, "whole")["quality"]["reasons"]
+    assert any("cut off" in reason or "without a proper end" in reason for reason in cut)
+    with Session.open(whole).lock():
+        reasons = document(program, "whole")["quality"]["reasons"]
+    assert any(reason.startswith("This session is still being recorded") for reason in reasons)
+    assert not any("cut off" in reason or "proper end" in reason for reason in reasons)
+
+
 def test_solve_twice_keeps_the_first_and_gives_the_same(program: Program, whole: Path) -> None:
     first = document(program, "whole")
     second = document(program, "whole")

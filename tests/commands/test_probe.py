@@ -164,6 +164,8 @@ def test_the_command(program: Program) -> None:
         assert f"imufield capture --port {there.port} --driver vectornav_binary" in words.stdout
         # Another form of it is no other instrument.
         assert "not         vectornav_binary" not in words.stdout
+        assert words.stdout.rstrip().endswith("--latitude LATITUDE")
+        assert "LATITUDE" not in port["command"]
     gone = program.run("probe", "--port", "/dev/nowhere", "--json")
     assert gone.returncode == 3
     assert json.loads(gone.stdout)["ports"][0]["error"]["reason"] == "port_not_found"

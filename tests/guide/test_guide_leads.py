@@ -69,6 +69,17 @@ def test_a_unit_in_the_hand_is_measured_as_such() -> None:
     np.testing.assert_allclose(norm, operator.site.gravity_m_s2, atol=300e-6 * 9.8)
 
 
+def test_letting_go_too_early_again_and_again_is_helped() -> None:
+    """Holds of 9 s in the hand where 12 are asked for: the first refusal says what moved, the others say what to do."""
+    samples, _, _ = hand_session()
+    _, events = feed(samples, hold_s=12.0)
+    let_go = [event for event in of(events, Rejected) if event.reason is RefusalCode.MOVED]
+    assert len(let_go) >= 3
+    assert let_go[0].remedy == "hold again; only this hold is repeated"
+    for times, event in enumerate(let_go[1:], start=2):
+        assert event.remedy.startswith(f"{times} times in a row it was let go or lifted too early")
+
+
 def test_events_of_a_hand_do_not_depend_on_the_cuts() -> None:
     samples, _, _ = hand_session()
     told = [event.to_dict() for event in feed(samples, hold_s=5.0)[1]]

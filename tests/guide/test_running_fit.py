@@ -5,6 +5,7 @@ import pytest
 
 from imufield.calibrate.models import predict
 from imufield.guide.observe import Observation
+from imufield.guide.plain import known_words
 from imufield.guide.positions import scheme
 from imufield.guide.running_fit import DOUBT_M_S2, DOUBT_SHARE, FEWEST, running_fit
 from imufield.guide.scale import RoughScale
@@ -58,6 +59,19 @@ def test_a_bumped_position_is_found_and_no_other(grade: str, seed: int) -> None:
     assert [one.name for one in doubtful] == [f"p{BUMPED}"]
     assert doubtful[0].leave_one_out_m_s2 == pytest.approx(3e-3 * G, rel=0.2)
     assert not any(one.doubtful for one in running_fit(observations(grade, seed), SI, G).disagreements())
+
+
+def test_what_only_the_prior_says_is_not_forecast() -> None:
+    """Faces tell scale and bias, not angles; the plain words say so of what is left out."""
+    some = observations("mems", 2)
+    assert "bias_ug" not in running_fit(some[:4], SI, G).forecast()
+    whole = running_fit(some, SI, G)
+    assert {"bias_ug", "scale_ppm", "misalignment_urad"} <= set(whole.forecast())
+    sigma = np.sqrt(np.diag(whole.covariance))
+    assert whole.forecast()["bias_ug"] == pytest.approx(sigma[3:6].max() / 9.80665e-6)
+    assert known_words({}, "bias_ug") == "not known yet"
+    assert [known_words({"bias_ug": ug}, "bias_ug") for ug in (0.51, 172.3, 25800.0)] == ["0.51 ug", "172 ug", "25.8 mg"]
+    assert [known_words({"scale_ppm": ppm}, "scale_ppm") for ppm in (172.3, 26000.0)] == ["172 ppm", "2.6 %"]
 
 
 def test_leave_one_out_is_that_of_a_fit_without_it() -> None:

@@ -5,6 +5,7 @@ import pytest
 
 from imufield.guide.events import RefusalCode, Rejected
 from imufield.guide.guide import Guide
+from imufield.guide.plain import line
 from imufield.guide.positions import scheme
 from imufield.guide.settings import GuideSettings
 from imufield.guide.sides_check import ENOUGH_SIDES, SidesCheck
@@ -99,3 +100,36 @@ def test_wrong_axes_are_said_within_the_first_positions(make_path: Any, wrong: A
     assert rejected
     assert "driver or protocol" in rejected[0].remedy
     assert len(guide.plan.accepted) <= 6
+
+
+def test_sides_shown_as_asked_prove_the_axes() -> None:
+    """Whoever goes another way after that, or begins anew after a pause, is told of the side and not of the driver."""
+    check = SidesCheck()
+    assert [show(check, one, one) for one in ASKED] == [None] * 5
+    up = np.array([0, -0.7071, -0.7071])
+    found = [show(check, up, np.array([0, 0, 1.0])) for _ in range(3)]
+    assert found[:2] == [None, None]
+    refusal = found[2]
+    assert refusal is not None
+    assert refusal.reason is RefusalCode.OTHER_SIDE
+    assert refusal.words == "the unit is on another side than asked: +z is up, -y-z up is asked for"
+    assert "driver" not in refusal.remedy
+    assert not line(refusal.event(1.0, None)).split("  ")[-1].startswith("refused")
+    assert [show(check, one, -one) for one in ASKED] == [None] * 5
+
+
+def test_sides_that_a_mirrored_axis_shows_alike_prove_nothing() -> None:
+    check = SidesCheck()
+    for asked in ([1.0, 0, 0], [0, 1.0, 0], [-0.7071, 0.7071, 0], [0, -1.0, 0]):
+        assert show(check, np.array(asked), np.array(asked)) is None
+    up = np.array([0, 0, 1.0])
+    assert [getattr(show(check, up, -up), "reason", None) for _ in range(3)] == [None, None, RefusalCode.AXES]
+
+
+def test_what_was_asked_for_because_it_was_seen_proves_nothing() -> None:
+    check = SidesCheck()
+    for one in ASKED:
+        check.follow(np.cross(one, [0.3, 0.5, 0.81]))
+        check.note(one, one, chosen=False)
+    up = np.array([0, 0, 1.0])
+    assert [getattr(show(check, up, -up), "reason", None) for _ in range(3)] == [None, None, RefusalCode.AXES]

@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from dataclasses import replace
 from io import BytesIO, StringIO, TextIOWrapper
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from imufield.guide.big_letters import big_lines
-from imufield.guide.events import EVENT_VERSION, EVENTS, LinkLost, RefusalCode, Rejected, Turning
+from imufield.guide.events import EVENT_VERSION, EVENTS, Hold, LinkLost, RefusalCode, Rejected, Turning
 from imufield.guide.guide import Guide
 from imufield.guide.jsonlines import JsonLinesView
 from imufield.guide.plain import PlainView, line
@@ -164,6 +165,41 @@ def test_what_is_nobodys_mistake_is_not_called_refused(session: Any) -> None:
         assert headline(screen, guide.snapshot())[:2] == (big, f"{event.words}; {event.remedy}")
         assert big_words(screen, guide.snapshot())[0] == short
         assert "refused" not in line(event)
+
+
+def test_what_was_waited_for_is_withdrawn_when_a_hold_begins(session: Any) -> None:
+    events = [event for some, _ in session() for event in some]
+    hold = next(event for event in events if isinstance(event, Hold))
+    words = "the instrument is still starting up in 100.0 % of the samples (limit 50 %)"
+    other = refused(RefusalCode.CLOCK_JUMP, "the sample clock jumped", "nothing is lost")
+    screen = Screen()
+    screen.follow([other, refused(RefusalCode.START_UP, words, "leave it alone until it is ready")])
+    assert any(words in message for message in screen.messages)
+    screen.follow([hold])
+    assert [words in message for message in screen.messages] == [False]
+
+
+def test_the_panel_says_what_is_not_known_yet(session: Any) -> None:
+    guide = list(session(9.0))[-1][1]
+    for forecast, told in (
+        ({}, ("bias, scale not known yet", "angles not known yet")),
+        ({"scale_ppm": 26000.0}, ("bias unknown, scale 2.6 %", "angles not known yet")),
+        (
+            {"bias_ug": 172.0, "scale_ppm": 88.0, "misalignment_urad": 120.0},
+            ("bias 172 ug, scale 88 ppm", "angles 120 urad (1 sigma)"),
+        ),
+    ):
+        console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing())
+        console.print(draw(Screen(), replace(guide.snapshot(), forecast=forecast), guide.plan.scheme, LinkState(0)))
+        text = console.export_text()
+        assert all(words in text for words in told), text
+
+
+def test_plain_lines_count_from_the_first_sample(session: Any) -> None:
+    written: list[str] = []
+    events = [replace(event, time_s=event.time_s + 26000) for some, _ in session(6.0) for event in some]
+    PlainView(written.append, origin_s=lambda: 26000.0).show(events)
+    assert all(float(one.split(" s  ")[0]) < 6.5 for one in written)
 
 
 @pytest.mark.parametrize(("width", "height"), [(60, 20), (40, 12)])
