@@ -53,6 +53,9 @@ PICTURE_WIDTH, PICTURE_HEIGHT = 20, 8
 BAR_WIDTH = 16
 MAP_ROWS = 12
 MESSAGES = 4
+_BAR_ROWS = 4
+_KEPT = 20
+"""Messages that a large window shows."""
 READ_S = 4.0
 """A refusal stays on the screen for this long although the unit moves on."""
 _REFUSED = {
@@ -98,7 +101,7 @@ class Screen:
     link: bool = True
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
     """Of the box as it is drawn; its heading is kept from frame to frame."""
-    messages: deque[str] = field(default_factory=lambda: deque(maxlen=MESSAGES))
+    messages: deque[str] = field(default_factory=lambda: deque(maxlen=_KEPT))
     _waits: set[str] = field(default_factory=set)
     """Messages that no longer hold once a hold begins."""
 
@@ -148,9 +151,16 @@ def _message(event: Event) -> str:
 
 
 def draw(
-    screen: Screen, snapshot: Snapshot, scheme: Scheme, link: LinkState | None = None, *, ascii_only: bool = False
+    screen: Screen,
+    snapshot: Snapshot,
+    scheme: Scheme,
+    link: LinkState | None = None,
+    *,
+    ascii_only: bool = False,
+    size: tuple[int, int] = (WIDTH, HEIGHT),
 ) -> RenderableType:
-    """Return the whole screen."""
+    """Return the whole screen; what the window (columns, lines) has beyond the least size is for messages."""
+    width, rows = size[0], MESSAGES + size[1] - HEIGHT
     link = link or LinkState()
     middle = Table.grid(padding=0, expand=False)
     middle.add_column(width=LEFT_WIDTH)
@@ -160,7 +170,7 @@ def draw(
     right = Panel(_right(snapshot, scheme), box=ROUNDED, title="positions", title_align="left", height=PANEL_HEIGHT)
     middle.add_row(left, right)
     return Group(
-        middle, _link_line(screen, snapshot, link), *_messages(screen, MESSAGES), Text(KEYS, style="dim", no_wrap=True)
+        middle, _link_line(screen, snapshot, link), *_messages(screen, rows, width), Text(KEYS, style="dim", no_wrap=True)
     )
 
 
@@ -187,18 +197,25 @@ def draw_big(screen: Screen, snapshot: Snapshot, link: LinkState | None = None) 
 def draw_small(screen: Screen, snapshot: Snapshot, link: LinkState | None = None, *, width: int, height: int) -> RenderableType:
     """Return what matters in a window too small for pictures and map: what to do, three bars, the link, the newest words."""
     big, small, style = headline(screen, snapshot)
+    said = [textwrap.wrap(message, width, break_on_hyphens=False) for message in reversed(screen.messages)]
     lines: list[RenderableType] = [
         Text(big, style=style, no_wrap=True),
-        *(Text(line, no_wrap=True) for line in textwrap.wrap(small, width)[:4]),
+        *(Text(line, no_wrap=True) for line in textwrap.wrap(small, width, break_on_hyphens=False)),
         Text(f"{len(snapshot.accepted)} of {snapshot.planned} done"),
-        _bars(screen, snapshot),
         _link_line(screen, snapshot, link or LinkState()),
     ]
-    # Three bars and what moves have four rows, the last row is for the way out.
-    room = max(height - len(lines) - 3 - 1, 0)
-    said = [line for message in screen.messages for line in textwrap.wrap(message, width, break_on_hyphens=False)]
-    newest = said[-room:] if room else []
-    return Group(*lines, *(Text(line, no_wrap=True) for line in newest), Text(f"pictures need {WIDTH} x {HEIGHT}", style="dim"))
+    # What to do and the newest words stand whole before there are bars, which have four rows; the last row tells the size.
+    room = height - len(lines) - 1
+    if room >= _BAR_ROWS + len(said[0] if said else []):
+        lines.append(_bars(screen, snapshot))
+        room -= _BAR_ROWS
+    newest: list[str] = []
+    for rows in said:
+        if newest and len(newest) + len(rows) > room:
+            break
+        newest = [*rows, *newest]
+    size = f"window {width} x {height}: pictures need {WIDTH} x {HEIGHT}"
+    return Group(*lines, *(Text(line, no_wrap=True) for line in newest[: max(room, 0)]), Text(size, style="dim", no_wrap=True))
 
 
 def big_words(screen: Screen, snapshot: Snapshot) -> tuple[str, str]:
@@ -424,22 +441,22 @@ def _link_line(screen: Screen, snapshot: Snapshot, state: LinkState) -> Text:
     return Text(f" {link}   {rate}   {lost}   {warmth}", style="bold" if arrives else "bold red", no_wrap=True)
 
 
-def _line(text: str) -> Text:
+def _line(text: str, width: int = WIDTH) -> Text:
     """Return one line of the screen; dots say that it goes on."""
-    return Text(text if len(text) <= WIDTH else f"{text[: WIDTH - 3]}...", no_wrap=True, overflow="crop")
+    return Text(text if len(text) <= width else f"{text[: width - 3]}...", no_wrap=True, overflow="crop")
 
 
-def _messages(screen: Screen, count: int) -> list[Text]:
+def _messages(screen: Screen, count: int, width: int = WIDTH) -> list[Text]:
     """Return the newest messages in so many lines, the newest last and in full; older ones as far as there is room."""
     lines: list[str] = []
     for message in reversed(screen.messages):
-        rows = _folded(message)
+        rows = _folded(message, width)
         if lines and len(rows) + len(lines) > count:
             break
         lines = [*rows[:count], *lines]
-    return [_line(line) for line in (*lines, *[""] * (count - len(lines)))]
+    return [_line(line, width) for line in (*lines, *[""] * (count - len(lines)))]
 
 
-def _folded(message: str) -> list[str]:
+def _folded(message: str, width: int) -> list[str]:
     """Return a message in lines that the screen holds, those behind the first set in."""
-    return textwrap.wrap(message, WIDTH, initial_indent=" ", subsequent_indent="   ", break_on_hyphens=False)
+    return textwrap.wrap(message, width, initial_indent=" ", subsequent_indent="   ", break_on_hyphens=False)

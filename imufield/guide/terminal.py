@@ -64,5 +64,5 @@ class TerminalView:
             picture = draw_big(self._screen, snapshot, link)
         else:
             ascii_only = self._live.console.options.ascii_only
-            picture = draw(self._screen, snapshot, self._scheme, link, ascii_only=ascii_only)
+            picture = draw(self._screen, snapshot, self._scheme, link, ascii_only=ascii_only, size=(width, height))
         self._live.update(picture, refresh=True)

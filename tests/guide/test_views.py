@@ -216,8 +216,38 @@ def test_a_small_window_says_what_to_do_and_is_not_cut(session: Any, width: int,
     assert lines[0] == headline(screen, snapshot)[0]
     assert any(line.startswith("stillness") for line in lines)
     assert any("of 6 done" in line for line in lines)
-    assert lines[-1].rstrip() == "pictures need 80 x 24"
+    assert lines[-1].rstrip() == f"window {width} x {height}: pictures need 80 x 24"
     assert not any("…" in line for line in lines if "Hz" not in line)
+
+
+LONG = (
+    "if you showed what was asked for, axes or signs in the driver or protocol are wrong: quit and correct them; if you go "
+    "your own way, go on"
+)
+
+
+@pytest.mark.parametrize(("width", "height"), [(60, 20), (40, 12), (79, 23), (140, 45), (80, 24)])
+def test_instruction_reason_and_remedy_are_whole_in_every_window(session: Any, width: int, height: int) -> None:
+    guide = list(session(6.5))[-1][1]
+    words = "3 times -y-z up was asked for and the accelerometer saw +z up"
+    drawn = open_nothing()
+    console = Console(width=width, height=height, file=drawn, force_terminal=True, color_system=None)
+    with TerminalView(scheme("faces6"), console) as view:
+        view.show([refused(RefusalCode.AXES, words, LONG)], guide.snapshot())
+    text = " ".join(re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn.getvalue()).split())
+    assert f"{words}; {LONG}" in text
+    assert (f"window {width} x {height}" in text) == (width < WIDTH or height < HEIGHT)
+
+
+def test_a_large_window_shows_more_messages(session: Any) -> None:
+    guide = list(session(6.5))[-1][1]
+    screen = Screen()
+    screen.follow([refused(RefusalCode.NOT_STILL, f"number {i}", LONG, 7.0 + i) for i in range(8)])
+    console = Console(width=140, height=45, record=True, file=open_nothing())
+    console.print(draw(screen, guide.snapshot(), guide.plan.scheme, LinkState(0), size=(140, 45)))
+    text = console.export_text()
+    assert all(f"number {i}" in text for i in range(8))
+    assert len(text.splitlines()) <= 45
 
 
 def test_without_a_link_nothing_old_is_shown(session: Any) -> None:
