@@ -103,3 +103,17 @@ def test_samples_of_no_instrument_are_invalid(factor: float, tmp_path: Path, cap
     assert run(["import", str(tmp_path / "rows.csv"), "--rate-hz", "100", *units, "-o", str(tmp_path / "session")]) == 0
     assert run(["solve", str(tmp_path / "session")]) == 6
     assert "1 position is too few" in capsys.readouterr().err
+
+
+def test_a_table_without_time_is_corrected_at_the_rate_that_is_told(
+    solved_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, output = tmp_path / "table.csv", tmp_path / "corrected.csv"
+    table.write_text("ax,ay,az,gx,gy,gz\n" + "0.1,0.2,9.8,0.01,0.02,0.03\n" * 20)
+    parameters = str(solved_session / "parameters.toml")
+    assert run(["apply", parameters, str(table), "-o", str(output)]) != 0
+    assert "--rate-hz" in capsys.readouterr().err
+    assert run(["apply", parameters, str(table), "-o", str(output), "--rate-hz", "50"]) == 0, capsys.readouterr().err
+    rows = np.genfromtxt(output, delimiter=",", names=True)
+    assert np.diff(rows[rows.dtype.names[0]]) == pytest.approx(np.full(19, 0.02))
+    assert run(["apply", parameters, str(solved_session), "-o", str(output), "--rate-hz", "50"]) == 2
