@@ -20,10 +20,13 @@ from imufield.calibrate.result import Calibration, Gauge, ModelChoice
 from imufield.calibrate.whole_turns import Stop, stops_at
 from imufield.deliver.parameters import Context, Parameters, from_document, to_document
 from imufield.earth import Gravity
-from imufield.errors import CalibrationError, UsageError
+from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.guide.events import Event, Turned
 from imufield.guide.rotations import VERTICAL
 from imufield.samples import FloatArray, Samples
+
+_CONTRADICTED = (Reason.UNITS, Reason.HANDEDNESS)
+"""Reasons for a gyroscope without a calibration that say that its data are not what they are said to be."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,8 +157,10 @@ def _with_gyroscope(calibration: Calibration, measured: Measured, wishes: Wishes
     except CalibrationError as error:
         # The accelerometer is known all the same; axes that contradict it were refused before.
         sentence = f"the gyroscope is not calibrated: {error.message}"
-        quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, sentence))
-        return replace(calibration, quality=quality)
+        quality = calibration.quality
+        if error.reason in _CONTRADICTED:
+            return replace(calibration, quality=quality.lowered("usable", sentence))
+        return replace(calibration, quality=replace(quality, reasons=(*quality.reasons, sentence)))
 
 
 def _by_method(result: GyroscopeResult, calibration: Calibration, wishes: Wishes, rng: np.random.Generator) -> Calibration:

@@ -9,7 +9,8 @@ What cannot be seen: all three accelerometer signs wrong together (u and -u turn
 wrong one.
 
 Rates of one cell (0.1 s) are taken as constant; at 180 deg/s that misjudges a move by about a degree, far below the tens of
-degrees that a wrong axis gives. Where the gyroscope's scale is not known, one common factor is searched with each permutation.
+degrees that a wrong axis gives. Where the gyroscope's scale is not known, or no arrangement fits with the one that is said to
+be known, one common factor is searched with each permutation: a wrong unit or range is told from wrong axes.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +37,7 @@ MARGIN = 3.0
 _LONGEST_MOVE_CELLS = 600
 _MOVES_KEPT = 24
 _SCALES = 25
+_SAME_FACTOR = 0.1
 _MOVES_FOR_SCALE = 12
 _TURNS_OF_UP = (0.5, 4.0)
 """Total angle turned over the angle between the ups, as the range in which an unknown scale is searched."""
@@ -75,6 +77,14 @@ class AxesCheck:
     second_misfit_deg: float
     gyroscope_scale: float
     words: str
+    turns_ratio: float = 1.0
+    """How many times as fast the unit turns as the gyroscope says, where its scale is contradicted; otherwise 1."""
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether axes or scale of the gyroscope are not what they are said to be, or nothing fits what it shows."""
+        nothing_fits = self.agrees is None and self.misfit_deg > GOOD_DEG and self.best_misfit_deg > GOOD_DEG
+        return self.agrees is False or self.turns_ratio != 1.0 or nothing_fits
 
     @property
     def error(self) -> CalibrationError | None:
@@ -140,8 +150,21 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
         return _undecided(
             f"axes not checked: {len(moves)} moves of more than {LEAST_TURN_DEG:g} deg, {ENOUGH_MOVES} are needed"
         )
+    found = _arrange(moves, gyroscope_scale or _find_scale(moves, signed_permutations()))
+    if gyroscope_scale is None or found.agrees is not None:
+        return found
+    scale = _find_scale(moves, signed_permutations())
+    other = _arrange(moves, scale)
+    if other.agrees is None:
+        return found
+    ratio = gyroscope_scale / scale
+    # What is contradicted is the scale as given, so the misfit is the one that it makes.
+    return replace(other, misfit_deg=found.misfit_deg, words=_scale_words(ratio, found, other), turns_ratio=ratio)
+
+
+def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
+    """Return the arrangement of axes that fits best with a scale."""
     permutations = signed_permutations()
-    scale = gyroscope_scale or _find_scale(moves, permutations)
     misfit = _misfit(moves, permutations, scale)
     order = np.argsort(misfit)
     identity = int(np.flatnonzero((permutations == np.eye(3)).all(axis=(1, 2)))[0])
@@ -204,14 +227,34 @@ def _words(agrees: bool | None, permutation: FloatArray, given: float, best: flo
             f"axes not decided: as given the moves misfit by {given:.0f} deg, the best arrangement by {best:.0f} deg "
             f"(limit {GOOD_DEG:g} deg), the next by {second:.0f} deg; turn the unit slowly about different axes"
         )
-    rows = [
-        f"{AXES[i]} = {'+' if row.sum() > 0 else '-'}{AXES[int(np.abs(row).argmax())]}" for i, row in enumerate(permutation)
-    ]
     handed = "one triad is left-handed" if np.linalg.det(permutation) < 0 else "axes are exchanged or have the wrong sign"
     return (
         f"gyroscope and accelerometer do not belong together: {handed}; as given the moves misfit by {given:.0f} deg, "
-        f"with gyroscope {', '.join(rows)} by {best:.1f} deg (limit {GOOD_DEG:g} deg); correct driver or protocol"
+        f"with gyroscope {_rows(permutation)} by {best:.1f} deg (limit {GOOD_DEG:g} deg); correct driver or protocol"
     )
+
+
+def _rows(permutation: FloatArray) -> str:
+    return ", ".join(
+        f"{AXES[i]} = {'+' if row.sum() > 0 else '-'}{AXES[int(np.abs(row).argmax())]}" for i, row in enumerate(permutation)
+    )
+
+
+def _scale_words(ratio: float, given: AxesCheck, found: AxesCheck) -> str:
+    axes = "" if found.agrees else f" and with gyroscope {_rows(found.permutation)}"
+    return (
+        f"the unit turns {ratio:.3g} times as fast as the gyroscope says{_likely_cause(ratio)}: as given the moves misfit by "
+        f"{given.misfit_deg:.0f} deg, with that factor{axes} by {found.best_misfit_deg:.1f} deg (limit {GOOD_DEG:g} deg); "
+        "correct unit or range of the gyroscope (--set or the protocol)"
+    )
+
+
+def _likely_cause(ratio: float) -> str:
+    """Return which two units were taken for each other, where the ratio is theirs to a tenth."""
+    for factor, cause in ((math.degrees(1.0), "rad/s taken for deg/s"), (math.radians(1.0), "deg/s taken for rad/s")):
+        if abs(math.log(ratio / factor)) < _SAME_FACTOR:
+            return f" ({cause})"
+    return ""
 
 
 def _undecided(words: str) -> AxesCheck:

@@ -103,6 +103,7 @@ class Guide:
         self._moves = MoveLog(stillness.cell_s)
         self._axes_asked = 0
         """Positions at the last look at the axes; all, once the moves have told."""
+        self._axes_doubted = False
         self._slot: int | None = None
         self._counts: deque[int] = deque(maxlen=RATE_CELLS)
         self._recent: Cells | None = None
@@ -267,10 +268,13 @@ class Guide:
             self._ask_axes()
 
     def _ask_axes(self) -> None:
-        """See with each new position whether the axes agree, until the moves tell; say once that they do not."""
+        """See with each new position whether axes and scale agree, until the moves tell; say once that they do not."""
         axes = self.check_axes()
+        told = self._axes_doubted
+        self._axes_doubted = told or axes.is_contradicted
         self._axes_asked = len(self.plan.accepted) if axes.agrees is None else len(self.plan.scheme)
-        if axes.agrees is False:
+        # That nothing fits is said once, and what it is when the moves tell.
+        if axes.is_contradicted and not (told and axes.agrees is None):
             self._do.reject(axes_refusal(axes))
 
     def _set_time(self, cells: Cells, row: int) -> None:

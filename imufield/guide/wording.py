@@ -209,7 +209,7 @@ def not_quiet_refusal(cells: Cells, scale: RoughScale, floor_s: float) -> Refusa
 def axes_refusal(axes: AxesCheck) -> Refusal:
     """Return the warning that gyroscope and accelerometer do not belong together."""
     return Refusal(
-        RefusalCode.AXES,
+        RefusalCode.SCALE if axes.turns_ratio != 1.0 else RefusalCode.AXES,
         axes.words,
         "the accelerometer positions stay valid; nothing of the gyroscope will be until this is corrected",
         axes.misfit_deg,

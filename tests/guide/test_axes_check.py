@@ -39,6 +39,7 @@ def test_right_axes_agree(moves: Any) -> None:
     assert found.agrees
     assert found.misfit_deg < 2
     assert found.error is None
+    assert not found.is_contradicted
 
 
 @pytest.mark.parametrize("index", range(0, 48, 5))
@@ -75,6 +76,29 @@ def test_an_unknown_scale_is_found(moves: Any) -> None:
     assert found.gyroscope_scale == pytest.approx(4780, rel=0.03)
 
 
+@pytest.mark.parametrize(
+    ("factor", "cause"), [(1 / 57.3, "(rad/s taken for deg/s)"), (57.3, "(deg/s taken for rad/s)"), (0.4, "")]
+)
+def test_a_scale_that_the_moves_contradict_is_named(moves: Any, factor: float, cause: str) -> None:
+    wrong = [dataclasses.replace(move, rate_raw=move.rate_raw * factor) for move in moves]
+    found = check_axes(wrong, 1.0)
+    assert found.turns_ratio == pytest.approx(1 / factor, rel=0.03)
+    assert found.agrees
+    assert found.error is None
+    assert found.is_contradicted
+    assert found.misfit_deg > 20 > found.best_misfit_deg
+    assert cause in found.words
+    assert "times as fast" in found.words
+
+
+def test_a_wrong_scale_and_wrong_axes_are_both_named(moves: Any) -> None:
+    wrong = [dataclasses.replace(move, rate_raw=move.rate_raw * [1, -1, 1] / 57.3) for move in moves]
+    found = check_axes(wrong, 1.0)
+    assert found.agrees is False
+    assert "57" in found.words
+    assert "y = -y" in found.words
+
+
 def test_few_moves_tell_nothing(moves: Any) -> None:
     found = check_axes(moves[:3], 1.0)
     assert found.agrees is None
@@ -86,6 +110,7 @@ def test_a_gyroscope_that_shows_nothing_is_not_decided(moves: Any) -> None:
     silent = [dataclasses.replace(move, rate_raw=move.rate_raw * 0) for move in moves]
     assert check_axes(silent, 1.0).agrees is None
     assert check_axes(silent, None).agrees is None
+    assert check_axes(silent, 1.0).is_contradicted
 
 
 def test_a_gap_in_a_move_drops_it(make_path: Any) -> None:

@@ -323,6 +323,26 @@ def test_left_handed_gyroscope_is_told_once(make_path: Any) -> None:
     assert guide.check_axes().error is not None
 
 
+def test_a_gyroscope_far_too_small_is_told_with_the_fifth_position(make_path: Any) -> None:
+    samples = faces_session(make_path).samples()
+    samples.gyroscope[:] /= 57.3
+    guide, events = run(samples)
+    assert guide.done
+    (warned,) = of(events, Rejected)
+    assert warned.reason is RefusalCode.SCALE
+    assert "times as fast as the gyroscope says (rad/s taken for deg/s)" in warned.words
+    assert "--set" in warned.words
+    assert len([event for event in events[: events.index(warned)] if isinstance(event, Accepted)]) == 5
+
+
+def test_a_gyroscope_that_nothing_fits_is_told_once(make_path: Any) -> None:
+    samples = faces_session(make_path).samples()
+    samples.gyroscope[:] = 0
+    guide, events = run(samples)
+    assert guide.done
+    assert ["axes not decided" in event.words for event in of(events, Rejected)] == [True]
+
+
 def test_waiting_for_quiet_says_what_it_waits_for(make_path: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 30).samples()
     shaking = 2 * np.sin(2 * np.pi * 3.3 * samples.time_s) + np.sin(2 * np.pi * 0.31 * samples.time_s)
