@@ -44,5 +44,7 @@ def run_apply(parameters: Path, source: Path, output: Path, rate_hz: float | Non
         say(one.what, err=True)
     typer.echo(beside(f"{rows} corrected samples in", output))
     say("time in s, specific force in m/s^2, angular rate in rad/s, temperature in degC")
+    if loaded.edited_note:
+        typer.echo(hanging("", loaded.edited_note))
     if count.flags():
         typer.echo(hanging("", count.flags()))

@@ -25,11 +25,13 @@ def run_export(path: Path, target: str | None, settings: list[str] | None, outpu
         for one in TARGETS.values():
             typer.echo(hanging(f"{one.name:<12} ", f"{one.title}: {one.holds}"))
         return
-    exported = export_parameters(load(path), target, export_options(parse_settings(settings)))
+    parameters = load(path)
+    exported = export_parameters(parameters, target, export_options(parse_settings(settings)))
     written = write_exported(exported, output, inputs=[path])
+    notes = [*filter(None, (parameters.edited_note,)), *exported.notes]
     if as_json:
         files, kept = [str(file.path) for file in written], [str(file.kept) for file in written if file.kept is not None]
-        typer.echo(json.dumps({"files": files, "kept": kept, "losses": list(exported.losses), "notes": list(exported.notes)}))
+        typer.echo(json.dumps({"files": files, "kept": kept, "losses": list(exported.losses), "notes": notes}))
         return
     for file in written:
         typer.echo(f"written: {file.path}")
@@ -37,5 +39,5 @@ def run_export(path: Path, target: str | None, settings: list[str] | None, outpu
             typer.echo(hanging("         ", f"the file that stood there before is now {file.kept.name}"))
     for loss in exported.losses:
         typer.echo(hanging("lost:    ", loss))
-    for note in exported.notes:
+    for note in notes:
         typer.echo(hanging("note:    ", note))

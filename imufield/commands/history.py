@@ -163,6 +163,7 @@ def _instrument(instrument: InstrumentHistory, options: HistoryOptions, now: dat
                 "created": entry.created,
                 "verdict": entry.verdict,
                 "file": entry.path,
+                "edited": entry.edited,
                 "parameters": {one.name: {"value": one.value, "sigma": one.sigma, "unit": one.unit} for one in entry.numbers},
             }
             for entry in instrument.entries

@@ -213,6 +213,8 @@ def _gravity_notes(task: _Task, found: HeldOut) -> Iterator[str]:
 
 def _file_notes(task: _Task) -> Iterator[str]:
     """Yield what the parameter file says against itself; with requirements ``doubt`` is an objection."""
+    if task.parameters.edited_note:
+        yield task.parameters.edited_note
     said = doubt(task.parameters)
     if said and not task.limits:
         yield said

@@ -28,7 +28,7 @@ from imufield.deliver.parameters import Parameters, load
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 
 INDEX_FILE = ".imufield-history.sqlite"
-INDEX_VERSION = 2
+INDEX_VERSION = 3
 STALE_DAYS = 365.0
 MOVED_SIGMA = 3.0
 """A change beyond this is said aloud."""
@@ -39,7 +39,7 @@ _SCHEMA = """
 CREATE TABLE IF NOT EXISTS entry (
     path TEXT PRIMARY KEY, size INTEGER, changed_ns INTEGER, fault TEXT,
     instrument TEXT, serial_number TEXT, created TEXT, verdict TEXT, session TEXT, raw_unit TEXT, gravity_m_s2 REAL,
-    numbers TEXT
+    numbers TEXT, edited INTEGER
 );
 CREATE INDEX IF NOT EXISTS by_instrument ON entry (serial_number, created);
 """
@@ -61,6 +61,8 @@ class Entry:
     raw_unit: str
     gravity_m_s2: float
     numbers: tuple[Number, ...]
+    edited: bool = False
+    """Whether somebody changed the file by hand."""
 
     @property
     def time(self) -> datetime:
@@ -185,7 +187,7 @@ def read_history(folder: Path, serial_number: str | None = None) -> History:
         )
     with closing(_open_index(folder)) as index, index:
         read = _refresh(index, folder)
-        rows = index.execute(f"SELECT {', '.join(_COLUMNS)}, gravity_m_s2, numbers FROM entry").fetchall()  # noqa: S608 (constants)
+        rows = index.execute(f"SELECT {', '.join(_COLUMNS)}, gravity_m_s2, numbers, edited FROM entry").fetchall()  # noqa: S608 (constants)
     faults = tuple(row[3] for row in rows if row[3])
     entries = [_entry(row) for row in rows if row[6]]
     chosen = [one for one in entries if serial_number in (None, one.serial_number)]
@@ -263,8 +265,8 @@ def _put(index: sqlite3.Connection, name: str, size: int, changed_ns: int, path:
     except ImufieldError as error:
         # Session files and configurations are TOML too, and nobody's fault.
         fault = "" if error.reason is Reason.FOREIGN else error.message
-        values = (fault, "", "", "", "", "", "", 0.0, "[]")
-    index.execute(f"INSERT OR REPLACE INTO entry VALUES ({', '.join('?' * 12)})", (name, size, changed_ns, *values))  # noqa: S608
+        values = (fault, "", "", "", "", "", "", 0.0, "[]", 0)
+    index.execute(f"INSERT OR REPLACE INTO entry VALUES ({', '.join('?' * 13)})", (name, size, changed_ns, *values))  # noqa: S608
 
 
 def _values(parameters: Parameters) -> tuple[object, ...]:
@@ -281,13 +283,14 @@ def _values(parameters: Parameters) -> tuple[object, ...]:
         calibration.accelerometer_raw_unit,
         calibration.gravity.gravity_m_s2,
         json.dumps(numbers),
+        int(parameters.edited),
     )
 
 
 def _entry(row: tuple[str, ...]) -> Entry:
-    path, _, _, _, instrument, serial_number, created, verdict, session, raw_unit, gravity, numbers = row
+    path, _, _, _, instrument, serial_number, created, verdict, session, raw_unit, gravity, numbers, edited = row
     found = tuple(Number(*values) for values in json.loads(numbers))
-    return Entry(path, instrument, serial_number, created, verdict, session, raw_unit, float(gravity), found)
+    return Entry(path, instrument, serial_number, created, verdict, session, raw_unit, float(gravity), found, bool(edited))
 
 
 def _by_instrument(entries: list[Entry]) -> tuple[InstrumentHistory, ...]:
@@ -326,6 +329,9 @@ def sentences(instrument: InstrumentHistory, now: datetime, stale_days: float = 
     """Yield what there is to say: every number that moved, against the one before and the first, and a stale calibration."""
     if not instrument.serial_number and len(instrument.entries) > 1:
         yield "the serial number is not known: these calibrations may be of several instruments"
+    edited = [entry.path for entry in instrument.entries if entry.edited]
+    if edited:
+        yield f"edited by hand, so that their numbers are not those that imufield solve wrote: {', '.join(edited)}"
     told = set()
     entries = list(instrument.entries)
     for place in (-2, 0) if len(entries) >= 2 else ():

@@ -167,6 +167,11 @@ class Parameters:
             return self.apply_accelerometer(raw)
         return correct_both(self.calibration.accelerometer, self._gyroscope(), raw.reshape(-1, 6)).reshape(raw.shape)
 
+    @property
+    def edited_note(self) -> str:
+        """The sentence that says so where the file was edited by hand, else an empty one."""
+        return f"{self._name} was edited by hand: its numbers are not those that imufield solve wrote" if self.edited else ""
+
     def check_unit(self, triad: str, unit: str) -> None:
         """Raise ``ParameterFileError`` if a triad whose rates are in this unit is not what the parameters are for."""
         wanted = self.document[triad]["raw_unit"]

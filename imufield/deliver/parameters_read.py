@@ -74,11 +74,27 @@ def _check(document: Document, where: str) -> None:
     if fault is not None:
         raise ParameterFileError(f"{where}: {fault.key} {fault.what}; {_REMEDY}", fault.reason, where=where, key=fault.key)
     _check_consistency(document, where)
+    if document["integrity"]["sha256"] == EDITED:
+        _check_edited(document, where)
+
+
+def _check_edited(document: Document, where: str) -> None:
+    from imufield.deliver.edited import contradiction  # the models, which no other file needs to be read
+
+    what = contradiction(document)
+    if what:
+        key = what.partition(" ")[0]
+        raise ParameterFileError(
+            f"{where}: {what}; in a file edited by hand change what follows from a value with it, or take a kept "
+            "parameters-<n>.toml",
+            where=where,
+            key=key,
+        )
 
 
 def _text(path: Path) -> str:
     try:
-        return read_small_file(path).decode()
+        return read_small_file(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ParameterFileError(f"{path} is no text file; check the file name, or {_REMEDY}", where=str(path)) from error
     except OSError as error:

@@ -113,3 +113,33 @@ def test_one_sentence_code_5_and_the_old_file(
     assert re.search(words, " ".join(errors.split()))
     assert old.read_bytes() == OLD
     assert {path.name: path.read_bytes() for path in solved.iterdir()} == before
+
+
+SAID = "edited by hand"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "apply {edited} {session} -o {old}",
+        "verify {edited} {session} -o {old}",
+        "verify {edited} {session} -o {old} --json",
+        "export {edited} --to c -o {old}",
+        "export {edited} --to c -o {old} --json",
+        "history {folder}",
+        "history {folder} --json",
+    ],
+)
+def test_every_command_says_that_a_file_was_edited(
+    solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    folder = tmp_path / "files"
+    folder.mkdir()
+    path = folder / "parameters.toml"
+    text = (solved / "parameters.toml").read_text(encoding="utf-8")
+    for content, wanted in ((text, False), (on_purpose(text), True)):
+        path.write_text(content, encoding="utf-8")
+        line = command.format(edited=path, session=solved, old=tmp_path / "old", folder=folder)
+        capsys.readouterr()
+        assert run(line.split()) == 0
+        assert (SAID in " ".join(capsys.readouterr().out.split())) is wanted

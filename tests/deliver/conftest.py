@@ -7,6 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from imufield.calibrate.accelerometer import EQUATIONS
+from imufield.calibrate.gauge import intrinsic, make_intrinsic
+from imufield.calibrate.models import to_vector
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import (
     ACCELEROMETER_NAMES,
@@ -15,7 +18,6 @@ from imufield.calibrate.result import (
     Calibration,
     GyroscopeCalibration,
     GyroscopeParameters,
-    Intrinsic,
     PositionResult,
     Quality,
     SolverSummary,
@@ -82,18 +84,9 @@ def calibration(parameters: AccelerometerParameters, gyroscope: GyroscopeCalibra
             np.array([5.2e-5, 5.3e-5, 5.4e-5]), np.array([1.1e-4, 1.2e-4, 1.3e-4]), np.abs(LOWER) * 0.02, np.full(3, 3e-7)
         ),
         accelerometer_raw_unit="m/s^2",
-        equation="N - raw_zero = K (s + b) + K2 s**2, s = T a",
+        equation=EQUATIONS["sensing"],
         gauge="lower",
-        intrinsic=Intrinsic(
-            np.array([1.000123456789, 0.999877, 1.000313]),
-            parameters.scale * parameters.bias_m_s2,
-            np.array([-1.31e-3, 7.7e-4, -2.22e-3]),
-            parameters.quadratic,
-            np.full(3, 5.2e-5),
-            np.full(3, 1.1e-4),
-            np.full(3, 2e-5),
-            np.full(3, 3e-7),
-        ),
+        intrinsic=make_intrinsic(intrinsic(to_vector(parameters))[0], np.repeat([5.2e-5, 1.1e-4, 2e-5, 3e-7], 3)),
         covariance_names=names,
         covariance=root @ root.T,
         gravity=Gravity(9.8071, 5e-4, "normal", 48.1, 520.0),

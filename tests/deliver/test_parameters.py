@@ -167,6 +167,42 @@ def test_a_change_on_purpose_is_taken_and_remembered(file: Path) -> None:
     assert loaded.calibration.gravity.height_m == 521.0
 
 
+def test_a_byte_order_mark_of_an_editor_is_no_damage(file: Path) -> None:
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    assert not load(file).edited
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("scale = [1.000123456789,", "scale = [2.0,", "accelerometer.intrinsic.scale"),
+        ("bias_m_s2 = [0.0312,", "bias_m_s2 = [1.0,", "accelerometer.intrinsic.bias_raw"),
+        ("[0.00131, 0.0, 0.0]", "[0.01, 0.0, 0.0]", "accelerometer.intrinsic"),
+        ('gauge = "lower"', 'gauge = "upper"', "accelerometer.gauge"),
+        ('gauge = "lower"', 'gauge = "symmetric"', "accelerometer.gauge"),
+        ('equation = "N - raw_zero', 'equation = "N + raw_zero', "accelerometer.equation"),
+        ('quadratic_axes = "sensing"', 'quadratic_axes = "body"', "accelerometer.equation"),
+        ('raw_unit = "m/s^2"', 'raw_unit = "furlong"', "accelerometer.raw_unit"),
+        ('raw_unit = "m/s^2"', 'raw_unit = "g"', "accelerometer.raw_unit"),
+        ('raw_unit = "rad/s"', 'raw_unit = "deg/s"', "gyroscope.raw_unit"),
+        ('equation = "N = K E w', 'equation = "N = K E v', "gyroscope.equation"),
+        ("bias_rad_s = [0.0001,", "bias_rad_s = [0.0002,", "gyroscope.bias_rad_s"),
+    ],
+)
+def test_an_edited_file_that_contradicts_itself_is_refused_by_its_key(file: Path, old: str, new: str, key: str) -> None:
+    edit(file, old, new)
+    error = refused(file)
+    assert error.values["key"].startswith(key)
+    assert f": {key}" in error.message
+    assert error.exit_code == 5
+
+
+def test_an_edited_file_whose_numbers_follow_from_one_another_is_taken(file: Path) -> None:
+    edit(file, "bias_m_s2 = [0.0312,", "bias_m_s2 = [0.04,")
+    edit(file, f"bias_raw = [{1.000123456789 * 0.0312!r},", "bias_raw = [0.04000494,")
+    assert load(file).edited
+
+
 def edit(file: Path, old: str, new: str) -> None:
     text = file.read_text(encoding="utf-8")
     assert old in text
