@@ -33,6 +33,8 @@ from imufield.samples import Samples, SampleUnits
 
 _BAD_IN_A_ROW = 3
 """Cells without usable samples before anybody is told."""
+_IN_VAIN = 5
+"""Lengths of a noise floor waited for before settings are doubted."""
 ACTIONS = ("retake", "skip", "undo", "pause", "finish", "go_on", "reopen")
 _INPUTS = {"pause": Input.PAUSE, "finish": Input.FINISH, "reopen": Input.RESUMED}
 """What the operator says that is an input of the table and nothing else."""
@@ -339,7 +341,8 @@ class Guide:
         waited_s = self._waited * self.detector.settings.cell_s
         floor_s = self.detector.settings.floor_s
         if waited_s > 2 * floor_s and cells.usable.any() and self._do.due("not quiet", self.settings.remind_s):
-            self._do.reject(not_quiet_refusal(self.detector.waited(), self.detector.scale, floor_s))
+            in_vain = waited_s > _IN_VAIN * floor_s
+            self._do.reject(not_quiet_refusal(self.detector.waited(), self.detector.scale, floor_s, in_vain=in_vain))
 
     def _apply_mark(self, action: str, name: str | None) -> None:
         before = self.plan.proposed()

@@ -22,9 +22,17 @@ from imufield.samples import FloatArray
 _NOISIEST_CELL = 3.0
 """Largest variance of a cell over the window's median; 30 cells of 10 samples of white noise stay below 2.3."""
 _NOISIEST_CELL_FEW = 12.0
-"""The same for cells of few samples (below 8), whose variances scatter much more."""
+"""The same for cells of few samples, whose variances scatter much more."""
+FEW_SAMPLES = 8
+"""In a cell: with fewer its mean is nearly as noisy as a sample, and its variance is known badly."""
+_TOO_FEW_FOR_VARIANCE = 4
+"""In a cell: with fewer the scatter comes from the differences between cells."""
 _STRAY_SIGMAS = 1.5
 """Of the noise of single samples: with 10 samples a cell that is 4.7 sigma of a cell mean."""
+_STRAY_SIGMAS_OF_MEAN = 4.7
+_WHITE = 2.0
+"""Variance of the cell means over half their squared successive difference: 1 for noise (30 cells of three axes stay below 1.5),
+5 for a sway of 1 Hz in cells of 0.1 s."""
 _QUIETER = 0.5
 """A later stretch replaces the floor when its variances are below this share of it."""
 
@@ -73,10 +81,12 @@ def measure_floor(cells: Cells) -> NoiseFloor:
     variance = np.asarray(np.median(cells.variance, axis=0))
     # The median of chi-squared lies below its mean; the mean is right, but one bump would spoil it.
     variance = np.maximum(variance, np.minimum(cells.variance.mean(axis=0), 1.5 * variance))
-    per_cell = max(float(np.median(cells.usable)), 1.0)
+    per_cell = _samples_per_cell(cells)
     means = cells.mean
     # Half the squared successive difference: the same as the variance for noise, and blind to a slow drift.
     successive = np.sqrt(np.mean(np.diff(means, axis=0) ** 2, axis=0) / 2)
+    if per_cell < _TOO_FEW_FOR_VARIANCE:
+        variance = np.maximum(variance, successive**2 * per_cell)
     cell_sigma = np.maximum(successive, np.sqrt(variance / per_cell))
     absent = np.isnan(means).any(axis=0)
     return NoiseFloor(
@@ -90,9 +100,19 @@ def measure_floor(cells: Cells) -> NoiseFloor:
     )
 
 
+def _samples_per_cell(cells: Cells) -> float:
+    """Return the usual number; where it is small, with its fraction: 25 Hz make 2 and 3 in turn."""
+    usual = float(np.median(cells.usable))
+    if usual >= FEW_SAMPLES:
+        return usual
+    return max(float(cells.usable.sum()) / float(cells.slot[-1] - cells.slot[0] + 1), 1.0)
+
+
 def is_quiet(cells: Cells, scale: RoughScale) -> bool:
     """Whether a window of cells agrees with itself and can be a noise floor."""
-    unbroken = bool((np.diff(cells.slot) == 1).all()) and bool((2 * cells.usable >= np.median(cells.count)).all())
+    # At 10 Hz a sample near the edge of a slot leaves one empty.
+    longest = 2 if np.median(cells.usable) < 2 else 1
+    unbroken = bool((np.diff(cells.slot) <= longest).all()) and bool((2 * cells.usable >= np.median(cells.count)).all())
     if not unbroken or np.isnan(cells.mean[:, :3]).any() or not cells.usable.all():
         return False
     columns = 6 if np.isfinite(cells.mean[:, 3:]).all() else 3
@@ -111,7 +131,7 @@ def _is_plausible(floor: NoiseFloor, scale: RoughScale, columns: int) -> bool:
 
 def _is_steady(cells: Cells, floor: NoiseFloor, columns: int) -> bool:
     """Whether no cell is much noisier than the typical one; one step of the output is always allowed."""
-    factor = _NOISIEST_CELL if floor.samples_per_cell >= 8 else _NOISIEST_CELL_FEW
+    factor = _NOISIEST_CELL if floor.samples_per_cell >= FEW_SAMPLES else _NOISIEST_CELL_FEW
     step = np.where(np.isfinite(floor.step), floor.step, 0.0)
     allowed = np.maximum(floor.sigma**2, step**2)[:columns]
     ratio = cells.variance[:, :columns] / np.where(allowed > 0, allowed, np.inf)
@@ -127,9 +147,29 @@ def _does_not_stray(cells: Cells, floor: NoiseFloor, scale: RoughScale, columns:
 def _straying(cells: Cells, floor: NoiseFloor, scale: RoughScale) -> tuple[FloatArray, FloatArray]:
     """Return how far the cell means stray from the window's, each axis, and how far they may; shape (6,)."""
     step = np.where(np.isfinite(floor.step), floor.step, 0.0)
-    allowed = np.maximum(_STRAY_SIGMAS * np.maximum(floor.sigma, step), _per_axis(scale, STRAY_M_S2, STRAY_RAD_S, missing=0.0))
+    sigmas = _stray_sigmas(cells, floor)
+    allowed = np.maximum(sigmas * np.maximum(floor.sigma, step), _per_axis(scale, STRAY_M_S2, STRAY_RAD_S, missing=0.0))
     stray: FloatArray = np.abs(cells.mean - floor.mean).max(axis=0)
     return stray, allowed
+
+
+def _stray_sigmas(cells: Cells, floor: NoiseFloor) -> float:
+    """Return how many sigma of single samples a cell mean may stray; more for noisy means of few samples, if it is noise."""
+    if floor.samples_per_cell >= FEW_SAMPLES:
+        return _STRAY_SIGMAS
+    spread = np.var(cells.mean, axis=0, ddof=1)
+    successive = np.mean(np.diff(cells.mean, axis=0) ** 2, axis=0) / 2
+    columns = 6 if floor.has_gyroscope else 3
+    if any(float(spread[triad].sum()) > _WHITE * float(successive[triad].sum()) for triad in _triads(columns)):
+        return _STRAY_SIGMAS
+    return max(_STRAY_SIGMAS, _STRAY_SIGMAS_OF_MEAN / math.sqrt(floor.samples_per_cell))
+
+
+def is_even(cells: Cells, scale: RoughScale) -> bool:
+    """Whether a window scatters as noise does, all alike and about one mean, however large it is."""
+    floor = measure_floor(cells)
+    columns = 6 if floor.has_gyroscope else 3
+    return _is_steady(cells, floor, columns) and _does_not_stray(cells, floor, scale.learn(floor.mean[:3]), columns)
 
 
 class Unquiet(NamedTuple):
@@ -147,7 +187,7 @@ def why_not_quiet(cells: Cells, scale: RoughScale) -> Unquiet | None:
     """Return what departs most from a noise floor in a window of two cells or more; None where nothing does."""
     floor = measure_floor(cells)
     scale = scale.learn(floor.mean[:3])
-    factor = _NOISIEST_CELL if floor.samples_per_cell >= 8 else _NOISIEST_CELL_FEW
+    factor = _NOISIEST_CELL if floor.samples_per_cell >= FEW_SAMPLES else _NOISIEST_CELL_FEW
     step = np.where(np.isfinite(floor.step), floor.step, 0.0)
     pairs = (
         (True, floor.sigma, _per_axis(scale, MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)),

@@ -69,8 +69,13 @@ def stand_out(cells: Cells, limits: Limits) -> FloatArray:
     ratios = np.sqrt(
         np.stack([vibration[:, :3].mean(1), vibration[:, 3:].mean(1), change[:, :3].sum(1), change[:, 3:].sum(1)], axis=1)
     )
-    scatter = 1.25 * scatter_of_variance(3 * (float(np.median(cells.usable)) - 1))
-    allowed = np.median(ratios, axis=0) * [scatter, scatter, _CHANGE_OVER_MEDIAN, _CHANGE_OVER_MEDIAN]
+    usual, middle = float(np.median(cells.usable)), np.median(ratios, axis=0)
+    several = cells.usable > 1
+    if usual < 2 and several.any():
+        # One sample shows no vibration: cells of two are compared with each other.
+        usual, middle[:2] = 2.0, np.median(ratios[several, :2], axis=0)
+    scatter = 1.25 * scatter_of_variance(3 * (usual - 1))
+    allowed = middle * [scatter, scatter, _CHANGE_OVER_MEDIAN, _CHANGE_OVER_MEDIAN]
     result: FloatArray = ratios / np.maximum(allowed, _LEAST_RATIO)
     return result
 

@@ -38,7 +38,7 @@ from imufield.guide.limits import (
     noise_limits,
     vibration_ratio,
 )
-from imufield.guide.noise_floor import NoiseFloor, is_quiet, is_quieter, measure_floor
+from imufield.guide.noise_floor import FEW_SAMPLES, NoiseFloor, is_quiet, is_quieter, measure_floor
 from imufield.guide.scale import RoughScale
 from imufield.guide.stretch import Judgement, Phase, Standard, Stretch, Tracker
 from imufield.samples import Samples
@@ -273,5 +273,8 @@ class StillnessDetector:
         if self.bias:
             self.bias = np.where(np.isnan(mean := np.nanmean(inner.mean[:, 3:], axis=0)), self.bias, mean).tolist()
         quieter = measure_floor(inner)
+        if quieter.samples_per_cell < FEW_SAMPLES and len(inner) < self.settings.cells(self.settings.floor_s):
+            # So few samples look quieter than they are by chance.
+            return
         if is_quieter(quieter, self.floor) and is_quiet(inner, self.scale):
             self._set_floor(quieter)

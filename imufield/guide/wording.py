@@ -12,7 +12,7 @@ from imufield.guide.cells import Cells
 from imufield.guide.checks import Refusal
 from imufield.guide.events import Accepted, NoiseFloorMeasured, RefusalCode, Vector
 from imufield.guide.limits import Activity
-from imufield.guide.noise_floor import NoiseFloor, why_not_quiet
+from imufield.guide.noise_floor import NoiseFloor, is_even, why_not_quiet
 from imufield.guide.observe import Observation
 from imufield.guide.plan import Found, Plan
 from imufield.guide.positions import angle_deg
@@ -181,8 +181,11 @@ def _what_is_left(names: Sequence[str]) -> str:
     return f"{len(names)} left: {', '.join(names[:_NAMED_AT_ONCE])}{more}"
 
 
-def not_quiet_refusal(cells: Cells, scale: RoughScale, floor_s: float) -> Refusal:
-    """Return what kept the last cells from being quiet while there is no noise floor."""
+def not_quiet_refusal(cells: Cells, scale: RoughScale, floor_s: float, *, in_vain: bool = False) -> Refusal:
+    """Return what kept the last cells from being quiet while there is no noise floor.
+
+    ``in_vain`` says that this was waited for long enough to doubt the settings where it looks like noise.
+    """
     cells = cells[np.flatnonzero(cells.usable)]
     found = why_not_quiet(cells, scale) if len(cells) > 1 else None
     waiting = f"waiting for {floor_s:g} s without motion to measure the noise floor"
@@ -194,11 +197,17 @@ def not_quiet_refusal(cells: Cells, scale: RoughScale, floor_s: float) -> Refusa
     measured, limit = (value / (factor or 1.0) for value in (found.measured, found.limit))
     unit = unit if factor else "raw unit"
     what = "it shakes" if found.shakes else "it does not keep still"
+    remedy = "lay the unit on a firm surface and take the hands off"
+    if in_vain and found.shakes and is_even(cells, scale):
+        remedy = (
+            f"noise this even is no motion of a hand: if the unit lies still, the {triad}'s unit or range is set wrong "
+            "(--set or the protocol)"
+        )
     return Refusal(
         RefusalCode.NOT_QUIET,
         f"{waiting}: {what}, {triad} {axis} {'' if found.shakes else 'strays by '}{quantity(measured, unit)} "
         f"(limit {quantity(limit, unit)})",
-        "lay the unit on a firm surface and take the hands off",
+        remedy,
         measured,
         limit,
         unit,

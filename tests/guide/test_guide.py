@@ -343,6 +343,35 @@ def test_a_gyroscope_that_nothing_fits_is_told_once(make_path: Any) -> None:
     assert ["axes not decided" in event.words for event in of(events, Rejected)] == [True]
 
 
+def test_even_noise_waited_for_in_vain_is_said_to_be_a_wrong_unit(make_path: Any) -> None:
+    samples = make_path(200.0).hold([0, 0, 1], 30).samples()
+    samples.gyroscope[:] *= 57.3
+    _, events = run(samples)
+    assert {event.reason for event in events} == {RefusalCode.NOT_QUIET}
+    assert "hands off" in events[0].remedy
+    assert "the gyroscope's unit or range is set wrong (--set or the protocol)" in events[-1].remedy
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 12.5, 15.0, 20.0, 25.0, 35.0])
+@pytest.mark.parametrize("sigma_m_s2", [0.005, 0.02, 0.05])
+def test_slow_streams_have_a_noise_floor_of_their_scatter(make_path: Any, rate_hz: float, sigma_m_s2: float) -> None:
+    samples = faces_session(make_path, hold_s=9.0, rate_hz=rate_hz).samples(sigma_m_s2)
+    guide, events = run(samples)
+    assert guide.done
+    assert not of(events, Rejected)
+    floor = of(events, NoiseFloorMeasured)[0]
+    assert floor.accelerometer_sigma == pytest.approx(sigma_m_s2, rel=0.35)
+    assert floor.rate_hz == pytest.approx(rate_hz, rel=0.05)
+
+
+def test_a_slow_stream_from_a_swaying_hand_is_no_noise_floor(make_path: Any) -> None:
+    samples = make_path(10.0).hold([0, 0, 1], 60).samples()
+    samples.accelerometer[:, 0] += 0.2 * np.sin(2 * np.pi * 0.9 * samples.time_s)
+    guide, events = run(samples)
+    assert guide.state is State.LEARNING
+    assert {event.reason for event in events} == {RefusalCode.NOT_QUIET}
+
+
 def test_waiting_for_quiet_says_what_it_waits_for(make_path: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 30).samples()
     shaking = 2 * np.sin(2 * np.pi * 3.3 * samples.time_s) + np.sin(2 * np.pi * 0.31 * samples.time_s)
