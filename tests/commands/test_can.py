@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals, no multicast between processes")
 
 SPEED = 8.0
+DATAGRAM_SPEED = 3.0
+"""Where each message counts: a datagram that finds the buffer of a busy reader full is gone, as on no real bus."""
 NUMBERS = itertools.count()
 DBC = """VERSION ""
 NS_ :
@@ -163,10 +165,9 @@ def test_exchanged_axes_are_refused_by_guide_and_solver(program: Program, emulat
 
 
 def test_record_from_multicast_then_solve(program: Program, emulate: Emulate, multicast: str) -> None:
-    # No faster: a datagram that finds the buffer of a busy reader full is gone, as on no real bus.
-    speed = 3.0
-    emulate(load_driver("xsens_can").load_protocol(), multicast, "faces6", still_s=20.0, speed=speed)
-    ended = program.run("record", "--bus", multicast, "--duration-s", 75, "--clock-speed", speed, "--json", timeout_s=90)
+    emulate(load_driver("xsens_can").load_protocol(), multicast, "faces6", still_s=20.0, speed=DATAGRAM_SPEED)
+    options = ("--duration-s", 75, "--clock-speed", DATAGRAM_SPEED, "--json")
+    ended = program.run("record", "--bus", multicast, *options, timeout_s=90)
     assert ended.returncode == 0, ended.stderr
     assert "driver xsens_can (recognised by" in ended.stderr
     told = events(ended.stdout)[-1]
@@ -179,8 +180,9 @@ def test_record_from_multicast_then_solve(program: Program, emulate: Emulate, mu
 
 def test_what_is_not_available_is_a_gap(program: Program, emulate: Emulate, multicast: str, dbc: Path) -> None:
     faults = CanFaults(not_available_probability=0.1)
-    emulate(protocol_from_dbc(dbc, parse_map(RIGHT)), multicast, faults=faults)
-    arguments = ["record", "--bus", multicast, "--dbc", dbc, *maps(RIGHT), "--duration-s", 16, "--clock-speed", SPEED]
+    emulate(protocol_from_dbc(dbc, parse_map(RIGHT)), multicast, faults=faults, speed=DATAGRAM_SPEED)
+    options = ("--duration-s", 16, "--clock-speed", DATAGRAM_SPEED)
+    arguments = ["record", "--bus", multicast, "--dbc", dbc, *maps(RIGHT), *options]
     ended = program.run(*arguments, "--session", "gaps")
     assert ended.returncode == 0, ended.stderr
     samples = concatenate(session_samples(Session.open(program.folder / "gaps"), []))
