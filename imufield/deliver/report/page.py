@@ -104,6 +104,7 @@ def _facts(data: ReportData) -> dict[str, Any]:
         "equation": calibration.equation,
         "checks": list(_checks(data.verification)),
         "requirements": _requirements(data.verification),
+        "objections": (data.verification or {}).get("objections", []),
         "failed": data.verification is not None and data.verification.get("passed") is False,
         "passed": None if data.verification is None else data.verification.get("passed"),
         "provenance": [*_provenance(data), *data.provenance],

@@ -151,6 +151,19 @@ def test_verification_is_shown(data: ReportData) -> None:
     assert "PASS" in " ".join(Page(render_record(replace(data, verification=verification))).text)
 
 
+def test_an_objection_leads_where_every_requirement_is_met(data: ReportData) -> None:
+    requirement = [{"name": "residual-ug", "limit": 50.0, "measured": 41.0, "passed": True}]
+    objections = ["the file says itself that bas did not converge"]
+    verified = replace(data, verification={"passed": False, "requirement": requirement, "objections": objections})
+    for text in (render_report(verified), render_record(verified)):
+        words = " ".join(" ".join(Page(text).text).split())
+        assert f"fail : {objections[0]}; residual-ug 41 (limit 50), met" in words
+        assert "PASS" not in words
+        assert "requirement is not met" not in words
+    alone = replace(data, verification={"passed": False, "requirement": [], "objections": objections})
+    assert f"fail : {objections[0]}" in " ".join(" ".join(Page(render_report(alone)).text).split())
+
+
 def test_a_requirement_that_is_not_met_leads(data: ReportData) -> None:
     requirement = [{"name": "residual-ug", "limit": 50.0, "measured": 133.7, "passed": False}]
     verified = replace(data, verification={"passed": False, "requirement": requirement})
