@@ -25,7 +25,7 @@ from imufield.commands.resume import check_instrument, check_plan, connect_as_be
 from imufield.commands.site import SiteOptions
 from imufield.commands.views import LinkState, LiveStatus, Manner, View, ViewName, make_view
 from imufield.deliver.numbers import beside
-from imufield.deliver.parameters import load
+from imufield.deliver.parameters import Parameters, load
 from imufield.errors import ImufieldError, LinkError, UsageError
 from imufield.files import read_small_file, write_atomically
 from imufield.guide.events import Advice, Event, Topic
@@ -100,10 +100,11 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
     interactive = options.view == "auto" and sys.stdout.isatty()
     clock = clock or SystemClock()
     scheme(options.positions or DEFAULT_SCHEME)
+    asked = _guide_options(options)
     with before_recording():
         earlier = find_unfinished(options.session, options.root, resume=options.resume, interactive=interactive)
         if earlier is not None:
-            check_plan(earlier, options.positions, options.hold_s)
+            check_plan(earlier, options.positions, asked)
         check_files(options.connect)
         site = ask_site(options.site if earlier is None else site_as_before(options.site, earlier), interactive)
         if not (site.is_known or interactive or options.view == "json"):
@@ -150,13 +151,14 @@ def ask_site(site: SiteOptions, interactive: bool) -> SiteOptions:
 
 def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions) -> Session:
     """Create the session's folder with everything that is known before the first byte."""
+    _check_preset(options.preset, connected)
     name = options.positions or DEFAULT_SCHEME
     positions = None if name in SCHEMES else _read_positions(name)
     metadata = {
         **connected.session_tables(),
         "kind": "capture",
         "scheme": name if positions is None else SCHEME_FILE,
-        "guide": _guide_table(options) | _earlier_scale(options.preset, connected),
+        "guide": _guide_table(options),
         "site": site.table(),
     }
     if options.session is not None:
@@ -169,28 +171,43 @@ def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions
 
 
 def _guide_table(options: CaptureOptions) -> dict[str, object]:
-    """Return what is kept of the options of the guide.
+    """Return what a new session keeps of the options of the guide."""
+    long = len(scheme(options.positions or DEFAULT_SCHEME)) >= REVISIT_FROM
+    return _guide_options(options) | ({"revisit_first": True} if long else {})
+
+
+def _guide_options(options: CaptureOptions) -> dict[str, object]:
+    """Return what was given of the options of the guide, as a session keeps it.
 
     Raises
     ------
     UsageError
         If the rotations are of no known kind.
+    ParameterFileError
+        If the preset cannot be read.
     """
     if options.rotations is not None and options.rotations not in ROTATIONS:
         raise UsageError(f"--rotations {options.rotations!r} is unknown; choose one of {', '.join(ROTATIONS)}")
-    long = len(scheme(options.positions or DEFAULT_SCHEME)) >= REVISIT_FROM
     values = {
         "hold_s": options.hold_s,
         "target_bias_ug": options.target_bias_ug,
         "target_scale_ppm": options.target_scale_ppm,
-        "revisit_first": long or None,
         "rotations": None if options.rotations is None else ROTATIONS[options.rotations],
     }
-    return {key: value for key, value in values.items() if value is not None}
+    given: dict[str, object] = {key: value for key, value in values.items() if value is not None}
+    return given if options.preset is None else given | _scale_of(load(options.preset))
 
 
-def _earlier_scale(path: Path | None, connected: Connected) -> dict[str, object]:
-    """Return what the guide is told of an earlier calibration.
+def _scale_of(preset: Parameters) -> dict[str, object]:
+    """Return the common scale of an earlier calibration, and its relative 1 sigma where it has one."""
+    found = preset.calibration.intrinsic
+    sigma = float(np.max(found.scale_sigma / np.abs(found.scale)))
+    common: dict[str, object] = {"earlier_scale_raw": float(np.exp(np.mean(np.log(np.abs(found.scale)))))}
+    return common | ({"earlier_scale_sigma": sigma} if sigma > 0 else {})
+
+
+def _check_preset(path: Path | None, connected: Connected) -> None:
+    """Refuse an earlier calibration of something else.
 
     Raises
     ------
@@ -198,14 +215,10 @@ def _earlier_scale(path: Path | None, connected: Connected) -> dict[str, object]
         If it is of another instrument or in another unit.
     """
     if path is None:
-        return {}
+        return
     preset = load(path)
     preset.check_instrument(connected.identity.get("serial_number", ""))
     preset.check_unit("accelerometer", connected.protocol.units.accelerometer_rate_unit)
-    found = preset.calibration.intrinsic
-    sigma = float(np.max(found.scale_sigma / np.abs(found.scale)))
-    common: dict[str, object] = {"earlier_scale_raw": float(np.exp(np.mean(np.log(np.abs(found.scale)))))}
-    return common | ({"earlier_scale_sigma": sigma} if sigma > 0 else {})
 
 
 def _read_positions(path: str) -> bytes:

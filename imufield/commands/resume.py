@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,14 @@ from imufield.errors import Reason, RecordingError, UsageError
 from imufield.guide.positions import scheme
 
 _IDENTITY = ("driver", "serial_number")
+_KEPT = {
+    "hold_s": ("--hold-s", "holds of {:g} s"),
+    "target_bias_ug": ("--target-bias-ug", "a bias wanted to {:g} ug"),
+    "target_scale_ppm": ("--target-scale-ppm", "a scale wanted to {:g} ppm"),
+    "rotations": ("--rotations", "turns about a {} axis"),
+    "earlier_scale_raw": ("--preset", "an earlier scale of {:.9g} (raw)"),
+}
+"""What a session keeps of the options of the guide: the option and how its value is said."""
 
 
 def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactive: bool) -> Session | None:
@@ -94,8 +103,15 @@ def _newest_unfinished(root: Path) -> Session:
     raise UsageError(f"there is no unfinished session in {root} to resume; leave out --resume for a new one")
 
 
-def check_plan(session: Session, scheme_name: str | None, hold_s: float | None) -> None:
-    """Refuse a plan that is not the session's: its positions and holds were chosen when it began.
+def check_plan(session: Session, scheme_name: str | None, asked: Mapping[str, object]) -> None:
+    """Refuse a plan that is not the session's: it was chosen when the session began, and a replay follows it from the start.
+
+    Parameters
+    ----------
+    session : Session
+    scheme_name : str or None
+    asked : mapping
+        What was given of the options that the session keeps in its table ``guide``, as it would keep it.
 
     Raises
     ------
@@ -105,9 +121,12 @@ def check_plan(session: Session, scheme_name: str | None, hold_s: float | None) 
     planned = str(ReadingPlan.of(session).scheme)
     if scheme_name is not None and _positions(scheme_name) != _positions(planned):
         raise UsageError(f"{session.folder} goes through {planned}, not {scheme_name}; leave out --positions, or begin anew")
-    begun_s = session.metadata.get("guide", {}).get("hold_s")
-    if hold_s is not None and begun_s is not None and hold_s != begun_s:
-        raise UsageError(f"{session.folder} has holds of {begun_s:g} s, not {hold_s:g} s; leave out --hold-s, or begin anew")
+    begun = session.metadata.get("guide", {})
+    for key, (option, words) in _KEPT.items():
+        if key in asked and asked[key] != begun.get(key):
+            now = words.format(asked[key])
+            before = f"with {words.format(begun[key])}, not {now}" if key in begun else f"without {option}"
+            raise UsageError(f"{session.folder} was begun {before}; leave out {option}, or begin a new session with {now}")
 
 
 def _positions(name: str) -> list[tuple[str, list[float]]]:

@@ -297,7 +297,7 @@ class GuideActions:
         replaces = self.plan.accept(index, observation)
         self.weighing.learn(hold)
         direction = self._direction(observation.mean_raw)
-        self._fit_again()
+        self.fit_again()
         self.events.append(accepted_event(self.now_s, observation, hold.scale, self.plan, replaces=replaces, fit=self.fit))
         self.rested, self._rest_direction = index, direction
         self._forget_hold()
@@ -327,7 +327,7 @@ class GuideActions:
             self._advised.add("revisit")
             self.plan.revisiting = first
 
-    def _fit_again(self) -> None:
+    def fit_again(self) -> None:
         """Fit everything measured so far, and choose the next position where another helps clearly more."""
         observations = list(self.plan.accepted.values())
         self.fit = running_fit(observations, self.detector.scale, self.settings.gravity_m_s2)

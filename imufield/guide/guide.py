@@ -398,4 +398,6 @@ class Guide:
         if undone is None:
             return None, "nothing to undo"
         action, index = undone
+        # What was known with it is known no longer.
+        self._do.fit_again()
         return index, f"{action} of {self.plan.position(index).name} is undone; its samples stay in the recording"

@@ -31,8 +31,8 @@ _STRAY_SIGMAS = 1.5
 """Of the noise of single samples: with 10 samples a cell that is 4.7 sigma of a cell mean."""
 _STRAY_SIGMAS_OF_MEAN = 4.7
 _WHITE = 2.0
-"""Variance of the cell means over half their squared successive difference: 1 for noise (30 cells of three axes stay below 1.5),
-5 for a sway of 1 Hz in cells of 0.1 s."""
+"""Variance of the cell means over half their squared successive difference: 1 for noise (30 cells of three axes stay below
+1.5), 5 for a sway of 1 Hz in cells of 0.1 s."""
 _QUIETER = 0.5
 """A later stretch replaces the floor when its variances are below this share of it."""
 

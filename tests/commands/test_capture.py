@@ -141,10 +141,14 @@ def test_resume(program: Program) -> None:
         ((), 4, "--resume"),
         (("--resume", "--positions", "paper24"), 2, "faces6"),
         (("--resume", "--hold-s", "9"), 2, "2 s"),
+        (("--resume", "--target-bias-ug", "5"), 2, "--target-bias-ug"),
+        (("--resume", "--rotations", "rolled"), 2, "was begun without --rotations"),
+        (("--resume", "--rotations", "bogus"), 2, "unknown"),
+        (("--resume", "--preset", "nonexistent.toml"), 5, "nonexistent.toml"),
     ):
         refused = program.run("capture", "--port", port, "--session", folder, *options)
         assert (refused.returncode, refused.stdout) == (code, "")
-        assert words in refused.stderr
+        assert words in " ".join(refused.stderr.split())
 
     # Port, driver, baud rate, positions and site are those of the session.
     resumed = program.run("capture", "--resume", variables={"IMUFIELD_CLOCK_SPEED": "16"})
@@ -177,6 +181,13 @@ def test_what_is_proposed_can_be_pasted(program: Program) -> None:
     assert "6 of 6 positions measured" in resumed.stdout
     solved = paste(resumed.stdout.rsplit("next:", 1)[1].strip())
     assert solved.returncode == 0, solved.stderr
+
+
+@pytest.mark.parametrize(("option", "value", "code"), [("--rotations", "x", 2), ("--preset", "nonexistent.toml", 5)])
+def test_options_are_checked_before_the_port_is_opened(program: Program, option: str, value: str, code: int) -> None:
+    refused = program.run("capture", "--port", "nowhere", "--driver", "stim300", option, value)
+    assert (refused.returncode, refused.stdout) == (code, "")
+    assert value in refused.stderr
 
 
 def test_resume_refuses_another_instrument(program: Program) -> None:

@@ -305,3 +305,16 @@ def test_what_was_finished_early_is_taken_up_again(make_path: Any) -> None:
     assert [event.accepted for event in of(events, Accepted)] == [2]
     assert "with 2 of 6 positions and 0 of 6 turns" in guide.asked_to_finish().words
     assert not guide.mark("reopen", math.nan)
+
+
+def test_undone_positions_are_known_no_longer(make_path: Any) -> None:
+    path = make_path(100.0).hold(FACES[ORDER[0]], 6.0)
+    for name in ORDER[1:5]:
+        path.turn(FACES[name], 1.5).hold(FACES[name], 5.0)
+    guide, _ = feed(path.samples())
+    assert guide.snapshot().forecast is not None
+    for _ in range(2):
+        guide.mark("undo", guide.time_s)
+    guide.flush()
+    assert len(guide.plan.accepted) == 3
+    assert guide.snapshot().forecast is None
