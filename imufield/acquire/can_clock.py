@@ -51,6 +51,10 @@ _REGULAR = 0.25
 _USUAL_DELAY = 0.95
 _BURST_S = 0.02
 """Least step that counts where frames come in bursts: a host under load is late by as much at any time."""
+_LONG_STEP, _LONG_SHARE, _LOOSE = 1.5, 0.04, 0.05
+"""Where so many steps are that long, and the others differ by that part, a sender may have been held up, with nothing lost."""
+_EVEN_RANGE = 0.55
+"""Kuiper's statistic over the square root of the count: n independent losses leave an even pace by less in 1 of 1000."""
 _RESET_S = 1.0
 """A stamp that runs back by more is another clock (the adapter's wrapped), by less frames out of order."""
 _LONGEST_PAUSE_S = 3600.0
@@ -182,6 +186,8 @@ class CanClock:
         if 2 * delay_s >= unit_s:
             phase.visible_s = max(2 * delay_s, _BURST_S)
             phase.burst = math.ceil(delay_s / period_s)
+            if self._last_counter is None:
+                self._statistics.least_loss_s = max(self._statistics.least_loss_s, phase.visible_s)
         if block.stamp_s[-1] <= block.stamp_s[0]:
             phase.is_blind, phase.base_s = True, 0.0
         return phase
@@ -294,9 +300,12 @@ def _enough(stamp_s: FloatArray) -> bool:
     span_s = float(stamp_s[-1] - stamp_s[0])
     if len(stamp_s) <= _LEARN_SAMPLES or span_s < _LEARN_S:
         return len(stamp_s) >= _MOST_LEARNED
-    longest_s = float(np.diff(stamp_s).max())
+    steps_s = np.diff(stamp_s)
+    longest_s = float(steps_s.max())
     # A host that sleeps hands over many samples at once: a rate takes several such sleeps, not a part of one.
     is_even = longest_s <= _UNEVEN * span_s / len(stamp_s)
+    if is_even and np.count_nonzero(steps_s > _LONG_STEP * np.median(steps_s)) > _LONG_SHARE * len(steps_s):
+        return span_s >= _LONGEST_LEARN_S
     return is_even or span_s >= min(_SLEEPS * longest_s, _LONGEST_LEARN_S)
 
 
@@ -323,7 +332,7 @@ def _period(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> float:
     mean_s = float((stamp_s[-1] - stamp_s[0]) / (number[-1] - number[0]))
     # Frames read out of a buffer are evenly spaced too, but more closely than they come on the whole.
     if np.count_nonzero(regular) >= 0.75 * len(steps_s) and middle_s > mean_s / 2:
-        return float(steps_s[regular].mean())
+        return _held_up_period(stamp_s, number, middle_s) or float(steps_s[regular].mean())
     # Bursts: the ends of the first and of the last ones are the least late.
     lag_s = stamp_s - number * mean_s
     third = max(len(lag_s) // 3, 1)
@@ -331,6 +340,30 @@ def _period(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> float:
     if late > early:
         mean_s += float((lag_s[late] - lag_s[early]) / max(number[late] - number[early], 1.0))
     return nominal_s if nominal_s and abs(mean_s / nominal_s - 1) < 2 * _DRIFT else max(mean_s, 1e-6)
+
+
+def _held_up_period(stamp_s: FloatArray, number: FloatArray, middle_s: float) -> float | None:
+    """Return the period of a sender that wakes at intervals of its host, shorter than the period; None if it is none.
+
+    Its steps are mostly such an interval, and now and then two: as with lost samples, but in turn, so that no stamp is far
+    from an even pace. Independent losses leave it as a bridge of random steps does (Kuiper 1960), and with stamps that are
+    good to a few percent a long step is a loss whatever its turn.
+    """
+    steps_s = np.diff(stamp_s)
+    ratio = steps_s / np.maximum(np.diff(number), 1.0) / middle_s
+    long = int(np.count_nonzero((ratio > _LONG_STEP) & (ratio < _UNEVEN)))
+    low, high = np.quantile(ratio[np.abs(ratio - 1) <= _REGULAR], [0.1, 0.9])
+    if long <= _LONG_SHARE * len(ratio) or high - low < _LOOSE:
+        return None
+    # A long pause is a loss or a delay: without it the rest tells the pace.
+    missing = np.concatenate([[0.0], np.cumsum(np.where(ratio >= _UNEVEN, np.rint(ratio) - 1, 0.0))])
+    found: list[tuple[float, float]] = []
+    for counted in (number, number + missing):
+        centred = counted - counted.mean()
+        period_s = float(centred @ (stamp_s - stamp_s.mean()) / (centred @ centred))
+        found.append((float(np.ptp(stamp_s - counted * period_s)) / max(period_s, 1e-6), period_s))
+    spread, period_s = min(found)
+    return period_s if period_s > middle_s and spread < _EVEN_RANGE * math.sqrt(long) else None
 
 
 def _settled(stamp_s: FloatArray, window_s: float) -> int:

@@ -14,6 +14,10 @@ COLUMNS = ("time", "counter", "ax", "ay", "az", "gx", "gy", "gz", "temperature",
 """What a number of a line may be; "-" is passed over."""
 
 
+_LEAST_TICKS_PER_S, _MOST_TICKS_PER_S = 1e-3, 1e15
+"""No instrument counts more slowly than every quarter of an hour, or faster than femtoseconds."""
+
+
 @dataclass(frozen=True, slots=True)
 class Sentence:
     """A line that begins with a name."""
@@ -151,6 +155,8 @@ def _read_sentences(table: Table) -> TextRule:
         table.text("header_end", ""),
         tuple(_read_text_checksum(each) for each in table.tables("checksums")),
     )
+    if not rule.markers:
+        raise table.error("markers", "a sentence begins with a marker, e.g. $, but there is none")
     if not rule.checksums:
         raise table.error("checksums", "sentences need at least one checksum, e.g. XOR-8")
     table.finish()
@@ -253,7 +259,7 @@ def read_clock(top: Table) -> ClockRule:
         counter.flag("counts_others"),
         tuple(times) if several else (),
     )
-    if rule.counter_ticks_per_s < 0 or min(each.ticks_per_s for each in times) <= 0 or rule.rate_hz < 0:
+    if rule.counter_ticks_per_s < 0 or rule.rate_hz < 0:
         raise table.error("ticks_per_s", "rates must be positive")
     counter.finish()
     table.finish()
@@ -262,6 +268,11 @@ def read_clock(top: Table) -> ClockRule:
 
 def _read_time(table: Table) -> TimeRule:
     rule = TimeRule(table.text("field", ""), table.integer("modulus", 0, 1 << 53, 0), table.number("ticks_per_s", 1.0))
+    if not _LEAST_TICKS_PER_S <= rule.ticks_per_s <= _MOST_TICKS_PER_S:
+        raise table.error(
+            "ticks_per_s",
+            f"{rule.ticks_per_s:g} is not between {_LEAST_TICKS_PER_S:g} and {_MOST_TICKS_PER_S:g} ticks per second",
+        )
     table.finish()
     return rule
 

@@ -29,6 +29,8 @@ class DecoderStatistics:
     """Places where samples are missing."""
     clock_resets: int = 0
     """Places where the counter or the time of the instrument jumped for no loss (a restart)."""
+    least_loss_s: float = 0.0
+    """Shortest loss that the time stamps of a bus show, where they are too uneven to show a single sample; else 0."""
     by_kind: dict[str, int] = field(default_factory=dict)
     nominal_rate_hz: float | None = None
     """Sample rate by the instrument's own clock; None while not known."""
@@ -57,4 +59,10 @@ def remarks(parts: Sequence[DecoderStatistics]) -> list[str]:
     if resets:
         times = "once" if resets == 1 else f"{resets} times"
         found.append(f"counter or time of the instrument jumped {times} where nothing was lost, as a restart does")
+    least_loss_s = max((part.least_loss_s for part in parts), default=0.0)
+    if least_loss_s:
+        found.append(
+            f"losses shorter than {1e3 * least_loss_s:.0f} ms cannot be seen here: the messages are not numbered, and their"
+            " time stamps are as uneven as that; a counter, or an adapter that stamps frames itself, would show single losses"
+        )
     return found

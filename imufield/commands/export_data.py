@@ -44,9 +44,13 @@ def run_export_data(folder: Path | None, to: str, output: Path | None) -> None:
     for one in damage:
         say(one.what, err=True)
     typer.echo(beside(f"{rows} samples in", path))
-    say(f"time in s, {count.units()}, temperature in degC")
-    if count.flags():
-        typer.echo(hanging("", count.flags()))
+    if FORMATS[to].lacks:
+        say(f"time in s, accelerometer in m/s^2, gyroscope in rad/s; {FORMATS[to].lacks}")
+    else:
+        say(f"time in s, {count.units()}, temperature in degC")
+    flags = count.flags(has_status=not FORMATS[to].lacks)
+    if flags:
+        typer.echo(hanging("", flags))
 
 
 def _raw_zero(session: Session, protocol: Protocol) -> FloatArray:

@@ -34,9 +34,12 @@ class RowCount:
         )
         return f"accelerometer in {each[0]}, gyroscope in {each[1]}"
 
-    def flags(self) -> str:
-        """Return a sentence on the rows that are flagged; empty where none is."""
+    def flags(self, *, has_status: bool = True) -> str:
+        """Return a sentence on the rows that are flagged, in a file that has a column for it or not; empty where none is."""
         if not self._unusable:
             return ""
         starting = f", {self._starting} of them from the instrument's start-up (16)" if self._starting else ""
+        if not has_status:
+            starting = starting.removesuffix(" (16)")
+            return f"{self._unusable} messages lack a value that is not usable{starting}: it is NaN, with a covariance of -1"
         return f"{self._unusable} rows are marked as not usable in the column status{starting}: leave them out of means"

@@ -36,6 +36,8 @@ class Format:
     title: str
     write: Callable[[Iterable[Samples], Path, Mapping[str, str]], int]
     """Writes blocks to a new file, with facts for its head; returns the number of rows."""
+    lacks: str = ""
+    """What it has no place for, in words."""
 
 
 def export_samples(blocks: Iterable[Samples], path: str | Path, to: str = "csv", facts: Mapping[str, str] | None = None) -> int:
@@ -124,11 +126,12 @@ def _write_ros2(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str])
     return write_ros2(blocks, path)
 
 
+_LACKING = "messages of ROS hold no temperature, counter, losses or status"
 FORMATS = {
     "csv": Format("csv", "text, one line for each sample", _write_csv),
     "parquet": Format("parquet", "Parquet (extra `parquet`)", write_parquet),
     "hdf5": Format("h5", "HDF5, one dataset for each column (extra `hdf5`)", write_hdf5),
-    "ros2": Format("mcap", "sensor_msgs/msg/Imu for ROS 2, Foxglove, PlotJuggler", _write_ros2),
+    "ros2": Format("mcap", "sensor_msgs/msg/Imu for ROS 2, Foxglove, PlotJuggler", _write_ros2, _LACKING),
 }
 
 

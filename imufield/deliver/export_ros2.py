@@ -21,9 +21,11 @@ from numpy.typing import NDArray
 
 from imufield.acquire.host_clock import NANOSECONDS
 from imufield.errors import Reason, RecordingError, UsageError
-from imufield.samples import FloatArray, Samples, SampleUnits, Status
+from imufield.samples import UNUSABLE, FloatArray, Samples, SampleUnits, Status
 
 TOPIC = "/imu/data_raw"
+_OF_ACCELEROMETER = Status.ACCELEROMETER_INVALID | Status.ACCELEROMETER_SATURATED
+_OF_GYROSCOPE = Status.GYROSCOPE_INVALID | Status.GYROSCOPE_SATURATED
 SCHEMA_NAME = "sensor_msgs/msg/Imu"
 _NOT_AVAILABLE = -1.0
 _LARGEST_S = 2**31 - 1
@@ -107,11 +109,13 @@ def _messages(samples: Samples, stamps: NDArray[np.int64]) -> NDArray[np.void]:
     messages["orientation"][:, 3] = 1.0
     messages["orientation_covariance"][:, 0] = _NOT_AVAILABLE
     for name, values, flag in (
-        ("angular_velocity", samples.gyroscope_rate(), Status.GYROSCOPE_INVALID),
-        ("linear_acceleration", samples.accelerometer_rate(), Status.ACCELEROMETER_INVALID),
+        ("angular_velocity", samples.gyroscope_rate(), UNUSABLE & ~_OF_ACCELEROMETER),
+        ("linear_acceleration", samples.accelerometer_rate(), UNUSABLE & ~_OF_GYROSCOPE),
     ):
         messages[name] = values
+        # There is no place for a status: what must enter no mean is not available.
         gone = np.isnan(values).any(axis=1) | ((samples.status & np.uint32(flag)) != 0)
+        messages[name][gone] = np.nan
         messages[f"{name}_covariance"][gone, 0] = _NOT_AVAILABLE
     return messages
 

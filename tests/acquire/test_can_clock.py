@@ -11,7 +11,7 @@ from imufield.acquire.can_source import CanBlock
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol import load_protocol
 from imufield.acquire.protocol_schema import ClockRule
-from imufield.acquire.statistics import DecoderStatistics
+from imufield.acquire.statistics import DecoderStatistics, remarks
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
 from imufield.simulate.can_encode import CanEncoder
 from tests.acquire.plain_frames import pack_frames
@@ -118,6 +118,57 @@ def test_a_host_whose_clock_runs_fast_learns_the_rate(rate_hz: float) -> None:
         assert statistics.nominal_rate_hz == pytest.approx(rate_hz, rel=0.15)
         assert statistics.losses_estimated <= rate_hz, "a sleep of a second may pass for one loss, not for thousands"
         np.testing.assert_allclose(np.diff(samples.time_s[[0, -1]]), true_s[-1], atol=1.2)
+
+
+def held_up(true_s: FloatArray, seed: int) -> FloatArray:
+    """Return what a sender makes of even times that wakes every 8.6 ms, or somewhat later, and never sends two at once."""
+    rng = np.random.default_rng(seed)
+    sent_s, now_s = np.empty(len(true_s)), float(true_s[0])
+    for place, due_s in enumerate(true_s.tolist()):
+        while now_s < due_s or not place:
+            now_s += 0.0086 + float(rng.exponential(0.0006))
+            if not place:
+                break
+        sent_s[place] = now_s
+        now_s += 1e-5
+    return sent_s
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.01])
+@pytest.mark.parametrize("block", [20, 10_000])
+def test_a_sender_that_its_host_holds_up_loses_nothing_by_it(lost: float, block: int) -> None:
+    for seed in range(8):
+        kept = np.random.default_rng(seed).random(2600) >= lost
+        true_s = np.arange(2600)[kept] / 100.0
+        stamp_s = held_up(np.arange(2600) / 100.0, seed)[kept]
+        assert np.median(np.diff(stamp_s)) < 0.0095, "most steps are shorter than the period"
+        samples, statistics = run(stamp_s, block=block)
+        assert statistics.nominal_rate_hz == pytest.approx(100.0, rel=0.02)
+        assert statistics.losses_estimated <= 2600 - len(true_s)
+        np.testing.assert_allclose(np.diff(samples.time_s[[0, -1]]), true_s[-1] - true_s[0], atol=0.03)
+
+
+def test_what_uneven_stamps_cannot_show_is_said() -> None:
+    kept = np.flatnonzero(np.random.default_rng(2).random(3000) >= 0.012)
+    uneven = np.random.default_rng(2).uniform(0, 0.009, len(kept))
+    _, statistics = run(kept / 100.0 + uneven)
+    assert 0.015 < statistics.least_loss_s < 0.03
+    (sentence,) = remarks([statistics])
+    assert f"losses shorter than {1e3 * statistics.least_loss_s:.0f} ms cannot be seen" in sentence
+    _, statistics = run(kept / 100.0 + uneven / 50)
+    assert (statistics.least_loss_s, remarks([statistics])) == (0.0, [])
+    _, statistics = run(kept / 100.0 + uneven, counter=kept % 256, modulus=256)
+    assert statistics.least_loss_s == 0.0, "a counter shows each"
+
+
+@pytest.mark.parametrize("lost", [0.08, 0.15])
+def test_many_independent_losses_are_no_hold_ups(lost: float) -> None:
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        kept = np.flatnonzero(rng.random(2600) >= lost)
+        _, statistics = run(kept / 100.0 + rng.uniform(0, 7e-4, len(kept)), block=20)
+        assert statistics.nominal_rate_hz == pytest.approx(100.0, rel=0.01)
+        assert statistics.losses_estimated == pytest.approx(int(np.diff(kept).sum()) - len(kept) + 1, abs=3)
 
 
 def test_a_large_loss_shows_through_bursts() -> None:

@@ -122,6 +122,18 @@ def test_errors_name_line_and_key(old: str, new: str, at: str | None, key: str, 
         assert f"mine.toml line {line_of(STIM300, at)}," in error.message
 
 
+@pytest.mark.parametrize(
+    ("name", "old", "new", "key"),
+    [
+        ("microstrain_mip", "ticks_per_s = 1e9", "ticks_per_s = 0e9", "clock.time.0.ticks_per_s"),
+        ("microstrain_mip", "ticks_per_s = 1e9", "ticks_per_s = 1e-320", "clock.time.0.ticks_per_s"),
+        ("vectornav_ascii", 'markers = "$"', 'markers = ""', "text.markers"),
+    ],
+)
+def test_what_would_break_at_the_first_bytes_is_refused(name: str, old: str, new: str, key: str) -> None:
+    assert key in wrong(load_protocol(name).text, old, new).message
+
+
 def test_a_unit_that_is_none() -> None:
     with pytest.raises(ProtocolError, match=r"samples\.temperature`: 'K' is no unit of this; use one of degC"):
         parse_protocol(STIM300.replace('unit = "degC"', 'unit = "K"'))

@@ -94,12 +94,19 @@ def test_every_format_can_be_imported_again(tmp_path: Path, to: str) -> None:
     )
     session, _ = import_session(options)
     again = concatenate(session_samples(session, []))
-    np.testing.assert_array_equal(again.accelerometer, samples.accelerometer)
-    np.testing.assert_array_equal(again.gyroscope, samples.gyroscope)
+    force, rate = samples.accelerometer, samples.gyroscope
+    if to == "ros2":
+        # What is not usable must not become good where there are no flags.
+        of_both = Status.START_UP | Status.INSTRUMENT_FAULT
+        no_force = (samples.status & (of_both | Status.ACCELEROMETER_INVALID | Status.ACCELEROMETER_SATURATED)) != 0
+        no_rate = (samples.status & (of_both | Status.GYROSCOPE_INVALID | Status.GYROSCOPE_SATURATED)) != 0
+        force, rate = np.where(no_force[:, None], np.nan, force), np.where(no_rate[:, None], np.nan, rate)
+    np.testing.assert_array_equal(again.accelerometer, force)
+    np.testing.assert_array_equal(again.gyroscope, rate)
     if to == "ros2":
         # Stamps of ROS are whole nanoseconds; it has neither temperature nor our flags, only "not available".
         np.testing.assert_allclose(again.time_s, samples.time_s, atol=0.6e-9)
-        wanted = samples.status & np.uint32(Status.ACCELEROMETER_INVALID)
+        wanted = no_force * np.uint32(Status.ACCELEROMETER_INVALID) | no_rate * np.uint32(Status.GYROSCOPE_INVALID)
     else:
         np.testing.assert_array_equal(again.time_s, samples.time_s)
         np.testing.assert_array_equal(again.temperature_degc, samples.temperature_degc)
@@ -154,6 +161,24 @@ def test_ros_reads_what_is_written(tmp_path: Path) -> None:
     assert message.orientation_covariance[0] == -1
     assert message.linear_acceleration_covariance[0] == 0
     assert found[7][1].linear_acceleration_covariance[0] == -1
+
+
+def test_what_is_not_usable_does_not_become_good_by_ros(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    flags = [Status.START_UP, Status.INSTRUMENT_FAULT, Status.ACCELEROMETER_SATURATED, Status.GYROSCOPE_SATURATED]
+    samples = block(500)
+    status = samples.status.copy()
+    status[10 : 10 + len(flags)] = flags
+    path = tmp_path / "out.mcap"
+    export_samples([dataclasses.replace(samples, status=status)], path, "ros2")
+    session, _ = import_session(ImportOptions(files=[path], output=tmp_path / "session"))
+    again = concatenate(session_samples(session, []))
+    assert not again.usable[10:14].any()
+    no_force = (again.status[10:14] & Status.ACCELEROMETER_INVALID) != 0
+    no_rate = (again.status[10:14] & Status.GYROSCOPE_INVALID) != 0
+    assert (no_force.tolist(), no_rate.tolist()) == ([True, True, True, False], [True, True, False, True])
+    assert np.isnan(again.accelerometer[10:13]).all()
+    assert np.isfinite(again.accelerometer[13]).all()
 
 
 def test_what_ros_cannot_hold(tmp_path: Path) -> None:
