@@ -39,7 +39,8 @@ _READERS: Mapping[str, Callable[..., Iterable[can.Message]]] = {
     ".mf4": can.CanutilsLogReader,
 }
 SUFFIXES = tuple(_READERS)
-"""Logs this module reads, packed with gzip too."""
+"""Logs this module reads, packed with gzip too; besides, tables of python-can."""
+_TABLE = ".csv"
 _BINARY = (".blf",)
 _HEAD_BYTES = 256
 _HEADS = {
@@ -48,6 +49,7 @@ _HEADS = {
     ".blf": rb"LOGG",
     ".trc": rb"\s*;",
     ".mf4": rb"MDF",
+    _TABLE: rb"timestamp,arbitration_id,",
 }
 """What logs begin with."""
 _DAMAGE = (
@@ -75,9 +77,9 @@ def is_can_log(path: str | Path) -> bool:
 
 def begins_as_can_log(path: str | Path) -> bool:
     """Tell by name and first lines whether a file is a log of a CAN bus: others' logs and grids have the same suffixes."""
-    if not is_can_log(path):
-        return False
     suffixes = Path(path).suffixes[-2:]
+    if not any(suffix in _HEADS for suffix in suffixes):
+        return False
     opener: Callable[..., IO[Any]] = gzip.open if suffixes[-1] == ".gz" else open
     try:
         with opener(path, "rb") as file:
@@ -181,9 +183,9 @@ class _Reader:
 
     def __init__(self, path: Path) -> None:
         suffixes = path.suffixes[-2:]
-        kind = next((suffix for suffix in reversed(suffixes) if suffix in SUFFIXES), "")
+        kind = next((suffix for suffix in reversed(suffixes) if suffix in _HEADS), "")
         if not kind:
-            raise UsageError(f"{path} has none of the suffixes {', '.join(SUFFIXES)}: rename it", path=str(path))
+            raise UsageError(f"{path} has none of the suffixes {', '.join(_HEADS)}: rename it", path=str(path))
         opener: Callable[..., IO[Any]] = gzip.open if suffixes[-1] == ".gz" else open
         self._process = _start_mf4(path) if kind == ".mf4" else None
         mode: dict[str, Any] = {"mode": "rb"} if kind in _BINARY else {"mode": "rt", "encoding": "utf-8", "errors": "replace"}
@@ -193,7 +195,8 @@ class _Reader:
         # ASC counts from its start unless told otherwise; the date in its head makes it a time of day.
         options = {"relative_timestamp": False} if kind == ".asc" else {}
         try:
-            self._reader = _READERS[kind](self._file, **options)
+            reader: Callable[..., Iterable[can.Message]] = can.CSVReader if kind == _TABLE else _READERS[kind]
+            self._reader: Iterable[can.Message] = reader(self._file, **options)
         except BaseException:
             self._file.close()
             raise

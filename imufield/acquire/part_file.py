@@ -38,6 +38,18 @@ _BYTES_MAY_DIFFER = 2
 """Damaged bytes at which the start of a file is still taken for ours; foreign files differ in nearly all."""
 
 
+def is_part(path: str | Path) -> bool:
+    """Tell by its first bytes whether a file is a recording of ours."""
+    try:
+        with Path(path).open("rb") as file:
+            start = file.read(_START_BYTES)
+    except OSError:
+        return False
+    profile_at = len(MAGIC) + RECORD.size
+    profile = len(PROFILE).to_bytes(4, "little") + PROFILE.encode()
+    return start.startswith(MAGIC) and start[profile_at : profile_at + len(profile)] == profile
+
+
 @dataclass(frozen=True, slots=True)
 class Damage:
     """A stretch of a part that could not be read.

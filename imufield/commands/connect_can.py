@@ -188,6 +188,10 @@ def _listen(link: CanLink, ears: list[_Ear], clock: HostClock) -> list[Chunk]:
         chunks.append(chunk)
         for ear in ears:
             ear.decoder.feed(chunk.data, chunk.monotonic_s)
+    if not any(ear.samples >= CERTAIN_SAMPLES for ear in ears):
+        # A decoder holds samples back while stamps are too uneven to tell their rate: they are understood all the same.
+        for ear in ears:
+            ear.decoder.flush()
     return chunks
 
 
@@ -249,6 +253,16 @@ def _nothing_understood(bus: str, chunks: Iterable[Chunk], ears: list[_Ear]) -> 
             Reason.NO_FRAMES,
             bus=bus,
             error_frames=len(frames),
+        )
+    known = max(ears, key=lambda ear: ear.frames)
+    if known.frames >= len(frames) / 2:
+        return LinkError(
+            f"{bus} carries frames of {known.description.name}, but {known.frames} of them could be joined in time to "
+            f"{known.samples} samples only, and {FEWEST_SAMPLES} are needed: check that the instrument sends all its messages, "
+            "and play a recording at its own pace",
+            Reason.NO_FRAMES,
+            bus=bus,
+            frames=len(frames),
         )
     heard = ", ".join(f"{text} x {count}" for text, count in identifiers.most_common(_IDENTIFIERS_NAMED))
     more = f" and {len(identifiers) - _IDENTIFIERS_NAMED} others" if len(identifiers) > _IDENTIFIERS_NAMED else ""

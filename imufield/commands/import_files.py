@@ -18,6 +18,7 @@ import typer
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.host_clock import SystemClock
 from imufield.acquire.link import Chunk
+from imufield.acquire.part_file import is_part
 from imufield.acquire.protocol import Protocol, load_protocol
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.registry import load_driver
@@ -86,6 +87,7 @@ def run_import(options: ImportOptions) -> Session:
 def import_session(options: ImportOptions) -> tuple[Session, list[str]]:
     """Return the new session and what was assumed, in sentences; raises as ``run_import``."""
     _refuse_endless(options.files)
+    _refuse_own(options.files)
     options.site.gravity()
     protocol = _protocol(options)
     _refuse_ignored(options, protocol)
@@ -156,6 +158,24 @@ def _refuse_ignored(options: ImportOptions, protocol: Protocol | None) -> None:
         raise UsageError("--topic is for recordings of ROS; leave it out")
     if options.protocol is not None and options.driver is not None:
         raise UsageError(f"--protocol {options.protocol} and --driver {options.driver} contradict each other; give one of them")
+
+
+def _refuse_own(paths: Sequence[Path]) -> None:
+    """Refuse our own recordings, which are to be solved as they are.
+
+    Raises
+    ------
+    UsageError
+        If there is one.
+    """
+    for path in paths:
+        folder = path if path.is_dir() else path.parent
+        if is_part(path) or (folder == path and (path / SETTINGS_FILE).is_file()) or path.name == SETTINGS_FILE:
+            raise UsageError(
+                f"{path} is of a session of imufield, which needs no import: `imufield solve {shlex.quote(str(folder))}` "
+                "takes it as it is",
+                path=str(path),
+            )
 
 
 def _refuse_can_log(options: ImportOptions) -> None:

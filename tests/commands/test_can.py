@@ -19,12 +19,18 @@ import can
 import numpy as np
 import pytest
 
+from imufield.acquire.can_frames import EXTENDED, pack_frame
 from imufield.acquire.can_map import parse_map, protocol_from_dbc
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.link import Chunk
 from imufield.acquire.protocol import Protocol
+from imufield.acquire.recognise import FEWEST_SAMPLES
 from imufield.acquire.registry import load_driver
 from imufield.acquire.session import Session
 from imufield.cli.run import run
+from imufield.commands import connect_can
 from imufield.commands.chain import session_samples
+from imufield.commands.connect import ConnectOptions
 from imufield.guide.positions import scheme
 from imufield.samples import Status, concatenate
 from imufield.simulate.can_emulator import CanEmulator
@@ -356,6 +362,33 @@ def test_what_is_heard_is_not_understood(
         assert in_this_process(*RECORD, "--bus", f"virtual:{channel}", *(("--driver", driver) if driver else ())) == code
     assert words in capsys.readouterr().err
     assert not (folder / "imufield-sessions").exists()
+
+
+class Uneven:
+    """A link whose host reads seldom: 30 frames of each kind at once, now and then."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def monotonic_s(self) -> float:
+        return self.now_s
+
+    def read(self) -> Chunk:
+        self.now_s += 1.4
+        frames = [
+            pack_frame(identifier | EXTENDED, bytes(8), self.now_s + 1e-5 * number)
+            for number in range(30)
+            for identifier in (0x08F02D80, 0x0CF02A80)
+        ]
+        return Chunk(b"".join(frames), self.now_s, 0)
+
+
+def test_frames_that_come_in_bursts_are_understood_however_uneven() -> None:
+    host = Uneven()
+    (description,) = connect_can.can_descriptions(ConnectOptions(driver="aceinna_can"))
+    ear = connect_can._Ear(description, Decoder(description.protocol))
+    connect_can._listen(host, [ear], host)  # type: ignore[arg-type]
+    assert ear.samples >= FEWEST_SAMPLES
 
 
 def test_a_typed_bus_goes_before_a_port_by_default(

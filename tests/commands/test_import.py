@@ -20,7 +20,7 @@ from imufield.acquire.session import Session
 from imufield.cli.run import run
 from imufield.commands import import_files
 from imufield.commands.chain import session_samples
-from imufield.errors import Reason, RecordingError
+from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import Samples, Status, concatenate, make_samples
 from imufield.simulate.can_encode import CanEncoder
 
@@ -128,6 +128,14 @@ def test_a_log_with_a_dbc_and_a_mapping(tmp_path: Path, capsys: pytest.CaptureFi
     assert "is a log of a CAN bus; say what is on it" in capsys.readouterr().err
     assert typed("import", path, "--map", MAP[0], "-o", tmp_path / "other") == 2
     assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize("name", ["", "part-001.mcap", "session.toml"])
+def test_our_own_recording_needs_no_import(tmp_path: Path, name: str) -> None:
+    folder = Path(__file__).parents[2] / "fixtures" / "stim300-six-faces"
+    with pytest.raises(UsageError, match=f"imufield solve .*{folder.name}` takes it as it is"):
+        import_files.import_session(import_files.ImportOptions(files=[folder / name], output=tmp_path / "session"))
+    assert not (tmp_path / "session").exists()
 
 
 def test_a_log_of_two_buses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
