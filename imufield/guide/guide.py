@@ -18,6 +18,7 @@ from imufield.guide.actions import GuideActions
 from imufield.guide.axes_check import ENOUGH_MOVES, AxesCheck, MoveLog, check_axes
 from imufield.guide.cells import CellBuilder, Cells, join_cells
 from imufield.guide.checks import explain_flags
+from imufield.guide.dead_axis import DeadAxis
 from imufield.guide.events import Event, Marked, Vector
 from imufield.guide.limits import Activity
 from imufield.guide.observe import gather
@@ -103,6 +104,7 @@ class Guide:
         self._builder = CellBuilder(stillness.cell_s)
         self._marks: list[tuple[int, str, str | None]] = []
         self._moves = MoveLog(stillness.cell_s)
+        self._dead_axis = DeadAxis()
         self._axes_asked = 0
         """Positions at the last look at the axes; all, once the moves have told."""
         self._axes_doubted = False
@@ -260,6 +262,9 @@ class Guide:
             self._handle(Input.FLOOR)
         if judgement.ended is not None:
             self._handle(Input.ENDED)
+            dead = self._dead_axis.leave_side(self.detector.floor, self.detector.scale)
+            if dead is not None:
+                self._do.reject(dead)
         if judgement.phase is Phase.STILL:
             self._handle(Input.STILL)
         else:
@@ -298,6 +303,7 @@ class Guide:
     def _watch_data(self, cells: Cells, row: int) -> None:
         """Count cells with missing or unusable samples; say so when several follow each other."""
         self._do.warmth.follow(cells, row)
+        self._dead_axis.follow(cells, row)
         self._watch_clock(cells, row)
         floor, share = self.detector.floor, self.detector.settings.usable_fraction
         usual = cells.count[row] if floor is None else floor.samples_per_cell

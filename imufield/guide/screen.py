@@ -99,6 +99,8 @@ class Screen:
     turn: Turn | None = None
     refused: Rejected | None = None
     link: bool = True
+    link_paused: bool = False
+    """A cable was pulled, or the session is resumed: nobody knows how many samples that cost."""
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
     """Of the box as it is drawn; its heading is kept from frame to frame."""
     messages: deque[str] = field(default_factory=lambda: deque(maxlen=_KEPT))
@@ -138,6 +140,7 @@ class Screen:
             self.turn, self.refused = event if isinstance(event, Turn) else self.turn, None
         elif isinstance(event, (LinkLost, LinkBack)):
             self.link = isinstance(event, LinkBack)
+            self.link_paused = True
 
 
 def _message(event: Event) -> str:
@@ -436,6 +439,8 @@ def _link_line(screen: Screen, snapshot: Snapshot, state: LinkState) -> Text:
     arrives = screen.link and not state.silent
     rate = f"{snapshot.rate_hz:.0f} Hz" if arrives and math.isfinite(snapshot.rate_hz) else "- Hz"
     lost = f"{state.lost_samples} samples lost" if state.lost_samples is not None else f"{snapshot.lost_cells} gaps"
+    if screen.link_paused and not state.silent:
+        lost += ", pauses not counted"
     warmth = f"{snapshot.temperature_degc:.1f} degC" if math.isfinite(snapshot.temperature_degc) else "no temperature"
     link = "link ok" if arrives else "NOTHING ARRIVES: check power and cable" if screen.link else "LINK LOST"
     return Text(f" {link}   {rate}   {lost}   {warmth}", style="bold" if arrives else "bold red", no_wrap=True)

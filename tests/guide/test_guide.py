@@ -372,6 +372,24 @@ def test_a_slow_stream_from_a_swaying_hand_is_no_noise_floor(make_path: Any) -> 
     assert {event.reason for event in events} == {RefusalCode.NOT_QUIET}
 
 
+@pytest.mark.parametrize(("axis", "value"), [(0, 0.0), (1, 3.5)])
+def test_a_dead_axis_is_named_after_three_sides(make_path: Any, axis: int, value: float) -> None:
+    samples = faces_session(make_path).samples()
+    samples.accelerometer[:, axis] = value
+    _, events = run(samples)
+    (named,) = (event for event in of(events, Rejected) if event.reason is RefusalCode.INVALID)
+    assert f"axis {'xyz'[axis]} is dead: it stayed at {value:g} (raw) on 3 sides" in named.words
+    assert named.time_s < 20
+
+
+def test_an_axis_without_noise_is_not_dead(make_path: Any) -> None:
+    path = make_path(100.0).hold(FACES["+z"], 6)
+    for name in ("+y", "-z", "-y", "+z"):
+        path.turn(FACES[name], 1.5).hold(FACES[name], 5)
+    _, events = run(path.samples(0.0))
+    assert not [event for event in of(events, Rejected) if event.reason is RefusalCode.INVALID]
+
+
 def test_waiting_for_quiet_says_what_it_waits_for(make_path: Any) -> None:
     samples = make_path(100.0).hold([0, 0, 1], 30).samples()
     shaking = 2 * np.sin(2 * np.pi * 3.3 * samples.time_s) + np.sin(2 * np.pi * 0.31 * samples.time_s)

@@ -136,6 +136,8 @@ def test_screen_tells_a_lost_link(session: Any) -> None:
     text = picture(screen, guide)
     assert "N O   L I N K" in text
     assert "LINK LOST" in text
+    screen.follow(guide.link_back())
+    assert "0 samples lost, pauses not counted   no temperature" in picture(screen, guide)
 
 
 def test_a_refusal_stays_long_enough_to_be_read(session: Any) -> None:
