@@ -151,13 +151,14 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
             f"axes not checked: {len(moves)} moves of more than {LEAST_TURN_DEG:g} deg, {ENOUGH_MOVES} are needed"
         )
     found = _arrange(moves, gyroscope_scale or _find_scale(moves, signed_permutations()))
-    if gyroscope_scale is None or found.agrees is not None:
+    if gyroscope_scale is None or found.agrees is not None or found.misfit_deg <= GOOD_DEG:
         return found
     scale = _find_scale(moves, signed_permutations())
     other = _arrange(moves, scale)
-    if other.agrees is None:
-        return found
     ratio = gyroscope_scale / scale
+    # Turns about one axis leave others open, but that the given ones fit with a factor is enough to say so.
+    if (other.agrees is None and other.misfit_deg > GOOD_DEG) or abs(math.log(ratio)) < _SAME_FACTOR:
+        return found
     # What is contradicted is the scale as given, so the misfit is the one that it makes.
     return replace(other, misfit_deg=found.misfit_deg, words=_scale_words(ratio, found, other), turns_ratio=ratio)
 
@@ -241,7 +242,7 @@ def _rows(permutation: FloatArray) -> str:
 
 
 def _scale_words(ratio: float, given: AxesCheck, found: AxesCheck) -> str:
-    axes = "" if found.agrees else f" and with gyroscope {_rows(found.permutation)}"
+    axes = "" if found.agrees is not False else f" and with gyroscope {_rows(found.permutation)}"
     return (
         f"the unit turns {ratio:.3g} times as fast as the gyroscope says{_likely_cause(ratio)}: as given the moves misfit by "
         f"{given.misfit_deg:.0f} deg, with that factor{axes} by {found.best_misfit_deg:.1f} deg (limit {GOOD_DEG:g} deg); "

@@ -19,7 +19,7 @@ from imufield.guide.axes_check import ENOUGH_MOVES, AxesCheck, MoveLog, check_ax
 from imufield.guide.cells import CellBuilder, Cells, join_cells
 from imufield.guide.checks import explain_flags
 from imufield.guide.dead_axis import DeadAxis
-from imufield.guide.events import Event, Marked, Vector
+from imufield.guide.events import Event, Marked, RefusalCode, Vector
 from imufield.guide.limits import Activity
 from imufield.guide.observe import gather
 from imufield.guide.plan import Plan
@@ -107,7 +107,7 @@ class Guide:
         self._dead_axis = DeadAxis()
         self._axes_asked = 0
         """Positions at the last look at the axes; all, once the moves have told."""
-        self._axes_doubted = False
+        self._axes_told: set[tuple[RefusalCode, bool]] = set()
         self._slot: int | None = None
         self._counts: deque[int] = deque(maxlen=RATE_CELLS)
         self._recent: Cells | None = None
@@ -277,12 +277,13 @@ class Guide:
     def _ask_axes(self) -> None:
         """See with each new position whether axes and scale agree, until the moves tell; say once that they do not."""
         axes = self.check_axes()
-        told = self._axes_doubted
-        self._axes_doubted = told or axes.is_contradicted
+        found = axes_refusal(axes)
         self._axes_asked = len(self.plan.accepted) if axes.agrees is None else len(self.plan.scheme)
-        # That nothing fits is said once, and what it is when the moves tell.
-        if axes.is_contradicted and not (told and axes.agrees is None):
-            self._do.reject(axes_refusal(axes))
+        # That nothing fits, a scale, wrong axes: each is said once, as soon as the moves tell.
+        kind = (found.reason, axes.agrees is False)
+        if axes.is_contradicted and kind not in self._axes_told:
+            self._axes_told.add(kind)
+            self._do.reject(found)
 
     def _set_time(self, cells: Cells, row: int) -> None:
         """Advance the time of what is said; cells kept until the noise floor was known do not turn it back."""

@@ -9,6 +9,7 @@ from imufield.guide.axes_check import MoveLog, check_axes, signed_permutations
 from imufield.guide.cells import cells_of
 from imufield.guide.scale import RoughScale
 from imufield.guide.stillness import StillnessDetector
+from imufield.samples import Samples
 
 ORDER = ([0, 0, 1], [1, 0, 0], [0, -1, 0.3], [0, 0, -1], [-1, 0.4, 0], [0.2, 1, 0], [0, 0.1, 1])
 
@@ -18,9 +19,13 @@ def moves(make_path: Any) -> Any:
     path = make_path(200.0, lever_m=np.array([0.05, 0.03, -0.04])).hold(ORDER[0], 5)
     for up in ORDER[1:]:
         path.turn(up, 1.2).hold(up, 3)
+    return _moves_of(path.samples())
+
+
+def _moves_of(samples: Samples) -> Any:
     scale = RoughScale(1.0, 1.0)
     detector, log = StillnessDetector(scale), MoveLog(0.1)
-    for cells in cells_of([path.samples()]):
+    for cells in cells_of([samples]):
         for judgement in detector.judge(cells):
             log.follow(judgement, detector.stretch.mean)
     return log.moves(scale)
@@ -89,6 +94,16 @@ def test_a_scale_that_the_moves_contradict_is_named(moves: Any, factor: float, c
     assert found.misfit_deg > 20 > found.best_misfit_deg
     assert cause in found.words
     assert "times as fast" in found.words
+
+
+def test_turns_about_one_axis_tell_a_wrong_scale(make_path: Any) -> None:
+    ups = [np.array([0, np.sin(angle), np.cos(angle)]) for angle in np.radians(np.arange(0, 270, 45))]
+    path = make_path(200.0).hold(ups[0], 5)
+    for up in ups[1:]:
+        path.turn(up, 1.2).hold(up, 3)
+    found = check_axes(_moves_of(path.samples()), 57.3)
+    assert found.agrees is None
+    assert found.turns_ratio == pytest.approx(57.3, rel=0.03)
 
 
 def test_a_wrong_scale_and_wrong_axes_are_both_named(moves: Any) -> None:
