@@ -21,12 +21,13 @@ from imufield.acquire.statistics import remarks
 from imufield.commands.chain import MARK, SCHEME_FILE, Chain, ReadingPlan, part_metadata, replay_into
 from imufield.commands.connect import Connected, ConnectOptions, check_files, connect
 from imufield.commands.output import before_recording, say
+from imufield.commands.reconnect import PatientLink
 from imufield.commands.resume import check_instrument, check_plan, connect_as_before, find_unfinished, site_as_before
 from imufield.commands.site import SiteOptions
 from imufield.commands.views import LinkState, LiveStatus, Manner, View, ViewName, make_view
 from imufield.deliver.numbers import beside
 from imufield.deliver.parameters import Parameters, load
-from imufield.errors import ImufieldError, LinkError, UsageError
+from imufield.errors import ImufieldError, UsageError
 from imufield.files import read_small_file, write_atomically
 from imufield.guide.events import Advice, Event, Topic
 from imufield.guide.keys import Keyboard
@@ -38,7 +39,6 @@ DEFAULT_SCHEME = "paper24"
 ROTATIONS = {"rolled": HORIZONTAL, "table": VERTICAL}
 SILENCE_S = 2.0
 """Host time without a byte after which the screen says so: the slowest instruments send ten times a second."""
-RECONNECT_EVERY_S = 0.5
 REFRESH_EVERY_S = 0.1
 KEYS = {"r": "retake", "s": "skip", "u": "undo", "p": "pause", "f": "finish", "g": "go_on"}
 BIG = "b"
@@ -267,7 +267,7 @@ class CaptureLoop:
         self.clock = clock
         self._last_byte_s = clock.monotonic_s()
         self._last_refresh_s = float("-inf")
-        self._next_try_s: float | None = None
+        self._link = PatientLink(connected.link, clock)
         """When to try the port again; None while it is there."""
         self._finish_until_s = float("-inf")
         """Until then the key that finishes is believed."""
@@ -326,23 +326,13 @@ class CaptureLoop:
         return self.chain.guide is not None and self.chain.guide.done
 
     def _next_chunk(self) -> Chunk | None:
-        if self._next_try_s is not None:
-            self._try_again()
-            return None
-        try:
-            return self.connected.link.read()
-        except LinkError:
-            self._next_try_s = self.clock.monotonic_s()
+        was_lost = self._link.lost is not None
+        chunk = self._link.read()
+        if was_lost:
+            self._last_byte_s = self.clock.monotonic_s()
+        elif self._link.lost is not None:
             self._publish(self.chain.link_lost())
-            return None
-
-    def _try_again(self) -> None:
-        now_s = self.clock.monotonic_s()
-        if self._next_try_s is not None and now_s >= self._next_try_s:
-            self._next_try_s = None if self.connected.link.reopen() else now_s + RECONNECT_EVERY_S
-            self._last_byte_s = now_s
-        else:
-            self.clock.sleep(REFRESH_EVERY_S)
+        return chunk
 
     def _take(self, chunk: Chunk) -> None:
         self._last_byte_s = self.clock.monotonic_s()
@@ -389,7 +379,7 @@ class CaptureLoop:
             return
         self._last_refresh_s = now_s
         silent_s = now_s - self._last_byte_s
-        state: LinkState = "lost" if self._next_try_s is not None else "silent" if silent_s > SILENCE_S else "ok"
+        state: LinkState = "lost" if self._link.lost is not None else "silent" if silent_s > SILENCE_S else "ok"
         statistics = self.chain.statistics
         lost = sum(part.lost for part in statistics)
         self.view.refresh(LiveStatus(self.chain.guide.snapshot(), self.connected.link.name, state, lost))

@@ -19,9 +19,10 @@ from imufield.acquire.statistics import remarks
 from imufield.commands.chain import part_metadata
 from imufield.commands.connect import Connected, ConnectOptions, connect
 from imufield.commands.output import say
+from imufield.commands.reconnect import PatientLink
 from imufield.commands.site import SiteOptions
 from imufield.deliver.numbers import beside
-from imufield.errors import RecordingError
+from imufield.errors import LinkError, RecordingError
 
 TELL_EVERY_S = 1.0
 
@@ -39,7 +40,7 @@ class RecordOptions:
 
 
 def run_record(options: RecordOptions, clock: HostClock | None = None) -> Session:
-    """Record until the time is over or the user interrupts; a lost link ends it with its error, all kept.
+    """Record until the time is over or the user interrupts; a lost link is opened again, and an error if lost at the end.
 
     Raises
     ------
@@ -88,8 +89,10 @@ def _record(connected: Connected, decoder: Decoder, recorder: Recorder, clock: H
     _take(connected.chunks, decoder, recorder)
     told_s = clock.monotonic_s()
     start_s, is_silent = (connected.chunks[0].monotonic_s, False) if connected.chunks else (told_s, True)
+    link, was_lost = PatientLink(connected.link, clock), False
     while options.duration_s is None or clock.monotonic_s() - start_s < options.duration_s:
-        chunk = connected.link.read()
+        chunk = link.read()
+        was_lost = _tell_link(link.lost, was_lost=was_lost)
         if chunk is not None:
             start_s, is_silent = (chunk.monotonic_s if is_silent else start_s), False
             _take([chunk], decoder, recorder)
@@ -97,6 +100,17 @@ def _record(connected: Connected, decoder: Decoder, recorder: Recorder, clock: H
         if now_s - told_s >= TELL_EVERY_S:
             told_s = now_s
             _tell_progress(decoder, now_s - start_s, options.as_json)
+    if link.lost is not None:
+        raise link.lost
+
+
+def _tell_link(lost: LinkError | None, *, was_lost: bool) -> bool:
+    """Say when the link goes and when it is back; return whether it is lost."""
+    if lost is not None and not was_lost:
+        say(f"{lost.message}; waiting until it is back (Ctrl-C ends the recording)", err=True)
+    elif was_lost and lost is None:
+        say("the link is back", err=True)
+    return lost is not None
 
 
 def _take(chunks: list[Chunk], decoder: Decoder, recorder: Recorder) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from imufield.acquire.link import Chunk
@@ -14,7 +15,8 @@ from imufield.commands import record as module
 from imufield.commands.chain import session_samples
 from imufield.commands.connect import Connected, ConnectOptions
 from imufield.commands.record import RecordOptions, run_record
-from imufield.samples import concatenate
+from imufield.errors import LinkError, Reason
+from imufield.samples import Status, concatenate
 
 
 def chunk(number: int) -> Chunk:
@@ -71,3 +73,47 @@ def test_the_duration_counts_from_the_first_bytes(
     run_record(RecordOptions(connect=ConnectOptions(), session=tmp_path / "here", duration_s=5.0), host)
     samples = concatenate(list(session_samples(Session.open(tmp_path / "here"), [])))
     assert abs(len(samples) - wanted) <= 1
+
+
+@dataclass
+class Loose(Simulated):
+    """The same, with a plug that is out from the second to the fifth second, or for good."""
+
+    back_s: float = 5.0
+
+    def read(self) -> Chunk | None:
+        got = super().read()
+        if 2.0 < self.now_s < self.back_s:
+            raise LinkError("line is gone", Reason.DISCONNECTED)
+        return got
+
+    def reopen(self) -> bool:
+        return self.now_s >= self.back_s
+
+
+def record_loose(host: Loose, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    protocol = load_protocol("text", {"columns": "time,ax,ay,az", "rate_hz": 10})
+    connected = Connected(host, protocol, "text", "text", 9600, [], {}, "serial", None, None, None)  # type: ignore[arg-type]
+    monkeypatch.setattr(module, "connect", lambda *_: connected)
+    run_record(RecordOptions(connect=ConnectOptions(), session=folder, duration_s=10.0), host)
+
+
+def test_a_loose_plug_does_not_end_a_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record_loose(Loose(0.0), tmp_path / "here", monkeypatch)
+    samples = concatenate(list(session_samples(Session.open(tmp_path / "here"), [])))
+    steps_s = np.diff(samples.time_s)
+    assert samples.time_s[-1] == pytest.approx(10.0, abs=0.2)
+    assert steps_s.max() == pytest.approx(3.0, abs=0.5)
+    after = samples.status[1:][steps_s > 1]
+    assert (after & np.uint32(Status.AFTER_GAP | Status.GAP_ESTIMATED)).all()
+    said = " ".join(capsys.readouterr().err.split())
+    assert "line is gone; waiting until it is back" in said
+    assert "the link is back" in said
+
+
+def test_a_plug_that_stays_out_is_an_error_at_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(LinkError, match="line is gone"):
+        record_loose(Loose(0.0, back_s=1e9), tmp_path / "here", monkeypatch)
+    assert len(concatenate(list(session_samples(Session.open(tmp_path / "here"), [])))) == pytest.approx(20, abs=2)
