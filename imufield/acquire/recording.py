@@ -9,6 +9,7 @@ from __future__ import annotations
 import filecmp
 import itertools
 import json
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -319,6 +320,8 @@ class RecordingLink:
         self._pace = pace
         self._clock = clock or SystemClock()
         self._offset_s: float | None = None
+        self.has_arrival_times = True
+        """Whether what was read so far says when it arrived; an imported dump does not, and has no pace."""
 
     def read(self) -> Chunk | None:
         """Return the next chunk with the arrival times of the recording.
@@ -347,6 +350,9 @@ class RecordingLink:
         self._items = itertools.chain()
 
     def _wait_for(self, monotonic_s: float) -> None:
+        if math.isnan(monotonic_s):
+            self.has_arrival_times = False
+            return
         if self._pace is None:
             return
         due_s = monotonic_s / self._pace

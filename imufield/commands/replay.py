@@ -125,13 +125,16 @@ def _replay_to_pty(session: Session, speed: float) -> None:
 
     link = RecordingLink(session, pace=speed or None)
     port = PseudoTerminal()
-    sent = 0
+    sent, said = 0, False
     try:
         typer.echo(f"waiting for a reader of {port.port}  (Ctrl-C ends)")
         while not port.has_reader():
             time.sleep(WAIT_S)
         while True:
             sent += _send(port, link.read())
+            if speed and not (said or link.has_arrival_times):
+                said = True
+                say("an imported dump holds no arrival times: its bytes go as fast as the reader takes them, whatever --speed")
     except EndOfRecordingError:
         typer.echo(f"{sent} bytes sent")
         time.sleep(LINGER_S)

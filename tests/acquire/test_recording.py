@@ -31,6 +31,7 @@ from imufield.acquire.mcap_format import (
     link_message,
     start_of_part,
 )
+from imufield.acquire.recorder import Recorder
 from imufield.acquire.recording import (
     Damage,
     EndOfRecordingError,
@@ -42,6 +43,7 @@ from imufield.acquire.recording import (
     read_part,
     read_session,
 )
+from imufield.acquire.session import Session
 from imufield.errors import LinkError, Reason, RecordingError, UsageError
 
 START_NS = 1_700_000_000_000_000_000
@@ -435,3 +437,14 @@ def test_a_paced_recording_takes_its_time(tmp_path: Path) -> None:
     assert passed_s == [(5.0, 0.0), (5.5, 0.25), (7.0, 1.0)]
     with pytest.raises(UsageError, match="pace of 0"):
         RecordingLink(session_of(tmp_path, b""), pace=0.0)
+
+
+def test_an_imported_dump_has_no_pace(tmp_path: Path) -> None:
+    session = Session.create(tmp_path, "dump", {"kind": "import"})
+    with Recorder(session.add_part(), {}, clock=CountingClock()) as recorder:
+        for _ in range(3):
+            recorder.write_chunk(Chunk(b"bytes", float("nan"), 0))
+    link = RecordingLink(session, pace=1.0)
+    assert link.has_arrival_times
+    assert link.read() is not None
+    assert not link.has_arrival_times
