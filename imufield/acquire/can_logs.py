@@ -31,16 +31,17 @@ from imufield.errors import LinkError, Reason, RecordingError, UsageError
 CHUNK_S = 0.05
 """Frames of this much time make a chunk, as they do when a bus is recorded live."""
 CHUNK_FRAMES = 2048
+_TABLE = ".csv"
 _READERS: Mapping[str, Callable[..., Iterable[can.Message]]] = {
     ".log": can.CanutilsLogReader,
     ".asc": can.ASCReader,
     ".blf": can.BLFReader,
     ".trc": can.TRCReader,
     ".mf4": can.CanutilsLogReader,
+    _TABLE: can.CSVReader,
 }
-SUFFIXES = tuple(_READERS)
+SUFFIXES = tuple(suffix for suffix in _READERS if suffix != _TABLE)
 """Logs this module reads, packed with gzip too; besides, tables of python-can."""
-_TABLE = ".csv"
 _BINARY = (".blf",)
 _HEAD_BYTES = 256
 _HEADS = {
@@ -195,8 +196,7 @@ class _Reader:
         # ASC counts from its start unless told otherwise; the date in its head makes it a time of day.
         options = {"relative_timestamp": False} if kind == ".asc" else {}
         try:
-            reader: Callable[..., Iterable[can.Message]] = can.CSVReader if kind == _TABLE else _READERS[kind]
-            self._reader: Iterable[can.Message] = reader(self._file, **options)
+            self._reader = _READERS[kind](self._file, **options)
         except BaseException:
             self._file.close()
             raise
