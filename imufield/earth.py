@@ -70,6 +70,11 @@ def sigma_of_digits(text: str) -> float:
     return max(10.0**-decimals / math.sqrt(12), MEASURED_GRAVITY_SIGMA_M_S2)
 
 
+def height_words(gravity: Gravity) -> str:
+    """Return the height of a place, in words where it is not known."""
+    return "height not known" if gravity.height_m is None else f"height {gravity.height_m:g} m"
+
+
 def contradiction(gravity: Gravity) -> str:
     """Return a sentence where a typed value is not that of the latitude it was given with; else an empty one."""
     if gravity.source != "typed" or gravity.latitude_deg is None:

@@ -31,7 +31,7 @@ from imufield.deliver.numbers import (
     with_sigma_within,
 )
 from imufield.deliver.parameters import Parameters
-from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity
+from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity, height_words
 from imufield.samples import AXES
 
 _VERDICT_STYLES = {"good": "bold green", "usable": "bold yellow", "poor": "bold red"}
@@ -205,7 +205,7 @@ def _gravity_words(gravity: Gravity) -> str:
     if gravity.source == "assumed":
         return f"{value}, ASSUMED: nobody said where this was; give --latitude or --gravity"
     if gravity.source == "normal" and gravity.latitude_deg is not None:
-        return f"{value}, WGS-84 at latitude {gravity.latitude_deg:g}°, height {gravity.height_m or 0:g} m"
+        return f"{value}, WGS-84 at latitude {gravity.latitude_deg:g}°, {height_words(gravity)}"
     return f"{value}, {gravity.source}"
 
 

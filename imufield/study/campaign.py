@@ -36,7 +36,8 @@ LARGEST_BATCH = 16
 _KILLS_ACCEPTED = 5
 """A worker killed more often than this is killed by the run itself, or by lack of memory."""
 _CONNECT_TIMEOUT_S = 10.0
-_ADDRESS = re.compile(r"([a-z]+://)?\[?[^\s/]+\]?:\d+|(inproc|ucx)://\S+")
+_ADDRESS = re.compile(r"(tcp://)?\[?[^\s/]+\]?:\d+|inproc://\S+")
+"""Without a scheme it is tcp; tls needs certificates, which nobody can give here."""
 
 _Batch = tuple[int, list[Any], list[np.random.SeedSequence]]
 """Index of its first run, arguments, seeds."""
@@ -215,7 +216,9 @@ def one_blas_thread() -> Iterator[None]:
 def _on_cluster(campaign: _Campaign[Argument, Result], scheduler: str) -> list[Result]:
     distributed = _distributed()
     if not _ADDRESS.fullmatch(scheduler):
-        raise UsageError(f"--scheduler {scheduler!r} is no address of a Dask scheduler; write e.g. tcp://host:8786")
+        raise UsageError(
+            f"--scheduler {scheduler!r} is no address of a Dask scheduler reached by tcp; write e.g. tcp://host:8786"
+        )
     try:
         client = distributed.Client(scheduler, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:

@@ -100,6 +100,13 @@ def test_a_scheduler_that_is_not_there(runs: Any, monkeypatch: pytest.MonkeyPatc
     assert caught.value.reason is Reason.SILENCE
 
 
+@pytest.mark.parametrize("address", ["tls://127.0.0.1:38786", "ucx://127.0.0.1:38786", "http://127.0.0.1:8786", "nonsense"])
+def test_a_scheduler_that_cannot_be_reached_by_tcp(runs: Any, address: str) -> None:
+    pytest.importorskip("distributed", reason="needs the study extra")
+    with pytest.raises(UsageError, match=r"is no address of a Dask scheduler reached by tcp; write e\.g\. tcp://host:8786"):
+        run_campaign(runs.draw, range(2), seed=5, scheduler=address)
+
+
 @pytest.fixture(scope="module")
 def cluster(runs: Any) -> Any:
     with local_cluster(LIBRARY.parent) as cluster:

@@ -1,4 +1,8 @@
-"""Least squares: Levenberg-Marquardt on the analytic Jacobian, or a trust region where the loss is robust."""
+"""Least squares: Levenberg-Marquardt on the analytic Jacobian, or a trust region where the loss is robust.
+
+Bounds say where a swarm looks, and a start outside them is a mistake for every method; they do not hold the minimum, which
+here is wherever the residuals are least.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
+from imufield.calibrate.solvers.population import check_start
 from imufield.samples import FloatArray
 
 Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
@@ -48,9 +53,15 @@ def solve_least_squares(
     -------
     SolverResult
         ``cost`` is the plain sum of squared residuals (chi squared), whatever the loss.
+
+    Raises
+    ------
+    CalibrationError
+        If the start is outside the bounds, or not finite.
     """
     import scipy.optimize  # here, because it takes longer to load than the fit to run
 
+    check_start(problem)
     start = problem.start
     plain = loss == "linear" and len(problem.residuals(start)) >= len(start)
     try:

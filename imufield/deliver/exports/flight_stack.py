@@ -39,13 +39,19 @@ def flight_stack(job: Job) -> FlightStack:
     job.require_positive("accelerometer", scale)
     if held.gyroscope is None or si.gyroscope is None:
         return FlightStack(held, si.accelerometer.offset, scale, None)
-    job.require_positive("gyroscope", np.diag(si.gyroscope.matrix))
     return FlightStack(bias_only_gyroscope(job, held), si.accelerometer.offset, scale, si.gyroscope.offset)
 
 
 def bias_only_gyroscope(job: Job, corrections: Corrections) -> Corrections:
-    """Return corrections whose gyroscope has the nominal scale and no misalignment."""
+    """Return corrections whose gyroscope has the nominal scale and no misalignment.
+
+    Raises
+    ------
+    ParameterFileError
+        If an axis of the gyroscope is reversed: a bias cannot turn it.
+    """
     if corrections.gyroscope is None:
         return corrections
+    job.require_positive("gyroscope", job.gyroscope_si() * np.diag(corrections.gyroscope.matrix))
     gyroscope = Correction(np.eye(3) / job.gyroscope_si(), corrections.gyroscope.offset)
     return replace(corrections.without_g_sensitivity(), gyroscope=gyroscope)

@@ -25,7 +25,6 @@ def export(job: Job) -> Draft:
     job.require_positive("accelerometer", np.diag(si.accelerometer.matrix))
     commands = [("accelerometer bias, g", _ACCELEROMETER_BIAS, si.accelerometer.offset / STANDARD_GRAVITY_M_S2)]
     if si.gyroscope is not None:
-        job.require_positive("gyroscope", np.diag(si.gyroscope.matrix))
         commands.append(("gyroscope bias, rad/s", _GYROSCOPE_BIAS, si.gyroscope.offset))
     lines, packets = comment(job.heading()), []
     for title, descriptor, bias in commands:

@@ -19,7 +19,7 @@ from imufield.deliver.report.correlations import correlations
 from imufield.deliver.report.data import Convergence, ReportData
 from imufield.deliver.report.rows import Row, parameter_rows
 from imufield.deliver.verification import duration_words
-from imufield.earth import MICRO_G_M_S2
+from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.errors import counted
 
 _VERDICT_WORDS = {
@@ -138,7 +138,7 @@ def _identity(data: ReportData) -> Iterator[tuple[str, str]]:
         yield "By", data.operator
     place = UNKNOWN
     if gravity.latitude_deg is not None:
-        place = f"latitude {gravity.latitude_deg:g}°, height {gravity.height_m or 0:g} m"
+        place = f"latitude {gravity.latitude_deg:g}°, {height_words(gravity)}"
     yield "Place", place
     value = with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)
     yield "Gravity", f"{value} m/s², {_GRAVITY_WORDS[gravity.source]}"

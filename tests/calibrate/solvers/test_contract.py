@@ -89,6 +89,18 @@ class SolverContract:
         assert found.message
         assert found.evaluations > 0
 
+    def test_a_start_outside_the_bounds_is_refused_by_name(self) -> None:
+        problem = Bowl(start=np.array([0.0, 3.0, 0.0, 0.0]))
+        with pytest.raises(CalibrationError, match="bias starts at 3, outside its bounds -2 to 2") as caught:
+            self.solve(problem)
+        assert caught.value.reason is Reason.BOUNDS
+
+    def test_a_start_that_is_not_a_number_is_refused_by_name(self) -> None:
+        problem = Bowl(start=np.array([0.0, 0.0, np.nan, 0.0]))
+        with pytest.raises(CalibrationError, match="angle starts at nan") as caught:
+            self.solve(problem)
+        assert caught.value.reason is Reason.NOT_FINITE
+
     def test_callback_is_told_the_best(self) -> None:
         told: list[float] = []
 
@@ -128,18 +140,6 @@ class SwarmContract(SolverContract):
         found = self.solve(Bowl(), settings=self.short)
         assert found.status in {SolverStatus.ITERATION_LIMIT, SolverStatus.STALLED}
         assert "not converge" in found.message or "stalled" in found.message
-
-    def test_a_start_outside_the_bounds_is_refused_by_name(self) -> None:
-        problem = Bowl(start=np.array([0.0, 3.0, 0.0, 0.0]))
-        with pytest.raises(CalibrationError, match="bias starts at 3, outside its bounds -2 to 2") as caught:
-            self.solve(problem)
-        assert caught.value.reason is Reason.BOUNDS
-
-    def test_a_start_that_is_not_a_number_is_refused_by_name(self) -> None:
-        problem = Bowl(start=np.array([0.0, 0.0, np.nan, 0.0]))
-        with pytest.raises(CalibrationError, match="angle starts at nan") as caught:
-            self.solve(problem)
-        assert caught.value.reason is Reason.NOT_FINITE
 
     def test_costs_that_are_infinite_in_places_do_not_disturb(self) -> None:
         class Holed(Bowl):

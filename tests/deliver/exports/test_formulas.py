@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,7 @@ from imufield.calibrate.models import predict, to_vector
 from imufield.deliver.exports import ExportOptions, export_parameters
 from imufield.deliver.exports.loss import directions
 from imufield.deliver.parameters import Parameters
+from imufield.errors import ParameterFileError
 from imufield.guide.positions import scheme
 
 
@@ -122,6 +124,10 @@ def test_notes_tell_the_turn_in_the_direction_it_was_made() -> None:
 @pytest.mark.parametrize("target", FORMULAS)
 def test_two_reversed_axes_where_the_target_takes_a_full_matrix(target: str) -> None:
     parameters = made_up(8, sign=(-1.0, 1.0, -1.0))
+    if target in {"dlio", "imu_calib"}:  # a full matrix for the accelerometer alone
+        like = parameters.calibration
+        gyroscope = replace(like.gyroscope.parameters, scale=np.abs(like.gyroscope.parameters.scale))
+        parameters = loaded(like.accelerometer, gyroscope, "lower", ("m/s^2", "rad/s"))
     check(target, parameters, dict(export_parameters(parameters, target).files), (1.0, 1.0), 9)
 
 
@@ -286,3 +292,11 @@ def test_refit_over_all_directions_is_better_than_a_fit_to_the_positions() -> No
             [np.linalg.norm(value - everywhere @ nearest_rotation(everywhere, value).T) for value in (refitted, fitted)]
         )
     assert np.all(np.array(losses)[:, 0] < np.array(losses)[:, 1])
+
+
+@pytest.mark.parametrize("target", ["dlio", "imu_calib", "px4", "ardupilot", "microstrain"])
+def test_a_reversed_gyroscope_is_refused_where_only_its_bias_is_held(target: str) -> None:
+    like = made_up(30).calibration
+    gyroscope = replace(like.gyroscope.parameters, scale=-like.gyroscope.parameters.scale)
+    with pytest.raises(ParameterFileError, match="cannot express the sign of this gyroscope: the scale of axis x"):
+        export_parameters(loaded(like.accelerometer, gyroscope, "lower", ("m/s^2", "rad/s")), target)

@@ -93,6 +93,13 @@ def test_page_is_self_contained_and_well_formed(data: ReportData) -> None:
     assert len(text) < 3 * MIB
 
 
+def test_a_height_that_is_not_known_is_not_zero(data: ReportData) -> None:
+    calibration = data.parameters.calibration
+    gravity = replace(calibration.gravity, height_m=None)
+    unknown = replace(data, parameters=replace(data.parameters, calibration=replace(calibration, gravity=gravity)))
+    assert "latitude 48.1°, height not known" in " ".join(Page(render_report(unknown)).text)
+
+
 def test_page_says_who_when_where_and_how_good(data: ReportData) -> None:
     words = " ".join(Page(render_report(data)).text)
     for expected in (
