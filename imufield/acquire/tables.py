@@ -7,8 +7,8 @@ the files do not say themselves is assumed aloud: ``ImportedTable.assumptions`` 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -30,7 +30,7 @@ from imufield.acquire.table_columns import (
 )
 from imufield.acquire.table_join import join_by_row, join_by_time
 from imufield.acquire.table_text import TextTable, open_table
-from imufield.acquire.table_units import choose_time_scale, choose_unit, given_time_unit
+from imufield.acquire.table_units import TIME_SCALE, TIME_UNIT, choose_time_scale, choose_unit, given_time_unit
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, Samples, Status
 
@@ -42,6 +42,8 @@ LATEST_NS = 2**63 - 1
 """What a recording's time stamps hold: 292 years. Times beyond are kept in the rows themselves."""
 _ROWS_A_CHUNK = 4096
 """256 KiB: few messages, and well below what one damaged byte may cost."""
+_ROWS_TO_GUESS_BY = 1 << 18
+"""20 MiB of numbers; at 2000 Hz two minutes, in which nobody's unit looks like another's."""
 _COLUMN = {name: place for place, name in enumerate(FIELDS)}
 
 
@@ -137,6 +139,70 @@ def read_tables(
         raise UsageError("no file to import: name at least one.")
     names = _columns_of_files(columns, len(paths))
     files = [_read_file(Path(path), names[i], i, len(paths), topic) for i, path in enumerate(paths)]
+    return _table(files, rate_hz, zero, settings)
+
+
+def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[ImportedTable]:
+    """Yield one table piece by piece, so that memory is bounded by a piece; settings are those of the first.
+
+    Units that no header states are guessed from the first quarter of a million rows. Other files than text come whole.
+
+    Raises
+    ------
+    RecordingError, UsageError
+        As ``read_tables``.
+    """
+    source = _open(Path(path), None)
+    if isinstance(source, ArrayTable):
+        yield read_tables([path], rate_hz=rate_hz)
+        return
+    meaning = _meaning(source, None, 0, 1)
+    pieces = _pieces(source, meaning)
+    values = next(pieces)
+    file = _file_of(source, meaning, values, is_guess=source.header is None)
+    decided, head = _decided(file, rate_hz), _table([file], rate_hz)
+    decided |= {name: head.settings[name] for name in ("accelerometer_unit", "gyroscope_unit")}
+    decided = {name: unit for name, unit in decided.items() if name.removesuffix("_unit") not in file.units}
+    yield head
+    done, last = len(values), values[-1:]
+    for values in pieces:
+        # The row before stands in front, so that what must not change between two rows is seen here, too.
+        file = _file_of(source, meaning, np.concatenate([last, values]), done - 1, is_guess=source.header is None)
+        table = _table([file], rate_hz, settings=decided)
+        if rate_hz is not None and TIME not in file.fields:
+            table.rows[:, 0] = (done - 1 + np.arange(len(table.rows))) / rate_hz
+        yield replace(table, rows=table.rows[1:], status=None if table.status is None else table.status[1:])
+        done, last = done + len(values), values[-1:]
+
+
+def _pieces(source: TextTable, meaning: Meaning) -> Iterator[FloatArray]:
+    """Yield the rows of a text: enough to guess units by, then block by block."""
+    columns = [column.index for column in meaning.columns]
+    blocks = source.blocks(columns)
+    head: list[FloatArray] = []
+    for block in blocks:
+        head.append(block)
+        if sum(map(len, head)) >= _ROWS_TO_GUESS_BY:
+            break
+    yield np.concatenate(head) if head else source.read(columns)
+    yield from blocks
+
+
+def _decided(file: _File, rate_hz: float | None) -> dict[str, str | float]:
+    """Return the unit of time, as a setting for the pieces that follow."""
+    if TIME not in file.fields:
+        return {}
+    scale, _ = choose_time_scale(file.path, file.fields[TIME], file.units.get(TIME), rate_hz)
+    return {TIME_UNIT: next(name for name, value in TIME_SCALE.items() if value == scale)}
+
+
+def _table(
+    files: Sequence[_File],
+    rate_hz: float | None,
+    zero: str | float | Sequence[float] | None = None,
+    settings: Mapping[str, object] | None = None,
+) -> ImportedTable:
+    """Join files and bring them to known units."""
     known = {name: value for file in files for name, value in file.settings.items()}
     given = {**known, **(settings or {})}
     said = [sentence for file in files for sentence in file.assumptions]
@@ -232,6 +298,12 @@ def _read_file(path: Path, columns: str | None, number: int, files: int, topic: 
     source = _open(path, topic)
     meaning = _meaning(source, columns, number, files)
     values = source.read([column.index for column in meaning.columns])
+    return _file_of(source, meaning, values, is_guess=columns is None and source.header is None)
+
+
+def _file_of(source: Source, meaning: Meaning, values: FloatArray, first_row: int = 0, *, is_guess: bool) -> _File:
+    """Return the columns of rows that were read, the first of which is row ``first_row`` of the file, checked."""
+    path = source.path
     if len(values) < 2:
         raise RecordingError(f"{path}: 1 row is no recording: check the file.", Reason.BAD_DATA, path=str(path))
     fields = {column.field: values[:, place] for place, column in enumerate(meaning.columns)}
@@ -242,8 +314,8 @@ def _read_file(path: Path, columns: str | None, number: int, files: int, topic: 
     _check_whole_triads(path, fields, kept)
     for name, column in kept.items():
         if name != TEMPERATURE:
-            _check_finite(source, name, column, kept.get(STATUS))
-    _check_no_step_back(source, kept.get(TIME), is_guess=columns is None and source.header is None)
+            _check_finite(source, name, column, kept.get(STATUS), first_row)
+    _check_no_step_back(source, kept.get(TIME), first_row, is_guess=is_guess)
     if isinstance(source, TextTable):
         return _File(path, kept, units, meaning.assumptions)
     return _File(path, kept, units, (*source.assumptions, *meaning.assumptions), source.settings, source.raw_zero)
@@ -295,14 +367,14 @@ _MAY_LACK = dict.fromkeys(ACCELEROMETER_COLUMNS, Status.ACCELEROMETER_INVALID) |
 )
 
 
-def _check_finite(source: Source, name: str, column: FloatArray, status: FloatArray | None) -> None:
+def _check_finite(source: Source, name: str, column: FloatArray, status: FloatArray | None, first_row: int) -> None:
     wrong = ~np.isfinite(column)
     if status is not None and name in _MAY_LACK:
         # A gap that says of itself that it is one.
         wrong &= (status.astype(np.int64) & int(_MAY_LACK[name])) == 0
     if wrong.any():
         row = int(np.argmax(wrong))
-        line, where = source.where(row)
+        line, where = source.where(first_row + row)
         raise RecordingError(
             f"{source.path} has {column[row]} for {name} in {where}: remove the line or fill the gap.",
             Reason.BAD_DATA,
@@ -311,11 +383,11 @@ def _check_finite(source: Source, name: str, column: FloatArray, status: FloatAr
         )
 
 
-def _check_no_step_back(source: Source, time: FloatArray | None, *, is_guess: bool) -> None:
+def _check_no_step_back(source: Source, time: FloatArray | None, first_row: int, *, is_guess: bool) -> None:
     if time is None or not (steps_back := np.diff(time) < 0.0).any():
         return
     row = int(np.argmax(steps_back)) + 1
-    line, where = source.where(row)
+    line, where = source.where(first_row + row)
     wrong = f"steps back in time from {time[row - 1]:.9g} to {time[row]:.9g} in {where}"
     sentence = f"{source.path} {wrong}: sort the file or cut it there."
     if is_guess:

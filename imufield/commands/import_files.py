@@ -27,7 +27,7 @@ from imufield.acquire.session import DEFAULT_ROOT, LOCK_FILE, SETTINGS_FILE, Ses
 from imufield.acquire.statistics import remarks
 from imufield.acquire.table_text import read_pieces
 from imufield.acquire.table_units import TIME_UNIT
-from imufield.acquire.tables import ROWS_PROTOCOL, ImportedTable, read_tables, write_rows
+from imufield.acquire.tables import ROWS_PROTOCOL, ImportedTable, read_tables, stream_table, write_rows
 from imufield.commands.chain import part_metadata
 from imufield.commands.connect import assumed
 from imufield.commands.output import say
@@ -247,13 +247,15 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
 
 def table_samples(path: Path, rate_hz: float | None = None) -> Iterator[Samples]:
     """Yield the samples of a table, e.g. an exported CSV, block by block."""
-    table = read_tables([path], rate_hz=rate_hz)
-    decoder = Decoder(load_protocol(ROWS_PROTOCOL, table.settings))
-    chunks = _Chunks([])
-    write_rows(chunks, table.rows, table.status)
-    for chunk in chunks.written:
-        yield decoder.feed(chunk.data, chunk.monotonic_s)
-    yield decoder.flush()
+    decoder: Decoder | None = None
+    for table in stream_table(path, rate_hz=rate_hz):
+        decoder = decoder or Decoder(load_protocol(ROWS_PROTOCOL, table.settings))
+        chunks = _Chunks([])
+        write_rows(chunks, table.rows, table.status)
+        for chunk in chunks.written:
+            yield decoder.feed(chunk.data, chunk.monotonic_s)
+    if decoder is not None:
+        yield decoder.flush()
 
 
 @dataclass(frozen=True, slots=True)
