@@ -48,6 +48,13 @@ def _check_places(folder: Path | None, document: Path | None) -> None:
     """Refuse before hours of computing what would be refused after them."""
     if folder is not None and folder.exists() and not folder.is_dir():
         raise UsageError(f"--output {folder} is no folder, and a study writes several files; choose a folder")
+    if folder is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UsageError(
+                f"--output {folder} cannot be made ({error.strerror}); choose a folder that can be written"
+            ) from error
     if document is None:
         return
     if document.is_dir() or not document.parent.is_dir():

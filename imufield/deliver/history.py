@@ -104,8 +104,8 @@ class InstrumentHistory:
         return (now - self.entries[-1].time).total_seconds() / 86400
 
     def nearest(self, at: datetime) -> Entry:
-        """Return the calibration closest in time, before or after."""
-        return min(self.entries, key=lambda entry: abs((entry.time - at).total_seconds()))
+        """Return the calibration closest in time, before or after; of several of one time the one that counts as newest."""
+        return min(reversed(self.entries), key=lambda entry: abs((entry.time - at).total_seconds()))
 
     def changes(self, since: int = -2) -> tuple[Change, ...]:
         """Return what has changed from an earlier calibration to the newest; nothing where there is none."""
@@ -294,15 +294,17 @@ def _entry(row: tuple[str, ...]) -> Entry:
 
 
 def _by_instrument(entries: list[Entry]) -> tuple[InstrumentHistory, ...]:
-    """Group by instrument; of one recording solved several times the newest solution counts."""
+    """Group by instrument; of one recording solved several times the newest solution counts.
+
+    What stands behind the first word of a model (firmware, options) may change between two calibrations; a serial number
+    alone is not enough, because makers count from one as well.
+    """
     groups: dict[tuple[str, str], dict[str, Entry]] = {}
     for one in sorted(entries, key=lambda entry: (entry.created, entry.path)):
-        key = (one.instrument, one.serial_number)
+        key = (one.instrument.split(" ")[0] if one.serial_number else one.instrument, one.serial_number)
         groups.setdefault(key, {})[one.session or one.path] = one
-    return tuple(
-        InstrumentHistory(*key, tuple(sorted(group.values(), key=lambda entry: entry.created)))
-        for key, group in sorted(groups.items())
-    )
+    ordered = [sorted(group.values(), key=lambda entry: (entry.created, entry.path)) for _, group in sorted(groups.items())]
+    return tuple(InstrumentHistory(group[-1].instrument, group[-1].serial_number, tuple(group)) for group in ordered)
 
 
 def to_csv(history: History) -> str:
@@ -332,14 +334,15 @@ def sentences(instrument: InstrumentHistory, now: datetime, stale_days: float = 
     edited = [entry.path for entry in instrument.entries if entry.edited]
     if edited:
         yield f"edited by hand, so that their numbers are not those that imufield solve wrote: {', '.join(edited)}"
-    told = set()
     entries = list(instrument.entries)
-    for place in (-2, 0) if len(entries) >= 2 else ():
+    if len(entries) >= 2 and entries[-2].time == entries[-1].time:
+        yield f"{entries[-2].path} and {entries[-1].path} bear the same time: the last by name counts as the newest"
+    # Against the one before and, where that is another, against the first.
+    for place in sorted({len(entries) - 2, 0}, reverse=True) if len(entries) >= 2 else ():
         since = _moment(entries[place], entries[-1])
         for change in instrument.changes(place):
-            if not abs(change.in_sigma) > MOVED_SIGMA or change.name in told:
+            if not abs(change.in_sigma) > MOVED_SIGMA:
                 continue
-            told.add(change.name)
             yield f"{change.name} moved {abs(change.in_sigma):.1f} sigma since {since} ({change.difference:+.4g} {change.unit})"
     age_days = instrument.age_days(now)
     if age_days > stale_days:

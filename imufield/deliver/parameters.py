@@ -178,7 +178,7 @@ class Parameters:
         if wanted != unit:
             raise ParameterFileError(
                 f"{self._name} is for {triad} values in {wanted}, these samples are in {unit}; take the parameters of this "
-                "instrument and setting, or solve again",
+                "instrument and setting, or solve again (a table names its units in its heading, as ax_m_s2, ax_g, gx_deg_s)",
                 Reason.UNITS,
                 wanted=wanted,
                 unit=unit,

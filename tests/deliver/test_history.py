@@ -16,7 +16,7 @@ from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import Calibration
 from imufield.deliver.context import Context
 from imufield.deliver.gauge_free import numbers_of
-from imufield.deliver.history import INDEX_FILE, find, plot_history, read_history, sentences, to_csv
+from imufield.deliver.history import INDEX_FILE, find, one_instrument, plot_history, read_history, sentences, to_csv
 from imufield.deliver.parameters import write_parameters
 from imufield.errors import ParameterFileError
 
@@ -27,13 +27,13 @@ NOW = datetime(2026, 9, 1, tzinfo=UTC)
 def write(tmp_path: Path, calibration: Calibration, observations: Observations, context: Context):  # type: ignore[no-untyped-def]
     """Return a writer of calibrations: date, bias y moved by so many sigma, serial number."""
 
-    def writer(name: str, created: str, moved: float = 0.0, serial: str = "N1", session: str = "") -> Path:
+    def writer(name: str, created: str, moved: float = 0.0, serial: str = "N1", session: str = "", model: str = "") -> Path:
         found = calibration.intrinsic
         raw = found.bias_raw + moved * found.bias_raw_sigma * np.array([0.0, 1.0, 0.0])
         changed = replace(calibration, intrinsic=replace(found, bias_raw=raw))
         facts = replace(context.session, sha256=session or f"{hash(name) % 16:x}" * 64)
         moment = created if "T" in created else f"{created}T10:00:00Z"
-        instrument = replace(context.instrument, serial_number=serial)
+        instrument = replace(context.instrument, serial_number=serial, model=model or context.instrument.model)
         where = replace(context, created=moment, instrument=instrument, session=facts)
         path = tmp_path / name / "parameters.toml"
         path.parent.mkdir(exist_ok=True)
@@ -68,6 +68,32 @@ def test_slow_drift_is_told_against_the_first(tmp_path: Path, write) -> None:  #
         write(f"s{k}", f"2026-0{k + 1}-01", moved=2.0 * k, session=f"{k}" * 64)
     (instrument,) = read_history(tmp_path).instruments
     assert any("since 1 January 2026" in one for one in sentences(instrument, NOW))
+
+
+def test_a_step_is_told_beside_the_way_since_the_first(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    for name, date, moved in (("a", "2026-03-04", 0.0), ("b", "2026-05-01", 15.0), ("c", "2026-08-01", 21.0)):
+        write(name, date, moved=moved, session=name * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    step, way = sentences(instrument, NOW)
+    assert "bias y moved 4.2 sigma since 1 May 2026" in step
+    assert "bias y moved 14.8 sigma since 4 March 2026" in way
+
+
+def test_of_two_at_one_moment_one_counts_everywhere_and_it_is_said(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-08-01", session="a" * 64)
+    write("b", "2026-08-01", moved=9.0, session="b" * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    assert instrument.entries[-1].path.startswith("b")
+    assert instrument.nearest(NOW) is instrument.entries[-1]
+    assert "bear the same time: the last by name counts as the newest" in next(iter(sentences(instrument, NOW)))
+
+
+def test_another_variant_of_the_model_is_the_same_instrument(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64, model="STIM300 K")
+    write("b", "2026-05-04", session="b" * 64, model="STIM300 L")
+    (instrument,) = read_history(tmp_path, "N1").instruments
+    assert len(instrument.entries) == 2
+    assert one_instrument(read_history(tmp_path)).title == "STIM300 L N1"
 
 
 def test_gravity_is_common_to_both_scales(calibration: Calibration) -> None:
