@@ -33,7 +33,7 @@ READ = {
     "verify S/parameters.toml S --preset BAD": PARAMETERS,
     "import BAD -o new": DATA,
     "import BAD --protocol stim300 -o new": DATA,
-    "import S/part-001.mcap --protocol BAD -o new": DATA,
+    "import S/parameters.toml --protocol BAD -o new": DATA,
     "report BAD": DATA,
     "report S --parameters BAD": PARAMETERS,
     "report S --preset BAD": PARAMETERS,

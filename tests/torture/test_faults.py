@@ -53,7 +53,7 @@ def test_disk_full_again_and_again(program: Program, campaign: Campaign) -> None
     folder, port = program.folder / "session", show_rounds(program, POSITIONS)
     times, kept = campaign.times(2, 40), set[str]()
     for number in range(times):
-        limit = rng.randrange(20_000, 250_000 if campaign.full else 60_000)
+        limit = rng.randrange(20_000, 250_000) if campaign.full else 80_000
         ended = program.run(*capture_into(program, port, folder, POSITIONS), preexec_fn=limit_file_size(limit), timeout_s=120)
         if ended.returncode == 0:
             times = number
