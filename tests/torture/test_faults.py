@@ -207,17 +207,18 @@ def test_clock_set_back(program: Program, campaign: Campaign) -> None:
 
 
 def test_two_captures_want_the_same(program: Program, campaign: Campaign) -> None:
-    port, other = show_rounds(program, POSITIONS), program.emulate("--positions", "none")
+    # All positions: the first must not be at its end before the others have tried.
+    port, other = show_rounds(program), program.emulate("--positions", "none")
     folder, times = program.folder / "session", campaign.times(1, 10)
-    first = program.start(*capture_into(program, port, folder, POSITIONS))
+    first = program.start(*capture_into(program, port, folder))
     assert first.stdout is not None
     while '"event": "accepted"' not in (line := first.stdout.readline()):
         assert line
     for number in range(times):
-        ended = program.run(*capture_into(program, port, program.folder / f"other-{number}", POSITIONS))
+        ended = program.run(*capture_into(program, port, program.folder / f"other-{number}"))
         assert (ended.returncode, ended.stdout) == (LINK, ""), ended.stderr
         assert f"(process {first.pid})" in sentence_of(ended.stderr)
-        ended = program.run(*capture_into(program, other, folder, POSITIONS))
+        ended = program.run(*capture_into(program, other, folder))
         assert (ended.returncode, ended.stdout) == (RECORDING, ""), ended.stderr
         assert f"being recorded by process {first.pid}" in sentence_of(ended.stderr)
         assert not (program.folder / f"other-{number}").exists()
