@@ -30,8 +30,9 @@ MEMORY_PER_BYTE = 64
 """Numbers of an instrument do not pack more tightly than this; a small file that unpacks to gigabytes is a trap."""
 DAMAGE = (
     *(ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RuntimeError, OSError, EOFError),
-    *(MemoryError, NotImplementedError, struct.error, zlib.error, MatReadError),
+    *(MemoryError, struct.error, zlib.error, MatReadError),
 )
+"""What scipy raises in damaged files, besides ending the process; a version it cannot read is a ``RuntimeError``, too."""
 
 
 def arrays_of(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
