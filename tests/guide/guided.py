@@ -1,0 +1,38 @@
+"""Guided sessions over simulated paths, for the tests of the guide."""
+
+from typing import Any
+
+import numpy as np
+
+from imufield.guide.guide import Guide
+from imufield.guide.positions import scheme
+from imufield.guide.settings import GuideSettings
+from imufield.samples import Samples
+
+FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
+SHORT = GuideSettings(hold_s=3.0)
+
+
+def faces_session(
+    make_path: Any, order: Any = ("+z", "+x", "-z", "+y", "-x", "-y"), hold_s: Any = 5.0, rate_hz: float = 100.0
+) -> Any:
+    path = make_path(rate_hz, lever_m=np.array([0.05, 0.02, -0.03])).hold(FACES[order[0]], hold_s + 1)
+    for name in order[1:]:
+        path.turn(FACES[name], 1.5).hold(FACES[name], hold_s)
+    return path
+
+
+def run(
+    samples: Samples, name: str = "faces6", settings: Any = SHORT, marks: Any = (), blocks: Any = None, **options: Any
+) -> Any:
+    guide = Guide(scheme(name), samples.units, settings=settings, **options)
+    events = []
+    for action, time_s in marks:
+        events += guide.mark(action, time_s)
+    for block in blocks or [samples]:
+        events += guide.feed(block)
+    return guide, events + guide.flush()
+
+
+def of(events: Any, kind: Any) -> Any:
+    return [event for event in events if isinstance(event, kind)]
