@@ -106,6 +106,10 @@ class Corrections:
         """Return specific force in m/s^2 for raw outputs, both of shape (..., 3)."""
         return self.accelerometer.apply(raw)
 
+    def gyroscope_force(self, raw: FloatArray) -> FloatArray:
+        """Return the specific force that G is multiplied with: what the linear accelerometer makes of its raw output."""
+        return self.apply_accelerometer(raw)
+
     def apply_gyroscope(self, raw: FloatArray, specific_force: FloatArray) -> FloatArray:
         """Return angular rate in rad/s for raw outputs and specific force in this frame, shape (..., 3)."""
         if self.gyroscope is None:

@@ -34,8 +34,12 @@ class Held(Protocol):
         """Return specific force in m/s^2, shape (n, 3)."""
         ...
 
+    def gyroscope_force(self, raw: FloatArray) -> FloatArray:
+        """Return the specific force that its g-sensitivity takes off the gyroscope, from the accelerometer's raw output."""
+        ...
+
     def apply_gyroscope(self, raw: FloatArray, specific_force: FloatArray) -> FloatArray:
-        """Return angular rate in rad/s, shape (n, 3)."""
+        """Return angular rate in rad/s, shape (n, 3), with what ``gyroscope_force`` gives."""
         ...
 
 

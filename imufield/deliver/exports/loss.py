@@ -34,7 +34,7 @@ class Loss(NamedTuple):
     gyroscope_rad_s: Difference
     """At 1 rad/s, free of specific force."""
     g_sensitivity_rad_s: Difference
-    """At 1 g, without rotation."""
+    """At 1 g, without rotation, with the force that the target takes for the true one."""
 
 
 def directions(count: int = DIRECTIONS) -> FloatArray:
@@ -51,7 +51,8 @@ def measure_loss(parameters: Parameters, held: Held) -> Loss:
     calibration = parameters.calibration
     unit = directions()
     force = calibration.gravity.gravity_m_s2 * unit
-    recovered = held.apply_accelerometer(predict(calibration.accelerometer, force))
+    raw = predict(calibration.accelerometer, force)
+    recovered = held.apply_accelerometer(raw)
     accelerometer = _difference(recovered - force @ held.rotation.T)
     if calibration.gyroscope is None or not parameters.gyroscope_is_complete:
         nothing = Difference(0.0, 0.0)
@@ -59,7 +60,7 @@ def measure_loss(parameters: Parameters, held: Held) -> Loss:
     gyroscope = calibration.gyroscope.parameters
     still = np.zeros_like(unit)
     turning = held.apply_gyroscope(predict_gyroscope(gyroscope, unit), still) - unit @ held.rotation.T
-    standing = held.apply_gyroscope(predict_gyroscope(gyroscope, still, force), force @ held.rotation.T)
+    standing = held.apply_gyroscope(predict_gyroscope(gyroscope, still, force), held.gyroscope_force(raw))
     at_rest = held.apply_gyroscope(predict_gyroscope(gyroscope, still), still)
     return Loss(accelerometer, _difference(turning), _difference(standing - at_rest))
 
@@ -84,8 +85,14 @@ def loss_sentences(parameters: Parameters, held: Held, accelerometer_lacks: str,
         sentences.append(f"gyroscope: {gyroscope_lacks}: {rms} mrad/s rms, {largest} mrad/s at most at 1 rad/s")
     if loss.g_sensitivity_rad_s.largest > _NOTHING:
         rms, largest = (f"{value * 1e3:.3g}" for value in loss.g_sensitivity_rad_s)
-        sentences.append(f"gyroscope: the g-sensitivity cannot be held: {rms} mrad/s rms, {largest} mrad/s at most at 1 g")
+        lacks = "is held with a force that lacks the quadratic term" if _knows_force(held) else "cannot be held"
+        sentences.append(f"gyroscope: the g-sensitivity {lacks}: {rms} mrad/s rms, {largest} mrad/s at most at 1 g")
     return tuple(sentences)
+
+
+def _knows_force(held: Held) -> bool:
+    still = np.zeros((1, 3))
+    return bool(np.any(held.apply_gyroscope(still, still + 1) != held.apply_gyroscope(still, still)))
 
 
 def _quadratic(parameters: Parameters) -> str:

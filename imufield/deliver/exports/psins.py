@@ -8,7 +8,9 @@ and ``p = r / K``, to first order in k:
 so on the sensing axes the quadratic term changes scale and bias by its part of the bias, and what PSINS cannot hold is the
 turn of ``k p^2`` into body axes and the second order in k.
 
-The gyroscope's G a with ``a = Ka r - db`` becomes ``gSens = Mg G Ka`` and a shift of eb.
+The gyroscope's G a is made of the raw r, without Ka2: ``a = M r - M o``, the straight line nearest to the quadratic model,
+becomes ``gSens = Mg G M`` and a shift of eb. With Ka and db, a line that touches the model at zero, the error would be half as
+large again.
 """
 
 from __future__ import annotations
@@ -45,6 +47,9 @@ class _Held:
         corrected: FloatArray = r @ self.Ka.T - self.db - self.Ka2 * r**2
         return corrected
 
+    def gyroscope_force(self, raw: FloatArray) -> FloatArray:
+        return self.linear.gyroscope_force(raw)
+
     def apply_gyroscope(self, raw: FloatArray, specific_force: FloatArray) -> FloatArray:
         return self.linear.apply_gyroscope(raw, specific_force)
 
@@ -57,7 +62,7 @@ def export(job: Job) -> Draft:
         "function clbt = imufield_clbt()",
         *comment([*job.heading(), "imu = imuclbt(imu, imufield_clbt());"], "%"),
         "clbt.sf = [1.0; 1.0; 1.0; 1.0; 1.0; 1.0];",
-        *_gyroscope(si, held.Ka, held.db),
+        *_gyroscope(si),
         f"clbt.Ka = {_matrix(held.Ka)};",
         f"clbt.db = {_column(held.db)};",
         f"clbt.Ka2 = {_column(held.Ka2)};",
@@ -81,14 +86,14 @@ def _held(job: Job, linear: Corrections) -> _Held:
     return _Held(linear, Ka, inverse @ (b + k * b**2), np.diag(inverse) * k / K**2, scale, zero)
 
 
-def _gyroscope(si: Corrections, Ka: FloatArray, db: FloatArray) -> list[str]:
+def _gyroscope(si: Corrections) -> list[str]:
     if si.gyroscope is None:
         return ["clbt.Kg = eye(3);", "clbt.eb = [0.0; 0.0; 0.0];"]
     sensitivity = si.gyroscope.matrix @ si.g_sensitivity
-    eb = si.gyroscope.output_offset - sensitivity @ db
+    eb = si.gyroscope.output_offset - sensitivity @ si.accelerometer.output_offset
     lines = [f"clbt.Kg = {_matrix(si.gyroscope.matrix)};", f"clbt.eb = {_column(eb)};"]
     if np.any(sensitivity):
-        lines.append(f"clbt.gSens = {_matrix(sensitivity @ Ka)};")
+        lines.append(f"clbt.gSens = {_matrix(sensitivity @ si.accelerometer.matrix)};")
     return lines
 
 

@@ -30,7 +30,7 @@ from target_formulas import (
 )
 
 from imufield.calibrate.fit import FitData, column_basis, fit
-from imufield.calibrate.models import predict, to_vector
+from imufield.calibrate.models import predict, predict_gyroscope, to_vector
 from imufield.deliver.exports import ExportOptions, export_parameters
 from imufield.deliver.exports.loss import directions
 from imufield.deliver.parameters import Parameters
@@ -215,6 +215,28 @@ def test_psins_holds_the_quadratic_term_to_first_order() -> None:
     linear, _ = vectornav(dict(export_parameters(parameters, "vectornav").files), acc, acc)
     assert error < 0.02 * np.abs(linear - a).max()
     assert "first order" in exported.losses[0]
+
+
+@pytest.mark.parametrize("target", WITH_G)
+def test_the_force_a_target_takes_for_its_g_sensitivity_is_in_the_loss(target: str) -> None:
+    """At rest in every direction the corrected rate is all loss: nobody's straight line is the quadratic term."""
+    parameters = made_up(34, quadratic=1e-4, g_sensitivity=1e-3)
+    calibration = parameters.calibration
+    assert calibration.gyroscope is not None
+    force = 9.8071 * directions(3000)
+    raw_gyr = predict_gyroscope(calibration.gyroscope.parameters, np.zeros_like(force), force)
+    exported = export_parameters(parameters, target)
+    _, rate = FORMULAS[target](dict(exported.files), predict(calibration.accelerometer, force), raw_gyr)
+    assert rate is not None
+    length_mrad_s = np.linalg.norm(rate, axis=1) * 1e3
+    (sentence,) = [loss for loss in exported.losses if "g-sensitivity" in loss]
+    rms, largest = re.findall(r"([\d.e-]+) mrad/s", sentence)
+    assert float(rms) == pytest.approx(np.sqrt(np.mean(length_mrad_s**2)), rel=0.02)
+    assert float(largest) == pytest.approx(length_mrad_s.max(), rel=0.02)
+    # A line through the middle of all directions leaves x^2 - 1/3 of the term on each axis, not x^2.
+    k, G = calibration.accelerometer.quadratic / calibration.accelerometer.scale, calibration.gyroscope.parameters.g_sensitivity
+    middle = np.linalg.norm((9.8071**2 * k * (directions(3000) ** 2 - 1 / 3)) @ G.T, axis=1) * 1e3
+    assert float(rms) == pytest.approx(np.sqrt(np.mean(middle**2)), rel=0.05)
 
 
 @pytest.mark.parametrize("target", ["px4", "ardupilot", "microstrain"])
