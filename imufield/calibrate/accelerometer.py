@@ -314,5 +314,6 @@ def _quality(
             covariance_known=data.covariance_raw is not None,
             scale_ratio=None if before is None else common_scale_ratio(solution.fit.vector[SCALE], before[SCALE]),
             sigma=sigma,
+            temperature_degc=solution.observations.temperature_degc,
         )
     )

@@ -32,6 +32,8 @@ SCALE_REFUSED = 0.2
 """A common scale further from the preset's than aging explains, and further than any instrument of that kind."""
 SATURATION_RESIDUAL_M_S2 = POOR_RESIDUAL_M_S2
 """A fit bends around two clipped faces and leaves a tenth of what was cut off: 30 mg of 300 mg."""
+TEMPERATURE_SPAN_DEGC = 5.0
+"""Bias of a chip moves by 0.5 to 1 mg/degC (data sheets of MPU-6000 and BMI160): here as much as ``POOR_RESIDUAL_M_S2``."""
 _SATURATED_POSITIONS = 2
 """Means at the same extreme of an axis: two different placements do not agree to the last digit by chance."""
 _SAME_OUTPUT = 1e-9
@@ -61,6 +63,8 @@ class Evidence:
     """Common scale over the preset's; None without a preset."""
     sigma: FloatArray
     """1 sigma of the 15 parameters."""
+    temperature_degc: FloatArray
+    """Of each position; NaN where not known."""
 
 
 def judge(evidence: Evidence) -> Quality:
@@ -197,7 +201,17 @@ def _cautions(evidence: Evidence) -> list[str]:
         reasons.append(
             f"the common scale is {ratio - 1:+.1%} off the preset's (limit {SCALE_CHANGE:.0%}): check gravity and preset"
         )
-    return reasons + _sigma_sentences(evidence)
+    return reasons + _temperature_sentences(evidence.temperature_degc) + _sigma_sentences(evidence)
+
+
+def _temperature_sentences(temperature_degc: FloatArray) -> list[str]:
+    known = temperature_degc[np.isfinite(temperature_degc)]
+    low, high = (known.min(), known.max()) if known.size else (0.0, 0.0)
+    if high - low <= TEMPERATURE_SPAN_DEGC:
+        return []
+    went = f"the temperature went from {low:.1f} to {high:.1f} degC over the positions (limit {TEMPERATURE_SPAN_DEGC:g} degC)"
+    advice = "warm it up first, and calibrate at the temperature of use"
+    return [f"{went}: the parameters are a mean over it, and a chip's bias moves by 0.5 to 1 mg per degC; {advice}"]
 
 
 def _unobservable_sentence(evidence: Evidence) -> str:

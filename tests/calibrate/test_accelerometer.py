@@ -302,6 +302,16 @@ def test_a_good_session_is_called_good() -> None:
     assert "24 positions, 9 parameters, 15 to spare" in quality.reasons[0]
 
 
+@pytest.mark.parametrize(("change_degc", "verdict"), [(4.9, "good"), (7.2, "usable")])
+def test_a_temperature_that_runs_away_is_told(change_degc: float, verdict: str) -> None:
+    observations = campaign(random_parameters(np.random.default_rng(29)), np.random.default_rng(29), within_m_s2=1e-4)
+    temperature_degc = 21 + change_degc * np.linspace(0, 1, len(observations))
+    temperature_degc[3] = np.nan
+    quality = calibrate_accelerometer(replace(observations, temperature_degc=temperature_degc), EXACT).quality
+    told = [reason for reason in quality.reasons if "the temperature went from 21.0 to 28.2 degC" in reason]
+    assert (quality.verdict, len(told)) == (verdict, verdict == "usable")
+
+
 @pytest.mark.parametrize(("between_m_s2", "factor"), [(0.0, 1.98), (1e-2, 2.131)])
 def test_the_factor_of_the_limit_follows_what_is_known_from_few_positions(between_m_s2: float, factor: float) -> None:
     rng = np.random.default_rng(14)
