@@ -114,7 +114,8 @@ class Assembler:
         if not self._learned:
             if len(frames) < _LEARN_FRAMES and not last:
                 return Groups(np.empty((0, self._kinds), dtype=np.int64), 0, 0)
-            self._learn(frames)
+            # From as many frames in any case, so that it does not matter in what pieces the stream comes.
+            self._learn(frames.kind[:_LEARN_FRAMES], frames.time_s[:_LEARN_FRAMES])
         if self._kinds == 1:
             return Groups(np.arange(len(frames))[:, np.newaxis], 0, len(frames))
         groups = self._by_order(frames, last) if frames.group is None else self._by_counter(frames, frames.group, last)
@@ -123,28 +124,28 @@ class Assembler:
             lacking |= groups.rows[:, kind] == NO_FRAME
         return groups if not lacking.any() else Groups(groups.rows[~lacking], groups.left_out, groups.keep_from)
 
-    def _learn(self, frames: SampleFrames) -> None:
+    def _learn(self, kind: NDArray[np.int8], time_s: FloatArray) -> None:
         """Find the kind that comes after the longest pauses, and the period."""
         self._learned = True
-        if len(frames) == 0:
+        if len(kind) == 0:
             return
-        counts = np.bincount(frames.kind, minlength=self._kinds)
-        longest, is_clear = self._longest_pause(frames, counts)
+        counts = np.bincount(kind, minlength=self._kinds)
+        longest, is_clear = self._longest_pause(kind, time_s, counts)
         if self._start is None:
             usual = np.flatnonzero(counts >= _USUAL_PART * counts.max())
             self._start = longest if is_clear else int(usual[np.argmin(self._identifiers[usual])])
         number = max(int(counts[self._start]) - 1, 1)
-        period_s = max(float(frames.time_s[-1] - frames.time_s[0]), 0.0) / number
+        period_s = max(float(time_s[-1] - time_s[0]), 0.0) / number
         if not self._limit_s:
             self._limit_s = max(_PERIOD_PART * period_s, _LEAST_LIMIT_S if is_clear else _LOOSE_LIMIT_S)
         self._doubled_s = _DOUBLED_PART * period_s if is_clear else self._limit_s
 
-    def _longest_pause(self, frames: SampleFrames, counts: IntArray) -> tuple[int, bool]:
+    def _longest_pause(self, kinds: NDArray[np.int8], time_s: FloatArray, counts: IntArray) -> tuple[int, bool]:
         """Return the kind that usually comes after the longest pause, and whether there is no doubt."""
-        pause_s = np.maximum(np.diff(frames.time_s, prepend=frames.time_s[0]), 0.0)
+        pause_s = np.maximum(np.diff(time_s, prepend=time_s[0]), 0.0)
         usual = np.flatnonzero(counts >= _USUAL_PART * counts.max())
         # The median: a pause between two reads of a buffer comes at any place, but not before most frames of a kind.
-        median_s = {int(kind): float(np.median(pause_s[frames.kind == kind])) for kind in usual}
+        median_s = {int(kind): float(np.median(pause_s[kinds == kind])) for kind in usual}
         longest = max(median_s, key=lambda kind: median_s[kind])
         others_s = max((pause for kind, pause in median_s.items() if kind != longest), default=0.0)
         return longest, bool(counts[usual].min() >= _FEWEST and median_s[longest] > _CLEAR * others_s)

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.acquire.can_period import LEARN_S, LEARN_SAMPLES, learned_from, period
 from imufield.acquire.can_source import CanBlock, join_blocks
 from imufield.acquire.protocol_schema import ClockRule
 from imufield.acquire.sample_steps import StepRule
@@ -39,22 +40,9 @@ _WINDOW_S = 0.25
 """Longer than the delays of a busy host, as for serial ports."""
 _LEAST_WINDOW = 2
 """Periods; slow instruments send less than that in a quarter second."""
-_LEARN_SAMPLES, _LEARN_S = 8, 1.0
-_LONGEST_LEARN_S = 3.0
-"""Shorter than a bus is listened to before it counts as not understood."""
-_UNEVEN, _SLEEPS = 4.0, 8.0
-"""A step that many times the usual one is a host that slept; a rate takes so many sleeps."""
-_MOST_LEARNED = 4096
-"""Samples after which the period is learned even if the stamps stand still."""
-_REGULAR = 0.25
-"""Part of a step by which stamps of an adapter jitter; bursts of a host are beyond."""
 _USUAL_DELAY = 0.95
 _BURST_S = 0.02
 """Least step that counts where frames come in bursts: a host under load is late by as much at any time."""
-_LONG_STEP, _LONG_SHARE, _LOOSE = 1.5, 0.04, 0.05
-"""Where so many steps are that long, and the others differ by that part, a sender may have been held up, with nothing lost."""
-_EVEN_RANGE = 0.55
-"""Kuiper's statistic over the square root of the count: n independent losses leave an even pace by less in 1 of 1000."""
 _RESET_S = 1.0
 """A stamp that runs back by more is another clock (the adapter's wrapped), by less frames out of order."""
 _LONGEST_PAUSE_S = 3600.0
@@ -107,6 +95,8 @@ class CanClock:
         self._statistics = statistics
         self._held: list[CanBlock] = []
         self._phase: _Phase | None = None
+        self._tried = LEARN_SAMPLES
+        """From so many samples no period could be learned yet."""
         self._offset_s = 0.0
         self._last_time_s = -np.inf
         self._last_stamp_s: float | None = None
@@ -151,9 +141,11 @@ class CanClock:
         block = join_blocks(self._held)
         self._held = [block]
         if self._phase is None:
-            if not last and not _enough(block.stamp_s):
+            samples, self._tried = learned_from(block.stamp_s, self._tried)
+            if not last and not samples:
                 return None
-            self._phase = self._learn(block)
+            self._tried = LEARN_SAMPLES
+            self._phase = self._learn(block[: samples or len(block)])
             self._phase.last_time_s = self._last_time_s
         phase = self._phase
         ready = len(block) if last or phase.is_blind else _settled(block.stamp_s, phase.window_s)
@@ -173,7 +165,7 @@ class CanClock:
             first = int(np.argmax(known))
             self._last_counter = int(block.counter[first]) - (first + 1) * self._counter_step
         steps = self._steps(block.counter, remember=False)
-        period_s = _period(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
+        period_s = period(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
         window_s = max(_WINDOW_S, _LEAST_WINDOW * period_s)
         unit = self._rule.counter_modulus // self._counter_step if self._last_counter is not None else 1
         phase = _Phase(period_s, window_s, max(unit, 1))
@@ -266,7 +258,7 @@ class CanClock:
         """Write the rate into the statistics: learned, and measured since the first sample."""
         self._statistics.nominal_rate_hz = self._rule.rate_hz or 1 / phase.period_s
         span_s = phase.last_time_s - first_s
-        if span_s >= 2 * _LEARN_S:
+        if span_s >= 2 * LEARN_S:
             self._statistics.rate_hz = (phase.number + self._statistics.losses_estimated - first) / span_s
 
     def _rate_changed(self, moved_s: FloatArray, phase: _Phase) -> bool:
@@ -294,76 +286,6 @@ def _losses(envelope_s: FloatArray, moved_s: FloatArray, phase: _Phase) -> IntAr
         step_s = envelope_s[place] - before.min() if len(before) else moved_s[place]
         lost[place] = round(float(step_s) / unit_s) * phase.unit
     return lost
-
-
-def _enough(stamp_s: FloatArray) -> bool:
-    span_s = float(stamp_s[-1] - stamp_s[0])
-    if len(stamp_s) <= _LEARN_SAMPLES or span_s < _LEARN_S:
-        return len(stamp_s) >= _MOST_LEARNED
-    steps_s = np.diff(stamp_s)
-    longest_s = float(steps_s.max())
-    # A host that sleeps hands over many samples at once: a rate takes several such sleeps, not a part of one.
-    is_even = longest_s <= _UNEVEN * span_s / len(stamp_s)
-    if is_even and np.count_nonzero(steps_s > _LONG_STEP * np.median(steps_s)) > _LONG_SHARE * len(steps_s):
-        return span_s >= _LONGEST_LEARN_S
-    return is_even or span_s >= min(_SLEEPS * longest_s, _LONGEST_LEARN_S)
-
-
-def _period(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> float:
-    """Return the time from one sample to the next.
-
-    Parameters
-    ----------
-    stamp_s : ndarray, shape (n,)
-    number : ndarray, shape (n,)
-        Of each sample, by the counter.
-    rate_hz : float
-        Nominal; 0 where not known.
-    """
-    nominal_s = 1 / rate_hz if rate_hz else 0.0
-    if len(stamp_s) < 2 or stamp_s[-1] <= stamp_s[0]:
-        return nominal_s or 0.01
-    if number[-1] <= number[0]:
-        # A counter that stands still numbers nothing.
-        number = np.arange(len(stamp_s), dtype=np.float64)
-    steps_s = np.diff(stamp_s) / np.maximum(np.diff(number), 1.0)
-    middle_s = float(np.median(steps_s))
-    regular = np.abs(steps_s - middle_s) <= _REGULAR * middle_s
-    mean_s = float((stamp_s[-1] - stamp_s[0]) / (number[-1] - number[0]))
-    # Frames read out of a buffer are evenly spaced too, but more closely than they come on the whole.
-    if np.count_nonzero(regular) >= 0.75 * len(steps_s) and middle_s > mean_s / 2:
-        return _held_up_period(stamp_s, number, middle_s) or float(steps_s[regular].mean())
-    # Bursts: the ends of the first and of the last ones are the least late.
-    lag_s = stamp_s - number * mean_s
-    third = max(len(lag_s) // 3, 1)
-    early, late = int(np.argmin(lag_s[:third])), len(lag_s) - third + int(np.argmin(lag_s[-third:]))
-    if late > early:
-        mean_s += float((lag_s[late] - lag_s[early]) / max(number[late] - number[early], 1.0))
-    return nominal_s if nominal_s and abs(mean_s / nominal_s - 1) < 2 * _DRIFT else max(mean_s, 1e-6)
-
-
-def _held_up_period(stamp_s: FloatArray, number: FloatArray, middle_s: float) -> float | None:
-    """Return the period of a sender that wakes at intervals of its host, shorter than the period; None if it is none.
-
-    Its steps are mostly such an interval, and now and then two: as with lost samples, but in turn, so that no stamp is far
-    from an even pace. Independent losses leave it as a bridge of random steps does (Kuiper 1960), and with stamps that are
-    good to a few percent a long step is a loss whatever its turn.
-    """
-    steps_s = np.diff(stamp_s)
-    ratio = steps_s / np.maximum(np.diff(number), 1.0) / middle_s
-    long = int(np.count_nonzero((ratio > _LONG_STEP) & (ratio < _UNEVEN)))
-    low, high = np.quantile(ratio[np.abs(ratio - 1) <= _REGULAR], [0.1, 0.9])
-    if long <= _LONG_SHARE * len(ratio) or high - low < _LOOSE:
-        return None
-    # A long pause is a loss or a delay: without it the rest tells the pace.
-    missing = np.concatenate([[0.0], np.cumsum(np.where(ratio >= _UNEVEN, np.rint(ratio) - 1, 0.0))])
-    found: list[tuple[float, float]] = []
-    for counted in (number, number + missing):
-        centred = counted - counted.mean()
-        period_s = float(centred @ (stamp_s - stamp_s.mean()) / (centred @ centred))
-        found.append((float(np.ptp(stamp_s - counted * period_s)) / max(period_s, 1e-6), period_s))
-    spread, period_s = min(found)
-    return period_s if period_s > middle_s and spread < _EVEN_RANGE * math.sqrt(long) else None
 
 
 def _settled(stamp_s: FloatArray, window_s: float) -> int:
@@ -415,7 +337,7 @@ class _DeviceTime:
         if self._started:
             return self._time(block, units)
         self._early.append(block)
-        return self._start(units) if sum(map(len, self._early)) > _LEARN_SAMPLES else None
+        return self._start(units) if sum(map(len, self._early)) > LEARN_SAMPLES else None
 
     def flush(self, units: SampleUnits) -> Samples | None:
         return self._start(units) if self._early else None
@@ -425,7 +347,7 @@ class _DeviceTime:
         known = block.ticks[np.isfinite(block.ticks)]
         known = known if len(known) else np.zeros(1)
         self._last = float(known[0])
-        self._steps.learn(self._stamps.start(self._whole(known[: _LEARN_SAMPLES + 1])))
+        self._steps.learn(self._stamps.start(self._whole(known[: LEARN_SAMPLES + 1])))
         return self._time(block, units, first=True)
 
     def _time(self, block: CanBlock, units: SampleUnits, *, first: bool = False) -> Samples:

@@ -110,6 +110,29 @@ def fast_host(true_s: FloatArray, seed: int, speed: float = 8.0) -> FloatArray:
     return np.asarray(edges_s[place] + speed * 3e-5 * (np.arange(len(true_s)) - np.searchsorted(place, place)))
 
 
+@pytest.mark.parametrize("begin_s", [0.4, 0.9, 1.7, 2.3])
+@pytest.mark.parametrize("seed", range(3))
+def test_an_outage_while_the_rate_is_learned_does_not_teach_a_slower_one(begin_s: float, seed: int) -> None:
+    even_s = np.arange(2000) / 100.0
+    true_s = even_s[(even_s < begin_s) | (even_s >= begin_s + 1.0)]
+    stamp_s = bursty(true_s, 0.021, 0.003 * seed) + jitter(len(true_s), 1e-3, seed)
+    samples, statistics = run(np.maximum.accumulate(stamp_s), block=10)
+    assert statistics.nominal_rate_hz == pytest.approx(100.0, rel=0.04)
+    assert statistics.losses_estimated == pytest.approx(100, abs=3)
+    assert np.flatnonzero(samples.status & Status.GAP_ESTIMATED).tolist() == [round(begin_s * 100)]
+    np.testing.assert_allclose(samples.time_s - true_s, 0.0, atol=0.06)
+
+
+@pytest.mark.parametrize("block", [1, 13, 500, 100_000])
+def test_a_rate_does_not_depend_on_how_the_stream_is_cut(block: int) -> None:
+    true_s = np.delete(np.arange(3000) / 100.0, slice(700, 760))
+    stamp_s = np.maximum.accumulate(bursty(true_s, 0.033) + jitter(len(true_s), 2e-3))
+    samples, statistics = run(stamp_s, block=block)
+    expected, of_one = run(stamp_s, block=50)
+    np.testing.assert_array_equal(samples.time_s, expected.time_s)
+    assert statistics == of_one
+
+
 @pytest.mark.parametrize("rate_hz", [100.0, 400.0])
 def test_a_host_whose_clock_runs_fast_learns_the_rate(rate_hz: float) -> None:
     for seed in range(12):

@@ -102,6 +102,27 @@ def test_cuts_do_not_matter(seed: int) -> None:
     assert (first.frames, first.bytes_skipped) == (second.frames, second.bytes_skipped)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_cuts_do_not_matter_where_frames_are_stamped_as_they_are_read(seed: int) -> None:
+    rng = random.Random(seed)
+    frames, now_s = [], 0.0
+    for frame in stream(600, seed=seed):
+        # A host that looks now and then, whose looks part the messages of one sample; some are lost.
+        now_s = max(now_s, frame.time_s + (rng.uniform(0.01, 0.08) if rng.random() < 0.2 else 0.0))
+        if rng.random() > 0.02:
+            frames.append(Frame(frame.can_id, frame.data, now_s))
+    data = pack(frames)
+    whole, statistics = decode(J1939, data)
+    for size in (24, 77, 480, 4800):
+        parts, counts = decode(J1939, data, list(range(size, len(data), size)))
+        assert counts.samples == statistics.samples
+        assert counts.lost == statistics.lost
+        np.testing.assert_array_equal(parts.accelerometer, whole.accelerometer)
+        np.testing.assert_array_equal(parts.gyroscope, whole.gyroscope)
+        np.testing.assert_allclose(parts.time_s, whole.time_s, atol=2e-3)
+        np.testing.assert_array_equal(parts.status, whole.status)
+
+
 def test_byte_by_byte() -> None:
     data = pack(stream(40))
     whole, _ = decode(J1939, data)
