@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,12 @@ import pytest
 # As the program itself does it: the matrices are small, and threads of the linear algebra only get in each other's way.
 for _library in ("OPENBLAS", "MKL", "OMP"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
+# A shell lets what it runs in the background ignore Ctrl-C, nohup a closed terminal, and what the tests start would do the
+# same. A handler is not handed on to programs: they hear every signal, while the tests go on ignoring it.
+for _signal in (signal.SIGINT, signal.SIGHUP):
+    if signal.getsignal(_signal) == signal.SIG_IGN:
+        signal.signal(_signal, lambda number, frame: None)
 
 PROJECT = Path(__file__).resolve().parent.parent
 

@@ -30,9 +30,10 @@ def _raise_interrupted(signal_number: int, frame: FrameType | None) -> None:  # 
 
 @contextlib.contextmanager
 def _signals_as_interrupts() -> Iterator[None]:
-    """Turn SIGTERM and SIGHUP into the exception of Ctrl-C, so that every path closes its files."""
+    """Turn SIGTERM and SIGHUP, if they are not ignored, into the exception of Ctrl-C, so that every path closes its files."""
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    previous: list[tuple[int, Any]] = [(number, signal.signal(number, _raise_interrupted)) for number in numbers]
+    heard = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
+    previous: list[tuple[int, Any]] = [(number, signal.signal(number, _raise_interrupted)) for number in heard]
     try:
         yield
     finally:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from imufield.acquire.statistics import remarks
 from imufield.commands.chain import MARK, SCHEME_FILE, Chain, ReadingPlan, part_metadata, replay_into
 from imufield.commands.connect import Connected, ConnectOptions, check_files, connect
 from imufield.commands.output import before_recording, say
+from imufield.commands.questions import ask
 from imufield.commands.reconnect import PatientLink
 from imufield.commands.resume import check_instrument, check_plan, connect_as_before, find_unfinished, site_as_before
 from imufield.commands.site import SiteOptions
@@ -51,7 +53,8 @@ QUIT = "q"
 FINISH = "f"
 REOPEN = "reopen"
 AGAIN_WITHIN_S = 10.0
-"""Finishing with something left ends the session only with the same key again within this time of the host."""
+"""Finishing with something left ends the session only with the same key again within this time; a person's time is real,
+however fast an emulated instrument runs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +143,7 @@ def ask_site(site: SiteOptions, interactive: bool) -> SiteOptions:
     if site.is_known or not interactive:
         return site
     say("Gravity here sets the scale of the accelerometer; a latitude to 0.1 degree will do.")
-    answer = typer.prompt("Latitude in degrees, e.g. 48.1 (Enter: not known)", default="", show_default=False).strip()
+    answer = ask("Latitude in degrees, e.g. 48.1 (Enter: not known)")
     if not answer:
         return site
     try:
@@ -358,7 +361,7 @@ class CaptureLoop:
 
     def _is_sure(self) -> bool:
         """Whether the session may be finished: at the second press, said at the first; nothing of the first is recorded."""
-        now_s, guide = self.clock.monotonic_s(), self.chain.guide
+        now_s, guide = time.monotonic(), self.chain.guide
         if guide is None or now_s <= self._finish_until_s:
             return True
         self._finish_until_s = now_s + AGAIN_WITHIN_S

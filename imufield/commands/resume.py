@@ -8,12 +8,11 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-import typer
-
 from imufield.acquire.registry import driver_names
 from imufield.acquire.session import Session
 from imufield.commands.chain import Chain, ReadingPlan, replay_into
 from imufield.commands.connect import Connected, ConnectOptions
+from imufield.commands.questions import confirm
 from imufield.commands.site import SiteOptions
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.guide.positions import scheme
@@ -61,7 +60,7 @@ def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactiv
         return session
     if not session.metadata.get("scheme"):
         raise UsageError(f"{session.folder} is a plain recording without a guide; name a new folder")
-    if not resume and not (interactive and typer.confirm(f"Go on with the unfinished session {session.folder}?", True)):
+    if not resume and not (interactive and confirm(f"Go on with the unfinished session {session.folder}?")):
         raise RecordingError(
             f"{session.folder} holds an unfinished session; go on with --resume, or name a new folder",
             Reason.UNFINISHED,

@@ -334,6 +334,20 @@ def test_interrupted(program: Program, command: str, number: signal.Signals) -> 
     assert ('"recorded"' in output) == (command == "record")
 
 
+def test_nohup_lets_a_recording_go_on_when_the_terminal_is_closed(program: Program) -> None:
+    port = program.emulate("--positions", "none")
+    arguments = ("record", "--port", port, "--json", "--clock-speed", 16)
+    process = program.start(*arguments, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    assert process.stdout is not None
+    assert '"recording"' in process.stdout.readline()
+    process.send_signal(signal.SIGHUP)
+    for _ in range(3):
+        assert '"recording"' in process.stdout.readline()
+    process.send_signal(signal.SIGTERM)
+    process.communicate()
+    assert process.returncode == INTERRUPTED
+
+
 def test_interrupted_while_replaying_to_a_port(furnished: Program) -> None:
     process = furnished.start("replay", "whole", "--to-pty")
     assert process.stdout is not None

@@ -1,0 +1,51 @@
+"""Questions to the person at the terminal; one Ctrl-C ends them, whenever it comes."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+
+import typer
+
+LOOK_S = 0.1
+"""How long an interrupt may go unnoticed."""
+
+
+def ask(question: str) -> str:
+    """Return what is typed to a question, without the blanks around it.
+
+    ``input``, and typer's prompt with it, loses an interrupt that comes when the question is shown but its read has not begun:
+    the signal is noted, and the read waits for a line all the same. Here a read begins when the line is there.
+
+    Raises
+    ------
+    typer.Abort
+        At the end of the input.
+    """
+    typer.echo(f"{question}: ", nl=False)
+    _wait_for_line()
+    line = sys.stdin.readline()
+    if not line:
+        raise typer.Abort
+    return line.strip()
+
+
+def confirm(question: str) -> bool:
+    """Return whether a question was answered with yes, which Enter alone is too; what is neither yes nor no is asked again.
+
+    Raises
+    ------
+    typer.Abort
+        At the end of the input.
+    """
+    while (answer := ask(f"{question} [Y/n]").lower()) not in ("", "y", "yes", "n", "no"):
+        typer.echo("Please answer y or n.")
+    return not answer.startswith("n")
+
+
+def _wait_for_line() -> None:
+    # A pipe may hold several lines, of which all but the first would be in our buffer, where select does not see them.
+    if os.name == "posix" and sys.stdin.isatty():
+        while not select.select([sys.stdin], [], [], LOOK_S)[0]:
+            pass
