@@ -6,16 +6,15 @@ is a triad (``acc`` gives ``acc_x``, ``acc_y``, ``acc_z``), a single matrix is a
 
 from __future__ import annotations
 
+import importlib.util
 import json
+import os
 import re
-import struct
 import subprocess
 import sys
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, Any, cast
@@ -23,6 +22,7 @@ from typing import IO, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.acquire import array_file_reader
 from imufield.acquire.table_columns import named_column
 from imufield.errors import Reason, RecordingError, UsageError, shortened
 from imufield.samples import AXES, FloatArray
@@ -32,25 +32,8 @@ _MATLAB_4_TYPES = 5000
 _MAGIC_BYTES = 16
 _MOST_COLUMNS = 64
 """A matrix with no more rows than this and more columns is written on its side, as MATLAB does in HDF5."""
-_DAMAGE = (
-    ValueError,
-    TypeError,
-    KeyError,
-    IndexError,
-    AttributeError,
-    OverflowError,
-    RuntimeError,
-    OSError,
-    EOFError,
-    MemoryError,
-    SyntaxError,
-    struct.error,
-    tokenize.TokenError,
-    zlib.error,
-    zipfile.BadZipFile,
-)
-"""What the readers of these libraries raise in damaged files: their own errors derive from ValueError, OSError and
-RuntimeError, the others come out of the parsing of sizes, names and (NumPy) a head written in Python."""
+_QUIET = {"OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
+"""Environment of the process that reads: what is taken of its address space for nothing is lost to the numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,39 +82,40 @@ def array_reader(path: Path) -> Callable[[Path], ArrayTable] | None:
             head = file.read(_MAGIC_BYTES)
     except OSError:
         return None
-    for magic, reader in _READERS.items():
+    for magic, kind in _KINDS.items():
         if head.startswith(magic):
-            return reader
+            return partial(read_arrays, kind)
     # Version 4 of MATLAB's format begins with a number below 5000 that tells the type of its first variable.
     is_version_4 = path.suffix.lower() == ".mat" and len(head) > 4 and int.from_bytes(head[:4], "little") < _MATLAB_4_TYPES
-    return read_mat if is_version_4 else None
+    return partial(read_arrays, _MATLAB) if is_version_4 else None
 
 
-def read_mat(path: Path) -> ArrayTable:
-    """Read a MATLAB file of version 4 to 7, in a process of its own (``matlab_reader``); raises as ``read_hdf5``."""
-    # -P: what stands in the present folder is nothing to import.
-    command = [sys.executable, "-P", str(Path(__file__).with_name("matlab_reader.py")), str(path)]
-    quiet = subprocess.DEVNULL
-    try:
-        with subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet) as process:  # noqa: S603  (our own)
-            return _table(path, _handed_over(process))
-    except _DAMAGE as error:
-        raise _damaged(path, "MATLAB file", error) from error
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """A kind of file of arrays."""
+
+    name: str
+    """For ``array_file_reader``; also the extra of the package."""
+    words: str
+    package: str = ""
+    """That reads it, where it is not one of ours anyway."""
 
 
-def _handed_over(reader: subprocess.Popen[bytes]) -> dict[str, NDArray[Any]]:
-    """Return the arrays that ``matlab_reader`` sends; a ValueError says why there are none."""
-    output = cast("IO[bytes]", reader.stdout)
-    head = json.loads(output.readline() or "{}")
-    if "names" not in head:
-        raise ValueError(head.get("error", f"its reader broke down with {reader.wait()}"))
-    # NumPy would seek in what it takes for a file.
-    pipe: Any = SimpleNamespace(read=output.read)
-    return {name: np.lib.format.read_array(pipe, allow_pickle=False) for name in head["names"]}
+_MATLAB = _Kind("mat", "MATLAB file")
+_HDF5 = _Kind("hdf5", "HDF5 file", "h5py")
+_NUMPY = _Kind("numpy", "NumPy file")
+_KINDS = {
+    MATLAB_5: _MATLAB,
+    MATLAB_7_3: _HDF5,
+    b"\x89HDF\r\n\x1a\n": _HDF5,
+    b"PAR1": _Kind("parquet", "Parquet file", "pyarrow"),
+    b"\x93NUMPY": _NUMPY,
+    b"PK\x03\x04": _NUMPY,
+}
 
 
-def read_hdf5(path: Path) -> ArrayTable:
-    """Read HDF5, MATLAB 7.3 included.
+def read_arrays(kind: _Kind, path: Path) -> ArrayTable:
+    """Read a file of arrays in a process of its own, ``array_file_reader``.
 
     Raises
     ------
@@ -140,66 +124,29 @@ def read_hdf5(path: Path) -> ArrayTable:
     UsageError
         The package for it is not installed.
     """
+    if kind.package and importlib.util.find_spec(kind.package) is None:
+        raise missing_package(f"{path} is {kind.words.removesuffix(' file')}, which", kind.package, kind.name)
+    # -P: what stands in the present folder is nothing to import.
+    command = [sys.executable, "-P", array_file_reader.__file__, kind.name, str(path)]
+    quiet, environment = subprocess.DEVNULL, {**os.environ, **_QUIET}
     try:
-        import h5py
-    except ImportError as error:
-        raise missing_package(f"{path} is HDF5, which", "h5py", "hdf5") from error
-    try:
-        with h5py.File(path, "r") as file:
-            arrays: dict[str, NDArray[Any]] = {}
-            file.visititems(lambda name, item: _add_dataset(arrays, name, item))
-            return _table(path, arrays, dict(file.attrs))
-    except _DAMAGE as error:
-        raise _damaged(path, "HDF5 file", error) from error
+        with subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, env=environment) as process:  # noqa: S603  (our own)
+            return _table(path, *_handed_over(process))
+    except array_file_reader.DAMAGE as error:
+        raise _damaged(path, kind.words, error) from error
 
 
-def _add_dataset(arrays: dict[str, NDArray[Any]], name: str, item: Any) -> None:
-    # "#refs#" is where MATLAB keeps what has no name; links to outside are not followed by visititems.
-    if not hasattr(item, "shape") or name.startswith("#") or item.size == 0:
-        return
-    if item.dtype.names:
-        arrays.update({f"{name}.{part}": item[part] for part in item.dtype.names})
-    elif item.dtype.kind in "iufb":
-        arrays[name.replace("/", ".")] = item[()]
-
-
-def read_parquet(path: Path) -> ArrayTable:
-    """Read Parquet; raises as ``read_hdf5``."""
-    try:
-        import pyarrow.parquet as parquet
-    except ImportError as error:
-        raise missing_package(f"{path} is Parquet, which", "pyarrow", "parquet") from error
-    try:
-        table = parquet.read_table(path)
-        arrays = {name: table.column(name).to_numpy() for name in table.column_names}
-        stated = {
-            key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items() if key != b"ARROW:schema"
-        }
-        return _table(path, arrays, stated)
-    except _DAMAGE as error:
-        raise _damaged(path, "Parquet file", error) from error
-
-
-def read_numpy(path: Path) -> ArrayTable:
-    """Read .npy or .npz; raises as ``read_hdf5``."""
-    try:
-        # Opened here: NumPy leaves a damaged archive open.
-        with path.open("rb") as file:
-            content = np.load(file, allow_pickle=False)
-            names = content.dtype.names if isinstance(content, np.ndarray) else content.files
-            return _table(path, {name: content[name] for name in names} if names else {"": content})
-    except _DAMAGE as error:
-        raise _damaged(path, "NumPy file", error) from error
-
-
-_READERS: dict[bytes, Callable[[Path], ArrayTable]] = {
-    MATLAB_5: read_mat,
-    MATLAB_7_3: read_hdf5,
-    b"\x89HDF\r\n\x1a\n": read_hdf5,
-    b"PAR1": read_parquet,
-    b"\x93NUMPY": read_numpy,
-    b"PK\x03\x04": read_numpy,
-}
+def _handed_over(reader: subprocess.Popen[bytes]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    """Return the arrays that ``array_file_reader`` sends and what the file states; a ValueError says why there are none."""
+    output = cast("IO[bytes]", reader.stdout)
+    head = json.loads(output.readline() or "{}")
+    if "names" not in head:
+        raise ValueError(head.get("error", f"its reader broke down with {reader.wait()}"))
+    # NumPy would seek in what it takes for a file.
+    pipe: Any = SimpleNamespace(read=output.read)
+    arrays = {name: np.lib.format.read_array(pipe, allow_pickle=False) for name in head["names"]}
+    # What is no numbers stays behind; its name is said.
+    return arrays | dict.fromkeys(head["others"], np.empty(0, "U1")), head["stated"]
 
 
 def missing_package(what: str, package: str, extra: str) -> UsageError:
@@ -209,7 +156,7 @@ def missing_package(what: str, package: str, extra: str) -> UsageError:
     )
 
 
-def _table(path: Path, arrays: Mapping[str, NDArray[Any]], stated: Mapping[str, Any] | None = None) -> ArrayTable:
+def _table(path: Path, arrays: Mapping[str, NDArray[Any]], stated: Mapping[str, str]) -> ArrayTable:
     """Put arrays beside each other: those with as many rows as the longest."""
     upright = {name: _upright(array) for name, array in arrays.items() if array.dtype.kind in "iufbM"}
     upright = {name: array for name, array in upright.items() if array.ndim == 2 and 0 < array.shape[1] <= _MOST_COLUMNS}
@@ -230,7 +177,7 @@ def _table(path: Path, arrays: Mapping[str, NDArray[Any]], stated: Mapping[str, 
     short = _without_group(list(used))
     names = tuple(one for name, array in zip(short, used.values(), strict=True) for one in _names(name, array.shape[1]))
     units = tuple("s" if is_date else "" for array, is_date in zip(columns, times, strict=True) for _ in range(array.shape[1]))
-    return ArrayTable(path, names, values, units, *_stated(stated or {}), said)
+    return ArrayTable(path, names, values, units, *_stated(stated), said)
 
 
 def _without_group(names: list[str]) -> list[str]:
@@ -271,17 +218,17 @@ def _axis_name(name: str, axis: str) -> str:
     return next((one for one in tried if named_column(one, 0) is not None), tried[0])
 
 
-def _stated(stated: Mapping[str, Any]) -> tuple[dict[str, str | float], tuple[float, float, float] | None]:
+def _stated(stated: Mapping[str, str]) -> tuple[dict[str, str | float], tuple[float, float, float] | None]:
     """Return what our own exports say of their numbers: settings and mid-scale."""
     if "imufield_accelerometer_unit" not in stated:
         return {}, None
     settings: dict[str, str | float] = {
-        f"{part}_unit": str(stated[f"imufield_{part}_unit"]) for part in ("accelerometer", "gyroscope")
+        f"{part}_unit": stated[f"imufield_{part}_unit"] for part in ("accelerometer", "gyroscope")
     }
-    if str(stated.get("imufield_increments", "")) == "true":
+    if stated.get("imufield_increments") == "true":
         settings["increments"] = "true"
         settings["rate_hz"] = float(stated["imufield_rate_hz"])
-    zero = [float(part) for part in str(stated.get("imufield_raw_zero", "0,0,0")).split(",")]
+    zero = [float(part) for part in stated.get("imufield_raw_zero", "0,0,0").split(",")]
     return settings, (zero[0], zero[1], zero[2])
 
 

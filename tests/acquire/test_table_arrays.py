@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import builtins
+import importlib.util
+import io
+import resource
 import struct
 import subprocess
 import sys
+import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -144,7 +146,7 @@ def test_files_cut_short(tmp_path: Path, write: Callable[[Path], None]) -> None:
     path = written(tmp_path, write)
     content = path.read_bytes()
     rng = np.random.default_rng(3)
-    for _ in range(6 if path.suffix == ".mat" else 40):
+    for _ in range(6):
         path.write_bytes(content[: rng.integers(8, len(content) - 8)])
         with pytest.raises((RecordingError, UsageError)) as caught:
             read_tables([path])
@@ -156,7 +158,7 @@ def test_files_with_bytes_changed(tmp_path: Path, write: Callable[[Path], None])
     path = written(tmp_path, write)
     content = path.read_bytes()
     rng = np.random.default_rng(4)
-    for _ in range(8 if path.suffix == ".mat" else 60):
+    for _ in range(8):
         damaged = bytearray(content)
         for place in rng.integers(8 if write is not mat_structure else 200, len(damaged), 20):
             damaged[place] = rng.integers(256)
@@ -176,6 +178,43 @@ def test_a_matlab_file_that_kills_its_reader(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="is a damaged MATLAB file") as caught:
         read_tables([path])
     assert caught.value.reason is Reason.DAMAGED
+
+
+def hdf5_trap(path: Path) -> None:
+    # Chunks that were never written take no room and read as zeros.
+    with h5py.File(path, "w") as file:
+        for name in ("t", "ax", "ay", "az"):
+            file.create_dataset(name, (250_000_000,), "f8", chunks=(1 << 16,))
+
+
+def parquet_trap(path: Path) -> None:
+    zeros = pyarrow.array(np.zeros(4_000_000))
+    with parquet.ParquetWriter(path, pyarrow.schema([("t", "f8"), ("ax", "f8")]), compression="zstd") as writer:
+        for _ in range(40):
+            writer.write_table(pyarrow.table({"t": zeros, "ax": zeros}), row_group_size=len(zeros))
+
+
+def numpy_trap(path: Path) -> None:
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (50_000_000, 4)})
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("data.npy", "w", force_zip64=True) as member,
+    ):
+        member.write(head.getvalue())
+        for _ in range(200):
+            member.write(bytes(8_000_000))
+
+
+@pytest.mark.parametrize("write", [hdf5_trap, parquet_trap, numpy_trap])
+def test_a_small_file_that_unpacks_to_gigabytes(tmp_path: Path, write: Callable[[Path], None]) -> None:
+    path = written(tmp_path, write)
+    assert path.stat().st_size < 10_000_000
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(RecordingError, match=r"is a damaged .*more memory"):
+        read_tables([path])
+    grown_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert grown_kib < 100_000, "this process read it itself"
 
 
 def test_a_reader_that_dies_is_said_to() -> None:
@@ -214,14 +253,8 @@ def test_a_missing_package_is_named(
     tmp_path: Path, write: Callable[[Path], None], package: str, extra: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = written(tmp_path, write)
-    real = builtins.__import__
-
-    def without(name: str, *arguments: Any) -> Any:
-        if name.partition(".")[0] == package:
-            raise ImportError(name)
-        return real(name, *arguments)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    real = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == package else real(name))
     with pytest.raises(UsageError, match=rf"pip install 'imufield\[{extra}\]") as caught:
         read_tables([path])
     assert caught.value.reason is Reason.MISSING_PACKAGE

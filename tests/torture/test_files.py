@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -34,6 +35,8 @@ class Corpus:
     make: Callable[[Path], bytes]
     commands: tuple[str, ...]
     is_text: bool = True
+    short: int = 12
+    """Damaged files of the short form; fewer where reading one starts a process."""
 
 
 def _observations(_: Path) -> bytes:
@@ -53,6 +56,31 @@ def _matrix(folder: Path) -> bytes:
     path = folder / "made.mat"
     scipy.io.savemat(path, {"imu": np.loadtxt(_table(folder).decode().splitlines()[1:], delimiter=",")})
     return path.read_bytes()
+
+
+def _array_file(writer: str) -> Callable[[Path], bytes]:
+    """Return what makes a file of arrays, by the name of its function in the tests of the reader."""
+
+    def make(folder: Path) -> bytes:
+        from tests.acquire import test_table_arrays  # skips where an extra is missing
+
+        with TemporaryDirectory(dir=folder.parent) as place:
+            return test_table_arrays.written(Path(place), getattr(test_table_arrays, writer)).read_bytes()
+
+    return make
+
+
+def _bag(kind: str) -> Callable[[Path], bytes]:
+    """Return what makes a recording of ROS in one file."""
+
+    def make(folder: Path) -> bytes:
+        from tests.acquire import test_ros_bags
+
+        with TemporaryDirectory(dir=folder.parent) as place:
+            path = test_ros_bags.write(Path(place), kind)
+            return (next(path.glob("*.db3")) if path.is_dir() else path).read_bytes()
+
+    return make
 
 
 def _dump(folder: Path) -> bytes:
@@ -106,6 +134,14 @@ CORPORA = (
     Corpus("MATLAB file", "table.mat", _matrix, ("import {} -o new",), False),
     Corpus("list of positions", "mine.toml", _positions, ("emulate stim300 --positions {} --duration-s 0.1 --json",)),
     Corpus("defaults", "imufield.toml", _defaults, ("devices", "solve session --json")),
+    Corpus("HDF5 file", "table.h5", _array_file("hdf5_groups"), ("import {} -o new",), False, 4),
+    Corpus("MATLAB 7.3 file", "table.mat", _array_file("mat_7_3"), ("import {} -o new",), False, 4),
+    Corpus("Parquet file", "table.parquet", _array_file("parquet_columns"), ("import {} -o new",), False, 4),
+    Corpus("NumPy file", "table.npy", _array_file("numpy_table"), ("import {} -o new",), False, 4),
+    Corpus("NumPy archive", "table.npz", _array_file("numpy_names"), ("import {} -o new",), False, 4),
+    Corpus("ROS 1 bag", "drive.bag", _bag("ros1"), ("import {} -o new",), False, 4),
+    Corpus("ROS 2 bag, MCAP", "drive.mcap", _bag("mcap alone"), ("import {} -o new",), False, 4),
+    Corpus("ROS 2 bag, SQLite", "drive.db3", _bag("sqlite"), ("import {} -o new",), False, 4),
 )
 
 
@@ -132,7 +168,7 @@ def test_damaged_files(
 
     @seed(8)
     @settings(
-        max_examples=campaign.times(12, 200),
+        max_examples=campaign.times(corpus.short, 200),
         deadline=None,
         database=None,
         phases=(Phase.generate, Phase.shrink),

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from imufield.acquire import matlab_reader
+from imufield.acquire import array_file_reader
 from imufield.cli.run import run
 
 LONGEST_S = 10
@@ -22,8 +22,8 @@ MOST_MEMORY = 1 << 30
 """Bytes of address space beyond what the test process has."""
 NEVER = {"os.system", "os.exec", "os.posix_spawn", "os.fork", "subprocess.Popen", "pickle.find_class", "socket.connect"}
 """What no file may lead to."""
-MATLAB_READER = [sys.executable, "-P", matlab_reader.__file__]
-"""The one exception, with a file's name behind it."""
+READER = [sys.executable, "-P", array_file_reader.__file__]
+"""The one exception, with a kind and a file's name behind it."""
 EXIT_CODES = {0, 2, 3, 4, 5, 6, 7}
 _WRITING = 0o3
 """O_WRONLY and O_RDWR of the flags of open()."""
@@ -39,7 +39,7 @@ class _Watch:
     def __call__(self, event: str, arguments: tuple[Any, ...]) -> None:
         if self.allowed is None:
             return
-        if event in NEVER and not (event == "subprocess.Popen" and [*arguments[1]][:3] == MATLAB_READER):
+        if event in NEVER and not (event == "subprocess.Popen" and [*arguments[1]][:3] == READER):
             self.seen.append(f"{event} {arguments!r}")
         if event == "open" and arguments[2] & _WRITING and isinstance(arguments[0], str | bytes):
             path = Path(arguments[0].decode() if isinstance(arguments[0], bytes) else arguments[0])

@@ -1,0 +1,172 @@
+"""Program that reads a file of arrays in a process of its own: ``python -P array_file_reader.py KIND FILE``.
+
+The libraries that read them are written in C and believe what a file says of its sizes and types: a damaged MATLAB file kills
+SciPy's reader, and a few hundred bytes of HDF5, Parquet or packed NumPy unpack to gigabytes. Here that is the end of this
+process and not of the one that asked. What is read goes to standard output: a line of JSON with the names and what the file
+states, or with what is wrong, and then each array in NumPy's format. This file imports nothing of imufield, so that it runs
+wherever NumPy and SciPy are found.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import sys
+import tokenize
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Arrays = dict[str, NDArray[Any]]
+
+MEMORY_LIMIT_BYTES = 1 << 30
+LONGEST_S = 10
+"""Of processor time, and a minute more for every 100 MB of the file."""
+MEMORY_PER_BYTE = 64
+"""Numbers of an instrument do not pack more tightly than this; a small file that unpacks to gigabytes is a trap."""
+DAMAGE = (
+    *(ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RuntimeError, OSError, EOFError),
+    *(MemoryError, SyntaxError, RecursionError, struct.error, tokenize.TokenError, zlib.error, zipfile.BadZipFile),
+)
+"""What the libraries raise in damaged files, besides ending the process: their own errors derive from ValueError, OSError and
+RuntimeError, the others come out of the parsing of sizes, names and (NumPy) a head written in Python."""
+_NUMBERS = "iufbM"
+"""Kinds of data that are numbers or dates."""
+_OWN = "imufield_"
+"""What our own exports state of their numbers begins with this."""
+
+
+def read_mat(path: Path) -> tuple[Arrays, Mapping[Any, Any]]:
+    """Return the arrays of a MATLAB file of version 4 to 7."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        return dict(_of_structure(loadmat(path, simplify_cells=True))), {}
+    except MatReadError as error:
+        raise ValueError(str(error)) from error
+
+
+def _of_structure(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the arrays of a MATLAB file, those in structures by their dotted names."""
+    for name, value in content.items():
+        if name.startswith("__"):
+            continue
+        if isinstance(value, np.ndarray) and value.dtype.kind in "iufb":
+            yield prefix + name, value
+        elif isinstance(value, dict):
+            yield from _of_structure(value, f"{prefix}{name}.")
+
+
+def read_hdf5(path: Path) -> tuple[Arrays, Mapping[Any, Any]]:
+    """Return the datasets and records of an HDF5 file and its attributes."""
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        arrays: Arrays = {}
+        file.visititems(lambda name, item: _add_dataset(arrays, name, item))
+        return arrays, {name: value for name, value in file.attrs.items() if name.startswith(_OWN)}
+
+
+def _add_dataset(arrays: Arrays, name: str, item: Any) -> None:
+    # "#refs#" is where MATLAB keeps what has no name; links to outside are not followed by visititems.
+    if not hasattr(item, "shape") or name.startswith("#") or item.size == 0:
+        return
+    if item.dtype.names:
+        arrays.update({f"{name}.{part}": item[part] for part in item.dtype.names})
+    elif item.dtype.kind in "iufb":
+        arrays[name.replace("/", ".")] = item[()]
+
+
+def read_parquet(path: Path) -> tuple[Arrays, Mapping[Any, Any]]:
+    """Return the columns of a Parquet file and what its writer says of it."""
+    import pyarrow.parquet as parquet
+
+    # One thread: each of them would take address space of its own.
+    table = parquet.read_table(path, use_threads=False)
+    stated = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items() if key != b"ARROW:schema"}
+    return {name: table.column(name).to_numpy() for name in table.column_names}, stated
+
+
+def read_numpy(path: Path) -> tuple[Arrays, Mapping[Any, Any]]:
+    """Return what is in a .npy or .npz file."""
+    # Opened here: NumPy leaves a damaged archive open.
+    with path.open("rb") as file:
+        content = np.load(file, allow_pickle=False)
+        names = content.dtype.names if isinstance(content, np.ndarray) else content.files
+        return ({name: content[name] for name in names} if names else {"": content}), {}
+
+
+READERS: dict[str, Callable[[Path], tuple[Arrays, Mapping[Any, Any]]]] = {
+    "mat": read_mat,
+    "hdf5": read_hdf5,
+    "parquet": read_parquet,
+    "numpy": read_numpy,
+}
+"""By the name of the kind on the command line."""
+
+
+def set_limits(size: int) -> None:
+    """Keep this process to the time and memory that a sound file of this size may need, where the system can."""
+    with suppress(ImportError, ValueError, OSError):
+        import resource
+
+        limit = _present_bytes() + MEMORY_LIMIT_BYTES + MEMORY_PER_BYTE * size
+        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+        if soft == resource.RLIM_INFINITY or soft > limit:
+            resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+        longest_s = LONGEST_S + 60 * size // 100_000_000
+        resource.setrlimit(resource.RLIMIT_CPU, (longest_s, longest_s))
+        # A reader that dies on purpose leaves no image of its memory beside the user's files.
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _present_bytes() -> int:
+    """Return the address space that this process has taken already, 0 where the system does not say."""
+    import resource
+
+    with suppress(OSError, ValueError):
+        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    return 0
+
+
+def main(kind: str, path: Path) -> None:
+    """Read, and write names and arrays, or what is wrong."""
+    warnings.simplefilter("ignore")
+    output = sys.stdout.buffer
+    try:
+        set_limits(path.stat().st_size)
+        arrays, stated = READERS[kind](path)
+    except MemoryError:
+        output.write(
+            json.dumps({"error": "its numbers need more memory than those of a sound file of its size"}).encode() + b"\n"
+        )
+        return
+    except DAMAGE as error:
+        cause = str(error).strip().splitlines()[:1] or [type(error).__name__]
+        output.write(json.dumps({"error": cause[0]}).encode() + b"\n")
+        return
+    numbers = [name for name, array in arrays.items() if array.dtype.kind in _NUMBERS]
+    head = {
+        "names": numbers,
+        "others": [name for name in arrays if name not in numbers],
+        "stated": {str(name): str(value) for name, value in stated.items() if str(name).startswith(_OWN)},
+    }
+    output.write(json.dumps(head).encode() + b"\n")
+    # NumPy would seek in what it takes for a file.
+    pipe: Any = SimpleNamespace(write=output.write)
+    for name in numbers:
+        np.lib.format.write_array(pipe, arrays[name], allow_pickle=False)
+    output.flush()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]))
