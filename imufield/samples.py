@@ -45,6 +45,8 @@ class Status(IntFlag):
     """``time_s`` comes from host arrival time, the instrument sends none."""
     INSTRUMENT_FAULT = 256
     """The instrument reports a fault that concerns the inertial values."""
+    STANDING = 512
+    """Acceleration or rate comes at a lower rate than the other: its values are those of a sample before."""
 
 
 INSTRUMENT_STATUS_SHIFT = 16

@@ -4,12 +4,16 @@ Either by order: a sample begins with one kind of frame, and what follows within
 to it. Or by counter: frames that carry the same count, near each other in time. A frame that belongs to no sample (its
 beginning was lost, or it came twice) is left out and counted; a sample of which a frame was lost stays, with what is there.
 
+A kind may come at a fraction of the rate of the one that samples begin with, an angular rate with every second acceleration.
+How many samples there are to one of its frames is learned with the order, so that a pause is told from a loss.
+
 Where the protocol does not say which kind comes first, the pauses of the bus do: an instrument sends the frames of one sample
 together. Where stamps show no pauses, the lowest identifier does: it wins the bus.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,6 +26,14 @@ from imufield.samples import FloatArray, IntArray
 NO_FRAME = -1
 _LEARN_FRAMES = 24
 """Frames of sample kinds from which the order is learned; 0.12 s of two messages at 100 Hz."""
+_LEARN_UNEVEN_FRAMES, _LEARN_UNEVEN_S = 96, 2.0
+"""The same, and the longest time, where the kinds come at different rates."""
+_EVEN_PART = 0.85
+"""Kinds differ in rate if one comes less often than this, compared with the most frequent one."""
+_FEWEST_INTERVALS, _MOST_OFF = 3, 2.0
+"""Frames of a slower kind are even if so many follow each other, and none is that many samples off its turn."""
+_SLOWER = 1.25
+"""Samples to one frame, on average, of a kind that is slower and not merely lost now and then."""
 _OPEN_FRAMES = 4096
 """A sample that so many frames could not complete is closed, whatever the time stamps say: memory stays bounded."""
 _LATE_FRAMES = 32
@@ -92,7 +104,9 @@ class Assembler:
         self._identifiers = np.array(identifiers)
         self._start = 0 if self._kinds == 1 else rule.starts_with
         self._limit_s = self._doubled_s = rule.limit_s
-        self._learned = self._kinds == 1 or (self._start is not None and self._limit_s > 0)
+        self._learned = self._kinds == 1
+        self.samples_each = [1] * self._kinds
+        """Samples to one frame of each kind; 1 while it is not learned."""
         self._done = 0
         """By counter: samples given out of those that begin with the first frames of the next block."""
 
@@ -112,10 +126,13 @@ class Assembler:
             Nothing will follow.
         """
         if not self._learned:
-            if len(frames) < _LEARN_FRAMES and not last:
-                return Groups(np.empty((0, self._kinds), dtype=np.int64), 0, 0)
             # From as many frames in any case, so that it does not matter in what pieces the stream comes.
+            count = _frames_to_learn_from(frames)
+            if len(frames) < count and not last:
+                return Groups(np.empty((0, self._kinds), dtype=np.int64), 0, 0)
             self._learn(frames.kind[:_LEARN_FRAMES], frames.time_s[:_LEARN_FRAMES])
+            if count > _LEARN_FRAMES:
+                self.samples_each = [_samples_each(frames.kind[:count], self.start, kind) for kind in range(self._kinds)]
         if self._kinds == 1:
             return Groups(np.arange(len(frames))[:, np.newaxis], 0, len(frames))
         groups = self._by_order(frames, last) if frames.group is None else self._by_counter(frames, frames.group, last)
@@ -127,7 +144,7 @@ class Assembler:
     def _learn(self, kind: NDArray[np.int8], time_s: FloatArray) -> None:
         """Find the kind that comes after the longest pauses, and the period."""
         self._learned = True
-        if len(kind) == 0:
+        if len(kind) == 0 or (self._start is not None and self._limit_s > 0):
             return
         counts = np.bincount(kind, minlength=self._kinds)
         longest, is_clear = self._longest_pause(kind, time_s, counts)
@@ -254,3 +271,24 @@ class Assembler:
         old = (frames.time_s[-1] - frames.time_s[begin] > self._limit_s) | (len(frames) - begin > _LATE_FRAMES)
         open_ones = np.flatnonzero(~(complete | old))
         return int(open_ones[0]) if len(open_ones) else len(rows)
+
+
+def _frames_to_learn_from(frames: SampleFrames) -> int:
+    """Return how many frames it takes to learn the order: more where the kinds differ in rate. At least two of a kind count."""
+    counts = np.bincount(frames.kind[:_LEARN_FRAMES])
+    counts = counts[counts > 1]
+    if len(frames) < _LEARN_FRAMES or len(counts) < 2 or counts.min() >= _EVEN_PART * counts.max():
+        return _LEARN_FRAMES
+    late = np.flatnonzero(frames.time_s[:_LEARN_UNEVEN_FRAMES] > frames.time_s[0] + _LEARN_UNEVEN_S)
+    return max(int(late[0]), _LEARN_FRAMES + 1) if len(late) else _LEARN_UNEVEN_FRAMES
+
+
+def _samples_each(kinds: NDArray[np.int8], start: int, kind: int) -> int:
+    """Return how many samples there are to one frame of a kind; 1 where it comes with each, or in no regular turn."""
+    sample = np.cumsum(kinds == start)[kinds == kind]
+    if kind == start or len(sample) <= _FEWEST_INTERVALS:
+        return 1
+    turn = np.arange(len(sample))
+    each = float(sample[-1] - sample[0]) / turn[-1]
+    off = np.abs(sample - sample[0] - turn * each).max()
+    return math.ceil(each - _SLOWER + 1) if each >= _SLOWER and off <= _MOST_OFF else 1

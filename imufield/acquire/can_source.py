@@ -93,6 +93,8 @@ class CanSource:
         self._inertial = [
             number for number, kind in enumerate(rule.kinds) if any(column.place < TEMPERATURE for column in kind.columns)
         ]
+        self._standing: dict[int, tuple[NDArray[np.uint8], int]] = {}
+        """By number of a slower kind: data of its last frame, and how many samples ago that was."""
         self._bytes_needed = max(reader.bytes_needed for reader in self._kinds)
         self._assembler = Assembler(rule.assembly, [rule.dbc.identifier(kind.message.name) for kind in rule.kinds])
 
@@ -241,7 +243,9 @@ class CanSource:
         has_gaps = not is_complete
         for number, reader in enumerate(self._kinds):
             which = rows[:, number]
-            if is_complete or (which >= 0).all():
+            if number in self._inertial and (each := self._assembler.samples_each[number]) > 1:
+                has_gaps |= self._read_slower(frames, number, each, which, into)
+            elif is_complete or (which >= 0).all():
                 has_gaps |= reader.read(reader.data(frames, which), into, slice(None))
             elif len(there := np.flatnonzero(which >= 0)):
                 reader.read(reader.data(frames, which[there]), into, there)
@@ -252,6 +256,25 @@ class CanSource:
             return block
         # What carries neither acceleration nor rate is no sample.
         return block[np.asarray((rows[:, self._inertial] >= 0).any(axis=1))]
+
+    def _read_slower(self, frames: CanFrames, number: int, samples_each: int, which: IntArray, into: Rows) -> bool:
+        """Read the frames of a kind that comes with some samples only; between them its values stand, and are flagged so."""
+        reader, n = self._kinds[number], len(which)
+        there = np.flatnonzero(which >= 0)
+        data = reader.data(frames, which[there])
+        has_gaps = bool(len(there)) and reader.read(data, into, there)
+        before, age = self._standing.get(number, (data[:0], 0))
+        data = np.concatenate([before, data])
+        at = np.maximum.accumulate(np.where(which >= 0, np.arange(n), -1 - age))
+        age_of = np.arange(n) - at
+        place = np.cumsum(which >= 0) + len(before) - 1
+        standing = np.flatnonzero((age_of > 0) & (age_of < samples_each) & (place >= 0))
+        if len(standing):
+            has_gaps |= reader.read(data[place[standing]], into, standing, values_only=True)
+            into.status[standing] |= np.uint32(Status.STANDING)
+            self._statistics.samples_standing += len(standing)
+        self._standing[number] = data[-1:], int(age_of[-1])
+        return has_gaps
 
     def _flag_gaps(self, values: FloatArray, status: NDArray[np.uint32]) -> None:
         for has, rows, flag in (
@@ -296,7 +319,7 @@ class _KindReader:
             chosen &= np.isin(signal.raw(data), allowed)
         return chosen
 
-    def read(self, data: NDArray[np.uint8], into: Rows, rows: slice | IntArray) -> bool:
+    def read(self, data: NDArray[np.uint8], into: Rows, rows: slice | IntArray, *, values_only: bool = False) -> bool:
         """Write values, flags, counter and time stamps of frames into ``rows`` of a block; tell whether some have no value.
 
         Parameters
@@ -304,6 +327,8 @@ class _KindReader:
         data : ndarray of uint8, shape (n, width)
         into : Rows
         rows : slice or ndarray of int64, shape (n,)
+        values_only : bool
+            Leave counter and time out.
         """
         kind, status = self.kind, into.status
         has_gaps = False
@@ -316,6 +341,8 @@ class _KindReader:
         for signal, shift in kind.status:
             upper = signal.raw(data).astype(np.int64) << (INSTRUMENT_STATUS_SHIFT + shift)
             status[rows] |= (upper & 0xFFFF0000).astype(np.uint32)
+        if values_only:
+            return has_gaps
         if kind.counter is not None:
             into.counter[rows] = kind.counter.raw(data).astype(np.int64)
         if kind.time is not None:

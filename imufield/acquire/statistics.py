@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from imufield.samples import Status
+
 
 @dataclass(slots=True)
 class DecoderStatistics:
@@ -21,6 +23,8 @@ class DecoderStatistics:
     samples: int = 0
     samples_incomplete: int = 0
     """Of these, without acceleration or without rate: not available, or the frame that carries it is missing."""
+    samples_standing: int = 0
+    """With the last acceleration or rate again, which comes at a lower rate than the other."""
     samples_lost: int = 0
     """Known from the counter or the time stamps of the instrument."""
     losses_estimated: int = 0
@@ -56,6 +60,12 @@ def remarks(parts: Sequence[DecoderStatistics]) -> list[str]:
     if incomplete:
         share = 100 * incomplete / max(samples, 1)
         found.append(f"{incomplete} of {samples} samples ({share:.2g} %) lack acceleration or rate, and enter no mean")
+    standing = sum(part.samples_standing for part in parts)
+    if standing:
+        found.append(
+            f"acceleration and rate come at different rates: in {standing} of {samples} samples the slower one stands at its"
+            f" last value (status {Status.STANDING.value})"
+        )
     if resets:
         times = "once" if resets == 1 else f"{resets} times"
         found.append(f"counter or time of the instrument jumped {times} where nothing was lost, as a restart does")

@@ -16,7 +16,7 @@ from imufield.acquire.can_frames import ERROR, EXTENDED, FD, REMOTE, Frame, pack
 from imufield.acquire.can_map import protocol_from_dbc
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol import Protocol, load_protocol
-from imufield.acquire.statistics import DecoderStatistics
+from imufield.acquire.statistics import DecoderStatistics, remarks
 from imufield.samples import Samples, Status, concatenate
 from tests.acquire.plain_frames import parse_candump
 
@@ -100,6 +100,62 @@ def test_cuts_do_not_matter(seed: int) -> None:
     np.testing.assert_allclose(whole.time_s, cut.time_s, atol=2e-3)
     assert first.by_kind == second.by_kind
     assert (first.frames, first.bytes_skipped) == (second.frames, second.bytes_skipped)
+
+
+def unequal(samples: int, each: int, slower: int = RATE, *, offset: int = 0) -> list[Frame]:
+    """Return the frames of a bus with one message of ``slower`` to ``each`` of the other kind; values count samples."""
+    frames = []
+    for number in range(samples):
+        for can_id, delay_s in ((ACCELERATION, 0.0), (RATE, 0.00027)):
+            if can_id != slower or number % each == offset:
+                frames.append(Frame(can_id, words(20000 + number, 32000, 32000), number * 0.005 + delay_s))
+    return frames
+
+
+@pytest.mark.parametrize("each", [2, 3, 5, 10])
+def test_a_slower_message_stands_until_the_next(each: int) -> None:
+    data = pack(unequal(400, each))
+    for cuts in ([], list(range(24, len(data), 24)), list(range(77, len(data), 77))):
+        samples, statistics = decode(J1939, data, cuts)
+        assert len(samples) == 400
+        assert samples.usable.all()
+        assert (np.diff(samples.accelerometer[:, 0]) != 0).all(), "the faster one is measured in each sample"
+        sent = samples.gyroscope[::each, 0]
+        assert (np.diff(sent) != 0).all()
+        np.testing.assert_array_equal(samples.gyroscope[:, 0], np.repeat(sent, each)[:400])
+        standing = (samples.status & np.uint32(Status.STANDING)) != 0
+        assert standing.tolist() == (np.arange(400) % each != 0).tolist()
+        assert (statistics.samples_incomplete, statistics.lost) == (0, 0)
+        assert statistics.samples_standing == np.count_nonzero(standing)
+        assert statistics.nominal_rate_hz == pytest.approx(200.0, rel=1e-3)
+        (said,) = [sentence for sentence in remarks([statistics]) if "512" in sentence]
+        assert f"{statistics.samples_standing} of 400" in said
+
+
+def test_the_acceleration_may_be_the_slower_one() -> None:
+    samples, statistics = decode(J1939, pack(unequal(400, 2, ACCELERATION)))
+    assert len(samples) == 400
+    # What comes before the first rate belongs to no sample.
+    assert samples.usable[1:-1].all()
+    assert statistics.samples_standing == pytest.approx(200, abs=2)
+    assert len(set(samples.accelerometer[1:-1, 0].tolist())) == pytest.approx(200, abs=2)
+
+
+def test_a_slower_message_that_is_lost_stands_no_longer_than_its_turn() -> None:
+    frames = unequal(400, 2)
+    lost = next(place for place, frame in enumerate(frames) if frame.can_id == RATE and frame.time_s > 1.0)
+    number = round(frames[lost].time_s / 0.005)
+    samples, statistics = decode(J1939, pack(frames[:lost] + frames[lost + 1 :]))
+    assert np.flatnonzero(~samples.usable).tolist() == [number, number + 1]
+    assert statistics.samples_incomplete == 2
+
+
+def test_messages_lost_at_random_do_not_stand() -> None:
+    rng = random.Random(5)
+    frames = [frame for frame in stream(600) if frame.can_id == ACCELERATION or rng.random() > 0.4]
+    samples, statistics = decode(J1939, pack(frames))
+    assert statistics.samples_standing == 0
+    assert np.count_nonzero(~samples.usable) == 600 - sum(frame.can_id == RATE for frame in frames)
 
 
 @pytest.mark.parametrize("seed", range(4))
