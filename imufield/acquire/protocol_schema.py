@@ -119,6 +119,8 @@ class ClockRule:
     """The counter also counts messages that are no samples, so it says nothing where there is a time stamp."""
     times: tuple[TimeRule, ...] = ()
     """Several time stamps, of which the first that a frame has counts; all are turned into ns."""
+    gaps_told: bool = False
+    """The flags of the samples tell where some are lost, and the time is as it stands."""
 
 
 def read_text(top: Table) -> TextRule:
@@ -258,6 +260,7 @@ def read_clock(top: Table) -> ClockRule:
         counter.integer("jitter", 0, 1 << 16, 0),
         counter.flag("counts_others"),
         tuple(times) if several else (),
+        table.flag("gaps_told"),
     )
     if rule.counter_ticks_per_s < 0 or rule.rate_hz < 0:
         raise table.error("ticks_per_s", "rates must be positive")

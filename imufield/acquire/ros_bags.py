@@ -148,7 +148,8 @@ def _table(path: Path, rows: FloatArray, said: tuple[str, ...]) -> ArrayTable:
         values[gone, columns] = np.nan
         if gone.all():
             values[:, -1] -= int(flag)
-    settings: dict[str, str | float] = {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s"}
+    # The flags are those of values: of gaps a recording of ROS says nothing.
+    settings: dict[str, str | float] = {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s", "status": "true"}
     units = ("s", *[""] * (len(SAMPLE_COLUMNS) - 1))
     return ArrayTable(path, SAMPLE_COLUMNS, values, units, settings, None, said)
 

@@ -17,6 +17,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.acquire.assembly import RawBlock, join
 from imufield.acquire.loss_watch import LossWatch, TimedBlock
@@ -220,6 +221,9 @@ class SampleClock:
             self._ticks = int(total[-1])
             time_s = total / self._tick_rate_hz + self._origin_s
         found = self._steps.examine(steps)
+        if self._rule.gaps_told:
+            self._count_told(block.status, found.lost)
+            return TimedBlock(block, time_s, flags, np.zeros(len(block), dtype=np.bool_), math.nan)
         flags[found.irregular & ~found.inexact] |= np.uint32(Status.AFTER_GAP)
         flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
         unaccounted = np.abs(block.skipped_before - found.lost) > _HALF_A_SAMPLE
@@ -229,6 +233,14 @@ class SampleClock:
         if not (self._has_time or self._has_counter):
             flags |= np.uint32(Status.TIME_ESTIMATED)
         return TimedBlock(block, time_s, flags, fault, math.nan)
+
+    def _count_told(self, status: NDArray[np.uint32], lost: IntArray) -> None:
+        """Count the losses that the samples themselves tell of; how many there are is in the time."""
+        estimated = (status & np.uint32(Status.GAP_ESTIMATED)) != 0
+        counted = ((status & np.uint32(Status.AFTER_GAP)) != 0) & ~estimated
+        self._statistics.gaps += int(np.count_nonzero(estimated | counted))
+        self._statistics.samples_lost += int(lost[counted].sum())
+        self._statistics.losses_estimated += int(lost[estimated].sum())
 
     def _counter_steps(self, block: RawBlock) -> IntArray:
         """Return how far the counter went to each sample; a standing one went round once. Shape (n,)."""

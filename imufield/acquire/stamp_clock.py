@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,6 +46,7 @@ class StampClock:
     def __init__(self, rule: ClockRule) -> None:
         self._modulus = rule.time_modulus
         self._ticks_per_s = rule.time_ticks_per_s
+        self._longest_pause_s = math.inf if rule.gaps_told else _LONGEST_PAUSE_S
         self._last: float = 0
         self._wraps = 0
         self._offset_s = 0.0
@@ -71,7 +73,7 @@ class StampClock:
         stamps = self._unwrap(self._without_garbage(stamps))
         raw_s: FloatArray = stamps / self._ticks_per_s
         step_s = _steps(raw_s, self._raw_s)
-        reset = (step_s < 0) | (step_s > _LONGEST_PAUSE_S)
+        reset = (step_s < 0) | (step_s > self._longest_pause_s)
         offset_s = np.full(len(stamps), self._offset_s)
         for place in np.flatnonzero(reset).tolist():
             before_s = raw_s[place - 1] + offset_s[place - 1] if place else self._raw_s + self._offset_s

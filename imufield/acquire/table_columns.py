@@ -19,6 +19,8 @@ FIELDS = (TIME, *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS, TEMPERATURE)
 """The columns of a row of protocol ``rows_f64``, in its order."""
 STATUS = "status"
 """Flags of imufield itself, beside the other columns; known in exports of its own only, since others' mean other things."""
+COUNTER = "counter"
+"""What the instrument numbered its samples by; known in exports of our own only, whose flags tell of every gap."""
 SKIPPED = ("-", "_", "skip")
 
 
@@ -71,7 +73,7 @@ class TableColumn:
 
     @property
     def quantity(self) -> str:
-        """``time``, ``accelerometer``, ``gyroscope``, ``temperature`` or ``status``."""
+        """``time``, ``accelerometer``, ``gyroscope``, ``temperature``, ``status`` or ``counter``."""
         return quantity_of(self.field)
 
 
@@ -177,7 +179,8 @@ def columns_by_header(path: Path, header: Sequence[str], units: Sequence[str] | 
     below = units if units is not None and len(units) == len(header) else [None] * len(header)
     named = [named_column(name, index, unit) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
     if set(SAMPLE_COLUMNS) <= set(header):
-        named[header.index(STATUS)] = TableColumn(header.index(STATUS), STATUS)
+        for name in (STATUS, COUNTER):
+            named[header.index(name)] = TableColumn(header.index(name), name)
     found = [column for column in named if column is not None]
     ignored = [name for name, column in zip(header, named, strict=True) if column is None and name]
     return _checked(
@@ -228,7 +231,7 @@ def _checked(path: Path, found: Sequence[TableColumn], assumptions: tuple[str, .
                 path=str(path),
                 missing=missing,
             )
-    if not set(fields) - {TIME, TEMPERATURE, STATUS}:
+    if not set(fields) - {TIME, TEMPERATURE, STATUS, COUNTER}:
         raise UsageError(
             f"no column of {path} is known as accelerometer or gyroscope: name them with --columns {','.join(FIELDS)}.",
             path=str(path),

@@ -19,6 +19,7 @@ from imufield.acquire.link import Chunk
 from imufield.acquire.ros_bags import is_bag, read_bag
 from imufield.acquire.table_arrays import ArrayTable, array_reader
 from imufield.acquire.table_columns import (
+    COUNTER,
     FIELDS,
     STATUS,
     TEMPERATURE,
@@ -32,12 +33,22 @@ from imufield.acquire.table_join import join_by_row, join_by_time
 from imufield.acquire.table_text import TextTable, open_table
 from imufield.acquire.table_units import TIME_SCALE, TIME_UNIT, choose_time_scale, choose_unit, given_time_unit
 from imufield.errors import Reason, RecordingError, UsageError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, Samples, Status
+from imufield.samples import (
+    ACCELEROMETER_COLUMNS,
+    GYROSCOPE_COLUMNS,
+    NO_COUNTER,
+    FloatArray,
+    IntArray,
+    Samples,
+    Status,
+)
 
 ROWS_PROTOCOL = "rows_f64"
 ROW_BYTES = 8 * len(FIELDS)
 _FLAGGED_ROW = np.dtype([("numbers", "<f8", (len(FIELDS),)), ("status", "<u4")])
 """A row of the same protocol with ``status = true``."""
+_COUNTED_ROW = np.dtype([*((name, _FLAGGED_ROW[name]) for name in ("numbers", "status")), ("counter", "<i8")])
+"""The same with ``status = counted``."""
 LATEST_NS = 2**63 - 1
 """What a recording's time stamps hold: 292 years. Times beyond are kept in the rows themselves."""
 _ROWS_A_CHUNK = 4096
@@ -64,6 +75,8 @@ class ImportedTable:
         Sentences.
     status : ndarray of uint32, shape (n,), or None
         ``Status`` flags, where the file is an export of our own or a recording that tells.
+    counter : ndarray of int64, shape (n,), or None
+        Where the file is an export of our own, ``NO_COUNTER`` where the instrument sent none.
     """
 
     rows: FloatArray
@@ -71,6 +84,16 @@ class ImportedTable:
     raw_zero: tuple[float, float, float]
     assumptions: tuple[str, ...]
     status: NDArray[np.uint32] | None = None
+    counter: IntArray | None = None
+
+    def __getitem__(self, rows: slice) -> ImportedTable:
+        status, counter = self.status, self.counter
+        return replace(
+            self,
+            rows=self.rows[rows],
+            status=None if status is None else status[rows],
+            counter=None if counter is None else counter[rows],
+        )
 
     @property
     def rate_hz(self) -> float:
@@ -171,7 +194,7 @@ def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[
         table = _table([file], rate_hz, settings=decided)
         if rate_hz is not None and TIME not in file.fields:
             table.rows[:, 0] = (done - 1 + np.arange(len(table.rows))) / rate_hz
-        yield replace(table, rows=table.rows[1:], status=None if table.status is None else table.status[1:])
+        yield table[1:]
         done, last = done + len(values), values[-1:]
 
 
@@ -225,10 +248,19 @@ def _table(
     status = joined[STATUS].astype(np.uint32) if STATUS in joined else None
     if status is not None:
         found["status"] = "true"
-    return ImportedTable(rows, found, raw_zero, tuple(said), status)
+    counter = None
+    if status is not None and COUNTER in joined and "status" not in known:
+        counter = np.nan_to_num(joined[COUNTER], nan=NO_COUNTER).astype(np.int64)
+        found["status"] = "counted"
+    return ImportedTable(rows, found, raw_zero, tuple(said), status, counter)
 
 
-def write_rows(recorder: ChunkWriter, rows: FloatArray | Samples, status: NDArray[np.uint32] | None = None) -> None:
+def write_rows(
+    recorder: ChunkWriter,
+    rows: FloatArray | Samples,
+    status: NDArray[np.uint32] | None = None,
+    counter: IntArray | None = None,
+) -> None:
     """Write samples as chunks of whole rows of protocol ``rows_f64``; a chunk "arrives" at the time of its last sample.
 
     Parameters
@@ -237,19 +269,25 @@ def write_rows(recorder: ChunkWriter, rows: FloatArray | Samples, status: NDArra
     rows : ndarray, shape (n, 8), or Samples
     status : ndarray of uint32, shape (n,), optional
         Makes rows for the setting ``status = true``.
+    counter : ndarray of int64, shape (n,), optional
+        Beside ``status``; for the setting ``status = counted``.
     """
     table = rows_of(rows) if isinstance(rows, Samples) else rows
     start_s = float(table[0, 0]) if len(table) else 0.0
     for start in range(0, len(table), _ROWS_A_CHUNK):
         part = table[start : start + _ROWS_A_CHUNK]
         last_s = float(part[-1, 0])
-        content = part.astype("<f8") if status is None else _flagged(part, status[start : start + _ROWS_A_CHUNK])
+        here = slice(start, start + _ROWS_A_CHUNK)
+        counted = None if counter is None else counter[here]
+        content = part.astype("<f8") if status is None else _flagged(part, status[here], counted)
         recorder.write_chunk(Chunk(content.tobytes(), last_s, min(max(0, round((last_s - start_s) * 1e9)), LATEST_NS)))
 
 
-def _flagged(rows: FloatArray, status: NDArray[np.uint32]) -> NDArray[np.void]:
-    flagged = np.empty(len(rows), dtype=_FLAGGED_ROW)
+def _flagged(rows: FloatArray, status: NDArray[np.uint32], counter: IntArray | None) -> NDArray[np.void]:
+    flagged = np.empty(len(rows), dtype=_FLAGGED_ROW if counter is None else _COUNTED_ROW)
     flagged["numbers"], flagged["status"] = rows, status
+    if counter is not None:
+        flagged["counter"] = counter
     return flagged
 
 
@@ -308,12 +346,12 @@ def _file_of(source: Source, meaning: Meaning, values: FloatArray, first_row: in
         raise RecordingError(f"{path}: 1 row is no recording: check the file.", Reason.BAD_DATA, path=str(path))
     fields = {column.field: values[:, place] for place, column in enumerate(meaning.columns)}
     units = _units(path, meaning)
-    kept = {name: column for name, column in fields.items() if not _is_empty(column)}
-    if not kept:
+    kept = {name: column for name, column in fields.items() if name == COUNTER or not _is_empty(column)}
+    if not kept.keys() - {COUNTER}:
         raise RecordingError(f"{path} has no number in any of its columns: check the file.", Reason.BAD_DATA, path=str(path))
     _check_whole_triads(path, fields, kept)
     for name, column in kept.items():
-        if name != TEMPERATURE:
+        if name not in (TEMPERATURE, COUNTER):
             _check_finite(source, name, column, kept.get(STATUS), first_row)
     _check_no_step_back(source, kept.get(TIME), first_row, is_guess=is_guess)
     if isinstance(source, TextTable):
@@ -429,7 +467,7 @@ def _join(
 def _rows(fields: Mapping[str, FloatArray]) -> FloatArray:
     rows = np.full((len(fields[TIME]), len(FIELDS)), np.nan)
     for name, column in fields.items():
-        if name != STATUS:
+        if name not in (STATUS, COUNTER):
             rows[:, _COLUMN[name]] = column
     return rows
 

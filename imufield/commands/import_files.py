@@ -240,7 +240,7 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
     protocol = load_protocol(ROWS_PROTOCOL, {**of_rows, **table.settings})
     session = _new_session(options, protocol, table)
     with _whole_or_nothing(session), Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
-        write_rows(recorder, table.rows, table.status)
+        write_rows(recorder, table.rows, table.status, table.counter)
     session.update(finished=True)
     return session, list(table.assumptions)
 
@@ -251,7 +251,7 @@ def table_samples(path: Path, rate_hz: float | None = None) -> Iterator[Samples]
     for table in stream_table(path, rate_hz=rate_hz):
         decoder = decoder or Decoder(load_protocol(ROWS_PROTOCOL, table.settings))
         chunks = _Chunks([])
-        write_rows(chunks, table.rows, table.status)
+        write_rows(chunks, table.rows, table.status, table.counter)
         for chunk in chunks.written:
             yield decoder.feed(chunk.data, chunk.monotonic_s)
     if decoder is not None:

@@ -19,9 +19,11 @@ from imufield.acquire.registry import load_driver
 from imufield.acquire.session import Session
 from imufield.cli.run import run
 from imufield.commands import import_files
-from imufield.commands.chain import session_samples
+from imufield.commands.chain import Chain, ReadingPlan, replay_into, session_samples
+from imufield.commands.import_files import table_samples
+from imufield.deliver.export_data import export_samples
 from imufield.errors import Reason, RecordingError, UsageError
-from imufield.samples import Samples, Status, concatenate, make_samples
+from imufield.samples import NO_COUNTER, Samples, Status, concatenate, make_samples
 from imufield.simulate.can_encode import CanEncoder
 
 N = 500
@@ -308,3 +310,58 @@ def test_an_import_is_replaced_when_asked_and_nothing_else_is(tmp_path: Path, ca
     assert imported("a.csv", "--replace") == 2
     assert "for imports alone" in capsys.readouterr().err
     assert run(["import", str(tmp_path / "a.csv"), "--replace"]) == 2
+
+
+def gappy(n: int = 3000) -> Samples:
+    """Return samples with gaps counted and estimated, a night between two of them, flags, and a counter with holes."""
+    rng = np.random.default_rng(4)
+    step_s = np.full(n, 0.01)
+    step_s[[100, 900]], step_s[200], step_s[1500] = 0.04, 0.137, 20_000.0
+    status = np.full(n, np.uint32(Status.TIME_ESTIMATED), dtype=np.uint32)
+    status[[100, 900]] |= np.uint32(Status.AFTER_GAP)
+    status[[200, 1500]] |= np.uint32(Status.GAP_ESTIMATED)
+    status[::2] |= np.uint32(Status.STANDING)
+    status[:50] |= np.uint32(Status.START_UP)
+    status[300] |= np.uint32(Status.ACCELEROMETER_INVALID | 5 << 16)
+    counter = (7 + np.arange(n)) % 256
+    counter[400:410] = NO_COUNTER
+    force = rng.normal(size=(n, 3))
+    force[300] = np.nan
+    protocol = load_driver("aceinna_can").load_protocol()
+    return make_samples(
+        5.5 + np.cumsum(step_s),
+        force,
+        rng.normal(size=(n, 3)),
+        units=protocol.units,
+        counter=counter,
+        status=status,
+        temperature_degc=np.where(np.arange(n) % 9 == 0, 21.5, np.nan),
+    )
+
+
+@pytest.mark.parametrize(("to", "suffix"), [("csv", "csv"), ("parquet", "parquet"), ("hdf5", "h5")])
+@pytest.mark.parametrize("has_counter", [True, False])
+def test_exported_samples_come_back_as_they_were(tmp_path: Path, to: str, suffix: str, has_counter: bool) -> None:
+    sent = gappy()
+    if not has_counter:
+        sent.counter[:] = NO_COUNTER
+    path = tmp_path / f"samples.{suffix}"
+    export_samples([sent], path, to)
+    assert typed("import", path, "-o", tmp_path / "again") == 0
+    found = imported(tmp_path / "again")
+    for name in ("time_s", "accelerometer", "gyroscope", "temperature_degc", "counter", "status"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(sent, name), err_msg=name)
+    chain = Chain(ReadingPlan(None), judging=False)
+    replay_into(chain, Session.open(tmp_path / "again"), [])
+    (counts,) = chain.statistics
+    assert (counts.gaps, counts.samples_lost) == (4, 6)
+    assert counts.losses_estimated >= 13
+
+
+def test_a_table_piece_by_piece_keeps_the_counter(tmp_path: Path) -> None:
+    sent = gappy()
+    export_samples([sent], tmp_path / "samples.csv")
+    found = concatenate(table_samples(tmp_path / "samples.csv"))
+    np.testing.assert_array_equal(found.counter, sent.counter)
+    np.testing.assert_array_equal(found.status, sent.status)
+    np.testing.assert_array_equal(found.time_s, sent.time_s)
