@@ -116,15 +116,28 @@ READERS: dict[str, Callable[[Path], tuple[Arrays, Mapping[Any, Any]]]] = {
 
 def set_limits(size: int) -> None:
     """Keep this process to the time and memory that a sound file of this size may need, where the system can."""
+    limit_memory(size)
     with suppress(ImportError, ValueError, OSError):
         import resource
 
-        limit = _present_bytes() + MEMORY_LIMIT_BYTES + MEMORY_PER_BYTE * size
+        longest_s = LONGEST_S + 60 * size // 100_000_000
+        resource.setrlimit(resource.RLIMIT_CPU, (longest_s, longest_s))
+
+
+def memory_limit_bytes(size: int) -> int:
+    """Return what a process may take, beyond itself, that reads a file of ``size`` bytes."""
+    return MEMORY_LIMIT_BYTES + MEMORY_PER_BYTE * size
+
+
+def limit_memory(size: int) -> None:
+    """Keep this process to the memory that a sound file of this size may need, where the system can."""
+    with suppress(ImportError, ValueError, OSError):
+        import resource
+
+        limit = _present_bytes() + memory_limit_bytes(size)
         soft, hard = resource.getrlimit(resource.RLIMIT_AS)
         if soft == resource.RLIM_INFINITY or soft > limit:
             resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
-        longest_s = LONGEST_S + 60 * size // 100_000_000
-        resource.setrlimit(resource.RLIMIT_CPU, (longest_s, longest_s))
         # A reader that dies on purpose leaves no image of its memory beside the user's files.
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 

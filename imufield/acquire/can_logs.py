@@ -19,10 +19,12 @@ from typing import IO, Any
 import can
 from can.io.blf import BLFParseError
 
+from imufield.acquire.array_file_reader import memory_limit_bytes
 from imufield.acquire.can_frames import ERROR, SENT, Frame, Unpacker, unpack_frames
 from imufield.acquire.can_link import make_message, open_bus, pack_message, parse_bus
 from imufield.acquire.host_clock import NANOSECONDS
 from imufield.acquire.link import WRITE_TIMEOUT_S, Chunk
+from imufield.acquire.mf4_reader import TOO_LARGE
 from imufield.acquire.recording import EndOfRecordingError, RecordingLink
 from imufield.acquire.table_arrays import missing_package
 from imufield.acquire.tables import ChunkWriter
@@ -148,7 +150,7 @@ def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iter
                 count += 1
                 yield message
             lost = reader.cut(count)
-    except UsageError:
+    except (UsageError, RecordingError):
         raise
     except _DAMAGE as error:
         if not count:
@@ -188,6 +190,7 @@ class _Reader:
         if not kind:
             raise UsageError(f"{path} has none of the suffixes {', '.join(_HEADS)}: rename it", path=str(path))
         opener: Callable[..., IO[Any]] = gzip.open if suffixes[-1] == ".gz" else open
+        self._path = path
         self._process = _start_mf4(path) if kind == ".mf4" else None
         mode: dict[str, Any] = {"mode": "rb"} if kind in _BINARY else {"mode": "rt", "encoding": "utf-8", "errors": "replace"}
         self._size = None if suffixes[-1] == ".gz" else path.stat().st_size
@@ -210,7 +213,10 @@ class _Reader:
         Its reader stops without a word where a file ends in the middle. What the whole file holds stands in its head, or
         nothing does where the logger was never stopped.
         """
-        if self._process is not None and self._process.wait() != 0:
+        ended = 0 if self._process is None else self._process.wait()
+        if ended == TOO_LARGE:
+            raise _too_large(self._path, count)
+        if ended:
             return f"is damaged behind frame {count}"
         reader = self._reader
         if not isinstance(reader, can.BLFReader):
@@ -237,6 +243,17 @@ def _start_mf4(path: Path) -> subprocess.Popen[str]:
     command = [sys.executable, "-P", str(Path(__file__).with_name("mf4_reader.py")), str(path)]
     quiet = subprocess.DEVNULL
     return subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, text=True)  # noqa: S603  (our own)
+
+
+def _too_large(path: Path, count: int) -> RecordingError:
+    limit = memory_limit_bytes(path.stat().st_size) >> 20
+    return RecordingError(
+        f"{path} asks for more than {limit} MiB of memory behind frame {count}, the limit for a file of its size: "
+        "it is damaged; or save it as BLF, ASC or in several files",
+        Reason.DAMAGED,
+        path=str(path),
+        frames=count,
+    )
 
 
 def _two_buses(path: Path, first: object, second: object) -> UsageError:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import gzip
 import random
+import struct
 import sys
 import time
+import zlib
 from pathlib import Path
 
 import can
@@ -162,6 +164,36 @@ def test_damaged_mf4_is_an_error_or_a_loss(tmp_path: Path, capfd: pytest.Capture
         with contextlib.suppress(RecordingError):
             assert sum(1 for chunk in read_log(bad) for _ in unpack_frames(chunk.data)) <= len(make_messages())
     assert capfd.readouterr().err == ""
+
+
+def zeros_packed(mebibytes: int) -> bytes:
+    """Return so many zeros, deflated: the pieces between two full flushes are alike."""
+    packer = zlib.compressobj(9)
+    first = packer.compress(bytes(1 << 20)) + packer.flush(zlib.Z_FULL_FLUSH)
+    again = packer.compress(bytes(1 << 20)) + packer.flush(zlib.Z_FULL_FLUSH)
+    end = packer.flush()[:-4]
+    return first + again * (mebibytes - 1) + end + struct.pack(">HH", (mebibytes << 20) % 65521, 1)
+
+
+def test_mf4_that_asks_for_too_much_memory_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("asammdf")
+    assert len(zlib.decompress(zeros_packed(3))) == 3 << 20
+    path = tmp_path / "trap.mf4"
+    with can.Logger(path) as logger:
+        for message in make_messages():
+            logger(message)
+    content, size = bytearray(path.read_bytes()), 4096 << 20
+    data_at, group_at = content.index(b"##DZ"), content.index(b"##CG")
+    row_bytes = struct.unpack_from("<I", content, data_at + 28)[0]
+    # The group refers to its data by their place in the file.
+    (link_at,) = (at for at in range(0, len(content) - 8, 8) if struct.unpack_from("<Q", content, at)[0] == data_at)
+    packed = zeros_packed(size >> 20)
+    struct.pack_into("<Q", content, link_at, len(content))
+    struct.pack_into("<Q", content, group_at + 24 + 6 * 8 + 8, size // row_bytes)
+    content += b"##DZ" + bytes(4) + struct.pack("<QQ2sBBIQQ", 48 + len(packed), 0, b"DT", 0, 0, 0, size, len(packed)) + packed
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=r"more than 1\d\d\d MiB of memory .* save it as BLF"):
+        list(read_log(path))
 
 
 def test_mf4_without_its_package_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
