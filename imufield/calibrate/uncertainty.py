@@ -30,6 +30,8 @@ CARRYING_SHARE = 0.35
 """A position with this leverage that gives this share of a parameter's variance carries it: in the schemes with 24 positions
 they reach 0.76 and 0.33, in a real hand-held session that shows one direction once 0.88 and 0.42."""
 
+_NO_VARIANCE = 1e-12
+"""Of a correlation matrix: a direction with less is one that the gauge fixes, and rounding."""
 _NEWTON_STEPS = 100
 """At most; each comes nearer, from below."""
 
@@ -197,3 +199,39 @@ def f_limit_95(numerator: int, denominator: int) -> float:
     from scipy.special import fdtri  # slow to load, as above
 
     return float(fdtri(numerator, denominator, 0.95)) if denominator > 0 else float("inf")
+
+
+def possible_cross_covariance(cross: FloatArray, ours: FloatArray, theirs: FloatArray) -> FloatArray:
+    """Return the covariance between two groups of parameters, taken back where it is more than those of the groups allow.
+
+    A standard deviation that was raised for what no model holds (a single position, an unfitted term) makes a covariance that
+    is propagated from it too large: together with the other group's it would give some combination a variance below zero.
+
+    Parameters
+    ----------
+    cross : ndarray, shape (n, m)
+    ours : ndarray, shape (n, n)
+    theirs : ndarray, shape (m, m)
+    """
+    if not np.isfinite(cross).all():
+        return cross
+    to_theirs, from_theirs = _whitening(theirs)
+    to_ours, from_ours = _whitening(ours)
+    left, correlation, right = np.linalg.svd(to_ours @ cross @ to_theirs.T, full_matrices=False)
+    if np.all(correlation <= 1.0):
+        return cross
+    possible: FloatArray = from_ours @ (left * np.minimum(correlation, 1.0)) @ right @ from_theirs.T
+    return possible
+
+
+def _whitening(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what makes parameters independent and of variance one, shape (r, n), and the way back, shape (n, r)."""
+    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    known = np.flatnonzero(size > 0)
+    values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)] / np.outer(size[known], size[known]))
+    kept = values > _NO_VARIANCE
+    root, vectors = np.sqrt(values[kept]), vectors[:, kept]
+    there, back = np.zeros((len(root), len(size))), np.zeros((len(size), len(root)))
+    there[:, known] = (vectors / root).T / size[known]
+    back[known] = size[known][:, None] * vectors * root
+    return there, back

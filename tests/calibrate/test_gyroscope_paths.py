@@ -83,6 +83,19 @@ def test_one_joint_covariance(session: Session, result: GyroscopeResult) -> None
     assert any("angle error of 24 moves" in reason for reason in joined.quality.reasons)
 
 
+def test_a_joint_covariance_is_one_whatever_raised_the_parts(session: Session, result: GyroscopeResult) -> None:
+    """Raised sigmas of the accelerometer once made some combination of both triads' parameters surer than sure."""
+    joined = replace(result, with_accelerometer=8 * result.with_accelerometer).join(session.calibration)
+    sigma = np.sqrt(np.diag(joined.covariance))
+    np.testing.assert_array_equal(sigma, np.sqrt(np.diag(result.join(session.calibration).covariance)))
+    size = sigma[sigma > 0]
+    correlation = joined.covariance[np.ix_(sigma > 0, sigma > 0)] / np.outer(size, size)
+    assert np.linalg.eigvalsh(correlation).min() > -1e-9
+    assert np.abs(correlation).max() <= 1 + 1e-9
+    kept = joined.covariance != result.join(session.calibration).covariance
+    assert kept.any(), "nothing was too large"
+
+
 def test_forward_derivative() -> None:
     rng = np.random.default_rng(0)
     x = np.concatenate([(np.eye(3) + 0.02 * rng.standard_normal((3, 3))).ravel(), 0.01 * rng.standard_normal(12)])
