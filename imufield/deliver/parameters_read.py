@@ -79,7 +79,7 @@ def _check(document: Document, where: str) -> None:
 
 
 def _check_edited(document: Document, where: str) -> None:
-    from imufield.deliver.edited import contradiction  # the models, which no other file needs to be read
+    from imufield.deliver.consistency import contradiction  # the models, which no other file needs to be read
 
     what = contradiction(document)
     if what:
