@@ -5,6 +5,9 @@ moves is known once it has held for some seconds: the rms change of force and ra
 ends, what departs by clearly more belongs to the turn, seen from outside: a turn goes on without a pause up to the hold, and
 a single swing of the arm has calm cells on both sides. Next to the turn a smaller departure is enough, since something moves
 there for certain; a slow turn in a hand that sways much begins below what this hand does now and then.
+
+That is where the turn is seen, not where it begins. What lies well inside these edges shows the sway of this hand, and against
+it a smooth turn is fitted to the cells at either end: see ``turn_fit``. Its begin stands, but for one cell that departs.
 """
 
 from __future__ import annotations
@@ -14,11 +17,15 @@ import math
 import numpy as np
 
 from imufield.guide.cells import Cells
+from imufield.guide.turn_fit import REACH, cells_of_turn, sway_of
 from imufield.samples import FloatArray
 
 SURELY_INSIDE = 20
 """Cells at either end of a stretch that may be of a turn and have no say in the standard; a third of a short stretch."""
 FEWEST = 30
+FEWEST_OF_SWAY = 20
+_FADES = 5
+"""Cells beside those in which a turn is seen that may hold more of it."""
 DEPARTS = 2.8
 """Times the rms. Sway stays below but for rare swings; a turn is above until less of it is left than of the sway."""
 DEPARTS_BESIDE = 2.2
@@ -47,7 +54,31 @@ def hand_edges(cells: Cells, change_limit: FloatArray) -> slice:
     margin = min(SURELY_INSIDE, m // 3)
     departs = _departure(cells.mean, change_limit, slice(margin, m - margin))
     departs /= math.sqrt(1 + _SLOW / (m - 2 * margin))
-    return slice(_of_the_turn(departs[:margin]), m - _of_the_turn(departs[::-1][:margin]))
+    seen = _of_the_turn(departs[:margin]), _of_the_turn(departs[::-1][:margin])
+    rate = np.nan_to_num(cells.mean[:, 3:] / change_limit[3:])
+    hold = rate[_well_inside(seen, m)]
+    rate -= hold.mean(axis=0)
+    sway, reach = sway_of(hold), min(REACH, m - m // 3)
+    first, last = (
+        _settled(cells_of_turn(outward, sway, _LEAST_SHARE / math.sqrt(3)), rule)
+        for outward, rule in zip((rate[::-1][-reach:], rate[-reach:]), seen, strict=True)
+    )
+    return slice(first, max(m - last, first + 1))
+
+
+def _well_inside(seen: tuple[int, int], m: int) -> slice:
+    """Return the rows that show the sway: what lies between the turns as far as they are seen, and what fades left out."""
+    start, stop = seen[0] + _FADES, m - seen[1] - _FADES
+    short = max(FEWEST_OF_SWAY - (stop - start) + 1, 0) // 2
+    return slice(max(start - short, 0), min(stop + short, m))
+
+
+def _settled(fitted: float | None, seen: int) -> int:
+    """Return the cells of a turn from those that the fit found and those where it is seen."""
+    if fitted is None:
+        return seen
+    cells = math.floor(fitted + 0.5)
+    return max(cells, min(seen, cells + 1))
 
 
 def _of_the_turn(departs: FloatArray) -> int:

@@ -98,7 +98,10 @@ class Weighing:
 
     def _weigh_in_hand(self, cells: Cells, rows: slice, latest: int, *, full: bool) -> HoldUnderTest | None:
         """Return a hold in the hand: between the turns by its own standard, wider guard bands, as long as holds may be."""
-        guard, edges = self.guard(in_hand=True), self._detector.hold_edges(cells)
+        guard = self.guard(in_hand=True)
+        if not full and min(rows.stop, len(cells) - guard) - max(rows.start, guard) < latest:
+            return None
+        edges = self._detector.hold_edges(cells)
         start = max(rows.start, edges.start + guard)
         cells = cells[start : max(min(rows.stop, edges.stop - guard), start)]
         if not len(cells) or not (full or len(cells) >= latest):

@@ -1,0 +1,132 @@
+"""Where a turn begins or ends that fades into the sway of the hand: a smooth turn fitted to the rate, sway as its noise.
+
+A threshold sees a slow turn only where it is faster than the swings of the arm, and takes the wobble of a turn for calm. Here
+the rate of the cells at one edge of a stretch is explained by a turn that begins (or ends) at any moment, as people turn: from
+rest, without a jerk [1]_, about any axis, for any of a range of lengths. The sway is coloured noise whose autocovariance the
+hold itself shows, so a slow push that goes on is told from swings to and fro which it does not exceed. For every moment and
+length the best turn follows by generalised least squares, and its gain in log-likelihood tells how well it explains the cells
+(generalised likelihood ratio, [2]_). What is answered is the mean over all of them, weighted with their likelihoods. No real
+turn keeps to the profile: where cells are clearly faster than the sway, a share of that rate counts as noise.
+
+References
+----------
+.. [1] T. Flash, N. Hogan, "The coordination of arm movements", J. Neurosci. 5 (1985): minimum jerk.
+.. [2] S. M. Kay, "Fundamentals of statistical signal processing II: detection theory", 1998: sections 6.4 and 12.5.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from imufield.samples import FloatArray
+
+REACH = 40
+"""Cells from the edge inwards in which a turn is looked for; the slowest fades into the sway over half of these."""
+_LENGTHS = (5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0, 56.0)
+"""Of whole turns, in cells; half a second to more than five."""
+_STEP = 0.5
+"""Cells between the moments tried."""
+_LEAST_GAIN = 10.0
+"""Log-likelihood below which there is no turn to be seen: sway alone makes 5 now and then."""
+_WHITE = 0.03
+"""Of the sway's variance: white noise beside it, since a few seconds do not show a covariance to the last digit."""
+_FASTER = 2.2
+"""Times the sway's rms: from here on a cell is clearly of the turn."""
+_UNLIKE = 0.25
+"""Share of the rate of such cells that no smooth turn explains: the wobble of real ones."""
+_HIDDEN = 0.3
+"""Times the rms angle of the sway: a turn that has made no more than this has not begun."""
+_STRAIGHT = np.linspace(0, 1, 201)
+
+
+class Sway(NamedTuple):
+    """How a hand moves in a hold."""
+
+    covariance: FloatArray
+    """Autocovariance of the rates at lags of 0, 1, ... cells, shape (REACH, 3)."""
+    angle: float
+    """Rms length of the angle, in rate times cells."""
+
+
+class _Turns(NamedTuple):
+    """Turns that may lie at the end of k cells, n of them: as if made by an angle of 1."""
+
+    begin: FloatArray
+    """Cells from the first, shape (n,)."""
+    length: FloatArray
+    rate: FloatArray
+    """In each cell, shape (k, n)."""
+
+
+def sway_of(rate: FloatArray) -> Sway:
+    """Return the sway that the rates of a hold show, shape (m, 3)."""
+    m = len(rate)
+    rate = rate - rate.mean(axis=0)
+    power = np.abs(np.fft.rfft(rate, 2 * m, axis=0)) ** 2
+    covariance = np.zeros((REACH, 3))
+    lags = min(m, REACH)
+    covariance[:lags] = np.fft.irfft(power, axis=0)[:lags] / m
+    time = np.linspace(-1, 1, m)[:, np.newaxis]
+    angle = np.cumsum(rate, axis=0)
+    angle -= angle.mean(axis=0)
+    angle -= time * (time * angle).sum(axis=0) / (time * time).sum()
+    return Sway(covariance, math.sqrt(float((angle**2).mean(axis=0).sum())))
+
+
+def cells_of_turn(rate: FloatArray, sway: Sway, least: float) -> float | None:
+    """Return how many cells at the end are of a turn, None where no turn stands out from the sway.
+
+    Parameters
+    ----------
+    rate : ndarray, shape (k, 3)
+        Rates of the last cells of a stretch, without the mean of the hold; k at most ``REACH``.
+    sway : Sway
+    least : float
+        Rate, rms per axis, below which nothing counts.
+    """
+    k = len(rate)
+    turns = _turns(k)
+    whitening = np.linalg.inv(np.linalg.cholesky(_covariance(rate, sway, least)))
+    expected = whitening @ turns.rate
+    energy = np.maximum((expected**2).sum(axis=1), np.finfo(np.float64).tiny)
+    match = np.einsum("akn,ak->an", expected, np.einsum("akl,la->ak", whitening, rate))
+    gain = (match**2 / energy).sum(axis=0) / 2
+    if gain.max() < _LEAST_GAIN:
+        return None
+    angle = np.linalg.norm(match / energy, axis=0)
+    share = np.minimum(_HIDDEN * sway.angle / np.maximum(angle, np.finfo(np.float64).tiny), 1.0)
+    begin = np.minimum(turns.begin + turns.length * np.interp(share, _profile(_STRAIGHT), _STRAIGHT), k)
+    weight = np.exp(gain - gain.max())
+    return k - float(weight @ begin) / float(weight.sum())
+
+
+def _covariance(rate: FloatArray, sway: Sway, least: float) -> FloatArray:
+    """Return the covariance of what no turn explains, one matrix for each axis, shape (3, k, k)."""
+    k = len(rate)
+    size = np.linalg.norm(rate, axis=1)
+    swing = max(math.sqrt(float(sway.covariance[0].sum())), least)
+    # Once the turn is seen it goes on, whatever the wobble makes of single cells.
+    fast = np.maximum.accumulate(np.where(size > _FASTER * swing, size, 0.0))
+    lag = np.abs(np.subtract.outer(np.arange(k), np.arange(k)))
+    covariance: FloatArray = sway.covariance.T[:, lag]
+    white = _WHITE * sway.covariance[0][:, np.newaxis] + least**2 + (_UNLIKE * fast) ** 2
+    covariance += white[:, :, np.newaxis] * np.eye(k)
+    return covariance
+
+
+@lru_cache(maxsize=8)
+def _turns(count: int) -> _Turns:
+    """Return the turns that are tried on so many cells."""
+    begin, length = (grid.ravel() for grid in np.meshgrid(np.arange(0.0, count, _STEP), _LENGTHS, indexing="ij"))
+    made = _profile(np.clip((np.arange(count + 1.0)[:, np.newaxis] - begin) / length, 0.0, 1.0))
+    return _Turns(begin, length, np.diff(made, axis=0))
+
+
+def _profile(share: FloatArray) -> FloatArray:
+    """Return the share of a minimum-jerk turn that is made after a share of its time ([1]_)."""
+    made: FloatArray = share**3 * (10 + share * (6 * share - 15))
+    return made
