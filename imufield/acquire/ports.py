@@ -1,10 +1,16 @@
-"""Serial ports of this machine, for ``imufield devices`` and for error messages that name what is there."""
+"""Serial ports and CAN channels of this machine, for ``imufield devices`` and for error messages that name what is there."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 from serial.tools import list_ports
+
+_NETWORK = Path("/sys/class/net")
+_TYPE_CAN = "280"
+"""ARPHRD_CAN of Linux, ``if_arp.h``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +43,26 @@ def serial_ports() -> list[SerialPort]:
         for port in list_ports.comports()
     ]
     return sorted(found, key=lambda port: (port.vendor_id is None, port.device))
+
+
+@dataclass(frozen=True, slots=True)
+class CanChannel:
+    """A CAN interface of the system: what ``--bus`` takes, and whether it is up."""
+
+    bus: str
+    state: str
+
+
+def can_channels(network: Path = _NETWORK) -> list[CanChannel]:
+    """List the CAN interfaces that the system itself knows (Linux); adapters with drivers of their own are not among them."""
+    found = []
+    with suppress(OSError):
+        for folder in sorted(network.iterdir()):
+            with suppress(OSError):
+                if (folder / "type").read_text(encoding="ascii").strip() == _TYPE_CAN:
+                    is_up = int((folder / "flags").read_text(encoding="ascii"), 16) & 1
+                    found.append(CanChannel(f"socketcan:{folder.name}", "up" if is_up else "down"))
+    return found
 
 
 def _description(text: str | None) -> str:

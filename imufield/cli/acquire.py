@@ -48,7 +48,7 @@ def demo(
 
 
 def devices(as_json: AsJson = False) -> None:
-    """List serial ports and the instruments that have a driver.
+    """List serial ports, CAN interfaces and the instruments that have a driver.
 
     Example: imufield devices
     """

@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from imufield.acquire.ports import serial_ports
+from imufield.acquire.ports import can_channels, serial_ports
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.errors import ProtocolError
 
@@ -16,11 +16,12 @@ _TRIED = "verified on real bytes"
 
 
 def list_devices(*, as_json: bool) -> None:
-    """Print ports and drivers; a driver that cannot be loaded is listed with its error."""
+    """Print ports, CAN channels and drivers; a driver that cannot be loaded is listed with its error."""
     ports = [asdict(port) for port in serial_ports()]
+    buses = can_channels()
     drivers = [_describe(name) for name in driver_names()]
     if as_json:
-        typer.echo(json.dumps({"ports": ports, "drivers": drivers}))
+        typer.echo(json.dumps({"ports": ports, "buses": [asdict(bus) for bus in buses], "drivers": drivers}))
         return
     from rich.console import Console
     from rich.table import Table
@@ -32,6 +33,8 @@ def list_devices(*, as_json: bool) -> None:
     for port in ports:
         table.add_row(port["device"], port["description"])
     console.print(table if ports else "no serial ports found: plug the instrument in, or give --port socket://host:port")
+    for bus in buses:
+        console.print(f"CAN bus {bus.bus} ({bus.state})", highlight=False)
     table = Table(title="\ninstruments", title_justify="left", box=None, padding=(0, 2, 0, 0))
     # A name that is cut cannot be typed.
     table.add_column("driver", no_wrap=True, min_width=max(len(driver["name"]) for driver in drivers))

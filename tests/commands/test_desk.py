@@ -199,7 +199,7 @@ def test_replay_counts(program: Program, whole: Path) -> None:
 def test_devices(program: Program) -> None:
     ended = program.run("devices", "--json")
     content = json.loads(ended.stdout)
-    assert content.keys() == {"ports", "drivers"}
+    assert content.keys() == {"ports", "buses", "drivers"}
     assert {"stim300", "text"} <= {driver["name"] for driver in content["drivers"]}
     shown = program.run("devices").stdout
     assert "Sensonor" in shown
