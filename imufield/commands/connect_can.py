@@ -207,13 +207,18 @@ def _best(bus: str, ears: list[_Ear]) -> _Ear | None:
     most = max((ear.frames for ear in good), default=0)
     best = [ear for ear in good if ear.frames == most]
     if len(best) > 1:
-        names = ", ".join(f"{ear.description.name} ({ear.description.protocol.title})" for ear in best)
+        names = "; ".join(f"{ear.description.name}, {_title(ear)}" for ear in best)
         raise UsageError(
             f"{bus} carries messages that several instruments send, with their axes in different order; say with --driver "
             f"which it is: {names}",
             bus=bus,
         )
     return best[0] if best else None
+
+
+def _title(ear: _Ear) -> str:
+    """Return which instrument it would be; instruments that send the same messages share a protocol."""
+    return ear.description.protocol.title if ear.driver is None else ear.driver.title
 
 
 def _connected(

@@ -350,7 +350,7 @@ class Talker:
             [can.Message(arbitration_id=one, data=bytes(8)) for one in (0x08F02D80, 0x0CF02A80)],
             None,
             2,
-            "say with --driver which it is: aceinna_can (",
+            "say with --driver which it is: aceinna_can, Aceinna MTLT305",
         ),
     ],
 )
