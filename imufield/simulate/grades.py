@@ -239,7 +239,7 @@ class TrueInstrument:
     clock_error_ppm: float = 0.0
     """Positive: the sample clock is fast, samples come closer than nominal."""
     triad_delay_s: float = 0.0
-    """Delay of the gyroscope behind the accelerometer."""
+    """Delay of the gyroscope behind the accelerometer; negative where the accelerometer is late."""
 
 
 def find_grade(name: str) -> Grade:

@@ -145,8 +145,27 @@ def test_delay_shifts_the_gyroscope_only() -> None:
     instrument = replace(perfect_instrument(TACTICAL), triad_delay_s=0.0025)
     samples = Imu(instrument, 1, replace(QUIET, rate_hz=1000.0)).feed(motion_of(ramp, ramp))
     np.testing.assert_allclose(samples.accelerometer, ramp)
-    np.testing.assert_allclose(samples.gyroscope[3:], ramp[3:] - 2.5)
-    assert np.all(samples.gyroscope[:3] <= ramp[:3])
+    np.testing.assert_allclose(samples.gyroscope[6:], ramp[6:] - 2.5, atol=1e-9)
+    assert np.all(np.abs(samples.gyroscope[:6]) < 6)
+
+
+def test_a_negative_delay_shifts_the_accelerometer_only() -> None:
+    ramp = np.repeat(np.arange(50.0)[:, np.newaxis], 3, axis=1)
+    instrument = replace(perfect_instrument(TACTICAL), triad_delay_s=-0.0025)
+    samples = Imu(instrument, 1, replace(QUIET, rate_hz=1000.0)).feed(motion_of(ramp, ramp))
+    np.testing.assert_allclose(samples.gyroscope, ramp)
+    np.testing.assert_allclose(samples.accelerometer[6:], ramp[6:] - 2.5, atol=1e-9)
+
+
+@pytest.mark.parametrize("delay_s", [0.0005, 0.002, 0.005, 0.01])
+def test_a_delay_takes_nothing_from_a_tremor(delay_s: float) -> None:
+    """Sampled at 100 Hz, 12 Hz is as large after the delay as before, and late by it."""
+    time_s = np.arange(500) / 100.0
+    instrument = replace(perfect_instrument(TACTICAL), triad_delay_s=delay_s)
+    rate = np.repeat(np.sin(2 * np.pi * 12 * time_s)[:, np.newaxis], 3, axis=1)
+    found = Imu(instrument, 1, replace(QUIET, rate_hz=100.0)).feed(motion_of(np.zeros_like(rate), rate)).gyroscope[10:]
+    late = np.sin(2 * np.pi * 12 * (time_s[10:] - delay_s))
+    np.testing.assert_allclose(found, np.repeat(late[:, np.newaxis], 3, axis=1), atol=0.006)
 
 
 def test_losses_leave_gaps_that_are_marked() -> None:
