@@ -28,7 +28,7 @@ def run_export(path: Path, target: str | None, settings: list[str] | None, outpu
     parameters = load(path)
     exported = export_parameters(parameters, target, export_options(parse_settings(settings)))
     written = write_exported(exported, output, inputs=[path])
-    notes = [*filter(None, (parameters.edited_note,)), *exported.notes]
+    notes = [*filter(None, (parameters.edited_note, parameters.gyroscope_note)), *exported.notes]
     if as_json:
         files, kept = [str(file.path) for file in written], [str(file.kept) for file in written if file.kept is not None]
         typer.echo(json.dumps({"files": files, "kept": kept, "losses": list(exported.losses), "notes": notes}))

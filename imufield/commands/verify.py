@@ -215,6 +215,8 @@ def _file_notes(task: _Task) -> Iterator[str]:
     """Yield what the parameter file says against itself; with requirements ``doubt`` is an objection."""
     if task.parameters.edited_note:
         yield task.parameters.edited_note
+    if task.parameters.gyroscope_note:
+        yield task.parameters.gyroscope_note
     said = doubt(task.parameters)
     if said and not task.limits:
         yield said

@@ -1,7 +1,7 @@
-"""What a file edited by hand must still agree on: numbers and words that follow from its parameters.
+"""What the numbers and words of a parameter file must agree on, because some follow from others.
 
-The hash vouches for a file that ``imufield solve`` wrote. Where somebody changed a value and says so nothing does, and a scale
-changed beside the intrinsic scale that follows from it leaves open which of the two was meant.
+The hash tells that a file is what somebody wrote, not that ``imufield solve`` did: an editor or a tool can make it anew, and a
+person can say "edited". A scale changed beside the intrinsic scale that follows from it leaves open which of the two was meant.
 """
 
 from __future__ import annotations
@@ -14,9 +14,12 @@ from imufield.acquire.protocol import nominal_scale
 from imufield.calibrate.accelerometer import EQUATIONS
 from imufield.calibrate.gauge import constraint_jacobian, intrinsic
 from imufield.calibrate.models import to_vector
-from imufield.calibrate.result import AccelerometerParameters, Calibration, Gauge
+from imufield.calibrate.quality import POOR_RESIDUAL_M_S2
+from imufield.calibrate.result import GRAVITY_NAME, AccelerometerParameters, Calibration, Gauge
+from imufield.deliver.apply import correct_accelerometer
 from imufield.deliver.document import GYROSCOPE_EQUATION, Document, calibration_from_document, gyroscope_bias_rad_s
-from imufield.samples import FloatArray
+from imufield.errors import CalibrationError
+from imufield.samples import AXES, FloatArray
 
 UNITS = {
     "accelerometer": ("m/s^2", "g", "count", "pulse", "count/s", "pulse/s"),
@@ -25,17 +28,22 @@ UNITS = {
 """Raw units that samples and files of position means can have, increments divided by their interval."""
 _TYPED = 1e-6
 """What a person types with seven digits is exact enough: it is below every uncertainty."""
+_ROUNDED = 1e-4
+"""Of a variance: what the propagation through a joint fit and the printing leave may lie this far below zero."""
 _NEAR = 3.0
 """Factor by which an instrument's scale is off the nominal one of its unit at most: far more than any, less than g is m/s^2."""
 _INTRINSIC = ("scale", "bias_raw", "angle_rad", "quadratic")
 
 
-def contradiction(document: Document) -> str:
-    """Say what in a document that fits the schema contradicts its parameters, the key first; empty where nothing does."""
-    return next(_contradictions(document), "")
+def contradiction(document: Document, *, is_edited: bool = False) -> str:
+    """Say what in a document that fits the schema contradicts its parameters, the key first; empty where nothing does.
+
+    Where a person changed a value and says so, the residuals and figures may be those of before.
+    """
+    return next(_contradictions(document, is_edited=is_edited), "")
 
 
-def _contradictions(document: Document) -> Iterator[str]:
+def _contradictions(document: Document, *, is_edited: bool) -> Iterator[str]:
     calibration, table = calibration_from_document(document), document["accelerometer"]
     wanted = EQUATIONS[table["quadratic_axes"]]
     if table["equation"] != wanted:
@@ -44,6 +52,11 @@ def _contradictions(document: Document) -> Iterator[str]:
     yield from _gauge(calibration.accelerometer, table["gauge"])
     yield from _intrinsic(calibration)
     yield from _gyroscope(calibration, document.get("gyroscope"), table["gauge"])
+    yield from _possible(calibration)
+    if not is_edited:
+        yield from _positions(calibration, document)
+        yield from _verdict(calibration)
+        yield from _sigma(calibration, document)
 
 
 def _units(document: Document) -> Iterator[str]:
@@ -94,3 +107,76 @@ def _gyroscope(calibration: Calibration, table: Document | None, gauge: str) -> 
     stated = np.array(table["bias_rad_s"], dtype=np.float64)
     if np.any(np.abs(stated - follows) > _TYPED * np.maximum(np.abs(follows), _TYPED)):
         yield f"gyroscope.bias_rad_s is {table['bias_rad_s']}, but bias and scale of the gyroscope give {follows.tolist()}"
+
+
+def _positions(calibration: Calibration, document: Document) -> Iterator[str]:
+    """Yield where residuals are not those of the parameters, nor their summary that of the residuals."""
+    tables, quality = document["position"], calibration.quality
+    raw = np.array([table["mean_raw"] for table in tables], dtype=np.float64).reshape(-1, 3)
+    try:
+        force = correct_accelerometer(calibration.accelerometer, raw)
+    except CalibrationError as error:
+        yield f"position.mean_raw cannot come from these parameters: {error.message.partition(';')[0]}"
+        return
+    follows = np.linalg.norm(force, axis=1) - calibration.gravity.gravity_m_s2
+    stated = calibration.positions.residual_m_s2
+    for k in np.flatnonzero(np.abs(stated - follows) > _TYPED):
+        yield (
+            f"position[{k}].residual_m_s2 is {stated[k]:.6g}, but mean_raw, the accelerometer and site.gravity_m_s2 give "
+            f"{follows[k]:.6g}"
+        )
+    known = np.abs(stated[np.isfinite(stated)])
+    if not len(known):
+        return
+    for key, value in (("residual_rms_m_s2", float(np.sqrt(np.mean(known**2)))), ("residual_max_m_s2", float(known.max()))):
+        if abs(getattr(quality, key) - value) > _TYPED:
+            yield f"quality.{key} is {getattr(quality, key):.6g}, but the residuals of the positions give {value:.6g}"
+
+
+def _verdict(calibration: Calibration) -> Iterator[str]:
+    """Yield a verdict that is better than its own figures allow."""
+    quality, left_out = calibration.quality, calibration.quality.leave_one_out_rms_m_s2
+    if quality.verdict == "poor":
+        return
+    if left_out > POOR_RESIDUAL_M_S2:
+        yield (
+            f'quality.verdict is "{quality.verdict}", but leave_one_out_rms_m_s2 is {left_out:.4g} and above '
+            f"{POOR_RESIDUAL_M_S2:.4g} it is poor"
+        )
+    if quality.degrees_of_freedom < 1:
+        yield f'quality.verdict is "{quality.verdict}", but degrees_of_freedom is 0, where it is poor'
+    if calibration.solver.status <= 0:
+        yield f'quality.verdict is "{quality.verdict}", but solver.status is {calibration.solver.status}, where it is poor'
+
+
+def _possible(calibration: Calibration) -> Iterator[str]:
+    """Yield where the covariance matrix is none."""
+    matrix = calibration.covariance
+    sigma = np.sqrt(np.diagonal(matrix))
+    free = np.isfinite(sigma) & (sigma > 0)
+    correlation = matrix[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
+    if len(correlation) and np.isfinite(correlation).all() and np.linalg.eigvalsh(correlation)[0] < -_ROUNDED:
+        yield "covariance.matrix is not positive semi-definite: some combination of its parameters has a variance below zero"
+
+
+def _sigma(calibration: Calibration, document: Document) -> Iterator[str]:
+    """Yield standard deviations that are not those of the covariance."""
+    sigma = np.sqrt(np.diagonal(calibration.covariance))
+    for name, value in zip(calibration.covariance_names, sigma, strict=True):
+        stated = _stated_sigma(document, name)
+        if stated is None:
+            yield f"covariance.names has {name}, which is no parameter of this file"
+        elif abs(stated - value) > _TYPED * max(value, stated):
+            yield f"covariance.matrix gives {name} a standard deviation of {value:.6g}, and the file states {stated:.6g}"
+
+
+def _stated_sigma(document: Document, name: str) -> float | None:
+    """Return what the file says beside the matrix of a parameter's standard deviation, by its name in the matrix."""
+    if name == GRAVITY_NAME:
+        return float(document["site"]["gravity_sigma_m_s2"])
+    triad, _, rest = name.partition(".")
+    key, _, axes = rest.partition(".")
+    value = document.get(triad, {}).get("uncertainty", {}).get(key) if triad in UNITS else None
+    for axis in axes:
+        value = value[AXES.index(axis)] if isinstance(value, list) and axis in AXES else None
+    return value if isinstance(value, int | float) else None

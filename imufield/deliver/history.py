@@ -28,10 +28,14 @@ from imufield.deliver.parameters import Parameters, load
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 
 INDEX_FILE = ".imufield-history.sqlite"
-INDEX_VERSION = 3
+INDEX_VERSION = 4
 STALE_DAYS = 365.0
 MOVED_SIGMA = 3.0
 """A change beyond this is said aloud."""
+CSV_COLUMNS = (
+    *("instrument", "serial_number", "created", "verdict", "file", "parameter", "unit", "value", "sigma", "change_sigma"),
+    "remark",
+)
 _SAME_GRAVITY_M_S2 = 1e-7
 _COLORS = ("#111111", "#0b5394", "#b45f06")
 _MARKERS = "osD^v<>Px"
@@ -308,12 +312,10 @@ def _by_instrument(entries: list[Entry]) -> tuple[InstrumentHistory, ...]:
 
 
 def to_csv(history: History) -> str:
-    """Return one row per instrument, calibration and number."""
+    """Return one row per instrument, calibration and number, and one without a number for each file that was refused."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(
-        ["instrument", "serial_number", "created", "verdict", "file", "parameter", "unit", "value", "sigma", "change_sigma"]
-    )
+    writer.writerow(CSV_COLUMNS)
     for instrument in history.instruments:
         for place, entry in enumerate(instrument.entries):
             before = compare(instrument.entries[place - 1], entry) if place else ()
@@ -323,7 +325,10 @@ def to_csv(history: History) -> str:
                 writer.writerow([
                     instrument.instrument, instrument.serial_number, entry.created, entry.verdict, entry.path, number.name,
                     number.unit, repr(number.value), repr(number.sigma), "" if math.isnan(change) else f"{change:.2f}",
+                    "edited by hand" if entry.edited else "",
                 ])  # fmt: skip
+    for fault in history.faults:
+        writer.writerow([*[""] * (len(CSV_COLUMNS) - 1), f"refused: {fault}"])
     return buffer.getvalue()
 
 

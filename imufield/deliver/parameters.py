@@ -172,6 +172,17 @@ class Parameters:
         """The sentence that says so where the file was edited by hand, else an empty one."""
         return f"{self._name} was edited by hand: its numbers are not those that imufield solve wrote" if self.edited else ""
 
+    @property
+    def gyroscope_note(self) -> str:
+        """The sentence that says so where the gyroscope was not calibrated, or its bias alone, else an empty one."""
+        gyroscope = self.calibration.gyroscope
+        if gyroscope is None:
+            return f"{self._name} has no gyroscope: it was not calibrated"
+        if np.isfinite(gyroscope.sigma.scale).any():
+            return ""
+        scale = "those of preset or driver, not calibrated" if self.gyroscope_is_complete else "not known"
+        return f"of the gyroscope in {self._name} the bias alone was calibrated; scale and misalignment are {scale}"
+
     def check_unit(self, triad: str, unit: str) -> None:
         """Raise ``ParameterFileError`` if a triad whose rates are in this unit is not what the parameters are for."""
         wanted = self.document[triad]["raw_unit"]

@@ -74,22 +74,16 @@ def _check(document: Document, where: str) -> None:
     if fault is not None:
         raise ParameterFileError(f"{where}: {fault.key} {fault.what}; {_REMEDY}", fault.reason, where=where, key=fault.key)
     _check_consistency(document, where)
-    if document["integrity"]["sha256"] == EDITED:
-        _check_edited(document, where)
+    from imufield.deliver.consistency import contradiction  # the models, which reading and refusing alone do not need
 
-
-def _check_edited(document: Document, where: str) -> None:
-    from imufield.deliver.consistency import contradiction  # the models, which no other file needs to be read
-
-    what = contradiction(document)
-    if what:
-        key = what.partition(" ")[0]
-        raise ParameterFileError(
-            f"{where}: {what}; in a file edited by hand change what follows from a value with it, or take a kept "
-            "parameters-<n>.toml",
-            where=where,
-            key=key,
-        )
+    is_edited = document["integrity"]["sha256"] == EDITED
+    what = contradiction(document, is_edited=is_edited)
+    if not what:
+        return
+    remedy = _REMEDY
+    if is_edited:
+        remedy = "in a file edited by hand change what follows from a value with it, or take a kept parameters-<n>.toml"
+    raise ParameterFileError(f"{where}: {what}; {remedy}", where=where, key=what.partition(" ")[0])
 
 
 def _text(path: Path) -> str:

@@ -8,10 +8,14 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import tomli_w
 
+from imufield.calibrate.gauge import intrinsic
+from imufield.calibrate.models import to_vector
 from imufield.cli.run import run
+from imufield.deliver.document import calibration_from_document
 from imufield.deliver.parameters_write import to_toml
 
 OLD = b"what stood there before\n"
@@ -62,8 +66,18 @@ def changed(table: str, key: str, value: object) -> Callable[[str], str]:
 
 
 def reversed_axis(text: str) -> str:
-    scale = tomllib.loads(text)["accelerometer"]["scale"]
-    return changed("accelerometer", "scale", [scale[0], -scale[1], scale[2]])(text)
+    """Return the file of an instrument whose output y is the other way round, with all that follows from it."""
+    document = tomllib.loads(text)
+    del document["integrity"]
+    accelerometer = document["accelerometer"]
+    for table in (accelerometer, *document["position"]):
+        key = "mean_raw" if "mean_raw" in table else "scale"
+        table[key][1] = -table[key][1]
+    vector = to_vector(calibration_from_document(document).accelerometer)
+    follows = np.split(intrinsic(vector, accelerometer["quadratic_axes"])[0], 4)
+    for key, values in zip(("scale", "bias_raw", "angle_rad", "quadratic"), follows, strict=True):
+        accelerometer["intrinsic"][key] = values.tolist()
+    return to_toml(document)
 
 
 other_unit = changed("accelerometer", "raw_unit", "count")

@@ -9,7 +9,7 @@ import pytest
 
 from imufield.calibrate.accelerometer import EQUATIONS
 from imufield.calibrate.gauge import intrinsic, make_intrinsic
-from imufield.calibrate.models import to_vector
+from imufield.calibrate.models import predict, to_vector
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import (
     ACCELEROMETER_NAMES,
@@ -50,14 +50,21 @@ def gyroscope() -> GyroscopeCalibration:
 
 
 @pytest.fixture
-def observations() -> Observations:
+def residual() -> np.ndarray:
+    found = np.random.default_rng(6).normal(scale=2e-4, size=POSITIONS)
+    found[17] = -9.1e-4
+    return found
+
+
+@pytest.fixture
+def observations(parameters: AccelerometerParameters, residual: np.ndarray) -> Observations:
     rng = np.random.default_rng(5)
     up = rng.normal(size=(POSITIONS, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     unknown = np.full((POSITIONS, 3), np.nan)
     return Observations(
         name=tuple(f"{i // 8 + 1}-{i % 8 + 1}" for i in range(POSITIONS)),
-        mean_raw=9.81 * up + rng.normal(scale=0.01, size=(POSITIONS, 3)),
+        mean_raw=predict(parameters, (9.8071 + residual)[:, None] * up),
         covariance_raw=np.broadcast_to(np.diag([1e-8, 2e-8, 3e-8]), (POSITIONS, 3, 3)),
         gyroscope_mean_raw=unknown,
         gyroscope_covariance_raw=np.full((POSITIONS, 3, 3), np.nan),
@@ -70,19 +77,18 @@ def observations() -> Observations:
 
 
 @pytest.fixture
-def calibration(parameters: AccelerometerParameters, gyroscope: GyroscopeCalibration) -> Calibration:
-    rng = np.random.default_rng(6)
-    residual = rng.normal(scale=2e-4, size=POSITIONS)
-    residual[17] = -9.1e-4
+def calibration(parameters: AccelerometerParameters, gyroscope: GyroscopeCalibration, residual: np.ndarray) -> Calibration:
     leave_one_out = 1.4 * residual
     leave_one_out[3] = np.nan
     names = (*ACCELEROMETER_NAMES, *(f"gyroscope.bias.{axis}" for axis in "xyz"), GRAVITY_NAME)
-    root = rng.normal(scale=1e-4, size=(len(names), len(names)))
+    sigma = AccelerometerParameters(
+        np.array([5.2e-5, 5.3e-5, 5.4e-5]), np.array([1.1e-4, 1.2e-4, 1.3e-4]), np.abs(LOWER) * 0.02, np.full(3, 3e-7)
+    )
+    root = np.random.default_rng(6).normal(size=(len(names), len(names)))
+    root *= (np.concatenate([to_vector(sigma), gyroscope.sigma.bias, [5e-4]]) / np.linalg.norm(root, axis=1))[:, None]
     return Calibration(
         accelerometer=parameters,
-        accelerometer_sigma=AccelerometerParameters(
-            np.array([5.2e-5, 5.3e-5, 5.4e-5]), np.array([1.1e-4, 1.2e-4, 1.3e-4]), np.abs(LOWER) * 0.02, np.full(3, 3e-7)
-        ),
+        accelerometer_sigma=sigma,
         accelerometer_raw_unit="m/s^2",
         equation=EQUATIONS["sensing"],
         gauge="lower",
@@ -115,7 +121,16 @@ def six_faces(calibration: Calibration) -> Calibration:
     """Return the same with nothing but scale and bias estimated."""
     unknown = replace(calibration.accelerometer_sigma, misalignment_rad=np.full((3, 3), np.nan), quadratic=np.full(3, np.nan))
     names = tuple(name for name in ACCELEROMETER_NAMES if "misalignment" in name)
-    return replace(calibration, accelerometer_sigma=unknown, unobservable=names, gyroscope=None, quadratic_fitted=False)
+    kept = [k for k, name in enumerate(calibration.covariance_names) if not name.startswith("gyroscope")]
+    return replace(
+        calibration,
+        accelerometer_sigma=unknown,
+        unobservable=names,
+        gyroscope=None,
+        quadratic_fitted=False,
+        covariance_names=tuple(calibration.covariance_names[k] for k in kept),
+        covariance=calibration.covariance[np.ix_(kept, kept)],
+    )
 
 
 @pytest.fixture

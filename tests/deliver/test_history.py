@@ -30,14 +30,17 @@ def write(tmp_path: Path, calibration: Calibration, observations: Observations, 
     def writer(name: str, created: str, moved: float = 0.0, serial: str = "N1", session: str = "", model: str = "") -> Path:
         found = calibration.intrinsic
         raw = found.bias_raw + moved * found.bias_raw_sigma * np.array([0.0, 1.0, 0.0])
-        changed = replace(calibration, intrinsic=replace(found, bias_raw=raw))
+        K = calibration.accelerometer.scale
+        moved_to = replace(calibration.accelerometer, bias_m_s2=raw / K)
+        changed = replace(calibration, accelerometer=moved_to, intrinsic=replace(found, bias_raw=raw))
+        seen = replace(observations, mean_raw=observations.mean_raw + raw - found.bias_raw)
         facts = replace(context.session, sha256=session or f"{hash(name) % 16:x}" * 64)
         moment = created if "T" in created else f"{created}T10:00:00Z"
         instrument = replace(context.instrument, serial_number=serial, model=model or context.instrument.model)
         where = replace(context, created=moment, instrument=instrument, session=facts)
         path = tmp_path / name / "parameters.toml"
         path.parent.mkdir(exist_ok=True)
-        write_parameters(path, changed, observations, where)
+        write_parameters(path, changed, seen, where)
         return path
 
     return writer
@@ -188,6 +191,23 @@ def test_table_has_a_row_for_every_number(tmp_path: Path, write) -> None:  # typ
     moved = [row for row in rows if row["parameter"] == "bias y"]
     assert [row["change_sigma"] for row in moved] == ["", "3.54"]
     assert float(moved[0]["value"]) == read_history(tmp_path).instruments[0].entries[0].numbers[1].value
+
+
+def test_table_says_which_file_was_edited_and_which_refused(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    edited = write("b", "2026-08-01", session="b" * 64)
+    refused = write("c", "2026-08-02", session="c" * 64)
+    head, _, _ = edited.read_text(encoding="utf-8").rpartition("sha256 = ")
+    edited.write_text(f'{head}sha256 = "edited"\n', encoding="utf-8")
+    refused.write_text(refused.read_text(encoding="utf-8").replace("used = true", "used = false", 1), encoding="utf-8")
+    rows = list(csv.DictReader(io.StringIO(to_csv(read_history(tmp_path)))))
+    remarks = {row["file"]: row["remark"] for row in rows}
+    assert remarks["a/parameters.toml"] == ""
+    assert remarks["b/parameters.toml"] == "edited by hand"
+    (last,) = [row for row in rows if not row["file"]]
+    assert last["remark"].startswith("refused: ")
+    assert "c/parameters.toml was changed after it was written" in last["remark"]
+    assert last["value"] == ""
 
 
 def test_plot_is_a_drawing_of_every_kind(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]

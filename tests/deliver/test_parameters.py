@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 import tomllib
@@ -77,6 +78,19 @@ def test_six_faces_without_gyroscope_and_noise_pass_too(
     jsonschema.validate(json_ready(loaded.document), parameter_schema())
 
 
+def test_a_gyroscope_that_was_not_calibrated_is_said_to_be_none(
+    file: Path, six_faces: Calibration, observations: Observations, context: Context
+) -> None:
+    loaded = load(file)
+    assert "the bias alone was calibrated; scale and misalignment are those of preset or driver" in loaded.gyroscope_note
+    write_parameters(file, six_faces, observations, context)
+    assert "parameters.toml has no gyroscope: it was not calibrated" in load(file).gyroscope_note
+    gyroscope = loaded.calibration.gyroscope
+    assert gyroscope is not None
+    known = replace(gyroscope, sigma=replace(gyroscope.sigma, scale=np.full(3, 1e-4)))
+    assert replace(loaded, calibration=replace(loaded.calibration, gyroscope=known)).gyroscope_note == ""
+
+
 def test_the_file_is_toml_that_meets_the_schema(file: Path) -> None:
     document = tomllib.loads(file.read_text(encoding="utf-8"))
     jsonschema.validate(json_ready(document), parameter_schema())
@@ -94,16 +108,17 @@ def test_json_and_file_have_one_content(
 
 
 @settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
-@given(bias=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=3, max_size=3), name=st.text())
+@given(start=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=24, max_size=24), name=st.text())
 def test_any_float_and_any_text_survive(
-    calibration: Calibration, observations: Observations, context: Context, bias: list[float], name: str
+    calibration: Calibration, observations: Observations, context: Context, start: list[float], name: str
 ) -> None:
     name = name.encode("utf-8", "replace").decode("utf-8")
-    with_bias = replace(calibration, accelerometer=replace(calibration.accelerometer, bias_m_s2=np.array(bias)))
+    with_start = replace(observations, start_s=np.array(start))
     with_name = replace(context, session=replace(context.session, name=name))
-    document = parse_document(to_toml(to_document(with_bias, observations, with_name))).document
-    assert document["accelerometer"]["bias_m_s2"] == bias
-    assert np.signbit(document["accelerometer"]["bias_m_s2"]).tolist() == np.signbit(bias).tolist()
+    document = parse_document(to_toml(to_document(calibration, with_start, with_name))).document
+    found = [table["start_s"] for table in document["position"]]
+    assert found == start
+    assert np.signbit(found).tolist() == np.signbit(start).tolist()
     assert document["session"]["name"] == name
 
 
@@ -201,6 +216,45 @@ def test_an_edited_file_whose_numbers_follow_from_one_another_is_taken(file: Pat
     edit(file, "bias_m_s2 = [0.0312,", "bias_m_s2 = [0.04,")
     edit(file, f"bias_raw = [{1.000123456789 * 0.0312!r},", "bias_raw = [0.04000494,")
     assert load(file).edited
+
+
+def indefinite(document: dict[str, Any]) -> None:
+    matrix = document["covariance"]["matrix"]
+    for i, j, correlation in ((0, 1, 0.9), (1, 2, 0.9), (0, 2, -0.9)):
+        matrix[i][j] = matrix[j][i] = correlation * math.sqrt(matrix[i][i] * matrix[j][j])
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        (lambda it: it["accelerometer"].update(scale=[-1.000123456789, 0.99987654321, 1.00031]), "accelerometer.intrinsic"),
+        (lambda it: it["accelerometer"].update(gauge="symmetric"), "accelerometer.gauge"),
+        (lambda it: it["accelerometer"].update(raw_unit="furlong"), "accelerometer.raw_unit"),
+        (lambda it: it["site"].update(gravity_m_s2=9.8), "position[0].residual_m_s2"),
+        (lambda it: it["position"][3].update(mean_raw=[1.0, 2.0, 9.0]), "position[3].residual_m_s2"),
+        (lambda it: it["position"][5].update(residual_m_s2=0.0), "position[5].residual_m_s2"),
+        (lambda it: it["quality"].update(residual_rms_m_s2=1e-7), "quality.residual_rms_m_s2"),
+        (lambda it: it["quality"].update(residual_max_m_s2=1e-7), "quality.residual_max_m_s2"),
+        (lambda it: it["quality"].update(leave_one_out_rms_m_s2=0.06), "quality.verdict"),
+        (lambda it: it["quality"].update(degrees_of_freedom=0), "quality.verdict"),
+        (lambda it: it["solver"].update(status=0), "quality.verdict"),
+        (lambda it: it["accelerometer"]["uncertainty"].update(scale=[1e-9, 5.3e-5, 5.4e-5]), "covariance.matrix"),
+        (lambda it: it["site"].update(gravity_sigma_m_s2=0.0), "covariance.matrix"),
+        (lambda it: it["covariance"]["names"].__setitem__(0, "accelerometer.charm.x"), "covariance.names"),
+        (indefinite, "covariance.matrix"),
+    ],
+)
+def test_a_file_with_a_right_hash_that_contradicts_itself_is_refused(file: Path, change: Any, key: str) -> None:
+    """Whoever makes the hash anew vouches for nothing."""
+    document = tomllib.loads(file.read_text(encoding="utf-8"))
+    del document["integrity"]
+    file.write_text(to_toml(document), encoding="utf-8")
+    assert not load(file).edited
+    change(document)
+    file.write_text(to_toml(document), encoding="utf-8")
+    error = refused(file)
+    assert f": {key}" in error.message
+    assert error.values["key"] == key or error.values["key"].startswith("accelerometer.intrinsic")
 
 
 def edit(file: Path, old: str, new: str) -> None:

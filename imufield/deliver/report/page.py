@@ -99,7 +99,7 @@ def _facts(data: ReportData) -> dict[str, Any]:
         "rows": [_cells(row, factor) for row in rows],
         "has_preset": preset is not None,
         "quality": list(_quality(calibration)),
-        "gyroscope_path": "" if calibration.gyroscope is None else calibration.gyroscope.path,
+        "gyroscope_path": "not calibrated" if calibration.gyroscope is None else calibration.gyroscope.path,
         "gauge": calibration.gauge,
         "equation": calibration.equation,
         "checks": list(_checks(data.verification)),
