@@ -78,7 +78,7 @@ def draw(seed: int) -> tuple[Operator, Imu, GuideSettings, Run]:
     rng = np.random.default_rng([seed, 900])
     style = ("placed", "held")[seed % 2]
     grade = list(GRADES.values())[(seed // 2) % 4]
-    instrument = replace(draw_truth(grade, rng), triad_delay_s=rng.uniform(0, 0.002))
+    instrument = replace(draw_truth(grade, rng), triad_delay_s=rng.uniform(-0.002, 0.002))
     lever = rng.standard_normal(3)
     lever *= rng.uniform(0, 0.1) / np.linalg.norm(lever)
     habits = OperatorSettings(

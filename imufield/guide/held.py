@@ -46,6 +46,8 @@ _GAIN_SIGMA = 0.01
 _FEWEST = 20
 _POINTS = 8
 """Of an interpolation: with six, a sample lost at 100 Hz is known to 1 % of a tremor at 12 Hz, with eight to 0.2 %."""
+_REGULAR = 0.2
+"""Share of the sample interval: stamps that come closer do not tell where samples are missing."""
 BRIDGED_S = 0.04
 """Samples are bridged over holes up to this long; it is half a tremor."""
 JOLT_S = 0.01
@@ -164,7 +166,10 @@ def _average(samples: Samples, scale: RoughScale, knocks_s: FloatArray) -> _Step
     if scale.gyroscope is None or np.count_nonzero(good) < _FEWEST:
         return None
     force, rate = force[good] - scale.raw_zero, rate[good] / scale.gyroscope
-    sample_s = float(np.median(np.diff(samples.time_s[good])))
+    gap = np.diff(samples.time_s[good])
+    sample_s = float(np.median(gap)) or float(gap.mean())
+    if not sample_s > 0:
+        return None
     time_s, force, rate = _bridged(samples.time_s[good], force, rate, sample_s)
     each = max(int(STEP_S / sample_s + 1e-6), 1)
     # A whole number of samples in each step, and none on the border between two.
@@ -196,8 +201,9 @@ def _bridged(
     """Return samples with short holes filled: one lost at 100 Hz would let 50 ug of the tremor through."""
     gap = np.diff(time_s)
     lost = np.rint(gap / sample_s).astype(np.int64) - 1
-    holes = np.flatnonzero((lost > 0) & (gap <= BRIDGED_S) & (len(time_s) > _POINTS))
-    if not len(holes):
+    holes = np.flatnonzero((lost > 0) & (gap <= BRIDGED_S))
+    # Stamps too coarse for the rate come in pairs, and no two samples say what lay between them.
+    if not len(holes) or gap.min() < _REGULAR * sample_s:
         return time_s, force, rate
     missing = np.concatenate([time_s[k] + gap[k] * np.arange(1, lost[k] + 1) / (lost[k] + 1) for k in holes])
     filled = _interpolate(time_s, np.concatenate([force, rate], axis=1), missing)

@@ -69,6 +69,19 @@ def test_lost_samples_let_no_tremor_through(rate_hz: float, in_a_row: int) -> No
         assert abs(norm_ug(held(whole[kept])) - norm_ug(held(whole))) < 4.0
 
 
+@pytest.mark.parametrize("rate_hz", [800.0, 2000.0])
+def test_coarse_stamps_are_borne(rate_hz: float) -> None:
+    """Stamps of whole milliseconds at 2000 Hz come in pairs."""
+    whole = worst(12.0, TREMOR_DEG, 0.1, "oblique", rate_hz, 0.002)
+    coarse = replace(whole, time_s=np.floor(whole.time_s * 1000 + 1e-6) / 1000)
+    assert abs(norm_ug(held(coarse)) - norm_ug(held(whole))) < 5.0
+
+
+def test_stamps_that_stand_still_give_no_mean() -> None:
+    whole = worst(12.0, TREMOR_DEG, 0.1, "oblique", 100.0, 0.0)
+    assert held_mean(replace(whole, time_s=np.zeros(len(whole))), RoughScale(1.0, 1.0), np.zeros(3)) is None
+
+
 @pytest.mark.parametrize("gain", [0.98, 0.99, 1.01])
 def test_a_wrong_scale_of_the_gyroscope_is_in_the_sigma(gain: float) -> None:
     samples = worst(10.0, TREMOR_DEG, 0.1, "along", 200.0, 0.0)
