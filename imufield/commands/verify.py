@@ -84,17 +84,13 @@ class _Task:
     limits: dict[str, float]
     gravity: Gravity
     latitude_deg: float | None
+    is_its_own: bool
+    """Whether the parameters come from this session."""
 
     @property
     def wants_navigation(self) -> bool:
         """Whether the user asked for it."""
         return self.options.turned or self.options.heading_deg is not None or "nav-nmi-per-h" in self.limits
-
-    @property
-    def is_its_own(self) -> bool:
-        """Whether the parameters come from this session."""
-        sha256 = self.parameters.context.session.sha256
-        return bool(sha256) and sha256 == session_sha256(self.session)
 
 
 def run_verify(options: VerifyOptions) -> Verification:
@@ -149,15 +145,26 @@ def _task(options: VerifyOptions) -> _Task:
     for one in filter(None, (parameters, preset)):
         one.check_instrument(session.serial_number)
     recorded = session.metadata.get("site")
-    task = _Task(options, session, parameters, preset, limits, *_site(options, parameters, recorded))
+    is_its_own = _is_its_own(parameters, session)
+    place = _site(options, parameters, recorded, is_its_own=is_its_own)
+    task = _Task(options, session, parameters, preset, limits, *place, is_its_own)
     _refuse_ignored(task)
     return task
 
 
-def _site(options: VerifyOptions, parameters: Parameters, recorded: Mapping[str, Any] | None) -> tuple[Gravity, float | None]:
+def _is_its_own(parameters: Parameters, session: Session) -> bool:
+    sha256 = parameters.context.session.sha256
+    return bool(sha256) and sha256 == session_sha256(session)
+
+
+def _site(
+    options: VerifyOptions, parameters: Parameters, recorded: Mapping[str, Any] | None, *, is_its_own: bool
+) -> tuple[Gravity, float | None]:
     """Return gravity at the place of the session, and its latitude."""
-    known = options.site.is_known or bool(recorded)
     own = parameters.calibration.gravity
+    # Where a session does not say where it was taken, what was typed to solve it goes before a default.
+    is_typed = options.site.is_known and not (options.site.is_default and is_its_own and own.source != "assumed")
+    known = is_typed or bool(recorded)
     gravity = options.site.gravity(recorded) if known else own
     latitude = gravity.latitude_deg if gravity.latitude_deg is not None else options.site.latitude_deg
     return gravity, own.latitude_deg if latitude is None else latitude

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import tomli_w
 
 from imufield.cli.run import run
 from imufield.commands.site import SiteOptions
+from imufield.commands.verify import VerifyOptions, _task
 
 
 def solved(folder: Path, *options: str) -> dict[str, Any]:
@@ -77,3 +79,18 @@ def test_settings_edited_afterwards_are_said(session: Path, capsys: pytest.Captu
     capsys.readouterr()
     assert run(["solve", str(session)]) == 4
     assert "settings.accelerometer_range_g" in capsys.readouterr().err
+
+
+def test_what_was_typed_to_solve_a_session_without_a_site_goes_before_a_default(session: Path) -> None:
+    path = session / "session.toml"
+    metadata = tomllib.loads(path.read_text(encoding="utf-8"))
+    metadata.pop("site", None)
+    path.write_text(tomli_w.dumps(metadata), encoding="utf-8")
+    site = solved(session, "--latitude", "10", "--height", "300")["site"]
+    assert (site["gravity_source"], site["latitude_deg"], site["height_m"]) == ("normal", 10.0, 300.0)
+    parameters = session.parent / "solved.toml"
+    for options in (SiteOptions(), SiteOptions(latitude_deg=60.0, height_m=0.0, is_default=True)):
+        task = _task(VerifyOptions(parameters=parameters, session=session, site=options))
+        assert task.latitude_deg == 10.0
+        assert task.gravity.height_m == 300.0
+        assert task.gravity.gravity_m_s2 == site["gravity_m_s2"]
