@@ -13,6 +13,8 @@ from typing import Any
 
 from tests.simulate.accounting import Account, Wire, account_for, has_checksum, serial_wires
 
+PRINTS = True
+"""Its rows are accounts in words and counts, not one figure each."""
 BY_HOST_TIME = ("vectornav_ascii", "witmotion")
 
 
