@@ -7,7 +7,8 @@ a single swing of the arm has calm cells on both sides. Next to the turn a small
 there for certain; a slow turn in a hand that sways much begins below what this hand does now and then.
 
 That is where the turn is seen, not where it begins. What lies well inside these edges shows the sway of this hand, and against
-it a smooth turn is fitted to the cells at either end: see ``turn_fit``. Its begin stands, but for one cell that departs.
+it a smooth turn is fitted to the cells at either end: see ``turn_fit``. Its begin stands, but for one cell that departs, and as
+far as the hold is long enough to show its sway.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ SURELY_INSIDE = 20
 """Cells at either end of a stretch that may be of a turn and have no say in the standard; a third of a short stretch."""
 FEWEST = 30
 FEWEST_OF_SWAY = 20
+_SHOWN = 15
+"""Cells of a hold for each that the fit may add to those in which a turn is seen: a short one hides how slow its sway is."""
 _FADES = 5
 """Cells beside those in which a turn is seen that may hold more of it."""
 DEPARTS = 2.8
@@ -60,7 +63,7 @@ def hand_edges(cells: Cells, change_limit: FloatArray) -> slice:
     rate -= hold.mean(axis=0)
     sway, reach = sway_of(hold), min(REACH, m - m // 3)
     first, last = (
-        _settled(cells_of_turn(outward, sway, _LEAST_SHARE / math.sqrt(3)), rule)
+        _settled(cells_of_turn(outward, sway, _LEAST_SHARE / math.sqrt(3)), rule, len(hold))
         for outward, rule in zip((rate[::-1][-reach:], rate[-reach:]), seen, strict=True)
     )
     return slice(first, max(m - last, first + 1))
@@ -73,12 +76,12 @@ def _well_inside(seen: tuple[int, int], m: int) -> slice:
     return slice(max(start - short, 0), min(stop + short, m))
 
 
-def _settled(fitted: float | None, seen: int) -> int:
-    """Return the cells of a turn from those that the fit found and those where it is seen."""
+def _settled(fitted: float | None, seen: int, shown: int) -> int:
+    """Return the cells of a turn from those that the fit found, those where it is seen, and the cells that show the sway."""
     if fitted is None:
         return seen
     cells = math.floor(fitted + 0.5)
-    return max(cells, min(seen, cells + 1))
+    return min(max(cells, min(seen, cells + 1)), seen + max(shown // _SHOWN, 1))
 
 
 def _of_the_turn(departs: FloatArray) -> int:

@@ -70,6 +70,16 @@ def test_a_quiet_unit_is_not_cut_for_its_noise() -> None:
     assert hand_edges(cells_with(1e-4 * rng.standard_normal(100)), LIMIT) == slice(0, 100)
 
 
+def test_a_slow_swing_at_the_end_of_a_short_hold_is_not_taken_for_a_turn() -> None:
+    """Three seconds do not show a sway of five: what passes for a smooth turn may be one, and is left in but for a cell."""
+    rate = math.radians(1.5) * np.sin(np.arange(36) * 1.9)
+    rate[-10:] += math.radians(6) * np.linspace(0, 1, 10) ** 2
+    short = hand_edges(cells_with(rate), LIMIT)
+    longer = hand_edges(cells_with(np.concatenate([math.radians(1.5) * np.sin(np.arange(-114, 0) * 1.9), rate])), LIMIT)
+    assert short.start == longer.start == 0
+    assert 36 - short.stop < 150 - longer.stop <= 8
+
+
 def test_a_short_stretch_is_left_alone() -> None:
     rate = np.zeros(FEWEST - 1)
     rate[0] = 1.0
