@@ -153,7 +153,8 @@ def solve_session(session: Session, options: SolveOptions, progress: ProgressLin
         observations, axes, refused, saturated = _observations(chain, refusals)
         if axes.error is not None:
             raise axes.error
-        reasons = (axes.words, *saturated, *chain.notes, *_loss_sentences(chain, damage))
+        where = "missing in the file" if session.metadata.get("kind") == "import" else "lost on the wire"
+        reasons = (axes.words, *saturated, *chain.notes, *_loss_sentences(chain, damage, where))
         found = _measured(session, chain, observations, moves, options.site, reasons)
         with _naming_saturation(saturated):
             return Solved(calibrate(found, wishes), refused)
@@ -299,13 +300,13 @@ def _true_rate_hz(chain: Chain) -> float:
     return float(np.median(rates)) if rates else math.nan
 
 
-def _loss_sentences(chain: Chain, damage: list[Damage]) -> tuple[str, ...]:
+def _loss_sentences(chain: Chain, damage: list[Damage], where: str) -> tuple[str, ...]:
     sentences = [f"{part.what}" for part in damage]
     lost = sum(statistics.samples_lost for statistics in chain.statistics)
     estimated = sum(statistics.losses_estimated for statistics in chain.statistics)
     total = sum(statistics.samples for statistics in chain.statistics)
     if lost:
-        sentences.append(f"{lost} of {total + lost} samples were lost on the wire.")
+        sentences.append(f"{lost} of {total + lost} samples {'is' if lost == 1 else 'are'} {where}.")
     if estimated:
         sentences.append(f"About {estimated} more were lost in longer gaps, by the clock of the host.")
     return tuple(sentences)

@@ -113,10 +113,11 @@ class MoveLog:
     def follow(self, judgement: Judgement, still_mean: list[float]) -> None:
         """Take one judgement and the running mean of the stretch in force (6 raw rates; empty when there is none)."""
         slot = int(judgement.cells.slot[judgement.row])
-        self._whole = self._whole and self._slot is not None and slot - self._slot == 1
-        self._slot = slot
+        unbroken = self._slot is not None and slot - self._slot == 1
+        self._slot, self._whole = slot, self._whole and unbroken
         if judgement.ended is not None:
-            self._before, self._rates, self._whole = judgement.ended.mean, [], True
+            # A gap ends a stretch, too, and the unit may have turned in it.
+            self._before, self._rates, self._whole = judgement.ended.mean, [], unbroken
         if judgement.phase is Phase.STILL:
             if self._before and self._whole and self._rates:
                 self._finished.append((self._before, list(still_mean), self._rates))

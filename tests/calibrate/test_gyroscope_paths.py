@@ -12,7 +12,7 @@ from gyroscope_sessions import Session, Turn, collect_moves, fit_turns_only, rec
 from imufield.calibrate.accelerometer import calibrate_accelerometer
 from imufield.calibrate.gyroscope_model import evaluate
 from imufield.calibrate.gyroscope_paths import GyroscopeInput, calibrate_gyroscope, make_data
-from imufield.calibrate.gyroscope_report import GYROSCOPE_NAMES, GyroscopeResult, forward
+from imufield.calibrate.gyroscope_report import GYROSCOPE_NAMES, GyroscopeResult, MoveReport, forward, gain_words
 from imufield.calibrate.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.move_integration import rough_inverse
 from imufield.calibrate.result import ACCELEROMETER_NAMES, GRAVITY_NAME, GyroscopeParameters
@@ -346,3 +346,19 @@ def test_a_fit_that_does_not_end_makes_the_whole_usable_at_most(monkeypatch: pyt
     remedied = calibrate_gyroscope(replace(still.given, latitude_deg=None))
     assert remedied.cautions == ()
     assert remedied.join(still.calibration).quality.verdict == "good"
+
+
+@pytest.mark.parametrize(
+    ("before_deg", "after_deg", "said"),
+    [
+        (0.368, 0.312, "hardly better than before"),
+        (0.025, 0.078, "worse than before"),
+        (0.097, 0.012, ""),
+        (np.nan, 0.012, ""),
+    ],
+)
+def test_little_gained_by_a_fit_is_said(before_deg: float, after_deg: float, said: str) -> None:
+    time_s = np.arange(6.0)
+    report = MoveReport(time_s, time_s, np.full(6, before_deg), np.full(6, after_deg), np.ones(6))
+    assert gain_words(report).startswith(f": {said}" if said else "")
+    assert bool(gain_words(report)) == bool(said)

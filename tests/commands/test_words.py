@@ -117,3 +117,19 @@ def test_a_table_without_time_is_corrected_at_the_rate_that_is_told(
     time_s = np.genfromtxt(output, delimiter=",", skip_header=1)[:, 0]
     assert np.diff(time_s) == pytest.approx(np.full(19, 0.02))
     assert run(["apply", parameters, str(solved_session), "-o", str(output), "--rate-hz", "50"]) == 2
+
+
+def test_rows_missing_in_an_imported_table_were_not_lost_on_a_wire(
+    solved_session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, gap = tmp_path / "samples.csv", tmp_path / "gap.csv"
+    assert run(["export-data", str(solved_session), "-o", str(table)]) == 0
+    head, *rows = [",".join(line.split(",")[:7]) for line in table.read_text().splitlines()]
+    gap.write_text("\n".join([head, *rows[:1000], *rows[1040:]]) + "\n")
+    assert run(["import", str(gap), "-o", str(tmp_path / "mine")]) == 0
+    capsys.readouterr()
+    assert run(["solve", str(tmp_path / "mine"), "--latitude", "48"]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert f"40 of {len(rows)} samples are missing in the file" in told
+    assert "wire" not in told
+    assert "axes agree" in told

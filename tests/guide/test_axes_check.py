@@ -128,15 +128,25 @@ def test_a_gyroscope_that_shows_nothing_is_not_decided(moves: Any) -> None:
     assert check_axes(silent, 1.0).is_contradicted
 
 
-def test_a_gap_in_a_move_drops_it(make_path: Any) -> None:
+@pytest.mark.parametrize(
+    ("from_s", "to_s"), [pytest.param(5.4, 5.8, id="in the turn"), pytest.param(4.0, 7.5, id="from still to still")]
+)
+def test_a_gap_in_a_move_drops_it(make_path: Any, from_s: float, to_s: float) -> None:
     path = make_path(200.0).hold(ORDER[0], 5)
     for up in ORDER[1:]:
         path.turn(up, 1.2).hold(up, 3)
     samples = path.samples()
-    keep = np.ones(len(samples), dtype=bool)
-    keep[round(5.4 * 200) : round(5.8 * 200)] = False
-    detector, log = StillnessDetector(RoughScale(1.0, 1.0)), MoveLog(0.1)
-    for cells in cells_of([samples[keep]]):
-        for judgement in detector.judge(cells):
-            log.follow(judgement, detector.stretch.mean)
-    assert len(log.moves(RoughScale(1.0, 1.0))) == 5
+    keep = (samples.time_s < from_s) | (samples.time_s >= to_s)
+    moves = _moves_of(samples[keep])
+    assert len(moves) == 5
+    assert check_axes(moves, 1.0).agrees
+
+
+def test_a_pause_with_a_few_more_samples_before_the_turn_drops_the_move(make_path: Any) -> None:
+    """The unit was turned while nothing was written: what arrives before the next hold begins is no whole move."""
+    path = make_path(200.0).hold(ORDER[0], 5)
+    for up in ORDER[1:]:
+        path.turn(up, 1.2).hold(up, 3)
+    samples = path.samples()
+    moves = _moves_of(samples[(samples.time_s < 4.0) | (samples.time_s >= 5.9)])
+    assert len(moves) == 5
