@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 # As the program itself does it: the matrices are small, and threads of the linear algebra only get in each other's way.
 for _library in ("OPENBLAS", "MKL", "OMP"):
@@ -19,6 +20,10 @@ for _library in ("OPENBLAS", "MKL", "OMP"):
 for _signal in (signal.SIGINT, signal.SIGHUP):
     if signal.getsignal(_signal) == signal.SIG_IGN:
         signal.signal(_signal, lambda number, frame: None)
+
+# The same examples in every run, however slow the machine: what fails once fails always, and nothing fails by chance.
+settings.register_profile("same", derandomize=True, database=None, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("same")
 
 PROJECT = Path(__file__).resolve().parent.parent
 

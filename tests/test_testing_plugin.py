@@ -114,7 +114,7 @@ def test_an_instrument_on_a_port(imufield_pty: Callable[..., Any]) -> None:
     instrument = imufield_pty("stim300", rate_hz=125.0, speed=16.0)
     decoder = Decoder(load_protocol("stim300", {"rate_hz": 125}))
     with serial.Serial(instrument.port, 921600, timeout=0.1) as port:
-        end_s = time.monotonic() + 20
+        end_s = time.monotonic() + 60
         while decoder.statistics.samples < 100 and time.monotonic() < end_s:
             decoder.feed(port.read(4096))
     assert decoder.statistics.samples >= 100
@@ -125,7 +125,7 @@ def test_an_instrument_with_faults(imufield_pty: Callable[..., Any]) -> None:
     instrument = imufield_pty("stim300", rate_hz=125.0, speed=16.0, faults={"wrong_checksum_probability": 0.5})
     decoder = Decoder(load_protocol("stim300", {"rate_hz": 125}))
     with serial.Serial(instrument.port, 921600, timeout=0.1) as port:
-        end_s = time.monotonic() + 20
+        end_s = time.monotonic() + 60
         while decoder.statistics.frames_bad_checksum < 10 and time.monotonic() < end_s:
             decoder.feed(port.read(4096))
     assert decoder.statistics.frames_bad_checksum >= 10
@@ -154,7 +154,7 @@ def test_instruments_are_stopped_after_the_test(pytester: pytest.Pytester) -> No
 def test_an_instrument_on_a_bus(imufield_can_bus: Callable[..., Any]) -> None:
     instrument = imufield_can_bus("sbg_can", duration_s=1.0, faults={"lost_frame_probability": 0.01})
     opened = open_can(f"{instrument.bus}?sleep_after_open=0", driver="sbg_can")
-    count, end_s = 0, time.monotonic() + 20
+    count, end_s = 0, time.monotonic() + 60
     while not instrument.finished and time.monotonic() < end_s:
         chunk = opened.link.read()
         count += 0 if chunk is None else len(opened.decoder.feed(chunk.data, chunk.monotonic_s))

@@ -276,7 +276,8 @@ class CanLink:
         return messages
 
     def _chunk(self, messages: list[can.Message]) -> Chunk:
-        arrival_s, wall_s = self._clock.monotonic_s(), time.time()
+        # In this order: what stops us between the two makes stamps late, as everything does, and none early.
+        wall_s, arrival_s = time.time(), self._clock.monotonic_s()
         utc_ns = self._clock.utc_ns()
         pieces = []
         for message in messages:

@@ -45,7 +45,7 @@ class Scripted:
 
 def read_until(link: BackgroundLink, count: int) -> list[bytes]:
     found: list[bytes] = []
-    end_s = time.monotonic() + 10
+    end_s = time.monotonic() + 60
     while len(found) < count and time.monotonic() < end_s:
         chunk = link.read()
         if chunk is not None:

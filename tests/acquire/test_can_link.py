@@ -38,7 +38,7 @@ def port() -> int:
     return number
 
 
-def read_all(link: CanLink, count: int, patience_s: float = 5.0) -> list[Frame]:
+def read_all(link: CanLink, count: int, patience_s: float = 60.0) -> list[Frame]:
     frames: list[Frame] = []
     end_s = time.monotonic() + patience_s
     while len(frames) < count and time.monotonic() < end_s:
@@ -72,7 +72,7 @@ def test_virtual(channel: str) -> None:
         # Stamps of the host are on its monotonic clock.
         assert all(before_s - 0.01 <= frame.time_s <= time.monotonic() + 0.01 for frame in frames)
         link.write(pack_frame(0x123, b"hello"))
-        heard = bus.recv(1.0)
+        heard = bus.recv(60.0)
         assert heard is not None
         assert (heard.arbitration_id, bytes(heard.data), heard.is_extended_id) == (0x123, b"hello", False)
     link.close()
@@ -98,7 +98,7 @@ def slcan() -> Iterator[SlcanDevice]:
 
 def test_slcan_on_a_pseudo_terminal(slcan: SlcanDevice) -> None:
     link = open_can_link(f"slcan:{slcan.port.port}@115200?sleep_after_open=0", bit_rate=250_000)
-    deadline_s = time.monotonic() + 2
+    deadline_s = time.monotonic() + 60
     while not slcan.is_open and time.monotonic() < deadline_s:
         slcan.receive()
     assert slcan.bit_rate_code == "S5"
@@ -113,7 +113,7 @@ def test_slcan_on_a_pseudo_terminal(slcan: SlcanDevice) -> None:
     assert [(frame.can_id, frame.data) for frame in got] == [(frame.can_id, frame.data) for frame in sent]
     link.write(pack_frame(0x18EAFF80 | EXTENDED, b"\x53\xff\x00"))
     heard: list[Frame] = []
-    while not heard and time.monotonic() < deadline_s + 2:
+    while not heard and time.monotonic() < deadline_s:
         heard = slcan.receive()
     assert heard[0].text == "18EAFF80#53FF00"
     link.close()
@@ -162,9 +162,10 @@ def test_adapter_time_stays_as_it_is(channel: str) -> None:
     with can.Bus(channel, "virtual", preserve_timestamps=True) as bus:
         bus.send(can.Message(timestamp=12.345678, arbitration_id=1))
         bus.send(can.Message(timestamp=0.0, arbitration_id=2))
+        before_s = time.monotonic()
         first, second = read_all(link, 2)
     assert (first.time_s, first.flags) == (12.345678, ADAPTER_TIME)
-    assert second.time_s == pytest.approx(time.monotonic(), abs=2)
+    assert before_s <= second.time_s <= time.monotonic()
     link.close()
 
 
@@ -172,11 +173,18 @@ def test_a_scaled_clock_scales_stamps(channel: str) -> None:
     clock = ScaledClock(8.0)
     link = open_can_link(f"virtual:{channel}", clock=clock)
     with can.Bus(channel, "virtual") as bus:
+        begin_s = time.monotonic()
         bus.send(can.Message(arbitration_id=1))
+        sleep_s = time.monotonic()
         time.sleep(0.1)
+        woken_s = time.monotonic()
         bus.send(can.Message(arbitration_id=2))
-        first, second = read_all(link, 2)
-    assert second.time_s - first.time_s == pytest.approx(0.8, rel=0.5)
+        end_s = time.monotonic()
+        chunk = link.read()
+        assert chunk is not None
+        first, second = unpack_frames(chunk.data)
+    # Both are in one chunk, so a pause between the clocks that are read for it moves both alike.
+    assert 8.0 * (woken_s - sleep_s) - 0.01 <= second.time_s - first.time_s <= 8.0 * (end_s - begin_s) + 0.01
     link.close()
 
 

@@ -57,7 +57,7 @@ def test_what_was_written_is_on_disk_without_closing(tmp_path: Path) -> None:
     path = tmp_path / "part-001.mcap"
     recorder = Recorder(path, {})
     recorder.write_chunk(numbered(7))
-    deadline_s = time.monotonic() + 20.0
+    deadline_s = time.monotonic() + 60.0
     while numbers_in(path) != [7] and time.monotonic() < deadline_s:
         time.sleep(0.05)
     damage: list[Damage] = []
@@ -124,7 +124,7 @@ def test_a_slow_disk_makes_the_caller_wait_and_loses_nothing(tmp_path: Path, mon
 
 
 def write_until_error(recorder: Recorder, size: int) -> RecordingError:
-    deadline_s, number = time.monotonic() + 20.0, 0
+    deadline_s, number = time.monotonic() + 60.0, 0
     while time.monotonic() < deadline_s:
         try:
             recorder.write_chunk(numbered(number, size))
@@ -201,7 +201,7 @@ def test_a_full_disk_is_an_error_and_what_was_written_stays(tmp_path: Path, limi
     # A limit on the file size ends a write in its middle, as a full disk does.
     path = tmp_path / "part-001.mcap"
     run = subprocess.run(
-        [sys.executable, "-c", FILL, str(path), str(limit)], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", FILL, str(path), str(limit)], capture_output=True, text=True, timeout=120, check=True
     )
     assert "is full" in run.stdout
     assert path.stat().st_size == limit

@@ -303,7 +303,7 @@ def test_a_packed_bomb_is_not_unpacked(made: MadePart, tmp_path: Path) -> None:
     assert [entry.offset for entry in damage] == [start, start + len(bomb)]
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(
     pieces=st.lists(
         st.one_of(

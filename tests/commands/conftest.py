@@ -49,7 +49,7 @@ class Program:
         return {**kept, "HOME": home, "XDG_CONFIG_HOME": f"{home}/.config", "COLUMNS": "80", **(more or {})}
 
     def run(
-        self, *arguments: object, variables: dict[str, str] | None = None, timeout_s: float = 60, **options: Any
+        self, *arguments: object, variables: dict[str, str] | None = None, timeout_s: float = 120, **options: Any
     ) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [*IMUFIELD, *map(str, arguments)],

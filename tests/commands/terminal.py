@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
 
-WAIT_S = 60.0
+WAIT_S = 120.0
 _CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
@@ -85,7 +85,7 @@ class Terminal:
             # A program that writes to a terminal nobody reads would wait for ever.
             self.read()
         self.read()
-        code = self.process.wait(5)
+        code = self.process.wait(WAIT_S)
         assert code < 0 or termios.tcgetattr(self._slave) == self._before, "the terminal is not as it was"
         return code
 

@@ -45,7 +45,7 @@ def test_port_alone_is_enough_and_what_is_assumed_is_said(program: Program) -> N
     assert process.stdout is not None
     lines = [process.stdout.readline() for _ in range(3)]
     process.send_signal(signal.SIGINT)
-    _, error = process.communicate(timeout=20)
+    _, error = process.communicate(timeout=120)
     assert "driver stim300 (recognised" in error
     assert "baud rate 921600 (assumed)" in error
     assert " ".join(error.split()).count("gravity here is not known") == 1
@@ -89,7 +89,7 @@ def test_an_earlier_calibration_goes_into_the_session(program: Program, faces: s
     assert process.stdout is not None
     assert process.stdout.readline().startswith("session ")
     process.send_signal(signal.SIGINT)
-    process.communicate(timeout=60)
+    process.communicate(timeout=120)
     guide = newest(program).metadata["guide"]
     # The simulated instrument is right to a tenth of a percent, the calibration to a thousandth.
     assert guide["earlier_scale_raw"] == pytest.approx(1.0, abs=2e-3)
@@ -128,7 +128,7 @@ def test_resume(program: Program) -> None:
     while '"accepted": 2' not in process.stdout.readline():
         assert process.poll() is None
     process.terminate()
-    assert process.wait(20) == 130
+    assert process.wait(120) == 130
     process.communicate()
     session = newest(program)
     folder = session.folder.relative_to(program.folder)
@@ -175,7 +175,7 @@ def test_what_is_proposed_can_be_pasted(program: Program) -> None:
     while "accepted" not in process.stdout.readline():
         assert process.poll() is None
     process.terminate()
-    output, _ = process.communicate(timeout=20)
+    output, _ = process.communicate(timeout=120)
     resumed = paste(output.rsplit("go on:", 1)[1].strip())
     assert resumed.returncode == 0, resumed.stderr
     assert "6 of 6 positions measured" in resumed.stdout
@@ -341,7 +341,7 @@ def test_a_terminal_that_is_closed(program: Program, screen: Terminal) -> None:
     screen.type("48\n")
     screen.wait_for("1 of 6 done")
     screen.close()
-    assert screen.process.wait(20) == 130
+    assert screen.process.wait(120) == 130
     session = newest(program)
     assert not session.finished
     assert "accepted" in {event["event"] for event in events(session)}

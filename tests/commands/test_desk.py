@@ -214,7 +214,7 @@ def test_emulate_says_where_and_how(program: Program) -> None:
     assert "IMUFIELD_CLOCK_SPEED=4 imufield capture --port imu" in lines[2]
     assert lines[3] == "it begins when a program opens the port; Ctrl-C ends it\n"
     process.send_signal(signal.SIGINT)
-    assert process.wait(20) == 130
+    assert process.wait(120) == 130
     assert not (program.folder / "imu").is_symlink()
 
 
@@ -248,9 +248,9 @@ def test_a_table_becomes_a_session_and_what_was_assumed_is_said(program: Program
     assert "gyroscope" not in content
 
 
-@pytest.mark.timeout(180)
+@pytest.mark.timeout(400)
 def test_demo(program: Program) -> None:
-    ended = program.run("demo", "--plain", "--speed", 12, timeout_s=150)
+    ended = program.run("demo", "--plain", "--speed", 12, timeout_s=300)
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert "24 of 24 positions, seed 2: as it should be" in ended.stdout
     last = ended.stdout.splitlines()[-1]

@@ -183,14 +183,14 @@ def test_the_rate_is_put_back_however_a_recording_ends(end: signal.Signals | Non
         duration = () if end is not None else ("--duration-s", 1)
         process = program.start("record", "--port", there.port, "--session", "here", "--rate-hz", 250, "--json", *duration)
         assert process.stdout is not None
-        deadline_s = time.monotonic() + 60
+        deadline_s = time.monotonic() + 120
         while instrument.rate_hz != 250 and time.monotonic() < deadline_s:
             time.sleep(0.02)
         assert instrument.rate_hz == 250
         process.stdout.readline()
         if end is not None:
             process.send_signal(end)
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=120)
         assert process.returncode == (0 if end is None else 130), errors
         assert instrument.format == before
         assert instrument.streaming
@@ -271,7 +271,7 @@ def test_two_commands_understand_each_other(name: str, program: Program) -> None
         assert again.found.rate_hz == pytest.approx(before_hz, rel=0.25), "put back"
     finally:
         emulator.send_signal(signal.SIGINT)
-        emulator.communicate(timeout=60)
+        emulator.communicate(timeout=120)
     session = Session.open(program.folder / "here")
     told = {key: session.metadata["instrument"][key] for key in found.identity}
     assert told == found.identity

@@ -136,7 +136,7 @@ def test_sessions_of_a_killed_cluster_worker_are_done_again(
 def kill_when_busy(cluster: Any, nanny: Any, killed: list[int]) -> None:
     """Kill a worker as soon as it has a session to solve."""
     pid, worker = nanny.pid, cluster.scheduler.workers[nanny.worker_address]
-    deadline_s = time.monotonic() + 60
+    deadline_s = time.monotonic() + 120
     while time.monotonic() < deadline_s:
         if worker.processing:
             os.kill(pid, signal.SIGKILL)

@@ -107,7 +107,7 @@ def test_json_and_file_have_one_content(
     assert printed == stored
 
 
-@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], deadline=None)
 @given(start=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=24, max_size=24), name=st.text())
 def test_any_float_and_any_text_survive(
     calibration: Calibration, observations: Observations, context: Context, start: list[float], name: str
@@ -311,7 +311,7 @@ def test_a_covariance_that_is_none_is_refused(file: Path, row: int, column: int,
     assert words in refused(file).message
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data())
 def test_any_flipped_byte_gives_the_same_parameters_or_the_error(file: Path, data: st.DataObject) -> None:
     whole = file.read_bytes()

@@ -30,7 +30,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, TextIO]]:
 
 def typed(keyboard: Keyboard, count: int) -> str:
     """Read until so many characters have come; the kernel hands them over when it likes."""
-    found, until_s = "", time.monotonic() + 10
+    found, until_s = "", time.monotonic() + 60
     while len(found) < count and time.monotonic() < until_s:
         found += keyboard.read()
     return found

@@ -68,18 +68,26 @@ def test_tones_are_told_apart_and_valid() -> None:
             assert 0.1 < file.getnframes() / RATE_HZ < 1.5
 
 
+def play_to_the_end(view: SoundView) -> None:
+    """Close a view, however long its sounds take: closing alone waits for a moment."""
+    view.close()
+    view._thread.join(60.0)
+
+
 def test_the_guide_never_waits_and_late_sounds_are_left_out() -> None:
-    gate, played = threading.Event(), []
+    gate, heard, played = threading.Event(), threading.Event(), []
 
     def play(cue: Cue) -> None:
-        gate.wait(5)
+        gate.wait(60.0)
         played.append(cue)
+        heard.set()
 
     view = SoundView(play, None)
     for _ in range(50):
         view.show([accepted()])
     assert played == []
     gate.set()
+    assert heard.wait(60.0)
     view.close()
     assert 1 <= len(played) <= 6
 
@@ -92,7 +100,7 @@ def test_a_broken_player_harms_nobody() -> None:
 
     view = SoundView(play, said.append)
     view.show([Hold(1.0, "+x", "words", 3.0, 10.0)])
-    view.close()
+    play_to_the_end(view)
     assert said == ["hold"]
 
 
@@ -120,7 +128,7 @@ def test_programs_get_our_file_and_our_words_and_nothing_else(
     monkeypatch.setattr("imufield.guide.sound._has_sound_card", lambda: True)
     with open_sound(speak=True) as view:
         view.show([Hold(1.0, "+x; $(reboot)", "`reboot`", 3.0, 10.0)])
-        view.close()
+        play_to_the_end(view)
     (played,) = (heard / "pw-play").read_text().split()
     assert played.endswith("/hold.wav")
     assert not Path(played).exists(), "the folder of sounds stays behind"
@@ -136,8 +144,11 @@ def test_without_a_card_the_bell_rings_and_without_a_program_nobody_speaks(
     with os.fdopen(theirs, "w") as screen, open_sound() as view:
         monkeypatch.setattr("sys.__stdout__", screen)
         view.show([accepted()])
-        view.close()
-    assert os.read(ours, 100) == b"\a" * Cue.ACCEPTED.strokes
+        play_to_the_end(view)
+    rung = b""
+    while len(rung) < Cue.ACCEPTED.strokes:
+        rung += os.read(ours, 100)
+    assert rung == b"\a" * Cue.ACCEPTED.strokes
     os.close(ours)
 
 

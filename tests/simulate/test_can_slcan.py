@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import select
 import sys
+import time
 import tty
 from collections.abc import Iterator
 
@@ -13,6 +15,9 @@ from imufield.acquire.can_frames import ERROR, EXTENDED, FD, REMOTE, Frame
 from imufield.simulate.slcan import SlcanDevice, format_frame, parse_frame
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="this system has no pseudo-terminals")
+
+
+LIMIT_S = 60.0
 
 
 @pytest.fixture
@@ -26,28 +31,35 @@ def adapter() -> Iterator[tuple[SlcanDevice, int]]:
     device.close()
 
 
-def ask(adapter: tuple[SlcanDevice, int], text: bytes) -> tuple[list[Frame], bytes]:
+def hear(host: int, size: int) -> bytes:
+    """Read so many bytes; the system hands them over when it likes."""
+    data, end_s = b"", time.monotonic() + LIMIT_S
+    while len(data) < size and time.monotonic() < end_s:
+        if select.select([host], [], [], 0.1)[0]:
+            data += os.read(host, 4096)
+    return data
+
+
+def ask(adapter: tuple[SlcanDevice, int], text: bytes, size: int = 1) -> tuple[list[Frame], bytes]:
+    """Say something to the adapter; return the frames it took, and its answer of so many bytes."""
     device, host = adapter
-    os.write(host, text)
-    frames = device.receive()
-    try:
-        return frames, os.read(host, 4096)
-    except BlockingIOError:
-        return frames, b""
+    assert os.write(host, text) == len(text)
+    assert select.select([device.port._master], [], [], LIMIT_S)[0]
+    return device.receive(), hear(host, size)
 
 
 def test_commands(adapter: tuple[SlcanDevice, int]) -> None:
     device, host = adapter
     assert ask(adapter, b"S5\r") == ([], b"\r")
-    assert ask(adapter, b"V\rN\r") == ([], b"V1013\rNA123\r")
+    assert ask(adapter, b"V\rN\r", 12) == ([], b"V1013\rNA123\r")
     assert ask(adapter, b"q\r") == ([], b"\a")
     device.send([Frame(1, b"a")])
     assert device.frames_dropped == 1, "the channel is closed"
     assert ask(adapter, b"O\r") == ([], b"\r")
     device.send([Frame(0x123, b"\x01\x02"), Frame(ERROR | 8, bytes(8))])
-    assert os.read(host, 100) == b"t12320102\r"
-    assert ask(adapter, b"T18EAFF80353") == ([], b"")
-    assert ask(adapter, b"FF00\r") == ([Frame(0x18EAFF80 | EXTENDED, b"\x53\xff\x00")], b"Z\r")
+    assert hear(host, 10) == b"t12320102\r"
+    assert ask(adapter, b"T18EAFF80353", 0) == ([], b"")
+    assert ask(adapter, b"FF00\r", 2) == ([Frame(0x18EAFF80 | EXTENDED, b"\x53\xff\x00")], b"Z\r")
     ask(adapter, b"C\r")
     assert not device.is_open
 

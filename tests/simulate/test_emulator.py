@@ -23,7 +23,7 @@ from imufield.simulate.port import PseudoTerminal
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux or macOS")
 
-LIMIT_S = 20.0
+LIMIT_S = 60.0
 FRAME = 40
 
 

@@ -28,7 +28,7 @@ def browse(page: Path, *options: str) -> str:
         f"--user-data-dir={page.parent}/browser",
     ]
     done = subprocess.run(
-        [str(BROWSER), *common, *options, page.as_uri()], capture_output=True, text=True, timeout=90, check=False
+        [str(BROWSER), *common, *options, page.as_uri()], capture_output=True, text=True, timeout=250, check=False
     )
     assert done.returncode == 0, done.stderr[-500:]
     return done.stderr
@@ -66,7 +66,7 @@ def test_nothing_is_wider_than_the_window(tmp_path: Path, width: int) -> None:
         ],
         capture_output=True,
         text=True,
-        timeout=90,
+        timeout=250,
         check=False,
     )
     found = re.search(r"<title>(\d+) of (\d+)</title>", done.stdout)
