@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.host_clock import HostClock
+from imufield.acquire.host_clock import HostClock, patience_s
 from imufield.acquire.link import Chunk, Link
 from imufield.errors import LinkError, LinkTimeoutError, Reason
 
@@ -154,7 +154,7 @@ class Exchange:
 
     def _await(self, command: Command) -> Message | None:
         heard = b""
-        end_s = self._clock.monotonic_s() + ANSWER_S
+        end_s = self._clock.monotonic_s() + patience_s(self._clock, ANSWER_S)
         while self._clock.monotonic_s() < end_s:
             chunk = self._link.read()
             if chunk is None:

@@ -28,6 +28,11 @@ class HostClock(Protocol):
         ...
 
 
+def patience_s(clock: HostClock, duration_s: float) -> float:
+    """Return so many real seconds as seconds of a clock: an emulated instrument may be fast, the machine it runs on is not."""
+    return duration_s * max(float(getattr(clock, "speed", 1.0)), 1.0)
+
+
 class SystemClock:
     """The machine's own clocks."""
 

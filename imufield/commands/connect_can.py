@@ -18,7 +18,7 @@ from imufield.acquire.can_link import BusAddress, CanLink, open_can_link, parse_
 from imufield.acquire.can_map import CanDescription, describe_can
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver
-from imufield.acquire.host_clock import HostClock
+from imufield.acquire.host_clock import HostClock, patience_s
 from imufield.acquire.link import Chunk
 from imufield.acquire.protocol import parse_protocol
 from imufield.acquire.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES
@@ -180,7 +180,7 @@ def _bit_rate(options: ConnectOptions, address: BusAddress, descriptions: list[C
 def _listen(link: CanLink, ears: list[_Ear], clock: HostClock) -> list[Chunk]:
     """Read until one ear is certain, or the patience is over."""
     chunks: list[Chunk] = []
-    end_s = clock.monotonic_s() + LISTEN_S
+    end_s = clock.monotonic_s() + patience_s(clock, LISTEN_S)
     while clock.monotonic_s() < end_s and not any(ear.samples >= CERTAIN_SAMPLES for ear in ears):
         chunk = link.read()
         if chunk is None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from imufield.acquire.driver import Driver, Wire
-from imufield.acquire.host_clock import HostClock
+from imufield.acquire.host_clock import HostClock, patience_s
 from imufield.acquire.link import Chunk, SerialLink, open_link
 from imufield.acquire.protocol import load_protocol
 from imufield.acquire.recognise import FEWEST_SAMPLES, Candidate, Ear, best
@@ -132,14 +132,14 @@ def search(port: str, candidates: list[Candidate], bauds: list[int], clock: Host
     link = open_link(port, baud=_first_baud(port, bauds), clock=clock)
     found = Search(link, [], None)
     try:
-        end_s = clock.monotonic_s() + SEARCH_S
+        end_s = clock.monotonic_s() + patience_s(clock, SEARCH_S)
         for baud in bauds:
             if not _set_baud(link, baud, bauds):
                 continue
             ears = [Ear(one, is_given=is_given) for one in candidates if len(bauds) == 1 or baud in one.bauds]
             hearing = Hearing(baud, [], ears)
             found.hearings.append(hearing)
-            _listen(link, hearing, clock, _patience_s(found, bauds), end_s)
+            _listen(link, hearing, clock, _limits_s(found, bauds), end_s)
             found.found = best(ears)
             if found.found is not None or clock.monotonic_s() >= end_s:
                 break
@@ -154,7 +154,7 @@ def listen_again(found: Search, clock: HostClock) -> None:
     before = found.last
     hearing = Hearing(before.baud, [], [Ear(ear.candidate, is_given=True) for ear in before.ears])
     found.hearings.append(hearing)
-    _listen(found.link, hearing, clock, (LISTEN_S, LISTEN_S), clock.monotonic_s() + LISTEN_S)
+    _listen(found.link, hearing, clock, (LISTEN_S, LISTEN_S), clock.monotonic_s() + patience_s(clock, LISTEN_S))
     found.found = best(hearing.ears)
 
 
@@ -176,7 +176,7 @@ def _set_baud(link: SerialLink, baud: int, bauds: list[int]) -> bool:
     return True
 
 
-def _patience_s(so_far: Search, bauds: list[int]) -> tuple[float, float]:
+def _limits_s(so_far: Search, bauds: list[int]) -> tuple[float, float]:
     """Return how long to listen without and with frames."""
     if len(bauds) == 1:
         return LISTEN_S, LISTEN_S
@@ -185,12 +185,12 @@ def _patience_s(so_far: Search, bauds: list[int]) -> tuple[float, float]:
     return TRY_S, PROMISING_S
 
 
-def _listen(link: SerialLink, hearing: Hearing, clock: HostClock, patience_s: tuple[float, float], end_s: float) -> None:
+def _listen(link: SerialLink, hearing: Hearing, clock: HostClock, limits_s: tuple[float, float], end_s: float) -> None:
     """Read until one candidate is certain, or the patience is over."""
-    begin_s = clock.monotonic_s()
+    begin_s, real = clock.monotonic_s(), patience_s(clock, 1.0)
     while not any(ear.is_certain for ear in hearing.ears):
-        elapsed_s = clock.monotonic_s() - begin_s
-        quiet, promising = patience_s
+        elapsed_s = (clock.monotonic_s() - begin_s) / real
+        quiet, promising = limits_s
         if hearing.byte_count == 0 and quiet == TRY_S:
             quiet = SILENT_S
         limit_s = promising if any(ear.is_promising for ear in hearing.ears) else quiet

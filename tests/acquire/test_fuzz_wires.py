@@ -1,7 +1,7 @@
 """Random and mutated bytes for every driver: a sample, a skip or a typed error, never another exception, never more memory.
 
-Each driver gets the same few rounds on every machine, or ``IMUFIELD_FUZZ_S`` seconds of them: ``make fuzz`` gives 60. The rounds
-are seeded, so what one run finds the next one finds again.
+Each driver gets the same few rounds on every machine, or ``IMUFIELD_FUZZ_S`` seconds of them; ``make fuzz`` gives 60. The
+rounds are seeded, so what one run finds the next one finds again.
 """
 
 from __future__ import annotations

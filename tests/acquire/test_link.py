@@ -130,6 +130,7 @@ def test_another_bit_rate_on_the_open_port(terminal: Terminal) -> None:
     link = open_link(terminal.port, baud=9600)
     os.write(terminal.master, b"at the old rate")
     # The system hands it over when it likes; what comes after the change would be of the new rate.
+    assert link._descriptor is not None
     assert select.select([link._descriptor], [], [], 60.0)[0]
     link.set_baud(921600)
     os.write(terminal.master, b"new")
