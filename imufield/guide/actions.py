@@ -107,6 +107,8 @@ class GuideActions:
         self._rest_direction: FloatArray | None = None
         self._moved_cells = 0
         self._moved_deg = 0.0
+        self._was_unseen = False
+        """Samples are missing since the last position: it may have been moved without being seen."""
         self._let_go = 0
         """Holds in a row that ended by motion."""
         self._refusal: Refusal | None = None
@@ -231,7 +233,7 @@ class GuideActions:
         pending, nearest = self.plan.nearest(direction, pending=True), self.plan.nearest(direction, pending=False)
         if nearest is None:
             return Input.SAME
-        if self.rested is not None and self._was_lifted():
+        if self.rested is not None and (self._was_lifted() or self._was_moved_unseen(direction)):
             self.rested = None
         if self.rested is not None and self.plan.same_direction(nearest.index, self.rested):
             return Input.SAME
@@ -299,7 +301,9 @@ class GuideActions:
         direction = self._direction(observation.mean_raw)
         self.fit_again()
         self.events.append(accepted_event(self.now_s, observation, hold.scale, self.plan, replaces=replaces, fit=self.fit))
-        self.rested, self._rest_direction = index, direction
+        self.rested, self._rest_direction, self._was_unseen = index, direction, False
+        # What led here was seen before; only a move from here makes the next rest another one.
+        self.lift()
         self._forget_hold()
         self._let_go = 0
         if revisit:
@@ -428,6 +432,7 @@ class GuideActions:
     def lift(self) -> None:
         """Begin to watch whether the unit is lifted or only knocked."""
         self._moved_cells, self._moved_deg = 0, 0.0
+        self._linger_direction = None
 
     def rest(self) -> None:
         """Wait for the unit to be moved."""
@@ -443,6 +448,11 @@ class GuideActions:
     def _was_lifted(self) -> bool:
         moved_s = self._moved_cells * self.detector.settings.cell_s
         return moved_s > self.settings.moved_s or self._moved_deg > self.settings.moved_deg
+
+    def _was_moved_unseen(self, direction: FloatArray) -> bool:
+        """Whether the unit does not lie as it did before samples were missing."""
+        before = self._rest_direction
+        return self._was_unseen and before is not None and angle_deg(before, direction) > self.settings.moved_unseen_deg
 
     def pause(self) -> None:
         """Stop measuring."""
@@ -462,6 +472,7 @@ class GuideActions:
         self.weighing.first_judged_s = -math.inf
         self.turns.forget_move()
         self._forget_hold()
+        self._was_unseen = True
         self.events.append(LinkLost(self.now_s, len(self.plan.accepted), len(self.plan.scheme)))
 
     def find_link(self) -> Input | None:

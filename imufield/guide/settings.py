@@ -43,6 +43,8 @@ class GuideSettings:
     moved_s: float = 1.0
     moved_deg: float = 10.0
     """A unit that moved for less than both was not lifted: it rests where it was."""
+    moved_unseen_deg: float = 0.5
+    """Nobody puts a unit down again within this while the link is gone; one that nobody touched stays within a tenth of it."""
     silent_s: float = 1.0
     """A hold that ends within this time (guard bands off) was a pause in a turn; nobody needs to hear of it."""
     linger_s: float = 5.0

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -116,6 +117,34 @@ def test_a_repeat_needs_the_unit_to_be_lifted(make_path: Any) -> None:
     guide, events = run(path.samples(), "corners24")
     assert [event.position for event in of(events, Accepted)] == ["+z", "+z (2)"]
     assert guide.observations().name == ("+z", "+z (2)")
+
+
+@pytest.mark.parametrize("action", ["skip", "pause", "link"])
+@pytest.mark.parametrize("tilt_deg", [0.0, 2.0])
+def test_what_nobody_moved_is_no_second_position(make_path: Any, action: str, tilt_deg: float) -> None:
+    """The turn that led to a position is not taken for one that led away from it, whatever happens while it rests."""
+    tilt = np.radians(tilt_deg)
+    path = make_path(100.0).hold([1, 0, 0], 6).turn([0, 0, 1], 2.0).hold([0, 0, 1], 7)
+    samples = path.samples()
+    after = make_path(100.0).hold([np.sin(tilt), 0, np.cos(tilt)], 8).samples(seed=2)
+    guide = Guide(scheme("corners24"), samples.units, settings=SHORT)
+    events = guide.feed(samples)
+    if action == "link":
+        events += guide.link_lost() + guide.link_back()
+    else:
+        # A pause is over when it is asked for again.
+        events += guide.mark(action, 15.0) + guide.mark(action if action == "pause" else "skip", 15.0)
+    events += guide.feed(replace(after, time_s=after.time_s + samples.time_s[-1] + 0.01)) + guide.flush()
+    # Only while the link was gone it may have been moved without being seen.
+    again = ["+z (2)"] if action == "link" and tilt_deg else []
+    assert [event.position for event in of(events, Accepted)] == ["+x", "+z", *again]
+
+
+def test_lifting_off_a_side_that_is_done_is_no_fault(make_path: Any) -> None:
+    path = make_path(100.0).hold([1, 0, 0], 6).turn([0, 0, 1], 1.5).hold([0, 0, 1], 6).turn([1, 0, 0], 1.5)
+    path.hold([1, 0, 0], 14).turn([0, 1, 0], 3.0).hold([0, 1, 0], 6)
+    _, events = run(path.samples())
+    assert [event.reason for event in of(events, Rejected)] == [RefusalCode.ALREADY_DONE]
 
 
 def test_retake_keeps_the_older_until_the_new_one_is_accepted(make_path: Any) -> None:
