@@ -50,6 +50,7 @@ class Stim300(Driver):
     protocol: ClassVar[str] = "stim300"
     default_baud: ClassVar[int] = 921600
     bauds: ClassVar[tuple[int, ...]] = (921600, 460800, 1843200, 374400)
+    answers_replace_samples: ClassVar[bool] = True
     status: ClassVar[Evidence] = "verified on real bytes"
     manual: ClassVar[str] = "Sensonor TS1524 rev. 31, STIM300 Inertia Measurement Unit: datagrams, commands, status byte"
     abilities: ClassVar[Mapping[Ability, Evidence]] = {

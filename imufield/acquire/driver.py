@@ -47,6 +47,8 @@ class Driver:
     """What the instrument can be told by imufield, and whether such commands and answers were seen on a real one."""
     answers: ClassVar[str] = ""
     """Name of the protocol of its answers, where it is not that of its samples."""
+    answers_replace_samples: ClassVar[bool] = False
+    """An answer takes the place of samples; otherwise it comes between two."""
     no_rate: ClassVar[str] = "imufield knows no command for it"
     """Why its rate cannot be set, where it cannot."""
 

@@ -1,7 +1,7 @@
 """Questions and orders to an instrument, and their answers out of the stream it keeps sending.
 
-An instrument answers between its samples, so an answer is looked for in everything that arrives. Waiting ends by the clock
-of the host: a cable whose sending half is not connected costs a second, not the session.
+An instrument answers between its samples or in place of some, so an answer is looked for in everything that arrives. Waiting
+ends by the clock of the host: a cable whose sending half is not connected costs a second, not the session.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ class Instrument:
     state : list of dict
         Newest answers to the questions about what can be changed.
     interrupted : bool
-        Whether that interrupted the stream of samples: what came before does not go on behind it.
+        Whether that interrupted the stream of samples, or took the place of some: what came before does not go on behind it.
     """
 
     def __init__(self, driver: type[Driver], clock: HostClock, heard: Collection[str] = ()) -> None:
@@ -166,6 +166,8 @@ class Instrument:
 
     def _finished(self, exchange: Exchange, answers: list[dict[str, Any]]) -> list[dict[str, Any]]:
         self.chunks = exchange.chunks
+        # Samples that gave way to answers are not lost on the link: what counts begins behind the last answer.
+        self.interrupted |= bool(answers) and self.driver.answers_replace_samples
         return answers
 
     def _check(self, ability: str) -> None:

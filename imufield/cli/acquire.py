@@ -274,6 +274,9 @@ def emulate(
     speed: Annotated[float, typer.Option(help="Times real time.", callback=within(0.1))] = 1.0,
     grade: Annotated[str, typer.Option(help="navigation, tactical, industrial or mems.")] = "tactical",
     seed: Annotated[int, typer.Option(help="Seed of instrument, operator and faults.", callback=within(0, LARGEST_SEED))] = 1,
+    day: Annotated[
+        int, typer.Option(help="Another day of the instrument: other noise, tilts, faults.", callback=within(0, LARGEST_SEED))
+    ] = 0,
     positions: Annotated[str, typer.Option(help="Scheme the operator works through; `none`: it lies still.")] = "paper24",
     rounds: Annotated[
         int | None,
@@ -309,6 +312,7 @@ def emulate(
         speed=speed,
         grade=grade,
         seed=seed,
+        day=day,
         positions=positions,
         hold_s=hold_s,
         link=link,

@@ -52,6 +52,7 @@ class EmulateOptions:
     form: str | None = None
     settings: dict[str, str] = field(default_factory=dict)
     bus: str | None = None
+    day: int = 0
     rounds: int | None = None
     """None: ``ROUNDS``, or once where whole turns follow."""
 
@@ -89,6 +90,7 @@ def make_emulation(options: EmulateOptions) -> Emulation:
         rate_hz=options.rate_hz,
         grade=options.grade,
         seed=options.seed,
+        day=options.day,
         directions=directions,
         operator=OperatorSettings(
             style=options.style,  # type: ignore[arg-type]  # checked above

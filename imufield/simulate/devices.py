@@ -9,7 +9,7 @@ leave. The byte maps of the special datagrams come from the datasheet only, no r
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from crccheck.crc import Crc8Base
@@ -141,6 +141,12 @@ class Stim300Identity:
     """14 digits, sent behind an N."""
     hardware_revision: str = "E"
     firmware_revision: int = 31
+
+    @classmethod
+    def of_seed(cls, seed: int) -> Self:
+        """Return who the instrument of this seed is: another seed is another unit; 1 has the serial number above."""
+        number = (int(cls().serial_number) + seed - 1) % 10**14
+        return cls(serial_number=f"{number:014d}")
 
 
 class Stim300Device:

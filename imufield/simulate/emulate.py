@@ -20,7 +20,7 @@ from imufield.acquire.registry import load_driver
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
 from imufield.files import write_atomically
-from imufield.simulate.devices import Device, Stim300Device, TextDevice
+from imufield.simulate.devices import Device, Stim300Device, Stim300Identity, TextDevice
 from imufield.simulate.emulator import Emulator, EmulatorSettings, VirtualImu
 from imufield.simulate.emulator_core import EmulatorCore
 from imufield.simulate.encode import ACCELEROMETER_BITS, Stim300Format, TextFormat
@@ -68,6 +68,8 @@ class Emulation:
     """None: the usual one of the instrument, 2000 Hz for a STIM300 and 100 Hz for text."""
     grade: str = "tactical"
     seed: int = 0
+    day: int = 0
+    """Of the same instrument: on each its noise, drift, operator and faults are others."""
     directions: ArrayLike = ()
     """Directions of "up" in the body frame that the operator goes through, shape (m, 3); none: it lies on a table."""
     operator: OperatorSettings = field(default_factory=OperatorSettings)
@@ -147,12 +149,20 @@ def choose_wire(options: Emulation) -> WireChoice:
 
 
 def make_virtual_imu(options: Emulation, rate_hz: float | None = None) -> VirtualImu:
-    """Return the instrument and its operator, drawn from the seed; ``rate_hz`` is the wire's where options have none."""
+    """Return the instrument of the seed and its operator of the day; ``rate_hz`` is the wire's where options have none."""
     grade = find_grade(options.grade)
     instrument = draw_truth(grade, np.random.default_rng([options.seed, 401]))
     rate_hz = options.rate_hz or rate_hz or OWN_RATE_HZ[options.device]
-    operator = Operator(options.directions, options.seed, options.operator, options.site)
-    return VirtualImu(Imu(instrument, options.seed, replace(options.imu, rate_hz=rate_hz)), operator)
+    seed = session_seed(options)
+    operator = Operator(options.directions, seed, options.operator, options.site)
+    return VirtualImu(Imu(instrument, seed, replace(options.imu, rate_hz=rate_hz)), operator)
+
+
+def session_seed(options: Emulation) -> int:
+    """Return the seed of what is another on each day."""
+    if options.day == 0:
+        return options.seed
+    return int(np.random.SeedSequence([options.seed, 402, options.day]).generate_state(1, np.uint64)[0])
 
 
 def make_emulator(options: Emulation) -> EmulatorCore:
@@ -182,7 +192,7 @@ def _on_port(options: Emulation, device: Device, source: Any, virtual: VirtualIm
     if not isinstance(options.faults, Faults):
         raise UsageError(f"{options.device} has a serial line, which cannot lose or double CAN frames")
     progress = _TruthKeeper(options, virtual) if options.truth is not None else None
-    return Emulator(device, source, options.run, faults=options.faults, seed=options.seed, on_progress=progress)
+    return Emulator(device, source, options.run, faults=options.faults, seed=session_seed(options), on_progress=progress)
 
 
 def _on_bus(options: Emulation, protocol: Protocol, source: InProtocolUnits, virtual: VirtualImu) -> EmulatorCore:
@@ -194,7 +204,7 @@ def _on_bus(options: Emulation, protocol: Protocol, source: InProtocolUnits, vir
         raise UsageError(f"{options.device} is on a CAN bus, which lets no damaged bytes through; choose faults of frames")
     progress = _TruthKeeper(options, virtual) if options.truth is not None else None
     bus = options.bus or DEFAULT_BUS
-    return CanEmulator(protocol, source, bus, options.run, faults=faults, seed=options.seed, on_progress=progress)
+    return CanEmulator(protocol, source, bus, options.run, faults=faults, seed=session_seed(options), on_progress=progress)
 
 
 def emulate(options: Emulation, on_start: Callable[[EmulatorCore], None] | None = None) -> EmulatorCore:
@@ -236,6 +246,7 @@ def truth_document(options: Emulation, source: VirtualImu) -> dict[str, Any]:
         "device": options.device,
         "grade": options.grade,
         "seed": options.seed,
+        "day": options.day,
         "rate_hz": settings.rate_hz,
         "true_rate_hz": 1 / source.interval_s,
         "clock_error_ppm": instrument.clock_error_ppm,
@@ -304,11 +315,12 @@ def make_device(options: Emulation, wire: WireChoice) -> Device:
             rate_hz=wire.rate_hz,
         )
     if options.stim300 is not None:
-        return Stim300Device(replace(options.stim300, rate_hz=wire.rate_hz))
+        return Stim300Device(replace(options.stim300, rate_hz=wire.rate_hz), Stim300Identity.of_seed(options.seed))
     range_g = find_grade(options.grade).accelerometer.range_si / STANDARD_GRAVITY_M_S2
     fitting = [held for held in ACCELEROMETER_BITS if held >= round(range_g, 6)]
     own = Stim300Format(rate_hz=wire.rate_hz, accelerometer_range_g=min(fitting))
-    return Stim300Device(_apply(own, chosen, options.device, ("accelerometer_range_g", *_STIM300_OUTPUTS)))
+    own = _apply(own, chosen, options.device, ("accelerometer_range_g", *_STIM300_OUTPUTS))
+    return Stim300Device(own, Stim300Identity.of_seed(options.seed))
 
 
 def _apply(own: Any, chosen: Mapping[str, object], device: str, allowed: tuple[str, ...]) -> Any:

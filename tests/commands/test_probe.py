@@ -13,14 +13,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from imufield.acquire.host_clock import SystemClock
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.host_clock import ScaledClock, SystemClock
+from imufield.acquire.link import Chunk, Link, open_link
+from imufield.acquire.registry import load_driver
 from imufield.acquire.session import Session
-from imufield.commands.connect import ConnectOptions, check_capacity, connect
+from imufield.commands.connect import ConnectOptions, ask_identity, check_capacity, connect
 from imufield.commands.listen import SILENT_S, SILENT_TRY_S, search, serial_candidates
 from imufield.commands.probe import probe_port
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
 from imufield.samples import Samples
-from imufield.simulate.devices import Frames, TextDevice
+from imufield.simulate.devices import Answer, Frames, TextDevice
 from imufield.simulate.emulate import SCRIPTS, Emulation, choose_wire, make_emulator, make_virtual_imu
 from imufield.simulate.emulator import Emulator
 from imufield.simulate.instrument_microstrain import MicroStrainInstrument
@@ -340,3 +343,42 @@ def test_what_is_given_but_not_there_is_named() -> None:
         connected(port, driver="stim300")
     assert error.value.reason is Reason.NO_FRAMES
     assert not isinstance(error.value, LinkTimeoutError)
+
+
+def heard(link: Link, decoder: Decoder, samples: int) -> list[Chunk]:
+    """Read until the decoder has so many samples."""
+    chunks: list[Chunk] = []
+    while decoder.statistics.samples < samples:
+        chunk = link.read()
+        if chunk is not None:
+            chunks.append(chunk)
+            decoder.feed(chunk.data, chunk.monotonic_s)
+    return chunks
+
+
+@pytest.mark.parametrize("deaf", [False, True])
+def test_samples_that_gave_way_to_answers_are_not_lost_on_the_link(deaf: bool) -> None:
+    driver = load_driver("stim300")
+    there = emulated("stim300", 125.0)
+    if deaf:
+        there.device.hear = lambda data: Answer()  # type: ignore[method-assign]
+    with there:
+        link = open_link(there.port, baud=driver.default_baud)
+        try:
+            listening = Decoder(driver.load_protocol())
+            chunks = heard(link, listening, 40)
+            # Behind what it says when it is switched on; the slow clock leaves a busy machine time for the answers.
+            listening.messages()
+            first = chunks[0]
+            messages = ask_identity(link, chunks, driver, listening, SystemClock() if deaf else ScaledClock(0.05))
+            assert bool(messages) is not deaf
+            assert not deaf or first in chunks, "nothing gave way where nothing was answered"
+            counting = Decoder(driver.load_protocol())
+            for chunk in chunks:
+                counting.feed(chunk.data, chunk.monotonic_s)
+            heard(link, counting, 80)
+            counting.flush()
+            # A machine that stands still for longer than the port keeps bytes does lose samples.
+            assert counting.statistics.lost == 0 or there.bytes_dropped
+        finally:
+            link.close()

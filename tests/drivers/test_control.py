@@ -39,7 +39,7 @@ class Case:
 
     def make(self) -> Emulator:
         """Return the instrument, not yet switched on."""
-        emulator = make_emulator(Emulation(self.driver, self.from_hz, form=self.form))
+        emulator = make_emulator(Emulation(self.driver, self.from_hz, seed=1, form=self.form))
         assert isinstance(emulator, Emulator)
         return emulator
 

@@ -12,10 +12,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imufield.cli.options import LARGEST_SEED
 from imufield.errors import UsageError
-from imufield.samples import concatenate
-from imufield.simulate.devices import Stim300Device
-from imufield.simulate.emulate import Emulation, emulate, make_emulator, make_virtual_imu
+from imufield.samples import Samples, concatenate
+from imufield.simulate.devices import Stim300Device, Stim300Identity
+from imufield.simulate.emulate import (
+    Emulation,
+    choose_wire,
+    emulate,
+    make_device,
+    make_emulator,
+    make_virtual_imu,
+    truth_document,
+)
 from imufield.simulate.emulator import Emulator, EmulatorSettings
 from imufield.simulate.faults import CanFaults, Faults
 from imufield.simulate.operator import OperatorSettings
@@ -102,3 +111,43 @@ def test_the_page_lists_every_form() -> None:
     for kind in (Faults, CanFaults):
         for field in fields(kind):
             assert f"`{field.name}`" in text
+
+
+def first_samples(options: Emulation) -> Samples:
+    virtual = make_virtual_imu(options)
+    return concatenate([virtual.next_block(100) for _ in range(10)])
+
+
+def test_another_day_is_another_session_of_the_same_instrument() -> None:
+    first, again, other = OPTIONS, replace(OPTIONS, day=0), replace(OPTIONS, day=1)
+    np.testing.assert_array_equal(first_samples(first).accelerometer, first_samples(again).accelerometer)
+    assert not np.any(first_samples(first).accelerometer == first_samples(other).accelerometer)
+    assert not np.any(first_samples(replace(OPTIONS, day=2)).accelerometer == first_samples(other).accelerometer)
+    truths = [truth_document(options, make_virtual_imu(options)) for options in (first, other)]
+    for name in ("scale", "bias_m_s2", "misalignment_rad", "quadratic"):
+        assert truths[0]["accelerometer"][name] == truths[1]["accelerometer"][name]
+    assert [truth["day"] for truth in truths] == [0, 1]
+    tilts = [truth["still"][0]["direction"] for truth in truths]
+    assert tilts[0] != tilts[1]
+
+
+def test_faults_of_another_day_are_others() -> None:
+    def damaged(day: int) -> bytes:
+        emulator = make_emulator(replace(OPTIONS, day=day, faults=Faults(bit_flip_probability=0.1)))
+        assert isinstance(emulator, Emulator)
+        emulator.stop()
+        return emulator.injector.damage(np.zeros(1000, dtype=np.uint8), np.array([999]), 1.0)
+
+    assert damaged(0) == damaged(0) != damaged(1)
+
+
+def test_the_serial_number_follows_the_seed_and_not_the_day() -> None:
+    def serial_number(seed: int, day: int = 0) -> str:
+        device = make_device(options := Emulation(seed=seed, day=day), choose_wire(options))
+        assert isinstance(device, Stim300Device)
+        return device.identity.serial_number
+
+    assert serial_number(1) == Stim300Identity().serial_number
+    assert serial_number(2) == serial_number(2, day=5) != serial_number(1)
+    assert len({serial_number(seed) for seed in (0, 1, 2, 3, LARGEST_SEED)}) == 5
+    assert {len(serial_number(seed)) for seed in (0, 1, LARGEST_SEED)} == {14}
