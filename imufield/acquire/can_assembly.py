@@ -27,13 +27,15 @@ NO_FRAME = -1
 _LEARN_FRAMES = 24
 """Frames of sample kinds from which the order is learned; 0.12 s of two messages at 100 Hz."""
 _LEARN_UNEVEN_FRAMES, _LEARN_UNEVEN_S = 96, 2.0
-"""The same, and the longest time, where the kinds come at different rates."""
+"""The same, and the longest time, where the kinds come at different rates: a kind with every tenth sample comes eight times."""
 _EVEN_PART = 0.85
-"""Kinds differ in rate if one comes less often than this, compared with the most frequent one."""
+"""Kinds differ in rate if one comes less often than this, compared with the most frequent one: more than a slower one comes,
+so that none is missed; to listen longer in vain costs nothing else."""
 _FEWEST_INTERVALS, _MOST_OFF = 3, 2.0
-"""Frames of a slower kind are even if so many follow each other, and none is that many samples off its turn."""
+"""Frames of a slower kind are even if more than so many are there, and none is off its turn by more samples than a loss or two
+make: what comes on demand is in no turn."""
 _SLOWER = 1.25
-"""Samples to one frame, on average, of a kind that is slower and not merely lost now and then."""
+"""Samples to one frame, on average, of a kind that is slower; of one that comes with each a fifth would have to be lost."""
 _OPEN_FRAMES = 4096
 """A sample that so many frames could not complete is closed, whatever the time stamps say: memory stays bounded."""
 _LATE_FRAMES = 32
@@ -276,6 +278,7 @@ class Assembler:
 def _frames_to_learn_from(frames: SampleFrames) -> int:
     """Return how many frames it takes to learn the order: more where the kinds differ in rate. At least two of a kind count."""
     counts = np.bincount(frames.kind[:_LEARN_FRAMES])
+    # A stray frame is no rate.
     counts = counts[counts > 1]
     if len(frames) < _LEARN_FRAMES or len(counts) < 2 or counts.min() >= _EVEN_PART * counts.max():
         return _LEARN_FRAMES
@@ -291,4 +294,5 @@ def _samples_each(kinds: NDArray[np.int8], start: int, kind: int) -> int:
     turn = np.arange(len(sample))
     each = float(sample[-1] - sample[0]) / turn[-1]
     off = np.abs(sample - sample[0] - turn * each).max()
-    return math.ceil(each - _SLOWER + 1) if each >= _SLOWER and off <= _MOST_OFF else 1
+    # A few lost frames of the faster kind make the mean too small: round up unless it is just above a whole number.
+    return math.ceil(each - 0.25) if each >= _SLOWER and off <= _MOST_OFF else 1

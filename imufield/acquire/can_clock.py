@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.can_period import LEARN_S, LEARN_SAMPLES, learned_from, period
+from imufield.acquire.can_period import LEARN_S, LEARN_SAMPLES, learned_from, sample_period_s
 from imufield.acquire.can_source import CanBlock, join_blocks
 from imufield.acquire.protocol_schema import ClockRule
 from imufield.acquire.sample_steps import StepRule
@@ -165,7 +165,7 @@ class CanClock:
             first = int(np.argmax(known))
             self._last_counter = int(block.counter[first]) - (first + 1) * self._counter_step
         steps = self._steps(block.counter, remember=False)
-        period_s = period(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
+        period_s = sample_period_s(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
         window_s = max(_WINDOW_S, _LEAST_WINDOW * period_s)
         unit = self._rule.counter_modulus // self._counter_step if self._last_counter is not None else 1
         phase = _Phase(period_s, window_s, max(unit, 1))

@@ -265,8 +265,9 @@ class CanSource:
         has_gaps = bool(len(there)) and reader.read(data, into, there)
         before, age = self._standing.get(number, (data[:0], 0))
         data = np.concatenate([before, data])
-        at = np.maximum.accumulate(np.where(which >= 0, np.arange(n), -1 - age))
-        age_of = np.arange(n) - at
+        # Row of the frame whose values stand at each sample; negative: so many samples before this block.
+        sent_row = np.maximum.accumulate(np.where(which >= 0, np.arange(n), -1 - age))
+        age_of = np.arange(n) - sent_row
         place = np.cumsum(which >= 0) + len(before) - 1
         standing = np.flatnonzero((age_of > 0) & (age_of < samples_each) & (place >= 0))
         if len(standing):

@@ -24,7 +24,9 @@ from imufield.samples import FloatArray
 SURELY_INSIDE = 20
 """Cells at either end of a stretch that may be of a turn and have no say in the standard; a third of a short stretch."""
 FEWEST = 30
+"""Of a shorter stretch too few cells are left in the middle, less than one swing of the arm, to set a standard."""
 FEWEST_OF_SWAY = 20
+"""Cells that show the sway in any case: between turns seen far into both ends of a short stretch there may be none at all."""
 _SHOWN = 15
 """Cells of a hold for each that the fit may add to those in which a turn is seen: a short one hides how slow its sway is."""
 _FADES = 5
@@ -59,8 +61,9 @@ def hand_edges(cells: Cells, change_limit: FloatArray) -> slice:
     departs /= math.sqrt(1 + _SLOW / (m - 2 * margin))
     seen = _of_the_turn(departs[:margin]), _of_the_turn(departs[::-1][:margin])
     rate = np.nan_to_num(cells.mean[:, 3:] / change_limit[3:])
-    hold = rate[_well_inside(seen, m)]
-    rate -= hold.mean(axis=0)
+    inside = _well_inside(seen, m)
+    rate -= rate[inside].mean(axis=0)
+    hold = rate[inside]
     sway, reach = sway_of(hold), min(REACH, m - m // 3)
     first, last = (
         _settled(cells_of_turn(outward, sway, _LEAST_SHARE / math.sqrt(3)), rule, len(hold))
@@ -81,7 +84,11 @@ def _settled(fitted: float | None, seen: int, shown: int) -> int:
     if fitted is None:
         return seen
     cells = math.floor(fitted + 0.5)
-    return min(max(cells, min(seen, cells + 1)), seen + max(shown // _SHOWN, 1))
+    # Beyond the fit one cell may still depart; more is a swing that the limit took for the turn.
+    least = min(seen, cells + 1)
+    # A short hold hides how slow its sway is: the fit adds little to what is seen.
+    most = seen + max(shown // _SHOWN, 1)
+    return min(max(cells, least), most)
 
 
 def _of_the_turn(departs: FloatArray) -> int:

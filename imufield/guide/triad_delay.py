@@ -11,6 +11,11 @@ four unknowns are found by Gauss-Newton. The gain of either triad goes into ``r`
 whatever filter both share. The delay is held towards zero by what instruments have (``USUAL_S``) with the weight that the
 noise of the hold gives it: a hold that shows nothing of it changes nothing, and where the arm is long enough for the delay to
 matter (docs/maths.md, stillness) it shows within some 20 us.
+
+References
+----------
+.. [1] F. J. Harris, "On the use of windows for harmonic analysis with the discrete Fourier transform", Proc. IEEE 66 (1978),
+   table 1: Hanning, 1.50 bins.
 """
 
 from __future__ import annotations
@@ -32,9 +37,11 @@ BAND_HZ = (5.0, 20.0)
 _NYQUIST_SHARE = 0.8
 """Of half the rate: next to it tremor and its mirror image mix."""
 _HANN_NEIGHBOURS = 1.5
-"""Lines under a Hann taper are not independent: there are this many times fewer of them."""
+"""Lines under a Hann taper are not independent: there are this many times fewer, its equivalent noise bandwidth [1]_."""
 _FEWEST_LINES = 6
+"""Four independent ones, as many as there are unknowns."""
 _ITERATIONS = 6
+"""A delay of 2 ms stands to 0.3 us after three."""
 
 _Complex = NDArray[np.complex128]
 

@@ -99,6 +99,7 @@ class Weighing:
     def _weigh_in_hand(self, cells: Cells, rows: slice, latest: int, *, full: bool) -> HoldUnderTest | None:
         """Return a hold in the hand: between the turns by its own standard, wider guard bands, as long as holds may be."""
         guard = self.guard(in_hand=True)
+        # Too short whatever the edges are: the fit of them, which costs most, is left out.
         if not full and min(rows.stop, len(cells) - guard) - max(rows.start, guard) < latest:
             return None
         edges = self._detector.hold_edges(cells)

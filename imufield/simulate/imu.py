@@ -249,7 +249,7 @@ class _Delay:
         self._history: FloatArray | None = None
 
     def feed(self, values: FloatArray) -> FloatArray:
-        if self._past == 0 or not len(values):
+        if self._past == 0:
             return values
         if self._history is None:
             self._history = np.repeat(values[:1], self._past, axis=0)

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imufield.calibrate.rotation import exponential, multiply
+from imufield.guide.turn_fit import minimum_jerk
 from imufield.samples import FloatArray
 
 RING_DECAYS = 12.0
@@ -163,12 +164,6 @@ class Piece:
         if not self.hand_at_end:
             grip *= minimum_jerk(np.clip((1 - u) / _HAND_FADE, 0.0, 1.0))
         return grip
-
-
-def minimum_jerk(u: FloatArray) -> FloatArray:
-    """Return the profile from 0 at u = 0 to 1 at u = 1 ([1]_)."""
-    profile: FloatArray = u**3 * (10 + u * (6 * u - 15))
-    return profile
 
 
 def bell(u: FloatArray) -> FloatArray:

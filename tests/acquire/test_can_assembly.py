@@ -113,6 +113,15 @@ def test_lost_frames_leave_gaps_and_nothing_is_paired_wrongly(seed: int) -> None
     assert wrong <= 16
 
 
+@pytest.mark.parametrize("place", [3, 10])
+def test_a_stray_frame_does_not_make_the_order_wait_for_a_rate(place: int) -> None:
+    """Two kinds come with each sample: 24 frames show it, whatever a third one says once."""
+    frames = sorted([*bus(20), (2, place * PERIOD_S + 0.0004, place)], key=lambda frame: frame[1])
+    found = _step(Assembler(AssemblyRule(), [0, 1, 2]), frames, 0, last=False)
+    assert [row[:2] for row in found] == [[number, number] for number in range(19)]
+    assert [row[2] for row in found if row[2] is not None] == [place]
+
+
 def test_needed_kinds() -> None:
     frames = [frame for frame in bus(100) if frame[0] == 0 or frame[2] % 4]
     found = assemble(Assembler(AssemblyRule(starts_with=0, needs=(1,)), [0, 1]), frames, [])

@@ -92,8 +92,8 @@ def test_a_joint_covariance_is_one_whatever_raised_the_parts(session: Session, r
     correlation = joined.covariance[np.ix_(sigma > 0, sigma > 0)] / np.outer(size, size)
     assert np.linalg.eigvalsh(correlation).min() > -1e-9
     assert np.abs(correlation).max() <= 1 + 1e-9
-    kept = joined.covariance != result.join(session.calibration).covariance
-    assert kept.any(), "nothing was too large"
+    changed = joined.covariance != result.join(session.calibration).covariance
+    assert changed.any(), "nothing was too large"
 
 
 def test_forward_derivative() -> None:

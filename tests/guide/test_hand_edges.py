@@ -80,6 +80,23 @@ def test_a_slow_swing_at_the_end_of_a_short_hold_is_not_taken_for_a_turn() -> No
     assert 36 - short.stop < 150 - longer.stop <= 8
 
 
+@pytest.mark.parametrize("swing", [7, 8])
+def test_one_cell_that_departs_beyond_the_fitted_turn_goes_with_it_and_no_more(swing: int) -> None:
+    rate = math.radians(2) * np.sin(np.arange(120) * 0.7)
+    rate[-8:] += math.radians(8) * (np.arange(1, 9) / 8) ** 2
+    fitted = hand_edges(cells_with(rate), LIMIT)
+    assert fitted == slice(0, 114)
+    rate[-swing] = math.radians(6)
+    assert hand_edges(cells_with(rate), LIMIT) == slice(0, 113)
+
+
+def test_turns_that_reach_far_into_both_ends_leave_something_to_compare_with() -> None:
+    rate = math.radians(1) * np.sin(np.arange(FEWEST) * 1.3)
+    rate[:10] += math.radians(8)
+    rate[-10:] += math.radians(8)
+    assert hand_edges(cells_with(rate), LIMIT) == slice(10, 20)
+
+
 def test_a_short_stretch_is_left_alone() -> None:
     rate = np.zeros(FEWEST - 1)
     rate[0] = 1.0

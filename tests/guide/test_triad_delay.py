@@ -64,6 +64,25 @@ def test_noise_is_in_the_sigma_and_shrinks_the_delay(force_sigma: float, rate_si
     assert np.sqrt(np.mean(errors**2)) < 1.1 * delay_s
 
 
+def test_what_sway_adds_beside_the_lines_of_tremor_is_in_the_sigma() -> None:
+    """In three seconds its sidebands lie under the tremor, while most of the band is empty; without them the ratio is 2.5."""
+    ratio = []
+    for seed in range(20):
+        found = estimate(trembling_samples(0.001, duration_s=3.0, seed=seed))
+        ratio.append((found.delay_s - 0.001) / found.sigma_s)
+    assert 0.5 < np.sqrt(np.mean(np.square(ratio))) < 1.6
+
+
+@pytest.mark.parametrize("late", [-3, -2, 3, 4])
+def test_a_delay_of_no_instrument_is_none(late: int) -> None:
+    """Motion all over the band shows one of 12 to 18 ms as well, sharply; it is not that of a filter."""
+    rng = np.random.default_rng(6)
+    time_s, rate = np.arange(1000) / 200.0, 0.05 * rng.standard_normal((1000, 3))
+    turned = np.cumsum(rate, axis=0) / 200.0
+    force = np.array([0.0, 0.0, 9.8]) + np.cross([0.0, 0.0, 9.8], np.roll(turned, late, axis=0))
+    assert triad_delay(time_s, force, rate, np.ones(1000)) == TriadDelay(0.0, USUAL_S)
+
+
 def test_a_unit_at_rest_shows_none() -> None:
     rng = np.random.default_rng(4)
     time_s = np.arange(2000) / 200.0

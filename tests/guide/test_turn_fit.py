@@ -48,6 +48,24 @@ def test_sway_is_the_covariance_and_the_angle_of_a_swing() -> None:
     assert 0.1 * sway.angle == pytest.approx(size / (2 * math.pi * hz) / math.sqrt(2), rel=0.02)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_the_angle_of_the_sway_is_not_that_of_the_mean_rate(seed: int) -> None:
+    """The mean rate of a hold is known only as far as it sways: integrated, it would make a drift of 7 %, or 20 at times."""
+    assert 0.1 * sway_of(swaying(seed, 120)).angle == pytest.approx(math.sqrt(3) * SWAY, rel=0.05)
+
+
+def test_a_slow_turn_that_nearly_halts_again_and_again_is_one_turn() -> None:
+    """Cells in which it is slow are as unlike a smooth turn as the fast ones before them."""
+    wobble = 0.9 * np.sin(2 * math.pi * 0.15 * np.arange(LENGTH))
+    for seed in range(60):
+        begin = 120 + 0.37 * (seed % 10)
+        turn = turning(begin, 50.0, math.radians(60 + 10 * (seed % 12))) * (1 + np.roll(wobble, seed))[:, np.newaxis]
+        rate = seen_until(0.2 * swaying(seed) + turn, math.radians(25))
+        found = cells_of_turn(rate[-REACH:] - rate[:110].mean(axis=0), sway_of(rate[:110]), LEAST)
+        assert found is not None
+        assert begin - 1 <= len(rate) - found <= begin + 7.5
+
+
 def test_sway_of_a_short_hold_has_no_covariance_beyond_it() -> None:
     covariance = sway_of(swaying(1, REACH - 5)).covariance
     assert covariance.shape == (REACH, 3)
