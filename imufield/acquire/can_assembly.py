@@ -41,6 +41,7 @@ _OPEN_FRAMES = 4096
 _LATE_FRAMES = 32
 """By counter: how many frames of samples a frame may come late or early where time stamps tell nothing."""
 _PERIOD_PART = 0.75
+"""A frame that comes later than this part of the period is of another sample."""
 _LEAST_LIMIT_S, _LOOSE_LIMIT_S = 0.05, 0.2
 """A host under load hands over the second frame of a sample so much later, whatever the period; the latter where stamps are
 made when a buffer is read."""
