@@ -18,10 +18,11 @@ from imufield.guide.noise_floor import NoiseFloor
 from imufield.guide.observe import Observation, knocks_of, observe
 from imufield.guide.scale import RoughScale
 from imufield.guide.stillness import StillnessDetector
+from imufield.guide.turn_fit import minimum_jerk
 from imufield.samples import Samples, concatenate
 from imufield.simulate.imu import Imu
 from imufield.simulate.operator import Operator
-from imufield.simulate.pieces import Piece, minimum_jerk
+from imufield.simulate.pieces import Piece
 
 
 @dataclass(frozen=True, slots=True)
