@@ -10,6 +10,7 @@ wherever NumPy and SciPy are found.
 from __future__ import annotations
 
 import json
+import mmap
 import struct
 import sys
 import tokenize
@@ -20,7 +21,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,11 @@ from numpy.typing import NDArray
 Arrays = dict[str, NDArray[Any]]
 
 MEMORY_LIMIT_BYTES = 1 << 30
+"""For the libraries and small files: pyarrow maps 0.2 GB as it loads, and the pages and copies of a small file take a few
+times its numbers."""
 LONGEST_S = 10
-"""Of processor time, and a minute more for every 100 MB of the file."""
+"""Of processor time, and a minute more for every 100 MB of the file. Small files take some tenths of a second, and on a slow
+computer seconds, nearly all of it to load the libraries."""
 MEMORY_PER_BYTE = 64
 """Numbers of an instrument do not pack more tightly than this; a small file that unpacks to gigabytes is a trap."""
 DAMAGE = (
@@ -38,8 +42,9 @@ DAMAGE = (
 )
 """What the libraries raise in damaged files, besides ending the process: their own errors derive from ValueError, OSError and
 RuntimeError, the others come out of the parsing of sizes, names and (NumPy) a head written in Python."""
-_NUMBERS = "iufbM"
-"""Kinds of data that are numbers or dates."""
+NUMBERS = "iufb"
+"""Kinds of data in NumPy that are numbers: whole, without sign, floating, truth values."""
+DATES = "M"
 _OWN = "imufield_"
 """What our own exports state of their numbers begins with this."""
 
@@ -60,7 +65,7 @@ def _of_structure(content: Mapping[str, Any], prefix: str = "") -> Iterator[tupl
     for name, value in content.items():
         if name.startswith("__"):
             continue
-        if isinstance(value, np.ndarray) and value.dtype.kind in "iufb":
+        if isinstance(value, np.ndarray) and value.dtype.kind in NUMBERS:
             yield prefix + name, value
         elif isinstance(value, dict):
             yield from _of_structure(value, f"{prefix}{name}.")
@@ -82,7 +87,7 @@ def _add_dataset(arrays: Arrays, name: str, item: Any) -> None:
         return
     if item.dtype.names:
         arrays.update({f"{name}.{part}": item[part] for part in item.dtype.names})
-    elif item.dtype.kind in "iufb":
+    elif item.dtype.kind in NUMBERS:
         arrays[name.replace("/", ".")] = item[()]
 
 
@@ -117,11 +122,7 @@ READERS: dict[str, Callable[[Path], tuple[Arrays, Mapping[Any, Any]]]] = {
 def set_limits(size: int) -> None:
     """Keep this process to the time and memory that a sound file of this size may need, where the system can."""
     limit_memory(size)
-    with suppress(ImportError, ValueError, OSError):
-        import resource
-
-        longest_s = LONGEST_S + 60 * size // 100_000_000
-        resource.setrlimit(resource.RLIMIT_CPU, (longest_s, longest_s))
+    _limit("RLIMIT_CPU", LONGEST_S + 60 * size // 100_000_000)
 
 
 def memory_limit_bytes(size: int) -> int:
@@ -131,23 +132,25 @@ def memory_limit_bytes(size: int) -> int:
 
 def limit_memory(size: int) -> None:
     """Keep this process to the memory that a sound file of this size may need, where the system can."""
+    _limit("RLIMIT_AS", _present_bytes() + memory_limit_bytes(size))
+    # A reader that dies on purpose leaves no image of its memory beside the user's files.
+    _limit("RLIMIT_CORE", 0)
+
+
+def _limit(name: str, most: int) -> None:
+    """Lower a limit of this process, where the system has it and it is not lower yet."""
     with suppress(ImportError, ValueError, OSError):
         import resource
 
-        limit = _present_bytes() + memory_limit_bytes(size)
-        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-        if soft == resource.RLIM_INFINITY or soft > limit:
-            resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
-        # A reader that dies on purpose leaves no image of its memory beside the user's files.
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        soft, hard = resource.getrlimit(getattr(resource, name))
+        if soft == resource.RLIM_INFINITY or soft > most:
+            resource.setrlimit(getattr(resource, name), (most, hard))
 
 
 def _present_bytes() -> int:
     """Return the address space that this process has taken already, 0 where the system does not say."""
-    import resource
-
     with suppress(OSError, ValueError):
-        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * mmap.PAGESIZE
     return 0
 
 
@@ -158,27 +161,35 @@ def main(kind: str, path: Path) -> None:
     try:
         set_limits(path.stat().st_size)
         arrays, stated = READERS[kind](path)
+    except ImportError as error:
+        _write_line(output, {"missing": _first_line(error)})
+        return
     except MemoryError:
-        output.write(
-            json.dumps({"error": "its numbers need more memory than those of a sound file of its size"}).encode() + b"\n"
-        )
+        _write_line(output, {"error": "its numbers need more memory than those of a sound file of its size"})
         return
     except DAMAGE as error:
-        cause = str(error).strip().splitlines()[:1] or [type(error).__name__]
-        output.write(json.dumps({"error": cause[0]}).encode() + b"\n")
+        _write_line(output, {"error": _first_line(error)})
         return
-    numbers = [name for name, array in arrays.items() if array.dtype.kind in _NUMBERS]
+    numbers = [name for name, array in arrays.items() if array.dtype.kind in NUMBERS + DATES]
     head = {
         "names": numbers,
         "others": [name for name in arrays if name not in numbers],
         "stated": {str(name): str(value) for name, value in stated.items() if str(name).startswith(_OWN)},
     }
-    output.write(json.dumps(head).encode() + b"\n")
+    _write_line(output, head)
     # NumPy would seek in what it takes for a file.
     pipe: Any = SimpleNamespace(write=output.write)
     for name in numbers:
         np.lib.format.write_array(pipe, arrays[name], allow_pickle=False)
     output.flush()
+
+
+def _write_line(output: IO[bytes], content: Mapping[str, Any]) -> None:
+    output.write(json.dumps(content).encode() + b"\n")
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
 if __name__ == "__main__":

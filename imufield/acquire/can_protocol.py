@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from imufield.acquire.can_dbc import CanMessage, CanSignal, DbcFile
-from imufield.acquire.protocol import TO_SI
 from imufield.acquire.protocol_schema import ClockRule
 from imufield.acquire.protocol_toml import Table, near
+from imufield.acquire.units import TO_SI
 from imufield.errors import ProtocolError, Reason
 from imufield.samples import SampleUnits, Status
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.resources
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -29,7 +28,7 @@ from imufield.acquire.protocol_schema import (
 )
 from imufield.acquire.protocol_settings import Setting, choose_settings, read_rules
 from imufield.acquire.protocol_toml import FILE_LIMIT_BYTES, Source, Table, near
-from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.acquire.units import SI_UNITS, TO_SI
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.samples import FloatArray, SampleUnits
 
@@ -40,25 +39,6 @@ SCHEMA_VERSION = 1
 VERIFIED, DOCUMENT_ONLY = "verified on real bytes", "document only"
 FOLDER = "imufield.protocols"
 
-TO_SI = {
-    "m/s^2": ("m/s^2", 1.0),
-    "g": ("m/s^2", STANDARD_GRAVITY_M_S2),
-    "mg": ("m/s^2", STANDARD_GRAVITY_M_S2 / 1e3),
-    "ft/s^2": ("m/s^2", 0.3048),
-    "m/s": ("m/s", 1.0),
-    "g*s": ("m/s", STANDARD_GRAVITY_M_S2),
-    "ft/s": ("m/s", 0.3048),
-    "rad/s": ("rad/s", 1.0),
-    "deg/s": ("rad/s", math.pi / 180),
-    "rad": ("rad", 1.0),
-    "deg": ("rad", math.pi / 180),
-    "arcsec": ("rad", math.pi / 648000),
-    "count": ("count", 1.0),
-    "pulse": ("pulse", 1.0),
-    "degC": ("degC", 1.0),
-}
-"""Units a protocol may name: what a sample holds, and by what the number is multiplied."""
-_SI_UNITS = ("m/s^2", "m/s", "rad/s", "rad")
 _INCREMENT_UNITS = ("m/s", "rad")
 _CAN_KIND = re.compile(r'^kind\s*=\s*"can"', re.MULTILINE)
 DBC_LIMIT_BYTES = 1 << 22
@@ -117,12 +97,6 @@ class Protocol:
         if quantity.unit is not None or not field.unit:
             return self.factors[part]
         return TO_SI[field.unit][1] * quantity.scale
-
-
-def nominal_scale(unit: str) -> float | None:
-    """Return the scale of an instrument that sends this unit and is perfect; None where only the maker knows it."""
-    si, factor = TO_SI.get(unit, ("", 1.0))
-    return 1 / factor if si in _SI_UNITS else None
 
 
 def protocol_names() -> list[str]:
@@ -347,7 +321,7 @@ def _read_nominal(top: Table, units: SampleUnits, clock: ClockRule) -> Nominal:
     scales: list[float | None] = []
     ranges: list[float | None] = []
     for part, unit in (("accelerometer", units.accelerometer), ("gyroscope", units.gyroscope)):
-        scales.append(table.number(f"{part}_scale") if table.has(f"{part}_scale") else 1.0 if unit in _SI_UNITS else None)
+        scales.append(table.number(f"{part}_scale") if table.has(f"{part}_scale") else 1.0 if unit in SI_UNITS else None)
         _, factor = TO_SI[table.choice(f"{part}_range_unit", TO_SI, _MEANING[part][0])]
         ranges.append(table.number(f"{part}_range") * factor if table.has(f"{part}_range") else None)
     raw_zero = np.full(3, table.number("raw_zero", 0.0))

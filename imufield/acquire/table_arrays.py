@@ -6,7 +6,6 @@ is a triad (``acc`` gives ``acc_x``, ``acc_y``, ``acc_z``), a single matrix is a
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import re
@@ -95,20 +94,22 @@ class _Kind:
     """A kind of file of arrays."""
 
     name: str
-    """For ``array_file_reader``; also the extra of the package."""
+    """For ``array_file_reader``."""
     words: str
-    package: str = ""
-    """That reads it, where it is not one of ours anyway."""
+    package: str
+    """That reads it."""
+    extra: str = ""
+    """That it comes with; empty where it comes with imufield."""
 
 
-_MATLAB = _Kind("mat", "MATLAB file")
-_HDF5 = _Kind("hdf5", "HDF5 file", "h5py")
-_NUMPY = _Kind("numpy", "NumPy file")
+_MATLAB = _Kind("mat", "MATLAB file", "scipy")
+_HDF5 = _Kind("hdf5", "HDF5 file", "h5py", "hdf5")
+_NUMPY = _Kind("numpy", "NumPy file", "numpy")
 _KINDS = {
     MATLAB_5: _MATLAB,
     MATLAB_7_3: _HDF5,
     b"\x89HDF\r\n\x1a\n": _HDF5,
-    b"PAR1": _Kind("parquet", "Parquet file", "pyarrow"),
+    b"PAR1": _Kind("parquet", "Parquet file", "pyarrow", "parquet"),
     b"\x93NUMPY": _NUMPY,
     b"PK\x03\x04": _NUMPY,
 }
@@ -122,24 +123,29 @@ def read_arrays(kind: _Kind, path: Path) -> ArrayTable:
     RecordingError
         The file is damaged, or holds no numbers.
     UsageError
-        The package for it is not installed.
+        The package for it is not installed, or cannot be imported.
     """
-    if kind.package and importlib.util.find_spec(kind.package) is None:
-        raise missing_package(f"{path} is {kind.words.removesuffix(' file')}, which", kind.package, kind.name)
     # -P: what stands in the present folder is nothing to import.
     command = [sys.executable, "-P", array_file_reader.__file__, kind.name, str(path)]
     quiet, environment = subprocess.DEVNULL, {**os.environ, **_QUIET}
     try:
         with subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, env=environment) as process:  # noqa: S603  (our own)
             return _table(path, *_handed_over(process))
+    except ImportError as error:
+        raise missing_package(f"{kind.words} {path}", kind.package, kind.extra, str(error)) from error
     except array_file_reader.DAMAGE as error:
         raise _damaged(path, kind.words, error) from error
 
 
 def _handed_over(reader: subprocess.Popen[bytes]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    """Return the arrays that ``array_file_reader`` sends and what the file states; a ValueError says why there are none."""
+    """Return the arrays that ``array_file_reader`` sends and what the file states; a ValueError says why there are none.
+
+    An ImportError says that it could not import what reads the file.
+    """
     output = cast("IO[bytes]", reader.stdout)
     head = json.loads(output.readline() or "{}")
+    if "missing" in head:
+        raise ImportError(head["missing"])
     if "names" not in head:
         raise ValueError(head.get("error", f"its reader broke down with {reader.wait()}"))
     # NumPy would seek in what it takes for a file.
@@ -149,16 +155,26 @@ def _handed_over(reader: subprocess.Popen[bytes]) -> tuple[dict[str, NDArray[Any
     return arrays | dict.fromkeys(head["others"], np.empty(0, "U1")), head["stated"]
 
 
-def missing_package(what: str, package: str, extra: str) -> UsageError:
-    """Return the error that a package of an extra is not installed."""
+def missing_package(what: str, package: str, extra: str, cause: str = "") -> UsageError:
+    """Return the error that a package of an extra, or of imufield itself where that is empty, is not installed.
+
+    ``cause`` is what Python says where it may be installed, and made for another Python, NumPy or system.
+    """
+    needed = f"{package}, which cannot be imported ({cause})" if cause else package
+    wanted = f"'imufield[{extra}]'" if extra else "imufield"
+    again = ", with --force-reinstall where it is there already" if cause else ""
     return UsageError(
-        f"{what} needs the package {package}; install it with `pip install 'imufield[{extra}]'`", Reason.MISSING_PACKAGE
+        f"{what} needs the package {needed}; install it with `pip install {wanted}`{again}", Reason.MISSING_PACKAGE
     )
 
 
 def _table(path: Path, arrays: Mapping[str, NDArray[Any]], stated: Mapping[str, str]) -> ArrayTable:
     """Put arrays beside each other: those with as many rows as the longest."""
-    upright = {name: _upright(array) for name, array in arrays.items() if array.dtype.kind in "iufbM"}
+    upright = {
+        name: _upright(array)
+        for name, array in arrays.items()
+        if array.dtype.kind in array_file_reader.NUMBERS + array_file_reader.DATES
+    }
     upright = {name: array for name, array in upright.items() if array.ndim == 2 and 0 < array.shape[1] <= _MOST_COLUMNS}
     rows = max((len(array) for array in upright.values()), default=0)
     used = {name: array for name, array in upright.items() if len(array) == rows}
@@ -198,7 +214,7 @@ def _upright(array: NDArray[Any]) -> NDArray[Any]:
 
 def _as_numbers(array: NDArray[Any]) -> tuple[FloatArray, bool]:
     """Return numbers, and whether they were dates."""
-    if array.dtype.kind == "M":
+    if array.dtype.kind == array_file_reader.DATES:
         return (array - array[0]) / np.timedelta64(1, "s"), True
     return array.astype(np.float64), False
 

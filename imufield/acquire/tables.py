@@ -249,6 +249,7 @@ def _table(
     if status is not None:
         found["status"] = "true"
     counter = None
+    # A recording of ROS states its flags itself: the counter of a file beside it would be interpolated to other times.
     if status is not None and COUNTER in joined and "status" not in known:
         counter = np.nan_to_num(joined[COUNTER], nan=NO_COUNTER).astype(np.int64)
         found["status"] = "counted"
@@ -275,9 +276,9 @@ def write_rows(
     table = rows_of(rows) if isinstance(rows, Samples) else rows
     start_s = float(table[0, 0]) if len(table) else 0.0
     for start in range(0, len(table), _ROWS_A_CHUNK):
-        part = table[start : start + _ROWS_A_CHUNK]
-        last_s = float(part[-1, 0])
         here = slice(start, start + _ROWS_A_CHUNK)
+        part = table[here]
+        last_s = float(part[-1, 0])
         counted = None if counter is None else counter[here]
         content = part.astype("<f8") if status is None else _flagged(part, status[here], counted)
         recorder.write_chunk(Chunk(content.tobytes(), last_s, min(max(0, round((last_s - start_s) * 1e9)), LATEST_NS)))

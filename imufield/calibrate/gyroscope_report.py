@@ -22,7 +22,7 @@ from imufield.calibrate.result import (
     GyroscopeCalibration,
     GyroscopeParameters,
 )
-from imufield.calibrate.uncertainty import possible_cross_covariance
+from imufield.calibrate.uncertainty import bounded_cross_covariance
 from imufield.calibrate.whole_turns import WholeTurn, find_whole_turns
 from imufield.samples import AXES, FloatArray
 
@@ -106,7 +106,7 @@ class GyroscopeResult:
         outer = [*range(a), *range(a + n, len(names))]
         covariance[np.ix_(outer, outer)] = calibration.covariance[np.ix_([*keep, *last], [*keep, *last])]
         theirs = covariance[np.ix_(outer, outer)]
-        cross = possible_cross_covariance(
+        cross = bounded_cross_covariance(
             self.with_accelerometer[:, [*places, *([15] if last else [])]], self.covariance, theirs
         )
         covariance[a : a + n, outer], covariance[np.ix_(outer, range(a, a + n))] = cross, cross.T

@@ -16,8 +16,6 @@ from imufield.earth import MEASURED_GRAVITY_SIGMA_M_S2, MILLI_G_M_S2, Gravity, c
 from imufield.errors import CalibrationError, Reason, counted
 from imufield.samples import AXES, FloatArray
 
-"""One milli-g in m/s^2."""
-
 POOR_RESIDUAL_M_S2 = 5 * MILLI_G_M_S2
 """Leave-one-out RMS above this: a hold that was touched or a wrong column, not a consumer-grade sensor's noise."""
 USABLE_SCALE_SIGMA = 1e-3
@@ -69,14 +67,16 @@ class Evidence:
 
 def judge(evidence: Evidence) -> Quality:
     """Return figures, verdict and reasons."""
-    poor, caution, note = _poor(evidence), _cautions(evidence), _notes(evidence)
+    solved, freedom = evidence.fitted.solved, evidence.fitted.degrees_of_freedom
+    without = _rms(evidence.positions.leave_one_out_m_s2)
+    poor = poor_sentences(None if solved.converged else solved.message, freedom, without)
+    caution, note = _cautions(evidence), _notes(evidence)
     verdict = "poor" if poor else "usable" if caution else "good"
     fitted, positions = evidence.fitted, evidence.positions
-    freedom = fitted.degrees_of_freedom
     return Quality(
         _rms(positions.residual_m_s2),
         float(np.abs(positions.residual_m_s2).max()),
-        _rms(positions.leave_one_out_m_s2),
+        without,
         fitted.tau_m_s2,
         freedom,
         _student_factor(fitted),
@@ -162,18 +162,20 @@ def _summary(evidence: Evidence) -> str:
     )
 
 
-def _poor(evidence: Evidence) -> list[str]:
+def poor_sentences(unsettled: str | None, degrees_of_freedom: int, leave_one_out_rms_m_s2: float) -> list[str]:
+    """Return why a calibration is poor; none where it is not.
+
+    ``unsettled`` is what a solver says that did not converge, None where it did.
+    """
     reasons = []
-    fitted = evidence.fitted
-    if not fitted.solved.converged:
-        reasons.append(f"the solver did not converge: {fitted.solved.message}")
-    if fitted.degrees_of_freedom < 1:
+    if unsettled is not None:
+        reasons.append(f"the solver did not converge: {unsettled}")
+    if degrees_of_freedom < 1:
         reasons.append("no position is left over to check the others: the uncertainty leaves out the scatter between positions")
-    without = _rms(evidence.positions.leave_one_out_m_s2)
-    if without > POOR_RESIDUAL_M_S2:
+    if leave_one_out_rms_m_s2 > POOR_RESIDUAL_M_S2:
         reasons.append(
-            f"positions disagree by {without / MILLI_G_M_S2:.1f} mg RMS (limit {POOR_RESIDUAL_M_S2 / MILLI_G_M_S2:.0f} mg): "
-            "retake the worst, and hold it still"
+            f"positions disagree by {leave_one_out_rms_m_s2 / MILLI_G_M_S2:.1f} mg RMS "
+            f"(limit {POOR_RESIDUAL_M_S2 / MILLI_G_M_S2:.0f} mg): retake the worst, and hold it still"
         )
     return reasons
 

@@ -201,18 +201,29 @@ def f_limit_95(numerator: int, denominator: int) -> float:
     return float(fdtri(numerator, denominator, 0.95)) if denominator > 0 else float("inf")
 
 
-def possible_cross_covariance(cross: FloatArray, ours: FloatArray, theirs: FloatArray) -> FloatArray:
+def bounded_cross_covariance(cross: FloatArray, ours: FloatArray, theirs: FloatArray) -> FloatArray:
     """Return the covariance between two groups of parameters, taken back where it is more than those of the groups allow.
 
     A standard deviation that was raised for what no model holds (a single position, an unfitted term) makes a covariance that
     is propagated from it too large: together with the other group's it would give some combination a variance below zero.
+    The canonical correlations of the two groups [1]_ are brought down to 1.
 
     Parameters
     ----------
     cross : ndarray, shape (n, m)
     ours : ndarray, shape (n, n)
     theirs : ndarray, shape (m, m)
+
+    Returns
+    -------
+    ndarray, shape (n, m)
+        ``cross`` itself where it is possible, or holds NaN for what is not observable.
+
+    References
+    ----------
+    .. [1] H. Hotelling, "Relations between two sets of variates", Biometrika 28 (1936).
     """
+    # No decomposition takes NaN.
     if not np.isfinite(cross).all():
         return cross
     to_theirs, from_theirs = _whitening(theirs)
@@ -220,8 +231,8 @@ def possible_cross_covariance(cross: FloatArray, ours: FloatArray, theirs: Float
     left, correlation, right = np.linalg.svd(to_ours @ cross @ to_theirs.T, full_matrices=False)
     if np.all(correlation <= 1.0):
         return cross
-    possible: FloatArray = from_ours @ (left * np.minimum(correlation, 1.0)) @ right @ from_theirs.T
-    return possible
+    bounded: FloatArray = from_ours @ (left * np.minimum(correlation, 1.0)) @ right @ from_theirs.T
+    return bounded
 
 
 def _whitening(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:

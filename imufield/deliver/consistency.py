@@ -10,11 +10,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from imufield.acquire.protocol import nominal_scale
+from imufield.acquire.units import nominal_scale
 from imufield.calibrate.accelerometer import EQUATIONS
-from imufield.calibrate.gauge import constraint_jacobian, intrinsic
+from imufield.calibrate.gauge import constraint_jacobian, intrinsic, make_intrinsic
 from imufield.calibrate.models import to_vector
-from imufield.calibrate.quality import POOR_RESIDUAL_M_S2
+from imufield.calibrate.quality import poor_sentences
 from imufield.calibrate.result import GRAVITY_NAME, AccelerometerParameters, Calibration, Gauge
 from imufield.deliver.apply import correct_accelerometer
 from imufield.deliver.document import GYROSCOPE_EQUATION, Document, calibration_from_document, gyroscope_bias_rad_s
@@ -32,7 +32,6 @@ _ROUNDED = 1e-4
 """Of a variance: what the propagation through a joint fit and the printing leave may lie this far below zero."""
 _NEAR = 3.0
 """Factor by which an instrument's scale is off the nominal one of its unit at most: far more than any, less than g is m/s^2."""
-_INTRINSIC = ("scale", "bias_raw", "angle_rad", "quadratic")
 
 
 def contradiction(document: Document, *, is_edited: bool = False) -> str:
@@ -84,10 +83,12 @@ def _gauge(parameters: AccelerometerParameters, gauge: Gauge) -> Iterator[str]:
 
 def _intrinsic(calibration: Calibration) -> Iterator[str]:
     parameters = calibration.accelerometer
-    follows = np.split(intrinsic(to_vector(parameters), parameters.quadratic_axes)[0], len(_INTRINSIC))
+    numbers = intrinsic(to_vector(parameters), parameters.quadratic_axes)[0]
+    follows = make_intrinsic(numbers, numbers)  # only the values of it are used
     size = np.abs(parameters.scale)
-    for key, values, unit in zip(_INTRINSIC, follows, (size, size, np.ones(3), size / 100), strict=True):
+    for key, unit in {"scale": size, "bias_raw": size, "angle_rad": np.ones(3), "quadratic": size / 100}.items():
         stated: FloatArray = getattr(calibration.intrinsic, key)
+        values: FloatArray = getattr(follows, key)
         # NaN, an angle that is not known, contradicts nothing.
         if np.any(np.abs(stated - values) > _TYPED * unit):
             yield (
@@ -134,19 +135,13 @@ def _positions(calibration: Calibration, document: Document) -> Iterator[str]:
 
 
 def _verdict(calibration: Calibration) -> Iterator[str]:
-    """Yield a verdict that is better than its own figures allow."""
-    quality, left_out = calibration.quality, calibration.quality.leave_one_out_rms_m_s2
+    """Yield a verdict that is not poor where the figures make it so."""
+    quality, solver = calibration.quality, calibration.solver
     if quality.verdict == "poor":
         return
-    if left_out > POOR_RESIDUAL_M_S2:
-        yield (
-            f'quality.verdict is "{quality.verdict}", but leave_one_out_rms_m_s2 is {left_out:.4g} and above '
-            f"{POOR_RESIDUAL_M_S2:.4g} it is poor"
-        )
-    if quality.degrees_of_freedom < 1:
-        yield f'quality.verdict is "{quality.verdict}", but degrees_of_freedom is 0, where it is poor'
-    if calibration.solver.status <= 0:
-        yield f'quality.verdict is "{quality.verdict}", but solver.status is {calibration.solver.status}, where it is poor'
+    unsettled = None if solver.converged else solver.message
+    for reason in poor_sentences(unsettled, quality.degrees_of_freedom, quality.leave_one_out_rms_m_s2):
+        yield f'quality.verdict is "{quality.verdict}" instead of "poor", but {reason.partition(": ")[0]}'
 
 
 def _possible(calibration: Calibration) -> Iterator[str]:
@@ -155,8 +150,14 @@ def _possible(calibration: Calibration) -> Iterator[str]:
     sigma = np.sqrt(np.diagonal(matrix))
     free = np.isfinite(sigma) & (sigma > 0)
     correlation = matrix[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])
-    if len(correlation) and np.isfinite(correlation).all() and np.linalg.eigvalsh(correlation)[0] < -_ROUNDED:
-        yield "covariance.matrix is not positive semi-definite: some combination of its parameters has a variance below zero"
+    if not len(correlation) or not np.isfinite(correlation).all():
+        return
+    lowest = float(np.linalg.eigvalsh(correlation)[0])
+    if lowest < -_ROUNDED:
+        yield (
+            "covariance.matrix is not positive semi-definite: some combination of its parameters has a variance below zero "
+            f"(lowest eigenvalue {lowest:.3g} of its correlations, limit {-_ROUNDED:g})"
+        )
 
 
 def _sigma(calibration: Calibration, document: Document) -> Iterator[str]:

@@ -92,6 +92,11 @@ class Corrections:
     rotation: FloatArray
     """R of u' = R u from the parameter file's body frame to this one, shape (3, 3)."""
 
+    @property
+    def holds_g_sensitivity(self) -> bool:
+        """Whether anything of a specific force is taken off the gyroscope."""
+        return bool(np.any(self.g_sensitivity))
+
     def turned(self, rotation: FloatArray) -> Corrections:
         """Return the corrections into a body frame u' = R u, accelerometer and gyroscope together."""
         gyroscope = None if self.gyroscope is None else self.gyroscope.turned(rotation)

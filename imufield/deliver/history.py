@@ -33,7 +33,16 @@ STALE_DAYS = 365.0
 MOVED_SIGMA = 3.0
 """A change beyond this is said aloud."""
 CSV_COLUMNS = (
-    *("instrument", "serial_number", "created", "verdict", "file", "parameter", "unit", "value", "sigma", "change_sigma"),
+    "instrument",
+    "serial_number",
+    "created",
+    "verdict",
+    "file",
+    "parameter",
+    "unit",
+    "value",
+    "sigma",
+    "change_sigma",
     "remark",
 )
 _SAME_GRAVITY_M_S2 = 1e-7

@@ -74,7 +74,7 @@ def _check(document: Document, where: str) -> None:
     if fault is not None:
         raise ParameterFileError(f"{where}: {fault.key} {fault.what}; {_REMEDY}", fault.reason, where=where, key=fault.key)
     _check_consistency(document, where)
-    from imufield.deliver.consistency import contradiction  # the models, which reading and refusing alone do not need
+    from imufield.deliver.consistency import contradiction  # late: a refused file needs no models
 
     is_edited = document["integrity"]["sha256"] == EDITED
     what = contradiction(document, is_edited=is_edited)

@@ -17,7 +17,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from imufield.acquire.protocol import nominal_scale
+from imufield.acquire.units import nominal_scale
 from imufield.calibrate.result import Calibration, GyroscopeCalibration
 from imufield.deliver.document import VERSION, gyroscope_bias_rad_s
 from imufield.deliver.numbers import (

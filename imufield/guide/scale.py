@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from imufield.acquire.protocol import Nominal, nominal_scale
+from imufield.acquire.protocol import Nominal
+from imufield.acquire.units import nominal_scale
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray, SampleUnits
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imufield.acquire.protocol import load_protocol, nominal_scale, parse_protocol, protocol_names
+from imufield.acquire.protocol import load_protocol, parse_protocol, protocol_names
 from imufield.acquire.protocol_toml import FILE_LIMIT_BYTES
 from imufield.errors import ProtocolError, Reason
 
@@ -177,10 +177,3 @@ def test_files_that_are_none(tmp_path: Path) -> None:
 def test_any_damage_to_a_protocol_is_a_protocol_error_or_harmless(start: int, length: int, new: str) -> None:
     with contextlib.suppress(ProtocolError):
         parse_protocol(STIM300[:start] + new + STIM300[start + length :])
-
-
-def test_nominal_scales() -> None:
-    assert nominal_scale("g") == pytest.approx(0.1019716)
-    assert nominal_scale("deg/s") == pytest.approx(57.29578)
-    assert nominal_scale("m/s") == nominal_scale("rad/s") == 1
-    assert nominal_scale("count") is nominal_scale("furlong") is None

@@ -12,6 +12,7 @@ from imufield.calibrate.observability import LOWER_GAUGE_COLUMNS
 from imufield.calibrate.start import closed_form_start
 from imufield.calibrate.uncertainty import (
     between_position_sigma,
+    bounded_cross_covariance,
     f_limit_95,
     gravity_sensitivity,
     influence,
@@ -109,6 +110,13 @@ def test_known_covariance() -> None:
         damaged = good.copy()
         damaged[2] *= bad
         assert not known_covariance(damaged)
+
+
+def test_a_covariance_that_is_not_known_is_left_as_it_is() -> None:
+    """A parameter that cannot be seen has none; the others' are not touched beside it."""
+    cross = np.array([[np.nan, np.nan], [0.5, 2.0]])
+    theirs = np.diag([np.nan, 1.0])
+    np.testing.assert_array_equal(bounded_cross_covariance(cross, np.eye(2), theirs), cross)
 
 
 def test_quantiles_against_tables() -> None:

@@ -8,11 +8,10 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 import tomli_w
 
-from imufield.calibrate.gauge import intrinsic
+from imufield.calibrate.gauge import intrinsic, make_intrinsic
 from imufield.calibrate.models import to_vector
 from imufield.cli.run import run
 from imufield.deliver.document import calibration_from_document
@@ -74,9 +73,10 @@ def reversed_axis(text: str) -> str:
         key = "mean_raw" if "mean_raw" in table else "scale"
         table[key][1] = -table[key][1]
     vector = to_vector(calibration_from_document(document).accelerometer)
-    follows = np.split(intrinsic(vector, accelerometer["quadratic_axes"])[0], 4)
-    for key, values in zip(("scale", "bias_raw", "angle_rad", "quadratic"), follows, strict=True):
-        accelerometer["intrinsic"][key] = values.tolist()
+    values = intrinsic(vector, accelerometer["quadratic_axes"])[0]
+    follows = make_intrinsic(values, values)
+    for key in ("scale", "bias_raw", "angle_rad", "quadratic"):
+        accelerometer["intrinsic"][key] = getattr(follows, key).tolist()
     return to_toml(document)
 
 

@@ -43,12 +43,15 @@ def test_an_interrupt_that_was_only_noted_ends_the_question(keys: int) -> None:
 
     # A question that goes on would otherwise do so for ever.
     noted, rescue = threading.Timer(0.3, interrupt), threading.Timer(RESCUE_S, os.write, (keys, b"\n"))
-    noted.start()
     rescue.start()
-    with pytest.raises(KeyboardInterrupt):
-        ask("Latitude in degrees")
-    assert rescue.is_alive(), "it ended when a line was typed"
-    rescue.cancel()
+    try:
+        with pytest.raises(KeyboardInterrupt):  # noqa: PT012  (the interrupt must not come before)
+            noted.start()
+            ask("Latitude in degrees")
+        assert rescue.is_alive(), "it ended when a line was typed"
+    finally:
+        rescue.cancel()
+        rescue.join()
     noted.join()
 
 

@@ -81,11 +81,23 @@ def test_settings_edited_afterwards_are_said(session: Path, capsys: pytest.Captu
     assert "settings.accelerometer_range_g" in capsys.readouterr().err
 
 
-def test_what_was_typed_to_solve_a_session_without_a_site_goes_before_a_default(session: Path) -> None:
+def without_site(session: Path) -> None:
     path = session / "session.toml"
     metadata = tomllib.loads(path.read_text(encoding="utf-8"))
     metadata.pop("site", None)
     path.write_text(tomli_w.dumps(metadata), encoding="utf-8")
+
+
+def test_a_default_goes_before_gravity_that_was_assumed(session: Path) -> None:
+    without_site(session)
+    assert solved(session)["site"]["gravity_source"] == "assumed"
+    site = SiteOptions(latitude_deg=60.0, height_m=0.0, is_default=True)
+    task = _task(VerifyOptions(parameters=session.parent / "solved.toml", session=session, site=site))
+    assert (task.gravity.source, task.latitude_deg, task.gravity.height_m) == ("normal", 60.0, 0.0)
+
+
+def test_what_was_typed_to_solve_a_session_without_a_site_goes_before_a_default(session: Path) -> None:
+    without_site(session)
     site = solved(session, "--latitude", "10", "--height", "300")["site"]
     assert (site["gravity_source"], site["latitude_deg"], site["height_m"]) == ("normal", 10.0, 300.0)
     parameters = session.parent / "solved.toml"

@@ -17,7 +17,7 @@ from imufield.acquire.protocol import load_protocol
 from imufield.acquire.recorder import Recorder
 from imufield.acquire.session import Session
 from imufield.acquire.tables import write_rows
-from imufield.calibrate.gauge import intrinsic
+from imufield.calibrate.gauge import intrinsic, make_intrinsic
 from imufield.calibrate.models import to_vector
 from imufield.cli.run import run
 from imufield.commands.chain import part_metadata
@@ -143,8 +143,9 @@ def edited(path: Path, target: Path, **changes: Any) -> Path:
         document[table] = document[table] | values
     if "accelerometer" in changes:
         of_file = from_document(document).calibration.accelerometer
-        values = intrinsic(to_vector(of_file), of_file.quadratic_axes)[0].reshape(4, 3).tolist()
-        own = dict(zip(("scale", "bias_raw", "angle_rad", "quadratic"), values, strict=True))
+        values = intrinsic(to_vector(of_file), of_file.quadratic_axes)[0]
+        follows = make_intrinsic(values, values)
+        own = {key: getattr(follows, key).tolist() for key in ("scale", "bias_raw", "angle_rad", "quadratic")}
         document["accelerometer"]["intrinsic"] = document["accelerometer"]["intrinsic"] | own
     del document["integrity"]
     text = to_toml(document)

@@ -18,6 +18,7 @@ from imufield.acquire.can_map import parse_map, protocol_from_dbc
 from imufield.acquire.recording import RecordedBlock, read_blocks
 from imufield.acquire.session import Session
 from imufield.guide.positions import scheme
+from tests.acquire import array_files
 from tests.commands.test_import import DBC, MAP, write_log
 from tests.torture.conftest import Campaign
 from tests.torture.mutations import binary_edits, damaged, text_edits
@@ -58,14 +59,12 @@ def _matrix(folder: Path) -> bytes:
     return path.read_bytes()
 
 
-def _array_file(writer: str) -> Callable[[Path], bytes]:
-    """Return what makes a file of arrays, by the name of its function in the tests of the reader."""
+def _array_file(write: array_files.Writer) -> Callable[[Path], bytes]:
+    """Return what makes a file of arrays."""
 
     def make(folder: Path) -> bytes:
-        from tests.acquire import test_table_arrays  # skips where an extra is missing
-
         with TemporaryDirectory(dir=folder.parent) as place:
-            return test_table_arrays.written(Path(place), getattr(test_table_arrays, writer)).read_bytes()
+            return array_files.written(Path(place), write).read_bytes()
 
     return make
 
@@ -134,11 +133,11 @@ CORPORA = (
     Corpus("MATLAB file", "table.mat", _matrix, ("import {} -o new",), False),
     Corpus("list of positions", "mine.toml", _positions, ("emulate stim300 --positions {} --duration-s 0.1 --json",)),
     Corpus("defaults", "imufield.toml", _defaults, ("devices", "solve session --json")),
-    Corpus("HDF5 file", "table.h5", _array_file("hdf5_groups"), ("import {} -o new",), False, 4),
-    Corpus("MATLAB 7.3 file", "table.mat", _array_file("mat_7_3"), ("import {} -o new",), False, 4),
-    Corpus("Parquet file", "table.parquet", _array_file("parquet_columns"), ("import {} -o new",), False, 4),
-    Corpus("NumPy file", "table.npy", _array_file("numpy_table"), ("import {} -o new",), False, 4),
-    Corpus("NumPy archive", "table.npz", _array_file("numpy_names"), ("import {} -o new",), False, 4),
+    Corpus("HDF5 file", "table.h5", _array_file(array_files.hdf5_groups), ("import {} -o new",), False, 4),
+    Corpus("MATLAB 7.3 file", "table.mat", _array_file(array_files.mat_7_3), ("import {} -o new",), False, 4),
+    Corpus("Parquet file", "table.parquet", _array_file(array_files.parquet_columns), ("import {} -o new",), False, 4),
+    Corpus("NumPy file", "table.npy", _array_file(array_files.numpy_table), ("import {} -o new",), False, 4),
+    Corpus("NumPy archive", "table.npz", _array_file(array_files.numpy_names), ("import {} -o new",), False, 4),
     Corpus("ROS 1 bag", "drive.bag", _bag("ros1"), ("import {} -o new",), False, 4),
     Corpus("ROS 2 bag, MCAP", "drive.mcap", _bag("mcap alone"), ("import {} -o new",), False, 4),
     Corpus("ROS 2 bag, SQLite", "drive.db3", _bag("sqlite"), ("import {} -o new",), False, 4),

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from imufield.acquire.protocol import nominal_scale
+from imufield.acquire.units import nominal_scale
 from imufield.deliver.conventions import Corrections, Frame, linear_corrections, require_usable, rotation_vector
 from imufield.deliver.exports.loss import loss_sentences
 from imufield.deliver.exports.registry import Exported, ExportOptions, Target
@@ -28,6 +28,11 @@ class Held(Protocol):
     @property
     def rotation(self) -> FloatArray:
         """R of u' = R u from the parameter file's body frame to the target's."""
+        ...
+
+    @property
+    def holds_g_sensitivity(self) -> bool:
+        """Whether anything of a specific force is taken off the gyroscope."""
         ...
 
     def apply_accelerometer(self, raw: FloatArray) -> FloatArray:

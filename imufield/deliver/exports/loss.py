@@ -85,14 +85,9 @@ def loss_sentences(parameters: Parameters, held: Held, accelerometer_lacks: str,
         sentences.append(f"gyroscope: {gyroscope_lacks}: {rms} mrad/s rms, {largest} mrad/s at most at 1 rad/s")
     if loss.g_sensitivity_rad_s.largest > _NOTHING:
         rms, largest = (f"{value * 1e3:.3g}" for value in loss.g_sensitivity_rad_s)
-        lacks = "is held with a force that lacks the quadratic term" if _knows_force(held) else "cannot be held"
+        lacks = "is held with a force that lacks the quadratic term" if held.holds_g_sensitivity else "cannot be held"
         sentences.append(f"gyroscope: the g-sensitivity {lacks}: {rms} mrad/s rms, {largest} mrad/s at most at 1 g")
     return tuple(sentences)
-
-
-def _knows_force(held: Held) -> bool:
-    still = np.zeros((1, 3))
-    return bool(np.any(held.apply_gyroscope(still, still + 1) != held.apply_gyroscope(still, still)))
 
 
 def _quadratic(parameters: Parameters) -> str:

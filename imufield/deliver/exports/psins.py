@@ -42,6 +42,10 @@ class _Held:
     def rotation(self) -> FloatArray:
         return self.linear.rotation
 
+    @property
+    def holds_g_sensitivity(self) -> bool:
+        return self.linear.holds_g_sensitivity
+
     def apply_accelerometer(self, raw: FloatArray) -> FloatArray:
         r = (raw - self.zero) / self.scale
         corrected: FloatArray = r @ self.Ka.T - self.db - self.Ka2 * r**2

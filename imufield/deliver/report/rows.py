@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.acquire.protocol import nominal_scale
+from imufield.acquire.units import nominal_scale
 from imufield.calibrate.result import Calibration, GyroscopeCalibration
 from imufield.deliver.document import gyroscope_bias_rad_s
 from imufield.deliver.numbers import DEG_PER_HOUR_RAD_S, decimals, with_sigma
