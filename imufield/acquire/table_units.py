@@ -117,11 +117,12 @@ def choose_unit(
     if quantity in stated:
         unit, factor = _CONVERTED.get(stated[quantity], (stated[quantity], 1.0))
         return unit, factor, f"{quantity} is converted from {stated[quantity]} to {unit}." if factor != 1.0 else ""
-    if np.isnan(values[0, 0]):
+    is_whole = ~np.isnan(values).any(axis=1)
+    if not is_whole.any():
         return ("m/s^2" if quantity == "accelerometer" else "rad/s"), 1.0, ""
-    # One damaged number does not decide for all the others.
+    # Neither one damaged number nor a gap decides for all the others.
     possible = (np.abs(values) <= LARGEST_OUTPUT).all(axis=1)
-    values = values[possible] if possible.any() else values
+    values = values[possible if possible.any() else is_whole]
     unit, why = _guess_accelerometer(values, has_zero) if quantity == "accelerometer" else _guess_gyroscope(values, stated)
     return unit, 1.0, f"{quantity} is taken as {unit}, because {why}; --set {quantity}_unit=... says otherwise."
 

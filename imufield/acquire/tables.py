@@ -7,7 +7,7 @@ the files do not say themselves is assumed aloud: ``ImportedTable.assumptions`` 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
@@ -18,6 +18,15 @@ from numpy.typing import NDArray
 from imufield.acquire.link import Chunk
 from imufield.acquire.ros_bags import is_bag, read_bag
 from imufield.acquire.table_arrays import ArrayTable, array_reader
+from imufield.acquire.table_checks import (
+    Source,
+    check_finite,
+    check_no_step_back,
+    check_values,
+    check_whole_numbers,
+    check_whole_triads,
+    is_empty,
+)
 from imufield.acquire.table_columns import (
     COUNTER,
     FIELDS,
@@ -40,7 +49,6 @@ from imufield.samples import (
     FloatArray,
     IntArray,
     Samples,
-    Status,
 )
 
 ROWS_PROTOCOL = "rows_f64"
@@ -109,10 +117,6 @@ class ChunkWriter(Protocol):
         ...
 
 
-Source = TextTable | ArrayTable
-"""A file whose columns are known."""
-
-
 @dataclass(frozen=True, slots=True)
 class _File:
     """Columns of one file by field, in the units that were found or assumed."""
@@ -162,6 +166,7 @@ def read_tables(
         raise UsageError("no file to import: name at least one.")
     names = _columns_of_files(columns, len(paths))
     files = [_read_file(Path(path), names[i], i, len(paths), topic) for i, path in enumerate(paths)]
+    check_values([file.path for file in files], {name for file in files for name in file.fields})
     return _table(files, rate_hz, zero, settings)
 
 
@@ -182,15 +187,19 @@ def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[
     meaning = _meaning(source, None, 0, 1)
     pieces = _pieces(source, meaning)
     values = next(pieces)
-    file = _file_of(source, meaning, values, is_guess=source.header is None)
-    decided, head = _decided(file, rate_hz), _table([file], rate_hz)
+    late = _late(source, meaning, values)
+    file = _file_of(source, meaning, values, known=late.keys(), is_guess=source.header is None)
+    check_values([file.path], file.fields.keys() | late.keys())
+    decided, head = _decided(file, rate_hz), _table([file], rate_hz, settings=_late_units(late, file.units))
     decided |= {name: head.settings[name] for name in ("accelerometer_unit", "gyroscope_unit")}
     decided = {name: unit for name, unit in decided.items() if name.removesuffix("_unit") not in file.units}
     yield head
+    known = file.fields.keys() | late.keys()
     done, last = len(values), values[-1:]
     for values in pieces:
         # The row before stands in front, so that what must not change between two rows is seen here, too.
-        file = _file_of(source, meaning, np.concatenate([last, values]), done - 1, is_guess=source.header is None)
+        rows = np.concatenate([last, values])
+        file = _file_of(source, meaning, rows, done - 1, known=known, is_guess=source.header is None)
         table = _table([file], rate_hz, settings=decided)
         if rate_hz is not None and TIME not in file.fields:
             table.rows[:, 0] = (done - 1 + np.arange(len(table.rows))) / rate_hz
@@ -209,6 +218,33 @@ def _pieces(source: TextTable, meaning: Meaning) -> Iterator[FloatArray]:
             break
     yield np.concatenate(head) if head else source.read(columns)
     yield from blocks
+
+
+def _late(source: TextTable, meaning: Meaning, head: FloatArray) -> dict[str, FloatArray]:
+    """Return the first numbers, enough to guess a unit by, of each column that has none in the head and some behind it."""
+    late: dict[str, FloatArray] = {}
+    if len(head) < _ROWS_TO_GUESS_BY:
+        return late
+    for group in (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, (STATUS,)):
+        columns = [column for place, column in enumerate(meaning.columns) if column.field in group and is_empty(head[:, place])]
+        found: list[FloatArray] = []
+        for block in source.blocks([column.index for column in columns]) if columns else ():
+            found.append(block[~np.isnan(block).all(axis=1)])
+            if sum(map(len, found)) >= _ROWS_TO_GUESS_BY:
+                break
+        numbers = np.concatenate(found) if found else np.empty((0, len(columns)))
+        late |= {one.field: numbers[:, place] for place, one in enumerate(columns) if np.isfinite(numbers[:, place]).any()}
+    return late
+
+
+def _late_units(late: Mapping[str, FloatArray], stated: Mapping[str, str]) -> dict[str, str]:
+    """Return the units of triads that begin behind the head, as settings, where no header states them."""
+    units: dict[str, str] = {}
+    for quantity, names in (("accelerometer", ACCELEROMETER_COLUMNS), ("gyroscope", GYROSCOPE_COLUMNS)):
+        if quantity not in stated and late.keys() >= set(names):
+            values = np.column_stack([late[name] for name in names])
+            units[f"{quantity}_unit"], _, _ = choose_unit(quantity, values, stated, {}, has_zero=False)
+    return units
 
 
 def _decided(file: _File, rate_hz: float | None) -> dict[str, str | float]:
@@ -232,7 +268,6 @@ def _table(
     joined, units, joining = _join(files, rate_hz, given_time_unit(settings or {}))
     said += joining
     rows = _rows(joined)
-    _check_values(rows, [file.path for file in files])
     found = dict(known)
     for quantity in ("accelerometer", "gyroscope"):
         place = 1 if quantity == "accelerometer" else 4
@@ -340,21 +375,33 @@ def _read_file(path: Path, columns: str | None, number: int, files: int, topic: 
     return _file_of(source, meaning, values, is_guess=columns is None and source.header is None)
 
 
-def _file_of(source: Source, meaning: Meaning, values: FloatArray, first_row: int = 0, *, is_guess: bool) -> _File:
-    """Return the columns of rows that were read, the first of which is row ``first_row`` of the file, checked."""
+def _file_of(
+    source: Source,
+    meaning: Meaning,
+    values: FloatArray,
+    first_row: int = 0,
+    *,
+    known: Collection[str] = (),
+    is_guess: bool,
+) -> _File:
+    """Return the columns of rows that were read, the first of which is row ``first_row`` of the file, checked.
+
+    Columns that are ``known`` have numbers in other rows of the file, if not in these.
+    """
     path = source.path
     if len(values) < 2:
         raise RecordingError(f"{path}: 1 row is no recording: check the file.", Reason.BAD_DATA, path=str(path))
     fields = {column.field: values[:, place] for place, column in enumerate(meaning.columns)}
     units = _units(path, meaning)
-    kept = {name: column for name, column in fields.items() if name == COUNTER or not _is_empty(column)}
+    kept = {name: column for name, column in fields.items() if name == COUNTER or name in known or not is_empty(column)}
     if not kept.keys() - {COUNTER}:
         raise RecordingError(f"{path} has no number in any of its columns: check the file.", Reason.BAD_DATA, path=str(path))
-    _check_whole_triads(path, fields, kept)
+    check_whole_triads(path, fields, kept)
+    check_whole_numbers(source, kept, first_row)
     for name, column in kept.items():
-        if name not in (TEMPERATURE, COUNTER):
-            _check_finite(source, name, column, kept.get(STATUS), first_row)
-    _check_no_step_back(source, kept.get(TIME), first_row, is_guess=is_guess)
+        if name not in (TEMPERATURE, COUNTER, STATUS):
+            check_finite(source, name, column, kept.get(STATUS), first_row)
+    check_no_step_back(source, kept.get(TIME), first_row, is_guess=is_guess)
     if isinstance(source, TextTable):
         return _File(path, kept, units, meaning.assumptions)
     return _File(path, kept, units, (*source.assumptions, *meaning.assumptions), source.settings, source.raw_zero)
@@ -381,61 +428,6 @@ def _units(path: Path, meaning: Meaning) -> dict[str, str]:
                 path=str(path),
             )
     return units
-
-
-def _is_empty(column: FloatArray) -> bool:
-    """Tell whether a column is there by name only: our own export writes empty cells for what is not available."""
-    return bool(np.isnan(column[0]) and np.isnan(column).all())
-
-
-def _check_whole_triads(path: Path, fields: Mapping[str, FloatArray], kept: Mapping[str, FloatArray]) -> None:
-    """Refuse an axis without a number beside axes that have some, and a time without one."""
-    for group in (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, (TIME,)):
-        empty = [name for name in group if name in fields and name not in kept]
-        if empty and (len(empty) < len(group) or group == (TIME,)):
-            raise RecordingError(
-                f"{path} has no number for {', '.join(empty)} in any row: correct the file, or skip the column with --columns.",
-                Reason.BAD_DATA,
-                path=str(path),
-                columns=empty,
-            )
-
-
-_MAY_LACK = dict.fromkeys(ACCELEROMETER_COLUMNS, Status.ACCELEROMETER_INVALID) | dict.fromkeys(
-    GYROSCOPE_COLUMNS, Status.GYROSCOPE_INVALID
-)
-
-
-def _check_finite(source: Source, name: str, column: FloatArray, status: FloatArray | None, first_row: int) -> None:
-    wrong = ~np.isfinite(column)
-    if status is not None and name in _MAY_LACK:
-        # A gap that says of itself that it is one.
-        wrong &= (status.astype(np.int64) & int(_MAY_LACK[name])) == 0
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        line, where = source.where(first_row + row)
-        raise RecordingError(
-            f"{source.path} has {column[row]} for {name} in {where}: remove the line or fill the gap.",
-            Reason.BAD_DATA,
-            path=str(source.path),
-            line=line,
-        )
-
-
-def _check_no_step_back(source: Source, time: FloatArray | None, first_row: int, *, is_guess: bool) -> None:
-    if time is None or not (steps_back := np.diff(time) < 0.0).any():
-        return
-    row = int(np.argmax(steps_back)) + 1
-    line, where = source.where(first_row + row)
-    wrong = f"steps back in time from {time[row - 1]:.9g} to {time[row]:.9g} in {where}"
-    sentence = f"{source.path} {wrong}: sort the file or cut it there."
-    if is_guess:
-        sentence = (
-            f"{source.path} has no header, and its first column, taken for time, {wrong}: say with --columns what its "
-            f"{source.width} columns are, e.g. --columns {','.join(FIELDS[: source.width])} (`-` skips one), or, if it is the "
-            "time, sort the file or cut it there."
-        )
-    raise RecordingError(sentence, Reason.BAD_DATA, path=str(source.path), line=line)
 
 
 def _join(
@@ -471,9 +463,3 @@ def _rows(fields: Mapping[str, FloatArray]) -> FloatArray:
         if name not in (STATUS, COUNTER):
             rows[:, _COLUMN[name]] = column
     return rows
-
-
-def _check_values(rows: FloatArray, paths: Sequence[Path]) -> None:
-    names = ", ".join(map(str, paths))
-    if np.isnan(rows[0, _COLUMN[ACCELEROMETER_COLUMNS[0]]]) and np.isnan(rows[0, _COLUMN[GYROSCOPE_COLUMNS[0]]]):
-        raise UsageError(f"{names}: neither accelerometer nor gyroscope has values: name the columns with --columns.")

@@ -105,7 +105,7 @@ def _import(options: ImportOptions, protocol: Protocol | None) -> tuple[Session,
 
 
 def _refuse_endless(paths: Sequence[Path]) -> None:
-    """Refuse devices, which have no end, and names that no file can have.
+    """Refuse devices and pipes, which have no end or none that is sure to come, and names that no file can have.
 
     Raises
     ------
@@ -121,6 +121,10 @@ def _refuse_endless(paths: Sequence[Path]) -> None:
             raise RecordingError(f"{path} cannot be read ({error.strerror}): check its name", Reason.NOT_A_RECORDING) from error
         if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
             raise UsageError(f"{path} is a device, which has no end: record from it with --port, and import files")
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise UsageError(
+                f"{path} is a pipe or socket, which can be read only once: write its content to a file and import that"
+            )
 
 
 def _protocol(options: ImportOptions) -> Protocol | None:
@@ -247,6 +251,7 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
 
 def table_samples(path: Path, rate_hz: float | None = None) -> Iterator[Samples]:
     """Yield the samples of a table, e.g. an exported CSV, block by block."""
+    _refuse_endless([path])
     decoder: Decoder | None = None
     for table in stream_table(path, rate_hz=rate_hz):
         decoder = decoder or Decoder(load_protocol(ROWS_PROTOCOL, table.settings))

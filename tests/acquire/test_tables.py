@@ -1,4 +1,5 @@
 import gzip
+import re
 from pathlib import Path
 
 import numpy as np
@@ -452,3 +453,48 @@ def test_the_unit_of_time_that_is_given_counts(tmp_path: Path, unit: str, per_s:
     np.testing.assert_allclose(by_name.rows[:, 0], TIME / per_s)
     with pytest.raises(UsageError, match=r"time_unit=min is no unit of time; choose one of s, ms, us, ns"):
         read_tables([path], settings={"time_unit": "min"})
+
+
+OWN = "time_s,ax,ay,az,gx,gy,gz,temperature_degc,counter,status\n"
+
+
+def own(folder: Path, **changed: tuple[int, str]) -> Path:
+    """Write a table like our exports, in counts and deg/s; ``status=(row, text)`` changes a row, ``a`` and ``g`` are triads."""
+    lines = []
+    for row in range(N):
+        cells = {"t": f"{row / 100}", "a": f"{row % 7},{row % 5},16384", "g": f"{row % 3},2.5,90.5", "temperature": "25.0"}
+        cells |= {"counter": str(row), "status": "0"}
+        lines.append(",".join((cells | {name: text for name, (at, text) in changed.items() if at == row}).values()))
+    return write(folder, OWN + "\n".join(lines) + "\n", "own.csv")
+
+
+@pytest.mark.parametrize("row", [0, 1])
+@pytest.mark.parametrize(("status", "gone"), [("1", ("a",)), ("2", ("g",)), ("3", ("a", "g"))])
+def test_a_row_that_lacks_a_triad_decides_no_unit(tmp_path: Path, row: int, status: str, gone: tuple[str, ...]) -> None:
+    table = read_tables([own(tmp_path, status=(row, status), **dict.fromkeys(gone, (row, ",,")))])
+    assert table.settings["accelerometer_unit"] == "count"
+    assert table.settings["gyroscope_unit"] == "deg/s"
+    assert np.isnan(table.rows[:, 1]).nonzero()[0].tolist() == ([row] if "a" in gone else [])
+    assert table.status is not None
+    assert table.status[row] == int(status)
+
+
+@pytest.mark.parametrize("text", ["inf", "-inf", "1e300", "0.5"])
+def test_a_counter_that_is_no_whole_number_is_named(tmp_path: Path, text: str) -> None:
+    words = f"has {float(text):g} for counter in line 4, "
+    with pytest.raises(RecordingError, match=re.escape(words) + ".*no whole number"):
+        read_tables([own(tmp_path, counter=(2, text))])
+
+
+@pytest.mark.parametrize("text", ["", "nan", "inf", "1e300", "1.5", "-1", "8589934592"])
+def test_a_status_that_is_none_is_named(tmp_path: Path, text: str) -> None:
+    with pytest.raises(RecordingError, match=r"for status in line 4, .*no whole number from 0 to 4294967295"):
+        read_tables([own(tmp_path, status=(2, text))])
+
+
+def test_a_counter_may_be_missing_and_a_status_full(tmp_path: Path) -> None:
+    table = read_tables([own(tmp_path, counter=(3, ""), status=(5, "4294967295"))])
+    assert table.counter is not None
+    assert table.counter[2:5].tolist() == [2, -1, 4]
+    assert table.status is not None
+    assert table.status[4:7].tolist() == [0, 2**32 - 1, 0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import gzip
 import json
+import os
 import re
 from pathlib import Path
 
@@ -365,3 +366,29 @@ def test_a_table_piece_by_piece_keeps_the_counter(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.counter, sent.counter)
     np.testing.assert_array_equal(found.status, sent.status)
     np.testing.assert_array_equal(found.time_s, sent.time_s)
+
+
+@pytest.mark.parametrize("name", ["pipe.csv", "pipe.h5"])
+def test_a_pipe_is_refused(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    for arguments in ((), ("--protocol", "rows_f64")):
+        assert typed("import", tmp_path / name, *arguments, "-o", tmp_path / "s") == 2
+    assert not (tmp_path / "s").exists()
+    with pytest.raises(UsageError, match="is a pipe or socket"):
+        next(table_samples(tmp_path / name))
+
+
+@pytest.mark.parametrize(("to", "suffix", "package"), FORMATS)
+def test_what_lacks_its_first_values_comes_back(tmp_path: Path, to: str, suffix: str, package: str) -> None:
+    pytest.importorskip(package)
+    sent = samples_of(load_driver("aceinna_can").load_protocol())
+    sent.accelerometer[:141], sent.gyroscope[:141] = np.nan, np.nan
+    sent.status[:141] |= np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID)
+    path = tmp_path / f"start.{suffix}"
+    export_samples([sent], path, to)
+    assert typed("import", path, "-o", tmp_path / "again") == 0
+    found = imported(tmp_path / "again")
+    assert np.flatnonzero(np.isnan(found.accelerometer).all(axis=1)).tolist() == list(range(141))
+    assert (found.units.accelerometer, found.units.gyroscope) == ("m/s^2", "rad/s")
+    np.testing.assert_array_equal(found.accelerometer[141:], sent.accelerometer[141:])
+    np.testing.assert_array_equal(found.gyroscope[141:], sent.gyroscope[141:])
