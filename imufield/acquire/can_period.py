@@ -36,6 +36,8 @@ _MOST_OUTAGES = 8
 _OWED_WITHIN, _OWED_PART = 0.15, 0.5
 """A host that slept hands over half of what it owes, and more, within this part of its sleep; a bus that was silent sends no
 more than that part of it meanwhile."""
+_LONGEST_OWED_S, _LEAST_OUTSIDE_S = 0.5, 0.25
+"""It takes no longer for that; a pace is measured beside it if so much is left."""
 _NOMINAL_WITHIN = 0.2
 """Part by which bursts may miss the nominal rate, which then is right: an outage of 0.1 s among them makes up to 17 %."""
 _UNKNOWN_S = 0.01
@@ -77,7 +79,9 @@ def _enough(stamp_s: FloatArray) -> bool:
     is_even = longest_s <= _UNEVEN * span_s / len(stamp_s)
     if is_even and np.count_nonzero(steps_s > _LONG_STEP * np.median(steps_s)) > _LONG_SHARE * len(steps_s):
         return span_s >= _LONGEST_LEARN_S
-    return is_even or span_s >= min(_SLEEPS * longest_s, _LONGEST_LEARN_S)
+    # An outage makes any span long, and shows nothing of the pace.
+    pauses_s = np.sort(steps_s[steps_s >= max(LEARN_S, _UNEVEN * float(np.median(steps_s)))])[-_MOST_OUTAGES:]
+    return is_even or (span_s >= min(_SLEEPS * longest_s, _LONGEST_LEARN_S) and span_s - pauses_s.sum() >= LEARN_S)
 
 
 def sample_period_s(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> float:
@@ -97,6 +101,7 @@ def sample_period_s(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> 
     if number[-1] <= number[0]:
         # A counter that stands still numbers nothing.
         number = np.arange(len(stamp_s), dtype=np.float64)
+    stamp_s = _without_outages(stamp_s, number)
     steps_s = np.diff(stamp_s) / np.maximum(np.diff(number), 1.0)
     middle_s = float(np.median(steps_s))
     regular = np.abs(steps_s - middle_s) <= _REGULAR * middle_s
@@ -104,8 +109,6 @@ def sample_period_s(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> 
     # Frames read out of a buffer are evenly spaced too, but more closely than they come on the whole.
     if np.count_nonzero(regular) >= _REGULAR_SHARE * len(steps_s) and middle_s > mean_s / 2:
         return _held_up_period(stamp_s, number, middle_s) or float(steps_s[regular].mean())
-    stamp_s = _without_outages(stamp_s, number)
-    mean_s = float((stamp_s[-1] - stamp_s[0]) / (number[-1] - number[0]))
     # Bursts: the ends of the first and of the last ones are the least late.
     lag_s = stamp_s - number * mean_s
     third = max(len(lag_s) // 3, 1)
@@ -121,15 +124,29 @@ def _without_outages(stamp_s: FloatArray, number: FloatArray) -> FloatArray:
     A host that slept, or a sender that was held up, makes the same pause, and then hands over what it owes.
     """
     stamp_s = stamp_s.copy()
-    for place in np.argsort(np.diff(stamp_s))[::-1][:_MOST_OUTAGES].tolist():
-        pause_s, span_s = float(stamp_s[place + 1] - stamp_s[place]), float(stamp_s[-1] - stamp_s[0])
-        mean_s = span_s / float(number[-1] - number[0])
-        if pause_s < max(_SHORTEST_OUTAGE_S, _UNEVEN * mean_s):
+    steps_s = np.diff(stamp_s)
+    pauses = [place for place in np.argsort(steps_s)[::-1][:_MOST_OUTAGES].tolist() if steps_s[place] >= _SHORTEST_OUTAGE_S]
+    owed_s = [min(_OWED_WITHIN * float(steps_s[place]), _LONGEST_OWED_S) for place in pauses]
+    behind = np.searchsorted(stamp_s, stamp_s[1:][pauses] + owed_s, side="right") - 1
+    pace_s = _pace_without(stamp_s, number, list(zip(pauses, behind.tolist(), strict=True)))
+    for place, last in zip(pauses, behind.tolist(), strict=True):
+        pause_s = float(steps_s[place])
+        if pause_s < _UNEVEN * pace_s:
             break
-        behind = int(np.searchsorted(stamp_s, stamp_s[place + 1] + _OWED_WITHIN * pause_s, side="right")) - 1
-        if number[behind] - number[place] < _OWED_PART * pause_s / mean_s:
-            stamp_s[place + 1 :] -= pause_s - (span_s - pause_s) / max(float(number[-1] - number[0]) - 1, 1.0)
+        if number[last] - number[place] < _OWED_PART * pause_s / pace_s:
+            stamp_s[place + 1 :] -= pause_s - pace_s
     return stamp_s
+
+
+def _pace_without(stamp_s: FloatArray, number: FloatArray, stretches: list[tuple[int, int]]) -> float:
+    """Return the mean time from one sample to the next outside some stretches of them, or of all where little is left."""
+    steps_s, counted = np.diff(stamp_s), np.diff(number)
+    outside = np.ones(len(steps_s), dtype=np.bool_)
+    for first, last in stretches:
+        outside[first:last] = False
+    if steps_s[outside].sum() < _LEAST_OUTSIDE_S or counted[outside].sum() <= 0:
+        outside[:] = True
+    return float(steps_s[outside].sum() / counted[outside].sum())
 
 
 def _held_up_period(stamp_s: FloatArray, number: FloatArray, middle_s: float) -> float | None:

@@ -123,6 +123,30 @@ def test_an_outage_while_the_rate_is_learned_does_not_teach_a_slower_one(begin_s
     np.testing.assert_allclose(samples.time_s - true_s, 0.0, atol=0.06)
 
 
+@pytest.mark.parametrize("length_s", [0.5, 1.0, 2.0, 2.5, 3.0, 5.0, 10.0])
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0, 1000.0])
+def test_an_outage_among_the_first_samples_spoils_no_time(rate_hz: float, length_s: float) -> None:
+    lost = round(length_s * rate_hz)
+    even_s = 1000.0 + np.arange(lost + round(5 * rate_hz)) / rate_hz
+    for begin in range(1, 16):
+        true_s = np.delete(even_s, slice(begin, begin + lost))
+        samples, statistics = run(true_s)
+        np.testing.assert_allclose(samples.time_s, true_s, atol=1e-6, err_msg=f"silent from sample {begin} on")
+        assert statistics.losses_estimated == lost
+        assert np.flatnonzero(samples.status & Status.GAP_ESTIMATED).tolist() == [begin]
+
+
+@pytest.mark.parametrize("length_s", [3.0, 10.0])
+def test_a_host_that_sleeps_among_the_first_samples_loses_nothing(length_s: float) -> None:
+    for rate_hz in (50.0, 200.0, 1000.0):
+        true_s = 1000.0 + np.arange(round((length_s + 5) * rate_hz)) / rate_hz
+        for begin in range(1, 16):
+            woke_s = true_s[begin] + length_s
+            samples, statistics = run(np.where(true_s < true_s[begin], true_s, np.maximum(true_s, woke_s)))
+            assert statistics.losses_estimated == 0
+            np.testing.assert_allclose(samples.time_s, true_s, atol=2 / rate_hz)
+
+
 @pytest.mark.parametrize("block", [1, 13, 500, 100_000])
 def test_a_rate_does_not_depend_on_how_the_stream_is_cut(block: int) -> None:
     true_s = np.delete(np.arange(3000) / 100.0, slice(700, 760))
