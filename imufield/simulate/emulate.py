@@ -68,8 +68,6 @@ class Emulation:
     """None: the usual one of the instrument, 2000 Hz for a STIM300 and 100 Hz for text."""
     grade: str = "tactical"
     seed: int = 0
-    day: int = 0
-    """Of the same instrument: on each its noise, drift, operator and faults are others."""
     directions: ArrayLike = ()
     """Directions of "up" in the body frame that the operator goes through, shape (m, 3); none: it lies on a table."""
     operator: OperatorSettings = field(default_factory=OperatorSettings)
@@ -89,6 +87,8 @@ class Emulation:
     """Of the protocol."""
     bus: str | None = None
     """Of an instrument on CAN; None: an adapter on a pseudo-terminal."""
+    day: int = 0
+    """Of the same instrument: on each its noise, drift, operator and faults are others."""
 
 
 @dataclass(frozen=True, slots=True)
