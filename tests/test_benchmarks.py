@@ -29,6 +29,7 @@ def test_accounts_of_damage_are_collected_as_they_are_printed(
     monkeypatch.setattr(sys, "argv", ["collect"])
     wires = [wire for wire in accounting.serial_wires() if str(wire).startswith("stim300")][:1]
     count = accounting.account_for
+    monkeypatch.delitem(sys.modules, "benchmarks.bench_damage", raising=False)
     monkeypatch.setattr(accounting, "serial_wires", lambda: wires)
     monkeypatch.setattr(accounting, "account_for", lambda wire, _, *, outages: count(wire, 2.0, outages=outages))
     importlib.import_module("benchmarks.collect").main("damage", str(tmp_path / "rows.json"))
