@@ -49,7 +49,7 @@ from imufield.calibrate.moves import Moves
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import Calibration, GyroscopeParameters
 from imufield.calibrate.turntable import TurntableRun, pair_runs
-from imufield.calibrate.uncertainty import f_limit_95
+from imufield.calibrate.uncertainty import f_limit_95, told_apart
 from imufield.calibrate.whole_turns import Stop, find_stops, whole_stops
 from imufield.errors import CalibrationError, Reason, counted
 from imufield.samples import FloatArray
@@ -362,12 +362,13 @@ def _choose(
     if model == "g-sensitive":
         return _Chosen(full, True, nothing, ("g-sensitivity is fitted, as asked",))
     F, limit = _significance(full)
+    compared = "F = {}, limit {}".format(*told_apart(F, limit))
     if limit < F:
-        return _Chosen(full, True, nothing, (f"g-sensitivity is kept: it is significant (F = {F:.1f}, limit {limit:.1f})",))
+        return _Chosen(full, True, nothing, (f"g-sensitivity is kept: it is significant ({compared})",))
     basic = fit_jointly(data, errors, start, sight.free(BASIC), earth)
     doubt = np.sqrt(max(0.0, 1 - 1 / F)) * (full.p - basic.p)
     doubt[SENSITIVITY] = 0.0
-    words = f"g-sensitivity is left out: it is not significant (F = {F:.1f}, limit {limit:.1f})"
+    words = f"g-sensitivity is left out: it is not significant ({compared})"
     return _Chosen(basic, False, doubt, (words,))
 
 

@@ -21,7 +21,7 @@ from imufield.calibrate.models import MISALIGNMENT, PARAMETERS, QUADRATIC, NormD
 from imufield.calibrate.observability import Observability, observe, require_scale_and_bias
 from imufield.calibrate.result import ACCELEROMETER_NAMES, ModelChoice
 from imufield.calibrate.start import FEWEST_FOR_MISALIGNMENT, FEWEST_FOR_QUADRATIC, closed_form_start
-from imufield.calibrate.uncertainty import f_limit_95, influence, student_factor_95
+from imufield.calibrate.uncertainty import f_limit_95, influence, student_factor_95, told_apart
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
@@ -150,7 +150,8 @@ def _decide(data: FitData, origin: FloatArray, seen: Observability, quadratic: F
     t = float(np.max(np.abs(change) / np.sqrt(np.diag(covariance))))
     freedom = quadratic.degrees_of_freedom
     F_limit, t_limit = f_limit_95(len(entries), freedom), student_factor_95(freedom, of=len(entries))
-    figures = f"F = {F:.1f}, 95 % limit {F_limit:.1f}; largest {t:.1f} sigma, limit {t_limit:.1f}"
+    (F_shown, F_most), (t_shown, t_most) = told_apart(F, F_limit), told_apart(t, t_limit)
+    figures = f"F = {F_shown}, 95 % limit {F_most}; largest {t_shown} sigma, limit {t_most}"
     if F_limit < F or t_limit < t:
         sentence = f"the quadratic term is kept: it is significant ({figures})"
         return Chosen(quadratic, seen.free, True, _NO_DOUBT, sentence)

@@ -201,6 +201,12 @@ def f_limit_95(numerator: int, denominator: int) -> float:
     return float(fdtri(numerator, denominator, 0.95)) if denominator > 0 else float("inf")
 
 
+def told_apart(value: float, limit: float) -> tuple[str, str]:
+    """Return both with as many decimals, at least one and at most four, as it takes to see which is larger."""
+    texts = [(f"{value:.{places}f}", f"{limit:.{places}f}") for places in range(1, 5)]
+    return next((pair for pair in texts if pair[0] != pair[1]), texts[-1])
+
+
 def bounded_cross_covariance(cross: FloatArray, ours: FloatArray, theirs: FloatArray) -> FloatArray:
     """Return the covariance between two groups of parameters, taken back where it is more than those of the groups allow.
 

@@ -26,6 +26,7 @@ from imufield.commands.questions import ask
 from imufield.commands.reconnect import PatientLink
 from imufield.commands.resume import check_instrument, check_plan, connect_as_before, find_unfinished, site_as_before
 from imufield.commands.site import SiteOptions
+from imufield.commands.solve import FEWEST_POSITIONS
 from imufield.commands.views import LinkState, LiveStatus, Manner, View, ViewName, make_view
 from imufield.deliver.numbers import beside
 from imufield.deliver.parameters import Parameters, load
@@ -398,7 +399,7 @@ def _farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
         say(line)
     for line in captured.remarks:
         say(line)
-    if captured.finished:
+    if captured.finished and captured.accepted >= min(FEWEST_POSITIONS, captured.planned):
         typer.echo(beside(f"{captured.accepted} of {captured.planned} positions measured, session", folder))
         typer.echo(beside("next: ", f"imufield solve {shlex.quote(str(folder))}"))
     else:

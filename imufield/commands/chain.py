@@ -21,7 +21,7 @@ from imufield.calibrate.observations import Observations
 from imufield.commands.damage import require_samples
 from imufield.earth import choose_gravity
 from imufield.errors import ProtocolError, Reason, RecordingError, SettingError
-from imufield.guide.events import Event
+from imufield.guide.events import Event, LinkLost
 from imufield.guide.free import StillIntervalFinder, StillIntervals
 from imufield.guide.guide import Guide
 from imufield.guide.positions import scheme
@@ -33,6 +33,7 @@ MARK = "mark"
 """Name of a recorded event: what the operator said, to be said again on replay."""
 SCHEME_FILE = "positions.toml"
 """Copy, in the session's folder, of positions that are not shipped: the session must be solved again without their file."""
+PART_BEGINS = "the session goes on after a pause; everything measured so far is kept"
 PART_GAP_S = 1.0
 """Least time between the samples of two parts, whatever the clocks of the host say of them."""
 
@@ -129,7 +130,7 @@ class Chain:
         self.protocol = protocol
         if self._judging and self.guide is None and self.finder is None:
             self._make_judge(protocol)
-        return self._start_decoder(protocol)
+        return [_goes_on(event) for event in self._start_decoder(protocol)]
 
     def feed_block(self, block: RecordedBlock) -> list[Event]:
         """Take many recorded reads at once, as if they came one by one."""
@@ -240,6 +241,11 @@ class Chain:
         if len(known):
             low, high = self.temperature_degc
             self.temperature_degc = (float(np.fmin(low, known.min())), float(np.fmax(high, known.max())))
+
+
+def _goes_on(event: Event) -> Event:
+    """Return the event of a link that is gone as what it is at the start of a part: the operator may have wanted it."""
+    return replace(event, words=PART_BEGINS) if isinstance(event, LinkLost) else event
 
 
 def part_metadata(protocol: Protocol, extra: Mapping[str, object]) -> dict[str, object]:

@@ -10,6 +10,7 @@ import typer
 
 from imufield.acquire.ports import can_channels, serial_ports
 from imufield.acquire.registry import driver_names, load_driver
+from imufield.deliver.numbers import hanging
 from imufield.errors import ProtocolError
 
 _TRIED = "verified on real bytes"
@@ -35,16 +36,19 @@ def list_devices(*, as_json: bool) -> None:
     console.print(table if ports else "no serial ports found: plug the instrument in, or give --port socket://host:port")
     for bus in buses:
         console.print(f"CAN bus {bus.bus} ({bus.state})", highlight=False)
-    table = Table(title="\ninstruments", title_justify="left", box=None, padding=(0, 2, 0, 0))
-    # A name that is cut cannot be typed.
-    table.add_column("driver", no_wrap=True, min_width=max(len(driver["name"]) for driver in drivers))
-    for heading in ("instrument", "bit rate", "tried", "can be told to"):
-        table.add_column(heading)
+    typer.echo("\ninstruments: bit rate, how it was tried, what it can be told to")
+    width = max(len(driver["name"]) for driver in drivers) + 2
     for driver in drivers:
-        told = ", ".join(f"{name}{'' if tried == _TRIED else '*'}" for name, tried in driver["abilities"].items())
-        table.add_row(driver["name"], driver["title"], str(driver["default_baud"]), driver["status"], told)
-    console.print(table)
-    console.print("* experimental: commands and answers from documents, never seen on a real instrument")
+        # A table of five columns would break every name at 80 columns.
+        typer.echo(hanging(f"{driver['name']:<{width}}", driver["title"]))
+        typer.echo(hanging(" " * width, _details(driver)))
+    typer.echo("* experimental: commands and answers from documents, never seen on a real instrument")
+
+
+def _details(driver: dict[str, Any]) -> str:
+    told = ", ".join(f"{name}{'' if tried == _TRIED else '*'}" for name, tried in driver["abilities"].items())
+    rate = f"{driver['default_baud']} bit/s" if driver["default_baud"] else ""
+    return "; ".join(filter(None, (rate, driver["status"], told)))
 
 
 def _describe(name: str) -> dict[str, Any]:

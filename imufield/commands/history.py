@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -31,6 +32,9 @@ from imufield.deliver.history import (
 from imufield.deliver.numbers import WIDTH, beside, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError, counted
 from imufield.files import refuse_overwriting
+
+_NO_UNIT = ("m/s^2 per m/s^2", "rad/s per rad/s")
+"""Units of a scale that is 1 but for its error."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,10 +107,16 @@ def _print_nearest(history: History, options: HistoryOptions) -> None:
     instrument = one_instrument(history)
     entry = instrument.nearest(at)
     typer.echo(str(options.folder / entry.path))
-    days = (entry.time - at).total_seconds() / 86400
-    old = f", more than the {options.stale_days:g} of --stale-days: calibrate again" if abs(days) > options.stale_days else ""
-    when = "after" if days > 0 else "before"
-    say(f"{instrument.title}, {entry.verdict}, calibrated {abs(days):.0f} days {when} {options.at}{old}", err=True, indent=2)
+    days = abs((entry.time - at).total_seconds()) / 86400
+    old = f", more than the {options.stale_days:g} of --stale-days: calibrate again" if days > options.stale_days else ""
+    when = _distance(entry.time, at, str(options.at))
+    say(f"{instrument.title}, {entry.verdict}, calibrated {when}{old}", err=True, indent=2)
+
+
+def _distance(time: datetime, at: datetime, typed: str) -> str:
+    """Return how far a calibration is from what was typed: whole days between the dates."""
+    days = (time.astimezone(at.tzinfo).date() - at.date()).days
+    return f"{counted(abs(days), 'day')} {'after' if days > 0 else 'before'} {typed}" if days else f"on the day of {typed}"
 
 
 def _print(history: History, options: HistoryOptions, now: datetime) -> None:
@@ -120,7 +130,8 @@ def _print(history: History, options: HistoryOptions, now: datetime) -> None:
         changes = {one.name: one for one in instrument.changes()}
         # One calibration has nothing to compare, and its numbers are in its file.
         numbers = instrument.entries[-1].numbers if changes else ()
-        for line in _table([_cells(number, changes.get(number.name)) for number in numbers]):
+        headings = [("parameter", "value ± sigma", "unit", "since the one before")] if numbers else []
+        for line in _table(headings + [_cells(number, changes.get(number.name)) for number in numbers]):
             typer.echo(line)
         for sentence in sentences(instrument, now, options.stale_days):
             typer.echo(hanging("  - ", sentence))
@@ -133,14 +144,22 @@ def _print(history: History, options: HistoryOptions, now: datetime) -> None:
 def _cells(number: Number, change: Change | None) -> tuple[str, str, str, str]:
     # Adding zero takes the sign off a change that rounds to nothing.
     moved = "" if change is None or math.isnan(change.in_sigma) else f"{round(change.in_sigma, 1) + 0.0:+.1f} sigma"
-    return number.name, to_ascii(with_sigma(number.value, number.sigma, sign=True)), number.unit, moved
+    name, value, sigma, unit = number.name, number.value, number.sigma, number.unit
+    if unit in _NO_UNIT:
+        name, value, sigma, unit = name.replace("scale", "scale error"), (value - 1) * 1e6, sigma * 1e6, "ppm"
+    return name, with_sigma(value, sigma, sign=True), unit, moved
 
 
 def _table(rows: list[tuple[str, str, str, str]]) -> Iterator[str]:
     """Yield lines no wider than their contents need: a terminal of 80 columns would break wider ones in a number."""
     name, value, unit, moved = (max((len(row[k]) for row in rows), default=0) for k in range(4))
     for row in rows:
-        yield f"    {row[0]:<{name}} {row[1]:>{value}} {row[2]:<{unit}}  {row[3]:>{moved}}".rstrip()
+        line = f"    {row[0]:<{name}} {row[1]:>{value}} {row[2]:<{unit}}  {row[3]:>{moved}}".rstrip()
+        yield line if _shows_signs() else to_ascii(line)
+
+
+def _shows_signs() -> bool:
+    return (getattr(sys.stdout, "encoding", None) or "").lower().startswith("utf")
 
 
 def _document(history: History, options: HistoryOptions, now: datetime) -> dict[str, Any]:

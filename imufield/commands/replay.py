@@ -55,11 +55,16 @@ def run_replay(options: ReplayOptions) -> None:
         _replay_to_others(session, options)
         return
     damage: list[Damage] = []
+    goes_on = session.is_being_recorded
     chain = Chain(ReadingPlan.of(session))
     view = JsonLinesView(typer.echo) if options.as_json else PlainView(say, origin_s=chain.origin_s)
     replay_into(chain, session, damage, view.show)
     for one in damage:
-        say(one.what, err=True)
+        # The end of the part under way is no damage.
+        if not (goes_on and one.torn_end and one.path == session.parts[-1]):
+            say(one.what, err=True)
+    if goes_on:
+        say("this session is still being recorded: replayed is what was on disk", err=True)
     if not options.as_json:
         _tell(chain)
 

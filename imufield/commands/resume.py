@@ -99,7 +99,10 @@ def _newest_unfinished(root: Path) -> Session:
             session = Session.open(folder)
             if session.metadata.get("scheme") and not session.finished:
                 return session
-    raise UsageError(f"there is no unfinished session in {root} to resume; leave out --resume for a new one")
+    raise UsageError(
+        f"there is no unfinished session in {root} to resume; name its folder with --session, or "
+        "leave out --resume for a new one"
+    )
 
 
 def check_plan(session: Session, scheme_name: str | None, asked: Mapping[str, object]) -> None:

@@ -153,7 +153,7 @@ def solve_session(session: Session, options: SolveOptions, progress: ProgressLin
         observations, axes, refused, saturated = _observations(chain, refusals)
         if axes.error is not None:
             raise axes.error
-        where = "missing in the file" if session.metadata.get("kind") == "import" else "lost on the wire"
+        where = "are missing in the file" if session.metadata.get("kind") == "import" else "were lost on the wire"
         reasons = (axes.words, *saturated, *chain.notes, *_loss_sentences(chain, damage, where))
         found = _measured(session, chain, observations, moves, options.site, reasons)
         with _naming_saturation(saturated):
@@ -306,7 +306,7 @@ def _loss_sentences(chain: Chain, damage: list[Damage], where: str) -> tuple[str
     estimated = sum(statistics.losses_estimated for statistics in chain.statistics)
     total = sum(statistics.samples for statistics in chain.statistics)
     if lost:
-        sentences.append(f"{lost} of {total + lost} samples {'is' if lost == 1 else 'are'} {where}.")
+        sentences.append(f"{lost} of {total + lost} samples {where}.")
     if estimated:
         sentences.append(f"About {estimated} more were lost in longer gaps, by the clock of the host.")
     return tuple(sentences)

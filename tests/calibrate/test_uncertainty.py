@@ -19,6 +19,7 @@ from imufield.calibrate.uncertainty import (
     jackknife_sigma,
     known_covariance,
     student_factor_95,
+    told_apart,
     within_variance,
 )
 
@@ -124,3 +125,9 @@ def test_quantiles_against_tables() -> None:
     assert np.isnan(student_factor_95(0))
     assert f_limit_95(3, 12) == pytest.approx(3.49, abs=5e-3)
     assert f_limit_95(3, 0) == np.inf
+
+
+def test_two_numbers_are_shown_with_the_digits_that_tell_them_apart() -> None:
+    assert told_apart(3.14, 2.01) == ("3.1", "2.0")
+    assert told_apart(2.03, 2.01) == ("2.03", "2.01")
+    assert told_apart(2.0, 2.0) == ("2.0000", "2.0000")

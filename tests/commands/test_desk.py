@@ -67,6 +67,10 @@ def test_a_session_that_is_still_being_recorded_is_called_that(program: Program,
     assert any("cut off" in reason or "without a proper end" in reason for reason in cut)
     with Session.open(whole).lock():
         reasons = document(program, "whole")["quality"]["reasons"]
+        replayed = program.run("replay", "whole")
+    assert "still being recorded" in replayed.stderr
+    assert "cut off" not in replayed.stderr
+    assert "cut off" in program.run("replay", "whole").stderr
     assert any(reason.startswith("This session is still being recorded") for reason in reasons)
     assert not any("cut off" in reason or "proper end" in reason for reason in reasons)
 

@@ -11,6 +11,8 @@ import pytest
 
 from imufield.cli.run import run
 from imufield.commands.history import HistoryOptions, run_history
+from imufield.deliver.parameters import load
+from imufield.deliver.parameters_write import to_toml
 
 
 @pytest.fixture
@@ -52,9 +54,6 @@ def test_damaged_file_is_told_and_left_out(folder: Path, capsys: pytest.CaptureF
 def test_several_instruments_are_drawn_into_a_file_each(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from imufield.deliver.parameters import load
-    from imufield.deliver.parameters_write import to_toml
-
     document = load(folder / "one" / "parameters.toml").document
     document["instrument"] = document["instrument"] | {"serial_number": "X"}
     document.pop("integrity", None)
@@ -77,3 +76,43 @@ def test_the_file_for_a_date_is_printed_alone(folder: Path, capsys: pytest.Captu
     assert "days after 2001-03-04, more than the 365 of --stale-days: calibrate again" in said.err
     assert run(["history", str(folder), "--at", "yesterday"]) == 2
     assert "is no date" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("at", "said"),
+    [
+        ("2026-11-21", "on the day of 2026-11-21"),
+        ("2026-11-21T23:59", "on the day of 2026-11-21T23:59"),
+        ("2026-11-22T00:30+02:00", "on the day of"),
+        ("2026-11-20", "1 day after 2026-11-20"),
+        ("2026-11-23", "2 days before 2026-11-23"),
+    ],
+)
+def test_how_far_a_calibration_is_from_a_date(at: str, said: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    changed(folder / "one" / "parameters.toml", folder / "one" / "parameters.toml", created="2026-11-21T22:45:10Z")
+    assert run(["history", str(folder), "--at", at]) == 0
+    assert f"calibrated {said}" in " ".join(capsys.readouterr().err.split())
+
+
+def changed(path: Path, to: Path, created: str, session: str | None = None) -> None:
+    """Write a parameter file as if it had been made at another time, of another recording where one is given."""
+    document = load(path).document
+    document["created"] = created
+    document["session"] = document["session"] | ({"sha256": session} if session else {})
+    document.pop("integrity", None)
+    to.write_text(to_toml(document))
+
+
+def test_the_table_has_headings_and_scales_as_errors(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    changed(folder / "one" / "parameters.toml", folder / "two.toml", "2030-01-01T00:00:00Z", "0" * 64)
+    capsys.readouterr()
+    assert run(["history", str(folder)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (heading,) = [line for line in lines if "parameter " in line]
+    assert heading.split() == ["parameter", "value", "±", "sigma", "unit", "since", "the", "one", "before"]
+    (scale,) = [line for line in lines if line.startswith("    scale error x")]
+    truth = load(folder / "two.toml").calibration.intrinsic.scale[0]
+    assert scale.split()[3] == f"{(truth - 1) * 1e6:+.0f}"
+    assert scale.split()[4] == "±"
+    assert scale.split()[6] == "ppm"
+    assert max(map(len, lines)) <= 80

@@ -11,11 +11,15 @@ import numpy as np
 import pytest
 
 import imufield
+from imufield.acquire.host_clock import SystemClock
 from imufield.acquire.session import Session
 from imufield.cli.run import _interrupted_words, run
+from imufield.commands.capture import Captured, _farewell
+from imufield.commands.chain import Chain, ReadingPlan, replay_into
 from imufield.deliver.exports import export_parameters
 from imufield.deliver.parameters import Parameters
 from imufield.errors import ParameterFileError
+from imufield.guide.events import LinkLost
 from imufield.samples import Samples, Status
 
 
@@ -133,3 +137,21 @@ def test_rows_missing_in_an_imported_table_were_not_lost_on_a_wire(
     assert f"40 of {len(rows)} samples are missing in the file" in told
     assert "wire" not in told
     assert "axes agree" in told
+
+
+def test_a_session_that_goes_on_does_not_speak_of_a_link_that_is_gone(make_session: Callable[..., Session]) -> None:
+    session = make_session("faces6", visits=3)
+    chain = Chain(ReadingPlan.of(session))
+    replay_into(chain, session, [], ended=False)
+    assert chain.protocol is not None
+    said = [event for event in chain.start_part(chain.protocol) if isinstance(event, LinkLost)]
+    assert [event.words for event in said] == ["the session goes on after a pause; everything measured so far is kept"]
+    assert said[0].accepted == 3
+
+
+@pytest.mark.parametrize(("accepted", "command"), [(3, "imufield capture --resume --session"), (6, "imufield solve")])
+def test_what_comes_next_can_be_done(
+    accepted: int, command: str, whole_session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _farewell(Captured(Session.open(whole_session), accepted, 24, finished=True), "plain", SystemClock())
+    assert command in capsys.readouterr().out
