@@ -42,7 +42,7 @@ def list_devices(*, as_json: bool) -> None:
         # A table of five columns would break every name at 80 columns.
         typer.echo(hanging(f"{driver['name']:<{width}}", driver["title"]))
         typer.echo(hanging(" " * width, _details(driver)))
-    typer.echo("* experimental: commands and answers from documents, never seen on a real instrument")
+    typer.echo(hanging("* ", "experimental: commands and answers from documents, never seen on a real instrument"))
 
 
 def _details(driver: dict[str, Any]) -> str:
