@@ -133,7 +133,7 @@ class Assembler:
             count = _frames_to_learn_from(frames)
             if len(frames) < count and not last:
                 return Groups(np.empty((0, self._kinds), dtype=np.int64), 0, 0)
-            self._learn(frames.kind[:_LEARN_FRAMES], frames.time_s[:_LEARN_FRAMES])
+            self._learn(frames.kind[:count], frames.time_s[:count])
             if count > _LEARN_FRAMES:
                 self.samples_each = [_samples_each(frames.kind[:count], self.start, kind) for kind in range(self._kinds)]
         if self._kinds == 1:

@@ -25,7 +25,7 @@ from imufield.acquire.can_protocol import (
     Column,
     with_source_address,
 )
-from imufield.acquire.statistics import DecoderStatistics
+from imufield.acquire.statistics import LEFT_OUT, DecoderStatistics
 from imufield.samples import INSTRUMENT_STATUS_SHIFT, NO_COUNTER, FloatArray, IntArray, Status
 
 _NO_KIND, _SHORT = -1, -2
@@ -211,7 +211,7 @@ class CanSource:
             self._statistics.by_kind[name] = self._statistics.by_kind.get(name, 0) + count
 
     def _note_skipped(self, left_out: int) -> None:
-        self._add("without a sample", left_out)
+        self._add(LEFT_OUT, left_out)
         self._statistics.bytes_skipped = self._unpacker.bytes_skipped
 
     def _sample_frames(self, frames: CanFrames, kind: NDArray[np.int8], places: IntArray) -> SampleFrames:

@@ -8,6 +8,13 @@ from typing import Any
 
 from imufield.samples import Status
 
+LEFT_OUT = "without a sample"
+"""Kind under which frames of a bus are counted that belong to no sample."""
+_FEW_LEFT_OUT = 10
+"""A stream begins and ends within a sample, and a bus sends a frame again now and then."""
+_MANY_PERCENT = 25.0
+"""Of the samples incomplete: more than a bus loses that works."""
+
 
 @dataclass(slots=True)
 class DecoderStatistics:
@@ -59,12 +66,26 @@ def remarks(parts: Sequence[DecoderStatistics]) -> list[str]:
     found = []
     if incomplete:
         share = 100 * incomplete / max(samples, 1)
-        found.append(f"{incomplete} of {samples} samples ({share:.2g} %) lack acceleration or rate, and enter no mean")
+        remedy = (
+            "; where one message comes less than about every twentieth time, or many are lost, samples that begin with the"
+            " rarer one (starts_with) are whole"
+        )
+        said = f"{share:.0f}" if share >= 10 else f"{share:.2g}"
+        found.append(
+            f"{incomplete} of {samples} samples ({said} %) lack acceleration or rate, and enter no mean"
+            f"{remedy if share >= _MANY_PERCENT else ''}"
+        )
     standing = sum(part.samples_standing for part in parts)
     if standing:
         found.append(
             f"acceleration and rate come at different rates: in {standing} of {samples} samples the slower one stands at its"
             f" last value (status {Status.STANDING.value})"
+        )
+    left_out = sum(part.by_kind.get(LEFT_OUT, 0) for part in parts)
+    if left_out > _FEW_LEFT_OUT and 100 * left_out >= samples:
+        found.append(
+            f"{left_out} frames belong to none of the {samples} samples and are left out: they came twice, what a sample begins"
+            " with was lost, or they come more often than that (starts_with names it)"
         )
     if resets:
         times = "once" if resets == 1 else f"{resets} times"

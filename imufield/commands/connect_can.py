@@ -22,6 +22,7 @@ from imufield.acquire.host_clock import HostClock, patience_s
 from imufield.acquire.link import Chunk
 from imufield.acquire.protocol import parse_protocol
 from imufield.acquire.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES
+from imufield.acquire.statistics import LEFT_OUT
 from imufield.commands.connect import Connected, ConnectOptions, ask_identity, assumed, untried, with_settings
 from imufield.commands.listen import LISTEN_S, Say, usable
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
@@ -49,7 +50,7 @@ class _Ear:
     def frames(self) -> int:
         """Frames of samples and messages that it knows."""
         counts = self.decoder.statistics
-        return counts.frames - sum(counts.by_kind.get(kind, 0) for kind in ("other", "error frame", "without a sample"))
+        return counts.frames - sum(counts.by_kind.get(kind, 0) for kind in ("other", "error frame", LEFT_OUT))
 
 
 def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connected:

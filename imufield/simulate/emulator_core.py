@@ -242,6 +242,9 @@ class EmulatorCore(ABC):
         due = min(int(until_s / self.source.interval_s) + 1, self._last_sample)
         largest = math.ceil(_LARGEST_BLOCK_S / self.source.interval_s)
         count = min(due - self._samples_made, largest)
+        if self._is_gone:
+            # Blocks are longer on a busy machine, a disconnection is not.
+            count = min(count, max(math.ceil((self._gone_until_s - self.time_s) / self.source.interval_s - _ROUNDING), 1))
         if count <= 0:
             return False
         samples = self.source.next_block(count)
@@ -290,6 +293,6 @@ class EmulatorCore(ABC):
             if self._chances.disconnects(self.time_s, duration_s):
                 self._gone_until_s = self.time_s + self._chances.common.disconnect_s
                 self._go_away()
-        elif self.time_s >= self._gone_until_s:
+        elif self.time_s - duration_s >= self._gone_until_s - _ROUNDING * self.source.interval_s:
             self._gone_until_s = 0.0
             self._come_back()

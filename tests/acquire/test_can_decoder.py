@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import random
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from imufield.acquire.can_frames import ERROR, EXTENDED, FD, REMOTE, Frame, pack
 from imufield.acquire.can_map import protocol_from_dbc
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol import Protocol, load_protocol
-from imufield.acquire.statistics import DecoderStatistics, remarks
+from imufield.acquire.statistics import LEFT_OUT, DecoderStatistics, remarks
 from imufield.samples import Samples, Status, concatenate
 from tests.acquire.plain_frames import parse_candump
 
@@ -139,6 +140,39 @@ def test_the_acceleration_may_be_the_slower_one() -> None:
     assert samples.usable[1:-1].all()
     assert statistics.samples_standing == pytest.approx(200, abs=2)
     assert len(set(samples.accelerometer[1:-1, 0].tolist())) == pytest.approx(200, abs=2)
+
+
+@pytest.mark.parametrize("slower", [RATE, ACCELERATION])
+def test_of_two_messages_at_three_to_two_the_faster_one_begins(slower: int) -> None:
+    frames = []
+    for number in range(1200):
+        if number % 2 == 0:
+            frames.append(Frame(ACCELERATION + RATE - slower, words(20000 + number, 32000, 32000), number * 0.005 + 0.0003))
+        if number % 3 == 0:
+            frames.append(Frame(slower, words(20000 + number, 32000, 32000), number * 0.005))
+    samples, statistics = decode(J1939, pack(frames))
+    assert len(samples) == 600
+    assert samples.usable.mean() > 0.98
+    assert statistics.by_kind.get(LEFT_OUT, 0) <= 1
+    assert statistics.nominal_rate_hz == pytest.approx(100.0, rel=1e-3)
+
+
+def test_frames_left_out_are_said() -> None:
+    assert J1939.can is not None
+    begin = next(number for number, kind in enumerate(J1939.can.kinds) if kind.message.can_id & 0xFFFF00 == RATE & 0xFFFF00)
+    rule = replace(J1939.can, assembly=replace(J1939.can.assembly, starts_with=begin))
+    samples, statistics = decode(replace(J1939, can=rule), pack(unequal(400, 2)))
+    assert statistics.by_kind[LEFT_OUT] == pytest.approx(400 - len(samples), abs=2)
+    (said,) = remarks([statistics])
+    assert said.startswith(f"{statistics.by_kind[LEFT_OUT]} frames belong to none of the {len(samples)} samples")
+    assert "starts_with" in said
+
+
+def test_a_message_too_rare_to_stand_is_said_with_the_remedy() -> None:
+    _, statistics = decode(J1939, pack(unequal(2000, 40)))
+    (said,) = remarks([statistics])
+    assert "1950 of 2000 samples (98 %) lack" in said
+    assert "samples that begin with the rarer one (starts_with) are whole" in said
 
 
 def test_a_slower_message_that_is_lost_stands_no_longer_than_its_turn() -> None:

@@ -178,11 +178,16 @@ def test_bus_off_is_silence_and_a_gap(channel: str) -> None:
         samples = read(opened, lambda: emulator.finished)
     assert emulator.injector.counts["disconnects"] == 1
     assert opened.decoder.statistics.by_kind["error frame"] == 16
-    gap = np.flatnonzero(samples.status & Status.GAP_ESTIMATED)
-    assert len(gap) >= 1
-    (longest,) = np.flatnonzero(np.diff(samples.time_s) > 0.5)
-    assert samples.accelerometer[longest + 1, 0] - samples.accelerometer[longest, 0] == pytest.approx(2.0, abs=0.1)
-    assert opened.decoder.statistics.losses_estimated == pytest.approx(900 - len(samples), abs=8)
+    number = np.rint(samples.accelerometer[:, 0] / 0.01).astype(int)
+    (silence,) = np.flatnonzero(np.diff(number) > 1)
+    lost = 900 - len(samples)
+    assert (number[0], number[silence + 1] - number[silence] - 1, number[-1]) == (0, lost, 899)
+    # All of a second, and the block in which it went; that is longer on a busy machine.
+    assert 200 < lost <= 400
+    assert emulator.injector.counts["frames_while_off"] % lost == 0
+    # Where the stamps are of a busy machine, a pause of the sender adds to it, or hides a part.
+    assert np.count_nonzero(samples.status & Status.GAP_ESTIMATED) >= 1
+    assert opened.decoder.statistics.losses_estimated == pytest.approx(lost, rel=0.5)
 
 
 def test_reordered_frames_change_places() -> None:
