@@ -81,7 +81,8 @@ def _enough(stamp_s: FloatArray) -> bool:
         return span_s >= _LONGEST_LEARN_S
     # An outage makes any span long, and shows nothing of the pace.
     pauses_s = np.sort(steps_s[steps_s >= max(LEARN_S, _UNEVEN * float(np.median(steps_s)))])[-_MOST_OUTAGES:]
-    return is_even or (span_s >= min(_SLEEPS * longest_s, _LONGEST_LEARN_S) and span_s - pauses_s.sum() >= LEARN_S)
+    listened_s = span_s - float(pauses_s.sum())
+    return is_even or (span_s >= min(_SLEEPS * longest_s, _LONGEST_LEARN_S) and listened_s >= LEARN_S * max(len(pauses_s), 1))
 
 
 def sample_period_s(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> float:

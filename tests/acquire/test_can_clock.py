@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -134,6 +136,19 @@ def test_an_outage_among_the_first_samples_spoils_no_time(rate_hz: float, length
         np.testing.assert_allclose(samples.time_s, true_s, atol=1e-6, err_msg=f"silent from sample {begin} on")
         assert statistics.losses_estimated == lost
         assert np.flatnonzero(samples.status & Status.GAP_ESTIMATED).tolist() == [begin]
+
+
+@pytest.mark.parametrize("length_s", [3.0, 10.0])
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0, 1000.0])
+def test_two_outages_soon_after_each_other_spoil_no_time(rate_hz: float, length_s: float) -> None:
+    lost = round(length_s * rate_hz)
+    even_s = 1000.0 + np.arange(2 * lost + round(6 * rate_hz)) / rate_hz
+    for begin, between in itertools.product((1, 3, 8, 15), (3, 10, round(0.7 * rate_hz))):
+        second = begin + lost + between
+        true_s = np.delete(even_s, np.r_[begin : begin + lost, second : second + lost])
+        samples, statistics = run(true_s)
+        np.testing.assert_allclose(samples.time_s, true_s, atol=1e-6, err_msg=f"silent from {begin} and {second} on")
+        assert statistics.losses_estimated == 2 * lost
 
 
 @pytest.mark.parametrize("length_s", [3.0, 10.0])
