@@ -68,7 +68,9 @@ def _units(document: Document) -> Iterator[str]:
             yield f'{triad}.raw_unit is "{unit}", which is none of {", ".join(known)}'
             continue
         nominal = nominal_scale(unit)
-        if nominal is not None and np.any((scale < nominal / _NEAR) | (scale > nominal * _NEAR)):
+        # A poor calibration says so itself; its scale may be anything.
+        believed = document["quality"]["verdict"] != "poor"
+        if believed and nominal is not None and np.any((scale < nominal / _NEAR) | (scale > nominal * _NEAR)):
             yield f'{triad}.raw_unit is "{unit}", whose scale is about {nominal:.4g}, and {triad}.scale is {table["scale"]}'
 
 

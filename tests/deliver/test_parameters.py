@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 import imufield
 from imufield.calibrate.observations import Observations
 from imufield.calibrate.result import AccelerometerParameters, Calibration
+from imufield.deliver.consistency import contradiction
 from imufield.deliver.context import Context
 from imufield.deliver.parameters import (
     from_document,
@@ -255,6 +256,15 @@ def test_a_file_with_a_right_hash_that_contradicts_itself_is_refused(file: Path,
     error = refused(file)
     assert f": {key}" in error.message
     assert error.values["key"] == key or error.values["key"].startswith("accelerometer.intrinsic")
+
+
+def test_a_calibration_that_calls_itself_poor_may_have_any_scale(file: Path) -> None:
+    document = tomllib.loads(file.read_text(encoding="utf-8"))
+    document["accelerometer"]["scale"] = [6.5, 0.99987654321, 1.00031]
+    assert contradiction(document).startswith("accelerometer.raw_unit")
+    document["quality"]["verdict"] = "poor"
+    # What else follows from the scale is still looked at.
+    assert contradiction(document).startswith("accelerometer.intrinsic")
 
 
 def edit(file: Path, old: str, new: str) -> None:
