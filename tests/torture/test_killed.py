@@ -24,6 +24,8 @@ LAST_S = 1.0
 """What may be lost, real time, beyond what the disk and a busy machine themselves took."""
 KILLS_A_SESSION = 20
 """Then it is resumed to its end and solved."""
+LONG = "paper36"
+"""So many positions that none is asked for again at the end, to see the drift, before the last kill."""
 
 
 class Stalls:
@@ -95,12 +97,12 @@ def part_count(folder: Path) -> int:
 def test_killed_twenty_times(program: Program, number: int, campaign: Campaign) -> None:
     rng = random.Random(20 + number)
     folder = program.folder / "session"
-    port = show_rounds(program)
+    port = show_rounds(program, LONG)
     must_be_there: set[str] = set()
     for kill in range(KILLS_A_SESSION):
         begun = part_count(folder)
         with Stalls(program.folder) as stalls:
-            watched = Watched(program.start(*capture_into(program, port, folder)))
+            watched = Watched(program.start(*capture_into(program, port, folder, LONG)))
             watched.kill_after(rng.randrange(12), rng.uniform(0.0, 0.8))
         may_miss_s = LAST_S + 2 * stalls.longest_s
         if not (folder / "session.toml").exists():
@@ -114,7 +116,7 @@ def test_killed_twenty_times(program: Program, number: int, campaign: Campaign) 
         assert must_be_there <= set(accepted), f"kill {kill}"
         must_be_there |= set(accepted)
     assert len(must_be_there) > 3
-    end_and_solve(program, port, folder)
+    end_and_solve(program, port, folder, LONG)
     campaign.tell(
         "`capture` killed (SIGKILL) at a random moment and resumed; then the session ended and solved",
         KILLS_A_SESSION,
