@@ -51,10 +51,10 @@ class StillnessSettings:
 def hand_settings(settings: StillnessSettings) -> StillnessSettings:
     """Return the settings for a unit in the hand.
 
-    Tremor of 0.1 deg rms at 12 Hz is 7.5 deg/s, and 1 m/s^2 where the pivot is 10 cm away; sway of 1 deg below 2 Hz makes
-    4 deg/s and changes the force by 0.4 m/s^2. A slow turn is no faster than that, so the hand must keep it up for longer. A
-    hand that sways that much passes the limits now and then before it has kept still for so long, and is held still all the
-    same: hence the reach back. What it takes of the turn, ``hand_edges`` cuts off again.
+    Tremor of 0.1 deg rms at 12 Hz is 7.5 deg/s, in a cell by chance up to 10, and 1 m/s^2 where the pivot is 10 cm away; sway
+    of 1 deg below 2 Hz makes 4 deg/s and changes the force by 0.4 m/s^2. A slow turn is no faster than that, so the hand must
+    keep it up for longer. A hand that sways that much passes the limits now and then before it has kept still for so long, and
+    is held still all the same: hence the reach back. What it takes of the turn, ``hand_edges`` cuts off again.
     """
     return replace(
         settings,
@@ -62,7 +62,7 @@ def hand_settings(settings: StillnessSettings) -> StillnessSettings:
         reach_back_s=15.0,
         vibration_m_s2=1.2,
         change_m_s2=0.5,
-        vibration_rad_s=math.radians(9.0),
+        vibration_rad_s=math.radians(12.0),
         change_rad_s=math.radians(10.0),
     )
 
