@@ -52,7 +52,7 @@ def test_a_session_with_pictures_keys_big_letters_and_bell(program: Program, ter
     terminal.type("ff")
     assert terminal.wait() == 0
     assert "\a" in terminal.raw
-    assert "imufield solve" in terminal.text
+    assert "imufield capture --resume" in terminal.text
     assert newest(program).finished
 
 
