@@ -147,7 +147,8 @@ def _pace_without(stamp_s: FloatArray, number: FloatArray, stretches: list[tuple
         outside[first:last] = False
     if steps_s[outside].sum() < _LEAST_OUTSIDE_S or counted[outside].sum() <= 0:
         outside[:] = True
-    return float(steps_s[outside].sum() / counted[outside].sum())
+    # The steps of damaged stamps may cancel out.
+    return max(float(steps_s[outside].sum() / max(counted[outside].sum(), 1.0)), _SHORTEST_S)
 
 
 def _held_up_period(stamp_s: FloatArray, number: FloatArray, middle_s: float) -> float | None:

@@ -41,3 +41,8 @@ def test_a_nominal_rate_that_bursts_are_far_from_is_not_believed(rate_hz: float)
 @pytest.mark.parametrize(("rate_hz", "expected_s"), [(0.0, 0.01), (250.0, 0.004)])
 def test_stamps_that_stand_still_show_no_period(rate_hz: float, expected_s: float) -> None:
     assert sample_period_s(np.zeros(20), np.arange(20.0), rate_hz) == expected_s
+
+
+def test_damaged_stamps_whose_steps_cancel_out_are_survived() -> None:
+    stamp_s = np.concatenate([np.zeros(20), np.full(20, 1e17), [1.0]])
+    assert sample_period_s(stamp_s, np.arange(41.0), 0.0) > 0
