@@ -108,7 +108,7 @@ def sample_period_s(stamp_s: FloatArray, number: FloatArray, rate_hz: float) -> 
     regular = np.abs(steps_s - middle_s) <= _REGULAR * middle_s
     mean_s = float((stamp_s[-1] - stamp_s[0]) / (number[-1] - number[0]))
     # Frames read out of a buffer are evenly spaced too, but more closely than they come on the whole.
-    if np.count_nonzero(regular) >= _REGULAR_SHARE * len(steps_s) and middle_s > mean_s / 2:
+    if np.count_nonzero(regular) >= _REGULAR_SHARE * len(steps_s) and middle_s > max(mean_s / 2, 0.0):
         return _held_up_period(stamp_s, number, middle_s) or float(steps_s[regular].mean())
     # Bursts: the ends of the first and of the last ones are the least late.
     lag_s = stamp_s - number * mean_s
