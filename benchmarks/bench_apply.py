@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from imufield.calibrate.observations import Observations
-from imufield.calibrate.result import (
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import (
     AccelerometerParameters,
     Calibration,
     GyroscopeCalibration,
@@ -32,11 +32,11 @@ from imufield.calibrate.result import (
     Quality,
     SolverSummary,
 )
-from imufield.deliver.apply_session import apply_session
-from imufield.deliver.context import Context
-from imufield.deliver.conventions import linear_corrections
-from imufield.deliver.document import to_document
-from imufield.deliver.parameters import Parameters
+from imufield.deliver.exports.conventions import linear_corrections
+from imufield.deliver.parameters.context import Context
+from imufield.deliver.parameters.document import to_document
+from imufield.deliver.parameters.file import Parameters
+from imufield.deliver.samples.apply_session import apply_session
 from imufield.earth import Gravity
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
 

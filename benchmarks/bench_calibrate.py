@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from imufield.calibrate.accelerometer import calibrate_accelerometer
-from imufield.calibrate.costs import NormProblem
-from imufield.calibrate.fit import column_basis
-from imufield.calibrate.models import from_vector, predict
-from imufield.calibrate.observability import LOWER_GAUGE_COLUMNS
-from imufield.calibrate.observations import Observations
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.accelerometer.fit import column_basis
+from imufield.calibrate.accelerometer.start import closed_form_start
+from imufield.calibrate.model.models import from_vector, predict
+from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.least_squares import solve_least_squares
-from imufield.calibrate.start import closed_form_start
 from imufield.earth import Gravity
 from imufield.samples import FloatArray, SampleUnits
 
@@ -139,7 +139,7 @@ def run() -> list[dict[str, Any]]:
         row("least squares, 12 parameters", best_ms(lambda: solve_least_squares(quadratic)), "ms"),
         *(row(f"calibrate_accelerometer, 24 positions, {model}", value, "ms") for model, value in whole.items()),
         row("cost of 60 candidates in one call", best_ms(lambda: quadratic.cost(population)), "ms"),
-        row("import of the room", import_ms("imufield.calibrate.accelerometer"), "ms"),
+        row("import of the room", import_ms("imufield.calibrate.accelerometer.accelerometer"), "ms"),
         row("import of scipy.optimize", import_ms("scipy.optimize"), "ms"),
         row("scale, largest error against truth", ours, "ppm", theirs),
     ]

@@ -21,9 +21,9 @@ from typing import Any
 import cantools
 import numpy as np
 
-from imufield.acquire.can_frames import EXTENDED, MARK, UNIT_BYTES
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol import load_protocol
+from imufield.acquire.protocol.can_frames import EXTENDED, MARK, UNIT_BYTES
+from imufield.acquire.protocol.protocol import load_protocol
 
 SAMPLES = 200_000
 PEER_FRAMES = 40_000
@@ -33,10 +33,10 @@ RATE_HZ = 1000.0
 GROUP = "239.74.163.77"
 _EMULATE = """
 import sys
-from imufield.acquire.protocol import load_protocol
-from imufield.simulate.can_emulator import CanEmulator
-from imufield.simulate.emulate import Emulation, make_virtual_imu
-from imufield.simulate.emulator import EmulatorSettings
+from imufield.acquire.protocol.protocol import load_protocol
+from imufield.simulate.emulator.can import CanEmulator
+from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
+from imufield.simulate.emulator.serial import EmulatorSettings
 source = make_virtual_imu(Emulation(device="text", rate_hz=float(sys.argv[2])))
 with CanEmulator(load_protocol("j1939_imu"), source, sys.argv[1], EmulatorSettings(duration_s=float(sys.argv[3]))) as emulator:
     print(emulator.bus, flush=True)
@@ -46,8 +46,8 @@ with CanEmulator(load_protocol("j1939_imu"), source, sys.argv[1], EmulatorSettin
 _READ = """
 import json, resource, sys, time
 from pathlib import Path
-from imufield.acquire.can_map import open_can
-from imufield.acquire.recorder import Recorder
+from imufield.acquire.instrument.can_map import open_can
+from imufield.acquire.recording.recorder import Recorder
 from imufield.errors import LinkError
 opened = open_can(sys.argv[1], driver="aceinna_can")
 recorder = Recorder(Path(sys.argv[2]) / "part-001.mcap", {})
@@ -75,7 +75,7 @@ print(json.dumps({"samples": samples, "lost": lost, "cpu": cpu / (last - began)}
 """
 _RECEIVE = """
 import can, contextlib, json, resource, sys, time
-from imufield.acquire.can_link import open_bus, parse_bus
+from imufield.acquire.link.can import open_bus, parse_bus
 bus = open_bus(parse_bus(sys.argv[1]))
 print("ready", flush=True)
 frames, last, began = 0, time.monotonic(), None

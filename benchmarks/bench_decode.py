@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.wire_streams import STREAMS, Stream, microstrain
-from imufield.acquire.checksum import make_checksum
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol import Protocol, load_protocol
+from imufield.acquire.protocol.checksum import make_checksum
+from imufield.acquire.protocol.protocol import Protocol, load_protocol
 
 FRAMES = 200_000
 PEER_FRAMES = 20_000

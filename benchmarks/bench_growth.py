@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.bench_commands import CHUNK_S, Ended, run_program
-from imufield.acquire.link import Chunk
-from imufield.acquire.recorder import Recorder
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
-from imufield.acquire.session import Session
-from imufield.commands.chain import part_metadata
 from imufield.guide.positions import scheme
-from imufield.simulate.devices import Stim300Device
-from imufield.simulate.emulate import Emulation, make_virtual_imu
-from imufield.simulate.encode import Stim300Format
-from imufield.simulate.operator import OperatorSettings
+from imufield.pipeline.chain import part_metadata
+from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
+from imufield.simulate.instruments.stim300 import Stim300Device
+from imufield.simulate.truth.operator import OperatorSettings
+from imufield.simulate.wire.encode import Stim300Format
 
 RATE_HZ = 500.0
 SHORTEST_S = 60.0

@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 
-from imufield.guide.free import StillIntervalFinder
-from imufield.guide.guide import Guide
+from imufield.guide.lead.guide import Guide
+from imufield.guide.lead.unguided import StillIntervalFinder
 from imufield.guide.positions import scheme
 from imufield.samples import Samples, SampleUnits, make_samples
 

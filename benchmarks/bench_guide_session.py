@@ -8,13 +8,13 @@ import time
 from rich.console import Console
 
 from imufield.guide.events import Accepted, Done, Event, Move
-from imufield.guide.guide import Guide
+from imufield.guide.lead.guide import Guide
+from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
-from imufield.guide.settings import GuideSettings
-from imufield.guide.terminal import TerminalView
-from imufield.simulate.grades import TACTICAL, perfect_instrument
-from imufield.simulate.imu import Imu, ImuSettings
-from imufield.simulate.operator import Operator, OperatorSettings
+from imufield.guide.view.terminal import TerminalView
+from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
+from imufield.simulate.truth.imu import Imu, ImuSettings
+from imufield.simulate.truth.operator import Operator, OperatorSettings
 
 RATE_HZ = 200.0
 HOLD_S = 10.0

@@ -16,25 +16,25 @@ from typing import Any
 
 import numpy as np
 
-from imufield.calibrate.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gyroscope_paths import GyroscopeInput, calibrate_gyroscope, make_data
-from imufield.calibrate.gyroscope_report import GYROSCOPE_NAMES
-from imufield.calibrate.gyroscope_static import StaticData, StaticFree, fit_static, seen_latitude_deg
-from imufield.calibrate.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
-from imufield.calibrate.move_integration import rough_inverse
-from imufield.calibrate.moves import MoveCollector
-from imufield.calibrate.noise import NoiseStream
-from imufield.calibrate.result import GyroscopeParameters
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.gyroscope.calibrate import GyroscopeInput, calibrate_gyroscope, make_data
+from imufield.calibrate.gyroscope.move_integration import rough_inverse
+from imufield.calibrate.gyroscope.moves import MoveCollector
+from imufield.calibrate.gyroscope.report import GYROSCOPE_NAMES
+from imufield.calibrate.gyroscope.static_norm import StaticData, StaticFree, fit_static, seen_latitude_deg
+from imufield.calibrate.gyroscope.turntable import TurntableRun, pair_runs
+from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
+from imufield.calibrate.model.result import GyroscopeParameters
+from imufield.calibrate.noise.noise import NoiseStream
 from imufield.calibrate.solvers.evolution import solve_ide
-from imufield.calibrate.turntable import TurntableRun, pair_runs
 from imufield.earth import EARTH_RATE_RAD_S, Gravity
-from imufield.guide.free import StillIntervalFinder, find_still_intervals
+from imufield.guide.lead.unguided import StillIntervalFinder, find_still_intervals
 from imufield.guide.positions import scheme
-from imufield.guide.scale import RoughScale
+from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
-from imufield.simulate.grades import GRADES, draw_truth
-from imufield.simulate.imu import Imu, ImuSettings
-from imufield.simulate.operator import Operator, OperatorSettings
+from imufield.simulate.truth.grades import GRADES, draw_truth
+from imufield.simulate.truth.imu import Imu, ImuSettings
+from imufield.simulate.truth.operator import Operator, OperatorSettings
 from imufield.study.instruments import TURN_RATES_DEG_S
 
 PROJECT = Path(__file__).resolve().parent.parent

@@ -12,19 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from imufield.calibrate.gyroscope_paths import calibrate_gyroscope
-from imufield.calibrate.result import AccelerometerParameters, Calibration, GyroscopeParameters
-from imufield.calibrate.rotation import exponential, multiply
-from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
+from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters
+from imufield.calibrate.model.rotation import exponential, multiply
 from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationResult, StaticNavigation, _OneSet
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.mechanise import load_pyins
-from imufield.deliver.parameters import Corrected
+from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
+from imufield.deliver.parameters.file import Corrected
 from imufield.samples import FloatArray, Samples
-from imufield.simulate.grades import GRADES, TrueInstrument, draw_truth
-from imufield.simulate.imu import Imu, ImuSettings
-from imufield.simulate.motion import Site, sample_motion
-from imufield.simulate.pieces import Piece
+from imufield.simulate.truth.grades import GRADES, TrueInstrument, draw_truth
+from imufield.simulate.truth.imu import Imu, ImuSettings
+from imufield.simulate.truth.motion import Site, sample_motion
+from imufield.simulate.truth.pieces import Piece
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "calibrate"))
 from gyroscope_sessions import simulate, steady

@@ -25,18 +25,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.operator_truth import Edges, EdgeWatch, Standards, bump_shares, outside, true_edges
-from imufield.calibrate.models import recover
+from imufield.calibrate.model.models import recover
 from imufield.earth import MICRO_G_M_S2
 from imufield.guide.events import Accepted, Advice, Done, Event, Move, RefusalCode, Rejected, Topic
-from imufield.guide.guide import Guide
-from imufield.guide.observe import Observation, guard_cells
+from imufield.guide.hold.observe import Observation, guard_cells
+from imufield.guide.lead.guide import Guide
+from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.lead.state_table import State
 from imufield.guide.positions import scheme
-from imufield.guide.scale import RoughScale
-from imufield.guide.settings import GuideSettings
-from imufield.guide.state_table import State
-from imufield.simulate.grades import GRADES, draw_truth
-from imufield.simulate.imu import Imu, ImuSettings
-from imufield.simulate.operator import Operator, OperatorSettings
+from imufield.guide.stillness.scale import RoughScale
+from imufield.simulate.truth.grades import GRADES, draw_truth
+from imufield.simulate.truth.imu import Imu, ImuSettings
+from imufield.simulate.truth.operator import Operator, OperatorSettings
 
 BLOCK_S = 0.3
 """What the guide gets at once, and how late the operator may hear it."""

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.link import Chunk, open_link
-from imufield.acquire.protocol import load_protocol
-from imufield.acquire.recorder import Recorder
-from imufield.acquire.recording import RecordedBlock, read_blocks, read_part
-from imufield.acquire.session import Session
-from imufield.simulate.encode import close_datagrams
+from imufield.acquire.link.serial import Chunk, open_link
+from imufield.acquire.protocol.protocol import load_protocol
+from imufield.acquire.recording.reader import RecordedBlock, read_blocks, read_part
+from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.session import Session
+from imufield.simulate.wire.encode import close_datagrams
 
 RATE_HZ = 2000
 FRAME_BYTES = 40

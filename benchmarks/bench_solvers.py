@@ -13,12 +13,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from imufield.calibrate.costs import NormProblem
+from imufield.calibrate.accelerometer.whitening import whitened_problem
 from imufield.calibrate.solvers.beetles import BasSettings, solve_bas, solve_bsas
+from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.evolution import solve_ide
 from imufield.calibrate.solvers.least_squares import solve_least_squares
-from imufield.calibrate.triad_costs import TriadProblem
-from imufield.calibrate.whitening import whitened_problem
+from imufield.calibrate.solvers.triad_costs import TriadProblem
 from imufield.samples import FloatArray
 from imufield.study.bsas_runs import run_whitened
 from imufield.study.campaign import run_campaign

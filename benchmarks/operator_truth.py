@@ -9,20 +9,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imufield.calibrate.models import recover
-from imufield.guide.cells import Cells, cells_of, join_cells
+from imufield.calibrate.model.models import recover
 from imufield.guide.events import Accepted
-from imufield.guide.held import held_mean
-from imufield.guide.limits import Limits, StillnessSettings
-from imufield.guide.noise_floor import NoiseFloor
-from imufield.guide.observe import Observation, knocks_of, observe
-from imufield.guide.scale import RoughScale
-from imufield.guide.stillness import StillnessDetector
-from imufield.guide.turn_fit import minimum_jerk
+from imufield.guide.hold.hand_mean import held_mean
+from imufield.guide.hold.observe import Observation, knocks_of, observe
+from imufield.guide.stillness.cells import Cells, cells_of, join_cells
+from imufield.guide.stillness.detector import StillnessDetector
+from imufield.guide.stillness.limits import Limits, StillnessSettings
+from imufield.guide.stillness.noise_floor import NoiseFloor
+from imufield.guide.stillness.scale import RoughScale
+from imufield.guide.stillness.turn_fit import minimum_jerk
 from imufield.samples import Samples, concatenate
-from imufield.simulate.imu import Imu
-from imufield.simulate.operator import Operator
-from imufield.simulate.pieces import Piece
+from imufield.simulate.truth.imu import Imu
+from imufield.simulate.truth.operator import Operator
+from imufield.simulate.truth.pieces import Piece
 
 
 @dataclass(frozen=True, slots=True)

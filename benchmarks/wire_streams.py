@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.checksum import make_checksum
+from imufield.acquire.protocol.checksum import make_checksum
 
 Rows = NDArray[np.uint8]
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from imufield.acquire.checksum import make_checksum
-from imufield.acquire.exchange import Command, Message
+from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.protocol.checksum import make_checksum
 
 _CRC = make_checksum("CRC-8/SMBUS", start=0xFF)
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
-from imufield.acquire.checksum import make_checksum
 from imufield.acquire.driver import Ability, Driver, Evidence
-from imufield.acquire.exchange import Command, Message
+from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.protocol.checksum import make_checksum
 
 BINARY_OUTPUTS = (75, 76, 77)
 _MODEL, _SERIAL, _FIRMWARE = 1, 3, 4

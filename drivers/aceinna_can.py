@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar
 
-from imufield.acquire.can_frames import EXTENDED, pack_frame
 from imufield.acquire.driver import Driver, Evidence, Wire
+from imufield.acquire.protocol.can_frames import EXTENDED, pack_frame
 
 HOST_ADDRESS = 0xF9
 """J1939 address of an off-board service tool."""

@@ -6,9 +6,9 @@ import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
-from imufield.acquire.checksum import make_checksum
 from imufield.acquire.driver import Ability, Driver, Evidence, choose_divisor, choose_rate
-from imufield.acquire.exchange import Command, Message
+from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.protocol.checksum import make_checksum
 
 _CRC = make_checksum("CRC-16/SPI-FUJITSU")
 _DMU_KINDS = frozenset({"0x5330", "0x5331"})

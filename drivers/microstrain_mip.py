@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
-from imufield.acquire.checksum import make_checksum
 from imufield.acquire.driver import Ability, Driver, Evidence, choose_divisor
-from imufield.acquire.exchange import Command, Message
+from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.protocol.checksum import make_checksum
 
 _SUMS = make_checksum("FLETCHER-16/MOD-256")
 BASE, SETTINGS = 0x01, 0x0C

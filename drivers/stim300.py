@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
 from imufield.acquire.driver import Ability, Driver, Evidence, choose_rate
-from imufield.acquire.exchange import Command, Message
+from imufield.acquire.instrument.exchange import Command, Message
 
 from ._stim300_utility import enter_utility_mode, utility
 

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from typing import ClassVar
 
 from imufield.acquire.driver import Evidence, choose_rate
-from imufield.acquire.exchange import Command, Message
+from imufield.acquire.instrument.exchange import Command, Message
 
 from ._vectornav_registers import VectorNav, read, values_of, write
 

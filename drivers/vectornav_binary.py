@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import ClassVar
 
 from imufield.acquire.driver import Evidence, choose_divisor
-from imufield.acquire.exchange import Command, Message
+from imufield.acquire.instrument.exchange import Command, Message
 
 from ._vectornav_registers import BINARY_OUTPUTS, VectorNav, read, values_of, write
 

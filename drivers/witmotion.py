@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
 from imufield.acquire.driver import Ability, Driver, Evidence, choose_rate
-from imufield.acquire.exchange import Command, Message
+from imufield.acquire.instrument.exchange import Command, Message
 
 _RATE, _VERSION, _SERIAL, _SERIAL_END, _READ, _KEY = 0x03, 0x2E, 0x7F, 0x83, 0x27, 0x69
 _UNLOCK = 0xB588

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
-from imufield.acquire.checksum import make_checksum
 from imufield.acquire.driver import Ability, Driver, Evidence
-from imufield.acquire.exchange import Command, Message
+from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.protocol.checksum import make_checksum
 
 _SUM = make_checksum("SUM-8/NEGATED")
 REQUEST_DEVICE_ID, GO_TO_MEASUREMENT, REQUEST_FIRMWARE = 0x00, 0x10, 0x12

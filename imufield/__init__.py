@@ -32,12 +32,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from imufield.version import __version__
+
 if TYPE_CHECKING:
-    from imufield.deliver.history import find
-    from imufield.deliver.parameters import load
+    from imufield.deliver.parameters.file import load
+    from imufield.deliver.report.history import find
 
 __all__ = ["__version__", "find", "load"]
-__version__ = "0.1.0"
 
 # A wheel has drivers/ and protocols/ inside this package, a checkout has them beside it.
 _checkout = Path(__file__).resolve().parent.parent
@@ -48,11 +49,11 @@ if (_checkout / "pyproject.toml").is_file():
 def __getattr__(name: str) -> Any:
     """Import ``load`` and ``find`` on first use: NumPy and the rooms take longer than a prompt should wait."""
     if name == "load":
-        from imufield.deliver.parameters import load
+        from imufield.deliver.parameters.file import load
 
         return load
     if name == "find":
-        from imufield.deliver.history import find
+        from imufield.deliver.report.history import find
 
         return find
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -27,13 +27,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from imufield.acquire.session import Session
-    from imufield.deliver.parameters import Parameters
+    from imufield.acquire.recording.session import Session
+    from imufield.deliver.parameters.file import Parameters
     from imufield.samples import Samples
-    from imufield.simulate.can_emulator import CanEmulator
-    from imufield.simulate.emulator import Emulator
-    from imufield.simulate.emulator_core import EmulatorCore
-    from imufield.simulate.faults import WireFaults
+    from imufield.simulate.emulator.can import CanEmulator
+    from imufield.simulate.emulator.core import EmulatorCore
+    from imufield.simulate.emulator.faults import WireFaults
+    from imufield.simulate.emulator.serial import Emulator
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Replayed:
     @cached_property
     def samples(self) -> Samples:
         """All samples, in one block on one sample clock."""
-        from imufield.commands.chain import session_samples
+        from imufield.pipeline.chain import session_samples
         from imufield.samples import concatenate
 
         return concatenate(session_samples(self.session, []))
@@ -53,7 +53,7 @@ class Replayed:
     @cached_property
     def events(self) -> list[dict[str, Any]]:
         """What the guide says, as in JSON lines; empty for a session that nobody guided."""
-        from imufield.commands.chain import Chain, ReadingPlan, replay_into
+        from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 
         events: list[dict[str, Any]] = []
         chain = Chain(ReadingPlan.of(self.session))
@@ -67,8 +67,8 @@ class Replayed:
 
     def solve(self, **options: Any) -> Parameters:
         """Solve with options of ``imufield.commands.solve.SolveOptions``; ``gravity_m_s2`` and ``latitude_deg`` too."""
-        from imufield.commands.site import SiteOptions
         from imufield.commands.solve import SolveOptions, solve_session
+        from imufield.pipeline.site import SiteOptions
 
         site = SiteOptions(options.pop("gravity_m_s2", None), options.pop("latitude_deg", None), options.pop("height_m", None))
         return solve_session(self.session, SolveOptions(site=site, **options)).parameters
@@ -84,7 +84,7 @@ def imufield_replay(tmp_path: Path) -> Callable[..., Replayed]:
     """Return a function that replays a session folder, or a raw byte dump with ``protocol`` and ``settings``."""
 
     def replay(path: str | Path, protocol: str | None = None, settings: Mapping[str, str] | None = None) -> Replayed:
-        from imufield.acquire.session import Session
+        from imufield.acquire.recording.session import Session
         from imufield.commands.import_files import ImportOptions, import_session
 
         if protocol is None:
@@ -102,8 +102,8 @@ def imufield_pty() -> Iterator[Callable[..., Emulator]]:
     with ExitStack() as stack:
 
         def start(driver: str = "stim300", *, faults: Mapping[str, Any] | None = None, **options: Any) -> Emulator:
-            from imufield.simulate.emulator import Emulator
-            from imufield.simulate.faults import Faults
+            from imufield.simulate.emulator.faults import Faults
+            from imufield.simulate.emulator.serial import Emulator
 
             emulator = _make_emulator(driver, Faults(**(faults or {})), {"wait_for_reader": True, **options})
             if not isinstance(emulator, Emulator):
@@ -119,8 +119,8 @@ def imufield_can_bus() -> Iterator[Callable[..., CanEmulator]]:
     with ExitStack() as stack:
 
         def start(driver: str, bus: str = "slcan", *, faults: Mapping[str, Any] | None = None, **options: Any) -> CanEmulator:
-            from imufield.simulate.can_emulator import CanEmulator
-            from imufield.simulate.faults import CanFaults
+            from imufield.simulate.emulator.can import CanEmulator
+            from imufield.simulate.emulator.faults import CanFaults
 
             emulator = _make_emulator(driver, CanFaults(**(faults or {})), {"bus": bus, **options})
             if not isinstance(emulator, CanEmulator):
@@ -131,8 +131,8 @@ def imufield_can_bus() -> Iterator[Callable[..., CanEmulator]]:
 
 
 def _make_emulator(driver: str, faults: WireFaults, options: dict[str, Any]) -> EmulatorCore:
-    from imufield.simulate.emulate import Emulation, make_emulator
-    from imufield.simulate.emulator_core import EmulatorSettings
+    from imufield.simulate.emulator.core import EmulatorSettings
+    from imufield.simulate.emulator.emulate import Emulation, make_emulator
 
     names = ("speed", "wait_for_reader", "duration_s")
     run = EmulatorSettings(**{name: options.pop(name) for name in names if name in options})

@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imufield.acquire.can_frames import EXTENDED, pack_frame
-from imufield.acquire.can_map import open_can
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver
-from imufield.acquire.link import Link, open_link
-from imufield.acquire.protocol import Protocol, load_protocol, protocol_names
+from imufield.acquire.instrument.can_map import open_can
+from imufield.acquire.link.serial import Link, open_link
+from imufield.acquire.protocol.can_frames import EXTENDED, pack_frame
+from imufield.acquire.protocol.protocol import Protocol, load_protocol, protocol_names
 from imufield.acquire.registry import load_driver, shipped_names
 from imufield.samples import Samples, concatenate
-from imufield.simulate.emulate import Emulation, choose_wire, make_emulator
-from imufield.simulate.emulator_core import EmulatorCore, EmulatorSettings
+from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
+from imufield.simulate.emulator.emulate import Emulation, choose_wire, make_emulator
 
 NAMES = shipped_names()
 PROTOCOLS_WITHOUT_DRIVER = {"rows_f64": "written by imufield itself, no instrument sends it"}

@@ -15,7 +15,7 @@ from typer.main import get_command
 from imufield import errors
 from imufield.cli.app import app
 from imufield.commands.configuration import KEYS
-from imufield.deliver.parameters import parameter_schema
+from imufield.deliver.parameters.file import parameter_schema
 from imufield.errors import ImufieldError, Reason
 
 PROJECT = Path(__file__).resolve().parent.parent

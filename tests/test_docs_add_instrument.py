@@ -14,11 +14,11 @@ import cantools
 import numpy as np
 import pytest
 
-from imufield.acquire.can_frames import Frame
-from imufield.acquire.can_map import parse_map, protocol_from_dbc
+from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol import Protocol, load_protocol
-from imufield.acquire.statistics import remarks
+from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc
+from imufield.acquire.protocol.can_frames import Frame
+from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.samples import Samples, Status, concatenate
 from tests.acquire.plain_frames import pack_frames
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol import load_protocol
+from imufield.acquire.protocol.protocol import load_protocol
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "protocols.md"
 SAMPLES = 20

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imufield.calibrate.gauge import intrinsic
-from imufield.calibrate.models import to_vector
+from imufield.calibrate.model.gauge import intrinsic
+from imufield.calibrate.model.models import to_vector
 from imufield.guide.positions import scheme
-from imufield.simulate.emulate import Emulation, make_virtual_imu
-from imufield.simulate.operator import OperatorSettings
+from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
+from imufield.simulate.truth.operator import OperatorSettings
 from imufield.testing import Replayed
 
 FIXTURE = Path(__file__).resolve().parent.parent / "fixtures" / "stim300-six-faces"

@@ -11,16 +11,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imufield.calibrate.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gauge import intrinsic
-from imufield.calibrate.models import to_vector
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.gauge import intrinsic
+from imufield.calibrate.model.models import to_vector
 from imufield.earth import choose_gravity
-from imufield.guide.guide import Guide
+from imufield.guide.lead.guide import Guide
+from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
-from imufield.guide.settings import GuideSettings
 from imufield.samples import FloatArray
-from imufield.simulate.emulate import Emulation, make_virtual_imu
-from imufield.simulate.operator import OperatorSettings
+from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
+from imufield.simulate.truth.operator import OperatorSettings
 
 SEEDS = 200
 RATE_HZ = 100.0

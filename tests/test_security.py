@@ -33,12 +33,12 @@ BANNED_CALLS = {
 }
 BANNED_OPTIONS = {"shell", "allow_pickle"}
 MAY_START_PROGRAMS = {
-    "imufield/guide/sound.py",
+    "imufield/guide/view/sound.py",
     "imufield/commands/demo.py",
-    "imufield/acquire/can_logs.py",
-    "imufield/acquire/table_arrays.py",
+    "imufield/acquire/formats/can_logs.py",
+    "imufield/acquire/formats/table_arrays.py",
 }
-MAY_USE = {("imufield/simulate/port.py", "pty")}
+MAY_USE = {("imufield/simulate/emulator/port.py", "pty")}
 """The emulator makes pseudo-terminals; it starts nothing in them."""
 SAMPLES = {
     "import pickle": "pickle",
@@ -105,7 +105,7 @@ def test_no_file_runs_what_it_reads(path: Path) -> None:
 
 
 def test_programs_get_lists_and_nothing_of_the_wire() -> None:
-    # What sound says is made of constants and axis names: `tests/guide/test_sound.py` feeds it hostile texts.
+    # What sound says is made of constants and axis names: `tests/guide/view/test_sound.py` feeds it hostile texts.
     for name in MAY_START_PROGRAMS:
         tree = ast.parse((PROJECT / name).read_text(encoding="utf-8"))
         names = names_of(tree)

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 import serial
 
-from imufield.acquire.can_map import open_can
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.link import Chunk
-from imufield.acquire.protocol import load_protocol
-from imufield.acquire.recording import RecordedEvent, read_session
-from imufield.acquire.session import Session
+from imufield.acquire.instrument.can_map import open_can
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.protocol.protocol import load_protocol
+from imufield.acquire.recording.reader import RecordedEvent, read_session
+from imufield.acquire.recording.session import Session
 from imufield.guide.positions import scheme
-from imufield.simulate.emulate import Emulation, make_virtual_imu
-from imufield.simulate.encode import Stim300Encoder, Stim300Format
-from imufield.simulate.operator import OperatorSettings
+from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
+from imufield.simulate.truth.operator import OperatorSettings
+from imufield.simulate.wire.encode import Stim300Encoder, Stim300Format
 from imufield.testing import Replayed
 
 pytest_plugins = ["pytester"]

@@ -15,21 +15,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.assembly import FrameReader, RawBlock, join
-from imufield.acquire.frame_check import distinct
-from imufield.acquire.frame_join import FrameJoin
-from imufield.acquire.frame_schema import FrameRule
-from imufield.acquire.framing import FrameBlock, Framer
-from imufield.acquire.layout import Field
-from imufield.acquire.protocol import Protocol
-from imufield.acquire.protocol_schema import NANOSECONDS, ClockRule
-from imufield.acquire.sample_clock import Arrivals, SampleClock
-from imufield.acquire.statistics import DecoderStatistics
-from imufield.acquire.text_lines import LineReader
+from imufield.acquire.clock.sample_clock import Arrivals, SampleClock
+from imufield.acquire.decode.assembly import FrameJoin, FrameReader, RawBlock, join
+from imufield.acquire.decode.frame_check import distinct
+from imufield.acquire.decode.framing import FrameBlock, Framer
+from imufield.acquire.decode.statistics import DecoderStatistics
+from imufield.acquire.decode.text_lines import LineReader
+from imufield.acquire.protocol.frame_schema import FrameRule
+from imufield.acquire.protocol.layout import Field
+from imufield.acquire.protocol.protocol import Protocol
+from imufield.acquire.protocol.samples_and_clock import NANOSECONDS, ClockRule
 from imufield.samples import FloatArray, IntArray, Samples, Status, concatenate, no_samples
 
 if TYPE_CHECKING:
-    from imufield.acquire.can_protocol import CanRule
+    from imufield.acquire.protocol.can_protocol import CanRule
 
 _INCOMPLETE = np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID)
 _PIECE_BYTES = 1 << 18
@@ -50,7 +49,7 @@ class Decoder:
 
     Examples
     --------
-    >>> from imufield.acquire.protocol import load_protocol
+    >>> from imufield.acquire.protocol.protocol import load_protocol
     >>> decoder = Decoder(load_protocol("stim300", {"accelerometer_range_g": 30}))
     >>> len(decoder.feed(b"noise", arrival_s=0.0))
     0
@@ -133,8 +132,8 @@ class Decoder:
 
 
 def _can_parts(protocol: Protocol, rule: CanRule, statistics: DecoderStatistics, keep: Any) -> tuple[Any, Any]:
-    from imufield.acquire.can_clock import CanClock
-    from imufield.acquire.can_source import CanSource
+    from imufield.acquire.clock.can_clock import CanClock
+    from imufield.acquire.decode.can_source import CanSource
 
     return CanSource(rule, statistics, keep), CanClock(protocol.clock, protocol.units, rule.counter_steps, statistics)
 

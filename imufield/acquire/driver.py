@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
-from imufield.acquire.exchange import Command, Message, any_message
-from imufield.acquire.protocol import Protocol, load_protocol
+from imufield.acquire.instrument.exchange import Command, Message, any_message
+from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.errors import UsageError
 
 Evidence = Literal["verified on real bytes", "document only"]

@@ -10,7 +10,7 @@ import pkgutil
 from importlib.metadata import EntryPoint, entry_points
 
 from imufield.acquire.driver import Driver
-from imufield.acquire.protocol_toml import near
+from imufield.acquire.protocol.toml import near
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 
 GROUP = "imufield.drivers"

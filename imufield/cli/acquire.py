@@ -72,7 +72,7 @@ def probe(
 
     Example: imufield probe --bus socketcan:can0
     """
-    from imufield.commands.connect import host_clock
+    from imufield.acquire.instrument.connect import host_clock
     from imufield.commands.probe import run_probe, run_probe_bus
 
     options = connect_options(context, port, bus, None, baud, None, None, None, None)
@@ -128,9 +128,9 @@ def capture(
 
     Example: imufield capture --port /dev/ttyUSB0 --latitude 48.1 --height 520
     """
+    from imufield.acquire.instrument.connect import host_clock
     from imufield.commands.capture import CaptureOptions, run_capture
-    from imufield.commands.connect import host_clock
-    from imufield.commands.views import Manner, parse_side
+    from imufield.commands.terminal.views import Manner, parse_side
 
     options = CaptureOptions(
         connect=connect_options(context, port, bus, driver, baud, protocol, dbc, mapping, settings, rate_hz),
@@ -176,7 +176,7 @@ def record(
 
     Example: imufield record --bus socketcan:can0 --driver aceinna_can
     """
-    from imufield.commands.connect import host_clock
+    from imufield.acquire.instrument.connect import host_clock
     from imufield.commands.record import RecordOptions, run_record
 
     connect = connect_options(context, port, bus, driver, baud, protocol, dbc, mapping, settings, rate_hz)
@@ -218,8 +218,8 @@ def import_files(
 
     Example: imufield import drive.blf --driver aceinna_can
     """
+    from imufield.acquire.instrument.connect import parse_mapping
     from imufield.commands.configuration import parse_settings
-    from imufield.commands.connect import parse_mapping
     from imufield.commands.import_files import ImportOptions, run_import
 
     options = ImportOptions(

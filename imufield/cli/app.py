@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from imufield import __version__
 from imufield.cli import acquire, calibrate, deliver
+from imufield.version import __version__
 
 app = typer.Typer(
     name="imufield",

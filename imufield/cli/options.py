@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import typer
 
 if TYPE_CHECKING:
-    from imufield.commands.connect import ConnectOptions
-    from imufield.commands.site import SiteOptions
+    from imufield.acquire.instrument.connect import ConnectOptions
+    from imufield.pipeline.site import SiteOptions
 
 
 def within(low: float, high: float = math.inf) -> Callable[[Any], Any]:
@@ -130,8 +130,8 @@ def connect_options(
     UsageError
         Both were typed, or an option is not of the form NAME=VALUE.
     """
+    from imufield.acquire.instrument.connect import ConnectOptions, parse_mapping
     from imufield.commands.configuration import parse_settings
-    from imufield.commands.connect import ConnectOptions, parse_mapping
     from imufield.errors import UsageError
 
     if port is not None and bus is not None:
@@ -159,8 +159,8 @@ def is_typed(context: typer.Context, name: str) -> bool:
 
 def site(context: typer.Context, gravity: float | None, latitude: float | None, height: float | None) -> SiteOptions:
     """Return the site: what was typed; without that the defaults of file and variables, which a session's own site beats."""
-    from imufield.commands.site import SiteOptions
     from imufield.earth import sigma_of_digits
+    from imufield.pipeline.site import SiteOptions
 
     values = {"gravity": gravity, "latitude": latitude, "height": height}
     typed = {name: value for name, value in values.items() if is_typed(context, name)}

@@ -70,7 +70,7 @@ def _forget(stream: TextIO) -> None:
 
 
 def _complain(message: str) -> None:
-    from imufield.commands.output import say
+    from imufield.commands.terminal.output import say
 
     say(f"imufield: {message.rstrip('.')}.", err=True, indent=2, color="red")
 
@@ -94,7 +94,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _interrupted_words(arguments: list[str], leave: BaseException | None = None) -> str:
-    from imufield.commands.output import NothingRecorded
+    from imufield.commands.terminal.output import NothingRecorded
 
     command = arguments[0] if arguments else ""
     while leave is not None and not isinstance(leave, NothingRecorded):

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import typer
 
-from imufield.acquire.recording import Damage
-from imufield.acquire.session import Session
-from imufield.commands.chain import session_samples
+from imufield.acquire.recording.reader import Damage
+from imufield.acquire.recording.session import Session
+from imufield.commands.export_data import RowCount
 from imufield.commands.import_files import table_samples
-from imufield.commands.output import say
-from imufield.commands.rows import RowCount
-from imufield.deliver.apply_session import apply_session
-from imufield.deliver.numbers import beside, hanging
-from imufield.deliver.parameters import load
+from imufield.commands.terminal.output import say
+from imufield.deliver.parameters.file import load
+from imufield.deliver.parameters.numbers import beside, hanging
+from imufield.deliver.samples.apply_session import apply_session
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting
+from imufield.pipeline.chain import session_samples
 
 
 def run_apply(parameters: Path, source: Path, output: Path, rate_hz: float | None = None) -> None:

@@ -13,30 +13,30 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from imufield.acquire.host_clock import HostClock, ScaledClock, SystemClock
-from imufield.acquire.link import Chunk
-from imufield.acquire.recorder import Recorder
-from imufield.acquire.recording import Damage
-from imufield.acquire.session import DEFAULT_ROOT, Session
-from imufield.acquire.statistics import remarks
-from imufield.commands.chain import MARK, SCHEME_FILE, Chain, ReadingPlan, part_metadata, replay_into
-from imufield.commands.connect import Connected, ConnectOptions, check_files, connect
-from imufield.commands.output import before_recording, say
-from imufield.commands.questions import ask
-from imufield.commands.reconnect import PatientLink
+from imufield.acquire.decode.statistics import remarks
+from imufield.acquire.instrument.connect import Connected, ConnectOptions, check_files, connect
+from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
+from imufield.acquire.link.reconnect import PatientLink
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.reader import Damage
+from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.session import DEFAULT_ROOT, Session
 from imufield.commands.resume import check_instrument, check_plan, connect_as_before, find_unfinished, site_as_before
-from imufield.commands.site import SiteOptions
 from imufield.commands.solve import FEWEST_POSITIONS
-from imufield.commands.views import LinkState, LiveStatus, Manner, View, ViewName, make_view
-from imufield.deliver.numbers import beside
-from imufield.deliver.parameters import Parameters, load
+from imufield.commands.terminal.output import before_recording, say
+from imufield.commands.terminal.questions import ask
+from imufield.commands.terminal.views import LinkState, LiveStatus, Manner, View, ViewName, make_view
+from imufield.deliver.parameters.file import Parameters, load
+from imufield.deliver.parameters.numbers import beside
 from imufield.errors import ImufieldError, UsageError
 from imufield.files import read_small_file, write_atomically
 from imufield.guide.events import Advice, Event, Topic
-from imufield.guide.keys import Keyboard
-from imufield.guide.plain import known_words, words
+from imufield.guide.lead.turns import HORIZONTAL, VERTICAL
 from imufield.guide.positions import SCHEMES, scheme
-from imufield.guide.rotations import HORIZONTAL, VERTICAL
+from imufield.guide.view.plain import known_words, words
+from imufield.guide.view.terminal import Keyboard
+from imufield.pipeline.chain import MARK, SCHEME_FILE, Chain, ReadingPlan, part_metadata, replay_into
+from imufield.pipeline.site import SiteOptions
 
 DEFAULT_SCHEME = "paper24"
 ROTATIONS = {"rolled": HORIZONTAL, "table": VERTICAL}

@@ -19,21 +19,21 @@ from typing import Any
 import numpy as np
 import typer
 
-from imufield.acquire.host_clock import ScaledClock
-from imufield.acquire.session import DEFAULT_ROOT
-from imufield.calibrate.gauge import intrinsic
-from imufield.calibrate.models import to_vector
-from imufield.calibrate.result import AccelerometerParameters, Calibration
+from imufield.acquire.instrument.connect import ConnectOptions
+from imufield.acquire.link.host_clock import ScaledClock
+from imufield.acquire.recording.session import DEFAULT_ROOT
+from imufield.calibrate.model.gauge import intrinsic
+from imufield.calibrate.model.models import to_vector
+from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.commands.capture import Captured, CaptureOptions, run_capture
-from imufield.commands.connect import ConnectOptions
-from imufield.commands.site import SiteOptions
 from imufield.commands.solve import SolveOptions, solve_session
-from imufield.commands.views import ViewName
-from imufield.deliver.parameters import PARAMETER_FILE, write_document
-from imufield.deliver.summary import Outcome, print_summary
+from imufield.commands.terminal.views import ViewName
+from imufield.deliver.parameters.file import PARAMETER_FILE, write_document
+from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.errors import LinkError, Reason
+from imufield.pipeline.site import SiteOptions
 from imufield.samples import FloatArray
-from imufield.simulate.motion import Site
+from imufield.simulate.truth.motion import Site
 
 RATE_HZ = 500.0
 HOLD_S = 5.0

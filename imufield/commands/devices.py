@@ -8,9 +8,9 @@ from typing import Any
 
 import typer
 
-from imufield.acquire.ports import can_channels, serial_ports
+from imufield.acquire.link.ports import can_channels, serial_ports
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.deliver.numbers import hanging
+from imufield.deliver.parameters.numbers import hanging
 from imufield.errors import ProtocolError
 
 _TRIED = "verified on real bytes"

@@ -11,17 +11,17 @@ from typing import Any
 
 import typer
 
-from imufield.acquire.protocol_toml import spell
+from imufield.acquire.protocol.toml import spell
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.commands.capture import REVISIT_FROM, ROTATIONS
-from imufield.commands.output import replace_only
-from imufield.deliver.numbers import beside
+from imufield.commands.terminal.output import replace_only
+from imufield.deliver.parameters.numbers import beside
 from imufield.errors import UsageError
 from imufield.guide.positions import scheme
-from imufield.simulate.emulate import TRUTH_FORMAT, Emulation, WireChoice, choose_wire, emulate
-from imufield.simulate.emulator_core import EmulatorCore, EmulatorSettings
-from imufield.simulate.faults import CanFaults, Faults, WireFaults
-from imufield.simulate.operator import OperatorSettings
+from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
+from imufield.simulate.emulator.emulate import TRUTH_FORMAT, Emulation, WireChoice, choose_wire, emulate
+from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
+from imufield.simulate.truth.operator import OperatorSettings
 
 STANDS_STILL = "none"
 INITIAL_STILL_S = 6.0

@@ -9,8 +9,8 @@ import typer
 
 from imufield.commands.configuration import parse_settings
 from imufield.deliver.exports import TARGETS, export_options, export_parameters, write_exported
-from imufield.deliver.numbers import hanging
-from imufield.deliver.parameters import load
+from imufield.deliver.parameters.file import load
+from imufield.deliver.parameters.numbers import hanging
 
 
 def run_export(path: Path, target: str | None, settings: list[str] | None, output: Path | None, *, as_json: bool) -> None:

@@ -14,10 +14,11 @@ from typing import Any
 
 import typer
 
-from imufield.acquire.session import DEFAULT_ROOT
-from imufield.commands.output import say, write_output
-from imufield.deliver.gauge_free import Number
-from imufield.deliver.history import (
+from imufield.acquire.recording.session import DEFAULT_ROOT
+from imufield.commands.terminal.output import say, write_output
+from imufield.deliver.parameters.gauge_free import Number
+from imufield.deliver.parameters.numbers import WIDTH, beside, hanging, to_ascii, with_sigma
+from imufield.deliver.report.history import (
     STALE_DAYS,
     Change,
     History,
@@ -29,7 +30,6 @@ from imufield.deliver.history import (
     sentences,
     to_csv,
 )
-from imufield.deliver.numbers import WIDTH, beside, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError, counted
 from imufield.files import refuse_overwriting
 

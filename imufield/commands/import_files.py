@@ -15,25 +15,25 @@ from typing import Any
 
 import typer
 
+from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.host_clock import SystemClock
-from imufield.acquire.link import Chunk
-from imufield.acquire.part_file import is_part
-from imufield.acquire.protocol import Protocol, load_protocol
-from imufield.acquire.recorder import Recorder
+from imufield.acquire.formats.ros_bags import is_bag
+from imufield.acquire.formats.table_text import read_pieces
+from imufield.acquire.formats.table_units import TIME_UNIT
+from imufield.acquire.formats.tables import ROWS_PROTOCOL, ImportedTable, read_tables, stream_table, write_rows
+from imufield.acquire.instrument.connect import assumed
+from imufield.acquire.link.host_clock import SystemClock
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.protocol.protocol import Protocol, load_protocol
+from imufield.acquire.recording.part_file import is_part
+from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.session import DEFAULT_ROOT, LOCK_FILE, SETTINGS_FILE, Session
 from imufield.acquire.registry import load_driver
-from imufield.acquire.ros_bags import is_bag
-from imufield.acquire.session import DEFAULT_ROOT, LOCK_FILE, SETTINGS_FILE, Session
-from imufield.acquire.statistics import remarks
-from imufield.acquire.table_text import read_pieces
-from imufield.acquire.table_units import TIME_UNIT
-from imufield.acquire.tables import ROWS_PROTOCOL, ImportedTable, read_tables, stream_table, write_rows
-from imufield.commands.chain import part_metadata
-from imufield.commands.connect import assumed
-from imufield.commands.output import say
-from imufield.commands.site import SiteOptions
-from imufield.deliver.numbers import beside
+from imufield.commands.terminal.output import say
+from imufield.deliver.parameters.numbers import beside
 from imufield.errors import Reason, RecordingError, UsageError
+from imufield.pipeline.chain import part_metadata
+from imufield.pipeline.site import SiteOptions
 from imufield.samples import Samples
 
 DUMP_CHUNK_BYTES = 1 << 16
@@ -140,7 +140,7 @@ def _protocol(options: ImportOptions) -> Protocol | None:
     if options.mapping and options.dbc is None:
         raise UsageError("--map names signals of a DBC file; give the file with --dbc")
     if options.dbc is not None:
-        from imufield.acquire.can_map import protocol_from_dbc
+        from imufield.acquire.instrument.can_map import protocol_from_dbc
 
         return protocol_from_dbc(options.dbc, options.mapping, options.settings)
     if options.protocol is not None:
@@ -184,7 +184,7 @@ def _refuse_own(paths: Sequence[Path]) -> None:
 
 def _refuse_can_log(options: ImportOptions) -> None:
     """Refuse a log of a CAN bus of which nobody says what is on it: its frames alone mean nothing."""
-    from imufield.acquire.can_logs import begins_as_can_log
+    from imufield.acquire.formats.can_logs import begins_as_can_log
 
     for path in options.files:
         if begins_as_can_log(path):
@@ -195,7 +195,7 @@ def _refuse_can_log(options: ImportOptions) -> None:
 
 def _import_can(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:
     """Put the frames of logs into a recording; they arrive when the logs say."""
-    from imufield.acquire.can_logs import import_log
+    from imufield.acquire.formats.can_logs import import_log
 
     if options.columns or options.rate_hz or options.zero:
         raise UsageError("--columns, --rate-hz and --zero are for tables; a log of a CAN bus has its --set")
@@ -210,7 +210,7 @@ def _import_can(options: ImportOptions, protocol: Protocol) -> tuple[Session, li
 
 def _try_can(options: ImportOptions, protocol: Protocol) -> list[str]:
     """Decode before anything is made of the logs; return what there is to say of them. Raises as ``_try_dump``."""
-    from imufield.acquire.can_logs import read_log
+    from imufield.acquire.formats.can_logs import read_log
 
     losses: list[str] = []
     decoder = Decoder(protocol)

@@ -10,18 +10,18 @@ from typing import get_args
 
 import typer
 
-from imufield.acquire.recording import Damage
-from imufield.acquire.session import Session
-from imufield.calibrate.noise import NoiseResult, measure_noise
-from imufield.calibrate.noise_fit import NoiseFigure
-from imufield.calibrate.noise_texts import NoiseFormat, draw_plot, noise_text
-from imufield.commands.calibration import one_of
-from imufield.commands.chain import recorded_protocol, session_samples
-from imufield.commands.damage import naming_damage
-from imufield.commands.output import say, write_output
-from imufield.deliver.document import noise_table
-from imufield.deliver.parameters import Noise, Parameters, load, write_document
+from imufield.acquire.recording.reader import Damage
+from imufield.acquire.recording.session import Session
+from imufield.calibrate.noise.noise import NoiseResult, measure_noise
+from imufield.calibrate.noise.noise_fit import NoiseFigure
+from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_text
+from imufield.commands.terminal.output import say, write_output
+from imufield.deliver.parameters.document import noise_table
+from imufield.deliver.parameters.file import Noise, Parameters, load, write_document
 from imufield.files import refuse_overwriting
+from imufield.pipeline.calibration import one_of
+from imufield.pipeline.chain import recorded_protocol, session_samples
+from imufield.pipeline.damage import naming_damage
 
 _FIGURES = {
     "density": ("density", "/sqrt(Hz)"),

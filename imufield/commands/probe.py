@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from imufield.acquire.host_clock import HostClock
-from imufield.acquire.instrument import Instrument
-from imufield.acquire.ports import serial_ports
-from imufield.acquire.recognise import Candidate, Ear, Finding
-from imufield.commands.listen import Search, bauds_to_try, has_no_baud, nothing_recognised, search, serial_candidates
-from imufield.commands.output import say
-from imufield.deliver.numbers import beside
+from imufield.acquire.instrument.instrument import Instrument
+from imufield.acquire.instrument.listen import Search, bauds_to_try, has_no_baud, nothing_recognised, search, serial_candidates
+from imufield.acquire.instrument.recognise import Candidate, Ear, Finding
+from imufield.acquire.link.host_clock import HostClock
+from imufield.acquire.link.ports import serial_ports
+from imufield.commands.terminal.output import say
+from imufield.deliver.parameters.numbers import beside
 from imufield.errors import ImufieldError, LinkError, Reason
 
 if TYPE_CHECKING:
-    from imufield.commands.connect import ConnectOptions
-    from imufield.commands.connect_can import BusFinding
+    from imufield.acquire.instrument.connect import ConnectOptions
+    from imufield.acquire.instrument.connect_can import BusFinding
 
 PORTS_AT_ONCE = 8
 _OTHERS_NAMED = 3
@@ -109,7 +109,7 @@ def run_probe_bus(options: ConnectOptions, clock: HostClock, *, ask: bool, as_js
     UsageError
         The bit rate is needed, or several instruments send the same messages.
     """
-    from imufield.commands.connect_can import probe_bus
+    from imufield.acquire.instrument.connect_can import probe_bus
 
     bus = options.bus or ""
     if not as_json:

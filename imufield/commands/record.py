@@ -10,19 +10,19 @@ from pathlib import Path
 
 import typer
 
+from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.host_clock import HostClock, SystemClock
-from imufield.acquire.link import Chunk
-from imufield.acquire.recorder import Recorder
-from imufield.acquire.session import DEFAULT_ROOT, Session
-from imufield.acquire.statistics import remarks
-from imufield.commands.chain import part_metadata
-from imufield.commands.connect import Connected, ConnectOptions, connect
-from imufield.commands.output import say
-from imufield.commands.reconnect import PatientLink
-from imufield.commands.site import SiteOptions
-from imufield.deliver.numbers import beside
+from imufield.acquire.instrument.connect import Connected, ConnectOptions, connect
+from imufield.acquire.link.host_clock import HostClock, SystemClock
+from imufield.acquire.link.reconnect import PatientLink
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.session import DEFAULT_ROOT, Session
+from imufield.commands.terminal.output import say
+from imufield.deliver.parameters.numbers import beside
 from imufield.errors import LinkError, RecordingError
+from imufield.pipeline.chain import part_metadata
+from imufield.pipeline.site import SiteOptions
 
 TELL_EVERY_S = 1.0
 

@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from imufield.acquire.link import Chunk
-from imufield.acquire.recording import Damage, EndOfRecordingError, RecordingLink
-from imufield.acquire.session import Session
-from imufield.commands.chain import Chain, ReadingPlan, recorded_protocol, replay_into
-from imufield.commands.output import say
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.reader import Damage, EndOfRecordingError, RecordingLink
+from imufield.acquire.recording.session import Session
+from imufield.commands.terminal.output import say
 from imufield.errors import UsageError
-from imufield.guide.jsonlines import JsonLinesView
-from imufield.guide.plain import PlainView
+from imufield.guide.view.plain import JsonLinesView, PlainView
+from imufield.pipeline.chain import Chain, ReadingPlan, recorded_protocol, replay_into
 
 if TYPE_CHECKING:
-    from imufield.acquire.can_frames import Frame
-    from imufield.simulate.port import PseudoTerminal
+    from imufield.acquire.protocol.can_frames import Frame
+    from imufield.simulate.emulator.port import PseudoTerminal
 
 WAIT_S = 0.05
 SLOT_S = 0.002
@@ -88,7 +87,7 @@ def _replay_to_others(session: Session, options: ReplayOptions) -> None:
         return
     if can is None:
         raise UsageError(f"{session.folder} was not recorded from a CAN bus; replay it with --to-pty")
-    from imufield.acquire.can_logs import replay_to_bus
+    from imufield.acquire.formats.can_logs import replay_to_bus
 
     typer.echo(f"sending to {options.bus}  (Ctrl-C ends)")
     pace, bit_rate = options.speed or None, options.bit_rate or can.bit_rate
@@ -98,8 +97,8 @@ def _replay_to_others(session: Session, options: ReplayOptions) -> None:
 
 def _replay_to_slcan(session: Session, speed: float) -> None:
     """Send frames as an adapter that speaks slcan, from the moment a program opens its channel."""
-    from imufield.acquire.can_logs import replay_frames
-    from imufield.simulate.slcan import SlcanDevice
+    from imufield.acquire.formats.can_logs import replay_frames
+    from imufield.simulate.emulator.slcan import SlcanDevice
 
     device = SlcanDevice()
 
@@ -126,7 +125,7 @@ def _replay_to_slcan(session: Session, speed: float) -> None:
 
 def _replay_to_pty(session: Session, speed: float) -> None:
     """Send the bytes at the pace they were recorded with, from the moment a program opens the port."""
-    from imufield.simulate.port import PseudoTerminal
+    from imufield.simulate.emulator.port import PseudoTerminal
 
     link = RecordingLink(session, pace=speed or None)
     port = PseudoTerminal()

@@ -13,17 +13,14 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from imufield import __version__
-from imufield.acquire.recording import Damage
-from imufield.acquire.session import Session
-from imufield.commands.calibration import MoveListener
-from imufield.commands.chain import Chain, ReadingPlan, replay_into
-from imufield.commands.output import write_output
+from imufield.acquire.recording.reader import Damage
+from imufield.acquire.recording.session import Session
 from imufield.commands.solve import session_sha256
-from imufield.deliver.document import VERSION
-from imufield.deliver.numbers import beside
-from imufield.deliver.parameters import PARAMETER_FILE, Parameters, load
-from imufield.deliver.parameters_write import content_sha256
+from imufield.commands.terminal.output import write_output
+from imufield.deliver.parameters.document import VERSION
+from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, load
+from imufield.deliver.parameters.numbers import beside
+from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report.data import (
     Closure,
     ReportData,
@@ -36,9 +33,12 @@ from imufield.deliver.report.data import (
 )
 from imufield.deliver.report.page import render_record, render_report
 from imufield.deliver.report.plots import load_matplotlib
-from imufield.deliver.verification import read_verification, verification_note, verification_path
+from imufield.deliver.verification.result import read_verification, verification_note, verification_path
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import refuse_overwriting
+from imufield.pipeline.calibration import MoveListener
+from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
+from imufield.version import __version__
 
 REPORT_FILE = "report.html"
 RECORD_FILE = "calibration-record.html"

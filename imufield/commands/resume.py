@@ -8,14 +8,14 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from imufield.acquire.instrument.connect import Connected, ConnectOptions
+from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import driver_names
-from imufield.acquire.session import Session
-from imufield.commands.chain import Chain, ReadingPlan, replay_into
-from imufield.commands.connect import Connected, ConnectOptions
-from imufield.commands.questions import confirm
-from imufield.commands.site import SiteOptions
+from imufield.commands.terminal.questions import confirm
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.guide.positions import scheme
+from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
+from imufield.pipeline.site import SiteOptions
 
 _IDENTITY = ("driver", "serial_number")
 _KEPT = {

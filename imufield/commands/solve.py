@@ -15,21 +15,16 @@ from typing import get_args
 import numpy as np
 import typer
 
-from imufield.acquire.recording import Damage
-from imufield.acquire.session import Session
-from imufield.calibrate.agreement import LEAST_SQUARES
-from imufield.calibrate.gyroscope_paths import GyroscopeModel
-from imufield.calibrate.observation_files import read_observations
-from imufield.calibrate.observations import Observations, count_repeats_once
-from imufield.calibrate.result import Gauge, ModelChoice
-from imufield.commands.calibration import Measured, MoveListener, Wishes, calibrate, one_of
-from imufield.commands.chain import Chain, ReadingPlan, replay_into
+from imufield.acquire.recording.reader import Damage
+from imufield.acquire.recording.session import Session
+from imufield.calibrate.gyroscope.calibrate import GyroscopeModel
+from imufield.calibrate.model.observation_files import read_observations
+from imufield.calibrate.model.observations import Observations, count_repeats_once
+from imufield.calibrate.model.result import Gauge, ModelChoice
+from imufield.calibrate.solvers.agreement import LEAST_SQUARES
 from imufield.commands.configuration import parse_zero
-from imufield.commands.damage import naming_damage
-from imufield.commands.progress import ProgressLine
-from imufield.commands.site import SiteOptions
-from imufield.deliver.numbers import hanging
-from imufield.deliver.parameters import (
+from imufield.commands.terminal.progress import ProgressLine
+from imufield.deliver.parameters.file import (
     PARAMETER_FILE,
     Context,
     InstrumentFacts,
@@ -39,13 +34,18 @@ from imufield.deliver.parameters import (
     load,
     write_document,
 )
-from imufield.deliver.summary import Outcome, print_summary
+from imufield.deliver.parameters.numbers import hanging
+from imufield.deliver.report.summary import Outcome, print_summary
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, ImufieldError, Reason, UsageError, counted
 from imufield.files import refuse_overwriting
-from imufield.guide.axes_check import AxesCheck
+from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import Event, RefusalCode, Rejected
-from imufield.guide.guide import Guide
+from imufield.guide.lead.guide import Guide
+from imufield.pipeline.calibration import Measured, MoveListener, Wishes, calibrate, one_of
+from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
+from imufield.pipeline.damage import naming_damage
+from imufield.pipeline.site import SiteOptions
 
 HASH_BLOCK_BYTES = 1 << 20
 _BETTER_KNOWN = 3.0

@@ -18,10 +18,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from imufield.acquire.session import Session
-from imufield.commands.output import say
+from imufield.acquire.recording.session import Session
 from imufield.commands.solve import SolveOptions, better_gravity, solve_session
-from imufield.deliver.parameters import PARAMETER_FILE, Parameters, from_document, json_ready, write_document
+from imufield.commands.terminal.output import say
+from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, from_document, json_ready, write_document
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ImufieldError, UsageError
 from imufield.samples import FloatArray

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import typer
 
-from imufield.commands.output import replace_only
+from imufield.commands.terminal.output import replace_only
 from imufield.errors import UsageError
 from imufield.study.context import StudyContext
 from imufield.study.report import StudyReport, as_text

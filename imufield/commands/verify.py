@@ -12,21 +12,19 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from imufield.acquire.protocol import Protocol
-from imufield.acquire.recording import Damage
-from imufield.acquire.session import Session
-from imufield.calibrate.observations import Observations
-from imufield.calibrate.result import AccelerometerParameters, GyroscopeParameters
-from imufield.commands.chain import Chain, ReadingPlan, recorded_protocol, replay_into
-from imufield.commands.damage import naming_damage
-from imufield.commands.site import SiteOptions
+from imufield.acquire.protocol.protocol import Protocol
+from imufield.acquire.recording.reader import Damage
+from imufield.acquire.recording.session import Session
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.commands.solve import session_sha256
-from imufield.deliver.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.navigation.alignment import Heading
 from imufield.deliver.navigation.check import ALIGN_S, Apply, CheckSettings, NavigationResult, StaticNavigation
-from imufield.deliver.numbers import DEG_PER_HOUR_RAD_S, to_ascii
-from imufield.deliver.parameters import Corrected, Parameters, json_ready, load
-from imufield.deliver.verification import (
+from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
+from imufield.deliver.parameters.file import Corrected, Parameters, json_ready, load
+from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, to_ascii
+from imufield.deliver.verification.held_out import HeldOut, check_positions, contradiction, cross_validate
+from imufield.deliver.verification.result import (
     Verification,
     doubt,
     judge,
@@ -36,10 +34,12 @@ from imufield.deliver.verification import (
     verification_text,
     write_verification,
 )
-from imufield.deliver.verify import HeldOut, check_positions, contradiction, cross_validate
 from imufield.earth import MICRO_G_M_S2, Gravity
 from imufield.errors import CalibrationError, ImufieldError, ParameterFileError, Reason, UsageError, VerificationError
 from imufield.files import refuse_overwriting
+from imufield.pipeline.chain import Chain, ReadingPlan, recorded_protocol, replay_into
+from imufield.pipeline.damage import naming_damage
+from imufield.pipeline.site import SiteOptions
 from imufield.samples import FloatArray, Samples
 
 HOLD_OUT = 4

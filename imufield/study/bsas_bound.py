@@ -20,10 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.gauge import change_gauge, intrinsic
-from imufield.calibrate.result import QuadraticAxes
+from imufield.calibrate.accelerometer.whitening import whitened_problem
+from imufield.calibrate.model.gauge import change_gauge, intrinsic
+from imufield.calibrate.model.result import QuadraticAxes
 from imufield.calibrate.solvers.least_squares import solve_least_squares
-from imufield.calibrate.whitening import whitened_problem
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

@@ -16,9 +16,9 @@ from functools import cache
 
 import numpy as np
 
-from imufield.calibrate.models import BIAS, MISALIGNMENT, QUADRATIC, SCALE, from_vector, predict, recover
+from imufield.calibrate.accelerometer.whitening import whitened_problem
+from imufield.calibrate.model.models import BIAS, MISALIGNMENT, QUADRATIC, SCALE, from_vector, predict, recover
 from imufield.calibrate.solvers.beetles import solve_bsas
-from imufield.calibrate.whitening import whitened_problem
 from imufield.deliver.navigation.drift import Drift
 from imufield.earth import MICRO_G_M_S2
 from imufield.samples import FloatArray

@@ -13,12 +13,12 @@ from functools import cache, partial
 
 import numpy as np
 
-from imufield.calibrate.gauge import intrinsic
+from imufield.calibrate.accelerometer.whitening import whitened_problem
+from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.solvers.base import Solver
 from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings, solve_bas, solve_bsas
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.staged import PAPER_CATEGORIES, solve_stages
-from imufield.calibrate.whitening import whitened_problem
 from imufield.errors import counted
 from imufield.samples import FloatArray
 from imufield.study import figures

@@ -13,9 +13,9 @@ from functools import cache, partial
 
 import numpy as np
 
-from imufield.calibrate.costs import NormProblem
-from imufield.calibrate.models import PARAMETERS
+from imufield.calibrate.model.models import PARAMETERS
 from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings, solve_bas, solve_bsas
+from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.staged import PAPER_CATEGORIES, StagedSettings, solve_bsas_staged, solve_stages
 from imufield.earth import MICRO_G_M_S2
 from imufield.samples import FloatArray

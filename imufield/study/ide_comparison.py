@@ -18,7 +18,7 @@ import numpy as np
 from imufield.calibrate.solvers.base import Solver, SolverResult
 from imufield.calibrate.solvers.library import LibrarySettings
 from imufield.calibrate.solvers.registry import load_solver
-from imufield.calibrate.triad_costs import TriadProblem, TurnsProblem, unit_diagonal_matrices
+from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem, unit_diagonal_matrices
 from imufield.deliver.navigation.drift import Drift
 from imufield.samples import FloatArray
 from imufield.study import figures

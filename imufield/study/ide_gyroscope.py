@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 
 from imufield.calibrate.solvers.evolution import solve_ide
-from imufield.calibrate.triad_costs import TriadProblem, TurnsProblem
+from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from imufield.deliver.numbers import WIDTH, hanging
+from imufield.deliver.parameters.numbers import WIDTH, hanging
 from imufield.errors import Reason, UsageError
 from imufield.files import write_atomically
 from imufield.samples import FloatArray

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from imufield import __version__
 from imufield.files import write_atomically
 from imufield.study.context import StudyContext
 from imufield.study.registry import find_studies, load_study
 from imufield.study.report import StudyReport, as_markdown, save
+from imufield.version import __version__
 
 TITLE = "# The papers' tables and figures, reproduced"
 """First line of the document."""

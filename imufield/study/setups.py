@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import fields
 
 from imufield.calibrate.solvers.beetles import BsasSettings
-from imufield.calibrate.triad_costs import TRIAD_NAMES
+from imufield.calibrate.solvers.triad_costs import TRIAD_NAMES
 from imufield.earth import MICRO_G_M_S2
 from imufield.samples import FloatArray
 from imufield.study.bsas_hardware import GYROSCOPE_BIAS_DEG_PER_H, OLD_BIAS_M_S2, REPEATABILITY_M_S2

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from imufield.acquire.can_frames import EXTENDED, Frame, pack_frame
-from imufield.acquire.framing import Framer
-from imufield.acquire.protocol import Protocol
+from imufield.acquire.decode.framing import Framer
+from imufield.acquire.protocol.can_frames import EXTENDED, Frame, pack_frame
+from imufield.acquire.protocol.protocol import Protocol
 
 
 def pack_frames(frames: Iterable[Frame]) -> bytes:

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 from crccheck.crc import Crc32Base, Crc32Mpeg2, CrcKermit, CrcXmodem
 
-from imufield.acquire.link import Chunk
+from imufield.acquire.link.serial import Chunk
 from imufield.samples import Samples, SampleUnits
-from imufield.simulate.devices import Stim300Device
-from imufield.simulate.encode import Stim300Format
-from imufield.simulate.instrument_aceinna import aceinna_packet
-from imufield.simulate.instrument_microstrain import mip_field, mip_packet
-from imufield.simulate.instrument_vectornav import sentence
-from imufield.simulate.instrument_witmotion import wit_frame
-from imufield.simulate.instrument_xsens import xbus_message
+from imufield.simulate.instruments.aceinna import aceinna_packet
+from imufield.simulate.instruments.microstrain import mip_field, mip_packet
+from imufield.simulate.instruments.stim300 import Stim300Device
+from imufield.simulate.instruments.vectornav import sentence
+from imufield.simulate.instruments.witmotion import wit_frame
+from imufield.simulate.instruments.xsens import xbus_message
+from imufield.simulate.wire.encode import Stim300Format
 
 DURATION_S = 2.5
 CHUNK_S = 0.02

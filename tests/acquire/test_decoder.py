@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol import Protocol, load_protocol
+from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.errors import ProtocolError
 from imufield.samples import Samples, Status, concatenate
 from tests.acquire.plain_frames import decode_fields

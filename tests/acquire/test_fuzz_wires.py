@@ -20,11 +20,11 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol import Protocol
+from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.registry import load_driver, shipped_names
 from imufield.errors import ProtocolError
 from imufield.samples import Samples
-from imufield.simulate.can_encode import CanEncoder
+from imufield.simulate.wire.can_encode import CanEncoder
 from tests.acquire.plain_frames import pack_frames
 from tests.simulate.accounting import random_samples, serial_wires
 

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imufield.acquire.checksum import make_checksum
+from imufield.acquire.decode.framing import Framer
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.framing import Framer
-from imufield.acquire.protocol import Protocol, load_protocol
+from imufield.acquire.protocol.checksum import make_checksum
+from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.errors import ProtocolError
 from imufield.samples import FloatArray, Samples, concatenate
 from tests.acquire.plain_frames import decode_fields

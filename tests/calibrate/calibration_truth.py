@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from imufield.calibrate.observations import Observations
-from imufield.calibrate.result import AccelerometerParameters
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import AccelerometerParameters
 from imufield.samples import FloatArray, SampleUnits
 
 GRAVITY = 9.81

@@ -8,27 +8,27 @@ from typing import Literal
 
 import numpy as np
 
-from imufield.calibrate.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gauge import change_gauge, turn_gyroscope
-from imufield.calibrate.gyroscope_model import GyroscopeData, TableRows, evaluate
-from imufield.calibrate.gyroscope_paths import GyroscopeInput
-from imufield.calibrate.models import to_vector
-from imufield.calibrate.moves import MoveCollector, Moves, cut_moves, no_slots
-from imufield.calibrate.observations import Observations
-from imufield.calibrate.result import Calibration, GyroscopeParameters
-from imufield.calibrate.rotation import conjugate, logarithm, multiply
-from imufield.calibrate.triad_costs import TurnsProblem
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.gyroscope.calibrate import GyroscopeInput
+from imufield.calibrate.gyroscope.model import GyroscopeData, TableRows, evaluate
+from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, no_slots
+from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
+from imufield.calibrate.model.models import to_vector
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import Calibration, GyroscopeParameters
+from imufield.calibrate.model.rotation import conjugate, logarithm, multiply
+from imufield.calibrate.solvers.triad_costs import TurnsProblem
 from imufield.earth import Gravity
-from imufield.guide.free import StillIntervalFinder
+from imufield.guide.lead.unguided import StillIntervalFinder
 from imufield.guide.positions import scheme
-from imufield.guide.scale import RoughScale
+from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, Samples
-from imufield.simulate.drift import BiasDrift
-from imufield.simulate.grades import GRADES, TrueInstrument, draw_truth
-from imufield.simulate.imu import Imu, ImuSettings
-from imufield.simulate.motion import Site
-from imufield.simulate.operator import Operator, OperatorSettings
-from imufield.simulate.pieces import Piece
+from imufield.simulate.truth.drift import BiasDrift
+from imufield.simulate.truth.grades import GRADES, TrueInstrument, draw_truth
+from imufield.simulate.truth.imu import Imu, ImuSettings
+from imufield.simulate.truth.motion import Site
+from imufield.simulate.truth.operator import Operator, OperatorSettings
+from imufield.simulate.truth.pieces import Piece
 
 BLOCK = 4000
 Damage = Callable[[Samples], Samples]

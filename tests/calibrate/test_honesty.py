@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from calibration_truth import GRAVITY, campaign, random_parameters
 
-from imufield.calibrate.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gauge import intrinsic
-from imufield.calibrate.models import to_vector
-from imufield.calibrate.result import Calibration, ModelChoice
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.gauge import intrinsic
+from imufield.calibrate.model.models import to_vector
+from imufield.calibrate.model.result import Calibration, ModelChoice
 from imufield.earth import Gravity
 from imufield.samples import FloatArray
 

@@ -14,21 +14,21 @@ from typing import Any
 
 import pytest
 
-from imufield.acquire.link import Chunk
-from imufield.acquire.recorder import Recorder
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
-from imufield.acquire.session import Session
 from imufield.cli.run import run
 from imufield.commands.capture import ROTATIONS
-from imufield.commands.chain import part_metadata
 from imufield.guide.positions import scheme
+from imufield.pipeline.chain import part_metadata
 from imufield.samples import Samples
-from imufield.simulate.devices import Stim300Device
-from imufield.simulate.emulate import Emulation, make_virtual_imu
-from imufield.simulate.emulator import VirtualImu
-from imufield.simulate.encode import Stim300Format
-from imufield.simulate.imu import Imu
-from imufield.simulate.operator import OperatorSettings
+from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
+from imufield.simulate.emulator.serial import VirtualImu
+from imufield.simulate.instruments.stim300 import Stim300Device
+from imufield.simulate.truth.imu import Imu
+from imufield.simulate.truth.operator import OperatorSettings
+from imufield.simulate.wire.encode import Stim300Format
 
 IMUFIELD = [sys.executable, "-m", "imufield"]
 SPEED = 16.0

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from imufield.acquire.link import Chunk
-from imufield.acquire.recording import read_session
-from imufield.acquire.session import Session
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.reader import read_session
+from imufield.acquire.recording.session import Session
 from imufield.samples import Samples, Status
 
 if TYPE_CHECKING:

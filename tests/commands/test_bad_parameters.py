@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from imufield.calibrate.gauge import intrinsic, make_intrinsic
-from imufield.calibrate.models import to_vector
+from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
+from imufield.calibrate.model.models import to_vector
 from imufield.cli.run import run
-from imufield.deliver.document import calibration_from_document
-from imufield.deliver.parameters_write import to_toml
+from imufield.deliver.parameters.document import calibration_from_document
+from imufield.deliver.parameters.write import to_toml
 
 OLD = b"what stood there before\n"
 

@@ -19,25 +19,25 @@ import can
 import numpy as np
 import pytest
 
-from imufield.acquire.can_frames import EXTENDED, pack_frame
-from imufield.acquire.can_map import parse_map, protocol_from_dbc
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.link import Chunk
-from imufield.acquire.protocol import Protocol
-from imufield.acquire.recognise import FEWEST_SAMPLES
+from imufield.acquire.instrument import connect_can
+from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc
+from imufield.acquire.instrument.connect import ConnectOptions
+from imufield.acquire.instrument.recognise import FEWEST_SAMPLES
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.protocol.can_frames import EXTENDED, pack_frame
+from imufield.acquire.protocol.protocol import Protocol
+from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
-from imufield.acquire.session import Session
 from imufield.cli.run import run
-from imufield.commands import connect_can
-from imufield.commands.chain import session_samples
-from imufield.commands.connect import ConnectOptions
 from imufield.guide.positions import scheme
+from imufield.pipeline.chain import session_samples
 from imufield.samples import Status, concatenate
-from imufield.simulate.can_emulator import CanEmulator
-from imufield.simulate.emulate import Emulation, make_virtual_imu
-from imufield.simulate.emulator import EmulatorSettings
-from imufield.simulate.faults import CanFaults
-from imufield.simulate.operator import OperatorSettings
+from imufield.simulate.emulator.can import CanEmulator
+from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
+from imufield.simulate.emulator.faults import CanFaults
+from imufield.simulate.emulator.serial import EmulatorSettings
+from imufield.simulate.truth.operator import OperatorSettings
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from imufield.acquire.recording import RecordedEvent, read_session
-from imufield.acquire.session import Session
-from imufield.commands.chain import session_samples
+from imufield.acquire.recording.reader import RecordedEvent, read_session
+from imufield.acquire.recording.session import Session
+from imufield.pipeline.chain import session_samples
 from tests.commands.conftest import IMUFIELD
 from tests.commands.terminal import Terminal
 

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from imufield.acquire.link import Chunk
-from imufield.acquire.recording import read_session
-from imufield.acquire.session import Session
-from imufield.commands.chain import Chain, ReadingPlan, replay_into, session_samples
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.reader import read_session
+from imufield.acquire.recording.session import Session
 from imufield.commands.emulate import EmulateOptions, make_emulation
 from imufield.guide.positions import scheme
+from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples
 from imufield.samples import AXES, SAMPLE_COLUMNS, concatenate
 
 if TYPE_CHECKING:

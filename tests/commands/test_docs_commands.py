@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from imufield.cli.run import run
-from imufield.deliver.parameters import load
-from imufield.deliver.parameters_write import write_document
+from imufield.deliver.parameters.file import load
+from imufield.deliver.parameters.write import write_document
 from imufield.earth import EARTH_RATE_RAD_S
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -26,13 +26,13 @@ ELSEWHERE = {
     "imufield capture --port /dev/ttyUSB0 --driver text": "tests/commands/test_capture.py reads lines of numbers",
     "--bus": "tests/commands/test_can.py has the buses",
     "imufield replay my-session --to-pty": "tests/commands/test_desk.py and test_can.py read such a port",
-    "imufield import bench.": "tests/commands/test_import.py and tests/acquire/test_table_arrays.py read such files",
-    "imufield import dr": "tests/commands/test_import.py and tests/acquire/test_ros_bags.py read logs and bags",
+    "imufield import bench.": "tests/commands/test_import.py and tests/acquire/formats/test_table_arrays.py read such files",
+    "imufield import dr": "tests/commands/test_import.py and tests/acquire/formats/test_ros_bags.py read logs and bags",
     "imufield import dump.bin": "tests/commands/test_desk.py reads bytes of instruments",
     "imufield study": "tests/study runs every study",
     "imufield probe": "tests/commands/test_probe.py finds instruments on ports",
-    "imufield emulate xsens_can": "tests/simulate/test_can_slcan.py opens its adapter, which waits for somebody to do so",
-    "imufield emulate my_imu.toml": "tests/simulate/test_protocol_device.py emulates formats of the user's own",
+    "imufield emulate xsens_can": "tests/simulate/emulator/test_slcan.py opens its adapter, which waits for somebody to do so",
+    "imufield emulate my_imu.toml": "tests/simulate/instruments/test_protocol_device.py emulates formats of the user's own",
     "imufield emulate my_logger.toml": "tests/commands/test_emulate_own.py emulates and captures it",
     "imufield capture --port /tmp/imu --protocol my_logger.toml": "tests/commands/test_emulate_own.py emulates and captures it",
     "imufield emulate my_imu --link": "tests/commands/test_emulate_own.py emulates and captures it",

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from imufield.acquire.session import Session
-from imufield.commands.chain import session_samples
+from imufield.acquire.recording.session import Session
+from imufield.pipeline.chain import session_samples
 from imufield.samples import concatenate
 
 if TYPE_CHECKING:

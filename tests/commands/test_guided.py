@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from imufield.acquire.session import Session
+from imufield.acquire.recording.session import Session
 from tests.commands.terminal import Terminal
 
 if TYPE_CHECKING:

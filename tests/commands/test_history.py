@@ -11,8 +11,8 @@ import pytest
 
 from imufield.cli.run import run
 from imufield.commands.history import HistoryOptions, run_history
-from imufield.deliver.parameters import load
-from imufield.deliver.parameters_write import to_toml
+from imufield.deliver.parameters.file import load
+from imufield.deliver.parameters.write import to_toml
 
 
 @pytest.fixture

@@ -14,18 +14,18 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from imufield.acquire.can_map import parse_map, protocol_from_dbc
-from imufield.acquire.protocol import Protocol
+from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc
+from imufield.acquire.protocol.protocol import Protocol
+from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
-from imufield.acquire.session import Session
 from imufield.cli.run import run
 from imufield.commands import import_files
-from imufield.commands.chain import Chain, ReadingPlan, replay_into, session_samples
 from imufield.commands.import_files import table_samples
-from imufield.deliver.export_data import export_samples
+from imufield.deliver.samples.export_data import export_samples
 from imufield.errors import Reason, RecordingError, UsageError
+from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples
 from imufield.samples import NO_COUNTER, Samples, Status, concatenate, make_samples
-from imufield.simulate.can_encode import CanEncoder
+from imufield.simulate.wire.can_encode import CanEncoder
 
 N = 500
 DBC = """VERSION ""

@@ -14,21 +14,21 @@ import numpy as np
 import pytest
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.host_clock import ScaledClock, SystemClock
-from imufield.acquire.link import Chunk, Link, open_link
+from imufield.acquire.instrument.connect import ConnectOptions, ask_identity, check_capacity, connect
+from imufield.acquire.instrument.listen import SILENT_S, SILENT_TRY_S, search, serial_candidates
+from imufield.acquire.link.host_clock import ScaledClock, SystemClock
+from imufield.acquire.link.serial import Chunk, Link, open_link
+from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
-from imufield.acquire.session import Session
-from imufield.commands.connect import ConnectOptions, ask_identity, check_capacity, connect
-from imufield.commands.listen import SILENT_S, SILENT_TRY_S, search, serial_candidates
 from imufield.commands.probe import probe_port
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
 from imufield.samples import Samples
-from imufield.simulate.devices import Answer, Frames, TextDevice
-from imufield.simulate.emulate import SCRIPTS, Emulation, choose_wire, make_emulator, make_virtual_imu
-from imufield.simulate.emulator import Emulator
-from imufield.simulate.instrument_microstrain import MicroStrainInstrument
-from imufield.simulate.port import PseudoTerminal
-from imufield.simulate.protocol_device import ProtocolDevice
+from imufield.simulate.emulator.emulate import SCRIPTS, Emulation, choose_wire, make_emulator, make_virtual_imu
+from imufield.simulate.emulator.port import PseudoTerminal
+from imufield.simulate.emulator.serial import Emulator
+from imufield.simulate.instruments.microstrain import MicroStrainInstrument
+from imufield.simulate.instruments.protocol_device import ProtocolDevice
+from imufield.simulate.instruments.stim300 import Answer, Frames, TextDevice
 from tests.acquire.streams import INSTRUMENTS as STREAMS
 
 if TYPE_CHECKING:

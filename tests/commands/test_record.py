@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imufield.acquire.link import Chunk
-from imufield.acquire.protocol import load_protocol
-from imufield.acquire.session import Session
+from imufield.acquire.instrument.connect import Connected, ConnectOptions
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.protocol.protocol import load_protocol
+from imufield.acquire.recording.session import Session
 from imufield.commands import record as module
-from imufield.commands.chain import session_samples
-from imufield.commands.connect import Connected, ConnectOptions
 from imufield.commands.record import RecordOptions, run_record
 from imufield.errors import LinkError, Reason
+from imufield.pipeline.chain import session_samples
 from imufield.samples import Status, concatenate
 
 

@@ -17,7 +17,7 @@ import pytest
 from imufield.commands import solve_many
 from imufield.commands.solve import SolveOptions
 from imufield.commands.solve_many import run_solve_many
-from imufield.deliver.parameters import load
+from imufield.deliver.parameters.file import load
 from imufield.errors import UsageError
 from tests.study.local_cluster import local_cluster
 

@@ -13,20 +13,20 @@ import numpy as np
 import pytest
 import tomli_w
 
-from imufield.acquire.protocol import load_protocol
-from imufield.acquire.recorder import Recorder
-from imufield.acquire.session import Session
-from imufield.acquire.tables import write_rows
-from imufield.calibrate.gauge import intrinsic, make_intrinsic
-from imufield.calibrate.models import to_vector
+from imufield.acquire.formats.tables import write_rows
+from imufield.acquire.protocol.protocol import load_protocol
+from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.session import Session
+from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
+from imufield.calibrate.model.models import to_vector
 from imufield.cli.run import run
-from imufield.commands.chain import part_metadata
-from imufield.commands.site import SiteOptions
 from imufield.commands.verify import VerifyOptions, run_verify
-from imufield.deliver.parameters import from_document, load
-from imufield.deliver.parameters_write import content_sha256, to_toml, write_document
+from imufield.deliver.parameters.file import from_document, load
+from imufield.deliver.parameters.write import content_sha256, to_toml, write_document
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import ParameterFileError, Reason, VerificationError
+from imufield.pipeline.chain import part_metadata
+from imufield.pipeline.site import SiteOptions
 from imufield.samples import FloatArray, Samples
 
 GRAVITY_M_S2 = 9.80665

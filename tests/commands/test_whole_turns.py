@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from imufield import load
-from imufield.acquire.session import Session
+from imufield.acquire.recording.session import Session
 from imufield.cli.run import run
 
 if TYPE_CHECKING:

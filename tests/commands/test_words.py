@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 import imufield
-from imufield.acquire.host_clock import SystemClock
-from imufield.acquire.session import Session
+from imufield.acquire.link.host_clock import SystemClock
+from imufield.acquire.recording.session import Session
 from imufield.cli.run import _interrupted_words, run
 from imufield.commands.capture import Captured, _farewell
-from imufield.commands.chain import Chain, ReadingPlan, replay_into
 from imufield.deliver.exports import export_parameters
-from imufield.deliver.parameters import Parameters
+from imufield.deliver.parameters.file import Parameters
 from imufield.errors import ParameterFileError
 from imufield.guide.events import LinkLost
+from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.samples import Samples, Status
 
 

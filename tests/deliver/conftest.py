@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imufield.calibrate.accelerometer import EQUATIONS
-from imufield.calibrate.gauge import intrinsic, make_intrinsic
-from imufield.calibrate.models import predict, to_vector
-from imufield.calibrate.observations import Observations
-from imufield.calibrate.result import (
+from imufield.calibrate.accelerometer.accelerometer import EQUATIONS
+from imufield.calibrate.model.gauge import intrinsic, make_intrinsic
+from imufield.calibrate.model.models import predict, to_vector
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
     GRAVITY_NAME,
     AccelerometerParameters,
@@ -22,7 +22,7 @@ from imufield.calibrate.result import (
     Quality,
     SolverSummary,
 )
-from imufield.deliver.context import Context, InstrumentFacts, Noise, SessionFacts
+from imufield.deliver.parameters.context import Context, InstrumentFacts, Noise, SessionFacts
 from imufield.earth import Gravity
 from imufield.samples import SampleUnits
 

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imufield.acquire.can_frames import unpack_frames
+from imufield.acquire.protocol.can_frames import unpack_frames
 
 if TYPE_CHECKING:
     from drivers import aceinna_can

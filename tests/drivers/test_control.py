@@ -14,15 +14,15 @@ from never_sent import FORBIDDEN
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver
-from imufield.acquire.exchange import TRIES, Command
-from imufield.acquire.host_clock import SystemClock
-from imufield.acquire.instrument import Instrument
-from imufield.acquire.link import SerialLink, open_link
+from imufield.acquire.instrument.exchange import TRIES, Command
+from imufield.acquire.instrument.instrument import Instrument
+from imufield.acquire.link.host_clock import SystemClock
+from imufield.acquire.link.serial import SerialLink, open_link
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
-from imufield.simulate.devices import Answer
-from imufield.simulate.emulate import SCRIPTS, Emulation, choose_wire, make_emulator
-from imufield.simulate.emulator import Emulator
+from imufield.simulate.emulator.emulate import SCRIPTS, Emulation, choose_wire, make_emulator
+from imufield.simulate.emulator.serial import Emulator
+from imufield.simulate.instruments.stim300 import Answer
 
 
 @dataclass(frozen=True)

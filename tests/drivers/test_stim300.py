@@ -10,7 +10,7 @@ import pytest
 from crccheck.crc import Crc32Mpeg2
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol import load_protocol
+from imufield.acquire.protocol.protocol import load_protocol
 from imufield.samples import Status
 
 if TYPE_CHECKING:

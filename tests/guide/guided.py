@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from imufield.guide.guide import Guide
+from imufield.guide.lead.guide import Guide
+from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
-from imufield.guide.settings import GuideSettings
 from imufield.samples import Samples
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}

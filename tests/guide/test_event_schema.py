@@ -12,10 +12,10 @@ import pytest
 
 from imufield.guide.event_schema import build_schema, read_schema
 from imufield.guide.events import EVENTS, RefusalCode
-from imufield.guide.guide import Guide
+from imufield.guide.lead.guide import Guide
+from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.lead.state_table import mermaid
 from imufield.guide.positions import scheme
-from imufield.guide.settings import GuideSettings
-from imufield.guide.state_table import mermaid
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 

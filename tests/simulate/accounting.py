@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol import Protocol, load_protocol
+from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.registry import load_driver, shipped_names
 from imufield.samples import FloatArray, IntArray, Samples, Status, concatenate, make_samples
-from imufield.simulate.devices import Device, Frames
-from imufield.simulate.emulate import OWN_RATE_HZ, Emulation, WireChoice, choose_wire, make_device
-from imufield.simulate.wire_forms import wire_forms
+from imufield.simulate.emulator.emulate import OWN_RATE_HZ, Emulation, WireChoice, choose_wire, make_device
+from imufield.simulate.instruments.stim300 import Device, Frames
+from imufield.simulate.wire.wire_forms import wire_forms
 
 BIT_FLIPS, LOST_BYTES = 1e-4, 1e-5
 """Chances of each byte."""

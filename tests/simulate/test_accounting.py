@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol import load_protocol
+from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import load_driver
 from imufield.samples import concatenate
 from tests.simulate.accounting import Wire, account_for, has_checksum, random_samples, serial_wires

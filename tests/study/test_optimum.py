@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imufield.calibrate.gauge import intrinsic
+from imufield.calibrate.accelerometer.whitening import whitened_problem
+from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.solvers.least_squares import solve_least_squares
-from imufield.calibrate.whitening import whitened_problem
 from imufield.study.instruments import (
     BSAS_GRAVITY_M_S2,
     BSAS_TRUTH,

@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from imufield.acquire.link import Chunk
-from imufield.acquire.recording import RecordedEvent, read_session
-from imufield.acquire.session import Session
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.reader import RecordedEvent, read_session
+from imufield.acquire.recording.session import Session
 from imufield.guide.positions import scheme
 
 if TYPE_CHECKING:

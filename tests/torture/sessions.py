@@ -7,18 +7,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol import load_protocol
-from imufield.calibrate.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gauge import intrinsic
-from imufield.calibrate.models import to_vector
+from imufield.acquire.protocol.protocol import load_protocol
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.gauge import intrinsic
+from imufield.calibrate.model.models import to_vector
 from imufield.earth import Gravity, choose_gravity
-from imufield.guide.guide import Guide
+from imufield.guide.lead.guide import Guide
+from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
-from imufield.guide.settings import GuideSettings
 from imufield.samples import FloatArray
-from imufield.simulate.devices import Stim300Device
-from imufield.simulate.emulate import Emulation, choose_wire, make_device, make_virtual_imu
-from imufield.simulate.operator import OperatorSettings
+from imufield.simulate.emulator.emulate import Emulation, choose_wire, make_device, make_virtual_imu
+from imufield.simulate.instruments.stim300 import Stim300Device
+from imufield.simulate.truth.operator import OperatorSettings
 from imufield.study.campaign import run_campaign
 
 RATE_HZ = 125.0

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from imufield.acquire.link import Chunk
-from imufield.acquire.part_file import Damage, PartFile
-from imufield.acquire.recording import read_part
-from imufield.acquire.session import Session
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.part_file import Damage, PartFile
+from imufield.acquire.recording.reader import read_part
+from imufield.acquire.recording.session import Session
 from imufield.cli.run import run
 from tests.commands.conftest import simulated_session
 from tests.torture.conftest import Campaign

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from imufield.acquire.link import Chunk
-from imufield.acquire.recording import read_session
-from imufield.acquire.session import Session
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.reader import read_session
+from imufield.acquire.recording.session import Session
 from tests.torture.captures import accepted_on_disk, bytes_on_disk, capture_into, end_and_solve, show_rounds
 from tests.torture.conftest import FULL, Campaign
 

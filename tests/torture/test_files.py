@@ -14,9 +14,9 @@ import pytest
 import scipy.io
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
-from imufield.acquire.can_map import parse_map, protocol_from_dbc
-from imufield.acquire.recording import RecordedBlock, read_blocks
-from imufield.acquire.session import Session
+from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc
+from imufield.acquire.recording.reader import RecordedBlock, read_blocks
+from imufield.acquire.recording.session import Session
 from imufield.guide.positions import scheme
 from tests.acquire import array_files
 from tests.commands.test_import import DBC, MAP, write_log
@@ -73,7 +73,7 @@ def _bag(kind: str) -> Callable[[Path], bytes]:
     """Return what makes a recording of ROS in one file."""
 
     def make(folder: Path) -> bytes:
-        from tests.acquire import test_ros_bags
+        from tests.acquire.formats import test_ros_bags
 
         with TemporaryDirectory(dir=folder.parent) as place:
             path = test_ros_bags.write(Path(place), kind)

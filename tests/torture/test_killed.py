@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import pytest
 
-from imufield.acquire.session import Session
+from imufield.acquire.recording.session import Session
 from tests.torture.captures import accepted_on_disk, capture_into, end_and_solve, show_rounds
 from tests.torture.conftest import FULL, Campaign
 

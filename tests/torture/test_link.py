@@ -16,10 +16,10 @@ import pytest
 from numpy.typing import NDArray
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.protocol import load_protocol
+from imufield.acquire.protocol.protocol import load_protocol
 from imufield.samples import Samples, SampleUnits, Status, make_samples
-from imufield.simulate.devices import Stim300Device
-from imufield.simulate.encode import Stim300Format
+from imufield.simulate.instruments.stim300 import Stim300Device
+from imufield.simulate.wire.encode import Stim300Format
 from tests.torture.conftest import Campaign
 
 RATE_HZ = 2000.0

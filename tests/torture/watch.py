@@ -13,7 +13,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from imufield.acquire import array_file_reader
+from imufield.acquire.formats import array_file_reader
 from imufield.cli.run import run
 
 LONGEST_S = 10

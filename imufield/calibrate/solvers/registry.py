@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import cast
 
-from imufield.calibrate.costs import CostName
 from imufield.calibrate.solvers.base import Solver
+from imufield.calibrate.solvers.costs import CostName
 from imufield.errors import Reason, UsageError
 
 

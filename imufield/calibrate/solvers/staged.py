@@ -18,7 +18,7 @@ from functools import partial
 
 import numpy as np
 
-from imufield.calibrate.models import BIAS, MISALIGNMENT, PARAMETERS, QUADRATIC, SCALE
+from imufield.calibrate.model.models import BIAS, MISALIGNMENT, PARAMETERS, QUADRATIC, SCALE
 from imufield.calibrate.solvers.base import Callback, Problem, Solver, SolverResult, SolverStatus
 from imufield.calibrate.solvers.beetles import BsasSettings, solve_bsas
 from imufield.calibrate.solvers.population import Record, check_start

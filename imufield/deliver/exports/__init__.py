@@ -1,4 +1,4 @@
-"""Parameters in the form other programs read: one module per target, one conversion layer (``imufield.deliver.conventions``).
+"""Parameters in the form other programs read: one module per target, one conversion layer (``conventions``).
 
 ``export_parameters(parameters, "px4")`` returns the files and, in sentences with numbers, what the target cannot hold.
 """

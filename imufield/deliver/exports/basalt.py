@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from imufield.deliver.conventions import Correction
+from imufield.deliver.exports.conventions import Correction
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import json_file
 from imufield.deliver.exports.vio import noise_figures

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imufield.deliver.conventions import Correction, Corrections, diagonal_corrections
+from imufield.deliver.exports.conventions import Correction, Corrections, diagonal_corrections
 from imufield.deliver.exports.job import Job
 from imufield.samples import FloatArray
 

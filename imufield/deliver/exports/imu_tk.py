@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from imufield.deliver.conventions import Correction
+from imufield.deliver.exports.conventions import Correction
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import number, rows, text_file
 

@@ -9,12 +9,12 @@ from typing import Protocol
 
 import numpy as np
 
-from imufield.acquire.units import nominal_scale
-from imufield.deliver.conventions import Corrections, Frame, linear_corrections, require_usable, rotation_vector
+from imufield.acquire.protocol.units import nominal_scale
+from imufield.deliver.exports.conventions import Corrections, Frame, linear_corrections, require_usable, rotation_vector
 from imufield.deliver.exports.loss import loss_sentences
 from imufield.deliver.exports.registry import Exported, ExportOptions, Target
-from imufield.deliver.numbers import to_ascii
-from imufield.deliver.parameters import Parameters
+from imufield.deliver.parameters.file import Parameters
+from imufield.deliver.parameters.numbers import to_ascii
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.samples import AXES, FloatArray
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.deliver.conventions import Corrections, rotation_times_triangle
+from imufield.deliver.exports.conventions import Corrections, rotation_times_triangle
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import comment, text_file, yaml_matrix
 from imufield.deliver.exports.vio import bias_lines, bias_loss, noise_lines

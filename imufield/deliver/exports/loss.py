@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from imufield.calibrate.models import predict, predict_gyroscope
+from imufield.calibrate.model.models import predict, predict_gyroscope
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
 
 if TYPE_CHECKING:
     from imufield.deliver.exports.job import Held
-    from imufield.deliver.parameters import Parameters
+    from imufield.deliver.parameters.file import Parameters
 
 DIRECTIONS = 500
 _NOTHING = 1e-9

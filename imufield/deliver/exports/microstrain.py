@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imufield.deliver.conventions import Correction, Corrections
+from imufield.deliver.exports.conventions import Correction, Corrections
 from imufield.deliver.exports.flight_stack import bias_only_gyroscope
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import comment, row, text_file

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.gauge import turn_accelerometer
-from imufield.deliver.conventions import Corrections, rotation_to
+from imufield.calibrate.model.gauge import turn_accelerometer
+from imufield.deliver.exports.conventions import Corrections, rotation_to
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import comment, row, rows, text_file
 from imufield.samples import FloatArray

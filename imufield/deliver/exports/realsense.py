@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from imufield.deliver.conventions import Correction
+from imufield.deliver.exports.conventions import Correction
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import json_file
 

@@ -12,7 +12,7 @@ from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.files import refuse_overwriting, write_keeping
 
 if TYPE_CHECKING:  # the parameter file needs NumPy and SciPy; a list of targets does not
-    from imufield.deliver.parameters import Parameters
+    from imufield.deliver.parameters.file import Parameters
 
 ExportGauge = Literal["lower", "upper", "symmetric"]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from functools import reduce
 from operator import xor
 
-from imufield.deliver.conventions import Correction
+from imufield.deliver.exports.conventions import Correction
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import text_file
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.deliver.conventions import Corrections
+from imufield.deliver.exports.conventions import Corrections
 from imufield.deliver.exports.job import Job
 from imufield.deliver.exports.text import number, row
 from imufield.earth import MILLI_G_M_S2

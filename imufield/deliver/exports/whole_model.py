@@ -8,8 +8,8 @@ from importlib.resources import files
 
 import numpy as np
 
-from imufield.calibrate.gauge import turn_accelerometer
-from imufield.deliver.conventions import linear_corrections, rotation_to
+from imufield.calibrate.model.gauge import turn_accelerometer
+from imufield.deliver.exports.conventions import linear_corrections, rotation_to
 from imufield.deliver.exports.job import Job, frame_note
 from imufield.errors import UsageError
 from imufield.samples import FloatArray

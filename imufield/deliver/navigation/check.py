@@ -4,7 +4,7 @@ What it can show. Alignment takes every constant accelerometer error for a tilt,
 again: 100 ug that would make 0.9 nmi in five hours with a true attitude make half of it, and a gyroscope bias of 0.01
 deg/h makes 3.6 nmi. So a recording that is not touched says much of the gyroscope and little of the accelerometer. Turned
 over after the alignment, the tilt that was found has the wrong sign and the same error counts four times. The proof of the
-accelerometer remains held-out positions (``imufield.deliver.verify``).
+accelerometer remains held-out positions (``imufield.deliver.verification.held_out``).
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imufield.calibrate.result import Calibration
+from imufield.calibrate.model.result import Calibration
 from imufield.deliver.navigation.alignment import Alignment, Heading, RestMeans, align
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.forecast import RUNS, Forecast, RandomErrors, Scene, forecast
 from imufield.deliver.navigation.mechanise import Mechanisation, load_pyins
 from imufield.deliver.navigation.rest import SECOND_S, IntervalMeans, RestNoise, fill_gaps, measure_noise, moving_seconds
-from imufield.deliver.parameters import Corrected
+from imufield.deliver.parameters.file import Corrected
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
 from imufield.samples import FloatArray, Samples
 

@@ -27,7 +27,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from imufield.calibrate.result import Calibration
+from imufield.calibrate.model.result import Calibration
 from imufield.deliver.navigation.alignment import Alignment, cross_matrix, earth_rate
 from imufield.deliver.navigation.drift import QUANTITIES, Drift, make_drift
 from imufield.deliver.navigation.uncertain import DrawnParameters, draw_parameters

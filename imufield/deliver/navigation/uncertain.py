@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.models import (
+from imufield.calibrate.model.models import (
     predict,
     predict_gyroscope,
     recover_vectors,
     to_vector,
 )
-from imufield.calibrate.result import ACCELEROMETER_NAMES, Calibration
+from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Calibration
 from imufield.samples import FloatArray
 
 _GYROSCOPE_FIELDS = ("scale", "misalignment_rad", "bias", "g_sensitivity")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.result import GRAVITY_NAME, Calibration
+from imufield.calibrate.model.result import GRAVITY_NAME, Calibration
 from imufield.samples import FloatArray
 
 _SHORT = (

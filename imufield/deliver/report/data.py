@@ -6,17 +6,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from imufield.calibrate.gyroscope_model import VERTICAL, evaluate
-from imufield.calibrate.gyroscope_paths import GyroscopeInput, make_data
-from imufield.calibrate.methods import problem_for, restart
-from imufield.calibrate.move_integration import BIAS, INVERSE, SENSITIVITY
-from imufield.calibrate.moves import Moves
-from imufield.calibrate.observations import Observations
-from imufield.calibrate.result import AccelerometerParameters, Calibration, GyroscopeParameters
+from imufield.calibrate.accelerometer.methods import problem_for, restart
+from imufield.calibrate.gyroscope.calibrate import GyroscopeInput, make_data
+from imufield.calibrate.gyroscope.model import VERTICAL, evaluate
+from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, SENSITIVITY
+from imufield.calibrate.gyroscope.moves import Moves
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters
 from imufield.calibrate.solvers.registry import load_solver
-from imufield.deliver.document import Document
 from imufield.deliver.navigation.rest import IntervalMeans
-from imufield.deliver.parameters import Parameters
+from imufield.deliver.parameters.document import Document
+from imufield.deliver.parameters.file import Parameters
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError
 from imufield.samples import FloatArray, Samples, SampleUnits

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from imufield.calibrate.result import Calibration
-from imufield.deliver.document import Document
-from imufield.deliver.numbers import acceleration_unit, with_sigma
-from imufield.deliver.parameters_write import content_sha256
+from imufield.calibrate.model.result import Calibration
+from imufield.deliver.parameters.document import Document
+from imufield.deliver.parameters.numbers import acceleration_unit, with_sigma
+from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report import plots
 from imufield.deliver.report.correlations import correlations
 from imufield.deliver.report.data import Convergence, ReportData
 from imufield.deliver.report.rows import Row, parameter_rows
-from imufield.deliver.verification import duration_words
+from imufield.deliver.verification.result import duration_words
 from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.errors import counted
 

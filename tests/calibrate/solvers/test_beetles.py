@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from imufield.calibrate.costs import NormProblem
+from imufield.calibrate.accelerometer.whitening import whitened_problem
 from imufield.calibrate.solvers.base import SolverStatus
 from imufield.calibrate.solvers.beetles import WHITENED_SETTINGS, BasSettings, BsasSettings, solve_bas, solve_bsas
-from imufield.calibrate.whitening import whitened_problem
+from imufield.calibrate.solvers.costs import NormProblem
 from imufield.samples import FloatArray
 from imufield.study.instruments import BSAS_AXES, BSAS_GRAVITY_M_S2, bsas_outputs, bsas_preset
 from imufield.study.optimum import exact_absolute_minimum

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.calibrate.costs import NormProblem
 from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
+from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.staged import (
     PAPER_CATEGORIES,
     CategoryProblem,

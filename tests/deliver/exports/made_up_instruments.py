@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.calibrate.gauge import change_gauge
-from imufield.calibrate.models import from_vector, predict, to_vector
-from imufield.calibrate.observations import Observations
-from imufield.calibrate.result import (
+from imufield.calibrate.model.gauge import change_gauge
+from imufield.calibrate.model.models import from_vector, predict, to_vector
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import (
     AccelerometerParameters,
     Calibration,
     Gauge,
@@ -19,9 +19,9 @@ from imufield.calibrate.result import (
     Quality,
     SolverSummary,
 )
-from imufield.deliver.context import Context, InstrumentFacts, Noise, SessionFacts
-from imufield.deliver.document import to_document
-from imufield.deliver.parameters import Parameters, from_document
+from imufield.deliver.parameters.context import Context, InstrumentFacts, Noise, SessionFacts
+from imufield.deliver.parameters.document import to_document
+from imufield.deliver.parameters.file import Parameters, from_document
 from imufield.earth import Gravity
 from imufield.samples import SampleUnits
 

@@ -11,7 +11,7 @@ import pytest
 from target_formulas import DIAGONAL, FORMULAS, pyins_module
 
 from imufield.deliver.exports import TARGETS, export_parameters
-from imufield.deliver.parameters import load
+from imufield.deliver.parameters.file import load
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 RAW = (np.array([[1.0, -2.0, 9.5]]), np.array([[0.1, -0.2, 0.3]]))

@@ -15,7 +15,7 @@ from made_up_instruments import made_up
 
 from imufield.deliver.exports import ExportOptions, export_parameters
 from imufield.deliver.exports.binary import SIZE, unpack
-from imufield.deliver.parameters import Parameters
+from imufield.deliver.parameters.file import Parameters
 from imufield.errors import ParameterFileError, Reason, UsageError
 
 GCC, GXX = shutil.which("gcc"), shutil.which("g++")

@@ -29,11 +29,11 @@ from target_formulas import (
     vectornav,
 )
 
-from imufield.calibrate.fit import FitData, column_basis, fit
-from imufield.calibrate.models import predict, predict_gyroscope, to_vector
+from imufield.calibrate.accelerometer.fit import FitData, column_basis, fit
+from imufield.calibrate.model.models import predict, predict_gyroscope, to_vector
 from imufield.deliver.exports import ExportOptions, export_parameters
 from imufield.deliver.exports.loss import directions
-from imufield.deliver.parameters import Parameters
+from imufield.deliver.parameters.file import Parameters
 from imufield.errors import ParameterFileError
 from imufield.guide.positions import scheme
 

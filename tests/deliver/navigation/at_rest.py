@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from imufield.calibrate.result import (
+from imufield.calibrate.model.result import (
     AccelerometerParameters,
     Calibration,
     GyroscopeCalibration,
@@ -16,7 +16,7 @@ from imufield.calibrate.result import (
     SolverSummary,
 )
 from imufield.deliver.navigation.alignment import earth_rate
-from imufield.deliver.parameters import Corrected
+from imufield.deliver.parameters.file import Corrected
 from imufield.earth import EARTH_RATE_RAD_S, Gravity, normal_gravity
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from at_rest import DEG_PER_HOUR, GRAVITY_M_S2, LATITUDE_DEG, MICRO_G, as_sent, perfect, random_attitude, recording
 
-from imufield.calibrate.result import Calibration
+from imufield.calibrate.model.result import Calibration
 from imufield.deliver.navigation.alignment import Heading, rotation
 from imufield.deliver.navigation.check import CheckSettings, NavigationResult, StaticNavigation
 from imufield.errors import Reason, RecordingError, UsageError

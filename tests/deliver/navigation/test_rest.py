@@ -7,7 +7,7 @@ import pytest
 
 from imufield.deliver.navigation.rest import IntervalMeans, allan_variance, fill_gaps, measure_noise, moving_seconds
 from imufield.samples import FloatArray
-from imufield.simulate.drift import BiasDrift
+from imufield.simulate.truth.drift import BiasDrift
 
 RNG_SEED = 3
 

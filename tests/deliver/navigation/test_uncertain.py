@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from at_rest import perfect
 
-from imufield.calibrate.models import from_vector, predict, recover, to_vector
-from imufield.calibrate.result import ACCELEROMETER_NAMES
+from imufield.calibrate.model.models import from_vector, predict, recover, to_vector
+from imufield.calibrate.model.result import ACCELEROMETER_NAMES
 from imufield.deliver.navigation.uncertain import draw_parameters
 
 FORCE, RATE = np.array([1.0, -2.0, 9.5]), np.array([1e-5, 2e-5, -3e-5])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from imufield.deliver.parameters import load
+from imufield.deliver.parameters.file import load
 from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.page import render_record, render_report
 

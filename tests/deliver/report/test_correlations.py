@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imufield.calibrate.result import Calibration
+from imufield.calibrate.model.result import Calibration
 from imufield.deliver.report.correlations import Correlations, correlations
 
 

@@ -10,10 +10,10 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from imufield.calibrate.observations import Observations
-from imufield.calibrate.result import Calibration
-from imufield.deliver.context import Context, InstrumentFacts
-from imufield.deliver.parameters import Parameters, from_document, to_document
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import Calibration
+from imufield.deliver.parameters.context import Context, InstrumentFacts
+from imufield.deliver.parameters.file import Parameters, from_document, to_document
 from imufield.deliver.report.data import Closure, Convergence, ReportData, Trace
 from imufield.deliver.report.page import render_record, render_report
 from imufield.deliver.report.plots import label_offsets

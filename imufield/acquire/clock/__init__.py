@@ -1,0 +1,1 @@
+"""Sample time: from counters, time stamps and host arrival to seconds; losses counted."""

@@ -1,0 +1,387 @@
+"""The sample clock of a bus: when each sample was taken, by the time stamps of its frames.
+
+A CAN instrument seldom sends a time, and often no counter; what there is are the time stamps that the adapter or the kernel
+gives to frames. They are late, never early: a frame waits for the bus, a driver hands over a burst. With i the number of the
+sample, T the period and s the stamp, the lag
+
+    L(i) = s(i) - i T
+
+is therefore the true phase plus a delay, and its minimum over the samples that are stamped within the next quarter second,
+
+    E(i) = min L(j)  over  j >= i  with  s(j) <= s(i) + 0.25 s,
+
+is the phase without the delay of bursts, however long the host stood still before it handed one over. The time of a sample
+is E(i) + i T. Where k samples are missing, L rises by k T and stays there, so E makes a step; a delay that passes makes none.
+Such losses are estimates and flagged so. Where frames come in bursts longer than a period (an adapter without stamps of its
+own), only steps beyond that delay can be told from it; a cable that becomes slower for good looks like a loss.
+
+A counter in the messages numbers the samples itself: losses below one wrap of it are exact, and the steps of E that are left
+are whole wraps. A time stamp of the instrument replaces all of this.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.acquire.clock.can_period import LEARN_S, LEARN_SAMPLES, learned_from, sample_period_s
+from imufield.acquire.clock.stamp_clock import StampClock, StepRule
+from imufield.acquire.decode.can_source import CanBlock, join_blocks
+from imufield.acquire.decode.statistics import DecoderStatistics
+from imufield.acquire.protocol.samples_and_clock import ClockRule
+from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status
+
+_WINDOW_S = 0.25
+"""Longer than the delays of a busy host, as for serial ports."""
+_LEAST_WINDOW = 2
+"""Periods; slow instruments send less than that in a quarter second."""
+_USUAL_DELAY = 0.95
+_BURST_S = 0.02
+"""Least step that counts where frames come in bursts: a host under load is late by as much at any time."""
+_RESET_S = 1.0
+"""A stamp that runs back by more is another clock (the adapter's wrapped), by less frames out of order."""
+_LONGEST_PAUSE_S = 3600.0
+_DRIFT, _DRIFT_RUN = 0.1, 64
+"""So many samples in a row that each move the phase by this part of a period: the rate has changed."""
+
+
+@dataclass(slots=True)
+class _Phase:
+    """What is known once the period is learned."""
+
+    period_s: float
+    window_s: float
+    unit: int
+    """Samples in the smallest loss that only time shows: 1, or a wrap of the counter."""
+    number: float = 0.0
+    """Number of the next sample."""
+    visible_s: float = 0.0
+    """Smallest step of the phase that counts as loss."""
+    burst: int = 0
+    """How many samples usually come at once."""
+    is_blind: bool = False
+    """The stamps stand still: there is nothing but the number of the sample."""
+    base_s: float = 0.0
+    """Phase at the last sample given out."""
+    before_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    """Phases at as many samples given out as come in a burst, and one."""
+    last_time_s: float = -np.inf
+    run: int = 0
+
+
+class CanClock:
+    """Gives samples their time, block by block.
+
+    Parameters
+    ----------
+    rule : ClockRule
+    units : SampleUnits
+    counter_steps : tuple of int
+        Steps a counter may make from one sample to the next.
+    statistics : DecoderStatistics
+    """
+
+    def __init__(
+        self, rule: ClockRule, units: SampleUnits, counter_steps: tuple[int, ...], statistics: DecoderStatistics
+    ) -> None:
+        self._rule = rule
+        self._units = units
+        self._allowed_steps = counter_steps
+        self._statistics = statistics
+        self._held: list[CanBlock] = []
+        self._phase: _Phase | None = None
+        self._tried = LEARN_SAMPLES
+        """From so many samples no period could be learned yet."""
+        self._offset_s = 0.0
+        self._last_time_s = -np.inf
+        self._last_stamp_s: float | None = None
+        self._last_counter: int | None = None
+        self._counter_step = 1
+        self._device: _DeviceTime | None = None
+        self._begin: tuple[float, float] | None = None
+
+    def push(self, block: CanBlock, arrivals: object = None) -> Samples | None:  # noqa: ARG002  frames have their own stamps
+        """Return the samples whose time is settled now, None if there are none."""
+        if len(block) == 0:
+            return None
+        if len(block.ticks):
+            self._device = self._device or _DeviceTime(self._rule, self._statistics)
+            return self._device.push(block, self._units)
+        self._held.append(replace(block, stamp_s=self._continuous(block.stamp_s)))
+        return self._release(last=False)
+
+    def flush(self) -> Samples | None:
+        """Return what is held back; nothing will follow."""
+        if self._device is not None:
+            return self._device.flush(self._units)
+        return self._release(last=True) if self._held else None
+
+    def _continuous(self, stamp_s: FloatArray) -> FloatArray:
+        """Take out jumps of the clock that made the stamps."""
+        if self._last_stamp_s is None:
+            self._last_stamp_s = float(stamp_s[0])
+        step_s = np.diff(stamp_s, prepend=self._last_stamp_s)
+        self._last_stamp_s = float(stamp_s[-1])
+        if not (step_s.min() >= -_RESET_S and step_s.max() <= _LONGEST_PAUSE_S):
+            jumps = ~((step_s >= -_RESET_S) & (step_s <= _LONGEST_PAUSE_S))
+            self._statistics.clock_resets += int(np.count_nonzero(jumps))
+            step_s = np.where(np.isfinite(step_s), step_s, 0.0)
+            regular_s = self._phase.period_s if self._phase else 0.0
+            offset_s = self._offset_s - np.cumsum(np.where(jumps, step_s - regular_s, 0.0))
+            self._offset_s = float(offset_s[-1])
+            return np.nan_to_num(stamp_s) + offset_s
+        return stamp_s + self._offset_s if self._offset_s else stamp_s
+
+    def _release(self, *, last: bool) -> Samples | None:
+        block = join_blocks(self._held)
+        self._held = [block]
+        if self._phase is None:
+            samples, self._tried = learned_from(block.stamp_s, self._tried)
+            if not last and not samples:
+                return None
+            self._tried = LEARN_SAMPLES
+            self._phase = self._learn(block[: samples or len(block)])
+            self._phase.last_time_s = self._last_time_s
+        phase = self._phase
+        ready = len(block) if last or phase.is_blind else _settled(block.stamp_s, phase.window_s)
+        if ready <= 0:
+            return None
+        done = self._time(block, ready, phase)
+        self._held = [block[ready:]] if ready < len(block) else []
+        return done
+
+    def _learn(self, block: CanBlock) -> _Phase:
+        """Learn the period, and the usual step of a counter."""
+        known = block.counter >= 0
+        if np.count_nonzero(known) > len(known) / 2 and self._rule.counter_modulus:
+            steps = np.diff(block.counter)[known[1:] & known[:-1]] % self._rule.counter_modulus
+            seen = [int(np.count_nonzero(steps == step)) for step in self._allowed_steps]
+            self._counter_step = self._allowed_steps[int(np.argmax(seen))]
+            first = int(np.argmax(known))
+            self._last_counter = int(block.counter[first]) - (first + 1) * self._counter_step
+        steps = self._steps(block.counter, remember=False)
+        period_s = sample_period_s(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
+        window_s = max(_WINDOW_S, _LEAST_WINDOW * period_s)
+        unit = self._rule.counter_modulus // self._counter_step if self._last_counter is not None else 1
+        phase = _Phase(period_s, window_s, max(unit, 1))
+        lag_s = block.stamp_s - np.cumsum(steps) * period_s
+        envelope_s = _minimum_ahead(lag_s, block.stamp_s, window_s)
+        phase.base_s = float(envelope_s[0])
+        delay_s = float(np.quantile(lag_s - envelope_s, _USUAL_DELAY))
+        unit_s = phase.unit * period_s
+        phase.visible_s = unit_s / 2
+        if 2 * delay_s >= unit_s:
+            phase.visible_s = max(2 * delay_s, _BURST_S)
+            phase.burst = math.ceil(delay_s / period_s)
+            if self._last_counter is None:
+                self._statistics.least_loss_s = max(self._statistics.least_loss_s, phase.visible_s)
+        if block.stamp_s[-1] <= block.stamp_s[0]:
+            phase.is_blind, phase.base_s = True, 0.0
+        return phase
+
+    def _steps(self, counter: IntArray, *, remember: bool = True) -> FloatArray:
+        """Return how many samples each one is behind the one before, by the counter; 1 where there is none. Shape (n,)."""
+        if self._last_counter is None:
+            return np.ones(len(counter))
+        known = counter >= 0
+        filled = counter
+        if not known.all():
+            # A lost counter message: go on from the last one known.
+            places = np.maximum.accumulate(np.where(known, np.arange(len(counter)), -1))
+            before = np.where(places >= 0, counter[np.maximum(places, 0)], self._last_counter)
+            filled = before + (np.arange(len(counter)) - places) * self._counter_step * ~known
+        modulus = self._rule.counter_modulus
+        steps = np.diff(filled, prepend=self._last_counter) % modulus / self._counter_step
+        if remember:
+            self._last_counter = int(filled[-1]) % modulus
+        # More than half a round forward is a step back: frames out of order, or a restart.
+        back = steps > modulus / self._counter_step / 2
+        return np.where(back, 1.0, np.rint(steps))
+
+    def _time(self, block: CanBlock, ready: int, phase: _Phase) -> Samples:
+        """Give the first ``ready`` samples of the held block their time."""
+        number, steps = self._numbers(block, ready, phase)
+        lag_s = block.stamp_s - number * phase.period_s
+        envelope_s = np.zeros(ready) if phase.is_blind else _minimum_ahead(lag_s, block.stamp_s, phase.window_s)[:ready]
+        time_s = envelope_s + number[:ready] * phase.period_s
+        moved_s = np.diff(envelope_s, prepend=phase.base_s)
+        least_s, most_s = float(moved_s.min()), float(moved_s.max())
+        phase.base_s, phase.number = float(envelope_s[-1]), float(number[ready - 1])
+        stands = least_s > -_DRIFT * phase.period_s and most_s < min(phase.visible_s, _DRIFT * phase.period_s)
+        repeated = steps is not None and bool((steps < 1).any())
+        if stands and not repeated and time_s[0] > phase.last_time_s:
+            # No loss by time, no change of rate, and time runs forward, from the end of a period learned before as well.
+            phase.run, phase.last_time_s = 0, float(time_s[-1])
+            estimated = None
+        else:
+            estimated = _losses(envelope_s, moved_s, phase)
+            time_s = _forward(time_s, phase)
+        phase.before_s = np.concatenate([phase.before_s, envelope_s])[-phase.burst - 1 :]
+        self._begin = self._begin or (float(number[0]) + self._statistics.losses_estimated, float(time_s[0]))
+        samples = self._samples(block[:ready], time_s, steps, estimated)
+        self._measure(phase, *self._begin)
+        self._last_time_s = phase.last_time_s
+        if estimated is not None and self._rate_changed(moved_s, phase):
+            self._phase = None
+        return samples
+
+    def _numbers(self, block: CanBlock, ready: int, phase: _Phase) -> tuple[FloatArray, FloatArray | None]:
+        """Return the numbers of all samples held, and the steps of the first ``ready`` where there is a counter."""
+        if self._last_counter is None:
+            return np.arange(phase.number + 1, phase.number + len(block) + 0.5), None
+        number = phase.number + np.cumsum(self._steps(block.counter, remember=False))
+        # What stays held is counted again in the next call.
+        return number, self._steps(block.counter[:ready])
+
+    def _samples(self, block: CanBlock, time_s: FloatArray, steps: FloatArray | None, estimated: IntArray | None) -> Samples:
+        flags = np.full(len(block), np.uint32(Status.TIME_ESTIMATED), dtype=np.uint32)
+        statistics = self._statistics
+        statistics.samples += len(block)
+        gaps = np.zeros(len(block), dtype=np.bool_)
+        if steps is not None and steps.max() > 1:
+            gaps = steps > 1
+            flags[gaps] |= np.uint32(Status.AFTER_GAP)
+            statistics.samples_lost += int(steps[gaps].sum()) - int(np.count_nonzero(gaps))
+        if estimated is not None and estimated.any():
+            flags[estimated > 0] |= np.uint32(Status.GAP_ESTIMATED)
+            statistics.losses_estimated += int(estimated.sum())
+            gaps = gaps | (estimated > 0)
+        statistics.gaps += int(np.count_nonzero(gaps))
+        return _make(block, time_s, flags, self._units)
+
+    def _measure(self, phase: _Phase, first: float, first_s: float) -> None:
+        """Write the rate into the statistics: learned, and measured since the first sample."""
+        self._statistics.nominal_rate_hz = self._rule.rate_hz or 1 / phase.period_s
+        span_s = phase.last_time_s - first_s
+        if span_s >= 2 * LEARN_S:
+            self._statistics.rate_hz = (phase.number + self._statistics.losses_estimated - first) / span_s
+
+    def _rate_changed(self, moved_s: FloatArray, phase: _Phase) -> bool:
+        """Whether the phase runs away, which a wrong period makes it do."""
+        moves = np.abs(moved_s) > _DRIFT * phase.period_s
+        still = np.flatnonzero(~moves)
+        if len(still):
+            longest = max(phase.run + int(still[0]), int(np.diff(still).max(initial=1)) - 1)
+            phase.run = len(moves) - 1 - int(still[-1])
+        else:
+            phase.run = longest = phase.run + len(moves)
+        if max(longest, phase.run) < _DRIFT_RUN:
+            return False
+        self._begin = None
+        return True
+
+
+def _losses(envelope_s: FloatArray, moved_s: FloatArray, phase: _Phase) -> IntArray:
+    """Return how many samples are missing before each one by the steps of the phase, whole units of them. Shape (n,)."""
+    lost = np.zeros(len(moved_s), dtype=np.int64)
+    unit_s = phase.unit * phase.period_s
+    for place in np.flatnonzero(moved_s >= phase.visible_s).tolist():
+        # The last burst before a loss has nothing behind it that shows how late it was.
+        before = np.concatenate([phase.before_s, envelope_s[:place]])[-phase.burst - 1 :]
+        step_s = envelope_s[place] - before.min() if len(before) else moved_s[place]
+        lost[place] = round(float(step_s) / unit_s) * phase.unit
+    return lost
+
+
+def _settled(stamp_s: FloatArray, window_s: float) -> int:
+    """Return how many samples have all those behind them that are stamped within the window."""
+    return int(np.searchsorted(np.maximum.accumulate(stamp_s), stamp_s.max() - window_s, side="left"))
+
+
+def _minimum_ahead(values: FloatArray, stamp_s: FloatArray, window_s: float) -> FloatArray:
+    """Return the least of each value and those that follow it with stamps within the window. Shape (n,)."""
+    order_s = np.maximum.accumulate(stamp_s)
+    begin = np.arange(len(values))
+    end = np.searchsorted(order_s, order_s + window_s, side="right")
+    # The largest power of two that fits into each window; two such stretches, one at either end, cover it.
+    power = np.frexp((end - begin).astype(np.float64))[1] - 1
+    least, stretch = values.copy(), values
+    for exponent in range(int(power.max(initial=0)) + 1):
+        if exponent:
+            half = 1 << (exponent - 1)
+            stretch = np.minimum(stretch[:-half], stretch[half:])
+        here = power == exponent
+        least[here] = np.minimum(stretch[begin[here]], stretch[end[here] - (1 << exponent)])
+    return least
+
+
+def _forward(time_s: FloatArray, phase: _Phase) -> FloatArray:
+    """Keep time from running backwards: by a quarter of a period at least from one sample to the next."""
+    least_s = phase.period_s / 4
+    if float(time_s[0]) >= phase.last_time_s + least_s and (np.diff(time_s) >= least_s).all():
+        phase.last_time_s = float(time_s[-1])
+        return time_s
+    ramp = np.arange(1, len(time_s) + 1) * least_s
+    kept: FloatArray = np.asarray(np.maximum.accumulate(np.maximum(time_s - ramp, phase.last_time_s)) + ramp, dtype=np.float64)
+    phase.last_time_s = float(kept[-1])
+    return kept
+
+
+class _DeviceTime:
+    """Time from the instrument's own time stamps."""
+
+    def __init__(self, rule: ClockRule, statistics: DecoderStatistics) -> None:
+        self._rule = rule
+        self._statistics = statistics
+        self._stamps = StampClock(rule)
+        self._steps = StepRule()
+        self._early: list[CanBlock] = []
+        self._started = False
+
+    def push(self, block: CanBlock, units: SampleUnits) -> Samples | None:
+        if self._started:
+            return self._time(block, units)
+        self._early.append(block)
+        return self._start(units) if sum(map(len, self._early)) > LEARN_SAMPLES else None
+
+    def flush(self, units: SampleUnits) -> Samples | None:
+        return self._start(units) if self._early else None
+
+    def _start(self, units: SampleUnits) -> Samples:
+        block, self._early, self._started = join_blocks(self._early), [], True
+        known = block.ticks[np.isfinite(block.ticks)]
+        known = known if len(known) else np.zeros(1)
+        self._last = float(known[0])
+        self._steps.learn(self._stamps.start(self._whole(known[: LEARN_SAMPLES + 1])))
+        return self._time(block, units, first=True)
+
+    def _time(self, block: CanBlock, units: SampleUnits, *, first: bool = False) -> Samples:
+        step_s = self._steps.step or 1.0
+        ticks = self._filled(block.ticks, step_s * self._rule.time_ticks_per_s)
+        stamped = self._stamps.time(ticks, step_s)
+        found = self._steps.examine(stamped.step_s[1:] if first else stamped.step_s)
+        lost = np.concatenate([[0], found.lost]) if first else found.lost
+        flags = np.where(lost > 0, np.uint32(Status.AFTER_GAP), np.uint32(0))
+        flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
+        statistics = self._statistics
+        statistics.samples += len(block)
+        statistics.samples_lost += int(lost.sum())
+        statistics.gaps += int(np.count_nonzero(flags))
+        statistics.clock_resets += int(np.count_nonzero(stamped.reset))
+        statistics.nominal_rate_hz = 1 / self._steps.step if self._steps.step else None
+        return _make(block, stamped.time_s, flags.astype(np.uint32), units)
+
+    def _filled(self, ticks: FloatArray, step: float) -> NDArray[Any]:
+        """Put a regular step where the message with the time was lost."""
+        known = np.isfinite(ticks)
+        if not known.all():
+            places = np.maximum.accumulate(np.where(known, np.arange(len(ticks)), -1))
+            before = np.where(places >= 0, ticks[np.maximum(places, 0)], self._last)
+            ticks = np.where(known, ticks, before + (np.arange(len(ticks)) - places) * step)
+        if self._rule.time_modulus:
+            ticks %= self._rule.time_modulus
+        self._last = float(ticks[-1])
+        return self._whole(ticks)
+
+    def _whole(self, ticks: FloatArray) -> NDArray[Any]:
+        return np.rint(ticks).astype(np.int64) if self._rule.time_modulus else ticks
+
+
+def _make(block: CanBlock, time_s: FloatArray, flags: NDArray[np.uint32], units: SampleUnits) -> Samples:
+    return Samples(
+        time_s, block.values[:, 0:3], block.values[:, 3:6], block.values[:, 6], block.counter, block.status | flags, units
+    )

@@ -1,0 +1,293 @@
+"""Losses that only the host clock shows: whole wraps of a counter, or any where there is no counter.
+
+Such a loss makes the sample clock fall behind arrival by the loss, and stay behind by just that. Much else makes it fall
+behind, too, with nothing missing: a host that stood still and hands over old data late, a cable or network that is slower
+than it was, an instrument (or its emulator) that runs slow. What tells them apart is the *lag*, arrival minus sample clock
+above the line of earliest arrivals. Its least value over a while is free of the delays of single reads, and it
+
+* goes away again where data are late only: bytes that still wait in some buffer come faster than they are made;
+* rises on and on where the instrument runs slow;
+* stands where samples are missing, and where a cable has become slower for good.
+
+So blocks that come late are held back, and a loss is believed when the least lag has stood still for a while and
+
+* the stream itself shows a place where samples are missing that the bytes there do not account for, and the lag is a whole
+  number of units or began with a silence as long as itself (an instrument that was restarted); or
+* the stream shows nothing (one loss in 256 leaves no trace in a counter of 8 bits), but it was silent for as long as the
+  loss, and the lag is a whole number of units to within a few ms. Where arrival jitters more than that, or where the unit
+  is a single sample and less than a second is missing, nobody can tell it from a slower cable, and nothing is counted.
+
+Otherwise the lag is no loss and the line begins anew. An arrival that is earlier than a loss allows disproves it: the count
+is taken back. The time of samples is not, as it cannot run backwards; it has a flagged gap at that place.
+
+How far arrival at the host lags behind the sample clock, compared with how far it must.
+
+Arrival is never early, but often late: the operating system hands over old data in bursts. The lowest of
+(arrival - sample clock) in each quarter second is therefore the true relation of the two clocks, and the slope of those
+minima is the error of the nominal rate. A lag above that line that goes away was a burst; one that stays means that the
+sample clock is behind, so samples are missing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.acquire.decode.assembly import RawBlock
+from imufield.samples import FloatArray, Status
+
+_BUCKET_S = 0.25
+_WINDOW_BUCKETS = 16
+"""4 s: crystals of 100 ppm drift 0.4 ms in it even before the slope is known."""
+_LEAST_BUCKETS = 5
+"""1 s: minima that are known before their jitter is."""
+_SLOPE_AFTER_S = 1.0
+"""A 4 % slow unit is 40 ms behind by then, below what counts as a lag; before, minima are too close together."""
+_RESTART_S = 1.0
+"""Arrival that runs back by more than this is another host clock, not the order of threads."""
+_LARGEST_SLOPE = 0.05
+"""The worst unit on record ran 3.8 % slow; more is not a clock error."""
+
+
+class HostBaseline:
+    """Lower line through (arrival - sample clock) over arrival, both in s."""
+
+    def __init__(self) -> None:
+        self._first: tuple[float, float] | None = None
+        self._buckets: deque[tuple[float, float]] = deque(maxlen=_WINDOW_BUCKETS)
+
+    def add(self, arrival_s: float, sample_s: float) -> None:
+        """Take note of a block that arrived at ``arrival_s`` and whose last sample is of ``sample_s``."""
+        offset = arrival_s - sample_s
+        if self._buckets and arrival_s < self._buckets[-1][0] - _RESTART_S:
+            self._buckets.clear()
+            self._first = None
+        if not self._buckets or arrival_s >= self._buckets[-1][0] + _BUCKET_S:
+            if len(self._buckets) == 1 and self._first is None:
+                self._first = self._buckets[0]
+            self._buckets.append((arrival_s, offset))
+        elif offset < self._buckets[-1][1]:
+            self._buckets[-1] = (self._buckets[-1][0], offset)
+
+    @property
+    def slope(self) -> float | None:
+        """How much slower than nominal the instrument's clock runs, e.g. 0.038 for 3.8 %; None while not known."""
+        if self._first is None or self._buckets[-1][0] - self._first[0] < _SLOPE_AFTER_S:
+            return None
+        # The newest bucket is still filling, its minimum may be late.
+        arrival_s, offset = self._buckets[-2]
+        if arrival_s <= self._first[0]:
+            return None
+        return max(-_LARGEST_SLOPE, min(_LARGEST_SLOPE, (offset - self._first[1]) / (arrival_s - self._first[0])))
+
+    @property
+    def spread_s(self) -> float:
+        """How far the minima lie apart, s: by so much the least of many arrivals still jitters; infinite while not known."""
+        if len(self._buckets) < _LEAST_BUCKETS:
+            return math.inf
+        slope = self.slope or 0.0
+        level = [offset - slope * arrival_s for arrival_s, offset in list(self._buckets)[:-1]]
+        return max(level) - min(level)
+
+    def offset_at(self, arrival_s: float) -> float | None:
+        """Return the lowest offset to expect at ``arrival_s``; None before anything arrived."""
+        if not self._buckets:
+            return None
+        # A fast unit needs no slope, its minima fall by themselves; and a late start looks like one.
+        slope = max(0.0, self.slope or 0.0)
+        return min(offset + slope * (arrival_s - at) for at, offset in self._buckets)
+
+    def lag_s(self, arrival_s: float, sample_s: float) -> float:
+        """Return by how much ``sample_s`` is later at the host than it must be; 0 before anything arrived."""
+        expected = self.offset_at(arrival_s)
+        return 0.0 if expected is None else arrival_s - sample_s - expected
+
+
+_PROOF_WITH_FAULT_S, _PROOF_S = 1.0, 3.0
+"""How long the lag must stand still, at the least. A buffer that is emptied 1 % faster than it is filled moves it by 15 ms
+from one half of the longer time to the other."""
+_PROOF_SPREADS = 20.0
+"""With a fault, wait for so many times the usual jitter, but no longer than without."""
+_GIVE_UP_S = 4.0
+"""A lag that stands that long without being a loss is none; nothing is longer held back, but for late data coming in."""
+_AT_END_S = 0.25
+"""How long, where nothing will follow."""
+_SILENCE = 0.75
+"""Part of the loss that must have been silence; the rest allows for a read that was under way."""
+_FINEST_S, _SPREADS = 0.003, 2.0
+"""The lag stands still within the larger of 3 ms (a busy host) and twice the jitter of the line of earliest arrivals."""
+_COARSEST = 1 / 8
+"""Part of a unit by which the lag may be off, where there is nothing else to go by."""
+_COARSEST_WITH_FAULT = 1 / 4
+_LEAST_SILENT_S = 1.0
+"""Least loss without a trace where single samples are the unit: radio links and networks slow down by less."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimedBlock:
+    """A block with its time. The arrays are changed in place when a loss before them is found."""
+
+    block: RawBlock
+    time_s: FloatArray
+    flags: NDArray[np.uint32]
+    fault: NDArray[np.bool_]
+    """Where samples are missing that the bytes passed over do not account for. Shape (n,)."""
+    arrival_s: float
+
+    def part(self, begin: int, end: int, arrival_s: float) -> TimedBlock:
+        """Return some of the samples, which arrived by ``arrival_s``; the arrays are views."""
+        rows = slice(begin, end)
+        return TimedBlock(self.block[rows], self.time_s[rows], self.flags[rows], self.fault[rows], arrival_s)
+
+
+class LossWatch:
+    """Holds back late blocks and finds how many samples are missing before them.
+
+    Parameters
+    ----------
+    unit_s : float
+        Losses are multiples of this, s: one wrap of the counter, or one sample.
+    smallest_s : float
+        The smallest lag that counts as loss, s.
+    """
+
+    def __init__(self, unit_s: float, smallest_s: float) -> None:
+        self.baseline = HostBaseline()
+        self.lost_units = 0
+        """Units found missing so far; the sample clock behind them must move on by so much."""
+        self.units_taken_back = 0
+        """Units that were not missing after all; the sample clock stays as it is."""
+        self.gaps = 0
+        """Gaps found that were not flagged before."""
+        self._unit_s = unit_s
+        self._smallest_s = smallest_s
+        self._held: list[tuple[TimedBlock, float]] = []
+        self._last_arrival_s = math.nan
+        self._silence_s = 0.0
+        self._believed = 0
+        """Units found missing that an early arrival would disprove."""
+
+    def passes(self, arrival_s: float, last_s: float) -> bool:
+        """Take note of a block up to ``last_s`` if it is in time and nothing is held back; return whether it was.
+
+        The same as ``push`` for nearly all blocks, without making them.
+        """
+        if self._held or not math.isfinite(arrival_s):
+            return not self._held
+        if not abs(self.baseline.lag_s(arrival_s, last_s)) <= self._smallest_s:
+            return False
+        self._last_arrival_s = arrival_s
+        self.baseline.add(arrival_s, last_s)
+        return True
+
+    def push(self, timed: TimedBlock) -> list[TimedBlock]:
+        """Return the blocks whose time is settled now, in order."""
+        if not math.isfinite(timed.arrival_s):
+            return [*self.finish(), timed]
+        last_s = float(timed.time_s[-1])
+        lag_s = self.baseline.lag_s(timed.arrival_s, last_s)
+        if not self._held:
+            self._silence_s = timed.arrival_s - self._last_arrival_s
+        self._last_arrival_s = timed.arrival_s
+        if lag_s <= self._smallest_s:
+            self._disprove(lag_s)
+            self.baseline.add(timed.arrival_s, last_s)
+            return [*self._release(), timed]
+        self._held.append((timed, lag_s))
+        units = self._units_lost()
+        return [] if units is None else self._settle(units)
+
+    def finish(self) -> list[TimedBlock]:
+        """Return what is held back; nothing with an arrival time will follow."""
+        if not self._held:
+            return []
+        units = self._units_lost(at_end=True)
+        return self._settle(units) if units else self._release()
+
+    def _release(self) -> list[TimedBlock]:
+        held, self._held = self._held, []
+        return [timed for timed, _ in held]
+
+    def _units_lost(self, *, at_end: bool = False) -> int | None:
+        """Return how many units are missing in what is held back; None while it cannot be told."""
+        place = self._fault()
+        since = self._held[0 if place is None else place[0] :]
+        now_s = since[-1][0].arrival_s
+        waited_s = now_s - since[0][0].arrival_s
+        proof_s = self._proof_s(has_fault=place is not None)
+        if at_end:
+            proof_s = max(min(proof_s, waited_s), _AT_END_S if place is not None else _PROOF_S)
+        if waited_s < proof_s:
+            return None
+        before_s = _least(since, now_s - proof_s, now_s - proof_s / 2)
+        lag_s = _least(since, now_s - proof_s / 2, math.inf)
+        jitter_s = max(_FINEST_S, _SPREADS * self.baseline.spread_s)
+        tolerance_s = jitter_s if place is None else max(jitter_s, _COARSEST_WITH_FAULT * self._unit_s)
+        if abs(lag_s - before_s) <= tolerance_s and self._is_loss(lag_s, tolerance_s, has_fault=place is not None):
+            return round(lag_s / self._unit_s)
+        is_coming_in = lag_s < before_s - jitter_s
+        return 0 if waited_s >= _GIVE_UP_S and not is_coming_in else None
+
+    def _proof_s(self, *, has_fault: bool) -> float:
+        if not has_fault:
+            return _PROOF_S
+        return min(max(_PROOF_SPREADS * self.baseline.spread_s, _PROOF_WITH_FAULT_S), _PROOF_S)
+
+    def _is_loss(self, lag_s: float, tolerance_s: float, *, has_fault: bool) -> bool:
+        """Whether a lag that stands still is a loss."""
+        units = round(lag_s / self._unit_s)
+        is_whole = abs(lag_s - units * self._unit_s) <= tolerance_s
+        was_silent = self._silence_s >= _SILENCE * lag_s
+        if has_fault:
+            return units > 0 and (is_whole or was_silent)
+        counts_wraps = self._smallest_s < self._unit_s
+        can_tell = tolerance_s <= _COARSEST * self._unit_s if counts_wraps else lag_s >= _LEAST_SILENT_S
+        return units > 0 and is_whole and was_silent and can_tell
+
+    def _settle(self, units: int) -> list[TimedBlock]:
+        """Let go what is held back: with a loss in it, or with a clock that has changed."""
+        place = self._fault() or (0, 0)
+        held = self._release()
+        if units:
+            self._insert(held, place, units)
+            self._believed += units
+        else:
+            self.baseline = HostBaseline()
+            self._believed = 0
+        for timed in held:
+            self.baseline.add(timed.arrival_s, float(timed.time_s[-1]))
+        return held
+
+    def _insert(self, held: list[TimedBlock], place: tuple[int, int], units: int) -> None:
+        """Move all samples from ``place`` on by the loss."""
+        number, row = place
+        for timed in held[number:]:
+            timed.time_s[row if timed is held[number] else 0 :] += units * self._unit_s
+        flags = held[number].flags
+        self.gaps += int(flags[row] & np.uint32(Status.AFTER_GAP | Status.GAP_ESTIMATED) == 0)
+        flags[row] = flags[row] & ~np.uint32(Status.AFTER_GAP) | np.uint32(Status.GAP_ESTIMATED)
+        self.lost_units += units
+
+    def _disprove(self, lag_s: float) -> None:
+        """Take back losses that cannot have been, as bytes arrive earlier than they would allow."""
+        if self._believed and lag_s < -self._smallest_s:
+            units = min(round(-lag_s / self._unit_s), self._believed)
+            self._believed -= units
+            self.units_taken_back += units
+
+    def _fault(self) -> tuple[int, int] | None:
+        """Return block and sample of the first fault in what is held; None where there is none."""
+        for number, (timed, _) in enumerate(self._held):
+            rows = np.flatnonzero(timed.fault)
+            if len(rows):
+                return number, int(rows[0])
+        return None
+
+
+def _least(held: list[tuple[TimedBlock, float]], begin_s: float, end_s: float) -> float:
+    """Return the least lag of what arrived in a stretch of time, infinity where nothing did."""
+    return min((lag_s for timed, lag_s in held if begin_s <= timed.arrival_s < end_s), default=math.inf)

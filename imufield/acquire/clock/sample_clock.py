@@ -1,0 +1,340 @@
+"""The sample clock: when each sample was taken, and how many are missing before it.
+
+Three sources, in this order of trust:
+
+* a *time stamp* of the instrument, unwrapped;
+* a *counter* of known rate, unwrapped: fewer losses than one wrap of it are counted exactly. More cannot be seen in it
+  (256 counts at 2000 Hz are 128 ms). They show as a lag against the host clock that does not go away; samples are held
+  back until it is clear whether the lag is a burst of late data (nothing is missing) or whole wraps are;
+* the *host clock*: samples in even steps at the measured rate, kept to the line of earliest arrivals.
+
+Time never runs backwards. A time stamp that does (the instrument restarted, or set its clock) becomes a gap.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.acquire.clock.loss_watch import LossWatch, TimedBlock
+from imufield.acquire.clock.stamp_clock import LEARN_FROM, NO_TICKS, StampClock, StepRule
+from imufield.acquire.decode.assembly import RawBlock, join
+from imufield.acquire.decode.statistics import DecoderStatistics
+from imufield.acquire.protocol.samples_and_clock import ClockRule
+from imufield.errors import ProtocolError, Reason
+from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status
+
+_FREE_LAG_S = 0.25
+"""Lag that counts as loss where there is no counter: above the usual delays of a busy host."""
+_HALF_A_SAMPLE = 0.5
+_MEASURE_RATE_S = 0.5
+"""Host time over which the rate is first measured where the instrument sends neither counter nor time."""
+_LARGEST_RATE_ERROR = 0.25
+"""Part by which the stated rate of increments may differ from the learned one: coarse time stamps learn badly."""
+_SLEW = 0.1
+"""Largest part by which steps are stretched to follow the host clock."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arrivals:
+    """When the bytes of a stream came."""
+
+    ends: IntArray
+    """Offset in the stream just behind each read, ascending. Shape (k,)."""
+    arrival_s: FloatArray
+    """Host time when its last byte arrived, s; NaN where not known. Shape (k,)."""
+
+    def reads_of(self, block: RawBlock) -> list[tuple[int, float]]:
+        """Return (rows up to its end, arrival) of each read that completed a sample of this block."""
+        if len(self.ends) == 1:
+            return [(len(block), float(self.arrival_s[0]))] if len(block) else []
+        until = np.searchsorted(block.stream_end, self.ends, side="right")
+        until[-1] = len(block)
+        with_rows = np.flatnonzero(np.diff(until, prepend=0))
+        return list(zip(until[with_rows].tolist(), self.arrival_s[with_rows].tolist(), strict=True))
+
+
+class SampleClock:
+    """Gives samples their time, block by block.
+
+    Parameters
+    ----------
+    rule : ClockRule
+        With the moduli filled in; fields that the stream does not have are empty.
+    units : SampleUnits
+    statistics : DecoderStatistics
+        Counts of samples and losses are kept there.
+    """
+
+    def __init__(self, rule: ClockRule, units: SampleUnits, statistics: DecoderStatistics) -> None:
+        self._rule = rule
+        self._units = units
+        self._statistics = statistics
+        self._has_time = bool(rule.time_field)
+        self._has_counter = bool(rule.counter_field)
+        self._chosen = False
+        """Which of time stamp, counter and host clock to go by is settled: not every stream has what its protocol has."""
+        self._steps = StepRule()
+        self._watch = LossWatch(1.0, 1.0)
+        self._early: list[tuple[RawBlock, float]] = []
+        self._started = False
+        self._stamps = StampClock(rule)
+        self._last_counter = 0
+        self._stamped_step_s = 0.0
+        """Regular step by the first time stamps, where a counter comes beside them."""
+        # Without time stamps, time is origin_s + ticks / tick_rate_hz: whole numbers, so that nothing adds up.
+        self._tick_rate_hz = 1.0
+        self._ticks = 0
+        self._unit_ticks = 1
+        self._origin_s = 0.0
+        self._shift_s = 0.0
+        """Added to even steps to follow the host clock, where there is neither time nor counter."""
+
+    def push(self, block: RawBlock, arrivals: Arrivals) -> Samples | None:
+        """Return the samples whose time is settled now, None if there are none.
+
+        Parameters
+        ----------
+        block : RawBlock
+        arrivals : Arrivals
+            Of the reads that this block comes from.
+        """
+        reads = arrivals.reads_of(block)
+        done: list[TimedBlock] = []
+        begin = 0
+        while not self._started and reads:
+            end, arrival_s = reads.pop(0)
+            self._early.append((block[begin:end], arrival_s))
+            begin = end
+            if self._enough_to_start():
+                done = self._start_blocks()
+        if reads:
+            done += self._settle(block[begin:] if begin else block, [(end - begin, at_s) for end, at_s in reads])
+        return self._emit(done)
+
+    def flush(self) -> Samples | None:
+        """Return what is still held back; nothing will follow."""
+        done = [] if self._started or not self._early else self._start_blocks()
+        done += self._watch.finish()
+        self._count_losses(np.empty(0))
+        return self._emit(done)
+
+    def _enough_to_start(self) -> bool:
+        count = sum(len(block) for block, _ in self._early)
+        if count > LEARN_FROM:
+            self._choose()
+        if self._has_counter or self._has_time:
+            return count > LEARN_FROM
+        span_s = self._early[-1][1] - self._early[0][1]
+        return count > LEARN_FROM and (not math.isfinite(span_s) or span_s >= _MEASURE_RATE_S or count > 1 << 16)
+
+    def _choose(self) -> None:
+        """Settle by what the first samples have which clock to go by."""
+        if self._chosen:
+            return
+        self._chosen = True
+        first = join([block for block, _ in self._early])[: LEARN_FROM + 1]
+        missing = np.isnan(first.ticks) if first.ticks.dtype.kind == "f" else first.ticks == NO_TICKS
+        self._has_time = self._has_time and bool(2 * np.count_nonzero(~missing) > len(first))
+        counted = bool(2 * np.count_nonzero(first.counter != NO_COUNTER) > len(first))
+        others = self._has_time and self._rule.counter_counts_others
+        self._has_counter = self._has_counter and counted and not others
+        by_stamps = self._has_time and not self._has_counter
+        self._steps = StepRule() if by_stamps else StepRule(self._rule.counter_steps, self._rule.counter_jitter)
+
+    def _start_blocks(self) -> list[TimedBlock]:
+        """Learn the regular step from the first samples, then time them like all others."""
+        self._started = True
+        self._choose()
+        first = join([block for block, _ in self._early])[: LEARN_FROM + 1]
+        first_steps_s = self._stamps.start(first.ticks) if self._has_time else np.empty(0)
+        if self._has_counter:
+            self._last_counter = int(first.counter[0])
+            self._steps.learn(self._counter_steps(first)[1:].astype(np.float64))
+            self._last_counter = int(first.counter[0]) - int(self._steps.step)
+            self._stamped_step_s = _usual(first_steps_s)
+            self._tick_rate_hz = self._rule.counter_ticks_per_s or self._rule.rate_hz or 1.0
+        elif self._has_time:
+            self._steps.learn(first_steps_s)
+        else:
+            self._start_without_device_time()
+        self._ticks = -int(self._steps.step)
+        self._unit_ticks = self._rule.counter_modulus if self._has_counter else 1
+        unit_s = self._unit_ticks / self._tick_rate_hz
+        self._watch = LossWatch(unit_s, unit_s / 2 if self._has_counter else _FREE_LAG_S)
+        self._check_interval(len(first))
+        early, self._early = self._early, []
+        return [timed for block, arrival_s in early for timed in self._settle(block, [(len(block), arrival_s)])]
+
+    def _start_without_device_time(self) -> None:
+        self._steps.step = 1.0
+        self._tick_rate_hz = self._rate_at_host()
+        block, arrival_s = self._early[0]
+        if math.isfinite(arrival_s):
+            self._origin_s = arrival_s - (len(block) - 1) / self._tick_rate_hz
+
+    def _rate_at_host(self) -> float:
+        """Return the sample rate over the first blocks; the nominal one where the host clock says nothing."""
+        (first, begin_s), (_, end_s) = self._early[0], self._early[-1]
+        count = sum(len(block) for block, _ in self._early) - len(first)
+        nominal = self._rule.rate_hz or 1.0
+        if not end_s - begin_s >= _MEASURE_RATE_S or count == 0:
+            return nominal
+        measured = count / (end_s - begin_s)
+        return nominal if abs(measured / nominal - 1) < 2 * _SLEW else measured
+
+    def _check_interval(self, learned_from: int) -> None:
+        """Refuse a wrong sample interval of increments: every value would be wrong by that factor."""
+        interval_s, step_s = self._units.interval_s, self._step_s
+        if interval_s is None or learned_from <= LEARN_FROM or step_s <= 0 or not (self._has_counter or self._has_time):
+            return
+        if abs(step_s / interval_s - 1) > _LARGEST_RATE_ERROR:
+            raise ProtocolError(
+                f"the instrument sends {1 / step_s:.4g} samples/s, but rate_hz is {1 / interval_s:.4g} and increments need "
+                f"the true one; set rate_hz={1 / step_s:.4g}",
+                Reason.UNITS,
+                rate_hz=1 / step_s,
+            )
+
+    @property
+    def _step_s(self) -> float:
+        """The regular step in s; 0 while not known."""
+        return self._steps.step if self._has_time and not self._has_counter else self._steps.step / self._tick_rate_hz
+
+    def _time(self, block: RawBlock) -> TimedBlock:
+        """Put one block on the clock."""
+        flags = np.zeros(len(block), dtype=np.uint32)
+        ticks = self._counter_steps(block) if self._has_counter else block.lost_before + 1
+        steps = ticks.astype(np.float64)
+        if self._has_time:
+            stamped = self._stamps.time(block.ticks, self._step_s)
+            time_s = stamped.time_s
+            flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
+            self._statistics.clock_resets += int(np.count_nonzero(stamped.reset))
+            steps = self._add_wraps(steps, stamped.step_s) if self._has_counter else stamped.step_s
+        else:
+            total = self._ticks + np.cumsum(ticks)
+            self._ticks = int(total[-1])
+            time_s = total / self._tick_rate_hz + self._origin_s
+        found = self._steps.examine(steps)
+        if self._rule.gaps_told:
+            self._count_told(block.status, found.lost)
+            return TimedBlock(block, time_s, flags, np.zeros(len(block), dtype=np.bool_), math.nan)
+        flags[found.irregular & ~found.inexact] |= np.uint32(Status.AFTER_GAP)
+        flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
+        unaccounted = np.abs(block.skipped_before - found.lost) > _HALF_A_SAMPLE
+        fault = unaccounted & (found.irregular | (block.skipped_before > 0))
+        self._statistics.gaps += int(np.count_nonzero(flags))
+        self._statistics.samples_lost += int(found.lost.sum())
+        if not (self._has_time or self._has_counter):
+            flags |= np.uint32(Status.TIME_ESTIMATED)
+        return TimedBlock(block, time_s, flags, fault, math.nan)
+
+    def _count_told(self, status: NDArray[np.uint32], lost: IntArray) -> None:
+        """Count the losses that the samples themselves tell of; how many there are is in the time."""
+        estimated = (status & np.uint32(Status.GAP_ESTIMATED)) != 0
+        counted = ((status & np.uint32(Status.AFTER_GAP)) != 0) & ~estimated
+        self._statistics.gaps += int(np.count_nonzero(estimated | counted))
+        self._statistics.samples_lost += int(lost[counted].sum())
+        self._statistics.losses_estimated += int(lost[estimated].sum())
+
+    def _counter_steps(self, block: RawBlock) -> IntArray:
+        """Return how far the counter went to each sample; a standing one went round once. Shape (n,)."""
+        steps: IntArray = np.diff(block.counter, prepend=self._last_counter) % self._rule.counter_modulus
+        self._last_counter = int(block.counter[-1])
+        steps[steps == 0] = self._rule.counter_modulus
+        return steps
+
+    def _add_wraps(self, steps: FloatArray, step_s: FloatArray) -> FloatArray:
+        """Return the steps of a counter with the whole wraps that the time stamps beside it show."""
+        if self._stamped_step_s <= 0:
+            return steps
+        expected = step_s / self._stamped_step_s * self._steps.step
+        wraps = np.maximum(np.rint((expected - steps) / self._rule.counter_modulus), 0)
+        return np.asarray(steps + wraps * self._rule.counter_modulus)
+
+    def _settle(self, block: RawBlock, reads: list[tuple[int, float]]) -> list[TimedBlock]:
+        """Put a block on the clock; return what is settled now. ``reads`` has the last row and arrival of each read."""
+        timed = self._time(block)
+        settled: list[TimedBlock] = []
+        begin = at = 0
+        for end, arrival_s in reads:
+            last_s = float(timed.time_s[end - 1])
+            if self._has_time or (self._has_counter and self._watch.passes(arrival_s, last_s)):
+                at = end
+                if self._has_time and math.isfinite(arrival_s):
+                    self._watch.baseline.add(arrival_s, last_s)
+                continue
+            if at > begin:
+                settled.append(timed.part(begin, at, math.nan))
+            settled += self._watch.push(timed.part(at, end, arrival_s))
+            self._count_losses(timed.time_s[end:])
+            begin = at = end
+        return [*settled, timed.part(begin, at, math.nan)] if at > begin else settled
+
+    def _count_losses(self, following_s: FloatArray) -> None:
+        """Move on by what the host clock showed to be missing, samples that are timed already included."""
+        units, self._watch.lost_units = self._watch.lost_units, 0
+        taken_back, self._watch.units_taken_back = self._watch.units_taken_back, 0
+        self._statistics.gaps += self._watch.gaps
+        self._watch.gaps = 0
+        if taken_back:
+            self._statistics.losses_estimated -= round(taken_back * self._unit_ticks / self._steps.step)
+        if units:
+            self._ticks += units * self._unit_ticks
+            following_s += units * self._unit_ticks / self._tick_rate_hz
+            self._statistics.losses_estimated += round(units * self._unit_ticks / self._steps.step)
+
+    def _emit(self, done: list[TimedBlock]) -> Samples | None:
+        if not done:
+            return None
+        time_s = np.concatenate([self._follow_host(each) for each in done]) if len(done) > 1 else self._follow_host(done[0])
+        block = join([each.block for each in done])
+        flags = np.concatenate([each.flags for each in done]) if len(done) > 1 else done[0].flags
+        self._statistics.samples += len(block)
+        self._measure()
+        return Samples(
+            time_s,
+            block.accelerometer,
+            block.gyroscope,
+            block.temperature_degc,
+            block.counter,
+            block.status | flags,
+            self._units,
+        )
+
+    def _follow_host(self, timed: TimedBlock) -> FloatArray:
+        """Bend even steps towards the line of earliest arrivals; device time is left as it is."""
+        if self._has_time or self._has_counter or not math.isfinite(timed.arrival_s):
+            return timed.time_s
+        if self._watch.baseline.slope is None:
+            # Everything at once (a dump) or too early to tell: the rate learned at the start is the best there is.
+            return timed.time_s + self._shift_s
+        wanted_s = self._watch.baseline.offset_at(timed.arrival_s) or 0.0
+        span_s = len(timed.time_s) / self._tick_rate_hz
+        step_s = min(max(wanted_s - self._shift_s, -_SLEW * span_s), _SLEW * span_s)
+        bent = timed.time_s + self._shift_s + np.linspace(step_s / len(timed.time_s), step_s, len(timed.time_s))
+        self._shift_s += step_s
+        return bent
+
+    def _measure(self) -> None:
+        """Write the sample rate by the instrument's clock and by the host's into the statistics."""
+        step_s = self._step_s
+        if step_s <= 0:
+            return
+        self._statistics.nominal_rate_hz = 1 / step_s
+        slope = self._watch.baseline.slope
+        self._statistics.rate_hz = None if slope is None else (1 - slope) / step_s
+
+
+def _usual(steps_s: FloatArray) -> float:
+    """Return the mean of the steps that are near the middle one; 0 where there are none at all."""
+    positive = steps_s[steps_s > 0]
+    if len(positive) == 0:
+        return 0.0
+    middle = float(np.median(positive))
+    near = positive[np.abs(positive - middle) <= _LARGEST_RATE_ERROR * middle]
+    return float(np.mean(near)) if len(near) else middle

@@ -1,0 +1,221 @@
+"""Time stamps of the instrument, unwrapped and kept from running backwards.
+
+From one sample to the next: what step of the counter or the time stamp is regular, and what is a gap.
+
+The regular step is learned from the first samples and learned anew when the stream settles on another (somebody changed
+the output rate), always at a fixed place in the sequence of samples, so that it does not matter how reads cut it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.acquire.protocol.samples_and_clock import ClockRule
+from imufield.samples import FloatArray, IntArray
+
+LEARN_FROM = 8
+"""Steps from which the regular one is learned."""
+_RELEARN_AFTER = 16
+"""Equal irregular steps in a row: at 2000 Hz 8 ms, and no pattern of losses is that regular."""
+_SHORTEST_S = 1e-6
+"""No instrument sends a million samples per second; steps below are rounding."""
+_TOLERANCE = 0.25
+"""Time stamps may jitter by this part of a step and still count as equal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """What stands before each of n samples."""
+
+    lost: IntArray
+    """Samples missing before this one. Shape (n,)."""
+    irregular: NDArray[np.bool_]
+    """Whether there is a gap before this one. Shape (n,)."""
+    inexact: NDArray[np.bool_]
+    """Whether the number lost is only the nearest, the step being no multiple of the regular one. Shape (n,)."""
+
+
+class StepRule:
+    """Finds gaps in the steps of a counter (exact) or of a time stamp (with jitter).
+
+    Parameters
+    ----------
+    allowed : tuple of int
+        Steps a counter may make; empty for time stamps.
+    jitter : int
+        By how much they may be off.
+    """
+
+    def __init__(self, allowed: tuple[int, ...] = (), jitter: int = 0) -> None:
+        self._allowed = allowed
+        self._jitter = jitter
+        self.step = 0.0
+        """The regular step; 0 while not learned."""
+        self._run_value = 0.0
+        self._run_length = 0
+
+    def learn(self, steps: FloatArray) -> None:
+        """Learn the regular step from the first ones."""
+        if not self._allowed:
+            positive = steps[steps > _SHORTEST_S]
+            self.step = float(np.median(positive)) if len(positive) else 0.0
+            return
+        seen = [int(np.count_nonzero(np.abs(steps - step) <= self._jitter)) for step in self._allowed]
+        self.step = float(self._allowed[int(np.argmax(seen))])
+
+    def examine(self, steps: FloatArray) -> Steps:
+        """Judge n steps, shape (n,), in order."""
+        lost = np.zeros(len(steps), dtype=np.int64)
+        irregular = np.zeros(len(steps), dtype=np.bool_)
+        inexact = np.zeros(len(steps), dtype=np.bool_)
+        at = 0
+        while at < len(steps) and self.step > 0:
+            odd = self._odd(steps[at:])
+            if not odd.any():
+                self._run_length = 0
+                break
+            until, learned = self._relearn(steps, at + np.flatnonzero(odd))
+            part = slice(at, until)
+            ratio = steps[part] / self.step
+            lost[part] = np.where(odd[: until - at], np.maximum(np.rint(ratio) - 1, 0), 0)
+            irregular[part] = odd[: until - at] & ((lost[part] > 0) | bool(self._allowed))
+            whole = np.abs(ratio - np.rint(ratio)) * self.step <= self._jitter * np.maximum(np.rint(ratio), 1)
+            inexact[part] = irregular[part] & ~whole & bool(self._allowed)
+            if learned:
+                self.step, self._run_length = self._run_value, 0
+            at = until
+        return Steps(lost, irregular, inexact)
+
+    def _odd(self, steps: FloatArray) -> NDArray[np.bool_]:
+        tolerance = self._jitter if self._allowed else 2 * _TOLERANCE * self.step
+        odd: NDArray[np.bool_] = np.abs(steps - self.step) > tolerance
+        return odd
+
+    def _relearn(self, steps: FloatArray, odd_at: IntArray) -> tuple[int, bool]:
+        """Return behind which of the steps another one becomes regular, and True; their number and False if none does."""
+        previous = -1 if self._run_length else -2
+        for place in odd_at.tolist():
+            value = float(steps[place])
+            goes_on = place == previous + 1 and self._equal(value)
+            self._run_length = self._run_length + 1 if goes_on else 1
+            self._run_value = self._run_value if goes_on else value
+            previous = place
+            if self._run_length >= _RELEARN_AFTER and self._may_be_step(value):
+                return int(place) + 1, True
+        if previous != len(steps) - 1:
+            self._run_length = 0
+        return len(steps), False
+
+    def _equal(self, value: float) -> bool:
+        if self._allowed:
+            return abs(value - self._run_value) <= self._jitter
+        return abs(value - self._run_value) <= _TOLERANCE * abs(self._run_value)
+
+    def _may_be_step(self, value: float) -> bool:
+        return any(abs(value - step) <= self._jitter for step in self._allowed) if self._allowed else value > _SHORTEST_S
+
+
+NO_TICKS = np.iinfo(np.int64).min
+"""Time stamp of a sample that has none, where others have whole numbers; NaN where others have fractions."""
+
+_LARGEST_TIME_S = 1e11
+"""3000 years; in an unchecked stream anything further from zero, infinity and NaN are garbage."""
+_LONGEST_PAUSE_S = 3600.0
+"""A time stamp further ahead than this is a clock being set, e.g. by GNSS, not an hour without samples."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stamped:
+    """Time of n samples."""
+
+    time_s: FloatArray
+    step_s: FloatArray
+    """Time since the sample before; the regular step where the clock was set anew. Shape (n,)."""
+    reset: NDArray[np.bool_]
+    """Where the time stamp ran backwards or leapt ahead. Shape (n,)."""
+
+
+class StampClock:
+    """Makes one continuous time from time stamps.
+
+    The time is the stamp itself plus whole wraps, plus an offset that changes only where the instrument's clock was set
+    anew; so it is exact, and does not depend on how the stream is cut.
+
+    Parameters
+    ----------
+    rule : ClockRule
+    """
+
+    def __init__(self, rule: ClockRule) -> None:
+        self._modulus = rule.time_modulus
+        self._ticks_per_s = rule.time_ticks_per_s
+        self._longest_pause_s = math.inf if rule.gaps_told else _LONGEST_PAUSE_S
+        self._last: float = 0
+        self._wraps = 0
+        self._offset_s = 0.0
+        self._raw_s = 0.0
+        self._time_s = 0.0
+
+    def start(self, stamps: NDArray[Any]) -> FloatArray:
+        """Begin with the first of the first n time stamps; return the n - 1 steps between them, s."""
+        stamps = self._without_garbage(stamps)
+        self._last = max(stamps[0].item(), -_LARGEST_TIME_S * self._ticks_per_s)
+        self._time_s = self._raw_s = self._last / self._ticks_per_s
+        return np.diff(stamps) / self._ticks_per_s
+
+    def time(self, stamps: NDArray[Any], regular_s: float) -> Stamped:
+        """Return the time of the next n samples.
+
+        Parameters
+        ----------
+        stamps : ndarray of int64 or float64, shape (n,)
+            As sent.
+        regular_s : float
+            Step to assume where the instrument's clock was set anew, s.
+        """
+        stamps = self._unwrap(self._without_garbage(stamps))
+        raw_s: FloatArray = stamps / self._ticks_per_s
+        step_s = _steps(raw_s, self._raw_s)
+        reset = (step_s < 0) | (step_s > self._longest_pause_s)
+        offset_s = np.full(len(stamps), self._offset_s)
+        for place in np.flatnonzero(reset).tolist():
+            before_s = raw_s[place - 1] + offset_s[place - 1] if place else self._raw_s + self._offset_s
+            offset_s[place:] = before_s + regular_s - raw_s[place]
+        # Between times far apart the offset is coarser than a step, which must not turn time back.
+        time_s = np.maximum.accumulate(np.maximum(raw_s + offset_s, self._time_s))
+        step_s[reset] = regular_s
+        self._raw_s, self._offset_s, self._time_s = float(raw_s[-1]), float(offset_s[-1]), float(time_s[-1])
+        return Stamped(time_s, step_s, reset)
+
+    def _without_garbage(self, stamps: NDArray[Any]) -> NDArray[Any]:
+        """Replace what is no time by the stamp before: such a sample has no time of its own."""
+        is_whole = stamps.dtype.kind == "i"
+        good = stamps != NO_TICKS if is_whole else np.abs(stamps) < _LARGEST_TIME_S * self._ticks_per_s
+        if not good.all():
+            stamps = np.concatenate([np.array([self._last], dtype=stamps.dtype), stamps])
+            place = np.maximum.accumulate(np.where(np.append(True, good), np.arange(len(stamps)), 0))
+            stamps = stamps[place][1:]
+        return stamps
+
+    def _unwrap(self, stamps: NDArray[Any]) -> NDArray[Any]:
+        """Add a wrap wherever a stamp is more than half a wrap behind the one before."""
+        before, self._last = self._last, stamps[-1].item()
+        if not self._modulus:
+            return stamps
+        wraps = self._wraps + np.cumsum(_steps(stamps, before) < -(self._modulus // 2))
+        self._wraps = int(wraps[-1])
+        unwrapped: NDArray[Any] = stamps + wraps * self._modulus
+        return unwrapped
+
+
+def _steps(values: NDArray[Any], before: float) -> NDArray[Any]:
+    """Return how far each value is from the one before it; as ``np.diff(values, prepend=before)``, many times faster."""
+    steps = np.empty_like(values)
+    steps[0] = values[0] - before
+    np.subtract(values[1:], values[:-1], out=steps[1:])
+    return steps

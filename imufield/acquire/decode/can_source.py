@@ -1,0 +1,392 @@
+"""CAN frames to samples without a time: the part of the decoder that knows a bus.
+
+A block of packed frames is sorted by kind, grouped into samples, and read kind by kind with NumPy. Frames of samples that are
+not settled yet are put back and read again in front of the next block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.acquire.decode.can_assembly import NO_FRAME, Assembler, SampleFrames
+from imufield.acquire.decode.statistics import LEFT_OUT, DecoderStatistics
+from imufield.acquire.protocol.can_dbc import CanSignal
+from imufield.acquire.protocol.can_frames import ERROR, REMOTE, CanFrames, Unpacker
+from imufield.acquire.protocol.can_protocol import (
+    ANY_ADDRESS,
+    TEMPERATURE,
+    CanFlag,
+    CanKind,
+    CanRule,
+    Column,
+    with_source_address,
+)
+from imufield.samples import INSTRUMENT_STATUS_SHIFT, NO_COUNTER, FloatArray, IntArray, Status
+
+_NO_KIND, _SHORT = -1, -2
+_VALUES = TEMPERATURE + 1
+_ACCELEROMETER, _GYROSCOPE = slice(0, 3), slice(3, 6)
+
+
+@dataclass(frozen=True, slots=True)
+class CanBlock:
+    """n samples that have no time yet."""
+
+    values: FloatArray
+    """Accelerometer x, y, z, gyroscope x, y, z, temperature; NaN where not available. Shape (n, 7)."""
+    status: NDArray[np.uint32]
+    counter: IntArray
+    """As sent; ``NO_COUNTER`` where there is none."""
+    ticks: FloatArray
+    """Time stamp of the instrument as sent; NaN where there is none. Shape (n,), or (0,) where the protocol has none."""
+    stamp_s: FloatArray
+    """Time stamp of the frame the sample begins with. Shape (n,)."""
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> CanBlock:
+        ticks = self.ticks[rows] if len(self.ticks) else self.ticks
+        return CanBlock(self.values[rows], self.status[rows], self.counter[rows], ticks, self.stamp_s[rows])
+
+
+def join_blocks(blocks: list[CanBlock]) -> CanBlock:
+    """Join at least one block."""
+    if len(blocks) == 1:
+        return blocks[0]
+    return CanBlock(
+        np.concatenate([block.values for block in blocks]),
+        np.concatenate([block.status for block in blocks]),
+        np.concatenate([block.counter for block in blocks]),
+        np.concatenate([block.ticks for block in blocks]),
+        np.concatenate([block.stamp_s for block in blocks]),
+    )
+
+
+class CanSource:
+    """Reads packed frames.
+
+    Parameters
+    ----------
+    rule : CanRule
+    statistics : DecoderStatistics
+    keep : callable
+        Given every message that is no sample.
+    """
+
+    def __init__(self, rule: CanRule, statistics: DecoderStatistics, keep: Callable[[dict[str, Any]], None]) -> None:
+        self._rule = rule
+        self._statistics = statistics
+        self._keep = keep
+        self._unpacker = Unpacker()
+        self._put_back = 0
+        """Frames of the next block that were counted before."""
+        self._address = rule.source_address
+        self._kinds = [_KindReader(kind) for kind in rule.kinds]
+        self._match_address()
+        self._has_time = any(kind.time for kind in rule.kinds)
+        self._inertial = [
+            number for number, kind in enumerate(rule.kinds) if any(column.place < TEMPERATURE for column in kind.columns)
+        ]
+        self._standing: dict[int, tuple[NDArray[np.uint8], int]] = {}
+        """By number of a slower kind: data of its last frame, and how many samples ago that was."""
+        self._bytes_needed = max(reader.bytes_needed for reader in self._kinds)
+        self._assembler = Assembler(rule.assembly, [rule.dbc.identifier(kind.message.name) for kind in rule.kinds])
+
+    def feed(self, data: bytes) -> CanBlock | None:
+        """Return the samples that are settled, None if there are none."""
+        return self._read(self._unpacker.feed(data), last=False)
+
+    def finish(self) -> CanBlock | None:
+        """Return what was held back; nothing will follow."""
+        return self._read(self._unpacker.feed(b"", last=True), last=True)
+
+    def _read(self, frames: CanFrames, *, last: bool) -> CanBlock | None:
+        new_from, self._put_back = self._put_back, 0
+        kind = self._kinds_of(frames)
+        self._count(frames, kind, new_from)
+        places = np.flatnonzero(kind >= 0)
+        if len(places) == 0:
+            self._note_skipped(0)
+            return None
+        sample_frames = self._sample_frames(frames, kind, places)
+        groups = self._assembler.group(sample_frames, last=last)
+        if groups.keep_from < len(places):
+            first = int(places[groups.keep_from])
+            self._put_back = len(frames) - first
+            self._unpacker.put_back(frames, first)
+        self._note_skipped(groups.left_out)
+        rows = groups.rows
+        if len(rows) == 0:
+            return None
+        is_complete = bool(rows.min() >= 0)
+        if len(places) < len(frames):
+            rows = places[rows] if is_complete else np.where(rows == NO_FRAME, NO_FRAME, places[rows])
+        return self._values(frames, rows, is_complete)
+
+    def _kinds_of(self, frames: CanFrames) -> NDArray[np.int8]:
+        """Return the number of the kind of each frame, ``_NO_KIND`` for those of no sample. Shape (n,)."""
+        if self._address == ANY_ADDRESS and len(frames):
+            self._choose_address(frames)
+        kind = np.full(len(frames), _NO_KIND, dtype=np.int8)
+        masked: dict[int, NDArray[np.uint32]] = {}
+        for number, reader in enumerate(self._kinds):
+            bits = int(reader.mask)
+            if bits not in masked:
+                masked[bits] = frames.can_id & reader.mask
+            hit = masked[bits] == reader.can_id
+            if reader.selectors and hit.any():
+                hit[hit] = reader.is_selected(frames, np.flatnonzero(hit))
+            np.putmask(kind, hit, number)
+        return kind
+
+    def _choose_address(self, frames: CanFrames) -> None:
+        """Stay with the first J1939 node that sends samples: two instruments mixed would be no instrument."""
+        heard = np.zeros(len(frames), dtype=np.bool_)
+        for reader in self._kinds:
+            if reader.kind.message.is_j1939:
+                heard |= (frames.can_id & reader.mask) == reader.can_id
+        if heard.any():
+            self._address = int(frames.can_id[int(np.argmax(heard))]) & 0xFF
+            self._match_address()
+
+    def _match_address(self) -> None:
+        for reader in self._kinds:
+            message = with_source_address(reader.kind.message, self._address)
+            reader.mask, reader.can_id = np.uint32(message.mask | ERROR | REMOTE), np.uint32(message.can_id)
+
+    def _count(self, frames: CanFrames, kind: NDArray[np.int8], new_from: int) -> None:
+        """Drop frames that are too short; count the new frames by kind and hand out messages."""
+        lacking = 0
+        if len(frames) and frames.size.min() < self._bytes_needed:
+            lacking = self._drop_short(frames, kind, new_from)
+        counts = np.bincount(kind[new_from:] + 2, minlength=len(self._kinds) + 2).tolist()
+        for reader, count in zip(self._kinds, counts[2:], strict=True):
+            self._add(reader.kind.name, count)
+        self._statistics.frames += len(frames) - new_from - lacking
+        self._statistics.frames_bad_checksum += lacking
+        if counts[_NO_KIND + 2]:
+            self._count_others(frames, np.flatnonzero(kind[new_from:] == _NO_KIND) + new_from)
+
+    def _drop_short(self, frames: CanFrames, kind: NDArray[np.int8], new_from: int) -> int:
+        """Mark frames that end before their signals do; return how many of them are new."""
+        lacking = 0
+        for number, reader in enumerate(self._kinds):
+            short = (kind == number) & (frames.size < reader.bytes_needed)
+            if short.any():
+                kind[short] = _SHORT
+                here = int(np.count_nonzero(short[new_from:]))
+                self._add(f"{reader.kind.name}, too short", here)
+                lacking += here
+        return lacking
+
+    def _count_others(self, frames: CanFrames, others: IntArray) -> None:
+        can_id = frames.can_id[others]
+        errors = (can_id & np.uint32(ERROR)) != 0
+        if errors.any():
+            self._add("error frame", int(np.count_nonzero(errors)))
+        taken = errors
+        for message in self._rule.messages:
+            bits = np.uint32(message.mask | ERROR | REMOTE)
+            hit = (can_id & bits) == np.uint32(message.can_id)
+            taken = taken | hit
+            for place in others[hit].tolist():
+                self._hand_out(frames, place, message.name)
+        self._add("other", int(len(others) - np.count_nonzero(taken)))
+
+    def _hand_out(self, frames: CanFrames, place: int, name: str) -> None:
+        size = int(frames.size[place])
+        data = frames.data(np.array([place]), 64)[0, :size].tobytes()
+        self._add(name, 1)
+        address = {"source_address": int(frames.can_id[place]) & 0xFF} if int(frames.can_id[place]) >> 31 else {}
+        self._keep({"kind": name, **address, **self._rule.dbc.describe(name, data)})
+
+    def _add(self, name: str, count: int) -> None:
+        if count:
+            self._statistics.by_kind[name] = self._statistics.by_kind.get(name, 0) + count
+
+    def _note_skipped(self, left_out: int) -> None:
+        self._add(LEFT_OUT, left_out)
+        self._statistics.bytes_skipped = self._unpacker.bytes_skipped
+
+    def _sample_frames(self, frames: CanFrames, kind: NDArray[np.int8], places: IntArray) -> SampleFrames:
+        whole = len(places) == len(frames)
+        own = kind if whole else kind[places]
+
+        def is_repeated(which: IntArray) -> NDArray[np.bool_]:
+            here, before = frames.data(places[which], 8), frames.data(places[which - 1], 8)
+            same: NDArray[np.bool_] = (here == before).all(axis=1) & (own[which] == own[which - 1])
+            return same
+
+        group = None
+        if self._rule.assembly.by_counter:
+            group = np.zeros(len(places), dtype=np.int64)
+            for number, reader in enumerate(self._kinds):
+                mine = own == number
+                if reader.kind.group is not None and mine.any():
+                    group[mine] = reader.kind.group.raw(reader.data(frames, places[mine])).astype(np.int64)
+        return SampleFrames(own, frames.time_s if whole else frames.time_s[places], is_repeated, group)
+
+    def _values(self, frames: CanFrames, rows: IntArray, is_complete: bool) -> CanBlock:
+        """Read the frames of n samples; ``rows`` has one column per kind."""
+        n = len(rows)
+        values = np.full((_VALUES, n), np.nan)
+        status = np.zeros(n, dtype=np.uint32)
+        counter = np.full(n, NO_COUNTER, dtype=np.int64)
+        ticks = np.full(n if self._has_time else 0, np.nan)
+        into = Rows(values, status, counter, ticks)
+        has_gaps = not is_complete
+        for number, reader in enumerate(self._kinds):
+            which = rows[:, number]
+            if number in self._inertial and (each := self._assembler.samples_each[number]) > 1:
+                has_gaps |= self._read_slower(frames, number, each, which, into)
+            elif is_complete or (which >= 0).all():
+                has_gaps |= reader.read(reader.data(frames, which), into, slice(None))
+            elif len(there := np.flatnonzero(which >= 0)):
+                reader.read(reader.data(frames, which[there]), into, there)
+        if has_gaps:
+            self._flag_gaps(values, status)
+        block = CanBlock(values.T, status, counter, ticks, frames.time_s[rows[:, self._assembler.start]])
+        if is_complete:
+            return block
+        # What carries neither acceleration nor rate is no sample.
+        return block[np.asarray((rows[:, self._inertial] >= 0).any(axis=1))]
+
+    def _read_slower(self, frames: CanFrames, number: int, samples_each: int, which: IntArray, into: Rows) -> bool:
+        """Read the frames of a kind that comes with some samples only; between them its values stand, and are flagged so."""
+        reader, n = self._kinds[number], len(which)
+        there = np.flatnonzero(which >= 0)
+        data = reader.data(frames, which[there])
+        has_gaps = bool(len(there)) and reader.read(data, into, there)
+        before, age = self._standing.get(number, (data[:0], 0))
+        data = np.concatenate([before, data])
+        # Row of the frame whose values stand at each sample; negative: so many samples before this block.
+        sent_row = np.maximum.accumulate(np.where(which >= 0, np.arange(n), -1 - age))
+        age_of = np.arange(n) - sent_row
+        place = np.cumsum(which >= 0) + len(before) - 1
+        standing = np.flatnonzero((age_of > 0) & (age_of < samples_each) & (place >= 0))
+        if len(standing):
+            has_gaps |= reader.read(data[place[standing]], into, standing, values_only=True)
+            into.status[standing] |= np.uint32(Status.STANDING)
+            self._statistics.samples_standing += len(standing)
+        self._standing[number] = data[-1:], int(age_of[-1])
+        return has_gaps
+
+    def _flag_gaps(self, values: FloatArray, status: NDArray[np.uint32]) -> None:
+        for has, rows, flag in (
+            (self._rule.has_accelerometer, _ACCELEROMETER, Status.ACCELEROMETER_INVALID),
+            (self._rule.has_gyroscope, _GYROSCOPE, Status.GYROSCOPE_INVALID),
+        ):
+            if has:
+                status[~np.isfinite(values[rows]).all(axis=0)] |= np.uint32(flag)
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Arrays of a block being filled."""
+
+    values: FloatArray
+    """Shape (7, n): what is read is written one after another."""
+    status: NDArray[np.uint32]
+    counter: IntArray
+    ticks: FloatArray
+
+
+class _KindReader:
+    """Reads all frames of one kind."""
+
+    def __init__(self, kind: CanKind) -> None:
+        self.kind = kind
+        self.selectors = kind.message.selectors
+        self.bytes_needed = kind.bytes_needed
+        self.mask = np.uint32(kind.message.mask)
+        self.can_id = np.uint32(kind.message.can_id)
+        self._flag_tables, self._flags = _flag_tables(kind.flags)
+
+    def data(self, frames: CanFrames, which: IntArray) -> NDArray[np.uint8]:
+        """Return the data of some frames."""
+        return frames.data(which, 8 if self.bytes_needed <= 8 else 64)
+
+    def is_selected(self, frames: CanFrames, which: IntArray) -> NDArray[np.bool_]:
+        """Return which of the frames are of this multiplexed form."""
+        data = self.data(frames, which)
+        chosen = np.ones(len(which), dtype=np.bool_)
+        for signal, allowed in self.selectors:
+            chosen &= np.isin(signal.raw(data), allowed)
+        return chosen
+
+    def read(self, data: NDArray[np.uint8], into: Rows, rows: slice | IntArray, *, values_only: bool = False) -> bool:
+        """Write values, flags, counter and time stamps of frames into ``rows`` of a block; tell whether some have no value.
+
+        Parameters
+        ----------
+        data : ndarray of uint8, shape (n, width)
+        into : Rows
+        rows : slice or ndarray of int64, shape (n,)
+        values_only : bool
+            Leave counter and time out.
+        """
+        kind, status = self.kind, into.status
+        has_gaps = False
+        for column in kind.columns:
+            has_gaps |= _read_column(column, data, into, rows)
+        for at, table in self._flag_tables:
+            status[rows] |= table[data[:, at]]
+        for flag in self._flags:
+            status[rows] |= _flagged(flag, data)
+        for signal, shift in kind.status:
+            upper = signal.raw(data).astype(np.int64) << (INSTRUMENT_STATUS_SHIFT + shift)
+            status[rows] |= (upper & 0xFFFF0000).astype(np.uint32)
+        if values_only:
+            return has_gaps
+        if kind.counter is not None:
+            into.counter[rows] = kind.counter.raw(data).astype(np.int64)
+        if kind.time is not None:
+            into.ticks[rows] = kind.time.raw(data).astype(np.float64)
+        return has_gaps
+
+
+def _read_column(column: Column, data: NDArray[np.uint8], into: Rows, rows: slice | IntArray) -> bool:
+    """Write one value of each frame; tell whether some have none."""
+    signal = column.signal
+    raw = signal.raw(data)
+    scaled = signal.scale(raw, column.factor, into.values[column.place] if isinstance(rows, slice) else None)
+    if column.offset:
+        scaled += column.offset
+    # One comparison finds that there is nothing to do, which is nearly always so.
+    is_suspect = signal.is_float or (bool(signal.codes) and _may_be_code(signal, raw))
+    if is_suspect:
+        missing, fault = signal.gaps(raw)
+        scaled[missing] = np.nan
+        if column.place < TEMPERATURE:
+            into.status[rows] |= np.where(fault, np.uint32(Status.INSTRUMENT_FAULT), np.uint32(0))
+    if not isinstance(rows, slice):
+        into.values[column.place, rows] = scaled
+    return is_suspect
+
+
+def _may_be_code(signal: CanSignal, raw: NDArray[Any]) -> bool:
+    return bool(raw.max() >= min(code.low for code in signal.codes))
+
+
+def _flag_tables(flags: list[CanFlag]) -> tuple[list[tuple[int, NDArray[np.uint32]]], list[CanFlag]]:
+    """Return tables of 256 flags for the bytes that hold whole signals, and the flags that need more than a byte."""
+    small = [flag for flag in flags if flag.signal.bytes_needed == flag.signal.first_byte + 1]
+    tables = []
+    for at in sorted({flag.signal.first_byte for flag in small}):
+        every = np.zeros((256, at + 1), dtype=np.uint8)
+        every[:, at] = np.arange(256)
+        here = [_flagged(flag, every) for flag in small if flag.signal.first_byte == at]
+        tables.append((at, np.bitwise_or.reduce(here)))
+    return tables, [flag for flag in flags if flag not in small]
+
+
+def _flagged(flag: CanFlag, data: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    raw = flag.signal.raw(data).astype(np.int64)
+    hit = np.isin(raw, flag.values) if flag.values else (raw & flag.mask) != 0
+    return np.where(hit ^ flag.when_clear, np.uint32(flag.flag), np.uint32(0))

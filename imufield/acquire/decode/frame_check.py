@@ -1,0 +1,486 @@
+"""Decide whether bytes at given positions are a frame, and of what shape. Knows nothing of streams."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from imufield.acquire.protocol.checksum import Checksum
+from imufield.acquire.protocol.frame_forms import MORE, NONE, FrameForm, Shape
+from imufield.acquire.protocol.frame_schema import FrameRule
+from imufield.acquire.protocol.layout import Layout, Rows
+
+Bytes = NDArray[np.uint8]
+Positions = NDArray[np.intp]
+
+INVALID, VALID, INCOMPLETE = 0, 1, 2
+NO_SHAPE = -1
+_SHAPES_TRIED = 16
+"""Known shapes that are compared with many frames at once; an instrument sends one to ten of one length."""
+_SHAPES_KEPT = 1024
+_GROUPS_OF_LENGTHS = 8
+"""Frames of so many lengths are checked length by length; more (candidates in noise) all at once."""
+_FEW = 256
+"""Numbers up to which a set is faster than a sort."""
+_BYTES_CHECKED_AT_ONCE = 1 << 19
+"""Bytes of frames of many lengths checked together: bounds memory to some 20 MB, 40 bytes for each."""
+_LENGTH_BITS, _KEY_BITS = 17, 32
+
+
+class FormCheck:
+    """The header and the checksum of one form of frame.
+
+    Parameters
+    ----------
+    form : FrameForm
+    """
+
+    def __init__(self, form: FrameForm) -> None:
+        self.form = form
+        self._keys = np.array(sorted(form.layouts), dtype=np.int64)
+        fixed = form.length is None and form.masks is None
+        self._lengths = np.array([form.layouts[int(key)].length for key in self._keys] if fixed else [0], dtype=np.intp)
+        self._is_fixed = fixed
+        self._by_byte = self._table() if fixed and form.key_size == 1 else None
+        self._shortest = form.header + form.tail
+
+    def _table(self) -> Positions:
+        """Return the length of frames by their key of one byte; 0 where there is no such key."""
+        table = np.zeros(256, dtype=np.intp)
+        table[self._keys] = self._lengths
+        return table
+
+    def first_bytes(self) -> NDArray[np.bool_]:
+        """Return which byte values can begin a frame, shape (256,)."""
+        form = self.form
+        table = np.zeros(256, dtype=np.bool_)
+        if form.sync:
+            table[form.sync[0]] = True
+        elif form.key_size == 1 and form.key_at == 0 and self._is_fixed:
+            table[self._keys] = True
+        else:
+            table[:] = True
+        return table
+
+    def matches(self, buffer: Bytes, starts: Positions) -> NDArray[np.bool_]:
+        """Return where the sync bytes stand, as far as the buffer reaches. Shape (n,)."""
+        found = np.ones(len(starts), dtype=np.bool_)
+        last = len(buffer) - 1
+        for offset, byte in enumerate(self.form.sync):
+            places = starts + offset
+            found &= (buffer[np.minimum(places, last)] == byte) | (places > last)
+        return found
+
+    def lengths(self, buffer: Bytes, starts: Positions) -> Positions:
+        """Return the lengths of frames whose sync bytes stand at ``starts``; ``NONE`` or ``MORE`` where there is none."""
+        readable = starts + self.form.header <= len(buffer)
+        if readable.all():
+            return self._lengths_of(buffer, starts)
+        found = np.full(len(starts), MORE, dtype=np.intp)
+        found[readable] = self._lengths_of(buffer, starts[readable])
+        return found
+
+    def keys(self, buffer: Bytes, starts: Positions) -> NDArray[np.int64]:
+        """Return the keys of frames at ``starts``."""
+        form = self.form
+        return _numbers(buffer, starts + form.key_at, form.key_size, form.key_big_endian)
+
+    @property
+    def is_quick(self) -> bool:
+        """Whether the length of a single frame is told by its first bytes in a simple way."""
+        return self._by_byte is not None or (self.form.length is not None and self.form.length.extended_when < 0)
+
+    def quick_length(self, head: bytes) -> int:
+        """Return the length of one frame by its header; 0 where there is none or it is incomplete."""
+        form = self.form
+        if len(head) < form.header:
+            return 0
+        if self._by_byte is not None:
+            return int(self._by_byte[head[form.key_at]])
+        rule = form.length
+        assert rule is not None  # noqa: S101  the caller looked
+        number = int.from_bytes(head[rule.at : rule.header], _order(rule.big_endian))
+        length = number + rule.add
+        return length if number <= rule.maximum and length >= self._shortest else 0
+
+    def key_of(self, rows: Rows) -> int:
+        """Return the key of the first of several frames."""
+        form = self.form
+        return int.from_bytes(rows[0, form.key_at : form.key_at + form.key_size].tobytes(), _order(form.key_big_endian))
+
+    def same_key(self, rows: Rows) -> bool:
+        """Return whether all rows have the key of the first one."""
+        at = range(self.form.key_at, self.form.key_at + self.form.key_size)
+        return all(bool((rows[:, column] == rows[0, column]).all()) for column in at)
+
+    def have_first_key(self, rows: Rows) -> NDArray[np.bool_]:
+        """Return which rows have the key of the first one, shape (n,)."""
+        at = slice(self.form.key_at, self.form.key_at + self.form.key_size)
+        same: NDArray[np.bool_] = (rows[:, at] == rows[0, at]).all(axis=1)
+        return same
+
+    def same_length(self, rows: Rows) -> NDArray[np.bool_]:
+        """Return which rows have a header that gives them the length they have, shape (n,)."""
+        form, length = self.form, rows.shape[1]
+        same = np.ones(len(rows), dtype=np.bool_)
+        for offset, byte in enumerate(form.sync):
+            same &= rows[:, offset] == byte
+        if self._by_byte is not None:
+            same &= (self._by_byte == length)[rows[:, form.key_at]]
+        elif self._is_fixed and form.key_size:
+            keys = _numbers_of_rows(rows[:, form.key_at : form.key_at + form.key_size], form.key_big_endian)
+            same &= np.isin(keys, self._keys[self._lengths == length])
+        elif form.length:
+            number = int.from_bytes(rows[0, form.length.at : form.length.header].tobytes(), _order(form.length.big_endian))
+            for offset in form.length.columns(number):
+                same &= rows[:, offset] == rows[0, offset]
+        return same
+
+    def fits(self, rows: Rows) -> NDArray[np.bool_]:
+        """Return which frames of one length have the checksum and the last bytes they must, shape (n,)."""
+        form = self.form
+        until = rows.shape[1] - len(form.end)
+        good = np.ones(len(rows), dtype=np.bool_)
+        for offset, byte in enumerate(form.end):
+            good &= rows[:, until + offset] == byte
+        if form.checksum is None:
+            return good
+        at = until - form.checksum.size
+        if at <= form.checksum_from:
+            return np.zeros(len(rows), dtype=np.bool_)
+        good &= form.checksum.of_rows(rows[:, form.checksum_from : at]) == _numbers_of_rows(
+            rows[:, at:until], form.checksum_big_endian
+        )
+        return good
+
+    def fit_spans(self, buffer: Bytes, starts: Positions, lengths: Positions) -> NDArray[np.bool_]:
+        """Return the same as ``fits`` for frames of many lengths."""
+        form = self.form
+        ends = starts + lengths - len(form.end)
+        good = np.ones(len(starts), dtype=np.bool_)
+        for offset, byte in enumerate(form.end):
+            good &= buffer[ends + offset] == byte
+        if form.checksum is None:
+            return good
+        covered = ends - form.checksum.size - starts - form.checksum_from
+        good &= covered > 0
+        places = np.flatnonzero(good)
+        batch = np.cumsum(covered[places]) // _BYTES_CHECKED_AT_ONCE
+        for part in np.split(places, np.flatnonzero(np.diff(batch)) + 1):
+            good[part] = _sent_is(form.checksum, form, buffer, starts[part], ends[part], covered[part])
+        return good
+
+    def _lengths_of(self, buffer: Bytes, starts: Positions) -> Positions:
+        form = self.form
+        if form.masks:
+            return self._lengths_of_masks(buffer, starts)
+        if form.length:
+            return self._lengths_by_field(buffer, starts)
+        if self._by_byte is not None:
+            by_byte: Positions = self._by_byte[buffer[starts + form.key_at]]
+            return by_byte
+        keys = self.keys(buffer, starts)
+        place = np.searchsorted(self._keys, keys).clip(max=len(self._keys) - 1)
+        return np.where(self._keys[place] == keys, self._lengths[place], NONE)
+
+    def _lengths_by_field(self, buffer: Bytes, starts: Positions) -> Positions:
+        rule = self.form.length
+        assert rule is not None  # noqa: S101  the caller looked
+        numbers = _numbers(buffer, starts + rule.at, rule.size, rule.big_endian)
+        found = np.where(numbers <= rule.maximum, numbers + rule.add, NONE).astype(np.intp)
+        wide = np.flatnonzero(numbers == rule.extended_when)
+        if len(wide):
+            behind = starts[wide] + rule.header
+            there = behind + rule.extended_size <= len(buffer)
+            found[wide] = MORE
+            numbers = _numbers(buffer, behind[there], rule.extended_size, rule.big_endian)
+            usable = (numbers >= rule.extended_when) & (numbers <= rule.maximum)
+            found[wide[there]] = np.where(usable, numbers + rule.add + rule.extended_size, NONE)
+        found[(found > 0) & (found < self._shortest)] = NONE
+        return found
+
+    def _lengths_of_masks(self, buffer: Bytes, starts: Positions) -> Positions:
+        masks = self.form.masks
+        assert masks is not None  # noqa: S101  the caller looked
+        tail = self.form.tail
+        return np.array([masks.length(buffer, start, tail) for start in starts.tolist()], dtype=np.intp)
+
+
+class FrameCheck:
+    """Decides for all forms of a protocol.
+
+    Parameters
+    ----------
+    rule : FrameRule
+    """
+
+    def __init__(self, rule: FrameRule) -> None:
+        self._forms = [FormCheck(form) for form in rule.forms]
+        self._can_begin = np.logical_or.reduce([form.first_bytes() for form in self._forms])
+        self.mixes_lengths = any(form.form.length or form.form.masks for form in self._forms) or len(self._forms) > 1
+        """Whether frames of several lengths are usual in one stream."""
+        self._shapes: dict[int, Shape] = {}
+        self._families: dict[int, list[int]] = {}
+        self._next = 0
+
+    def layout(self, number: int) -> Layout:
+        """Return the layout of a shape."""
+        return self._shapes[number].layout
+
+    def forget(self) -> None:
+        """Drop known shapes if there are too many, which only noise makes. Numbers given before are void then."""
+        if len(self._shapes) > _SHAPES_KEPT:
+            self._shapes.clear()
+            self._families.clear()
+
+    def candidates(self, buffer: Bytes, positions: Positions) -> Positions:
+        """Return those positions whose first byte can begin a frame."""
+        found: Positions = positions[self._can_begin[buffer[positions]]]
+        return found
+
+    def headers(self, buffer: Bytes, begin: int, end: int) -> Positions:
+        """Return the positions from ``begin`` to ``end`` where sync bytes stand."""
+        places = np.flatnonzero(self._can_begin[buffer[begin:end]]) + begin
+        found: Positions = places[self._form_of(buffer, places) >= 0]
+        return found
+
+    def length_at(self, buffer: Bytes, at: int) -> int:
+        """Return the length of the frame whose header stands at ``at``; 0 where there is none or it is incomplete."""
+        if not self._can_begin[buffer[at]]:
+            return 0
+        for form in self._forms:
+            head = buffer[at : at + form.form.header].tobytes()
+            if head.startswith(form.form.sync) and form.is_quick:
+                return form.quick_length(head)
+            if head.startswith(form.form.sync) or form.form.sync.startswith(head):
+                break
+        return max(int(self.lengths(buffer, np.array([at], dtype=np.intp))[0]), 0)
+
+    def lengths_of_headers(self, buffer: Bytes, places: Positions) -> Positions:
+        """Return the same as ``lengths`` for positions from ``headers``."""
+        return self._forms[0].lengths(buffer, places) if len(self._forms) == 1 else self.lengths(buffer, places)
+
+    def lengths(self, buffer: Bytes, starts: Positions) -> Positions:
+        """Return the lengths of frames whose headers stand at ``starts``; ``NONE`` or ``MORE`` where there is none."""
+        if len(self._forms) == 1:
+            found = self._forms[0].lengths(buffer, starts)
+            return np.where(self._forms[0].matches(buffer, starts), found, NONE) if self._forms[0].form.sync else found
+        found = np.full(len(starts), NONE, dtype=np.intp)
+        which = self._form_of(buffer, starts)
+        for number, form in enumerate(self._forms):
+            mine = np.flatnonzero(which == number)
+            if len(mine):
+                found[mine] = form.lengths(buffer, starts[mine])
+        return found
+
+    def judge(self, buffer: Bytes, starts: Positions, last: bool) -> NDArray[np.int8]:
+        """Return for each candidate whether it is a frame, none, or one that may still be completed."""
+        lengths = self.lengths(buffer, starts)
+        judged = np.full(len(starts), INVALID if last else INCOMPLETE, dtype=np.int8)
+        judged[lengths == NONE] = INVALID
+        complete = (lengths > 0) & (starts + lengths <= len(buffer))
+        fitting = self.fit(buffer, starts[complete], lengths[complete]) != NO_SHAPE
+        judged[complete] = np.where(fitting, VALID, INVALID)
+        return judged
+
+    def rows_fit(self, rows: Rows) -> tuple[NDArray[np.bool_], int]:
+        """Return which frames of one length are good, shape (n,), and the shape they have in common.
+
+        Where parts of frames may differ, a good frame has the key and the shape of the first one. Elsewhere there are several
+        shapes if keys differ, and ``NO_SHAPE`` is returned.
+        """
+        one = len(self._forms) == 1
+        form = self._forms[0 if one else int(self._form_of(rows[0], np.zeros(1, dtype=np.intp))[0])]
+        good = form.same_length(rows)
+        if form.form.has_structure:
+            number = self._shape_of_first(form, rows)
+            if number == NO_SHAPE:
+                return np.zeros(len(rows), dtype=np.bool_), NO_SHAPE
+            good &= _have(rows, self._shapes[number])
+            if not form.same_key(rows):
+                good &= form.have_first_key(rows)
+            good &= form.fits(rows)
+            return good, number
+        good &= form.fits(rows)
+        return good, self._shape_of_first(form, rows) if good[0] and form.same_key(rows) else NO_SHAPE
+
+    def _shape_of_first(self, form: FormCheck, rows: Rows) -> int:
+        """Return the shape of the first of several frames of one length, ``NO_SHAPE`` where its parts do not add up."""
+        return int(self._match(form, self._family(form, rows), rows[:1])[0])
+
+    def _family(self, form: FormCheck, rows: Rows) -> int:
+        """Return the number that stands for form, key and length of the first frame."""
+        first = self._forms.index(form) << _KEY_BITS
+        return (first | form.key_of(rows)) << _LENGTH_BITS | int(rows.shape[1])
+
+    def fit(self, buffer: Bytes, starts: Positions, lengths: Positions) -> NDArray[np.int64]:
+        """Return the shapes of whole frames, ``NO_SHAPE`` where they are not good. Shape (n,)."""
+        found = np.full(len(starts), NO_SHAPE, dtype=np.int64)
+        for form, mine in self._by_form(buffer, starts):
+            ordered = lengths[mine]
+            different = distinct(ordered)
+            if len(different) > _GROUPS_OF_LENGTHS:
+                good = mine[form.fit_spans(buffer, starts[mine], ordered)]
+                found[good] = self.shapes(buffer, starts[good], lengths[good])
+                continue
+            for length in different:
+                group = mine if len(different) == 1 else mine[ordered == length]
+                found[group] = self._fit_rows(form, rows_at(buffer, starts[group], length))
+        return found
+
+    def _fit_rows(self, form: FormCheck, rows: Rows) -> NDArray[np.int64]:
+        """Return the shapes of frames of one form and length, ``NO_SHAPE`` where they are not good. Shape (n,)."""
+        found = np.full(len(rows), NO_SHAPE, dtype=np.int64)
+        good = form.fits(rows)
+        if not good.all():
+            rows = rows[good]
+        if len(rows) == 0:
+            return found
+        if form.same_key(rows):
+            found[good] = self._match(form, self._family(form, rows), rows)
+            return found
+        whole = np.ascontiguousarray(rows)
+        starts = np.arange(len(whole), dtype=np.intp) * whole.shape[1]
+        found[good] = self.shapes(whole.reshape(-1), starts, np.full(len(whole), whole.shape[1], dtype=np.intp))
+        return found
+
+    def shapes(self, buffer: Bytes, starts: Positions, lengths: Positions) -> NDArray[np.int64]:
+        """Return the number of the shape of each frame, ``NO_SHAPE`` where its parts do not add up. Shape (n,)."""
+        found = np.full(len(starts), NO_SHAPE, dtype=np.int64)
+        for form, mine in self._by_form(buffer, starts):
+            first = np.int64(self._forms.index(form)) << _KEY_BITS
+            families = ((first | form.keys(buffer, starts[mine])) << _LENGTH_BITS) | lengths[mine]
+            found[mine] = self._shapes_of(form, families, buffer, starts[mine])
+        return found
+
+    def _by_form(self, buffer: Bytes, starts: Positions) -> Iterator[tuple[FormCheck, Positions]]:
+        """Yield each form that stands at some of the positions, and at which."""
+        if len(self._forms) == 1:
+            if len(starts):
+                yield self._forms[0], np.arange(len(starts))
+            return
+        which = self._form_of(buffer, starts)
+        for number, form in enumerate(self._forms):
+            mine = np.flatnonzero(which == number)
+            if len(mine):
+                yield form, mine
+
+    def _form_of(self, buffer: Bytes, starts: Positions) -> NDArray[np.int64]:
+        """Return the number of the form whose sync bytes stand at each position, -1 where none does. Shape (n,)."""
+        if len(self._forms) == 1 and not self._forms[0].form.sync:
+            return np.zeros(len(starts), dtype=np.int64)
+        which = np.full(len(starts), -1, dtype=np.int64)
+        for number in range(len(self._forms) - 1, -1, -1):
+            which[self._forms[number].matches(buffer, starts)] = number
+        return which
+
+    def _shapes_of(self, form: FormCheck, families: NDArray[np.int64], buffer: Bytes, starts: Positions) -> NDArray[np.int64]:
+        length_mask = (1 << _LENGTH_BITS) - 1
+        if (families == families[0]).all():
+            family = int(families[0])
+            return self._match(form, family, rows_at(buffer, starts, family & length_mask))
+        found = np.empty(len(starts), dtype=np.int64)
+        for family in np.unique(families).tolist():
+            mine = np.flatnonzero(families == family)
+            found[mine] = self._match(form, family, rows_at(buffer, starts[mine], family & length_mask))
+        return found
+
+    def _match(self, form: FormCheck, family: int, rows: Rows) -> NDArray[np.int64]:
+        """Return the shapes of frames of one key and one length."""
+        known = self._families.setdefault(family, [])
+        if not form.form.has_structure:
+            return np.full(len(rows), known[0] if known else self._learn(form, family, rows[0]), dtype=np.int64)
+        found = np.full(len(rows), NO_SHAPE, dtype=np.int64)
+        left = np.arange(len(rows))
+        for number in known[-1 : -_SHAPES_TRIED - 1 : -1]:
+            same = _have(rows if len(left) == len(rows) else rows[left], self._shapes[number])
+            found[left[same]] = number
+            left = left[~same]
+            if len(left) == 0:
+                return found
+        tries = 0
+        while len(left):
+            number = self._learn(form, family, rows[left[0]])
+            tries += 1
+            if number == NO_SHAPE or tries > _SHAPES_TRIED:
+                found[left[0]] = number
+                left = left[1:]
+                continue
+            same = _have(rows[left], self._shapes[number])
+            found[left[same]] = number
+            left = left[~same]
+        return found
+
+    def _learn(self, form: FormCheck, family: int, row: Bytes) -> int:
+        """Return the number of the shape of one frame, a new one if it was never seen."""
+        shape = form.form.shape(row.tobytes())
+        if shape is None:
+            return NO_SHAPE
+        known = self._families[family]
+        for number in known[-_SHAPES_TRIED:]:
+            if np.array_equal(self._shapes[number].columns, shape.columns) and np.array_equal(
+                self._shapes[number].values, shape.values
+            ):
+                return number
+        self._next += 1
+        self._shapes[self._next] = shape
+        known.append(self._next)
+        return self._next
+
+
+def distinct(values: NDArray[np.signedinteger]) -> list[int]:
+    """Return the different values of at least one number, ascending."""
+    if (values == values[0]).all():
+        return [int(values[0])]
+    return sorted(set(values.tolist())) if len(values) <= _FEW else np.unique(values).tolist()
+
+
+def rows_at(buffer: Bytes, starts: Positions, length: int) -> Rows:
+    """Return frames of one length as an array, shape (n, length): a view where they are evenly spaced."""
+    step = int(starts[1] - starts[0]) if len(starts) > 1 else length
+    if step > 0 and (len(starts) < 3 or (starts[1:] - starts[:-1] == step).all()):
+        return np.lib.stride_tricks.as_strided(buffer[starts[0] :], (len(starts), length), (step, 1), writeable=False)
+    return sliding_window_view(buffer, length)[starts]
+
+
+def _have(rows: Rows, shape: Shape) -> NDArray[np.bool_]:
+    """Return which rows have the bytes of a shape, shape (n,)."""
+    same: NDArray[np.bool_] = (rows[:, shape.columns] == shape.values).all(axis=1)
+    return same
+
+
+def _sent_is(
+    checksum: Checksum, form: FrameForm, buffer: Bytes, starts: Positions, ends: Positions, covered: Positions
+) -> NDArray[np.bool_]:
+    """Return where the checksum before ``ends`` is that of the ``covered`` bytes."""
+    values = checksum.of_spans(buffer, starts + form.checksum_from, covered)
+    tails = buffer[(ends - checksum.size)[:, None] + np.arange(checksum.size)]
+    return np.asarray(values == _numbers_of_rows(tails, form.checksum_big_endian))
+
+
+def _order(big_endian: bool) -> Literal["big", "little"]:
+    return "big" if big_endian else "little"
+
+
+def _numbers(buffer: Bytes, at: Positions, size: int, big_endian: bool) -> NDArray[np.int64]:
+    """Return the number of ``size`` bytes at each position; 0 for no bytes."""
+    numbers = np.zeros(len(at), dtype=np.int64)
+    for index in range(size):
+        shift = 8 * (size - 1 - index if big_endian else index)
+        numbers |= buffer[at + index].astype(np.int64) << shift
+    return numbers
+
+
+def _numbers_of_rows(columns: Rows, big_endian: bool) -> NDArray[np.unsignedinteger]:
+    """Return the number in each row of up to 8 bytes."""
+    size = columns.shape[1]
+    if size in (1, 2, 4, 8):
+        return columns.view(f"{'>' if big_endian else '<'}u{size}")[:, 0]
+    value = np.zeros(len(columns), dtype=np.uint64)
+    for index in range(size):
+        value = value << np.uint64(8) | columns[:, index if big_endian else size - 1 - index]
+    return value

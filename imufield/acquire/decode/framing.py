@@ -1,0 +1,302 @@
+"""Find frames in a stream of bytes, whole blocks at a time.
+
+What a frame is, is defined one position after another: where the bytes begin a frame of known kind whose checksum fits,
+the frame is taken and the search goes on behind it (and behind an optional trailer); anywhere else it goes on one byte
+further. A length is never trusted before the checksum is. What comes out depends on the bytes alone, not on how reads cut
+them: a frame that may still be completed is waited for.
+
+That definition is carried out in two ways, chosen by what the stream looks like, with equal results:
+
+* *Run*: behind a good frame, assume frames of the same length one after another and check all of them together. Where
+  single ones fail between good ones, look for other frames in just those bytes.
+* *Search*: check every position of a window that could begin a frame, together, and take the first that fits.
+
+Both work on batches that grow while they succeed and shrink when they do not, so the work is linear in the number of
+bytes for a clean stream, for noise, and for anything between.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
+
+from imufield.acquire.decode.frame_check import INVALID, NO_SHAPE, FrameCheck, rows_at
+from imufield.acquire.protocol.frame_schema import FrameRule
+from imufield.acquire.protocol.layout import Layout, Rows
+
+Bytes = NDArray[np.uint8]
+Positions = NDArray[np.intp]
+
+_FIRST_RUN, _LONGEST_RUN = 32, 8192
+"""Frames checked together: the first guess after a disturbance, and the bound on memory (8 bytes for each byte checked)."""
+_FIRST_WINDOW, _LONGEST_WINDOW = 128, 8192
+"""Positions searched together: about three frames after a disturbance, many in noise."""
+_FIRST_CHAIN, _LONGEST_CHAIN = 1 << 10, 1 << 16
+"""Bytes in which headers are followed from one to the next."""
+_SAME_AGAIN = 64
+"""Frames of one length in a row after which a stream is taken to go on like that."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameBlock:
+    """The frames of one feed, in the order of the stream."""
+
+    data: Bytes
+    starts: Positions
+    """Shape (n,), offsets in ``data``."""
+    shapes: NDArray[np.int64]
+    """Numbers of their shapes; ``Framer.layout`` has the layout. Shape (n,)."""
+    skipped_before: NDArray[np.int64]
+    """Bytes passed over just before this frame. Shape (n,)."""
+    origin: int
+    """Offset of ``data`` in the stream."""
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    def rows(self, which: Positions | None, length: int) -> Rows:
+        """Return frames of one length as an array, shape (m, length): a view where they are evenly spaced."""
+        starts = self.starts if which is None else self.starts[which]
+        return rows_at(self.data, starts, length) if len(starts) else np.empty((0, length), dtype=np.uint8)
+
+
+@dataclass(slots=True)
+class _Found:
+    """What one feed has found so far."""
+
+    starts: list[Positions] = field(default_factory=list)
+    shapes: list[NDArray[np.int64]] = field(default_factory=list)
+    skipped_before: list[tuple[Positions, NDArray[np.int64]]] = field(default_factory=list)
+    """Offsets of frames that follow skipped bytes, and how many."""
+
+
+class Framer:
+    """Turns bytes into frames. Holds the bytes of a frame that is not complete yet, never more than the longest frame.
+
+    Parameters
+    ----------
+    rule : FrameRule
+    """
+
+    def __init__(self, rule: FrameRule) -> None:
+        self._rule = rule
+        self._check = FrameCheck(rule)
+        self._rest = b""
+        self._origin = 0
+        self._run = _FIRST_RUN
+        self._window = _FIRST_WINDOW
+        self._is_mixed = False
+        """Frames of different lengths came one behind another."""
+        self._chain = _FIRST_CHAIN
+        self._cut_at = -1
+        """Where in the buffer a frame is known to begin that is not complete yet."""
+        self._behind_frame = False
+        """The last byte passed belongs to a frame, so a trailer may follow."""
+        self._skipped_here = 0
+        """Bytes passed over since the last frame."""
+        self.bytes_skipped = 0
+        self.frames_bad_checksum = 0
+        """Headers of a known kind, right behind a good frame, whose checksum does not fit."""
+
+    def layout(self, shape: int) -> Layout:
+        """Return the layout of a shape of the newest block."""
+        return self._check.layout(shape)
+
+    def feed(self, data: bytes, *, last: bool = False) -> FrameBlock:
+        """Return the frames that are complete now.
+
+        Parameters
+        ----------
+        data : bytes
+        last : bool
+            Nothing will follow: give up waiting for incomplete frames.
+        """
+        self._check.forget()
+        joined = self._rest + data if self._rest else data
+        buffer: Bytes = np.frombuffer(joined, dtype=np.uint8)
+        found = _Found()
+        at, self._cut_at = 0, -1
+        while at < len(buffer):
+            start = self._pass_trailer(joined, at, last)
+            if start is None:
+                break
+            behind = start
+            if start < len(buffer):
+                take = self._take_chain if self._is_mixed else self._take_run
+                behind = take(buffer, start, found)
+                if behind == start and (last or self._cut_at != start):
+                    behind = self._search(buffer, start, last)
+            if behind == at:
+                break
+            at = behind
+            if at == self._cut_at and not last:
+                break
+        self._rest = joined[at:]
+        block = self._block(buffer, found)
+        self._origin += at
+        return block
+
+    def _pass_trailer(self, data: bytes, at: int, last: bool) -> int | None:
+        """Return the position behind the trailer, if there is one; None: wait, it may have begun here."""
+        trailer = self._rule.trailer
+        if not (self._behind_frame and trailer):
+            return at
+        there = data[at : at + len(trailer)]
+        if len(there) < len(trailer) and trailer.startswith(there) and not last:
+            return None
+        self._behind_frame = False
+        return at + len(trailer) if there == trailer else at
+
+    def _take_run(self, buffer: Bytes, at: int, found: _Found) -> int:
+        """Take frames of one length that begin at ``at``; return the position behind the last one, ``at`` if there is none."""
+        length = self._check.length_at(buffer, at)
+        if length == 0 or at + length > len(buffer):
+            self._cut_at = at if length else -1
+            return at
+        trailer = self._rule.trailer
+        behind = at + length
+        step = length + len(trailer) * (buffer[behind : behind + len(trailer)].tobytes() == trailer)
+        count = min((len(buffer) - behind) // step + 1, self._run)
+        good, shape = self._check.rows_fit(as_strided(buffer[at:], (count, length), (step, 1), writeable=False))
+        joined = np.ones(count, dtype=np.bool_)
+        for offset, byte in enumerate(trailer[: step - length]):
+            joined[:-1] &= buffer[behind + offset : len(buffer) - length : step][: count - 1] == byte
+        starts = np.arange(at, at + count * step, step, dtype=np.intp)
+        if good.all() and joined.all():
+            self._run = min(2 * self._run, _LONGEST_RUN)
+            return self._accept(found, starts, self._run_shapes(buffer, starts, length, shape), length)
+        return self._take_broken_run(buffer, _Run(starts, length, step, shape, good, joined), found)
+
+    def _take_broken_run(self, buffer: Bytes, run: _Run, found: _Found) -> int:
+        """Take the good frames of a run up to where it ends, single bad ones between them left out."""
+        limit = self._end_of_run(buffer, run)
+        taken = np.flatnonzero(run.good[:limit])
+        if not run.good[0] or len(taken) == 0:
+            self._run = _FIRST_RUN
+            return int(run.starts[0])
+        if limit < len(run.good):
+            self._run = _FIRST_RUN
+            self._is_mixed = self._check.mixes_lengths and not self._rule.trailer
+        count = taken[-1] + 1
+        before, after = taken[:-1], taken[1:]
+        bad = np.flatnonzero(~run.good[:count])
+        loose = before[~run.joined[before]]
+        skipped = (after - before - 1) * run.step + ~run.joined[before] * (run.step - run.length)
+        self.bytes_skipped += int(skipped.sum())
+        # Right behind a good frame stands a bad one, or what should have been the trailer.
+        suspects = np.concatenate([run.starts[bad[run.joined[bad - 1]]], run.starts[loose] + run.length])
+        self.frames_bad_checksum += int(np.count_nonzero(self._check.lengths(buffer, suspects) > 0))
+        starts = run.starts[taken]
+        found.skipped_before.append((starts[1:], skipped))
+        return self._accept(found, starts, self._run_shapes(buffer, starts, run.length, run.shape), run.length)
+
+    def _run_shapes(self, buffer: Bytes, starts: Positions, length: int, shape: int) -> NDArray[np.int64]:
+        if shape != NO_SHAPE:
+            return np.full(len(starts), shape, dtype=np.int64)
+        return self._check.shapes(buffer, starts, np.full(len(starts), length, dtype=np.intp))
+
+    def _take_chain(self, buffer: Bytes, at: int, found: _Found) -> int:
+        """Take frames of any length from ``at`` on, each beginning where the one before ends; return where that ends."""
+        places = self._check.headers(buffer, at, min(at + self._chain, len(buffer)))
+        lengths = self._check.lengths_of_headers(buffer, places)
+        begun = lengths > 0
+        whole = begun & (places + lengths <= len(buffer))
+        cut = places[begun & ~whole]
+        places, lengths = places[whole], lengths[whole]
+        if len(places) == 0 or places[0] != at:
+            self._cut_at = at if at in cut else -1
+            return at
+        chain = _follow(places, places + lengths)
+        starts, lengths = places[chain], lengths[chain]
+        shapes = self._check.fit(buffer, starts, lengths)
+        bad = np.flatnonzero(shapes == NO_SHAPE)
+        count = int(bad[0]) if len(bad) else len(shapes)
+        self._chain = _FIRST_CHAIN if len(bad) else min(2 * self._chain, _LONGEST_CHAIN)
+        if count == 0:
+            return at
+        self._is_mixed = count < _SAME_AGAIN or bool((lengths[:count] != lengths[0]).any())
+        behind = self._accept(found, starts[:count], shapes[:count], int(lengths[count - 1]))
+        self._cut_at = behind if behind in cut else -1
+        return behind
+
+    def _end_of_run(self, buffer: Bytes, run: _Run) -> int:
+        """Return how many frames of the run to look at: up to two bad ones in a row, or to another frame in a bad one."""
+        bad = ~run.good
+        ends = np.flatnonzero(bad & np.append(bad[1:], True))
+        limit = int(ends[0]) if len(ends) else len(bad)
+        gaps = run.starts[:limit][bad[:limit], None] + np.arange(run.step)
+        loose = run.starts[: max(limit - 1, 0)][~run.joined[: max(limit - 1, 0)], None] + np.arange(run.length, run.step)
+        inside = self._check.candidates(buffer, np.concatenate([gaps.ravel(), loose.ravel()]))
+        others = inside[self._check.judge(buffer, inside, last=False) != INVALID]
+        if self._rule.trailer and run.step == run.length:
+            # A stream that sends no trailers does not begin a bad frame with one; leave such a place to the search.
+            others = np.concatenate([others, gaps[buffer[gaps[:, 0]] == self._rule.trailer[0], 0]])
+        if len(others) == 0:
+            return limit
+        return int(others.min() - run.starts[0] - run.length) // run.step + 1
+
+    def _accept(self, found: _Found, starts: Positions, shapes: NDArray[np.int64], last_length: int) -> int:
+        if self._skipped_here:
+            found.skipped_before.append((starts[:1], np.array([self._skipped_here])))
+        self._skipped_here = 0
+        self._behind_frame = True
+        found.starts.append(starts)
+        found.shapes.append(shapes)
+        return int(starts[-1]) + last_length
+
+    def _search(self, buffer: Bytes, at: int, last: bool) -> int:
+        """Go to the next position that is a frame or may become one, at most to the end of the window."""
+        until = min(at + self._window, len(buffer))
+        candidates = self._check.headers(buffer, at, until)
+        judged = self._check.judge(buffer, candidates, last)
+        hits = candidates[judged != INVALID]
+        if len(hits):
+            self._window = _FIRST_WINDOW
+            until = int(hits[0])
+        else:
+            self._window = min(2 * self._window, _LONGEST_WINDOW)
+        if until > at:
+            if self._skipped_here == 0 and self._check.length_at(buffer, at):
+                self.frames_bad_checksum += 1
+            self._skipped_here += until - at
+            self.bytes_skipped += until - at
+            self._behind_frame = False
+        return until
+
+    def _block(self, buffer: Bytes, found: _Found) -> FrameBlock:
+        nothing = np.empty(0, dtype=np.intp)
+        starts = found.starts[0] if len(found.starts) == 1 else np.concatenate([*found.starts, nothing])
+        shapes = found.shapes[0] if len(found.shapes) == 1 else np.concatenate([*found.shapes, nothing])
+        skipped_before = np.zeros(len(starts), dtype=np.int64)
+        for offsets, skipped in found.skipped_before:
+            skipped_before[np.searchsorted(starts, offsets)] = skipped
+        return FrameBlock(buffer, starts, shapes, skipped_before, self._origin)
+
+
+def _follow(starts: Positions, ends: Positions) -> list[int]:
+    """Return the first of these spans, the one that begins where it ends, and so on, by their places."""
+    places = np.searchsorted(starts, ends)
+    linked = starts[np.minimum(places, len(starts) - 1)] == ends
+    following: list[int] = np.where(linked, places, -1).tolist()
+    chain, place = [], 0
+    while place >= 0:
+        chain.append(place)
+        place = following[place]
+    return chain
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Frames assumed one behind another."""
+
+    starts: Positions
+    length: int
+    step: int
+    shape: int
+    """What all have in common, ``NO_SHAPE`` where there may be several."""
+    good: NDArray[np.bool_]
+    joined: NDArray[np.bool_]
+    """Whether the trailer behind each frame is there; true where none is expected."""

@@ -1,0 +1,1 @@
+"""Files of other programs: tables, arrays, ROS bags, logs of CAN buses."""

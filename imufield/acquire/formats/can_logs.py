@@ -1,0 +1,363 @@
+"""Logs of CAN buses in, recordings out to a bus: candump, Vector ASC and BLF, PEAK TRC, and what else python-can reads."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import importlib.util
+import math
+import re
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import can
+from can.io.blf import BLFParseError
+
+from imufield.acquire.formats.array_file_reader import memory_limit_bytes
+from imufield.acquire.formats.mf4_reader import TOO_LARGE
+from imufield.acquire.formats.table_arrays import missing_package
+from imufield.acquire.formats.tables import ChunkWriter
+from imufield.acquire.link.can import make_message, open_bus, pack_message, parse_bus
+from imufield.acquire.link.host_clock import NANOSECONDS
+from imufield.acquire.link.serial import WRITE_TIMEOUT_S, Chunk
+from imufield.acquire.protocol.can_frames import ERROR, SENT, Frame, Unpacker, unpack_frames
+from imufield.acquire.recording.reader import EndOfRecordingError, RecordingLink
+from imufield.errors import LinkError, Reason, RecordingError, UsageError
+
+CHUNK_S = 0.05
+"""Frames of this much time make a chunk, as they do when a bus is recorded live."""
+CHUNK_FRAMES = 2048
+_TABLE = ".csv"
+_READERS: Mapping[str, Callable[..., Iterable[can.Message]]] = {
+    ".log": can.CanutilsLogReader,
+    ".asc": can.ASCReader,
+    ".blf": can.BLFReader,
+    ".trc": can.TRCReader,
+    ".mf4": can.CanutilsLogReader,
+    _TABLE: can.CSVReader,
+}
+SUFFIXES = tuple(suffix for suffix in _READERS if suffix != _TABLE)
+"""Logs this module reads, packed with gzip too; besides, tables of python-can."""
+_BINARY = (".blf",)
+_HEAD_BYTES = 256
+_HEADS = {
+    ".log": rb"\s*\(\d+\.\d+\)\s",
+    ".asc": rb"(?i)\s*(date|base)\s",
+    ".blf": rb"LOGG",
+    ".trc": rb"\s*;",
+    ".mf4": rb"MDF",
+    _TABLE: rb"timestamp,arbitration_id,",
+}
+"""What logs begin with."""
+_DAMAGE = (
+    ValueError,
+    IndexError,
+    KeyError,
+    EOFError,
+    OSError,
+    AttributeError,
+    TypeError,
+    struct.error,
+    zlib.error,
+    can.CanError,
+    BLFParseError,
+)
+"""What python-can's readers raise in files that are cut short or of another kind."""
+_EPOCH_S = 1e8
+"""Time stamps below 1973 count from the start of the log, not from 1970."""
+
+
+def is_can_log(path: str | Path) -> bool:
+    """Tell by the name whether a file is a log of a CAN bus."""
+    return any(suffix in SUFFIXES for suffix in Path(path).suffixes[-2:])
+
+
+def begins_as_can_log(path: str | Path) -> bool:
+    """Tell by name and first lines whether a file is a log of a CAN bus: others' logs and grids have the same suffixes."""
+    suffixes = Path(path).suffixes[-2:]
+    if not any(suffix in _HEADS for suffix in suffixes):
+        return False
+    opener: Callable[..., IO[Any]] = gzip.open if suffixes[-1] == ".gz" else open
+    try:
+        with opener(path, "rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except (OSError, EOFError, zlib.error):
+        return False
+    return any(re.match(pattern, head) for suffix, pattern in _HEADS.items() if suffix in suffixes)
+
+
+def read_log(path: str | Path, *, channel: str | None = None, losses: list[str] | None = None) -> Iterator[Chunk]:
+    """Read a log as chunks of packed frames; they arrive when the log says.
+
+    Parameters
+    ----------
+    path : Path
+    channel : str, optional
+        Needed where the log holds more than one bus.
+    losses : list of str, optional
+        Receives a sentence where the log is cut or damaged behind its beginning; without it that is an error.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, or is damaged.
+    UsageError
+        The log holds several buses and none is chosen.
+    """
+    pieces: list[bytes] = []
+    begin_s = last_s = 0.0
+    for message in _messages(Path(path), channel, losses):
+        if pieces and (message.timestamp - begin_s > CHUNK_S or len(pieces) >= CHUNK_FRAMES or message.timestamp < last_s - 1):
+            yield _chunk(pieces, last_s)
+            pieces = []
+        if not pieces:
+            begin_s = message.timestamp
+        last_s = message.timestamp
+        pieces.append(pack_message(message, message.timestamp))
+    if pieces:
+        yield _chunk(pieces, last_s)
+
+
+def import_log(path: str | Path, recorder: ChunkWriter, *, channel: str | None = None, losses: list[str] | None = None) -> int:
+    """Write a log into a recording; return the number of frames. Parameters and errors are those of ``read_log``."""
+    count = 0
+    for chunk in read_log(path, channel=channel, losses=losses):
+        recorder.write_chunk(chunk)
+        count += len(Unpacker().feed(chunk.data, last=True))
+    return count
+
+
+def _chunk(pieces: list[bytes], last_s: float) -> Chunk:
+    return Chunk(b"".join(pieces), last_s, max(0, round(last_s * NANOSECONDS)) if last_s > _EPOCH_S else 0)
+
+
+def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iterator[can.Message]:
+    if not path.is_file():
+        raise RecordingError(f"{path} is not there or no file: check the name", Reason.NOT_A_RECORDING, path=str(path))
+    count = 0
+    lost = ""
+    try:
+        with contextlib.closing(_Reader(path)) as reader:
+            for message in _of_channel(reader, path, channel):
+                if not math.isfinite(message.timestamp):
+                    raise ValueError(f"a frame at {message.timestamp} s")
+                count += 1
+                yield message
+            lost = reader.cut(count)
+    except (UsageError, RecordingError):
+        raise
+    except _DAMAGE as error:
+        if not count:
+            what = "from its first line on, so it may be of another kind than its name says"
+            raise _unreadable(path, f"cannot be read {what}: {error}; repair it or cut it there", 0) from error
+        lost = f"is damaged behind frame {count} ({error or type(error).__name__})"
+    if count == 0:
+        where = "" if channel is None else f" of channel {channel}"
+        raise RecordingError(f"{path} holds no frame{where}: check the file", Reason.NOT_A_RECORDING, path=str(path))
+    if lost and losses is None:
+        raise _unreadable(path, f"{lost}: fetch it again, or cut it there", count)
+    if lost and losses is not None:
+        losses.append(f"{path} {lost}: what follows is lost")
+
+
+def _of_channel(reader: Iterable[can.Message], path: Path, channel: str | None) -> Iterator[can.Message]:
+    """Yield the messages of one bus; refuse a log of several where none is chosen."""
+    first: Any = None
+    for message in reader:
+        if channel is None and first is not None and message.channel != first:
+            raise _two_buses(path, first, message.channel)
+        first = message.channel
+        if channel is None or str(message.channel) == channel:
+            yield message
+
+
+def _unreadable(path: Path, what: str, count: int) -> RecordingError:
+    return RecordingError(f"{path} {what}", Reason.DAMAGED, path=str(path), frames=count)
+
+
+class _Reader:
+    """A reader of python-can on a file of ours, which is closed in any case."""
+
+    def __init__(self, path: Path) -> None:
+        suffixes = path.suffixes[-2:]
+        kind = next((suffix for suffix in reversed(suffixes) if suffix in _HEADS), "")
+        if not kind:
+            raise UsageError(f"{path} has none of the suffixes {', '.join(_HEADS)}: rename it", path=str(path))
+        opener: Callable[..., IO[Any]] = gzip.open if suffixes[-1] == ".gz" else open
+        self._path = path
+        self._process = _start_mf4(path) if kind == ".mf4" else None
+        mode: dict[str, Any] = {"mode": "rb"} if kind in _BINARY else {"mode": "rt", "encoding": "utf-8", "errors": "replace"}
+        self._size = None if suffixes[-1] == ".gz" else path.stat().st_size
+        output = None if self._process is None else self._process.stdout
+        self._file: IO[Any] = opener(path, **mode) if output is None else output
+        # ASC counts from its start unless told otherwise; the date in its head makes it a time of day.
+        options = {"relative_timestamp": False} if kind == ".asc" else {}
+        try:
+            self._reader = _READERS[kind](self._file, **options)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __iter__(self) -> Iterator[can.Message]:
+        return iter(self._reader)
+
+    def cut(self, count: int) -> str:
+        """Say what is missing at the end of a BLF or MF4 file that was read to its end with ``count`` frames; "" for nothing.
+
+        Its reader stops without a word where a file ends in the middle. What the whole file holds stands in its head, or
+        nothing does where the logger was never stopped.
+        """
+        ended = 0 if self._process is None else self._process.wait()
+        if ended == TOO_LARGE:
+            raise _too_large(self._path, count)
+        if ended:
+            return f"is damaged behind frame {count}"
+        reader = self._reader
+        if not isinstance(reader, can.BLFReader):
+            return ""
+        if not reader.object_count:
+            return f"was never closed by its logger and may be cut: {count} frames are there"
+        # A packed file that is cut cannot be unpacked to its end, which is an error of its own.
+        if self._size is None or self._size >= reader.file_size:
+            return ""
+        return f"is cut: {self._size} of {reader.file_size} bytes and {count} of up to {reader.object_count} frames are there"
+
+    def close(self) -> None:
+        self._file.close()
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+
+def _start_mf4(path: Path) -> subprocess.Popen[str]:
+    """Begin to read MF4 in a process of its own, ``mf4_reader``, which writes what candump would have."""
+    if importlib.util.find_spec("asammdf") is None:
+        raise missing_package(f"{path} is MF4, which", "asammdf", "mf4")
+    # -P: what stands in the present folder is nothing to import.
+    command = [sys.executable, "-P", str(Path(__file__).with_name("mf4_reader.py")), str(path)]
+    quiet = subprocess.DEVNULL
+    return subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, text=True)  # noqa: S603  (our own)
+
+
+def _too_large(path: Path, count: int) -> RecordingError:
+    limit = memory_limit_bytes(path.stat().st_size) >> 20
+    return RecordingError(
+        f"{path} asks for more than {limit} MiB of memory behind frame {count}, the limit for a file of its size: "
+        "it is damaged; or save it as BLF, ASC or in several files",
+        Reason.DAMAGED,
+        path=str(path),
+        frames=count,
+    )
+
+
+def _two_buses(path: Path, first: object, second: object) -> UsageError:
+    return UsageError(
+        f"{path} holds more than one bus, {first} and {second} at least: choose one with --channel, e.g. --channel {first}",
+        path=str(path),
+        channels=(str(first), str(second)),
+    )
+
+
+def replay_to_bus(
+    link: RecordingLink,
+    bus: str,
+    *,
+    pace: float | None = 1.0,
+    bit_rate: int | None = None,
+    on_chunk: Callable[[int], None] | None = None,
+) -> int:
+    """Send the frames of a recorded session to a bus; return how many were sent.
+
+    Frames that were error frames stay away, and so do those the host itself sent.
+
+    Parameters
+    ----------
+    link : RecordingLink
+        Without a pace of its own.
+    bus : str
+        ``INTERFACE:CHANNEL``.
+    pace : float, optional
+        1 sends as it was recorded, 8 eight times faster, None as fast as the bus takes it.
+    bit_rate : int, optional
+    on_chunk : callable, optional
+        Told the number of frames sent so far after each chunk.
+
+    Raises
+    ------
+    LinkError
+        The bus cannot be opened, or is gone.
+    RecordingError
+        As ``RecordingLink.read``.
+    """
+    target = open_bus(parse_bus(bus), bit_rate)
+    sent = 0
+
+    def send(frame: Frame) -> None:
+        nonlocal sent
+        target.send(make_message(frame.can_id, frame.data, frame.flags), timeout=WRITE_TIMEOUT_S)
+        sent += 1
+
+    try:
+        return replay_frames(link, send, pace=pace, on_chunk=on_chunk)
+    except can.CanError as error:
+        raise LinkError(
+            f"{bus} takes no more frames after {sent}: {error}; check the bus", Reason.DISCONNECTED, bus=bus
+        ) from error
+    finally:
+        target.shutdown()
+
+
+def replay_frames(
+    link: RecordingLink,
+    send: Callable[[Frame], None],
+    *,
+    pace: float | None = 1.0,
+    on_chunk: Callable[[int], None] | None = None,
+) -> int:
+    """Hand the frames of a recorded session to ``send`` when they are due; otherwise like ``replay_to_bus``."""
+    sent = 0
+    pacer = _Pacer(pace)
+    try:
+        while True:
+            chunk = link.read()
+            for frame in unpack_frames(chunk.data) if chunk is not None else ():
+                if frame.can_id & ERROR or frame.flags & SENT:
+                    continue
+                pacer.wait(frame)
+                send(frame)
+                sent += 1
+            if on_chunk is not None:
+                on_chunk(sent)
+    except EndOfRecordingError:
+        return sent
+
+
+class _Pacer:
+    """Waits until a frame is due."""
+
+    _SHORTEST_S = 0.001
+    _LONGEST_S = 5.0
+
+    def __init__(self, pace: float | None) -> None:
+        if pace is not None and not pace > 0:
+            raise UsageError(f"a pace of {pace:g} cannot be replayed: give a number larger than 0.", pace=pace)
+        self._pace = pace
+        self._offset_s: float | None = None
+
+    def wait(self, frame: Frame) -> None:
+        if self._pace is None:
+            return
+        due_s = frame.time_s / self._pace
+        now_s = time.monotonic()
+        ahead_s = None if self._offset_s is None else due_s + self._offset_s - now_s
+        # Parts have clocks of their own: a jump of the stamps starts anew.
+        if ahead_s is None or abs(ahead_s) > self._LONGEST_S:
+            self._offset_s, ahead_s = now_s - due_s, 0.0
+        if ahead_s >= self._SHORTEST_S:
+            time.sleep(ahead_s)

@@ -1,0 +1,167 @@
+"""Recordings of ROS: ``sensor_msgs/Imu`` in bags of ROS 1, bags of ROS 2 and MCAP files, read through rosbags.
+
+By REP 103 and REP 145 values are in m/s^2 and rad/s, and a covariance that begins with -1 says that there is no such value.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imufield.acquire.formats.table_arrays import ArrayTable, missing_package
+from imufield.acquire.link.host_clock import NANOSECONDS
+from imufield.errors import Reason, RecordingError, UsageError
+from imufield.samples import SAMPLE_COLUMNS, FloatArray, Status
+
+IMU_TYPE = "sensor_msgs/msg/Imu"
+_MAGIC = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\0")
+_EPOCH_S = 100_000_000
+"""Stamps beyond 1973 count from 1970: whole seconds of the first are taken off, since a float holds only 0.2 us there."""
+_BATCH = 1 << 14
+
+
+def is_bag(path: Path) -> bool:
+    """Tell whether a path is a bag of ROS, by what it starts with or, for a folder, by what is in it."""
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file()
+    try:
+        with path.open("rb") as file:
+            return file.read(16).startswith(_MAGIC)
+    except OSError:
+        return False
+
+
+def read_bag(path: Path, topic: str | None = None) -> ArrayTable:
+    """Read one topic of ``sensor_msgs/Imu``.
+
+    Parameters
+    ----------
+    path : Path
+        A .bag, .mcap or .db3 file, or the folder of a ROS 2 bag.
+    topic : str, optional
+        Needed where there are several.
+
+    Returns
+    -------
+    ArrayTable
+        With the columns of our own exports; without temperature and counter.
+
+    Raises
+    ------
+    RecordingError
+        The bag is damaged from the start, or holds no such topic. Where it is damaged further on, what came before is
+        returned, and said.
+    UsageError
+        There are several topics and none is chosen, or the package for it is not installed.
+    """
+    try:
+        import rosbags.highlevel
+        import rosbags.typesys
+        from rosbags.rosbag1 import ReaderError as Rosbag1Error
+        from rosbags.rosbag2 import ReaderError as Rosbag2Error
+    except ImportError as error:
+        raise missing_package(f"{path} is a recording of ROS, which", "rosbags", "ros") from error
+    store = rosbags.typesys.get_typestore(rosbags.typesys.Stores.ROS2_HUMBLE)
+    # rosbags checks with assertions, too; the rest comes from the libraries that unpack for it.
+    failures = (
+        *(rosbags.highlevel.AnyReaderError, Rosbag1Error, Rosbag2Error, rosbags.typesys.TypesysError),
+        *(OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, AssertionError, EOFError, RuntimeError),
+        *(OverflowError, MemoryError, struct.error, zlib.error, sqlite3.Error),
+    )
+    batches: list[FloatArray] = []
+    said: tuple[str, ...] = ()
+    try:
+        with rosbags.highlevel.AnyReader([path], default_typestore=store) as reader:
+            connections = _connections(path, reader.connections, topic)
+            _collect(reader, connections, batches)
+    except (RecordingError, UsageError):
+        raise
+    except failures as error:
+        if not batches:
+            raise _damaged(path, error) from error
+        count = sum(map(len, batches))
+        said = (f"{path.name} is damaged behind message {count} ({_cause(error)}): what follows is lost.",)
+    if not batches:
+        raise RecordingError(f"{path} holds no message on the topic: check the recording", Reason.BAD_DATA, path=str(path))
+    return _table(path, np.concatenate(batches), said)
+
+
+def _connections(path: Path, connections: list[Any], topic: str | None) -> list[Any]:
+    found = [one for one in connections if one.msgtype == IMU_TYPE and (topic is None or one.topic == topic)]
+    topics = sorted({one.topic for one in found})
+    if len(topics) > 1:
+        raise UsageError(
+            f"{path} holds several topics of {IMU_TYPE}: choose one with --topic, e.g. --topic {topics[0]}; there are "
+            f"{', '.join(topics)}",
+            path=str(path),
+        )
+    if not topics:
+        there = ", ".join(sorted({f"{one.topic} ({one.msgtype})" for one in connections})) or "nothing"
+        what = IMU_TYPE if topic is None else f"{IMU_TYPE} on {topic}"
+        raise RecordingError(f"{path} holds no {what}, but {there}: record or choose another", Reason.BAD_DATA, path=str(path))
+    return found
+
+
+def _collect(reader: Any, connections: list[Any], batches: list[FloatArray]) -> None:
+    """Append arrays of shape (k, 9): stamp in s and ns, specific force, rate, status."""
+    rows: list[tuple[float, ...]] = []
+    try:
+        for connection, bag_ns, raw in reader.messages(connections):
+            rows.append(_row(reader.deserialize(raw, connection.msgtype), bag_ns))
+            if len(rows) == _BATCH:
+                batches.append(np.array(rows))
+                rows = []
+    finally:
+        # What was read before a damage counts, too.
+        if rows:
+            batches.append(np.array(rows))
+
+
+def _row(message: Any, bag_ns: int) -> tuple[float, ...]:
+    stamp, force, rate = message.header.stamp, message.linear_acceleration, message.angular_velocity
+    second, nanosecond = stamp.sec, stamp.nanosec
+    if not (second or nanosecond):
+        # Nobody stamped it; the recorder did.
+        second, nanosecond = divmod(bag_ns, NANOSECONDS)
+    no_force, no_rate = message.linear_acceleration_covariance[0] == -1, message.angular_velocity_covariance[0] == -1
+    status = no_force * int(Status.ACCELEROMETER_INVALID) | no_rate * int(Status.GYROSCOPE_INVALID)
+    return (second, nanosecond, force.x, force.y, force.z, rate.x, rate.y, rate.z, status)
+
+
+def _table(path: Path, rows: FloatArray, said: tuple[str, ...]) -> ArrayTable:
+    from_s = rows[0, 0] if rows[0, 0] > _EPOCH_S else 0.0
+    if from_s:
+        said += (f"{path.name}: time counts from {from_s:.0f} s since 1970.",)
+    n = len(rows)
+    values = np.full((n, len(SAMPLE_COLUMNS)), np.nan)
+    values[:, 0] = rows[:, 0] - from_s + rows[:, 1] / NANOSECONDS
+    values[:, 1:7] = rows[:, 2:8]
+    values[:, -1] = rows[:, 8]
+    for flag, columns in ((Status.ACCELEROMETER_INVALID, slice(1, 4)), (Status.GYROSCOPE_INVALID, slice(4, 7))):
+        gone = (rows[:, 8].astype(int) & flag) != 0
+        # A stretch without a value is a gap; a triad that never has one is not there.
+        values[gone, columns] = np.nan
+        if gone.all():
+            values[:, -1] -= int(flag)
+    # The flags are those of values: of gaps a recording of ROS says nothing.
+    settings: dict[str, str | float] = {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s", "status": "true"}
+    units = ("s", *[""] * (len(SAMPLE_COLUMNS) - 1))
+    return ArrayTable(path, SAMPLE_COLUMNS, values, units, settings, None, said)
+
+
+def _cause(error: BaseException) -> str:
+    text = str(error).strip()
+    return text.splitlines()[0] if text else type(error).__name__
+
+
+def _damaged(path: Path, error: BaseException) -> RecordingError:
+    return RecordingError(
+        f"{path} is damaged or no recording of ROS ({_cause(error)}): fetch it again, or `ros2 bag reindex` it",
+        Reason.DAMAGED,
+        path=str(path),
+    )

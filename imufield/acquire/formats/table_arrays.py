@@ -1,0 +1,259 @@
+"""Columns of numbers from files of arrays: MATLAB, HDF5, Parquet, NumPy.
+
+What a file starts with decides what it is, not its name. Vectors become columns by their names; a matrix of three columns
+is a triad (``acc`` gives ``acc_x``, ``acc_y``, ``acc_z``), a single matrix is a table without a header.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import IO, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.acquire.formats import array_file_reader
+from imufield.acquire.formats.table_columns import named_column
+from imufield.errors import Reason, RecordingError, UsageError, shortened
+from imufield.samples import AXES, FloatArray
+
+MATLAB_7_3, MATLAB_5 = b"MATLAB 7.3", b"MATLAB 5.0"
+_MATLAB_4_TYPES = 5000
+_MAGIC_BYTES = 16
+_MOST_COLUMNS = 64
+"""A matrix with no more rows than this and more columns is written on its side, as MATLAB does in HDF5."""
+_QUIET = {"OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
+"""Environment of the process that reads: what is taken of its address space for nothing is lost to the numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayTable:
+    """Columns that are in memory, in the form of a ``TextTable``.
+
+    Attributes
+    ----------
+    path : Path
+    header, units : tuple of str or None
+        Names of the columns and their units, where the file has them.
+    values : ndarray, shape (n, width)
+    settings : dict
+        Settings of protocol ``rows_f64`` that the file states itself.
+    raw_zero : tuple of 3 floats or None
+    assumptions : tuple of str
+        Sentences.
+    """
+
+    path: Path
+    header: tuple[str, ...] | None
+    values: FloatArray
+    units: tuple[str, ...] | None = None
+    settings: dict[str, str | float] = field(default_factory=dict)
+    raw_zero: tuple[float, float, float] | None = None
+    assumptions: tuple[str, ...] = ()
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return int(self.values.shape[1])
+
+    def read(self, columns: list[int]) -> FloatArray:
+        """Return some columns, shape (n, len(columns))."""
+        return self.values[:, columns]
+
+    def where(self, row: int) -> tuple[int, str]:
+        """Return the number of a row, and words for it, for messages."""
+        return row + 1, f"row {row + 1}"
+
+
+def array_reader(path: Path) -> Callable[[Path], ArrayTable] | None:
+    """Return what reads a file of arrays, None for files of another kind or none."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_MAGIC_BYTES)
+    except OSError:
+        return None
+    for magic, kind in _KINDS.items():
+        if head.startswith(magic):
+            return partial(read_arrays, kind)
+    # Version 4 of MATLAB's format begins with a number below 5000 that tells the type of its first variable.
+    is_version_4 = path.suffix.lower() == ".mat" and len(head) > 4 and int.from_bytes(head[:4], "little") < _MATLAB_4_TYPES
+    return partial(read_arrays, _MATLAB) if is_version_4 else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """A kind of file of arrays."""
+
+    name: str
+    """For ``array_file_reader``."""
+    words: str
+    package: str
+    """That reads it."""
+    extra: str = ""
+    """That it comes with; empty where it comes with imufield."""
+
+
+_MATLAB = _Kind("mat", "MATLAB file", "scipy")
+_HDF5 = _Kind("hdf5", "HDF5 file", "h5py", "hdf5")
+_NUMPY = _Kind("numpy", "NumPy file", "numpy")
+_KINDS = {
+    MATLAB_5: _MATLAB,
+    MATLAB_7_3: _HDF5,
+    b"\x89HDF\r\n\x1a\n": _HDF5,
+    b"PAR1": _Kind("parquet", "Parquet file", "pyarrow", "parquet"),
+    b"\x93NUMPY": _NUMPY,
+    b"PK\x03\x04": _NUMPY,
+}
+
+
+def read_arrays(kind: _Kind, path: Path) -> ArrayTable:
+    """Read a file of arrays in a process of its own, ``array_file_reader``.
+
+    Raises
+    ------
+    RecordingError
+        The file is damaged, or holds no numbers.
+    UsageError
+        The package for it is not installed, or cannot be imported.
+    """
+    # -P: what stands in the present folder is nothing to import.
+    command = [sys.executable, "-P", array_file_reader.__file__, kind.name, str(path)]
+    quiet, environment = subprocess.DEVNULL, {**os.environ, **_QUIET}
+    try:
+        with subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, env=environment) as process:  # noqa: S603  (our own)
+            return _table(path, *_handed_over(process))
+    except ImportError as error:
+        raise missing_package(f"{kind.words} {path}", kind.package, kind.extra, str(error)) from error
+    except array_file_reader.DAMAGE as error:
+        raise _damaged(path, kind.words, error) from error
+
+
+def _handed_over(reader: subprocess.Popen[bytes]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    """Return the arrays that ``array_file_reader`` sends and what the file states; a ValueError says why there are none.
+
+    An ImportError says that it could not import what reads the file.
+    """
+    output = cast("IO[bytes]", reader.stdout)
+    head = json.loads(output.readline() or "{}")
+    if "missing" in head:
+        raise ImportError(head["missing"])
+    if "names" not in head:
+        raise ValueError(head.get("error", f"its reader broke down with {reader.wait()}"))
+    # NumPy would seek in what it takes for a file.
+    pipe: Any = SimpleNamespace(read=output.read)
+    arrays = {name: np.lib.format.read_array(pipe, allow_pickle=False) for name in head["names"]}
+    # What is no numbers stays behind; its name is said.
+    return arrays | dict.fromkeys(head["others"], np.empty(0, "U1")), head["stated"]
+
+
+def missing_package(what: str, package: str, extra: str, cause: str = "") -> UsageError:
+    """Return the error that a package of an extra, or of imufield itself where that is empty, is not installed.
+
+    ``cause`` is what Python says where it may be installed, and made for another Python, NumPy or system.
+    """
+    needed = f"{package}, which cannot be imported ({cause})" if cause else package
+    wanted = f"'imufield[{extra}]'" if extra else "imufield"
+    again = ", with --force-reinstall where it is there already" if cause else ""
+    return UsageError(
+        f"{what} needs the package {needed}; install it with `pip install {wanted}`{again}", Reason.MISSING_PACKAGE
+    )
+
+
+def _table(path: Path, arrays: Mapping[str, NDArray[Any]], stated: Mapping[str, str]) -> ArrayTable:
+    """Put arrays beside each other: those with as many rows as the longest."""
+    upright = {
+        name: _upright(array)
+        for name, array in arrays.items()
+        if array.dtype.kind in array_file_reader.NUMBERS + array_file_reader.DATES
+    }
+    upright = {name: array for name, array in upright.items() if array.ndim == 2 and 0 < array.shape[1] <= _MOST_COLUMNS}
+    rows = max((len(array) for array in upright.values()), default=0)
+    used = {name: array for name, array in upright.items() if len(array) == rows}
+    if rows < 2:
+        raise RecordingError(f"{path} holds no columns of numbers: check that it is the right file", Reason.BAD_DATA)
+    left_out = sorted(name for name in arrays if name not in used)
+    said: tuple[str, ...] = ()
+    if left_out:
+        said = (f"{path.name}: ignored {', '.join(map(shortened, left_out))}, which have not {rows} rows of numbers.",)
+    columns, times = zip(*(_as_numbers(array) for array in used.values()), strict=True)
+    values = np.hstack(columns)
+    if any(times):
+        said += (f"{path.name}: dates count in seconds from the first row.",)
+    if len(used) == 1 and values.shape[1] > 1:
+        return ArrayTable(path, None, values, assumptions=said)
+    short = _without_group(list(used))
+    names = tuple(one for name, array in zip(short, used.values(), strict=True) for one in _names(name, array.shape[1]))
+    units = tuple("s" if is_date else "" for array, is_date in zip(columns, times, strict=True) for _ in range(array.shape[1]))
+    return ArrayTable(path, names, values, units, *_stated(stated), said)
+
+
+def _without_group(names: list[str]) -> list[str]:
+    """Leave out the groups or structures that all names are in: ``imu0.acc`` and ``imu0.gyr`` are ``acc`` and ``gyr``."""
+    parts = [name.split(".") for name in names]
+    depth = min(len(each) for each in parts) - 1
+    shared = next((level for level in range(depth) if len({each[level] for each in parts}) > 1), depth)
+    return [".".join(each[shared:]) for each in parts]
+
+
+def _upright(array: NDArray[Any]) -> NDArray[Any]:
+    array = np.squeeze(array)
+    if array.ndim == 1:
+        return array[:, None]
+    on_its_side = array.ndim == 2 and array.shape[0] <= _MOST_COLUMNS < array.shape[1]
+    return array.T if on_its_side else array
+
+
+def _as_numbers(array: NDArray[Any]) -> tuple[FloatArray, bool]:
+    """Return numbers, and whether they were dates."""
+    if array.dtype.kind == array_file_reader.DATES:
+        return (array - array[0]) / np.timedelta64(1, "s"), True
+    return array.astype(np.float64), False
+
+
+def _names(name: str, width: int) -> list[str]:
+    if width == 1:
+        return [name]
+    if width != len(AXES):
+        return [f"{name}_{number + 1}" for number in range(width)]
+    return [_axis_name(name, axis) for axis in AXES]
+
+
+def _axis_name(name: str, axis: str) -> str:
+    """Put an axis into the name of a triad, before its unit where it has one: ``acc_mps2`` gives ``acc_x_mps2``."""
+    parts = re.split(r"[_ ./]+", name)
+    tried = ["_".join([*parts[:place], axis, *parts[place:]]) for place in range(len(parts), 0, -1)]
+    return next((one for one in tried if named_column(one, 0) is not None), tried[0])
+
+
+def _stated(stated: Mapping[str, str]) -> tuple[dict[str, str | float], tuple[float, float, float] | None]:
+    """Return what our own exports say of their numbers: settings and mid-scale."""
+    if "imufield_accelerometer_unit" not in stated:
+        return {}, None
+    settings: dict[str, str | float] = {
+        f"{part}_unit": stated[f"imufield_{part}_unit"] for part in ("accelerometer", "gyroscope")
+    }
+    if stated.get("imufield_increments") == "true":
+        settings["increments"] = "true"
+        settings["rate_hz"] = float(stated["imufield_rate_hz"])
+    zero = [float(part) for part in stated.get("imufield_raw_zero", "0,0,0").split(",")]
+    return settings, (zero[0], zero[1], zero[2])
+
+
+def _damaged(path: Path, kind: str, error: BaseException) -> RecordingError | UsageError:
+    if isinstance(error, RecordingError | UsageError):
+        return error
+    if isinstance(error, OSError) and error.strerror:
+        return RecordingError(f"{path} cannot be read ({error.strerror}): check the name and its permissions", Reason.BAD_DATA)
+    cause = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+    return RecordingError(
+        f"{path} is a damaged {kind} ({cause}): fetch or save it again", Reason.DAMAGED, path=str(path), cause=cause
+    )

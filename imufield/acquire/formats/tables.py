@@ -1,0 +1,466 @@
+"""Tables of other programs -> rows of samples -> a recording.
+
+CSV and whitespace text, files of arrays, recordings of ROS; one file or several joined by time. The numbers stay as they are
+(only units that protocol ``rows_f64`` does not know are converted); a mid-scale is kept beside them, not taken off. Whatever
+the files do not say themselves is assumed aloud: ``ImportedTable.assumptions`` are sentences for the user.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.acquire.formats.ros_bags import is_bag, read_bag
+from imufield.acquire.formats.table_arrays import ArrayTable, array_reader
+from imufield.acquire.formats.table_checks import (
+    Source,
+    check_finite,
+    check_no_step_back,
+    check_values,
+    check_whole_numbers,
+    check_whole_triads,
+    is_empty,
+    join_by_row,
+    join_by_time,
+)
+from imufield.acquire.formats.table_columns import (
+    COUNTER,
+    FIELDS,
+    STATUS,
+    TEMPERATURE,
+    TIME,
+    Meaning,
+    columns_by_count,
+    columns_by_header,
+    columns_by_user,
+)
+from imufield.acquire.formats.table_text import TextTable, open_table
+from imufield.acquire.formats.table_units import TIME_SCALE, TIME_UNIT, choose_time_scale, choose_unit, given_time_unit
+from imufield.acquire.link.serial import Chunk
+from imufield.errors import Reason, RecordingError, UsageError
+from imufield.samples import (
+    ACCELEROMETER_COLUMNS,
+    GYROSCOPE_COLUMNS,
+    NO_COUNTER,
+    FloatArray,
+    IntArray,
+    Samples,
+)
+
+ROWS_PROTOCOL = "rows_f64"
+ROW_BYTES = 8 * len(FIELDS)
+_FLAGGED_ROW = np.dtype([("numbers", "<f8", (len(FIELDS),)), ("status", "<u4")])
+"""A row of the same protocol with ``status = true``."""
+_COUNTED_ROW = np.dtype([*((name, _FLAGGED_ROW[name]) for name in ("numbers", "status")), ("counter", "<i8")])
+"""The same with ``status = counted``."""
+LATEST_NS = 2**63 - 1
+"""What a recording's time stamps hold: 292 years. Times beyond are kept in the rows themselves."""
+_ROWS_A_CHUNK = 4096
+"""256 KiB: few messages, and well below what one damaged byte may cost."""
+_ROWS_TO_GUESS_BY = 1 << 18
+"""20 MiB of numbers; at 2000 Hz two minutes, in which nobody's unit looks like another's."""
+_COLUMN = {name: place for place, name in enumerate(FIELDS)}
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedTable:
+    """What was imported.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (n, 8)
+        time_s, ax, ay, az, gx, gy, gz, temperature; NaN where not available.
+    settings : dict
+        Settings of protocol ``rows_f64`` that the files or the user determine: ``accelerometer_unit``, ``gyroscope_unit``,
+        ``rate_hz``.
+    raw_zero : tuple of 3 floats
+        Raw accelerometer output at no input; zeros unless given.
+    assumptions : tuple of str
+        Sentences.
+    status : ndarray of uint32, shape (n,), or None
+        ``Status`` flags, where the file is an export of our own or a recording that tells.
+    counter : ndarray of int64, shape (n,), or None
+        Where the file is an export of our own, ``NO_COUNTER`` where the instrument sent none.
+    """
+
+    rows: FloatArray
+    settings: dict[str, str | float]
+    raw_zero: tuple[float, float, float]
+    assumptions: tuple[str, ...]
+    status: NDArray[np.uint32] | None = None
+    counter: IntArray | None = None
+
+    def __getitem__(self, rows: slice) -> ImportedTable:
+        status, counter = self.status, self.counter
+        return replace(
+            self,
+            rows=self.rows[rows],
+            status=None if status is None else status[rows],
+            counter=None if counter is None else counter[rows],
+        )
+
+    @property
+    def rate_hz(self) -> float:
+        """Median sample rate."""
+        return float(1.0 / np.median(np.diff(self.rows[:, 0])))
+
+
+class ChunkWriter(Protocol):
+    """What rows are written to: a ``Recorder``."""
+
+    def write_chunk(self, chunk: Chunk, /) -> None:
+        """Record a chunk."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class _File:
+    """Columns of one file by field, in the units that were found or assumed."""
+
+    path: Path
+    fields: dict[str, FloatArray]
+    units: dict[str, str]
+    assumptions: tuple[str, ...]
+    settings: dict[str, str | float] = field(default_factory=dict)
+    raw_zero: tuple[float, float, float] | None = None
+
+
+def read_tables(
+    paths: Sequence[str | Path],
+    *,
+    columns: str | None = None,
+    rate_hz: float | None = None,
+    zero: str | float | Sequence[float] | None = None,
+    settings: Mapping[str, object] | None = None,
+    topic: str | None = None,
+) -> ImportedTable:
+    """Read one table, or several that belong together.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        A second file without header is taken as the gyroscope of the first.
+    columns : str, optional
+        Names of the columns, e.g. ``time,ax,ay,az,gx,gy,gz,temperature``; ``-`` skips one, ``;`` parts files.
+    rate_hz : float, optional
+        Needed where there is no time column; otherwise decides the unit of time where that is open.
+    zero : str, float or three floats, optional
+        Mid-scale of the accelerometer, raw unit. Not taken off.
+    settings : mapping, optional
+        ``accelerometer_unit``, ``gyroscope_unit`` and ``time_unit`` where the user knows better.
+    topic : str, optional
+        Of a recording of ROS, where it holds several.
+
+    Raises
+    ------
+    RecordingError
+        A file cannot be read or holds something that is no number: ``BAD_DATA`` with file, line and text.
+    UsageError
+        The meaning of the columns, the unit of time or the rate is not known, or the files do not belong together.
+    """
+    if not paths:
+        raise UsageError("no file to import: name at least one.")
+    names = _columns_of_files(columns, len(paths))
+    files = [_read_file(Path(path), names[i], i, len(paths), topic) for i, path in enumerate(paths)]
+    check_values([file.path for file in files], {name for file in files for name in file.fields})
+    return _table(files, rate_hz, zero, settings)
+
+
+def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[ImportedTable]:
+    """Yield one table piece by piece, so that memory is bounded by a piece; settings are those of the first.
+
+    Units that no header states are guessed from the first quarter of a million rows. Other files than text come whole.
+
+    Raises
+    ------
+    RecordingError, UsageError
+        As ``read_tables``.
+    """
+    source = _open(Path(path), None)
+    if isinstance(source, ArrayTable):
+        yield read_tables([path], rate_hz=rate_hz)
+        return
+    meaning = _meaning(source, None, 0, 1)
+    pieces = _pieces(source, meaning)
+    values = next(pieces)
+    late = _late(source, meaning, values)
+    file = _file_of(source, meaning, values, known=late.keys(), is_guess=source.header is None)
+    check_values([file.path], file.fields.keys() | late.keys())
+    decided, head = _decided(file, rate_hz), _table([file], rate_hz, settings=_late_units(late, file.units))
+    decided |= {name: head.settings[name] for name in ("accelerometer_unit", "gyroscope_unit")}
+    decided = {name: unit for name, unit in decided.items() if name.removesuffix("_unit") not in file.units}
+    yield head
+    known = file.fields.keys() | late.keys()
+    done, last = len(values), values[-1:]
+    for values in pieces:
+        # The row before stands in front, so that what must not change between two rows is seen here, too.
+        rows = np.concatenate([last, values])
+        file = _file_of(source, meaning, rows, done - 1, known=known, is_guess=source.header is None)
+        table = _table([file], rate_hz, settings=decided)
+        if rate_hz is not None and TIME not in file.fields:
+            table.rows[:, 0] = (done - 1 + np.arange(len(table.rows))) / rate_hz
+        yield table[1:]
+        done, last = done + len(values), values[-1:]
+
+
+def _pieces(source: TextTable, meaning: Meaning) -> Iterator[FloatArray]:
+    """Yield the rows of a text: enough to guess units by, then block by block."""
+    columns = [column.index for column in meaning.columns]
+    blocks = source.blocks(columns)
+    head: list[FloatArray] = []
+    for block in blocks:
+        head.append(block)
+        if sum(map(len, head)) >= _ROWS_TO_GUESS_BY:
+            break
+    yield np.concatenate(head) if head else source.read(columns)
+    yield from blocks
+
+
+def _late(source: TextTable, meaning: Meaning, head: FloatArray) -> dict[str, FloatArray]:
+    """Return the first numbers, enough to guess a unit by, of each column that has none in the head and some behind it."""
+    late: dict[str, FloatArray] = {}
+    if len(head) < _ROWS_TO_GUESS_BY:
+        return late
+    for group in (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, (STATUS,)):
+        columns = [column for place, column in enumerate(meaning.columns) if column.field in group and is_empty(head[:, place])]
+        found: list[FloatArray] = []
+        for block in source.blocks([column.index for column in columns]) if columns else ():
+            found.append(block[~np.isnan(block).all(axis=1)])
+            if sum(map(len, found)) >= _ROWS_TO_GUESS_BY:
+                break
+        numbers = np.concatenate(found) if found else np.empty((0, len(columns)))
+        late |= {one.field: numbers[:, place] for place, one in enumerate(columns) if np.isfinite(numbers[:, place]).any()}
+    return late
+
+
+def _late_units(late: Mapping[str, FloatArray], stated: Mapping[str, str]) -> dict[str, str]:
+    """Return the units of triads that begin behind the head, as settings, where no header states them."""
+    units: dict[str, str] = {}
+    for quantity, names in (("accelerometer", ACCELEROMETER_COLUMNS), ("gyroscope", GYROSCOPE_COLUMNS)):
+        if quantity not in stated and late.keys() >= set(names):
+            values = np.column_stack([late[name] for name in names])
+            units[f"{quantity}_unit"], _, _ = choose_unit(quantity, values, stated, {}, has_zero=False)
+    return units
+
+
+def _decided(file: _File, rate_hz: float | None) -> dict[str, str | float]:
+    """Return the unit of time, as a setting for the pieces that follow."""
+    if TIME not in file.fields:
+        return {}
+    scale, _ = choose_time_scale(file.path, file.fields[TIME], file.units.get(TIME), rate_hz)
+    return {TIME_UNIT: next(name for name, value in TIME_SCALE.items() if value == scale)}
+
+
+def _table(
+    files: Sequence[_File],
+    rate_hz: float | None,
+    zero: str | float | Sequence[float] | None = None,
+    settings: Mapping[str, object] | None = None,
+) -> ImportedTable:
+    """Join files and bring them to known units."""
+    known = {name: value for file in files for name, value in file.settings.items()}
+    given = {**known, **(settings or {})}
+    said = [sentence for file in files for sentence in file.assumptions]
+    joined, units, joining = _join(files, rate_hz, given_time_unit(settings or {}))
+    said += joining
+    rows = _rows(joined)
+    found = dict(known)
+    for quantity in ("accelerometer", "gyroscope"):
+        place = 1 if quantity == "accelerometer" else 4
+        unit, factor, sentence = choose_unit(quantity, rows[:, place : place + 3], units, given, has_zero=zero is not None)
+        if factor != 1.0:
+            rows[:, place : place + 3] *= factor
+        found[f"{quantity}_unit"] = unit
+        said += [sentence] if sentence else []
+    if rate_hz is not None:
+        found["rate_hz"] = float(rate_hz)
+    stated_zero = next((file.raw_zero for file in files if file.raw_zero is not None), None)
+    raw_zero = stated_zero if zero is None and stated_zero is not None else _parse_zero(zero)
+    status = joined[STATUS].astype(np.uint32) if STATUS in joined else None
+    if status is not None:
+        found["status"] = "true"
+    counter = None
+    # A recording of ROS states its flags itself: the counter of a file beside it would be interpolated to other times.
+    if status is not None and COUNTER in joined and "status" not in known:
+        counter = np.nan_to_num(joined[COUNTER], nan=NO_COUNTER).astype(np.int64)
+        found["status"] = "counted"
+    return ImportedTable(rows, found, raw_zero, tuple(said), status, counter)
+
+
+def write_rows(
+    recorder: ChunkWriter,
+    rows: FloatArray | Samples,
+    status: NDArray[np.uint32] | None = None,
+    counter: IntArray | None = None,
+) -> None:
+    """Write samples as chunks of whole rows of protocol ``rows_f64``; a chunk "arrives" at the time of its last sample.
+
+    Parameters
+    ----------
+    recorder : Recorder
+    rows : ndarray, shape (n, 8), or Samples
+    status : ndarray of uint32, shape (n,), optional
+        Makes rows for the setting ``status = true``.
+    counter : ndarray of int64, shape (n,), optional
+        Beside ``status``; for the setting ``status = counted``.
+    """
+    table = rows_of(rows) if isinstance(rows, Samples) else rows
+    start_s = float(table[0, 0]) if len(table) else 0.0
+    for start in range(0, len(table), _ROWS_A_CHUNK):
+        here = slice(start, start + _ROWS_A_CHUNK)
+        part = table[here]
+        last_s = float(part[-1, 0])
+        counted = None if counter is None else counter[here]
+        content = part.astype("<f8") if status is None else _flagged(part, status[here], counted)
+        recorder.write_chunk(Chunk(content.tobytes(), last_s, min(max(0, round((last_s - start_s) * 1e9)), LATEST_NS)))
+
+
+def _flagged(rows: FloatArray, status: NDArray[np.uint32], counter: IntArray | None) -> NDArray[np.void]:
+    flagged = np.empty(len(rows), dtype=_FLAGGED_ROW if counter is None else _COUNTED_ROW)
+    flagged["numbers"], flagged["status"] = rows, status
+    if counter is not None:
+        flagged["counter"] = counter
+    return flagged
+
+
+def rows_of(samples: Samples) -> FloatArray:
+    """Return samples as rows, shape (n, 8)."""
+    return np.column_stack([samples.time_s, samples.accelerometer, samples.gyroscope, samples.temperature_degc])
+
+
+def _parse_zero(zero: str | float | Sequence[float] | None) -> tuple[float, float, float]:
+    """Read a mid-scale: one number for all axes, or three."""
+    if zero is None:
+        return (0.0, 0.0, 0.0)
+    try:
+        numbers = [float(part) for part in zero.split(",")] if isinstance(zero, str) else np.ravel(zero).astype(float).tolist()
+    except ValueError:
+        numbers = []
+    if len(numbers) == 1:
+        numbers *= 3
+    if len(numbers) != 3 or not np.all(np.isfinite(numbers)):
+        raise UsageError(
+            f"--zero {zero} is not one number or three: write e.g. --zero 32768 or --zero 32768,32770,32766.", zero=zero
+        )
+    return (numbers[0], numbers[1], numbers[2])
+
+
+def _columns_of_files(columns: str | None, files: int) -> list[str | None]:
+    if columns is None:
+        return [None] * files
+    parts: list[str | None] = list(columns.split(";"))
+    if len(parts) == 1:
+        return parts * files
+    if len(parts) != files:
+        raise UsageError(f"--columns describes {len(parts)} files, {files} are given: part the files by `;`.", columns=columns)
+    return parts
+
+
+def _open(path: Path, topic: str | None) -> Source:
+    """Open a file by what it starts with; raises as ``read_tables``."""
+    if is_bag(path):
+        return read_bag(path, topic)
+    read_arrays = array_reader(path)
+    return open_table(path) if read_arrays is None else read_arrays(path)
+
+
+def _read_file(path: Path, columns: str | None, number: int, files: int, topic: str | None) -> _File:
+    source = _open(path, topic)
+    meaning = _meaning(source, columns, number, files)
+    values = source.read([column.index for column in meaning.columns])
+    return _file_of(source, meaning, values, is_guess=columns is None and source.header is None)
+
+
+def _file_of(
+    source: Source,
+    meaning: Meaning,
+    values: FloatArray,
+    first_row: int = 0,
+    *,
+    known: Collection[str] = (),
+    is_guess: bool,
+) -> _File:
+    """Return the columns of rows that were read, the first of which is row ``first_row`` of the file, checked.
+
+    Columns that are ``known`` have numbers in other rows of the file, if not in these.
+    """
+    path = source.path
+    if len(values) < 2:
+        raise RecordingError(f"{path}: 1 row is no recording: check the file.", Reason.BAD_DATA, path=str(path))
+    fields = {column.field: values[:, place] for place, column in enumerate(meaning.columns)}
+    units = _units(path, meaning)
+    kept = {name: column for name, column in fields.items() if name == COUNTER or name in known or not is_empty(column)}
+    if not kept.keys() - {COUNTER}:
+        raise RecordingError(f"{path} has no number in any of its columns: check the file.", Reason.BAD_DATA, path=str(path))
+    check_whole_triads(path, fields, kept)
+    check_whole_numbers(source, kept, first_row)
+    for name, column in kept.items():
+        if name not in (TEMPERATURE, COUNTER, STATUS):
+            check_finite(source, name, column, kept.get(STATUS), first_row)
+    check_no_step_back(source, kept.get(TIME), first_row, is_guess=is_guess)
+    if isinstance(source, TextTable):
+        return _File(path, kept, units, meaning.assumptions)
+    return _File(path, kept, units, (*source.assumptions, *meaning.assumptions), source.settings, source.raw_zero)
+
+
+def _meaning(source: Source, columns: str | None, number: int, files: int) -> Meaning:
+    if columns is not None:
+        return columns_by_user(source.path, columns, source.width)
+    if source.header is not None:
+        return columns_by_header(source.path, source.header, source.units)
+    return columns_by_count(source.path, source.width, number, files)
+
+
+def _units(path: Path, meaning: Meaning) -> dict[str, str]:
+    """Return the stated unit of each quantity; the columns of one triad must agree."""
+    units: dict[str, str] = {}
+    for column in meaning.columns:
+        if column.unit is None:
+            continue
+        before = units.setdefault(column.quantity, column.unit)
+        if before != column.unit:
+            raise UsageError(
+                f"{path} gives {column.quantity} in {before} and in {column.unit}: bring all its axes to one unit.",
+                path=str(path),
+            )
+    return units
+
+
+def _join(
+    files: Sequence[_File], rate_hz: float | None, time_unit: str | None = None
+) -> tuple[dict[str, FloatArray], dict[str, str], list[str]]:
+    """Bring the columns of all files onto one time in seconds."""
+    units: dict[str, str] = {}
+    for number, file in enumerate(files):
+        doubled = sorted(field for field in file.fields for other in files[:number] if field in other.fields and field != TIME)
+        if doubled:
+            raise UsageError(f"{file.path} holds {', '.join(doubled)} again: give each quantity once.", path=str(file.path))
+        units |= {quantity: unit for quantity, unit in file.units.items() if quantity not in units}
+    timed, said = [], []
+    for file in files:
+        time = file.fields.get(TIME)
+        if time is None:
+            timed.append(file.fields)
+            continue
+        scale, sentence = choose_time_scale(file.path, time, time_unit or file.units.get(TIME), rate_hz)
+        said += [sentence] if sentence else []
+        timed.append({**file.fields, TIME: time * scale if scale != 1.0 else time})
+    names = [file.path for file in files]
+    if all(TIME in fields for fields in timed):
+        joined, joining = join_by_time(names, timed)
+    else:
+        joined, joining = join_by_row(names, timed, rate_hz)
+    return joined, units, said + joining
+
+
+def _rows(fields: Mapping[str, FloatArray]) -> FloatArray:
+    rows = np.full((len(fields[TIME]), len(FIELDS)), np.nan)
+    for name, column in fields.items():
+        if name not in (STATUS, COUNTER):
+            rows[:, _COLUMN[name]] = column
+    return rows

@@ -1,0 +1,245 @@
+"""A user's DBC file and the signals he names, written as a protocol: ``--dbc FILE --map accelerometer.x=SIGNAL ...``.
+
+Also the one call that opens a bus with everything a capture needs.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.driver import Driver
+from imufield.acquire.link.can import CanLink, open_can_link
+from imufield.acquire.link.host_clock import HostClock
+from imufield.acquire.protocol.can_protocol import dbc_table
+from imufield.acquire.protocol.protocol import DBC_LIMIT_BYTES, Protocol, decode_dbc, load_protocol, parse_protocol
+from imufield.acquire.protocol.toml import near
+from imufield.acquire.registry import load_driver
+from imufield.errors import ProtocolError, Reason, UsageError
+from imufield.samples import AXES
+
+_TRIADS = ("accelerometer", "gyroscope")
+_MAP_TEXTS = ("accelerometer.unit", "gyroscope.unit", "temperature", "temperature.unit", "counter", "time")
+_ASSEMBLY_TEXTS = ("starts_with",)
+_ASSEMBLY_LISTS = ("needs", "counters")
+_NUMBERS = {"limit_s": "assembly", "time.ticks_per_s": "clock"}
+_IDENTIFIERS = ("auto", "exact", "j1939")
+KEYS = (
+    *(f"{triad}.{axis}" for triad in _TRIADS for axis in AXES),
+    *_MAP_TEXTS,
+    *_ASSEMBLY_TEXTS,
+    *_ASSEMBLY_LISTS,
+    *_NUMBERS,
+    "identifiers",
+)
+"""What ``--map`` takes."""
+
+
+def parse_map(texts: Iterable[str]) -> dict[str, str]:
+    """Read ``--map KEY=VALUE``, e.g. ``accelerometer.x=-AccLong``; a minus turns the sign.
+
+    Raises
+    ------
+    UsageError
+        If a key is not known, given twice, or has no value.
+    """
+    found: dict[str, str] = {}
+    for text in texts:
+        key, _, value = (part.strip() for part in text.partition("="))
+        if key not in KEYS:
+            raise UsageError(f"--map {text!r}: {key!r} is not known{near(key, KEYS)}; keys are {', '.join(KEYS)}", map=text)
+        if not value or key in found:
+            problem = "is given twice" if key in found else "has no value"
+            raise UsageError(f"--map {text!r}: {key} {problem}; write e.g. {key}=SIGNAL or {key}=MESSAGE.SIGNAL", map=text)
+        found[key] = value
+    return found
+
+
+def protocol_from_dbc(path: str | Path, mapping: Mapping[str, str], settings: Mapping[str, object] | None = None) -> Protocol:
+    """Return the protocol of an instrument described by a DBC file.
+
+    Parameters
+    ----------
+    path : Path
+    mapping : mapping
+        As ``parse_map`` returns it. Signals are named SIGNAL or MESSAGE.SIGNAL.
+    settings : mapping, optional
+        ``rate_hz`` and ``source_address``.
+
+    Raises
+    ------
+    ProtocolError
+        The file is no DBC, a signal is not in it, or its unit is not one of what it is mapped to.
+    UsageError
+        An axis is missing.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            content = file.read(DBC_LIMIT_BYTES + 1)
+    except OSError as error:
+        raise ProtocolError(f"DBC file {path} cannot be read: {error.strerror}; check the path", path=str(path)) from error
+    text = protocol_text(path.stem, path.name, mapping) + dbc_table(decode_dbc(content, path.name))
+    return parse_protocol(text, settings, label=f"{path.name} with --map")
+
+
+def protocol_text(name: str, dbc: str, mapping: Mapping[str, str]) -> str:
+    """Return the protocol file, without the DBC, that says the same as ``--map``: a start for one's own."""
+    identifiers = mapping.get("identifiers", "auto")
+    if identifiers not in _IDENTIFIERS:
+        raise UsageError(f"--map identifiers={identifiers} is not one of {', '.join(_IDENTIFIERS)}", identifiers=identifiers)
+    word = re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_") or "dbc"
+    lines = [
+        'format = "imufield-protocol"',
+        "version = 1",
+        f"name = {_quoted(word)}",
+        f"title = {_quoted(f'signals of {dbc}')}",
+        f"manual = {_quoted(dbc)}",
+        'kind = "can"',
+        "\n[settings.source_address]\ndefault = 255\nminimum = 0\nmaximum = 255",
+        "\n[settings.rate_hz]\ndefault = 0.0\nminimum = 0",
+        f"\n[can]\ndbc = {_quoted(dbc)}\nidentifiers = {_quoted(identifiers)}",
+        'source_address = { setting = "source_address" }',
+        "\n[map]",
+        *_triad_lines(mapping),
+        *(f"{key.replace('.', '_')} = {_quoted(mapping[key])}" for key in _MAP_TEXTS if key in mapping),
+        "\n[assembly]",
+        *(f"{key} = {_quoted(mapping[key])}" for key in _ASSEMBLY_TEXTS if key in mapping),
+        *(f"{key} = [{_list(mapping[key])}]" for key in _ASSEMBLY_LISTS if key in mapping),
+        *_number_lines(mapping, "assembly"),
+        '\n[clock]\nrate_hz = { setting = "rate_hz" }',
+        *_number_lines(mapping, "clock"),
+    ]
+    return "\n".join(lines)
+
+
+def _triad_lines(mapping: Mapping[str, str]) -> list[str]:
+    lines = []
+    for triad in _TRIADS:
+        given = [mapping.get(f"{triad}.{axis}") for axis in AXES]
+        missing = [f"{triad}.{axis}" for axis, name in zip(AXES, given, strict=True) if name is None]
+        if 0 < len(missing) < len(AXES):
+            raise UsageError(f"--map has no {' and no '.join(missing)}: a triad needs all three axes", missing=missing)
+        if not missing:
+            lines.append(f"{triad} = [{', '.join(_quoted(name or '') for name in given)}]")
+    return lines
+
+
+def _number_lines(mapping: Mapping[str, str], table: str) -> list[str]:
+    lines = []
+    for key, where in _NUMBERS.items():
+        if where != table or key not in mapping:
+            continue
+        try:
+            lines.append(f"{key.replace('.', '_')} = {float(mapping[key])!r}")
+        except ValueError:
+            raise UsageError(f"--map {key}={mapping[key]} is no number", map=key) from None
+    return lines
+
+
+def _list(text: str) -> str:
+    return ", ".join(_quoted(part.strip()) for part in text.split(",") if part.strip())
+
+
+def _quoted(text: str) -> str:
+    # A JSON string is a TOML basic string.
+    return json.dumps(text, ensure_ascii=False)
+
+
+@dataclass(frozen=True, slots=True)
+class CanDescription:
+    """What understands a bus."""
+
+    name: str
+    """Of the driver, or of the protocol where there is none."""
+    protocol: Protocol
+    driver: type[Driver] | None
+    bit_rate: int | None
+    """The usual one; None where it is not known."""
+
+
+def describe_can(
+    *,
+    driver: str | None = None,
+    protocol: str | Path | Protocol | None = None,
+    dbc: str | Path | None = None,
+    mapping: Mapping[str, str] | None = None,
+    settings: Mapping[str, object] | None = None,
+) -> CanDescription:
+    """Find what understands a bus: one of a driver, a protocol, or a DBC file with its mapping.
+
+    Raises
+    ------
+    UsageError
+        Not exactly one of the three is given.
+    ProtocolError
+        It cannot be understood, or is not of a CAN bus.
+    """
+    if sum(one is not None for one in (driver, protocol, dbc)) != 1:
+        raise UsageError("a CAN bus needs exactly one of --driver, --protocol and --dbc")
+    known = None if driver is None else load_driver(driver)
+    if known is not None:
+        found = known.load_protocol(settings)
+    elif dbc is not None:
+        found = protocol_from_dbc(dbc, mapping or {}, settings)
+    else:
+        found = protocol if isinstance(protocol, Protocol) else load_protocol(protocol or "", settings)
+    name = driver or found.name
+    if found.can is None:
+        raise ProtocolError(f"{name} is no protocol of a CAN bus; give its --port instead of a --bus", Reason.BAD_PROTOCOL)
+    return CanDescription(name, found, known, known.default_baud if known else found.can.bit_rate)
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedCan:
+    """An open bus and what understands it."""
+
+    link: CanLink
+    protocol: Protocol
+    decoder: Decoder
+    """``feed(chunk.data, chunk.monotonic_s)`` returns samples."""
+    driver: str
+    """Name of the driver, or of the protocol where there is none."""
+
+
+def open_can(
+    bus: str,
+    *,
+    driver: str | None = None,
+    protocol: str | Path | Protocol | None = None,
+    dbc: str | Path | None = None,
+    mapping: Mapping[str, str] | None = None,
+    settings: Mapping[str, object] | None = None,
+    bit_rate: int | None = None,
+    clock: HostClock | None = None,
+) -> OpenedCan:
+    """Open a bus with one of a driver, a protocol, or a DBC file and its mapping.
+
+    Parameters
+    ----------
+    bus : str
+        ``INTERFACE:CHANNEL``.
+    driver : str, optional
+    protocol : str, Path or Protocol, optional
+    dbc : Path, optional
+    mapping : mapping, optional
+        As ``parse_map`` returns it.
+    settings : mapping, optional
+    bit_rate : int, optional
+        That of the driver or the protocol by default.
+    clock : HostClock, optional
+
+    Raises
+    ------
+    UsageError, ProtocolError
+        As ``describe_can``.
+    LinkError
+        The bus cannot be opened.
+    """
+    found = describe_can(driver=driver, protocol=protocol, dbc=dbc, mapping=mapping, settings=settings)
+    link = open_can_link(bus, bit_rate=bit_rate or found.bit_rate, clock=clock)
+    return OpenedCan(link, found.protocol, Decoder(found.protocol), found.name)

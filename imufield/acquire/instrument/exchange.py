@@ -1,0 +1,174 @@
+"""Questions and orders to an instrument, and their answers out of the stream it keeps sending.
+
+An instrument answers between its samples or in place of some, so an answer is looked for in everything that arrives. Waiting
+ends by the clock of the host: a cable whose sending half is not connected costs a second, not the session.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.link.host_clock import HostClock, patience_s
+from imufield.acquire.link.serial import Chunk, Link
+from imufield.errors import LinkError, LinkTimeoutError, Reason
+
+Message = Mapping[str, Any]
+ANSWER_S = 0.5
+"""Wait for an answer: instruments answer within some 50 ms, at 9600 bit/s after up to 100 ms of samples on their way."""
+TRIES = 2
+"""A command is sent again once: its first bytes may have met the end of a sleep or a busy instrument."""
+_LONGEST_ANSWER = 1 << 16
+"""Bytes kept while a text answer is looked for: 0.5 s at 1.3 Mbit/s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """Something to send, and how its answer is known.
+
+    Attributes
+    ----------
+    name : str
+        What it is for; stands under ``asked`` in the answer.
+    data : bytes
+    answer : callable or None
+        Tells whether a message answers it; None: nothing does, and nothing is waited for.
+    refusal : callable
+        What an answer says against it, empty for consent.
+    is_last : bool
+        It ends what the commands before it began, and is sent even where one of those failed.
+    read : callable or None
+        Finds the answer in the bytes since sending, where it is no message of the protocol; None: not there yet.
+    """
+
+    name: str
+    data: bytes
+    answer: Callable[[Message], bool] | None = None
+    refusal: Callable[[Message], str] = lambda _: ""
+    is_last: bool = False
+    read: Callable[[bytes], Message | None] | None = None
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether the instrument says something to it."""
+        return self.answer is not None or self.read is not None
+
+
+def any_message(message: Message) -> bool:  # noqa: ARG001  every message will do
+    """Take whatever comes for an answer."""
+    return True
+
+
+class Exchange:
+    """Asks one instrument.
+
+    Parameters
+    ----------
+    link : Link
+        Open, and read by nobody else meanwhile.
+    decoder : Decoder
+        Of the language of the answers, which need not be that of the samples.
+    clock : HostClock
+
+    Attributes
+    ----------
+    chunks : list of Chunk
+        Everything that arrived meanwhile.
+    """
+
+    def __init__(self, link: Link, decoder: Decoder, clock: HostClock) -> None:
+        self._link = link
+        self._decoder = decoder
+        self._clock = clock
+        self.chunks: list[Chunk] = []
+
+    def gather(self, commands: Iterable[Command]) -> list[dict[str, Any]]:
+        """Return the answers there are; where the first command is not answered only the last ones are sent besides."""
+        answers: list[dict[str, Any]] = []
+        is_deaf = False
+        for command in commands:
+            if is_deaf:
+                # Should the instrument hear but not be heard, it goes on all the same.
+                if command.is_last:
+                    self._link.write(command.data)
+                continue
+            answer = self._ask(command)
+            if answer is not None:
+                answers.append(answer)
+            is_deaf = command.is_answered and not answers
+        return answers
+
+    def order(self, commands: Iterable[Command]) -> list[dict[str, Any]]:
+        """Send commands that must succeed; return their answers.
+
+        Raises
+        ------
+        LinkTimeoutError
+            One was not answered.
+        LinkError
+            One was refused (``REFUSED``), or the link is gone.
+        """
+        answers: list[dict[str, Any]] = []
+        failure: LinkError | None = None
+        for command in commands:
+            if failure is not None and not command.is_last:
+                continue
+            answer = self._ask(command)
+            failure = failure or self._failure(command, answer)
+            if answer is not None:
+                answers.append(answer)
+        if failure is not None:
+            raise failure
+        return answers
+
+    def _failure(self, command: Command, answer: dict[str, Any] | None) -> LinkError | None:
+        name = self._link.name
+        if answer is None and command.is_answered:
+            return LinkTimeoutError(
+                f"the instrument on {name} does not answer: {command.name}, asked {TRIES} times, {ANSWER_S:g} s each; check "
+                "that the wire to the instrument is connected",
+                Reason.SILENCE,
+                port=name,
+                command=command.name,
+            )
+        refusal = command.refusal(answer) if answer is not None else ""
+        if not refusal:
+            return None
+        return LinkError(
+            f"the instrument on {name} refuses: {command.name} ({refusal}); set it with its maker's program",
+            Reason.REFUSED,
+            port=name,
+            command=command.name,
+        )
+
+    def _ask(self, command: Command) -> dict[str, Any] | None:
+        self._decoder.messages()
+        for _ in range(TRIES if command.is_answered else 1):
+            self._link.write(command.data)
+            answer = self._await(command) if command.is_answered else None
+            if answer is not None:
+                return {**answer, "asked": command.name}
+        return None
+
+    def _await(self, command: Command) -> Message | None:
+        heard = b""
+        end_s = self._clock.monotonic_s() + patience_s(self._clock, ANSWER_S)
+        while self._clock.monotonic_s() < end_s:
+            chunk = self._link.read()
+            if chunk is None:
+                continue
+            self.chunks.append(chunk)
+            self._decoder.feed(chunk.data, chunk.monotonic_s)
+            heard = (heard + chunk.data)[-_LONGEST_ANSWER:]
+            answer = self._answer(command, heard)
+            if answer is not None:
+                return answer
+        return None
+
+    def _answer(self, command: Command, heard: bytes) -> Message | None:
+        if command.read is not None:
+            return command.read(heard)
+        found = (message for message in self._decoder.messages() if command.answer is not None and command.answer(message))
+        return next(found, None)

@@ -1,0 +1,175 @@
+"""One instrument at the other end of an open link: ask who it is, set its rate, and leave it as it was found."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.driver import Driver
+from imufield.acquire.instrument.exchange import Command, Exchange
+from imufield.acquire.link.host_clock import HostClock
+from imufield.acquire.link.serial import Chunk, Link
+from imufield.acquire.protocol.protocol import load_protocol
+from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
+
+_SAME = 1e-3
+"""Rates closer than this are the same: instruments round their divisors."""
+
+
+class Instrument:
+    """Plays the commands of a driver over a link, and remembers how to undo them.
+
+    Parameters
+    ----------
+    driver : type of Driver
+    clock : HostClock
+    heard : collection of str
+        Kinds of frames that it sends.
+
+    Attributes
+    ----------
+    chunks : list of Chunk
+        What arrived during the last command, to be recorded.
+    state : list of dict
+        Newest answers to the questions about what can be changed.
+    interrupted : bool
+        Whether that interrupted the stream of samples, or took the place of some: what came before does not go on behind it.
+    """
+
+    def __init__(self, driver: type[Driver], clock: HostClock, heard: Collection[str] = ()) -> None:
+        self.driver = driver
+        self.heard = heard
+        self.chunks: list[Chunk] = []
+        self.state: list[dict[str, Any]] = []
+        self.interrupted = False
+        self._clock = clock
+        self._undo: list[Sequence[Command]] = []
+        self._rate_before_hz: float | None = None
+
+    def identify(self, link: Link) -> list[dict[str, Any]]:
+        """Return what the instrument answers to questions about itself; nothing where it is not connected that way."""
+        questions = self.driver.identity_questions(self.heard)
+        exchange = self._exchange(link, questions)
+        return self._finished(exchange, exchange.gather(questions))
+
+    def start(self, link: Link) -> None:
+        """Make a silent instrument send; ``restore`` silences it again.
+
+        Raises
+        ------
+        UsageError
+            It is not known how.
+        LinkError
+            No answer, or a refusal.
+        """
+        self._check("start and stop")
+        state = self._state(link)
+        self._switch(link, self.driver.start_orders(state), self.driver.stop_orders(state))
+
+    def stop(self, link: Link) -> None:
+        """Silence it; ``restore`` makes it send again. Raises as ``start`` does."""
+        self._check("start and stop")
+        state = self._state(link)
+        self._switch(link, self.driver.stop_orders(state), self.driver.start_orders(state))
+
+    def _switch(self, link: Link, orders: Sequence[Command], back: Sequence[Command]) -> None:
+        if not orders or not back:
+            raise LinkTimeoutError(
+                f"{self.driver.title} on {link.name} does not tell what it sends, so it could not be put back; check that the "
+                "wire to the instrument is connected",
+                Reason.SILENCE,
+                port=link.name,
+            )
+        self._undo.append(back)
+        exchange = self._exchange(link, orders)
+        self._finished(exchange, exchange.order(orders))
+
+    def set_rate(self, link: Link, rate_hz: float) -> float:
+        """Set the output rate; return what it was. ``restore`` brings that back.
+
+        Raises
+        ------
+        UsageError
+            The instrument cannot have this rate, or any.
+        LinkError
+            No answer, a refusal, or another rate than the one asked for.
+        """
+        if "rate" not in self.driver.abilities:
+            self.driver.rate_orders(rate_hz, ())
+        state = self._state(link)
+        before_hz = self.driver.rate_hz(state)
+        if before_hz is None:
+            raise LinkError(
+                f"{self.driver.title} on {link.name} does not tell its output rate, so it could not be put back; leave out "
+                "--rate-hz, and check that the wire to the instrument is connected",
+                Reason.SILENCE,
+                port=link.name,
+            )
+        orders = self.driver.rate_orders(rate_hz, state)
+        if abs(before_hz - rate_hz) <= _SAME * rate_hz:
+            return before_hz
+        self._undo.append(self.driver.restore_orders(state))
+        self._rate_before_hz = before_hz
+        self._exchange(link, orders).order(orders)
+        self._check_rate(link, rate_hz)
+        self.interrupted = True
+        return before_hz
+
+    def _check_rate(self, link: Link, rate_hz: float) -> None:
+        """Read the rate back: not every instrument answers an order."""
+        now_hz = self.driver.rate_hz(self._state(link))
+        if now_hz is None or abs(now_hz - rate_hz) > _SAME * rate_hz:
+            raise LinkError(
+                f"{self.driver.title} on {link.name} was set to {rate_hz:g} Hz and says it is at "
+                f"{'an unknown rate' if now_hz is None else f'{now_hz:g} Hz'}; switch it off and on, and leave out --rate-hz",
+                Reason.REFUSED,
+                rate_hz=rate_hz,
+                found_hz=now_hz,
+            )
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether there is something to undo."""
+        return bool(self._undo)
+
+    def restore(self, link: Link) -> None:
+        """Undo everything, newest first; a second call does nothing.
+
+        Raises
+        ------
+        LinkError
+            The instrument is gone or does not take it; the next power-off brings it back all the same.
+        """
+        undo, self._undo = self._undo, []
+        failure: LinkError | None = None
+        for orders in reversed(undo):
+            try:
+                self._exchange(link, orders).order(orders)
+            except LinkError as error:
+                failure = failure or error
+        before_hz, self._rate_before_hz = self._rate_before_hz, None
+        if failure is not None:
+            raise failure
+        if before_hz is not None:
+            self._check_rate(link, before_hz)
+
+    def _state(self, link: Link) -> list[dict[str, Any]]:
+        questions = self.driver.state_questions(self.heard)
+        exchange = self._exchange(link, questions)
+        self.state = self._finished(exchange, exchange.gather(questions))
+        return self.state
+
+    def _exchange(self, link: Link, commands: Sequence[Command]) -> Exchange:
+        self.interrupted = any(command.is_last for command in commands)
+        return Exchange(link, Decoder(load_protocol(self.driver.answers or self.driver.protocol)), self._clock)
+
+    def _finished(self, exchange: Exchange, answers: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        self.chunks = exchange.chunks
+        # Samples that gave way to answers are not lost on the link: what counts begins behind the last answer.
+        self.interrupted |= bool(answers) and self.driver.answers_replace_samples
+        return answers
+
+    def _check(self, ability: str) -> None:
+        if ability not in self.driver.abilities:
+            raise UsageError(f"{self.driver.title} cannot be told to {ability} by imufield; do it with its maker's program")

@@ -1,0 +1,311 @@
+"""Which instrument is heard: every way to read the wire gets the same bytes, and each is judged by what it made of them.
+
+What a frame must show by itself (fixed bytes and checksum) decides how much evidence is needed. With 24 bits and more, five
+frames of noise would take 2^120 tries, and a handful of frames is proof. With less, or none (lines of numbers, frames without
+a checksum), bytes that only look like frames are possible: then nearly all bytes must belong to frames, the frames must come
+steadily, and the acceleration must be of the size of gravity.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.driver import Driver
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.protocol.protocol import Protocol
+from imufield.errors import ProtocolError
+from imufield.samples import Samples
+
+FEWEST_SAMPLES = 5
+CERTAIN_SAMPLES = 20
+"""Samples that end the listening."""
+RATE_S = 0.3
+"""Least listening where the rate is to be told, in chunks of 20 ms."""
+STRONG_BITS = 24
+STRONG_SHARE = 0.5
+"""Share of the bytes in good frames: text of a receiver or a damaged line may take the rest."""
+WEAK_SHARE = 0.9
+"""The same without strong frames: bit errors of 1e-4 damage up to 1 % of lines of 100 bytes."""
+GRAVITY_M_S2 = (4.0, 20.0)
+"""Median size of the acceleration in the hand or on a table, calibrated or not; values in g give 1, counts thousands."""
+_STEADY_SHARE = 0.15
+_STEADY_FRAMES = 3
+"""Departure from an even pace that chunks of 20 ms and a busy machine explain, in share of all frames and in frames."""
+_NORMS_KEPT = 4000
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A way to read the wire.
+
+    Attributes
+    ----------
+    name, title : str
+    protocol : Protocol
+    bauds : tuple of int
+        The likeliest first.
+    driver : type of Driver or None
+        None where only a protocol file is known.
+    variant : mapping
+        Settings of a form of the stream that is not the usual one.
+    """
+
+    name: str
+    title: str
+    protocol: Protocol
+    bauds: tuple[int, ...]
+    driver: type[Driver] | None
+    variant: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a candidate made of the bytes.
+
+    Attributes
+    ----------
+    found : bool
+        Whether the evidence is enough.
+    reason : str
+        Why it is not; empty where it is.
+    checked_bits : int
+        Fixed bits and checksum bits of the weakest frame.
+    share : float
+        Of the bytes, in good frames.
+    checksum_ratio : float or None
+        Good frames among those whose checksum was looked at; None without any.
+    rate_hz : float or None
+        Samples for each second of the host.
+    norm_m_s2 : float or None
+        Median size of the acceleration; None where its unit is not known.
+    """
+
+    name: str
+    title: str
+    variant: dict[str, object]
+    found: bool
+    reason: str
+    frames: int
+    frames_bad_checksum: int
+    samples: int
+    bytes_total: int
+    share: float
+    checked_bits: int
+    rate_hz: float | None
+    norm_m_s2: float | None
+    steady: bool
+
+    @property
+    def is_strong(self) -> bool:
+        """Whether a handful of its frames is proof."""
+        return self.checked_bits >= STRONG_BITS
+
+    @property
+    def checksum_ratio(self) -> float | None:
+        """Return the share of good frames among those that were checked."""
+        checked = self.frames + self.frames_bad_checksum
+        return self.frames / checked if checked else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        return {**asdict(self), "checksum_ratio": self.checksum_ratio}
+
+    def evidence(self) -> str:
+        """Return it in words."""
+        parts = [f"{self.frames} good frames", f"{self.frames_bad_checksum} bad", f"{100 * self.share:.0f} % of the bytes"]
+        if self.rate_hz is not None:
+            parts.append(f"{self.rate_hz:.4g} Hz")
+        if self.norm_m_s2 is not None:
+            parts.append(f"acceleration {self.norm_m_s2:.2f} m/s^2")
+        return ", ".join(parts)
+
+
+class Ear:
+    """Listens for one candidate.
+
+    Parameters
+    ----------
+    candidate : Candidate
+    is_given : bool
+        The user said what it is: then plausibility is not asked for.
+    """
+
+    def __init__(self, candidate: Candidate, *, is_given: bool = False) -> None:
+        self._is_given = is_given
+        self._chunks: list[Chunk] = []
+        self._begin(candidate)
+
+    def _begin(self, candidate: Candidate) -> None:
+        self.candidate = candidate
+        self.decoder = Decoder(candidate.protocol)
+        self._checked_bits = checked_bits(candidate.protocol)
+        self._norms: list[float] = []
+        self._arrivals: list[tuple[float, int]] = []
+        self._messages: list[dict[str, Any]] = []
+        self._accelerations = 0
+        self._fault = ""
+        self._before_end: tuple[int, int] | None = None
+        """Bad frames and skipped bytes before the end of the listening cut a frame."""
+
+    def feed(self, chunk: Chunk) -> None:
+        """Take the bytes of one read."""
+        self._chunks.append(chunk)
+        if not self._fault:
+            try:
+                self._feed(chunk)
+            except ProtocolError as error:
+                self._begin_anew(error)
+
+    def close(self) -> None:
+        """Count what was held back; nothing will follow."""
+        counts = self.decoder.statistics
+        self._before_end = (counts.frames_bad_checksum, counts.bytes_skipped)
+        if not self._fault:
+            try:
+                self._take(self.decoder.flush())
+            except ProtocolError as error:
+                self._begin_anew(error)
+
+    def _feed(self, chunk: Chunk) -> None:
+        self._take(self.decoder.feed(chunk.data, chunk.monotonic_s))
+        self._arrivals.append((chunk.monotonic_s, self.decoder.statistics.frames))
+
+    def _begin_anew(self, error: ProtocolError) -> None:
+        """Listen again with the rate that increments turned out to need; where that is known already, give up."""
+        rate_hz, setting = error.values.get("rate_hz"), self.candidate.protocol.settings.get("rate_hz")
+        driver = self.candidate.driver
+        if rate_hz is None or driver is None or setting is None or setting.origin == "given":
+            self._fault = error.message
+            return
+        variant = {**self.candidate.variant, "rate_hz": float(f"{rate_hz:.4g}")}
+        given = {name: one.value for name, one in self.candidate.protocol.settings.items() if one.origin == "given"}
+        self._begin(replace(self.candidate, protocol=driver.load_protocol({**given, **variant}), variant=variant))
+        try:
+            for chunk in self._chunks:
+                self._feed(chunk)
+        except ProtocolError as second:
+            self._fault = second.message
+
+    def messages(self) -> list[dict[str, Any]]:
+        """Return the messages heard that are no samples."""
+        self._messages += self.decoder.messages()
+        return self._messages
+
+    @property
+    def accelerations(self) -> int:
+        """Samples that have an acceleration."""
+        return self._accelerations
+
+    @property
+    def is_promising(self) -> bool:
+        """Whether longer listening is worth it."""
+        return self.decoder.statistics.frames >= 2
+
+    def finding(self) -> Finding:
+        """Judge what was heard so far."""
+        counts = self.decoder.statistics
+        bad, skipped = self._before_end or (counts.frames_bad_checksum, counts.bytes_skipped)
+        share = 1.0 - skipped / counts.bytes_total if counts.bytes_total else 0.0
+        norm = float(np.median(self._norms)) if self._norms else None
+        rate_hz, steady = self._pace()
+        reason = self._objection(share, norm, steady=steady)
+        return Finding(
+            self.candidate.name,
+            self.candidate.title,
+            dict(self.candidate.variant),
+            not reason,
+            reason,
+            counts.frames,
+            bad,
+            counts.samples,
+            counts.bytes_total,
+            share,
+            self._checked_bits,
+            rate_hz,
+            norm,
+            steady,
+        )
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether listening longer would add nothing."""
+        if self.decoder.statistics.samples < CERTAIN_SAMPLES:
+            return False
+        heard_s = self._arrivals[-1][0] - self._arrivals[0][0] if self._arrivals else 0.0
+        return (self._is_given or heard_s >= RATE_S) and self.finding().found
+
+    def _take(self, samples: Samples) -> None:
+        finite = np.isfinite(samples.accelerometer).all(axis=1)
+        self._accelerations += int(finite.sum())
+        units = samples.units
+        scale = units.interval_s if units.accelerometer_is_increment else 1.0
+        if units.accelerometer in ("m/s^2", "m/s") and scale and len(self._norms) < _NORMS_KEPT:
+            self._norms += (np.linalg.norm(samples.accelerometer[finite], axis=1) / scale).tolist()
+
+    def _objection(self, share: float, norm: float | None, *, steady: bool) -> str:
+        """Return why this is not the instrument; empty if it is."""
+        counts = self.decoder.statistics
+        if self._fault:
+            return self._fault
+        if counts.samples < FEWEST_SAMPLES:
+            if counts.frames >= FEWEST_SAMPLES and self._checked_bits >= STRONG_BITS and share >= STRONG_SHARE:
+                kinds = ", ".join(sorted(counts.by_kind))
+                return f"its frames are understood, but none of them holds acceleration or rate; their kinds: {kinds}"
+            return f"{counts.samples} samples, {FEWEST_SAMPLES} are needed"
+        if share < STRONG_SHARE:
+            return f"{100 * share:.0f} % of the bytes are in frames, {100 * STRONG_SHARE:.0f} % are needed"
+        if self._is_given or self._checked_bits >= STRONG_BITS:
+            return ""
+        return self._doubt(share, norm, steady=steady)
+
+    def _doubt(self, share: float, norm: float | None, *, steady: bool) -> str:
+        """Return what speaks against frames that may be a coincidence."""
+        counts = self.decoder.statistics
+        if counts.samples < CERTAIN_SAMPLES:
+            return f"{counts.samples} samples, {CERTAIN_SAMPLES} are needed of frames that prove so little"
+        if share < WEAK_SHARE:
+            return f"{100 * share:.0f} % of the bytes are in frames, {100 * WEAK_SHARE:.0f} % are needed"
+        if norm is None:
+            return "the unit of its acceleration is not known; say what it is with --driver and --set"
+        if not GRAVITY_M_S2[0] <= norm <= GRAVITY_M_S2[1]:
+            return f"an acceleration of {norm:.3g} m/s^2 is not gravity; say what it is with --driver and --set"
+        return "" if steady else "its frames come unsteadily"
+
+    def _pace(self) -> tuple[float | None, bool]:
+        """Return frames of samples for each second of the host, and whether they come evenly."""
+        if len(self._arrivals) < 3:
+            return None, False
+        time_s, frames = np.array(self._arrivals, dtype=np.float64).T
+        if time_s[-1] <= time_s[0] or frames[-1] == frames[0]:
+            return None, False
+        slope, offset = np.polyfit(time_s - time_s[0], frames, 1)
+        departure = np.abs(frames - offset - slope * (time_s - time_s[0])).max()
+        counts = self.decoder.statistics
+        each = counts.samples / counts.frames if counts.frames else math.nan
+        rate_hz = counts.nominal_rate_hz or (slope * each if each > 0 else None)
+        return rate_hz, bool(departure <= max(_STEADY_FRAMES / max(each, 1e-9), _STEADY_SHARE * (frames[-1] - frames[0])))
+
+
+def best(ears: Iterable[Ear]) -> Ear | None:
+    """Return the ear whose candidate is the instrument, None where none is: strong frames first, then the most understood."""
+    found = [(ear, ear.finding()) for ear in ears]
+    good = [(ear, finding) for ear, finding in found if finding.found]
+    ranked = max(good, key=lambda one: (one[1].is_strong, one[0].accelerations, one[1].share), default=None)
+    return None if ranked is None else ranked[0]
+
+
+def checked_bits(protocol: Protocol) -> int:
+    """Return how many bits of the weakest frame of a protocol are fixed or a checksum."""
+    if protocol.frame is not None:
+        return 8 * min(len(form.sync) + form.tail for form in protocol.frame.forms)
+    if protocol.lines is None or not protocol.lines.sentences:
+        return 0
+    rule = protocol.lines
+    shortest = min(len(sentence.name) for sentence in rule.sentences)
+    return 8 * (1 + shortest + min((checksum.size for checksum in rule.checksums), default=0))

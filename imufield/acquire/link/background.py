@@ -1,0 +1,112 @@
+"""A link that is read by a thread of its own, so that nothing on the wire is lost while the program is busy.
+
+The system keeps about 68 KiB of a serial port: at 80 kB/s that is less than a second, and a terminal that stands still
+(Ctrl-S, a slow remote connection) or a long computation may take longer. Chunks keep the arrival time they had.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from contextlib import suppress
+from typing import Protocol
+
+from imufield.acquire.link.serial import WAIT_S, Chunk, Link
+
+LONGEST_BACKLOG = 50 * 600
+"""Chunks: ten minutes of 50 a second; beyond it the thread waits, and the system's buffer overflows as it would without."""
+
+
+class ReopenableLink(Link, Protocol):
+    """A link that can be opened again after it was lost."""
+
+    def reopen(self) -> bool:
+        """Try to open it again; False while it is not there."""
+        ...
+
+
+class BackgroundLink:
+    """Reads another link ahead.
+
+    Parameters
+    ----------
+    link : ReopenableLink
+        Open; nobody else may read it from now on.
+    """
+
+    def __init__(self, link: ReopenableLink) -> None:
+        self.name = link.name
+        self._link = link
+        self._arrived: queue.Queue[Chunk | Exception] = queue.Queue(LONGEST_BACKLOG)
+        self._stopping = threading.Event()
+        self._thread = self._started()
+
+    def read(self) -> Chunk | None:
+        """Return the next chunk, or None if nothing came within 50 ms.
+
+        Raises
+        ------
+        LinkError
+            The link is gone; everything that arrived before was returned.
+        """
+        try:
+            item = self._arrived.get(timeout=WAIT_S)
+        except queue.Empty:
+            return None
+        if isinstance(item, Exception):
+            raise item
+        return item
+
+    def drain(self) -> list[Chunk]:
+        """Return at once what has arrived and was not read yet; an error among it is left out."""
+        chunks: list[Chunk] = []
+        with suppress(queue.Empty):
+            while True:
+                item = self._arrived.get_nowait()
+                if isinstance(item, Chunk):
+                    chunks.append(item)
+        return chunks
+
+    def write(self, data: bytes) -> None:
+        """Send a command; raises as the link does."""
+        self._link.write(data)
+
+    def reopen(self) -> bool:
+        """Try to open the link again after it was lost; raises as the link does."""
+        self._stop()
+        if not self._link.reopen():
+            return False
+        self._thread = self._started()
+        return True
+
+    def close(self) -> None:
+        """Give the link back; may be called again."""
+        self._stop()
+        self._link.close()
+
+    def _started(self) -> threading.Thread:
+        self._stopping.clear()
+        thread = threading.Thread(target=self._run, name=f"reader of {self.name}", daemon=True)
+        thread.start()
+        return thread
+
+    def _stop(self) -> None:
+        self._stopping.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                chunk = self._link.read()
+                if chunk is not None:
+                    self._put(chunk)
+        except Exception as error:  # noqa: BLE001 - top of a thread: raised again by ``read``
+            self._put(error)
+
+    def _put(self, item: Chunk | Exception) -> None:
+        while not self._stopping.is_set():
+            try:
+                self._arrived.put(item, timeout=WAIT_S)
+            except queue.Full:
+                continue
+            return

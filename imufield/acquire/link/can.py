@@ -1,0 +1,398 @@
+"""CAN buses as links: every interface python-can has, by a text such as ``socketcan:can0``.
+
+``INTERFACE:CHANNEL``, with options of the interface behind a question mark::
+
+    socketcan:can0                         pcan:PCAN_USBBUS1?bitrate=250000
+    slcan:/dev/ttyACM0@115200              vector:0?app_name=imufield&bitrate=500000
+    virtual:bench                          udp_multicast:239.0.0.1       (or 239.0.0.1:43113)
+
+A read waits for the first frame, lets the driver collect for 20 ms, and takes what is there. A chunk holds packed frames
+(``can_frames``), so that the recorder and everything behind it see bytes, as of a serial port. Time stamps of the host's clock
+are put on its monotonic clock; those of an adapter stay as they are.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import re
+import socket
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import can
+
+from imufield.acquire.link.host_clock import HostClock, SystemClock
+from imufield.acquire.link.serial import COLLECT_S, WAIT_S, WRITE_TIMEOUT_S, Chunk, not_taken
+from imufield.acquire.protocol.can_frames import (
+    ADAPTER_TIME,
+    BIT_RATE_SWITCH,
+    BUS_OFF,
+    ERROR,
+    ERROR_STATE,
+    EXTENDED,
+    FD,
+    ID_MASK,
+    REMOTE,
+    SENT,
+    pack_frame,
+    unpack_frames,
+)
+from imufield.acquire.protocol.toml import near
+from imufield.errors import LinkError, Reason, UsageError
+
+MOST_FRAMES = 4096
+"""Most frames of one chunk: 0.2 s of the busiest bus of 1 Mbit/s; what remains is the next chunk."""
+RECEIVE_BUFFER_BYTES = 1 << 20
+"""Asked of the system for sockets: its usual 208 KiB hold some 270 frames, 35 ms of a busy bus."""
+_HOST_CLOCK_S = 60.0
+"""A time stamp nearer than this to the host's clock was made by it."""
+_FAULTS_BORNE = 3
+"""Reads in a row that may fail before the bus counts as gone: one alone may be a garbled line or a stranger's datagram."""
+_NO_BIT_RATE = ("socketcan", "virtual", "udp_multicast", "socketcand")
+"""Interfaces whose bit rate is set elsewhere, or that have none."""
+_OPEN_FAILURES = (can.CanError, OSError, ValueError, TypeError, ImportError, AttributeError, NameError)
+"""What python-can's drivers raise where a bus cannot be opened. Besides its own errors: OSError of the system, ValueError and
+TypeError for options that the interface does not know, and ImportError, AttributeError or NameError (kvaser) where the
+vendor's library is missing or older than the driver expects."""
+_READ_FAILURES = (can.CanError, OSError, ValueError, IndexError)
+"""What ``recv`` and ``send`` raise: python-can's own, OSError of the system, and ValueError or IndexError of drivers that parse
+text or datagrams (slcan, udp_multicast) and meet a garbled one."""
+_GROUP_AND_PORT = re.compile(r"((?:\d+\.){3}\d+):(\d+)")
+_ERRNO = re.compile(r"\[Errno (\d+)\]|\((\d+),")
+
+
+@dataclass(frozen=True, slots=True)
+class BusAddress:
+    """A bus, as typed.
+
+    Attributes
+    ----------
+    interface, channel : str
+    options : dict
+        Of the interface, as python-can names them.
+    """
+
+    interface: str
+    channel: str
+    options: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def takes_bit_rate(self) -> bool:
+        """Whether the bit rate is set on opening, and the address does not give it."""
+        return self.interface not in _NO_BIT_RATE and "bitrate" not in self.options
+
+
+def parse_bus(text: str) -> BusAddress:
+    """Read ``INTERFACE:CHANNEL?option=value&option=value``.
+
+    Raises
+    ------
+    UsageError
+        If it is not of this form, or python-can has no such interface.
+    """
+    place, _, tail = text.partition("?")
+    interface, colon, channel = place.partition(":")
+    known = sorted(can.interfaces.VALID_INTERFACES)
+    if interface not in known:
+        raise UsageError(
+            f"there is no CAN interface {interface!r}{near(interface, known)}; write INTERFACE:CHANNEL, e.g. socketcan:can0; "
+            f"interfaces are {', '.join(known)}",
+            bus=text,
+        )
+    if not colon or not channel:
+        raise UsageError(
+            f"{text!r} names no channel: write {interface}:CHANNEL, e.g. {interface}:{_example(interface)}", bus=text
+        )
+    options = dict(_option(text, part) for part in tail.split("&") if part)
+    if interface == "udp_multicast" and (found := _GROUP_AND_PORT.fullmatch(channel)):
+        channel, options["port"] = found.group(1), int(found.group(2))
+    return BusAddress(interface, channel, options)
+
+
+def _example(interface: str) -> str:
+    return {"socketcan": "can0", "slcan": "/dev/ttyACM0", "pcan": "PCAN_USBBUS1"}.get(interface, "0")
+
+
+def _option(text: str, part: str) -> tuple[str, Any]:
+    name, equals, value = part.partition("=")
+    if not (name.isidentifier() and equals):
+        raise UsageError(f"option {part!r} of {text!r} is not of the form NAME=VALUE, e.g. bitrate=250000", bus=text)
+    for convert in (int, float):
+        with contextlib.suppress(ValueError):
+            return name, convert(value)
+    return name, {"true": True, "false": False}.get(value.lower(), value)
+
+
+def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
+    """Open a bus through python-can.
+
+    Parameters
+    ----------
+    address : BusAddress
+    bit_rate : int, optional
+        Where the address does not give it and the interface takes one.
+
+    Raises
+    ------
+    LinkError
+        Not there, busy, no permission.
+    UsageError
+        The interface needs a package or a library that is not installed, or an option makes no sense to it.
+    """
+    options = dict(address.options)
+    if bit_rate and address.takes_bit_rate:
+        options["bitrate"] = bit_rate
+    try:
+        bus = can.Bus(address.channel, address.interface, ignore_config=True, **options)
+    # What python-can raises where the driver of an interface, or the package for it, is not installed.
+    except can.CanInterfaceNotImplementedError as error:
+        raise UsageError(
+            f"CAN interface {address.interface} cannot be used here: {error}; install its driver or `pip install "
+            f"'python-can[{address.interface}]'`",
+            Reason.MISSING_PACKAGE,
+            interface=address.interface,
+        ) from error
+    except _OPEN_FAILURES as error:
+        raise _cannot_open(address, error) from error
+    _enlarge_buffer(bus)
+    return bus
+
+
+def _enlarge_buffer(bus: can.BusABC) -> None:
+    found = getattr(bus, "socket", None)
+    if isinstance(found, socket.socket):
+        with contextlib.suppress(OSError):
+            found.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+
+
+def _cannot_open(address: BusAddress, error: BaseException) -> LinkError:
+    name, number = f"{address.interface}:{address.channel}", _errno(error)
+    cause = str(error).splitlines()[0] if str(error) else type(error).__name__
+    if number in (errno.ENODEV, errno.ENOENT, errno.ENXIO):
+        hint = f"`ip link show {address.channel}`" if address.interface == "socketcan" else "the plug and the name"
+        return LinkError(f"{name} is not there ({cause}): check {hint}", Reason.PORT_NOT_FOUND, bus=name)
+    if number in (errno.EACCES, errno.EPERM):
+        return LinkError(f"{name} may not be opened by this user ({cause}): get the permission", Reason.NO_PERMISSION, bus=name)
+    if number == errno.EBUSY:
+        return LinkError(f"{name} is in use by another program: close that", Reason.PORT_BUSY, bus=name)
+    if number == errno.EAFNOSUPPORT:
+        return LinkError(
+            f"{name} cannot be opened: this system has no CAN network interfaces ({cause}); use another interface, or a kernel "
+            "with SocketCAN",
+            Reason.PORT_NOT_FOUND,
+            bus=name,
+        )
+    if number == errno.ENETDOWN:
+        return LinkError(
+            f"{name} is down: `ip link set {address.channel} up type can bitrate ...`", Reason.DISCONNECTED, bus=name
+        )
+    return LinkError(f"{name} cannot be opened: {cause}; check adapter, channel and options", Reason.DISCONNECTED, bus=name)
+
+
+def _errno(error: BaseException) -> int | None:
+    """Find the system's error number in an error or in what caused it."""
+    cause: BaseException | None = error
+    while cause is not None:
+        for candidate in (getattr(cause, "errno", None), getattr(cause, "error_code", None)):
+            if isinstance(candidate, int):
+                return candidate
+        found = _ERRNO.search(str(cause))
+        if found:
+            return int(found.group(1) or found.group(2))
+        cause = cause.__cause__ or cause.__context__
+    return None
+
+
+class CanLink:
+    """A CAN bus; made by ``open_can_link``.
+
+    Parameters
+    ----------
+    name : str
+        As typed.
+    address : BusAddress
+    bit_rate : int or None
+    clock : HostClock
+
+    Raises
+    ------
+    LinkError, UsageError
+        As ``open_bus``.
+    """
+
+    def __init__(self, name: str, address: BusAddress, bit_rate: int | None, clock: HostClock) -> None:
+        self.name = name
+        self.address = address
+        self.bit_rate = bit_rate
+        self.faults = 0
+        """Reads that failed and were borne."""
+        self._clock = clock
+        self._speed = float(getattr(clock, "speed", 1.0))
+        self._bus: can.BusABC | None = open_bus(address, bit_rate)
+        self._in_a_row = 0
+        self._is_off = False
+
+    def read(self) -> Chunk | None:
+        """Return up to 20 ms of the bus as packed frames, or None if nothing came within 50 ms.
+
+        Raises
+        ------
+        LinkError
+            The bus is closed, gone, or its controller has left it ("bus off").
+        """
+        bus = self._opened()
+        if self._is_off:
+            raise LinkError(
+                f"{self.name} is off: the controller left the bus after too many errors; check bit rate, wiring and the two "
+                "120 ohm ends",
+                Reason.DISCONNECTED,
+                bus=self.name,
+            )
+        try:
+            messages = self._messages(bus)
+        except _READ_FAILURES as error:
+            self._in_a_row += 1
+            self.faults += 1
+            if self._in_a_row > _FAULTS_BORNE:
+                raise self._gone(error) from error
+            return None
+        self._in_a_row = 0
+        return self._chunk(messages) if messages else None
+
+    def _messages(self, bus: can.BusABC) -> list[can.Message]:
+        first = bus.recv(WAIT_S)
+        if first is None:
+            return []
+        messages = [first]
+        self._clock.sleep(COLLECT_S)
+        try:
+            while len(messages) < MOST_FRAMES and (message := bus.recv(0)) is not None:
+                messages.append(message)
+        except _READ_FAILURES:
+            # What came before still counts; the next read meets the error again.
+            self.faults += 1
+        return messages
+
+    def _chunk(self, messages: list[can.Message]) -> Chunk:
+        # In this order: what stops us between the two makes stamps late, as everything does, and none early.
+        wall_s, arrival_s = time.time(), self._clock.monotonic_s()
+        utc_ns = self._clock.utc_ns()
+        pieces = []
+        for message in messages:
+            time_s, flags = message.timestamp, 0
+            if abs(wall_s - time_s) < _HOST_CLOCK_S:
+                time_s = arrival_s - (wall_s - time_s) * self._speed
+            elif time_s == 0.0:
+                time_s = arrival_s
+            else:
+                flags = ADAPTER_TIME
+            pieces.append(pack_message(message, time_s, flags))
+            if message.is_error_frame and message.arbitration_id & BUS_OFF:
+                self._is_off = True
+        return Chunk(b"".join(pieces), arrival_s, utc_ns)
+
+    def write(self, data: bytes) -> None:
+        """Send packed frames.
+
+        Raises
+        ------
+        LinkTimeoutError
+            The bus did not take them within 1 s.
+        LinkError
+            The bus is closed or gone.
+        """
+        bus = self._opened()
+        try:
+            for frame in unpack_frames(data):
+                bus.send(make_message(frame.can_id, frame.data, frame.flags), timeout=WRITE_TIMEOUT_S)
+        except can.CanTimeoutError as error:
+            raise not_taken(self.name, "a frame", "check the bit rate, and that a node answers") from error
+        except _READ_FAILURES as error:
+            raise self._gone(error) from error
+
+    def close(self) -> None:
+        """Give the bus back; may be called again."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            with contextlib.suppress(*_READ_FAILURES):
+                bus.shutdown()
+
+    def reopen(self) -> bool:
+        """Try to open the same bus again after it was lost; return False while that makes no sense yet.
+
+        Raises
+        ------
+        LinkError
+            The bus is there and may not be used: waiting would not help.
+        """
+        self.close()
+        try:
+            self._bus = open_bus(self.address, self.bit_rate)
+        except LinkError as error:
+            if error.reason is Reason.NO_PERMISSION:
+                raise
+            return False
+        self._is_off, self._in_a_row = False, 0
+        return True
+
+    def _opened(self) -> can.BusABC:
+        if self._bus is None:
+            raise self._gone(None)
+        return self._bus
+
+    def _gone(self, cause: BaseException | None) -> LinkError:
+        what = "is closed" if cause is None else f"was disconnected ({cause})"
+        return LinkError(f"{self.name} {what}: check adapter and cable", Reason.DISCONNECTED, bus=self.name, cause=str(cause))
+
+
+def pack_message(message: can.Message, time_s: float, flags: int = 0) -> bytes:
+    """Return a message of python-can as a packed frame."""
+    can_id = message.arbitration_id & ID_MASK
+    if message.is_extended_id:
+        can_id |= EXTENDED
+    if message.is_error_frame:
+        can_id |= ERROR
+    elif message.is_remote_frame:
+        return pack_frame(can_id | REMOTE, b"", time_s, flags)
+    if message.is_fd:
+        flags |= FD | (BIT_RATE_SWITCH if message.bitrate_switch else 0) | (ERROR_STATE if message.error_state_indicator else 0)
+    if not message.is_rx:
+        flags |= SENT
+    return pack_frame(can_id, bytes(message.data), time_s, flags)
+
+
+def make_message(can_id: int, data: bytes, flags: int = 0) -> can.Message:
+    """Return a packed frame's content as a message of python-can."""
+    return can.Message(
+        arbitration_id=can_id & ID_MASK,
+        data=data,
+        is_extended_id=bool(can_id & EXTENDED),
+        is_remote_frame=bool(can_id & REMOTE),
+        is_error_frame=bool(can_id & ERROR),
+        is_fd=bool(flags & FD),
+        bitrate_switch=bool(flags & BIT_RATE_SWITCH),
+        error_state_indicator=bool(flags & ERROR_STATE),
+        is_rx=False,
+    )
+
+
+def open_can_link(bus: str, *, bit_rate: int | None = None, clock: HostClock | None = None) -> CanLink:
+    """Open a bus by its text.
+
+    Parameters
+    ----------
+    bus : str
+        ``INTERFACE:CHANNEL``, see the module.
+    bit_rate : int, optional
+        For interfaces that set it, unless the text gives one.
+    clock : HostClock, optional
+        Stamps the chunks; the system's clock by default.
+
+    Raises
+    ------
+    LinkError, UsageError
+        As ``open_bus``.
+    """
+    return CanLink(bus, parse_bus(bus), bit_rate, clock or SystemClock())

@@ -1,0 +1,38 @@
+"""Wire formats as data: what TOML and DBC files say, read and checked."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from imufield.acquire.protocol.protocol import (
+        DBC_LIMIT_BYTES,
+        FOLDER,
+        SCHEMA_VERSION,
+        Nominal,
+        Protocol,
+        decode_dbc,
+        load_protocol,
+        parse_protocol,
+        protocol_names,
+    )
+
+__all__ = [
+    "DBC_LIMIT_BYTES",
+    "FOLDER",
+    "SCHEMA_VERSION",
+    "Nominal",
+    "Protocol",
+    "decode_dbc",
+    "load_protocol",
+    "parse_protocol",
+    "protocol_names",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Hand on the names that stood here when this was a module; imported on first use."""
+    if name in __all__:
+        return getattr(importlib.import_module("imufield.acquire.protocol.protocol"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

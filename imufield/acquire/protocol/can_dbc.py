@@ -1,0 +1,353 @@
+"""DBC files through cantools, and their signals read by NumPy for all frames of one message at once.
+
+cantools parses the file and nothing more: its objects do not leave this module, except for ``describe``, which shows
+single frames to people. Bits are numbered as in a DBC file: little-endian ("Intel") signals start at their least significant
+bit, big-endian ("Motorola") ones at their most significant.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import cantools
+import numpy as np
+from cantools.database import Database, Message, Signal
+from numpy.typing import NDArray
+
+from imufield.acquire.protocol.can_frames import EXTENDED, ID_MASK
+from imufield.acquire.protocol.toml import near
+from imufield.errors import ProtocolError, Reason
+from imufield.samples import FloatArray
+
+Rows = NDArray[np.uint8]
+
+CLASSICAL_BYTES = 8
+_PDU1_BELOW = 0xF000
+"""J1939: below this PDU format 240 the lower byte is a destination address and no part of the group number."""
+_NOT_AVAILABLE = re.compile(
+    r"not[ _-]?(avail|valid)|n/?a\b|invalid|\bsna\b|unavail|undefined|reserved|no[ _-]?(data|signal)", re.IGNORECASE
+)
+_ERROR = re.compile(r"err|fault|fail|defect", re.IGNORECASE)
+_NO_ERROR = re.compile(r"\b(no|without|ok)\b|not?[ _-]err|no[ _-]?fault", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Code:
+    """Raw values, ends included, that are no measurement."""
+
+    low: float
+    high: float
+    is_error: bool = False
+    """The instrument reports a fault; otherwise there is simply no value."""
+
+
+@dataclass(frozen=True, slots=True)
+class CanSignal:
+    """One signal: where its bits are and what they mean. value = raw * factor + offset in ``unit``."""
+
+    name: str
+    start: int
+    length: int
+    big_endian: bool
+    is_signed: bool
+    is_float: bool
+    factor: float
+    offset: float
+    unit: str
+    codes: tuple[Code, ...] = ()
+
+    @property
+    def first_byte(self) -> int:
+        """Offset of the first byte it touches."""
+        return self.start // 8
+
+    @property
+    def bytes_needed(self) -> int:
+        """How many bytes a frame must have to hold it."""
+        if self.big_endian:
+            return (self._first_bit_in_order + self.length + 7) // 8
+        return (self.start + self.length + 7) // 8
+
+    @property
+    def _first_bit_in_order(self) -> int:
+        """Place of the most significant bit of a big-endian signal, counted from the first bit on the wire."""
+        return 8 * (self.start // 8) + 7 - self.start % 8
+
+    @property
+    def number_type(self) -> str | None:
+        """NumPy's type where the signal fills whole bytes of one; None where bits must be cut out."""
+        whole = self._first_bit_in_order % 8 == 0 if self.big_endian else self.start % 8 == 0
+        if not whole or self.length not in (8, 16, 32, 64):
+            return None
+        kind = "f" if self.is_float else "i" if self.is_signed else "u"
+        return f"{'>' if self.big_endian else '<'}{kind}{self.length // 8}"
+
+    def raw(self, rows: Rows) -> NDArray[Any]:
+        """Return the numbers as sent, shape (n,).
+
+        Parameters
+        ----------
+        rows : ndarray of uint8, shape (n, width)
+            Data of n frames; bytes of a row contiguous.
+        """
+        kind = self.number_type
+        if kind is not None:
+            return rows[:, self.first_byte : self.first_byte + self.length // 8].view(kind)[:, 0]
+        bits = self._bits(rows)
+        if self.is_float:
+            # Only half precision is left: 32 and 64 bits that begin inside a byte.
+            return bits.astype(f"u{self.length // 8}").view(f"f{self.length // 8}")
+        if not self.is_signed:
+            return bits
+        shift = 64 - self.length
+        return (bits << np.uint64(shift)).view(np.int64) >> np.int64(shift)
+
+    def _bits(self, rows: Rows) -> NDArray[np.uint64]:
+        """Cut the bits out of a window of 8 bytes, and of a ninth where the signal reaches into it."""
+        begin = self.first_byte
+        mask = np.uint64((1 << self.length) - 1)
+        if self.start % 8 + self.length <= 8 and not self.big_endian:
+            return rows[:, begin].astype(np.uint64) >> np.uint64(self.start % 8) & mask
+        window = rows[:, begin : begin + 8]
+        if window.shape[1] < 8:
+            window = np.pad(window, ((0, 0), (0, 8 - window.shape[1])))
+        ninth = self.bytes_needed - begin > 8
+        last = rows[:, begin + 8].astype(np.uint64) if ninth else None
+        if self.big_endian:
+            word = window.view(">u8")[:, 0].astype(np.uint64)
+            shift = 64 - self._first_bit_in_order % 8 - self.length
+            if last is not None:
+                return (word << np.uint64(-shift) | last >> np.uint64(8 + shift)) & mask
+            return word >> np.uint64(shift) & mask
+        word = window.view("<u8")[:, 0].astype(np.uint64, copy=False)
+        shift = self.start % 8
+        bits = word >> np.uint64(shift)
+        if last is not None:
+            bits |= last << np.uint64(64 - shift)
+        return bits & mask
+
+    def values(self, rows: Rows) -> FloatArray:
+        """Return the numbers in ``unit``, NaN where a code says that there is none. Shape (n,)."""
+        raw = self.raw(rows)
+        scaled = self.scale(raw, self.factor)
+        scaled += self.offset
+        scaled[self.gaps(raw)[0]] = np.nan
+        return scaled
+
+    def scale(self, raw: NDArray[Any], factor: float, out: FloatArray | None = None) -> FloatArray:
+        """Return raw numbers times ``factor``, written into ``out`` where given. Shape (n,)."""
+        scaled: FloatArray
+        if not self.is_float:
+            scaled = np.multiply(raw, factor, out=out, dtype=np.float64)
+            return scaled
+        with np.errstate(over="ignore", invalid="ignore"):
+            # Any bits may stand in a float; what is no number is a gap.
+            scaled = np.multiply(raw, factor, out=out, dtype=np.float64)
+        return scaled
+
+    def gaps(self, raw: NDArray[Any]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return where there is no value, and where that is because of a fault. Shape (n,) each."""
+        missing = ~np.isfinite(raw) if self.is_float else np.zeros(len(raw), dtype=np.bool_)
+        fault = np.zeros(len(raw), dtype=np.bool_)
+        for code in self.codes:
+            hit = (raw >= code.low) & (raw <= code.high)
+            missing |= hit
+            if code.is_error:
+                fault |= hit
+        return missing, fault
+
+
+@dataclass(frozen=True, slots=True)
+class CanMessage:
+    """One message of a DBC file, or one multiplexed form of it."""
+
+    name: str
+    can_id: int
+    """With ``EXTENDED``."""
+    mask: int
+    """Bits of an identifier that must agree."""
+    is_j1939: bool
+    selectors: tuple[tuple[CanSignal, tuple[int, ...]], ...] = ()
+    """Multiplexer signals and the values they must have."""
+
+    @classmethod
+    def of(cls, message: Message, selectors: tuple[tuple[CanSignal, tuple[int, ...]], ...], is_j1939: bool) -> Self:
+        """Return a message of cantools."""
+        number = message.frame_id
+        if not is_j1939:
+            mask, extended = EXTENDED | ID_MASK, EXTENDED if message.is_extended_frame else 0
+            return cls(message.name, number | extended, mask, False, selectors)
+        # Priority and source address may be any; below PDU format 240 the destination too.
+        group = 0x03FFFF00 if number >> 8 & 0xFFFF >= _PDU1_BELOW else 0x03FF0000
+        return cls(message.name, number & group | EXTENDED, EXTENDED | group, True, selectors)
+
+
+class DbcFile:
+    """A parsed DBC file.
+
+    Parameters
+    ----------
+    text : str
+    label : str
+        What to call it in messages.
+    identifiers : str
+        "exact", "j1939", or "auto": J1939 for the messages whose attributes say so.
+
+    Raises
+    ------
+    ProtocolError
+        If it cannot be parsed.
+    """
+
+    def __init__(self, text: str, label: str, identifiers: str = "auto") -> None:
+        self.label = label
+        self._identifiers = identifiers
+        try:
+            found = cantools.database.load_string(text, database_format="dbc", strict=False)
+        # cantools raises its own errors, and others where a file is damaged in a place it did not think of.
+        except (cantools.Error, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+            raise ProtocolError(f"{label} is not a readable DBC file: {(str(error) or repr(error)).splitlines()[0]}") from error
+        if not isinstance(found, Database) or not found.messages:
+            raise ProtocolError(f"{label} has no message; a DBC file describes them in lines that begin with BO_")
+        self._database = found
+
+    def find(self, name: str) -> tuple[CanMessage, CanSignal]:
+        """Return the signal called ``SIGNAL`` or ``MESSAGE.SIGNAL``, and the message (or form of one) it is in.
+
+        Raises
+        ------
+        ProtocolError
+            If there is none, or more than one, of that name.
+        """
+        wanted_message, _, wanted = name.rpartition(".")
+        candidates = [message for message in self._database.messages if wanted_message in ("", message.name)]
+        if not candidates:
+            names = [message.name for message in self._database.messages]
+            raise self._unknown("message", wanted_message, names)
+        found = [(message, signal) for message in candidates for signal in message.signals if signal.name == wanted]
+        if not found:
+            raise self._unknown("signal", name, [signal.name for message in candidates for signal in message.signals])
+        if len(found) > 1:
+            where = ", ".join(f"{message.name}.{wanted}" for message, _ in found)
+            raise ProtocolError(f"{self.label} has {len(found)} signals {wanted!r}; write which: {where}", name=name)
+        return self._compile(*found[0])
+
+    def message(self, name: str) -> CanMessage:
+        """Return a message by its name.
+
+        Raises
+        ------
+        ProtocolError
+            If there is none.
+        """
+        found = next((message for message in self._database.messages if message.name == name), None)
+        if found is None:
+            raise self._unknown("message", name, [message.name for message in self._database.messages])
+        return CanMessage.of(found, (), self._is_j1939(found))
+
+    def signals(self) -> list[tuple[CanMessage, CanSignal]]:
+        """Return every signal of the file."""
+        return [self._compile(message, signal) for message in self._database.messages for signal in message.signals]
+
+    def describe(self, name: str, data: bytes) -> dict[str, Any]:
+        """Return one frame of message ``name`` as plain values: numbers in their units, choices by their names."""
+        try:
+            decoded = self._database.get_message_by_name(name).decode(data, allow_truncated=True)
+        except (cantools.Error, ValueError, KeyError) as error:
+            return {"undecoded": data.hex(), "error": str(error)}
+        values = decoded.items() if isinstance(decoded, dict) else ()
+        return {key: value if isinstance(value, (int, float)) else str(value) for key, value in values}
+
+    def identifier(self, name: str, source_address: int | None = None) -> int:
+        """Return the identifier message ``name`` is sent with: priority as in the file, J1939 from ``source_address``."""
+        message = self._database.get_message_by_name(name)
+        number: int = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
+        if source_address is not None and self._is_j1939(message):
+            return number & ~0xFF | source_address
+        return number
+
+    def encode(self, name: str, raw: Mapping[str, float]) -> bytes:
+        """Return the data of message ``name`` with raw values by signal; 0 for those not given, cantools at work."""
+        message = self._database.get_message_by_name(name)
+        values = {signal.name: 0 for signal in message.signals} | dict(raw)
+        return bytes(message.encode(values, scaling=False, strict=False))
+
+    def is_fd(self, name: str) -> bool:
+        """Return whether message ``name`` has more data than a classical frame holds."""
+        return bool(self._database.get_message_by_name(name).length > CLASSICAL_BYTES)
+
+    def _is_j1939(self, message: Message) -> bool:
+        if self._identifiers == "auto":
+            return bool(message.protocol == "j1939")
+        return self._identifiers == "j1939" and bool(message.is_extended_frame)
+
+    def _compile(self, message: Message, signal: Signal) -> tuple[CanMessage, CanSignal]:
+        is_j1939 = self._is_j1939(message)
+        compiled = compile_signal(signal, is_j1939)
+        if compiled.bytes_needed > message.length:
+            raise ProtocolError(
+                f"{self.label}: signal {message.name}.{signal.name} ends in byte {compiled.bytes_needed}, but the message "
+                f"has {message.length}; correct the file",
+                signal=signal.name,
+            )
+        return CanMessage.of(message, _selectors(message, signal), is_j1939), compiled
+
+    def _unknown(self, what: str, name: str, names: Iterable[str]) -> ProtocolError:
+        known = list(dict.fromkeys(names))
+        shown = ", ".join(known[:20]) + (f" and {len(known) - 20} more" if len(known) > 20 else "")
+        return ProtocolError(
+            f"{self.label} has no {what} {name!r}{near(name, known)}; it has: {shown}", Reason.UNKNOWN_KEY, name=name
+        )
+
+
+def compile_signal(signal: Signal, is_j1939: bool = False) -> CanSignal:
+    """Return a signal of cantools in our form."""
+    codes = [*_codes_of_table(signal), *(_codes_of_j1939(signal) if is_j1939 else ())]
+    return CanSignal(
+        signal.name,
+        signal.start,
+        signal.length,
+        signal.byte_order == "big_endian",
+        bool(signal.is_signed),
+        bool(signal.is_float),
+        float(signal.scale),
+        float(signal.offset),
+        signal.unit or "",
+        tuple(codes),
+    )
+
+
+def _selectors(message: Message, signal: Signal) -> tuple[tuple[CanSignal, tuple[int, ...]], ...]:
+    """Return the multiplexers above a signal, outermost last."""
+    found = []
+    while signal.multiplexer_signal and signal.multiplexer_ids is not None:
+        above = message.get_signal_by_name(signal.multiplexer_signal)
+        found.append((compile_signal(above), tuple(signal.multiplexer_ids)))
+        signal = above
+    return tuple(found)
+
+
+def _codes_of_j1939(signal: Signal) -> list[Code]:
+    """Return the top of an unsigned number of 8 bits or more: 0xFB reserved, 0xFE error, 0xFF not available (J1939-71)."""
+    if signal.is_signed or signal.is_float or signal.length < 8:
+        return []
+    shift = signal.length - 8
+    top = (1 << signal.length) - 1
+    return [
+        Code(0xFB << shift, (0xFE << shift) - 1),
+        Code(0xFE << shift, (0xFF << shift) - 1, is_error=True),
+        Code(0xFF << shift, top),
+    ]
+
+
+def _codes_of_table(signal: Signal) -> list[Code]:
+    """Return the values that the file's value table calls invalid, not available or an error."""
+    codes = []
+    for value, text in (signal.choices or {}).items():
+        is_error = bool(_ERROR.search(str(text)) and not _NO_ERROR.search(str(text)))
+        if is_error or _NOT_AVAILABLE.search(str(text)):
+            codes.append(Code(value, value, is_error))
+    return codes

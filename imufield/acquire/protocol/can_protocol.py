@@ -1,0 +1,420 @@
+"""Protocols of CAN instruments: which signals of a DBC file make a sample, and how messages are joined.
+
+Such a protocol is a TOML file with ``kind = "can"`` and a DBC file beside it; ``--dbc`` with ``--map`` writes the same text
+from what the user typed. The DBC is appended to the text as table ``[dbc]``, so that a recording holds all that decodes it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+from imufield.acquire.protocol.can_dbc import CanMessage, CanSignal, DbcFile
+from imufield.acquire.protocol.samples_and_clock import ClockRule
+from imufield.acquire.protocol.toml import Table, near
+from imufield.acquire.protocol.units import TO_SI
+from imufield.errors import ProtocolError, Reason
+from imufield.samples import SampleUnits, Status
+
+ANY_ADDRESS = 255
+"""Source address that stands for the first one heard; no node may send from it (J1939-81)."""
+TEMPERATURE = 6
+"""Place of the temperature among the values of a sample, behind three of the accelerometer and three of the gyroscope."""
+_PLACES = {"accelerometer": 0, "gyroscope": 3}
+_MEANING = {"accelerometer": ("m/s^2", "m/s", "count", "pulse"), "gyroscope": ("rad/s", "rad", "count", "pulse")}
+_TICKS_PER_S = {"s": 1.0, "sec": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "ns": 1e9}
+_ABSOLUTE_ZERO_DEGC = -273.15
+_LONGEST_LIMIT_S = 10.0
+_MOST_BITS = 62
+"""Of a counter: arithmetic is done in 64 bits with a sign."""
+_LONG_TIME_BITS = 48
+"""A time stamp of so many bits runs for 8.9 years of microseconds before it wraps."""
+_Found = TypeVar("_Found")
+_DBC_LINE = re.compile(r'^\s*dbc\s*=\s*"([^"\n]+)"', re.MULTILINE)
+_EMBEDDED = re.compile(r"^\[dbc\]", re.MULTILINE)
+_SPELLINGS = {
+    "m/s^2": ("m/s2", "m/s²", "m/s/s", "m/s**2", "m/(s^2)", "m/sec^2", "m/sec2", "m/s*s", "mps2", "m s-2", "m/ss"),
+    "g": ("gn", "g0", "gee", "grav"),
+    "mg": ("milli-g",),
+    "ft/s^2": ("ft/s2", "ft/s²"),
+    "deg/s": ("°/s", "º/s", "dps", "deg/sec", "degree/s", "degrees/s", "degps", "°/sec", "deg/second"),
+    "rad/s": ("rad/sec", "radian/s"),
+    "degC": ("°c", "ºc", "c", "deg c", "celsius", "degc", "°celsius"),
+    "K": ("k", "kelvin"),
+    "deg": ("°", "º", "degree"),
+}
+_UNIT_OF = {text: unit for unit, texts in _SPELLINGS.items() for text in texts} | {unit.lower(): unit for unit in TO_SI}
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One value of a sample: raw * factor + offset."""
+
+    place: int
+    """0 to 2 accelerometer, 3 to 5 gyroscope, 6 temperature."""
+    signal: CanSignal
+    factor: float
+    offset: float
+
+
+@dataclass(frozen=True, slots=True)
+class CanFlag:
+    """A status signal that sets a flag of the sample."""
+
+    signal: CanSignal
+    flag: Status
+    values: tuple[int, ...] = ()
+    """Values that set it; or, where empty, any bit of the mask."""
+    mask: int = 0
+    when_clear: bool = False
+
+
+@dataclass(slots=True)
+class CanKind:
+    """One kind of frame that belongs to a sample: a message, or one multiplexed form of it."""
+
+    message: CanMessage
+    columns: list[Column] = field(default_factory=list)
+    flags: list[CanFlag] = field(default_factory=list)
+    status: list[tuple[CanSignal, int]] = field(default_factory=list)
+    """Signals of the instrument's status and by how many bits they are shifted in the upper half of the flags."""
+    counter: CanSignal | None = None
+    time: CanSignal | None = None
+    group: CanSignal | None = None
+    """Counter that the messages of one sample share."""
+
+    @property
+    def name(self) -> str:
+        """Name of the message, with the multiplexer's value where there is one."""
+        chosen = "".join(f"[{'/'.join(map(str, values))}]" for _, values in self.message.selectors)
+        return self.message.name + chosen
+
+    @property
+    def bytes_needed(self) -> int:
+        """Data bytes without which a frame is of no use."""
+        return max(signal.bytes_needed for signal in self._signals())
+
+    def _signals(self) -> list[CanSignal]:
+        optional = [one for one in (self.counter, self.time, self.group) if one is not None]
+        values = [column.signal for column in self.columns] + [flag.signal for flag in self.flags]
+        return [
+            *values,
+            *(signal for signal, _ in self.status),
+            *optional,
+            *(selector for selector, _ in self.message.selectors),
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class AssemblyRule:
+    """How the frames of one sample are found."""
+
+    starts_with: int | None = None
+    """Number of the kind a sample begins with; None: learned from the pauses of the bus."""
+    needs: tuple[int, ...] = ()
+    """Kinds without which there is no sample; what else is missing is not available."""
+    limit_s: float = 0.0
+    """Latest time of a frame behind the first of its sample; 0: three quarters of the learned period."""
+
+    by_counter: bool = False
+    """Whether all kinds share a counter, ``CanKind.group``."""
+
+
+@dataclass(frozen=True, slots=True)
+class CanRule:
+    """Everything a decoder needs to know of one CAN instrument."""
+
+    dbc: DbcFile
+    kinds: tuple[CanKind, ...]
+    assembly: AssemblyRule
+    messages: tuple[CanMessage, ...]
+    """Messages that are kept for identity and settings."""
+    source_address: int
+    """Only J1939 frames from here; ``ANY_ADDRESS``: from where the first comes."""
+    bit_rate: int | None
+    counter_modulus: int = 0
+    counter_steps: tuple[int, ...] = (1,)
+
+    @property
+    def has_accelerometer(self) -> bool:
+        """Whether samples have an accelerometer."""
+        return any(column.place < 3 for kind in self.kinds for column in kind.columns)
+
+    @property
+    def has_gyroscope(self) -> bool:
+        """Whether samples have a gyroscope."""
+        return any(3 <= column.place < TEMPERATURE for kind in self.kinds for column in kind.columns)
+
+
+@dataclass(frozen=True, slots=True)
+class CanParts:
+    """What a CAN protocol adds to a ``Protocol``."""
+
+    rule: CanRule
+    units: SampleUnits
+    clock: ClockRule
+
+
+def embed_dbc(text: str, read: Callable[[str], str]) -> str:
+    """Return a protocol's text with the DBC file it names appended; other texts as they are.
+
+    Parameters
+    ----------
+    text : str
+    read : callable
+        Returns the text of the file of that name.
+    """
+    found = _DBC_LINE.search(text)
+    if found is None or _EMBEDDED.search(text):
+        return text
+    return text.rstrip("\n") + dbc_table(read(found.group(1)))
+
+
+def dbc_table(content: str) -> str:
+    """Return a DBC file as the table ``[dbc]`` of a protocol."""
+    # TOML has no control characters, and reads a carriage return as the end of a line.
+    content = "".join(" " if ord(one) < 32 and one not in "\n\t" else one for one in content.replace("\r\n", "\n"))
+    # Three quotes, which end the text, stand in comments if anywhere.
+    content = content.replace("'''", "'' '").replace("\x7f", " ")
+    return f"\n\n[dbc]\ntext = '''\n{content}'''\n"
+
+
+def read_can(top: Table) -> CanParts:
+    """Read ``[can]``, ``[map]``, ``[assembly]``, ``[clock]`` and ``[dbc]``.
+
+    Raises
+    ------
+    ProtocolError
+        If something is missing, unknown or contradictory, with line and key.
+    """
+    can, assembly, clock = top.table("can"), top.table("assembly"), top.table("clock")
+    dbc = _read_dbc(top, can)
+    mapped = _Mapping(top.table("map"), dbc)
+    units_of = {part: mapped.triad(part) for part in _PLACES}
+    mapped.others()
+    if not any(units_of.values()):
+        raise mapped.table.error("", f"maps neither accelerometer nor gyroscope; signals that may be meant: {_candidates(dbc)}")
+    clock_rule = _read_clock(clock, mapped)
+    units = _units(clock, units_of, clock_rule)
+    rule = CanRule(
+        dbc,
+        tuple(mapped.kinds.values()),
+        _read_assembly(assembly, mapped, dbc),
+        tuple(_in_file(can, "messages", dbc.message, str(name)) for name in can.items("messages", [])),
+        can.integer("source_address", 0, ANY_ADDRESS, ANY_ADDRESS),
+        can.integer("bit_rate", 1, 20_000_000) if can.has("bit_rate") else None,
+        mapped.counter_modulus,
+        tuple(step for step in clock.items("counter_steps", [1]) if isinstance(step, int) and step > 0) or (1,),
+    )
+    for table in (can, assembly, clock, mapped.table):
+        table.finish()
+    return CanParts(rule, units, clock_rule)
+
+
+def unit_name(text: str) -> str | None:
+    """Return our name of a unit as DBC files write it; None where it is not known."""
+    return _UNIT_OF.get(re.sub(r"\s+", " ", text.strip().lower()).replace("[", "").replace("]", ""))
+
+
+def _read_dbc(top: Table, can: Table) -> DbcFile:
+    name, embedded = can.text("dbc", "DBC file"), top.table("dbc")
+    if not embedded.has("text"):
+        raise can.error("dbc", "the file it names is not part of the text; load the protocol by its name or path")
+    identifiers = can.choice("identifiers", ("auto", "exact", "j1939"), "auto")
+    dbc = DbcFile(embedded.text("text"), name, identifiers)
+    embedded.finish()
+    return dbc
+
+
+def _in_file(table: Table, key: str, find: Callable[[str], _Found], name: str) -> _Found:
+    try:
+        return find(name)
+    except ProtocolError as error:
+        raise table.error(key, error.message) from error
+
+
+class _Mapping:
+    """Table ``[map]`` being read: collects what each kind of frame carries."""
+
+    def __init__(self, table: Table, dbc: DbcFile) -> None:
+        self.table = table
+        self.kinds: dict[tuple[Any, ...], CanKind] = {}
+        self.counter_modulus = 0
+        self.ticks_per_s = 1.0
+        self.time_modulus = 0
+        self._dbc = dbc
+
+    def triad(self, part: str) -> str:
+        """Read three axes; return their unit in a sample, "" where the part is not mapped."""
+        names = [str(name) for name in self.table.items(part, [])]
+        if not names:
+            self.table.has(f"{part}_unit")
+            return ""
+        if len(names) != 3:
+            raise self.table.error(part, f"needs three signals, x, y and z, not {len(names)}: {', '.join(names)}")
+        units = {self._axis(part, place, name) for place, name in enumerate(names)}
+        if len(units) > 1:
+            raise self.table.error(part, f"the three signals are {' and '.join(sorted(units))}; all must be of one kind")
+        return units.pop()
+
+    def _axis(self, part: str, axis: int, name: str) -> str:
+        kind, signal = self._find(part, name.lstrip("-"))
+        unit, factor = self._unit(part, signal, _MEANING[part])
+        factor = -factor if name.startswith("-") else factor
+        kind.columns.append(Column(_PLACES[part] + axis, signal, signal.factor * factor, signal.offset * factor))
+        return unit
+
+    def _unit(self, part: str, signal: CanSignal, allowed: tuple[str, ...]) -> tuple[str, float]:
+        given = self.table.text(f"{part}_unit", "")
+        written = given or signal.unit
+        unit, factor = TO_SI.get(unit_name(written) or "", ("", 0.0))
+        if unit not in allowed:
+            known = ", ".join(name for name, (si, _) in TO_SI.items() if si in allowed)
+            said = f"{written!r}" if written else "no unit"
+            raise self.table.error(
+                f"{part}_unit" if given else part,
+                f"signal {signal.name} has {said}, which is no unit of the {part}; choose another signal, or state its unit as "
+                f"{part}_unit (one of {known})",
+                reason=Reason.UNITS,
+            )
+        return unit, factor
+
+    def others(self) -> None:
+        """Read temperature, counter, time, flags and status."""
+        if self.table.has("temperature"):
+            self._temperature(self.table.text("temperature"))
+        if self.table.has("counter"):
+            kind, signal = self._find("counter", self.table.text("counter"))
+            kind.counter, self.counter_modulus = signal, self._modulus("counter", signal)
+        if self.table.has("time"):
+            kind, signal = self._find("time", self.table.text("time"))
+            kind.time = signal
+            self.ticks_per_s = _TICKS_PER_S.get(signal.unit.lower(), 1.0) / abs(signal.factor)
+            never_wraps = signal.is_float or signal.length >= _LONG_TIME_BITS
+            self.time_modulus = 0 if never_wraps else self._modulus("time", signal)
+        for each in self.table.tables("flags"):
+            kind, signal = self._find("flags", each.text("signal"))
+            kind.flags.append(_read_flag(each, signal))
+        for each in self.table.tables("instrument_status"):
+            kind, signal = self._find("instrument_status", each.text("signal"))
+            kind.status.append((signal, each.integer("shift", 0, 15, 0)))
+            each.finish()
+
+    def group(self, key: str, table: Table, name: str) -> None:
+        """Note a counter that the messages of one sample share."""
+        found, signal = _in_file(table, key, self._dbc.find, name)
+        # A signal outside all multiplexed forms is part of each.
+        kinds = [one for one in self.kinds.values() if one.message.name == found.name]
+        kinds = [one for one in kinds if not found.selectors or one.message.selectors == found.selectors]
+        if not kinds:
+            raise table.error(key, f"message {found.name} of {name!r} has no signal in [map]")
+        self._modulus(key, signal)
+        for kind in kinds:
+            kind.group = signal
+
+    def _temperature(self, name: str) -> None:
+        kind, signal = self._find("temperature", name)
+        unit = unit_name(self.table.text("temperature_unit", "") or signal.unit)
+        if unit not in ("degC", "K"):
+            raise self.table.error("temperature", f"signal {signal.name} has unit {signal.unit!r}; use one in degC or K")
+        offset = signal.offset + (_ABSOLUTE_ZERO_DEGC if unit == "K" else 0.0)
+        kind.columns.append(Column(TEMPERATURE, signal, signal.factor, offset))
+
+    def _find(self, key: str, name: str) -> tuple[CanKind, CanSignal]:
+        message, signal = _in_file(self.table, key, self._dbc.find, name)
+        if not message.selectors:
+            forms = [kind for kind in self.kinds.values() if kind.message.name == message.name]
+            if forms:
+                return forms[0], signal
+        elif (message.name, ()) in self.kinds:
+            raise self.table.error(
+                key, f"signal {name} is in some forms of {message.name} only, other signals mapped before it are in all of them"
+            )
+        return self.kinds.setdefault((message.name, message.selectors), CanKind(message)), signal
+
+    def _modulus(self, key: str, signal: CanSignal) -> int:
+        if signal.is_float or signal.is_signed:
+            raise self.table.error(key, f"signal {signal.name} is not an unsigned whole number, so it cannot count")
+        return 1 << min(signal.length, _MOST_BITS)
+
+
+def _read_flag(table: Table, signal: CanSignal) -> CanFlag:
+    names = {flag.name.lower(): flag for flag in Status if flag.name}
+    flag = CanFlag(
+        signal,
+        names[table.choice("flag", names)],
+        tuple(int(value) for value in table.items("values", [])),
+        table.integer("mask", 1, (1 << 64) - 1) if table.has("mask") else 0,
+        table.choice("when", ("set", "clear"), "set") == "clear",
+    )
+    if bool(flag.values) == bool(flag.mask):
+        raise table.error("values", "a flag needs either values or a mask")
+    table.finish()
+    return flag
+
+
+def _read_assembly(table: Table, mapped: _Mapping, dbc: DbcFile) -> AssemblyRule:
+    kinds = list(mapped.kinds.values())
+    counters = [str(name) for name in table.items("counters", [])]
+    for name in counters:
+        mapped.group("counters", table, name)
+    if counters and any(kind.group is None for kind in kinds):
+        raise table.error("counters", "needs one counter in each message that [map] uses, or none")
+    start = table.text("starts_with", "")
+    return AssemblyRule(
+        _kind_number(table, "starts_with", start, kinds, dbc) if start else None,
+        tuple(_kind_number(table, "needs", str(name), kinds, dbc) for name in table.items("needs", [])),
+        table.number("limit_s", 0.0) if 0 <= table.number("limit_s", 0.0) <= _LONGEST_LIMIT_S else _LONGEST_LIMIT_S,
+        bool(counters),
+    )
+
+
+def _kind_number(table: Table, key: str, name: str, kinds: list[CanKind], dbc: DbcFile) -> int:
+    for number, kind in enumerate(kinds):
+        if name in (kind.name, kind.message.name):
+            return number
+    _in_file(table, key, dbc.message, name)
+    names = [kind.name for kind in kinds]
+    raise table.error(key, f"message {name!r} has no signal in [map]{near(name, names)}; those that have: {', '.join(names)}")
+
+
+def _read_clock(table: Table, mapped: _Mapping) -> ClockRule:
+    ticks_per_s = table.number("time_ticks_per_s", mapped.ticks_per_s)
+    rate_hz = table.number("rate_hz", 0.0)
+    if not (ticks_per_s > 0 and 0 <= rate_hz < math.inf):
+        raise table.error("rate_hz", "rates must be positive")
+    return ClockRule(
+        counter_modulus=mapped.counter_modulus,
+        time_modulus=mapped.time_modulus,
+        time_ticks_per_s=ticks_per_s,
+        rate_hz=rate_hz,
+    )
+
+
+def _units(clock: Table, units_of: dict[str, str], rule: ClockRule) -> SampleUnits:
+    accelerometer, gyroscope = units_of["accelerometer"] or "m/s^2", units_of["gyroscope"] or "rad/s"
+    increments = accelerometer == "m/s", gyroscope == "rad"
+    if any(increments) and not rule.rate_hz:
+        raise clock.error("rate_hz", "increments need the sample rate, which is 0 (not known); give it, e.g. --set rate_hz=100")
+    return SampleUnits(accelerometer, gyroscope, *increments, 1 / rule.rate_hz if any(increments) else None)
+
+
+def _candidates(dbc: DbcFile) -> str:
+    """Name the signals whose unit is one of an accelerometer or a gyroscope."""
+    units = {si for meaning in _MEANING.values() for si in meaning} - {"rad", "m/s"}
+    found = [
+        f"{message.name}.{signal.name}"
+        for message, signal in dbc.signals()
+        if TO_SI.get(unit_name(signal.unit) or "", ("", 0.0))[0] in units
+    ]
+    return ", ".join(found[:20]) or "none has such a unit"
+
+
+def with_source_address(message: CanMessage, address: int) -> CanMessage:
+    """Return a J1939 message that only frames from ``address`` match; others as they are."""
+    if not message.is_j1939 or address == ANY_ADDRESS:
+        return message
+    return replace(message, can_id=message.can_id | address, mask=message.mask | 0xFF)

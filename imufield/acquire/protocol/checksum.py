@@ -1,0 +1,336 @@
+"""Checksums of many frames at once.
+
+A CRC is linear over GF(2): the register after a message is the XOR of what the start value alone would leave and of what
+each byte alone would leave. What byte value v leaves depends only on v and on how many bytes follow it, so one table
+``left[d, v]`` (d bytes follow) turns the CRC of n frames of m bytes into one look-up of an (n, m) array and one XOR along
+its rows, with no step from byte to byte. Zero bytes appended but never sent only shift d. The parameters (polynomial,
+start value, reflection, final XOR) come from the catalogue in ``crccheck``.
+
+Sums have the same form with numbers for XOR: each byte adds a weight that depends on how many bytes follow.
+"""
+
+from __future__ import annotations
+
+import difflib
+from abc import ABC, abstractmethod
+from functools import cache, cached_property
+from typing import Any, NamedTuple
+
+import crccheck.crc
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.errors import ProtocolError
+
+Bytes = NDArray[np.uint8]
+Values = NDArray[np.uint64]
+Positions = NDArray[np.intp]
+
+_EXACT_IN_SINGLE = 361
+"""Longest message whose weighted sum, at most 255 n (n + 1) / 2, stays below 2^24, so that single precision is exact."""
+_LONGEST_TABLE = 2048
+"""Longest message with a table of its own, 2 MiB; what instruments send all the time has a few hundred bytes."""
+_TABLES_KEPT = 32
+"""Noise makes false frames of any length, each with its table."""
+_ROWS_AT_ONCE = 1024
+"""Rows looked up together: keeps the index array (8 bytes for each byte of a frame) in the second-level cache."""
+
+
+class _Ragged(NamedTuple):
+    """Every byte of many spans, one after another."""
+
+    values: Bytes
+    following: Positions
+    """How many bytes of the same span follow this one."""
+    first: Positions
+    """Where each span begins in the two arrays above."""
+
+
+def _ragged(data: Bytes, starts: Positions, lengths: Positions) -> _Ragged:
+    ends = np.cumsum(lengths)
+    first = ends - lengths
+    within = np.arange(int(ends[-1])) - np.repeat(first, lengths)
+    return _Ragged(data[within + np.repeat(starts, lengths)], np.repeat(lengths, lengths) - 1 - within, first)
+
+
+class Checksum(ABC):
+    """A checksum algorithm over frames of any length."""
+
+    size: int
+    """Bytes of the value on the wire."""
+
+    def of_rows(self, rows: Bytes) -> Values:
+        """Return the values of n messages of one length.
+
+        Parameters
+        ----------
+        rows : ndarray of uint8, shape (n, m)
+            May be a view with any row stride.
+
+        Returns
+        -------
+        ndarray of unsigned integers, shape (n,)
+        """
+        return self._rows(rows)
+
+    def of(self, message: bytes) -> int:
+        """Return the value of one message."""
+        return int(self.of_rows(np.frombuffer(message, dtype=np.uint8).reshape(1, -1))[0])
+
+    def of_spans(self, data: Bytes, starts: Positions, lengths: Positions) -> Values:
+        """Return the values of n messages of different lengths (all at least 1) inside ``data``, shape (n,)."""
+        if len(starts) == 0:
+            return np.empty(0, dtype=np.uint64)
+        return self._spans(_ragged(data, starts, lengths), lengths)
+
+    @abstractmethod
+    def _rows(self, rows: Bytes) -> Values: ...
+
+    @abstractmethod
+    def _spans(self, span: _Ragged, lengths: Positions) -> Values: ...
+
+
+class Crc(Checksum):
+    """A CRC of 8 to 64 bits with the parameters of one class of ``crccheck``.
+
+    Parameters
+    ----------
+    parameters : type
+        Class of ``crccheck.crc``.
+    pad_to : int
+        Zero bytes are appended up to a multiple of this; they are never sent.
+    start, final : int, optional
+        Start value and final XOR instead of those of the catalogue.
+    """
+
+    def __init__(self, parameters: Any, pad_to: int = 1, start: int | None = None, final: int | None = None) -> None:
+        self._width = int(parameters._width)  # noqa: SLF001  crccheck publishes its catalogue only so
+        self._polynomial = int(parameters._poly)  # noqa: SLF001
+        self._start = int(parameters._initvalue) if start is None else start  # noqa: SLF001
+        self._reflected = bool(parameters._reflect_input)  # noqa: SLF001
+        self._final = int(parameters._xor_output) if final is None else final  # noqa: SLF001
+        self._pad_to = pad_to
+        self.size = self._width // 8
+        self._left = np.empty((0, 256), dtype=np.uint64)
+        self._start_left = np.array([self._start_register()], dtype=np.uint64)
+        self._by_length: dict[int, tuple[NDArray[Any], NDArray[np.intp], Any]] = {}
+
+    def _rows(self, rows: Bytes) -> Values:
+        count, length = rows.shape
+        if length > _LONGEST_TABLE:
+            whole = np.ascontiguousarray(rows).reshape(-1)
+            return self.of_spans(whole, np.arange(count, dtype=np.intp) * length, np.full(count, length, dtype=np.intp))
+        table, offsets, start = self._tables_of(length)
+        out = np.empty(len(rows), dtype=table.dtype)
+        for at in range(0, len(rows), _ROWS_AT_ONCE):
+            index = rows[at : at + _ROWS_AT_ONCE] + offsets
+            np.bitwise_xor.reduce(table.take(index, mode="clip"), axis=1, out=out[at : at + _ROWS_AT_ONCE])
+        out ^= start
+        return out
+
+    def _spans(self, span: _Ragged, lengths: Positions) -> Values:
+        pad = -lengths % self._pad_to
+        self._grow(int((lengths + pad).max()))
+        left = self._left[span.following + np.repeat(pad, lengths), span.values]
+        found: Values = np.bitwise_xor.reduceat(left, span.first) ^ self._start_left[lengths + pad] ^ np.uint64(self._final)
+        return found
+
+    def _tables_of(self, length: int) -> tuple[NDArray[Any], NDArray[np.intp], Any]:
+        """Return the flat table, the place of each column in it and the constant part for messages of one length."""
+        found = self._by_length.get(length)
+        if found is None:
+            padded = length + -length % self._pad_to
+            self._grow(padded)
+            kind = np.uint32 if self._width <= 32 else np.uint64  # half the size: the tables of a frame stay in cache
+            table = self._left[:padded][::-1][:length].astype(kind).ravel()
+            if len(self._by_length) >= _TABLES_KEPT:
+                self._by_length.clear()
+            found = (table, np.arange(length, dtype=np.intp) * 256, kind(int(self._start_left[padded]) ^ self._final))
+            self._by_length[length] = found
+        return found
+
+    def _grow(self, length: int) -> None:
+        """Extend the tables to messages of ``length`` bytes; more than needed, as longer ones may follow."""
+        if length <= len(self._left):
+            return
+        wanted = max(length, min(2 * len(self._left), len(self._left) + _LONGEST_TABLE))
+        left = [self._first] if len(self._left) == 0 else [*self._left]
+        start = [*self._start_left]
+        while len(left) < wanted:
+            left.append(self._after_zero_byte(left[-1]))
+        while len(start) < wanted + 1:
+            start.append(self._after_zero_byte(start[-1].reshape(1))[0])
+        self._left = np.array(left, dtype=np.uint64)
+        self._start_left = np.array(start, dtype=np.uint64)
+
+    @cached_property
+    def _first(self) -> Values:
+        """What each byte value leaves when no byte follows it: 8 steps of the shift register, shape (256,)."""
+        one = np.uint64(1)
+        if self._reflected:
+            register = np.arange(256, dtype=np.uint64)
+            polynomial = np.uint64(_reversed(self._polynomial, self._width))
+            for _ in range(8):
+                register = (register >> one) ^ (register & one) * polynomial
+            return register
+        top = np.uint64(self._width - 1)
+        register = np.arange(256, dtype=np.uint64) << np.uint64(self._width - 8)
+        mask = np.uint64((1 << self._width) - 1)
+        for _ in range(8):
+            register = ((register << one) & mask) ^ (register >> top) * np.uint64(self._polynomial)
+        return register
+
+    def _after_zero_byte(self, register: Values) -> Values:
+        eight = np.uint64(8)
+        if self._reflected:
+            shifted: Values = (register >> eight) ^ self._first[register & np.uint64(0xFF)]
+            return shifted
+        mask = np.uint64((1 << self._width) - 1)
+        moved: Values = ((register << eight) & mask) ^ self._first[register >> np.uint64(self._width - 8)]
+        return moved
+
+    def _start_register(self) -> int:
+        # A reflected register holds its bits mirrored; crccheck gives the start value as the catalogue prints it.
+        return _reversed(self._start, self._width) if self._reflected else self._start
+
+
+class Sum(Checksum):
+    """The sum of all bytes (or 16-bit words) modulo 2**bits, or its negative.
+
+    Parameters
+    ----------
+    bits : {8, 16, 32}
+    negated : bool
+        The value makes the total zero.
+    words : bool
+        Add little-endian 16-bit words; the span must be even.
+    """
+
+    def __init__(self, bits: int, *, negated: bool = False, words: bool = False) -> None:
+        self.size = bits // 8
+        self._mask = np.uint64((1 << bits) - 1)
+        self._negated = negated
+        self._words = words
+
+    def _rows(self, rows: Bytes) -> Values:
+        if self.size == 1:
+            return self._finish(np.add.reduce(rows, axis=1, dtype=np.uint8).astype(np.uint64))
+        total = rows.sum(axis=1, dtype=np.uint64)
+        if self._words:
+            total += np.uint64(255) * rows[:, 1::2].sum(axis=1, dtype=np.uint64)
+        return self._finish(total)
+
+    def _spans(self, span: _Ragged, lengths: Positions) -> Values:  # noqa: ARG002  sums need no length
+        weighted = span.values.astype(np.uint64)
+        if self._words:
+            # The high byte of a little-endian word is the one with an even number of bytes after it.
+            weighted *= np.where(span.following % 2 == 0, 256, 1).astype(np.uint64)
+        return self._finish(np.add.reduceat(weighted, span.first))
+
+    def _finish(self, total: Values) -> Values:
+        finished: Values = (np.uint64(0) - total if self._negated else total) & self._mask
+        return finished
+
+
+class Xor(Checksum):
+    """The XOR of all bytes."""
+
+    size = 1
+
+    def _rows(self, rows: Bytes) -> Values:
+        return np.asarray(np.bitwise_xor.reduce(rows, axis=1), dtype=np.uint64)
+
+    def _spans(self, span: _Ragged, lengths: Positions) -> Values:  # noqa: ARG002  an XOR needs no length
+        found: Values = np.bitwise_xor.reduceat(span.values, span.first).astype(np.uint64)
+        return found
+
+
+class Fletcher(Checksum):
+    """Two running sums modulo 256; the value is first * 256 + second (MicroStrain MIP sends the first sum first)."""
+
+    size = 2
+
+    def _rows(self, rows: Bytes) -> Values:
+        weights = np.arange(rows.shape[1], 0, -1, dtype=np.uint64)
+        if rows.shape[1] <= _EXACT_IN_SINGLE:
+            both = np.stack([np.ones(len(weights)), weights], axis=1).astype(np.float32)
+            sums = (rows.astype(np.float32) @ both).astype(np.uint64)
+            return self._join(sums[:, 0], sums[:, 1])
+        return self._join(rows.sum(axis=1, dtype=np.uint64), (rows * weights).sum(axis=1, dtype=np.uint64))
+
+    def _spans(self, span: _Ragged, lengths: Positions) -> Values:  # noqa: ARG002  the weights say it
+        values = span.values.astype(np.uint64)
+        # A byte enters the second sum once when it is added and once for each byte after it.
+        second = np.add.reduceat(values * (span.following + 1).astype(np.uint64), span.first)
+        return self._join(np.add.reduceat(values, span.first), second)
+
+    @staticmethod
+    def _join(first: Values, second: Values) -> Values:
+        low = np.uint64(0xFF)
+        joined: Values = (first & low) << np.uint64(8) | (second & low)
+        return joined
+
+
+def _reversed(value: int, width: int) -> int:
+    return int(f"{value:0{width}b}"[::-1], 2)
+
+
+_PLAIN = {
+    "SUM-8": lambda: Sum(8),
+    "SUM-8/NEGATED": lambda: Sum(8, negated=True),
+    "SUM-16": lambda: Sum(16),
+    "SUM-16/WORDS": lambda: Sum(16, words=True),
+    "SUM-32": lambda: Sum(32),
+    "XOR-8": Xor,
+    "FLETCHER-16/MOD-256": Fletcher,
+}
+
+
+@cache
+def _catalogue() -> dict[str, Any]:
+    """Return every CRC of the catalogue that works on whole bytes, by name."""
+    found: dict[str, Any] = {}
+    for parameters in crccheck.crc.ALLCRCCLASSES:
+        whole_bytes = parameters._width % 8 == 0 and parameters._width <= 64  # noqa: SLF001
+        if whole_bytes and parameters._reflect_input == parameters._reflect_output:  # noqa: SLF001
+            found.update(dict.fromkeys(parameters._names, parameters))  # noqa: SLF001
+    return found
+
+
+def checksum_names() -> list[str]:
+    """Return the names that ``make_checksum`` knows."""
+    return sorted({*_PLAIN, *_catalogue()})
+
+
+def make_checksum(algorithm: str, pad_to: int = 1, *, start: int | None = None, final: int | None = None) -> Checksum:
+    """Return the checksum of that name.
+
+    Parameters
+    ----------
+    algorithm : str
+        A CRC by its catalogue name, e.g. "CRC-32/MPEG-2", or one of the plain sums.
+    pad_to : int
+        The CRC covers zero bytes up to a multiple of this, which are never sent.
+    start, final : int, optional
+        Start value and final XOR of a CRC that is in no catalogue but differs from one only by these.
+
+    Raises
+    ------
+    ProtocolError
+        If there is no such algorithm, or a plain sum is to be padded or started with a value.
+    """
+    if algorithm in _PLAIN:
+        if pad_to != 1:
+            raise ProtocolError(f"checksum {algorithm} cannot be padded to {pad_to} bytes; leave `pad_to` out", pad_to=pad_to)
+        if (start, final) != (None, None):
+            raise ProtocolError(f"checksum {algorithm} takes neither `start` nor `final`; leave them out", start=start)
+        return _PLAIN[algorithm]()
+    parameters = _catalogue().get(algorithm)
+    if parameters is None:
+        near = difflib.get_close_matches(algorithm.upper(), checksum_names(), n=1, cutoff=0.4)
+        hint = f"did you mean {near[0]!r}" if near else "use a catalogue name such as 'CRC-32/MPEG-2'"
+        raise ProtocolError(f"checksum algorithm {algorithm!r} is not known; {hint}", algorithm=algorithm)
+    largest = (1 << int(parameters._width)) - 1  # noqa: SLF001
+    if max(start or 0, final or 0) > largest:
+        raise ProtocolError(f"`start` and `final` of {algorithm} are at most {largest:#x}; write them shorter", start=start)
+    return Crc(parameters, pad_to, start, final)

@@ -1,0 +1,338 @@
+"""The tables of a protocol file that describe frames: ``[frame]``, ``[parts]``, ``[frames]``, ``[messages]`` and bodies.
+
+Every limit is far above what instruments use (the longest known body is 4096 bytes) and keeps a wrong file harmless.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from imufield.acquire.protocol.checksum import Checksum, make_checksum
+from imufield.acquire.protocol.frame_forms import FieldsRule, FrameForm, LengthRule, MasksRule
+from imufield.acquire.protocol.layout import NUMBER_BYTES, TEXT_TYPES, Bits, Field, Layout
+from imufield.acquire.protocol.toml import Table
+from imufield.errors import ProtocolError
+
+LONGEST_FRAME = 65536
+ANY_KEY = "any"
+"""The one entry of ``[frames]`` where no byte tells kinds of frames apart."""
+_UNSIGNED = ("u8", "u16", "u24", "u32")
+_FIXED_POINT = {"fp12.20": ("i32", 20), "fp16.32": ("fp16.32", 32)}
+"""Names of fixed-point types: the type that is read and its fraction bits."""
+FORMAT = "format"
+"""Type of a field whose number type the id of the field tells."""
+_FORMS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class JoinRule:
+    """Which frames make one sample, where it takes several."""
+
+    starts_with: str
+    """Kind of frame a sample begins with."""
+    needs: tuple[str, ...]
+    """Kinds that make a sample complete, the first included."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRule:
+    """How frames are found in a stream."""
+
+    forms: tuple[FrameForm, ...]
+    trailer: bytes
+    """Bytes that may follow a frame and carry nothing."""
+    join: JoinRule | None = None
+
+    @property
+    def layouts(self) -> dict[int, Layout]:
+        """Fixed layouts of the first form by key."""
+        return self.forms[0].layouts
+
+    def all_fields(self) -> list[Field]:
+        """Return every field a frame may have."""
+        return [one for form in self.forms for one in form.all_fields()]
+
+
+def read_frames(top: Table) -> FrameRule:
+    """Read everything that describes frames."""
+    big_endian = top.choice("byte_order", ("big", "little")) == "big"
+    parts = {name: _read_fields(top.table("parts"), name, big_endian) for name in top.table("parts").values}
+    forms = tuple(_read_form(top, table, parts, big_endian) for table in _form_tables(top) if table.flag("enabled", True))
+    if not 1 <= len(forms) <= _FORMS:
+        raise top.error("frame", f"a protocol needs 1 to {_FORMS} forms of frames, not {len(forms)}")
+    trailer = b"" if isinstance(top.plain("frame"), list) else _read_trailer(top.table("frame"))
+    if trailer and any(trailer[0] in _first_bytes(form) for form in forms):
+        raise top.table("frame").error("trailer", "the trailer begins like a frame, so the two cannot be told apart")
+    for name in ("fields", "masks", "join"):
+        top.has(name)
+    return FrameRule(forms, trailer, _read_join(top.table("join")))
+
+
+def _form_tables(top: Table) -> Iterator[Table]:
+    if isinstance(top.plain("frame"), list):
+        yield from top.tables("frame")
+    else:
+        yield top.table("frame")
+
+
+def _read_join(table: Table) -> JoinRule | None:
+    if not table.values:
+        return None
+    starts_with, needs = table.text("starts_with"), tuple(str(kind) for kind in table.items("needs"))
+    table.finish()
+    if starts_with not in needs:
+        raise table.error("needs", f"the kind a sample starts with, {starts_with!r}, must be among those it needs")
+    return JoinRule(starts_with, needs) if len(needs) > 1 else None
+
+
+def _read_form(top: Table, frame: Table, parts: dict[str, tuple[Field, ...]], big_endian: bool) -> FrameForm:
+    key = frame.table("key")
+    key_size = NUMBER_BYTES[key.choice("type", _UNSIGNED)] if frame.has("key") else 0
+    key_at = key.integer("at", 0, 64, 0) if key_size else 0
+    key_big_endian = _byte_order(key, big_endian)
+    key.finish()
+    sync, end = frame.hexadecimal("sync"), frame.hexadecimal("end")
+    checksum, covered_from, checksum_big_endian = _read_checksum(frame, big_endian)
+    length = _read_length(frame, big_endian)
+    if key_size and key_at < len(sync):
+        raise frame.error("key", f"the key begins at byte {key_at}, inside the {len(sync)} sync bytes")
+    fields = _read_fields_rule(top, frame, big_endian)
+    masks = _read_masks(top, frame, big_endian)
+    form = FrameForm(
+        sync, key_at, key_size, key_big_endian, checksum, covered_from, checksum_big_endian, end, length, {}, fields, masks
+    )
+    form = replace(form, layouts=_read_layouts(top, frame, form, parts, big_endian))
+    if length is None and masks is None and fields is not None:
+        raise frame.error("length", "frames made of fields need a field that tells their length")
+    for known in ("trailer", "enabled", "name", "message"):
+        frame.has(known)
+    frame.finish()
+    return form
+
+
+def _first_bytes(form: FrameForm) -> set[int]:
+    if form.sync:
+        return {form.sync[0]}
+    return set(form.layouts) if form.key_size == 1 and form.key_at == 0 else set(range(256))
+
+
+def _byte_order(table: Table, default_big: bool) -> bool:
+    return table.choice("byte_order", ("big", "little"), "big" if default_big else "little") == "big"
+
+
+def _read_checksum(frame: Table, big_endian: bool) -> tuple[Checksum | None, int, bool]:
+    if not frame.has("checksum"):
+        return None, 0, True
+    table = frame.table("checksum")
+    algorithm, pad_to = table.text("algorithm"), table.integer("pad_to", 1, 64, 1)
+    start = table.integer("start", 0, (1 << 64) - 1) if table.has("start") else None
+    final = table.integer("final", 0, (1 << 64) - 1) if table.has("final") else None
+    try:
+        checksum = make_checksum(algorithm, pad_to, start=start, final=final)
+    except ProtocolError as error:
+        raise table.error("algorithm", error.message) from error
+    covered_from, order = table.integer("from", 0, 64, 0), _byte_order(table, big_endian)
+    table.finish()
+    return checksum, covered_from, order
+
+
+def _read_length(frame: Table, big_endian: bool) -> LengthRule | None:
+    if not frame.has("length"):
+        return None
+    table = frame.table("length")
+    size = NUMBER_BYTES[table.choice("type", _UNSIGNED)]
+    largest = min((1 << 8 * size) - 1, LONGEST_FRAME)
+    extended = table.table("extended")
+    rule = LengthRule(
+        table.integer("at", 0, 64),
+        size,
+        _byte_order(table, big_endian),
+        table.integer("add", 0, 256, 0),
+        table.integer("maximum", 0, LONGEST_FRAME, largest),
+        extended.integer("when", 0, largest) if table.has("extended") else -1,
+        NUMBER_BYTES[extended.choice("type", _UNSIGNED)] if table.has("extended") else 0,
+    )
+    extended.finish()
+    table.finish()
+    return rule
+
+
+def _read_trailer(frame: Table) -> bytes:
+    table = frame.table("trailer")
+    trailer = table.hexadecimal("bytes")
+    if trailer and not table.flag("optional"):
+        raise table.error("optional", "a trailer that must be there is not supported; write optional = true")
+    table.finish()
+    return trailer
+
+
+def _read_layouts(
+    top: Table, frame: Table, form: FrameForm, parts: dict[str, tuple[Field, ...]], big_endian: bool
+) -> dict[int, Layout]:
+    header = max(len(form.sync), form.key_at + form.key_size, form.length.header if form.length else 0)
+    header = frame.integer("body_at", header, 256, header)
+    layouts: dict[int, Layout] = {}
+    if frame.has("content"):
+        name = frame.text("name")
+        layout = _place(name, _fields_of(frame, "content", frame.items("content"), parts), header, form.tail)
+        layouts[0] = replace(layout, is_message=frame.flag("message"))
+        return layouts
+    frames = top.table("frames")
+    for name in frames.values:
+        fields = _fields_of(frames, name, frames.items(name), parts)
+        _add(layouts, frames, name, name, _place(name, fields, header, form.tail), form.key_size)
+    messages = top.table("messages")
+    for name in messages.values:
+        table = messages.table(name)
+        fields = _read_fields(table, "fields", big_endian) if form.length is None or table.has("fields") else ()
+        layout = replace(_place(name, fields, header, form.tail), is_message=True)
+        for key in table.items("keys"):
+            _add(layouts, table, "keys", key, layout, form.key_size)
+        table.finish()
+    if not (layouts or form.fields or form.masks):
+        raise top.error("frames", "a protocol needs at least one frame")
+    return layouts
+
+
+def _fields_of(table: Table, key: str, used: list[Any], parts: dict[str, tuple[Field, ...]]) -> tuple[Field, ...]:
+    unknown = next((part for part in used if part not in parts), None)
+    if unknown is not None:
+        raise table.error(key, f"there is no part {unknown!r}; [parts] has: {', '.join(parts)}")
+    return tuple(one for part in used for one in parts[part])
+
+
+def _add(layouts: dict[int, Layout], table: Table, at: str, key: object, layout: Layout, key_size: int) -> None:
+    if not key_size:
+        if key != ANY_KEY or layouts:
+            raise table.error(at, f"without a key there is one kind of frame, called {ANY_KEY!r}")
+        layouts[0] = layout
+        return
+    number = _hexadecimal_key(table, at, key)
+    if not 0 <= number < 1 << 8 * key_size or number in layouts:
+        raise table.error(at, f"key {key} does not fit into {key_size} bytes or is given twice")
+    if layout.length > LONGEST_FRAME:
+        raise table.error(at, f"this frame has {layout.length} bytes, more than the limit of {LONGEST_FRAME}")
+    layouts[number] = layout
+
+
+def _hexadecimal_key(table: Table, at: str, key: object) -> int:
+    try:
+        return int(str(key), 16)
+    except ValueError:
+        raise table.error(at, f"a frame is called by its key in hexadecimal such as 0x93, not {key!r}") from None
+
+
+def _place(kind: str, fields: tuple[Field, ...], header: int, tail: int) -> Layout:
+    at, placed = header, []
+    for one in fields:
+        placed.append(replace(one, at=at))
+        at += one.size
+    return Layout(kind, tuple(placed), at + tail)
+
+
+def _read_fields_rule(top: Table, frame: Table, big_endian: bool) -> FieldsRule | None:
+    if not frame.has("fields"):
+        return None
+    table = frame.table("fields")
+    number, size = table.table("id"), table.table("size")
+    keys = frozenset(_hexadecimal_key(table, "keys", key) for key in table.items("keys")) if table.has("keys") else None
+    kinds = tuple(_format_type(table, kind, big_endian) for kind in table.items("formats", []))
+    messages = {_hexadecimal_key(table, "messages", key): name for key, name in table.table("messages").values.items()}
+    table.has("messages")
+    rule = FieldsRule(
+        table.integer("at", 0, 64),
+        number.integer("at", 0, 64),
+        NUMBER_BYTES[number.choice("type", _UNSIGNED)],
+        size.integer("at", 0, 64),
+        NUMBER_BYTES[size.choice("type", _UNSIGNED)],
+        size.flag("counts_header"),
+        big_endian,
+        keys,
+        table.integer("ignored_id_bits", 0, (1 << 32) - 1, 0),
+        kinds,
+        _known_fields(top, big_endian),
+        messages,
+    )
+    for each in (number, size, table):
+        each.finish()
+    return rule
+
+
+def _format_type(table: Table, kind: object, big_endian: bool) -> Field:
+    if kind not in NUMBER_BYTES and kind not in _FIXED_POINT:
+        raise table.error("formats", f"{kind!r} is no number type")
+    name, bits = _FIXED_POINT.get(str(kind), (str(kind), 0))
+    return Field("", name, 0, size=NUMBER_BYTES[name], big_endian=big_endian, factor=1 / 2.0**bits)
+
+
+def _known_fields(top: Table, big_endian: bool) -> dict[int | None, dict[int, tuple[Field, ...]]]:
+    known: dict[int | None, dict[int, tuple[Field, ...]]] = {}
+    groups = top.table("fields")
+    for key in groups.values:
+        group = groups.table(key)
+        number = None if key == ANY_KEY else _hexadecimal_key(groups, key, key)
+        known[number] = {_hexadecimal_key(group, each, each): _read_fields(group, each, big_endian) for each in group.values}
+    return known
+
+
+def _read_masks(top: Table, frame: Table, big_endian: bool) -> MasksRule | None:
+    if not frame.has("masks"):
+        return None
+    table, masks = frame.table("masks"), top.table("masks")
+    at = table.integer("at", 0, 64)
+    table.finish()
+    groups: dict[int, tuple[tuple[Field, ...], ...]] = {}
+    for bit in masks.values:
+        if bit not in tuple("01234567"):
+            raise masks.error(bit, "a group is called by the number of its bit, 0 to 7")
+        groups[int(bit)] = tuple(_mask_fields(masks, bit, found, big_endian) for found in masks.items(bit))
+    return MasksRule(at, groups)
+
+
+def _mask_fields(masks: Table, bit: str, found: object, big_endian: bool) -> tuple[Field, ...]:
+    each = found if isinstance(found, list) else [found]
+    return tuple(_read_field(masks.below(one, bit, number), big_endian) for number, one in enumerate(each))
+
+
+def _read_fields(table: Table, key: str, big_endian: bool) -> tuple[Field, ...]:
+    fields = tuple(_read_field(each, big_endian) for each in table.tables(key))
+    if not fields:
+        raise table.error(key, "needs at least one field")
+    return fields
+
+
+def _read_field(table: Table, default_big: bool) -> Field:
+    name, kind = table.text("name"), table.choice("type", (*NUMBER_BYTES, "fp12.20", FORMAT, *TEXT_TYPES))
+    if kind in TEXT_TYPES:
+        size = 0 if table.flag("rest") else table.integer("size", 1, LONGEST_FRAME)
+        repeat = table.integer("repeat", 0, 256, 0)
+        table.finish()
+        return Field(name, kind, 0, size=size, repeat=repeat)
+    count = table.integer("count", 1, 256, 1)
+    kind, fraction_bits = _FIXED_POINT.get(kind, (kind, 0))
+    field = Field(
+        name,
+        kind,
+        0,
+        count,
+        (1 if kind == FORMAT else NUMBER_BYTES[kind]) * count,
+        _byte_order(table, default_big),
+        table.number("scale", 1.0) / 2.0 ** table.integer("fraction_bits", 0, 64, fraction_bits),
+        table.number("offset", 0.0),
+        table.text("unit", ""),
+        tuple(_read_bits(each) for each in table.tables("bits")),
+    )
+    if field.bits and (count != 1 or kind[0] != "u"):
+        raise table.error("bits", f"bits belong to one unsigned number, not to {count} of type {kind}")
+    table.finish()
+    return field
+
+
+def _read_bits(table: Table) -> Bits:
+    bits = Bits(
+        table.text("name"), table.integer("from", 0, 63), table.integer("size", 1, 64, 1), tuple(table.items("values", []))
+    )
+    table.finish()
+    return bits

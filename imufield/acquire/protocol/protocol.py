@@ -1,0 +1,347 @@
+"""A protocol: how to turn bytes of an instrument into samples, read from a TOML file.
+
+``docs/protocols.md`` explains every key for someone who writes such a file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.resources
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from imufield.acquire.protocol.frame_schema import FrameRule, read_frames
+from imufield.acquire.protocol.layout import Field
+from imufield.acquire.protocol.samples_and_clock import (
+    ClockRule,
+    Quantity,
+    SampleRule,
+    TextRule,
+    read_clock,
+    read_samples,
+    read_text,
+)
+from imufield.acquire.protocol.settings import Setting, choose_settings, read_rules
+from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES, Source, Table, near
+from imufield.acquire.protocol.units import SI_UNITS, TO_SI
+from imufield.errors import ProtocolError, Reason, UnknownNameError
+from imufield.samples import FloatArray, SampleUnits
+
+if TYPE_CHECKING:
+    from imufield.acquire.protocol.can_protocol import CanRule
+
+SCHEMA_VERSION = 1
+VERIFIED, DOCUMENT_ONLY = "verified on real bytes", "document only"
+FOLDER = "imufield.protocols"
+
+_INCREMENT_UNITS = ("m/s", "rad")
+_CAN_KIND = re.compile(r'^kind\s*=\s*"can"', re.MULTILINE)
+DBC_LIMIT_BYTES = 1 << 22
+"""The largest public DBC files, of whole vehicles, are about 2 MiB."""
+_MEANING = {
+    "accelerometer": ("m/s^2", "m/s", "count", "pulse"),
+    "gyroscope": ("rad/s", "rad", "count", "pulse"),
+    "temperature": ("degC",),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Nominal:
+    """What is known of an instrument before any calibration; None where it is not."""
+
+    accelerometer_scale: float | None
+    """Raw unit per m/s^2 (per m/s where it sends increments)."""
+    gyroscope_scale: float | None
+    """Raw unit per rad/s (per rad where it sends increments)."""
+    raw_zero: FloatArray
+    """Raw accelerometer output at no input, shape (3,)."""
+    accelerometer_range_m_s2: float | None
+    gyroscope_range_rad_s: float | None
+    rate_hz: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Protocol:
+    """A protocol with its settings put in place. Get one from ``load_protocol``."""
+
+    name: str
+    title: str
+    manual: str
+    text: str
+    """The file itself, to be kept with a recording."""
+    sha256: str
+    settings: dict[str, Setting]
+    frame: FrameRule | None
+    """None for lines of text."""
+    lines: TextRule | None
+    """None for frames."""
+    samples: SampleRule
+    clock: ClockRule
+    units: SampleUnits
+    factors: dict[str, float]
+    """By "accelerometer", "gyroscope", "temperature": what a value in the unit of the part's first field is multiplied by."""
+    nominal: Nominal
+    can: CanRule | None = None
+    """For frames of a CAN bus, which have neither ``frame`` nor ``lines``."""
+    status: str = VERIFIED
+    """Or ``DOCUMENT_ONLY``: never tried on bytes of a real instrument."""
+
+    def factor(self, part: str, field: Field) -> float:
+        """Return what a value of one field is multiplied by: fields of one part may come in different units."""
+        quantity: Quantity = getattr(self.samples, part)
+        if quantity.unit is not None or not field.unit:
+            return self.factors[part]
+        return TO_SI[field.unit][1] * quantity.scale
+
+
+def protocol_names() -> list[str]:
+    """Return the names of the protocols that ship with imufield."""
+    files = importlib.resources.files(FOLDER).iterdir()
+    return sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml"))
+
+
+def load_protocol(
+    name_or_path: str | Path, settings: Mapping[str, object] | None = None, *, read: Mapping[str, object] | None = None
+) -> Protocol:
+    """Load a protocol that ships with imufield by its name, or a user's by its path.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+    settings : mapping, optional
+        What the user gave: values, or text as typed.
+    read : mapping, optional
+        What the instrument itself said. A value the user gave wins.
+
+    Raises
+    ------
+    ProtocolError
+        If there is no such protocol, the file is not understood (with line and key), or a setting is not allowed.
+    """
+    label, text = _find_text(name_or_path)
+    if _CAN_KIND.search(text):
+        from imufield.acquire.protocol.can_protocol import embed_dbc
+
+        text = embed_dbc(text, lambda name: _read_beside(name_or_path, name))
+    return parse_protocol(text, settings, read=read, label=label)
+
+
+def parse_protocol(
+    text: str,
+    settings: Mapping[str, object] | None = None,
+    *,
+    read: Mapping[str, object] | None = None,
+    label: str = "protocol",
+) -> Protocol:
+    """Return the protocol written in ``text``, e.g. as kept in a recording; otherwise like ``load_protocol``."""
+    source = Source(label, text)
+    top = Table(source.parse(), (), source)
+    if top.text("format", "") != "imufield-protocol":
+        raise top.error("format", 'the file does not begin with format = "imufield-protocol", so it is no protocol')
+    version = top.integer("version", 1, 1 << 31)
+    if version > SCHEMA_VERSION:
+        raise top.error("version", f"version {version} is newer than {SCHEMA_VERSION}, the newest known; update imufield")
+    chosen = choose_settings(read_rules(top.table("settings")), settings or {}, read or {}, source)
+    top.settings = {name: setting.value for name, setting in chosen.items()}
+    return _build(top, chosen)
+
+
+def _find_text(name_or_path: str | Path) -> tuple[str, str]:
+    names = protocol_names()
+    if str(name_or_path) in names:
+        shipped = importlib.resources.files(FOLDER) / f"{name_or_path}.toml"
+        return f"protocol {name_or_path}", shipped.read_text(encoding="utf-8")
+    path = Path(name_or_path)
+    if not (path.suffix or path.parent.name or path.exists()):
+        raise UnknownNameError(
+            f"there is no protocol {str(name_or_path)!r}{near(name_or_path, names)}; "
+            f"shipped are {', '.join(names)}, your own is given by its path, ending in .toml",
+            reason=Reason.BAD_PROTOCOL,
+            name=str(name_or_path),
+        )
+    try:
+        with path.open("rb") as file:
+            content = file.read(FILE_LIMIT_BYTES + 1)
+        if len(content) > FILE_LIMIT_BYTES:
+            raise ProtocolError(f"{path.name} is larger than {FILE_LIMIT_BYTES} bytes, the limit for a protocol", path=path)
+        return path.name, content.decode("utf-8-sig")
+    except OSError as error:
+        raise ProtocolError(f"protocol file {path} cannot be read: {error.strerror}; check the path", path=path) from error
+    except UnicodeDecodeError as error:
+        raise ProtocolError(
+            f"{path.name} is no UTF-8 text (byte {error.start}); a protocol is a TOML file", path=path
+        ) from error
+
+
+def _read_beside(name_or_path: str | Path, name: str) -> str:
+    """Return the text of a DBC file that stands beside a protocol; most are written on Windows, in its code page."""
+    shipped = str(name_or_path) in protocol_names()
+    folder = importlib.resources.files(FOLDER) if shipped else Path(name_or_path).parent
+    try:
+        with (folder / name).open("rb") as file:
+            content = file.read(DBC_LIMIT_BYTES + 1)
+    except OSError as error:
+        raise ProtocolError(f"DBC file {name} of {name_or_path} cannot be read: {error.strerror}", path=name) from error
+    return decode_dbc(content, name)
+
+
+def decode_dbc(content: bytes, name: str) -> str:
+    """Return the text of a DBC file.
+
+    Raises
+    ------
+    ProtocolError
+        If it is too large.
+    """
+    if len(content) > DBC_LIMIT_BYTES:
+        raise ProtocolError(
+            f"{name} has {len(content)} bytes, more than the limit of {DBC_LIMIT_BYTES}; cut it down to the messages needed",
+            path=name,
+        )
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", "replace")
+
+
+def _build_can(top: Table, settings: dict[str, Setting]) -> Protocol:
+    from imufield.acquire.protocol.can_protocol import read_can
+
+    name, title, manual = top.text("name"), top.text("title"), top.text("manual")
+    parts = read_can(top)
+    nominal = _read_nominal(top, parts.units, parts.clock)
+    status = top.choice("status", (VERIFIED, DOCUMENT_ONLY), VERIFIED)
+    for key in ("format", "version", "settings", "nominal", "can", "map", "assembly", "clock", "dbc", "emulate"):
+        top.has(key)
+    top.finish()
+    samples = SampleRule(Quantity(()), Quantity(()), Quantity(()), (), ())
+    digest = hashlib.sha256(top.source.text.encode()).hexdigest()
+    ones = dict.fromkeys(_MEANING, 1.0)
+    return Protocol(
+        name,
+        title,
+        manual,
+        top.source.text,
+        digest,
+        settings,
+        None,
+        None,
+        samples,
+        parts.clock,
+        parts.units,
+        ones,
+        nominal,
+        parts.rule,
+        status,
+    )
+
+
+def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
+    kind = top.choice("kind", ("frames", "text", "can"))
+    if kind == "can":
+        return _build_can(top, settings)
+    text = kind == "text"
+    name, title, manual = top.text("name"), top.text("title"), top.text("manual")
+    frame = None if text else read_frames(top)
+    lines = read_text(top) if text else None
+    samples, clock = read_samples(top), read_clock(top)
+    parts = {part: _unit_of(top, part, frame, samples) for part in _MEANING}
+    units = _units(top, parts, samples, clock)
+    nominal = _read_nominal(top, units, clock)
+    _check_fields(top, frame, samples, clock)
+    for key in ("format", "version", "settings", "samples", "clock", "nominal", "emulate"):
+        top.has(key)
+    if not text:
+        for key in ("frame", "parts", "frames", "messages"):
+            top.has(key)
+    if text:
+        top.has("text")
+    top.has("status")
+    top.finish()
+    digest = hashlib.sha256(top.source.text.encode()).hexdigest()
+    factors = {part: factor for part, (_, factor) in parts.items()}
+    return Protocol(
+        name,
+        title,
+        manual,
+        top.source.text,
+        digest,
+        settings,
+        frame,
+        lines,
+        samples,
+        clock,
+        units,
+        factors,
+        nominal,
+        status=top.choice("status", (VERIFIED, DOCUMENT_ONLY), VERIFIED),
+    )
+
+
+def _unit_of(top: Table, part: str, frame: FrameRule | None, samples: SampleRule) -> tuple[str, float]:
+    """Return what unit a part of the sample has and the factor to it."""
+    quantity: Quantity = getattr(samples, part)
+    written = quantity.unit
+    fields = {field.name: field for field in reversed(frame.all_fields())} if frame else {}
+    units = list(dict.fromkeys(fields[name].unit for name in quantity.fields if name in fields))
+    if written is None:
+        written = units[0] if units else _MEANING[part][0]
+    table = top.table("samples")
+    unit, factor = TO_SI.get(written, ("", 0.0))
+    if unit not in _MEANING[part]:
+        known = ", ".join(name for name, (si, _) in TO_SI.items() if si in _MEANING[part])
+        raise table.error(part, f"{written!r} is no unit of this{near(written, TO_SI)}; use one of {known}")
+    other = next((one for one in units if TO_SI.get(one, ("",))[0] != unit), None) if quantity.unit is None else None
+    if other is not None:
+        raise table.error(part, f"its fields are in {written!r} and {other!r}, which cannot be one sample")
+    if quantity.increment and unit in ("m/s^2", "rad/s"):
+        raise table.error(part, f"increments cannot have the unit {written!r}; use m/s, rad, count or pulse")
+    return unit, factor * quantity.scale
+
+
+def _units(top: Table, parts: dict[str, tuple[str, float]], samples: SampleRule, clock: ClockRule) -> SampleUnits:
+    accelerometer, gyroscope = parts["accelerometer"][0], parts["gyroscope"][0]
+    by_velocity = accelerometer in _INCREMENT_UNITS or samples.accelerometer.increment
+    by_angle = gyroscope in _INCREMENT_UNITS or samples.gyroscope.increment
+    if (by_velocity or by_angle) and not clock.rate_hz:
+        raise top.table("clock").error(
+            "rate_hz", "increments need the sample rate, which is 0 (not known); give it, e.g. --set rate_hz=100"
+        )
+    interval_s = 1 / clock.rate_hz if by_velocity or by_angle else None
+    return SampleUnits(accelerometer, gyroscope, by_velocity, by_angle, interval_s)
+
+
+def _read_nominal(top: Table, units: SampleUnits, clock: ClockRule) -> Nominal:
+    table = top.table("nominal")
+    scales: list[float | None] = []
+    ranges: list[float | None] = []
+    for part, unit in (("accelerometer", units.accelerometer), ("gyroscope", units.gyroscope)):
+        scales.append(table.number(f"{part}_scale") if table.has(f"{part}_scale") else 1.0 if unit in SI_UNITS else None)
+        _, factor = TO_SI[table.choice(f"{part}_range_unit", TO_SI, _MEANING[part][0])]
+        ranges.append(table.number(f"{part}_range") * factor if table.has(f"{part}_range") else None)
+    raw_zero = np.full(3, table.number("raw_zero", 0.0))
+    table.finish()
+    return Nominal(scales[0], scales[1], raw_zero, ranges[0], ranges[1], clock.rate_hz or None)
+
+
+def _check_fields(top: Table, frame: FrameRule | None, samples: SampleRule, clock: ClockRule) -> None:
+    """Refuse a name in [samples] or [clock] that no frame has: a typing error would silently lose the value."""
+    if frame is None:
+        return
+    known = {field.name for field in frame.all_fields()}
+    table = top.table("samples")
+    for part in _MEANING:
+        for name in getattr(samples, part).fields:
+            if name not in known:
+                raise table.error(part, f"no frame has a field {name!r}{near(name, known)}")
+    for name in [rule.field for rule in samples.flags] + [name for name, _ in samples.instrument_status]:
+        if name not in known:
+            raise table.error("flags", f"no frame has a field {name!r}{near(name, known)}")
+    for name in (clock.counter_field, clock.time_field, *(time.field for time in clock.times)):
+        if name and name not in known:
+            raise top.table("clock").error("", f"no frame has a field {name!r}{near(name, known)}")

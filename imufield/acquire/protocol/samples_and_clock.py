@@ -1,0 +1,286 @@
+"""The tables of a protocol file as typed objects: lines of text, what values mean in a sample, the clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from imufield.acquire.protocol.checksum import Checksum, make_checksum
+from imufield.acquire.protocol.toml import Table
+from imufield.errors import ProtocolError
+from imufield.samples import INSTRUMENT_STATUS_SHIFT, Status
+
+NANOSECONDS = 1e9
+COLUMNS = ("time", "counter", "ax", "ay", "az", "gx", "gy", "gz", "temperature", "-")
+"""What a number of a line may be; "-" is passed over."""
+
+
+_LEAST_TICKS_PER_S, _MOST_TICKS_PER_S = 1e-3, 1e15
+"""No instrument counts more slowly than every quarter of an hour, or faster than femtoseconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sentence:
+    """A line that begins with a name."""
+
+    name: str
+    columns: tuple[str, ...]
+    """In the order of the line; "-" is passed over, "-ax" is the negative of ax."""
+
+
+@dataclass(frozen=True, slots=True)
+class TextRule:
+    """How lines of numbers are read."""
+
+    columns: tuple[str, ...]
+    """Names in the order of the line; "-" is passed over."""
+    delimiter: str
+    prefix: str
+    comments: tuple[str, ...]
+    sentences: tuple[Sentence, ...] = ()
+    """Kinds of lines that begin with a name of their own; empty: all lines are of one kind."""
+    markers: str = "$"
+    """Characters a sentence may begin with; its name stands behind."""
+    header_end: str = ""
+    """Ends a header that is passed over; empty: the numbers begin behind the name."""
+    checksums: tuple[Checksum, ...] = ()
+    """By the number of digits behind the star; a sentence without one of them is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleWhen:
+    """A scale that holds while status bits of the same frame are set."""
+
+    field: str
+    mask: int
+    scale: float
+
+
+@dataclass(frozen=True, slots=True)
+class TimeRule:
+    """One of several time stamps a stream may have."""
+
+    field: str
+    modulus: int
+    ticks_per_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A part of a sample: the first of these fields that a frame has (or three of one value each)."""
+
+    fields: tuple[str, ...]
+    unit: str | None = None
+    """None: the unit of the field."""
+    increment: bool = False
+    scale: float = 1.0
+    """What the values are multiplied by, besides what their fields say."""
+    scale_when: ScaleWhen | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FlagRule:
+    """Status bits of the instrument that set flags of a sample."""
+
+    field: str
+    mask: int
+    flag: Status
+    when_clear: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class SampleRule:
+    """What fields mean in a sample."""
+
+    accelerometer: Quantity
+    gyroscope: Quantity
+    temperature: Quantity
+    flags: tuple[FlagRule, ...]
+    instrument_status: tuple[tuple[str, int], ...]
+    """Fields and by how many bits they are shifted inside the upper 16 bits of the status."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockRule:
+    """What gives a sample its time."""
+
+    counter_field: str = ""
+    counter_modulus: int = 0
+    counter_ticks_per_s: float = 0.0
+    """0: the counter counts samples and says nothing about time."""
+    counter_steps: tuple[int, ...] = (1,)
+    time_field: str = ""
+    time_modulus: int = 0
+    time_ticks_per_s: float = 1.0
+    rate_hz: float = 0.0
+    """Nominal sample rate; 0: not known beforehand."""
+    counter_jitter: int = 0
+    """By how much a step of the counter may differ from the regular one: it counts time, and rounds."""
+    counter_counts_others: bool = False
+    """The counter also counts messages that are no samples, so it says nothing where there is a time stamp."""
+    times: tuple[TimeRule, ...] = ()
+    """Several time stamps, of which the first that a frame has counts; all are turned into ns."""
+    gaps_told: bool = False
+    """The flags of the samples tell where some are lost, and the time is as it stands."""
+
+
+def read_text(top: Table) -> TextRule:
+    """Read ``[text]``."""
+    table = top.table("text")
+    if table.has("sentences"):
+        return _read_sentences(table)
+    names = tuple(name.strip() for name in table.text("columns").split(","))
+    for name in names:
+        if name not in COLUMNS or (name != "-" and names.count(name) > 1):
+            raise table.error("columns", f"{name!r} is not known or stands there twice; columns are: {', '.join(COLUMNS)}")
+    if not {"ax", "ay", "az"} <= set(names):
+        raise table.error("columns", f"ax, ay and az must be among the columns, but these are: {', '.join(names)}")
+    rule = TextRule(
+        names,
+        table.choice("delimiter", ("auto", "comma", "semicolon", "whitespace"), "auto"),
+        table.text("prefix", ""),
+        tuple(str(comment) for comment in table.items("comments", [])),
+    )
+    table.finish()
+    return rule
+
+
+def _read_sentences(table: Table) -> TextRule:
+    sentences = tuple(_read_sentence(each) for each in table.tables("sentences"))
+    used = {name.lstrip("-") for sentence in sentences for name in sentence.columns}
+    rule = TextRule(
+        tuple(name for name in COLUMNS if name in used and name != "-"),
+        "comma",
+        "",
+        (),
+        sentences,
+        table.text("markers", "$"),
+        table.text("header_end", ""),
+        tuple(_read_text_checksum(each) for each in table.tables("checksums")),
+    )
+    if not rule.markers:
+        raise table.error("markers", "a sentence begins with a marker, e.g. $, but there is none")
+    if not rule.checksums:
+        raise table.error("checksums", "sentences need at least one checksum, e.g. XOR-8")
+    table.finish()
+    return rule
+
+
+def _read_sentence(table: Table) -> Sentence:
+    columns = tuple(name.strip() for name in table.text("columns").split(","))
+    for name in columns:
+        if name.removeprefix("-") not in (*COLUMNS, ""):
+            raise table.error("columns", f"{name!r} is not known; columns are: {', '.join(COLUMNS)}, a minus before turns them")
+    sentence = Sentence(table.text("name"), columns)
+    table.finish()
+    return sentence
+
+
+def _read_text_checksum(table: Table) -> Checksum:
+    start = table.integer("start", 0, (1 << 64) - 1) if table.has("start") else None
+    final = table.integer("final", 0, (1 << 64) - 1) if table.has("final") else None
+    try:
+        checksum = make_checksum(table.text("algorithm"), start=start, final=final)
+    except ProtocolError as error:
+        raise table.error("algorithm", error.message) from error
+    table.finish()
+    return checksum
+
+
+def read_samples(top: Table) -> SampleRule:
+    """Read ``[samples]``."""
+    table = top.table("samples")
+    status = tuple(_read_shift(each) for each in table.tables("instrument_status"))
+    rule = SampleRule(
+        _read_quantity(table.table("accelerometer")),
+        _read_quantity(table.table("gyroscope")),
+        _read_quantity(table.table("temperature")),
+        tuple(_read_flag(each) for each in table.tables("flags")),
+        status,
+    )
+    for key in ("accelerometer", "gyroscope", "temperature"):
+        table.has(key)
+    table.finish()
+    return rule
+
+
+def _read_quantity(table: Table) -> Quantity:
+    quantity = Quantity(
+        tuple(str(name) for name in table.items("fields", [])),
+        table.text("unit") if table.has("unit") else None,
+        table.flag("increment"),
+        table.number("scale", 1.0),
+        _read_scale_when(table.table("scale_when")) if table.has("scale_when") else None,
+    )
+    table.finish()
+    return quantity
+
+
+def _read_scale_when(table: Table) -> ScaleWhen:
+    rule = ScaleWhen(table.text("field"), table.integer("mask", 1, (1 << 63) - 1), table.number("scale"))
+    table.finish()
+    return rule
+
+
+def _read_flag(table: Table) -> FlagRule:
+    names = {flag.name.lower(): flag for flag in Status if flag.name}
+    rule = FlagRule(
+        table.text("field"),
+        table.integer("mask", 1, (1 << 64) - 1),
+        names[table.choice("flag", names)],
+        table.choice("when", ("set", "clear"), "set") == "clear",
+    )
+    table.finish()
+    return rule
+
+
+def _read_shift(table: Table) -> tuple[str, int]:
+    found = table.text("field"), table.integer("shift", 0, 31 - INSTRUMENT_STATUS_SHIFT, 0)
+    table.finish()
+    return found
+
+
+def read_clock(top: Table) -> ClockRule:
+    """Read ``[clock]``."""
+    table = top.table("clock")
+    counter = table.table("counter")
+    several = isinstance(table.plain("time"), list)
+    times = [_read_time(each) for each in (table.tables("time") if several else [table.table("time")])]
+    if several and not all(each.field for each in times):
+        raise table.error("time", "each of several time stamps needs its field")
+    time = _in_nanoseconds(times) if several else times[0]
+    rule = ClockRule(
+        counter.text("field", ""),
+        counter.integer("modulus", 0, 1 << 53, 0),
+        counter.number("ticks_per_s", 0.0),
+        tuple(step for step in counter.items("steps", [1]) if isinstance(step, int) and step > 0),
+        time.field,
+        time.modulus,
+        time.ticks_per_s,
+        table.number("rate_hz", 0.0),
+        counter.integer("jitter", 0, 1 << 16, 0),
+        counter.flag("counts_others"),
+        tuple(times) if several else (),
+        table.flag("gaps_told"),
+    )
+    if rule.counter_ticks_per_s < 0 or rule.rate_hz < 0:
+        raise table.error("ticks_per_s", "rates must be positive")
+    counter.finish()
+    table.finish()
+    return rule
+
+
+def _read_time(table: Table) -> TimeRule:
+    rule = TimeRule(table.text("field", ""), table.integer("modulus", 0, 1 << 53, 0), table.number("ticks_per_s", 1.0))
+    if not _LEAST_TICKS_PER_S <= rule.ticks_per_s <= _MOST_TICKS_PER_S:
+        raise table.error(
+            "ticks_per_s",
+            f"{rule.ticks_per_s:g} is not between {_LEAST_TICKS_PER_S:g} and {_MOST_TICKS_PER_S:g} ticks per second",
+        )
+    table.finish()
+    return rule
+
+
+def _in_nanoseconds(times: list[TimeRule]) -> TimeRule:
+    """Return what several time stamps have in common: the first field, the longest wrap, ns."""
+    longest = max(round(each.modulus * NANOSECONDS / each.ticks_per_s) for each in times)
+    return TimeRule(times[0].field, longest, NANOSECONDS)

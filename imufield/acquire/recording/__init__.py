@@ -1,0 +1,1 @@
+"""Sessions on disk: written first, read again as a link."""

@@ -1,0 +1,256 @@
+"""One part of a recording as a file: walking its records, finding the way again after damage, naming what was lost."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+from mcap.opcode import Opcode
+
+from imufield.acquire.recording.mcap_format import (
+    CHUNK,
+    CHUNK_LIMIT_BYTES,
+    CHUNK_SIGNATURE,
+    END_SIZE,
+    MAGIC,
+    PROFILE,
+    RECORD,
+    SIGNATURE_OFFSET,
+    VERSION,
+    DamageError,
+    read_metadata,
+    unpack_chunk,
+)
+from imufield.errors import Reason, RecordingError
+
+RECORD_LIMIT_BYTES = CHUNK_LIMIT_BYTES + (1 << 20)
+"""Largest record accepted, a packed chunk being a little larger than an unpacked one at worst: limits what is allocated."""
+_SEARCH_BYTES = 1 << 20
+_START_BYTES = 64
+"""Enough for the magic and the Header record up to its profile."""
+_HEAD_LIMIT_BYTES = 64
+"""Header and Channel records have about 35: with a damaged length they must not swallow a chunk."""
+_BYTES_MAY_DIFFER = 2
+"""Damaged bytes at which the start of a file is still taken for ours; foreign files differ in nearly all."""
+
+
+def is_part(path: str | Path) -> bool:
+    """Tell by its first bytes whether a file is a recording of ours."""
+    try:
+        with Path(path).open("rb") as file:
+            start = file.read(_START_BYTES)
+    except OSError:
+        return False
+    profile_at = len(MAGIC) + RECORD.size
+    profile = len(PROFILE).to_bytes(4, "little") + PROFILE.encode()
+    return start.startswith(MAGIC) and start[profile_at : profile_at + len(profile)] == profile
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """A stretch of a part that could not be read.
+
+    Attributes
+    ----------
+    path : Path
+    offset, length_bytes : int
+        Where in the file, and how much was skipped.
+    what : str
+        The sentence for people.
+    torn_end : bool
+        The recording was cut off here: what a killed program leaves behind.
+    """
+
+    path: Path
+    offset: int
+    length_bytes: int
+    what: str
+    torn_end: bool = False
+
+    def __str__(self) -> str:
+        return self.what
+
+
+class PartFile:
+    """A part opened for reading.
+
+    Attributes
+    ----------
+    metadata : dict
+        Known once the first content was read.
+    damage : list of Damage
+    finished : bool
+        Whether the proper end was found.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be opened, or is not a recording.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.metadata: dict[str, Any] = {}
+        self.damage: list[Damage] = []
+        self.finished = False
+        self._in_head = True
+        try:
+            self._file: BinaryIO = path.open("rb")
+        except OSError as error:
+            raise RecordingError(
+                f"{path} cannot be read ({error.strerror}): check the name and its permissions.",
+                Reason.NOT_A_RECORDING,
+                path=str(path),
+            ) from error
+        try:
+            self._size = os.fstat(self._file.fileno()).st_size
+            self._check_start(self._file.read(_START_BYTES))
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        self._file.close()
+
+    def contents(self) -> Iterator[tuple[int, bytes]]:
+        """Yield place and Message records of every sound chunk."""
+        position = len(MAGIC)
+        while position < self._size and not self.finished:
+            self._file.seek(position)
+            try:
+                opcode, body = self._record(position)
+                content = self._handle(opcode, body)
+            except DamageError as error:
+                position = self._skip(position, error)
+                continue
+            if content is not None:
+                yield position, content
+            position += RECORD.size + len(body)
+        if not self.finished and (not self.damage or not self.damage[-1].torn_end):
+            self._note(self._size, 0, f"{self.path} ends without a proper end: the recording was cut off.", torn_end=True)
+
+    def note(self, offset: int, why: str) -> None:
+        """Record that the chunk at ``offset`` is sound in itself but cannot be used."""
+        self._note(offset, 0, f"{self.path}: the chunk at byte {offset} is damaged, {why}.")
+
+    def _record(self, position: int) -> tuple[int, bytes]:
+        """Read one record; the file stands at it."""
+        head = self._file.read(RECORD.size)
+        if len(head) < RECORD.size:
+            raise DamageError("the file ends inside")
+        opcode, length = RECORD.unpack(head)
+        if length > min(RECORD_LIMIT_BYTES, self._size - position - RECORD.size):
+            raise DamageError("the file ends inside")
+        return opcode, self._file.read(length)
+
+    def _handle(self, opcode: int, body: bytes) -> bytes | None:
+        """Take one record in; return the content of a chunk."""
+        if opcode == Opcode.CHUNK:
+            self._in_head = False
+            if len(body) < CHUNK.size:
+                raise DamageError("it is too short")
+            return unpack_chunk(body)
+        if opcode == Opcode.METADATA:
+            self._in_head = False
+            version, self.metadata = read_metadata(body)
+            self._check_version(version)
+        elif opcode == Opcode.DATA_END:
+            # A chunk whose opcode was damaged into this one must not end the reading.
+            self.finished = self._file.tell() == self._size - END_SIZE + RECORD.size + 4
+            if not self.finished:
+                raise DamageError("an end stands in the middle")
+        elif not self._in_head or opcode not in (Opcode.HEADER, Opcode.CHANNEL) or len(body) > _HEAD_LIMIT_BYTES:
+            raise DamageError("its kind is unknown")
+        return None
+
+    def _skip(self, position: int, error: DamageError) -> int:
+        """Note the damage and return where to go on: the next chunk that can be recognised."""
+        follows = self._next_chunk(position + 1)
+        end = self._size if follows is None else follows
+        torn = follows is None
+        what = (
+            f"{self.path} is cut off at byte {position}: {end - position} bytes of an incomplete block are left out."
+            if torn
+            else f"{self.path}: {end - position} bytes at byte {position} are damaged ({error}) and left out."
+        )
+        self._note(position, end - position, what, torn_end=torn)
+        return end
+
+    def _note(self, offset: int, length: int, what: str, *, torn_end: bool = False) -> None:
+        self.damage.append(Damage(self.path, offset, length, what, torn_end))
+
+    def _next_chunk(self, position: int) -> int | None:
+        """Find the next Chunk record at or after ``position`` by its signature and matching lengths."""
+        window_start = position
+        while window_start < self._size:
+            self._file.seek(window_start)
+            # A signature may lie across two windows, with the head it is checked with before it.
+            window = self._file.read(_SEARCH_BYTES + SIGNATURE_OFFSET + CHUNK.size)
+            found = window.find(CHUNK_SIGNATURE, SIGNATURE_OFFSET)
+            while found >= 0:
+                start = found - SIGNATURE_OFFSET
+                if self._is_chunk(window[start : start + RECORD.size + CHUNK.size], window_start + start):
+                    return window_start + start
+                found = window.find(CHUNK_SIGNATURE, found + 1)
+            window_start += _SEARCH_BYTES
+        return self._proper_end(position)
+
+    def _proper_end(self, position: int) -> int | None:
+        """Return where DataEnd, Footer and magic stand, if they do."""
+        start = self._size - END_SIZE
+        if start < position:
+            return None
+        self._file.seek(start)
+        tail = self._file.read(END_SIZE)
+        is_end = tail.startswith(RECORD.pack(Opcode.DATA_END, 4)) and tail.endswith(MAGIC)
+        return start if is_end else None
+
+    def _is_chunk(self, head: bytes, position: int) -> bool:
+        if len(head) < RECORD.size + CHUNK.size:
+            return False
+        opcode, length = RECORD.unpack_from(head)
+        packed_size = CHUNK.unpack_from(head, RECORD.size)[-1]
+        fits = length == CHUNK.size + packed_size and position + RECORD.size + length <= self._size
+        return bool(opcode == Opcode.CHUNK and fits)
+
+    def _check_start(self, start: bytes) -> None:
+        """Refuse what is not ours; a few damaged bytes are forgiven."""
+        expected = MAGIC + bytes([Opcode.HEADER])
+        profile = len(PROFILE).to_bytes(4, "little") + PROFILE.encode()
+        profile_at = len(MAGIC) + RECORD.size
+        there = start[: len(expected)] + start[profile_at : profile_at + len(profile)]
+        differ = sum(a != b for a, b in zip(there, expected + profile, strict=False))
+        if not start:
+            raise self._foreign("is empty")
+        if start[:5] == MAGIC[:5] and start[6:8] == MAGIC[6:8] and start[5] > MAGIC[5] and differ > _BYTES_MAY_DIFFER:
+            raise self._newer(f"MCAP version {chr(start[5])}")
+        if differ > _BYTES_MAY_DIFFER:
+            is_mcap = start.startswith(MAGIC)
+            raise self._foreign("is an MCAP file of another program" if is_mcap else "is not an imufield recording")
+        if differ:
+            self._note(0, len(expected), f"{self.path}: {differ} bytes at its start are damaged, which costs nothing.")
+
+    def _check_version(self, version: int) -> None:
+        if version > VERSION:
+            raise self._newer(f"recording version {version}")
+
+    def _newer(self, what: str) -> RecordingError:
+        return RecordingError(
+            f"{self.path} is of {what}, this imufield reads up to version {VERSION}: update imufield.",
+            Reason.NEWER,
+            path=str(self.path),
+        )
+
+    def _foreign(self, what: str) -> RecordingError:
+        return RecordingError(
+            f"{self.path} {what}: give a session folder or a part-*.mcap of one, `imufield import` takes other files.",
+            Reason.NOT_A_RECORDING,
+            path=str(self.path),
+        )

@@ -1,0 +1,364 @@
+"""Reading recordings: as a stream in file order, whole or torn, sound or damaged.
+
+A part is walked record by record. A chunk whose checksum is wrong is skipped; where a length is damaged and the walk loses its
+way, the next chunk is found by its signature. Either is one ``Damage`` with its place, and everything else is read.
+"""
+
+from __future__ import annotations
+
+import filecmp
+import itertools
+import json
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from imufield.acquire.link.host_clock import HostClock, SystemClock
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.mcap_format import ARRIVAL, EVENTS_CHANNEL, LINK_CHANNEL, DamageError, messages
+from imufield.acquire.recording.part_file import Damage, PartFile
+from imufield.errors import LinkError, Reason, RecordingError, UsageError
+from imufield.samples import FloatArray, IntArray
+
+__all__ = [
+    "Damage",
+    "EndOfRecordingError",
+    "PartStart",
+    "RecordedBlock",
+    "RecordedEvent",
+    "RecordingLink",
+    "read_blocks",
+    "read_part",
+    "read_session",
+]
+
+BLOCK_SPAN_S = 1.0
+"""A block joins at most this much of the wire."""
+SILENCE_S = 0.25
+"""A pause of the wire longer than this ends a block, so that the bytes before it keep their arrival time."""
+
+
+@dataclass(frozen=True, slots=True)
+class PartStart:
+    """The first item of each part. Clocks, counters and half frames do not carry over from the part before.
+
+    Attributes
+    ----------
+    path : Path
+    metadata : dict
+        What the recorder was given; empty where the file is torn or damaged there.
+    """
+
+    path: Path
+    metadata: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedEvent:
+    """One event, in file order between the chunks."""
+
+    event: dict[str, Any]
+    utc_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedBlock:
+    """Consecutive chunks of k reads, joined.
+
+    Attributes
+    ----------
+    data : bytes
+    end : ndarray of int64, shape (k,)
+        Where each chunk ends in ``data``; the last is ``len(data)``.
+    monotonic_s : ndarray, shape (k,)
+        Arrival of the last byte of each chunk.
+    utc_ns : int
+        Arrival of the last chunk.
+    """
+
+    data: bytes
+    end: IntArray
+    monotonic_s: FloatArray
+    utc_ns: int
+
+    @property
+    def arrival_s(self) -> float:
+        """Arrival of the last byte, monotonic clock."""
+        return float(self.monotonic_s[-1])
+
+
+class Parts(Protocol):
+    """What has parts to read: a ``Session``."""
+
+    @property
+    def parts(self) -> list[Path]:
+        """Paths of the parts, in order."""
+        ...
+
+
+class EndOfRecordingError(LinkError):
+    """The recording is read to its end; not a fault."""
+
+
+def read_part(path: str | Path, damage: list[Damage] | None = None) -> Iterator[PartStart | Chunk | RecordedEvent]:
+    """Read one part in file order.
+
+    Parameters
+    ----------
+    path : Path
+    damage : list of Damage, optional
+        Receives what was skipped, and a torn end.
+
+    Raises
+    ------
+    RecordingError
+        Not a recording, a newer version, or the file cannot be read.
+    """
+    for item in _messages_of(Path(path), damage):
+        if isinstance(item, PartStart):
+            yield item
+            continue
+        content, channel, utc_ns, start, end = item
+        if channel == LINK_CHANNEL:
+            (monotonic_s,) = ARRIVAL.unpack_from(content, start)
+            yield Chunk(content[start + ARRIVAL.size : end], monotonic_s, utc_ns)
+        else:
+            yield RecordedEvent(json.loads(content[start:end]), utc_ns)
+
+
+def read_session(session: Parts, damage: list[Damage] | None = None) -> Iterator[PartStart | Chunk | RecordedEvent]:
+    """Read all parts of a session in order.
+
+    Raises
+    ------
+    RecordingError
+        As ``read_part``; a part that ends before its first block is damage, not an error.
+    """
+    for path in _parts_begun(session, damage):
+        yield from read_part(path, damage)
+
+
+def read_blocks(
+    session: Parts, damage: list[Damage] | None = None, *, block_bytes: int = 1 << 20, span_s: float = BLOCK_SPAN_S
+) -> Iterator[PartStart | RecordedBlock | RecordedEvent]:
+    """Read all parts of a session with consecutive chunks joined, which is what decodes fast.
+
+    Parameters
+    ----------
+    session : Session
+    damage : list of Damage, optional
+        Receives what was skipped.
+    block_bytes : int
+        A block is not continued beyond this size.
+    span_s : float
+        Nor beyond this time of the wire, nor over a pause of 0.25 s, nor over an event.
+    """
+    joiner = _Joiner(block_bytes, span_s)
+    for path in _parts_begun(session, damage):
+        for item in _messages_of(path, damage):
+            if isinstance(item, PartStart):
+                yield item
+                continue
+            content, channel, utc_ns, start, end = item
+            if channel == LINK_CHANNEL:
+                (monotonic_s,) = ARRIVAL.unpack_from(content, start)
+                data = content[start + ARRIVAL.size : end]
+                if joiner.must_end_before(monotonic_s, len(data)):
+                    yield joiner.take()
+                joiner.add(data, monotonic_s, utc_ns)
+                continue
+            if joiner.pieces:
+                yield joiner.take()
+            yield RecordedEvent(json.loads(content[start:end]), utc_ns)
+        if joiner.pieces:
+            yield joiner.take()
+
+
+@dataclass(slots=True)
+class _Joiner:
+    """Collects chunks until they make a block."""
+
+    block_bytes: int
+    span_s: float
+    pieces: list[bytes] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
+    size: int = 0
+    utc_ns: int = 0
+
+    def must_end_before(self, monotonic_s: float, size: int) -> bool:
+        return bool(self.pieces) and (
+            self.size + size > self.block_bytes
+            or monotonic_s - self.times[0] > self.span_s
+            or abs(monotonic_s - self.times[-1]) > SILENCE_S
+        )
+
+    def add(self, data: bytes, monotonic_s: float, utc_ns: int) -> None:
+        self.pieces.append(data)
+        self.times.append(monotonic_s)
+        self.size += len(data)
+        self.utc_ns = utc_ns
+
+    def take(self) -> RecordedBlock:
+        ends = np.cumsum(np.fromiter(map(len, self.pieces), dtype=np.int64, count=len(self.pieces)))
+        block = RecordedBlock(b"".join(self.pieces), ends, np.array(self.times), self.utc_ns)
+        self.pieces, self.times, self.size = [], [], 0
+        return block
+
+
+def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
+    """Leave out parts without a byte: what a program leaves that is killed in the moment it creates one; and copies of others.
+
+    A copy would count as evidence of its own and make every uncertainty too small.
+    """
+    begun: dict[Path, int] = {}
+    before = 0
+    for path in session.parts:
+        if damage is not None:
+            damage.extend(_missing_before(path, before))
+        before = _number(path) or before
+        size = _size(path)
+        original = next((other for other in begun if begun[other] == size and filecmp.cmp(path, other, shallow=False)), None)
+        if size and original is None:
+            begun[path] = size
+            yield path
+        elif original is not None:
+            if damage is not None:
+                damage.append(Damage(path, 0, size, f"{path} is a copy of {original.name}, byte for byte, and counts once."))
+        elif damage is not None:
+            damage.append(
+                Damage(path, 0, 0, f"{path} is empty: the program was killed before anything arrived.", torn_end=True)
+            )
+
+
+def _missing_before(path: Path, before: int) -> Iterator[Damage]:
+    """Yield what is gone between two parts: numbers are given one after the other."""
+    number = _number(path) or before + 1
+    if number > before + 1:
+        first, last = (path.with_name(f"part-{one:03d}{path.suffix}") for one in (before + 1, number - 1))
+        gone = f"{first} is" if first == last else f"{first} to {last.name} are"
+        yield Damage(first, 0, 0, f"{gone} gone, and what was recorded there.")
+
+
+def _number(path: Path) -> int:
+    digits = path.stem.rpartition("-")[2]
+    return int(digits) if digits.isdecimal() else 0
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError as error:
+        raise RecordingError(
+            f"{path} cannot be read ({error.strerror}): restore it, or remove it from the session.",
+            Reason.NOT_A_RECORDING,
+            path=str(path),
+        ) from error
+
+
+_Message = tuple[bytes, int, int, int, int]
+
+
+def _messages_of(path: Path, damage: list[Damage] | None) -> Iterator[PartStart | _Message]:
+    """Yield the start of a part, then the messages of our two channels as (content, channel, utc_ns, start, end)."""
+    with PartFile(path) as part:
+        contents = part.contents()
+        # The metadata stand before the first chunk: reading that far makes them known.
+        first = next(contents, None)
+        yield PartStart(path, part.metadata)
+        for offset, content in itertools.chain([] if first is None else [first], contents):
+            try:
+                checked = [message for message in messages(content) if _is_sound(content, message)]
+            except DamageError as error:
+                part.note(offset, f"it is left out because {error}")
+                continue
+            for channel, utc_ns, start, end in checked:
+                yield content, channel, utc_ns, start, end
+        if damage is not None:
+            damage.extend(part.damage)
+
+
+def _is_sound(content: bytes, message: tuple[int, int, int, int]) -> bool:
+    """Tell whether a message is of one of our channels; raise DamageError where it is but cannot be used."""
+    channel, _, start, end = message
+    if channel == EVENTS_CHANNEL:
+        try:
+            is_object = isinstance(json.loads(content[start:end]), dict)
+        except ValueError:
+            is_object = False
+        if not is_object:
+            raise DamageError("an event is not JSON")
+        return True
+    if channel == LINK_CHANNEL and end - start < ARRIVAL.size:
+        raise DamageError("a link message has no arrival time")
+    return channel == LINK_CHANNEL
+
+
+class RecordingLink:
+    """A recording that poses as a link.
+
+    Parameters
+    ----------
+    session : Session or iterable of parts
+        What to read.
+    pace : float, optional
+        1 delivers as fast as it was recorded, 8 eight times faster; as fast as possible by default.
+    clock : HostClock, optional
+        Waits for the pace.
+    """
+
+    def __init__(self, session: Parts | Iterable[Path], *, pace: float | None = None, clock: HostClock | None = None) -> None:
+        if pace is not None and not pace > 0.0:
+            raise UsageError(f"a pace of {pace:g} cannot be replayed: give a number larger than 0.", pace=pace)
+        paths = list(session) if isinstance(session, Iterable) else session.parts
+        self.name = str(paths[0].parent) if paths else "recording"
+        self.damage: list[Damage] = []
+        self._items = itertools.chain.from_iterable(read_part(path, self.damage) for path in paths)
+        self._pace = pace
+        self._clock = clock or SystemClock()
+        self._offset_s: float | None = None
+        self.has_arrival_times = True
+        """Whether what was read so far says when it arrived; an imported dump does not, and has no pace."""
+
+    def read(self) -> Chunk | None:
+        """Return the next chunk with the arrival times of the recording.
+
+        Raises
+        ------
+        EndOfRecordingError
+            There is no more.
+        RecordingError
+            As ``read_part``.
+        """
+        for item in self._items:
+            if isinstance(item, PartStart):
+                self._offset_s = None
+            elif isinstance(item, Chunk):
+                self._wait_for(item.monotonic_s)
+                return item
+        raise EndOfRecordingError(f"{self.name} is read to its end.", Reason.DISCONNECTED)
+
+    def write(self, data: bytes) -> None:
+        """Refuse: a recording takes no commands."""
+        raise LinkError(f"{self.name} is a recording and takes no commands ({len(data)} bytes).", Reason.USAGE)
+
+    def close(self) -> None:
+        """Stop reading; may be called again."""
+        self._items = itertools.chain()
+
+    def _wait_for(self, monotonic_s: float) -> None:
+        if math.isnan(monotonic_s):
+            self.has_arrival_times = False
+            return
+        if self._pace is None:
+            return
+        due_s = monotonic_s / self._pace
+        now_s = self._clock.monotonic_s()
+        if self._offset_s is None:
+            self._offset_s = now_s - due_s
+        wait_s = due_s + self._offset_s - now_s
+        if wait_s > 0.0:
+            self._clock.sleep(wait_s)

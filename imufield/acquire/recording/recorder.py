@@ -1,0 +1,235 @@
+"""The recorder: what the wire said goes to disk first, and any prefix of the file can be read.
+
+``write_chunk`` only appends to a list; a thread of its own packs, writes and syncs every half second, so that a slow disk
+never makes the wire wait. What that guarantees: a killed program loses what came in the last half second (plus the time of
+one write), a power cut what came since the last sync, on disks that keep the promise of fsync. An error of the thread is
+raised by the next call.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from itertools import count
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from imufield.acquire.link.host_clock import HostClock, SystemClock
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.mcap_format import (
+    CHUNK_LIMIT_BYTES,
+    chunk_record,
+    end_of_part,
+    event_message,
+    link_message,
+    start_of_part,
+)
+from imufield.errors import Reason, RecordingError
+from imufield.files import sync_folder
+
+SYNC_INTERVAL_S = 0.3
+"""With the time of one fsync, well below the one second that a crash may cost."""
+BLOCK_BYTES = 1 << 20
+"""A block is packed early when this much waits: bounds the memory, and what one damaged byte can cost."""
+BACKLOG_LIMIT_BYTES = 16 << 20
+"""Two minutes of a 1 Mbit/s wire: longer than a disk stalls. Beyond it the caller waits."""
+MESSAGE_LIMIT_BYTES = CHUNK_LIMIT_BYTES - BLOCK_BYTES
+"""One message more must not lift a block over what the reader accepts."""
+
+_FULL = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
+
+
+class Recorder:
+    """Writes one part of a session; safe to use from several threads.
+
+    Parameters
+    ----------
+    path : Path
+        Must not exist: nothing is ever overwritten.
+    metadata : mapping
+        All that is needed to decode the part without the outside: driver, protocol text and its hash, settings, port,
+        identity, software. JSON-compatible values.
+    clock : HostClock, optional
+        Stamps the events; the system's clock by default.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be created (``DISK_FULL``, ``DAMAGED``).
+    """
+
+    def __init__(self, path: str | Path, metadata: Mapping[str, object], *, clock: HostClock | None = None) -> None:
+        self.path = Path(path)
+        self._clock = clock or SystemClock()
+        self._file = _create(self.path, start_of_part(metadata))
+        self._changed = threading.Condition()
+        self._waiting: list[bytes] = []
+        self._waiting_bytes = 0
+        self._sequence = count()
+        self._closing = False
+        self._failure: Exception | None = None
+        self._failure_told = False
+        self._thread = threading.Thread(target=self._run, name=f"recorder {self.path.name}", daemon=True)
+        self._thread.start()
+
+    def write_chunk(self, chunk: Chunk) -> None:
+        """Record what one read returned.
+
+        Raises
+        ------
+        RecordingError
+            If something recorded before could not be written: disk full, file deleted, disk failing.
+        """
+        self._append(link_message(chunk.data, chunk.monotonic_s, chunk.utc_ns, next(self._sequence)))
+
+    def write_event(self, event: Mapping[str, object], *, utc_ns: int | None = None) -> None:
+        """Record a guide event, an operator's mark or a fault of the link, stamped now unless ``utc_ns`` is given.
+
+        Raises
+        ------
+        RecordingError
+            As ``write_chunk``.
+        """
+        moment = self._clock.utc_ns() if utc_ns is None else utc_ns
+        self._append(event_message(event, moment, next(self._sequence)))
+
+    def close(self) -> None:
+        """Write what waits and the proper end; may be called again.
+
+        Raises
+        ------
+        RecordingError
+            If writing failed and no call has said so yet.
+        """
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join()
+        if self._failure is not None and not self._failure_told:
+            self._tell()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        self.close()
+
+    def _append(self, message: bytes) -> None:
+        if len(message) > MESSAGE_LIMIT_BYTES:
+            raise ValueError(f"a message of {len(message)} bytes is too long to be read again: write it in pieces")
+        with self._changed:
+            while self._waiting_bytes > BACKLOG_LIMIT_BYTES and self._failure is None:
+                self._changed.wait()
+            if self._failure is not None:
+                self._tell()
+            if self._closing:
+                raise ValueError("the recorder is closed")
+            self._waiting.append(message)
+            self._waiting_bytes += len(message)
+            if self._waiting_bytes >= BLOCK_BYTES:
+                self._changed.notify_all()
+
+    def _tell(self) -> None:
+        if self._failure is not None:
+            self._failure_told = True
+            raise self._failure
+
+    def _run(self) -> None:
+        try:
+            while self._write_waiting():
+                pass
+            self._write(end_of_part())
+            self._sync()
+        except OSError as error:
+            self._fail(_cannot_write(self.path, error))
+        except Exception as error:  # noqa: BLE001 - top of a thread: a defect here must reach the caller, too
+            self._fail(error)
+        finally:
+            with suppress(OSError):
+                os.close(self._file)
+
+    def _write_waiting(self) -> bool:
+        """Wait for the interval, or for a full block, then write; return whether to go on."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._closing or self._waiting_bytes >= BLOCK_BYTES, SYNC_INTERVAL_S)
+            taken, self._waiting, self._waiting_bytes = self._waiting, [], 0
+            closing = self._closing
+            self._changed.notify_all()
+        for messages in _blocks(taken):
+            self._write(chunk_record(messages))
+        if taken:
+            self._sync()
+        return not closing
+
+    def _write(self, data: bytes) -> None:
+        _write_all(self._file, data)
+
+    def _sync(self) -> None:
+        os.fsync(self._file)
+        # An open file can be deleted on POSIX; writing would go on into nothing.
+        if os.fstat(self._file).st_nlink == 0:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self.path))
+
+    def _fail(self, failure: Exception) -> None:
+        with self._changed:
+            self._failure = failure
+            self._changed.notify_all()
+
+
+def _create(path: Path, content: bytes) -> int:
+    """Create a file that does not exist yet, make it durable and return its descriptor."""
+    try:
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    try:
+        _write_all(file, content)
+        os.fsync(file)
+        sync_folder(path.parent)
+    except OSError as error:
+        os.close(file)
+        path.unlink(missing_ok=True)
+        raise _cannot_write(path, error) from error
+    return file
+
+
+def _write_all(file: int, data: bytes) -> None:
+    """Write all bytes; a disk that fills up takes some of them first."""
+    rest = memoryview(data)
+    while rest:
+        rest = rest[os.write(file, rest) :]
+
+
+def _blocks(messages: list[bytes]) -> Iterator[list[bytes]]:
+    """Cut a backlog into blocks of about ``BLOCK_BYTES``."""
+    block: list[bytes] = []
+    size = 0
+    for message in messages:
+        block.append(message)
+        size += len(message)
+        if size >= BLOCK_BYTES:
+            yield block
+            block, size = [], 0
+    if block:
+        yield block
+
+
+def _cannot_write(path: Path, error: OSError) -> RecordingError:
+    if error.errno in _FULL:
+        return RecordingError(
+            f"{path} cannot grow, the disk or its quota is full ({error.strerror}): free some space and resume the session; "
+            "everything before the last second is safe.",
+            Reason.DISK_FULL,
+            path=str(path),
+        )
+    if isinstance(error, FileExistsError):
+        what = "exists already and a recording is never overwritten: choose another session folder"
+    elif isinstance(error, FileNotFoundError):
+        what = "is not there or was deleted while recording: check the folder and start a new session"
+    else:
+        what = f"cannot be written ({error.strerror}): check the disk and the permissions of the folder"
+    return RecordingError(f"{path} {what}.", Reason.DAMAGED, path=str(path), errno=error.errno)

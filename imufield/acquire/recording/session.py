@@ -1,0 +1,463 @@
+"""Session folders: ``session.toml``, ``part-001.mcap``, ``part-002.mcap`` (one part per run), results beside them."""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+import re
+import sys
+import tomllib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime, timedelta
+from enum import Enum
+from pathlib import Path, PurePath
+from typing import Any, Self
+
+import numpy as np
+import tomli_w
+
+from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M
+from imufield.errors import Reason, RecordingError
+from imufield.files import read_small_file, sync_folder, write_atomically
+from imufield.samples import ACCELEROMETER_COLUMNS, LARGEST_OUTPUT
+from imufield.version import __version__
+
+FORMAT = "imufield-session"
+VERSION = 1
+SETTINGS_FILE = "session.toml"
+LOCK_FILE = "session.lock"
+DEFAULT_ROOT = Path("imufield-sessions")
+
+KEYS: Mapping[str, type | tuple[type, ...]] = {
+    "format": str,
+    "version": int,
+    "created": str,
+    "software": str,
+    "model": str,
+    "name": str,
+    "kind": str,
+    "finished": bool,
+    "scheme": str,
+    "notes": list,
+    "instrument": dict,
+    "link": dict,
+    "protocol": dict,
+    "settings": dict,
+    "units": dict,
+    "nominal": dict,
+    "guide": dict,
+    "site": dict,
+    "import": dict,
+}
+"""What ``session.toml`` may hold: ``kind`` is "capture", "record" or "import"; tables are filled by those who use them."""
+
+NUMBERS: Mapping[str, tuple[str, ...]] = {
+    "site": ("gravity_m_s2", "gravity_sigma_m_s2", "latitude_deg", "height_m"),
+    "guide": ("hold_s", "target_bias_ug", "target_scale_ppm", "earlier_scale_raw", "earlier_scale_sigma"),
+}
+"""Keys inside the tables that a person may edit and a program computes with; those of the guide are larger than zero."""
+
+RANGES: Mapping[str, tuple[float, float]] = {
+    "site.gravity_m_s2": GRAVITY_RANGE_M_S2,
+    "site.latitude_deg": (-90.0, 90.0),
+    "site.height_m": HEIGHT_RANGE_M,
+    "nominal.raw_zero": (-LARGEST_OUTPUT, LARGEST_OUTPUT),
+}
+INSTRUMENT_KEYS = ("driver", "model", "serial_number", "firmware")
+
+_PART = re.compile(r"part-(\d{3,})\.mcap")
+_FOLDER = re.compile(r"\d{8}T\d{6}Z-.+")
+_STAMP = "%Y%m%dT%H%M%SZ"
+
+
+class Session:
+    """One session folder.
+
+    Parameters
+    ----------
+    folder : Path
+    metadata : dict
+        Content of ``session.toml``.
+
+    Notes
+    -----
+    Made by ``create``, ``open`` and ``newest``.
+    """
+
+    def __init__(self, folder: Path, metadata: dict[str, Any]) -> None:
+        self.folder = folder
+        self.metadata = metadata
+
+    @classmethod
+    def create(
+        cls, root: str | Path, model: str, metadata: Mapping[str, object] | None = None, *, now: datetime | None = None
+    ) -> Self:
+        """Make ``<root>/<UTC>-<model>/`` with its ``session.toml``.
+
+        Raises
+        ------
+        RecordingError
+            The folder cannot be made, or a key of ``metadata`` is unknown.
+        """
+        moment = now or datetime.now(UTC)
+        content = _new_metadata(model, metadata or {}, moment)
+        try:
+            folder = _make_folder(Path(root), model, moment)
+        except OSError as error:
+            raise _cannot_write(Path(root), error) from error
+        return cls._written(folder, content)
+
+    @classmethod
+    def create_in(cls, folder: str | Path, model: str, metadata: Mapping[str, object] | None = None) -> Self:
+        """Make a session in a folder of the user's choice, which must be empty or absent.
+
+        Raises
+        ------
+        RecordingError
+            There is something in the folder, it cannot be made, or a key of ``metadata`` is unknown.
+        """
+        folder = Path(folder)
+        content = _new_metadata(model, metadata or {}, datetime.now(UTC))
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            is_empty = not any(folder.iterdir())
+        except OSError as error:
+            raise _cannot_write(folder, error) from error
+        if not is_empty:
+            what = "holds a session already" if (folder / SETTINGS_FILE).exists() else "is not empty"
+            raise RecordingError(
+                f"{folder} {what} and nothing is overwritten: choose a new folder.",
+                Reason.UNFINISHED if (folder / SETTINGS_FILE).exists() else Reason.FOREIGN,
+                folder=str(folder),
+            )
+        return cls._written(folder, content)
+
+    @classmethod
+    def _written(cls, folder: Path, content: dict[str, Any]) -> Self:
+        session = cls(folder, content)
+        session._write()
+        sync_folder(folder.parent)
+        return session
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Self:
+        """Open an existing session; its ``session.toml`` may be given as well.
+
+        Raises
+        ------
+        RecordingError
+            No session there, or its ``session.toml`` is damaged, newer or has unknown keys.
+        """
+        folder = Path(folder)
+        if folder.name == SETTINGS_FILE:
+            folder = folder.parent
+        path = folder / SETTINGS_FILE
+        try:
+            content = tomllib.loads(read_small_file(path).decode())
+        except (FileNotFoundError, NotADirectoryError) as error:
+            raise RecordingError(
+                f"{folder} is no session, it has no {SETTINGS_FILE}: give the folder that `imufield capture` or `import` made.",
+                Reason.NOT_A_RECORDING,
+                folder=str(folder),
+            ) from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise RecordingError(f"{path} cannot be read ({error}): restore it.", Reason.DAMAGED, path=str(path)) from error
+        except OSError as error:
+            raise RecordingError(
+                f"{path} cannot be read ({error.strerror}): check its permissions.", Reason.DAMAGED, path=str(path)
+            ) from error
+        _check(content, path)
+        return cls(folder, content)
+
+    @classmethod
+    def newest(cls, root: str | Path = DEFAULT_ROOT) -> Self:
+        """Open the newest session below ``root``.
+
+        Raises
+        ------
+        RecordingError
+            There is none.
+        """
+        folders = cls.newest_first(root)
+        if not folders:
+            raise RecordingError(
+                f"there is no session in {root}: make one with `imufield capture` or `imufield import`, or name its folder.",
+                Reason.NOT_A_RECORDING,
+                root=str(root),
+            )
+        return cls.open(folders[0])
+
+    @staticmethod
+    def newest_first(root: str | Path = DEFAULT_ROOT) -> list[Path]:
+        """Return the folders below ``root`` that have the name and the ``session.toml`` of a session, newest first."""
+        folders = [path.parent for path in Path(root).glob(f"*/{SETTINGS_FILE}") if _FOLDER.fullmatch(path.parent.name)]
+        # Names start with the time of creation, and no two of them with the same.
+        return sorted(folders, key=lambda folder: folder.name, reverse=True)
+
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self.folder.resolve().name
+
+    @property
+    def parts(self) -> list[Path]:
+        """Paths of the parts, in the order of their numbers."""
+        return [self.folder / name for _, name in sorted(self._numbered_parts())]
+
+    @property
+    def finished(self) -> bool:
+        """Whether the session was ended by its program; an unfinished one can be resumed."""
+        return bool(self.metadata.get("finished", False))
+
+    @property
+    def serial_number(self) -> str:
+        """Of the instrument; empty where it is not known."""
+        instrument = self.metadata.get("instrument", {})
+        return str(instrument.get("serial_number", "")) if isinstance(instrument, dict) else ""
+
+    def add_part(self) -> Path:
+        """Return the path of the next part; the recorder creates it and refuses to overwrite."""
+        last = max((number for number, _ in self._numbered_parts()), default=0)
+        return self.folder / f"part-{last + 1:03d}.mcap"
+
+    def update(self, changes: Mapping[str, object] | None = None, /, **more: object) -> None:
+        """Set keys of ``session.toml``, replacing it in one step.
+
+        Raises
+        ------
+        RecordingError
+            A key is unknown, or the file cannot be written; nothing has changed then.
+        """
+        content = _plain_table({**self.metadata, **(changes or {}), **more})
+        _check(content, self.folder / SETTINGS_FILE)
+        before, self.metadata = self.metadata, content
+        try:
+            self._write()
+        except RecordingError:
+            self.metadata = before
+            raise
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Keep other programs from recording into this session.
+
+        The lock belongs to the open file: it ends with the program, however that ends.
+
+        Raises
+        ------
+        RecordingError
+            Another program holds it (``LOCKED``).
+        """
+        path = self.folder / LOCK_FILE
+        try:
+            file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        except OSError as error:
+            raise _cannot_write(path, error) from error
+        try:
+            self._take_lock(file)
+            yield
+        finally:
+            os.close(file)
+
+    @property
+    def is_being_recorded(self) -> bool:
+        """Whether a program holds the lock now."""
+        try:
+            file = os.open(self.folder / LOCK_FILE, os.O_RDWR)
+        except OSError:
+            # Never recorded here, or not ours to write: whoever records made it for all.
+            return False
+        try:
+            return not _lock(file)
+        finally:
+            os.close(file)
+
+    def _take_lock(self, file: int) -> None:
+        if not _lock(file):
+            holder = os.pread(file, 20, 0).decode(errors="replace") if hasattr(os, "pread") else ""
+            who = f"process {holder}" if holder.isdigit() else "another program"
+            raise RecordingError(
+                f"{self.folder} is being recorded by {who}: wait for it to end, or choose another session.",
+                Reason.LOCKED,
+                folder=str(self.folder),
+            )
+        with suppress(OSError):
+            os.ftruncate(file, 0)
+            os.write(file, str(os.getpid()).encode())
+
+    def _numbered_parts(self) -> list[tuple[int, str]]:
+        found = ((_PART.fullmatch(path.name), path.name) for path in self.folder.iterdir())
+        return [(int(match.group(1)), name) for match, name in found if match]
+
+    def _write(self) -> None:
+        path = self.folder / SETTINGS_FILE
+        try:
+            write_atomically(path, tomli_w.dumps(self.metadata).encode())
+        except OSError as error:
+            raise _cannot_write(path, error) from error
+
+
+def _new_metadata(model: str, metadata: Mapping[str, object], moment: datetime) -> dict[str, Any]:
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "created": moment.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
+        "software": f"imufield {__version__}",
+        "model": model,
+        "finished": False,
+        **metadata,
+    }
+    content = _plain_table(content)
+    _check(content, Path(SETTINGS_FILE))
+    return content
+
+
+def _plain_table(table: Mapping[str, object]) -> dict[str, Any]:
+    """Return the table with values TOML knows: no NumPy types, and no None, which is left out."""
+    return {str(key): _plain(value) for key, value in table.items() if value is not None}
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return _plain_table(value)
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, Enum):
+        return value.value
+    return str(value) if isinstance(value, PurePath) else value
+
+
+def _make_folder(root: Path, model: str, moment: datetime) -> Path:
+    """Create a folder whose time stamp no other session has: of two in one second the later one gets the next second."""
+    root.mkdir(parents=True, exist_ok=True)
+    suffix = re.sub(r"[^A-Za-z0-9._+-]+", "-", model).strip("-.") or "imu"
+    moment = moment.astimezone(UTC)
+    while True:
+        stamp = moment.strftime(_STAMP)
+        folder = root / f"{stamp}-{suffix}"
+        if not any(root.glob(f"{stamp}-*")):
+            with suppress(FileExistsError):
+                folder.mkdir()
+                return folder
+        moment += timedelta(seconds=1)
+
+
+def _check(content: Mapping[str, Any], path: Path) -> None:
+    """Refuse what is foreign, newer or unknown."""
+    if content.get("format") != FORMAT:
+        raise RecordingError(
+            f'{path} is no session file, its format is {content.get("format")!r} and not "{FORMAT}": name another folder.',
+            Reason.FOREIGN,
+            path=str(path),
+        )
+    version = content.get("version")
+    if not isinstance(version, int) or version > VERSION:
+        raise RecordingError(
+            f"{path} is of version {version}, this imufield reads up to {VERSION}: update imufield.",
+            Reason.NEWER,
+            path=str(path),
+            version=version,
+            limit=VERSION,
+        )
+    for key, value in content.items():
+        if key not in KEYS:
+            raise RecordingError(f"{path} has the unknown key `{key}`: remove it.", Reason.UNKNOWN_KEY, path=str(path), key=key)
+        if not isinstance(value, KEYS[key]):
+            raise RecordingError(
+                f"{path} has a value of the wrong type under `{key}`: {value!r}; correct it.",
+                Reason.DAMAGED,
+                path=str(path),
+                key=key,
+            )
+    for key in ("created", "model", "finished"):
+        if key not in content:
+            raise RecordingError(f"{path} lacks the key `{key}`: restore it.", Reason.DAMAGED, path=str(path), key=key)
+    _check_instrument(content, path)
+    _check_numbers(content, path)
+    _check_settings(content, path)
+
+
+def _check_instrument(content: Mapping[str, Any], path: Path) -> None:
+    for key in content.get("instrument", {}):
+        if key not in INSTRUMENT_KEYS:
+            raise RecordingError(
+                f"{path} has the unknown key `instrument.{key}`; known are {', '.join(INSTRUMENT_KEYS)}: remove it.",
+                Reason.UNKNOWN_KEY,
+                path=str(path),
+                key=key,
+            )
+
+
+def _is_triad(value: object) -> bool:
+    return isinstance(value, list) and len(value) == len(ACCELEROMETER_COLUMNS)
+
+
+def _check_settings(content: Mapping[str, Any], path: Path) -> None:
+    for key, value in content.get("settings", {}).items():
+        if not isinstance(value, dict) or "value" not in value:
+            raise RecordingError(
+                f"{path} has {value!r} under `settings.{key}`, which is a table with value and origin: restore it.",
+                Reason.DAMAGED,
+                path=str(path),
+                key=key,
+            )
+
+
+def _check_numbers(content: Mapping[str, Any], path: Path) -> None:
+    """Refuse what nothing can be computed with."""
+    entries = [(f"{table}.{key}", content.get(table, {}).get(key)) for table, keys in NUMBERS.items() for key in keys]
+    zero = content.get("nominal", {}).get("raw_zero")
+    if zero is not None:
+        entries += [("nominal.raw_zero", value) for value in (zero if _is_triad(zero) else [zero])]
+    for key, value in entries:
+        if value is None:
+            continue
+        is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        low, high = RANGES.get(key, (-math.inf, math.inf))
+        limits = f" ({low:g} to {high:g})" if key in RANGES else ""
+        if not is_number or not low <= value <= high or (key.startswith("guide.") and value <= 0):
+            raise RecordingError(
+                f"{path} has {value!r} under `{key}`, which is no possible value{limits}: correct it, or remove the line.",
+                Reason.DAMAGED,
+                path=str(path),
+                key=key,
+            )
+
+
+def _cannot_write(path: Path, error: OSError) -> RecordingError:
+    return RecordingError(
+        f"{path} cannot be written ({error.strerror}): check the disk space and the permissions of the folder.",
+        Reason.DISK_FULL if error.errno in (errno.ENOSPC, errno.EFBIG) else Reason.DAMAGED,
+        path=str(path),
+        errno=error.errno,
+    )
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    # Windows locks bytes, and locked bytes cannot be read: one far behind the process number.
+    _LOCKED_BYTE = 1 << 20
+
+    def _lock(file: int) -> bool:
+        os.lseek(file, _LOCKED_BYTE, os.SEEK_SET)
+        try:
+            msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        os.lseek(file, 0, os.SEEK_SET)
+        return True
+
+else:
+    import fcntl
+
+    def _lock(file: int) -> bool:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True

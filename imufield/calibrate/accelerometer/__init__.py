@@ -1,0 +1,1 @@
+"""The accelerometer from still positions: start, fit, choice of the model, quality."""

@@ -1,0 +1,117 @@
+"""One least-squares fit of one model in the lower gauge, with weights from the data themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imufield.calibrate.model.models import norm_derivatives
+from imufield.calibrate.model.observability import parameter_scale
+from imufield.calibrate.model.result import QuadraticAxes
+from imufield.calibrate.model.uncertainty import between_position_sigma, within_variance
+from imufield.calibrate.solvers.base import SolverResult
+from imufield.calibrate.solvers.costs import NormProblem
+from imufield.calibrate.solvers.least_squares import Loss, solve_least_squares
+from imufield.samples import FloatArray
+
+_REWEIGHTINGS = 4
+"""At most; where tau has not settled by then, the last weights count."""
+_SETTLED = 1e-3
+"""Relative change of tau at which weights count as settled: it moves parameters by far less than their sigma."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitData:
+    """What every fit of one calibration shares."""
+
+    raw: FloatArray
+    """Zeroed mean outputs, shape (m, 3)."""
+    covariance_raw: FloatArray | None
+    """Shape (m, 3, 3); None where it is not known."""
+    gravity_m_s2: float
+    quadratic_axes: QuadraticAxes
+    loss: Loss = "linear"
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A fitted model: ``vector = origin + basis z``."""
+
+    vector: FloatArray
+    basis: FloatArray
+    """Shape (15, n)."""
+    residual_m_s2: FloatArray
+    """norm(a) - g, shape (m,)."""
+    jacobian: FloatArray
+    """d residual / d z, shape (m, n)."""
+    sigma_m_s2: FloatArray
+    """s_i, shape (m,)."""
+    tau_m_s2: float
+    solved: SolverResult
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Positions less fitted parameters."""
+        positions, parameters = self.jacobian.shape
+        return int(positions - parameters)
+
+    @property
+    def effective_degrees_of_freedom(self) -> float:
+        """Degrees of freedom of the sigmas; there must be residuals to spare.
+
+        Only tau is estimated from the few residuals; the noise within a hold is known from thousands of samples. Welch and
+        Satterthwaite's rule for such a sum, with tau^2 one standard error of a variance larger: a zero from few residuals
+        does not show that there is none.
+        """
+        found = np.mean(self.tau_m_s2**2 / self.sigma_m_s2**2)
+        share = min(1.0, float(found) + np.sqrt(2 / self.degrees_of_freedom))
+        return float(self.degrees_of_freedom / share**2)
+
+
+def column_basis(vector: FloatArray, free: tuple[int, ...], gravity_m_s2: float) -> FloatArray:
+    """Return the basis that frees some of the 15 parameters, scaled to m/s^2 at 1 g, shape (15, n)."""
+    return np.diag(parameter_scale(vector, gravity_m_s2))[:, list(free)]
+
+
+def fit(data: FitData, origin: FloatArray, basis: FloatArray) -> Fit:
+    """Fit ``origin + basis z``: first unweighted, then with s_i^2 = within^2 + tau^2 until tau settles.
+
+    Parameters
+    ----------
+    data : FitData
+    origin : ndarray, shape (15,)
+    basis : ndarray, shape (15, n)
+    """
+    m = len(data.raw)
+    problem = NormProblem(data.raw, data.gravity_m_s2, np.ones(m), origin, basis, data.quadratic_axes)
+    solved = solve_least_squares(problem, loss="linear")
+    current = _evaluate(data, problem, solved)
+    evaluations = solved.evaluations
+    for _ in range(_REWEIGHTINGS if data.covariance_raw is not None or data.loss != "linear" else 0):
+        problem = replace(problem, origin=current.vector, sigma_m_s2=current.sigma_m_s2)
+        solved = solve_least_squares(problem, loss=data.loss)
+        evaluations += solved.evaluations
+        before, current = current, _evaluate(data, problem, solved)
+        if abs(current.tau_m_s2 - before.tau_m_s2) <= _SETTLED * before.tau_m_s2:
+            break
+    return replace(current, solved=replace(solved, evaluations=evaluations, cost=_chi_squared(current)))
+
+
+def _evaluate(data: FitData, problem: NormProblem, solved: SolverResult) -> Fit:
+    vector = problem.vector(solved.x)
+    derivatives = norm_derivatives(vector, data.raw, data.quadratic_axes)
+    residual = derivatives.norm - data.gravity_m_s2
+    jacobian = derivatives.jacobian @ problem.basis
+    within = np.zeros(len(residual))
+    if data.covariance_raw is not None:
+        within = within_variance(derivatives.raw_gradient, data.covariance_raw)
+    tau = between_position_sigma(residual, jacobian, within)
+    sigma = np.sqrt(within + tau**2)
+    # Without covariances and without redundancy nothing says how sure a position is; equal weights then.
+    sigma = np.where(sigma > 0, sigma, 1.0)
+    return Fit(vector, problem.basis, residual, jacobian, sigma, tau, solved)
+
+
+def _chi_squared(fitted: Fit) -> float:
+    return float(np.sum((fitted.residual_m_s2 / fitted.sigma_m_s2) ** 2))

@@ -1,0 +1,273 @@
+"""Other methods than least squares for a calibration, and their agreement as proof.
+
+The model, the gauge, the weights and the uncertainties are those of ``calibrate_accelerometer``; a method only looks for the
+parameters again, from its own start (the preset, or the outputs' extremes without one), in whitened coordinates, and minimises
+the cost of its paper.
+
+Sigma is that of the fit alone. Uncertainty of gravity is common to all methods and must not hide a disagreement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imufield.calibrate.accelerometer.fit import FitData
+from imufield.calibrate.accelerometer.model_choice import find_origin
+from imufield.calibrate.accelerometer.whitening import whitened_problem
+from imufield.calibrate.model.gauge import change_gauge, intrinsic, make_intrinsic
+from imufield.calibrate.model.models import MISALIGNMENT, PARAMETERS, QUADRATIC, SCALE, from_vector, norm_derivatives, to_vector
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import AccelerometerParameters, Calibration, Quality, SolverSummary
+from imufield.calibrate.model.uncertainty import known_covariance, within_variance
+from imufield.calibrate.solvers.agreement import CROSS_CHECKED, LEAST_SQUARES, Attempt, CrossCheck, compare
+from imufield.calibrate.solvers.base import Callback, SolverResult
+from imufield.calibrate.solvers.costs import CostName, NormProblem
+from imufield.calibrate.solvers.least_squares import solve_least_squares
+from imufield.calibrate.solvers.registry import find_method, load_solver
+from imufield.samples import FloatArray
+
+GAUGE_FREE_NAMES = tuple(
+    f"intrinsic.{kind}.{axis}"
+    for kind, axes in (("scale", "xyz"), ("bias_raw", "xyz"), ("angle_rad", ("xy", "xz", "yz")), ("quadratic", "xyz"))
+    for axis in axes
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """A calibration's problem, ready to be solved again by any method."""
+
+    calibration: Calibration
+    problem: NormProblem
+    """In whitened coordinates, from a start that knows nothing of the calibration; weighted cost."""
+    vector: FloatArray
+    """The calibration's parameters, shape (15,)."""
+    preset: FloatArray | None
+    free: tuple[int, ...]
+    """Parameters that may move."""
+
+    def with_cost(self, cost_name: CostName) -> NormProblem:
+        """Return the problem with another cost."""
+        return replace(self.problem, cost_name=cost_name)
+
+    def in_gauge(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return parameters that were found, and the basis of the coordinates, in the calibration's gauge."""
+        change = change_gauge(vector, self.calibration.gauge, self.preset)
+        return change.vector, change.jacobian @ self.problem.basis
+
+    def gauge_free_sigma(self) -> FloatArray:
+        """Return 1 sigma of the 12 gauge-free numbers from the fit alone, shape (12,); 0 where a number is not fitted."""
+        at_fit = norm_derivatives(self.vector, self.problem.raw, self.problem.quadratic_axes)
+        change = change_gauge(self.problem.origin, self.calibration.gauge, self.preset)
+        basis = change.jacobian @ self.problem.basis
+        A = (at_fit.jacobian @ basis) / self.problem.sigma_m_s2[:, None]
+        J = intrinsic(self.vector, self.problem.quadratic_axes)[1] @ basis
+        return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", J, np.linalg.inv(A.T @ A), J)))
+
+
+def restart(observations: Observations, calibration: Calibration, preset: AccelerometerParameters | None = None) -> Restart:
+    """Return the problem behind a calibration, to be solved again.
+
+    Parameters
+    ----------
+    observations : Observations
+        The ones it was calibrated from.
+    calibration : Calibration
+    preset : AccelerometerParameters, optional
+        The preset it was given; the start where there is one.
+
+    Raises
+    ------
+    CalibrationError
+        If the preset is in another unit, or the positions do not show what is to be fitted.
+    """
+    used = calibration.accelerometer
+    vector = to_vector(used)
+    gravity = calibration.gravity.gravity_m_s2
+    raw = observations.mean_raw - used.raw_zero
+    before = None if preset is None else to_vector(preset)
+    data = FitData(raw, None, gravity, used.quadratic_axes)
+    origin, seen = find_origin(data, np.sign(used.scale), before, "auto" if calibration.quadratic_fitted else "linear")
+    free = tuple(k for k in seen.free if k < QUADRATIC.start or calibration.quadratic_fitted)
+    start = _start(raw, gravity, origin, before, vector, calibration.quadratic_fitted)
+    if sum(MISALIGNMENT.start <= k < MISALIGNMENT.stop for k in free) == 3:
+        # All misalignments move, less the three turns of the frame: the start's frame is kept.
+        free = tuple(sorted({*free, *range(MISALIGNMENT.start, MISALIGNMENT.stop)}))
+    sigma = _position_sigma(observations, calibration, raw, vector)
+    problem = whitened_problem(
+        start, raw, gravity, quadratic_axes=used.quadratic_axes, cost_name="weighted", sigma_m_s2=sigma, free=free
+    )
+    return Restart(calibration, problem, vector, before, free)
+
+
+def _start(
+    raw: FloatArray, gravity: float, origin: FloatArray, before: FloatArray | None, vector: FloatArray, quadratic: bool
+) -> FloatArray:
+    """Return the preset, or scale and bias from the extremes of the outputs."""
+    if before is not None:
+        start = before.copy()
+    else:
+        start = origin.copy()
+        half, middle = np.ptp(raw, axis=0) / 2, (raw.max(axis=0) + raw.min(axis=0)) / 2
+        start[SCALE] = np.sign(vector[SCALE]) * half / gravity
+        start[3:6] = middle / start[SCALE]
+        start[MISALIGNMENT] = 0.0
+    if not quadratic:
+        start[QUADRATIC] = vector[QUADRATIC]
+    return start
+
+
+def _position_sigma(observations: Observations, calibration: Calibration, raw: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return s_i of every position in m/s^2, as the calibration weighted them, shape (m,)."""
+    within = np.zeros(len(raw))
+    if known_covariance(observations.covariance_raw):
+        gradient = norm_derivatives(vector, raw, calibration.accelerometer.quadratic_axes).raw_gradient
+        within = within_variance(gradient, observations.covariance_raw)
+    sigma = np.sqrt(within + calibration.quality.between_position_sigma_m_s2**2)
+    return np.where(sigma > 0, sigma, 1.0)
+
+
+def solve_with(
+    method: str,
+    observations: Observations,
+    calibration: Calibration,
+    *,
+    rng: np.random.Generator,
+    preset: AccelerometerParameters | None = None,
+    polish: bool = True,
+    callback: Callback | None = None,
+    seed: int | None = None,
+) -> Calibration:
+    """Return the calibration with parameters found by another method.
+
+    Parameters
+    ----------
+    method : str
+        A name of ``solvers.registry.METHODS``.
+    observations : Observations
+    calibration : Calibration
+        From ``calibrate_accelerometer``: model, gauge, weights and uncertainties.
+    rng : Generator
+    preset : AccelerometerParameters, optional
+        The one ``calibration`` was given.
+    polish : bool
+        Finish by least squares.
+    callback : callable, optional
+    seed : int, optional
+        Written to the result.
+
+    Returns
+    -------
+    Calibration
+        Where the method did not converge, ``solver.status`` says so, the verdict is "poor" and its first reason tells why.
+
+    Raises
+    ------
+    UsageError
+        If there is no such method.
+    CalibrationError
+        If the method cannot start.
+    """
+    if find_method(method).name == LEAST_SQUARES:
+        return calibration
+    again = restart(observations, calibration, preset)
+    problem = problem_for(again, method)
+    found = load_solver(method)(problem, rng=rng, callback=callback)
+    vector, basis = again.in_gauge(problem.vector(found.x))
+    if polish and found.converged:
+        found, vector = _polished(again, found, vector, basis)
+    return _replaced(
+        again, vector, SolverSummary(method, int(found.status), found.message, found.cost, found.evaluations, seed)
+    )
+
+
+def problem_for(again: Restart, method: str) -> NormProblem:
+    """Return the problem with the cost, and for the staged form the coordinates, that the method's paper uses."""
+    problem = again.with_cost(find_method(method).cost_name)
+    if method != "bsas-staged":
+        return problem
+    # The paper's own coordinates: the parameters themselves, in their own units.
+    return replace(problem, basis=np.eye(PARAMETERS)[:, list(again.free)], reach=np.inf)
+
+
+def _polished(again: Restart, found: SolverResult, vector: FloatArray, basis: FloatArray) -> tuple[SolverResult, FloatArray]:
+    problem = replace(again.with_cost("weighted"), origin=vector, basis=basis)
+    solved = solve_least_squares(problem)
+    message = f"{found.message}; polished by least squares: {solved.message}"
+    evaluations = found.evaluations + solved.evaluations
+    return replace(solved, message=message, evaluations=evaluations), problem.vector(solved.x)
+
+
+def _replaced(again: Restart, vector: FloatArray, summary: SolverSummary) -> Calibration:
+    calibration, axes = again.calibration, again.problem.quadratic_axes
+    residual = norm_derivatives(vector, again.problem.raw, axes).norm - calibration.gravity.gravity_m_s2
+    old = calibration.intrinsic
+    sigma = np.concatenate([old.scale_sigma, old.bias_raw_sigma, old.angle_sigma_rad, old.quadratic_sigma])
+    return replace(
+        calibration,
+        accelerometer=from_vector(vector, calibration.accelerometer.raw_zero, axes),
+        intrinsic=make_intrinsic(intrinsic(vector, axes)[0], sigma),
+        positions=replace(calibration.positions, residual_m_s2=residual),
+        solver=summary,
+        quality=_quality(calibration.quality, residual, summary),
+    )
+
+
+def _quality(quality: Quality, residual: FloatArray, summary: SolverSummary) -> Quality:
+    figures = replace(
+        quality,
+        residual_rms_m_s2=float(np.sqrt(np.mean(residual**2))),
+        residual_max_m_s2=float(np.abs(residual).max()),
+    )
+    if summary.converged:
+        return figures
+    sentence = f"the method {summary.method} did not converge, do not use these parameters: {summary.message}"
+    return figures.lowered("poor", sentence)
+
+
+def cross_check(
+    observations: Observations,
+    calibration: Calibration,
+    *,
+    rng: np.random.Generator,
+    preset: AccelerometerParameters | None = None,
+    methods: Sequence[str] = CROSS_CHECKED,
+) -> CrossCheck:
+    """Solve with several methods from a start of their own and compare in units of sigma.
+
+    Parameters
+    ----------
+    observations : Observations
+    calibration : Calibration
+        From ``calibrate_accelerometer``.
+    rng : Generator
+    preset : AccelerometerParameters, optional
+    methods : sequence of str
+
+    Raises
+    ------
+    UsageError
+        If there is no such method.
+    CalibrationError
+        If a method cannot start.
+    """
+    again = restart(observations, calibration, preset)
+
+    def attempt(method: str, cost_name: CostName) -> Attempt:
+        problem = _relative(again, cost_name, method)
+        found = load_solver(method)(problem, rng=rng)
+        numbers = intrinsic(again.in_gauge(problem.vector(found.x))[0], problem.quadratic_axes)[0]
+        return numbers, "" if found.converged else found.message
+
+    return compare("accelerometer", attempt, GAUGE_FREE_NAMES, again.gauge_free_sigma(), methods)
+
+
+def _relative(again: Restart, cost_name: CostName, method: str) -> NormProblem:
+    """Return the problem with weights relative to their median: a swarm's costs should be near those of its paper, in m/s^2."""
+    problem = replace(problem_for(again, method), cost_name=cost_name)
+    if method == LEAST_SQUARES:
+        return problem
+    return replace(problem, sigma_m_s2=problem.sigma_m_s2 / np.median(problem.sigma_m_s2))

@@ -1,0 +1,168 @@
+"""A start without a preset: the ellipsoid on which the outputs of a still instrument lie, in closed form.
+
+With ``N = M a + c`` (``M = K T``, ``c = K b``, no quadratic term) and norm(a) = g, the outputs satisfy
+``(N - c)^T Q (N - c) = g^2`` with ``Q = (M M^T)^-1``: an ellipsoid, linear in nine coefficients once it is written as
+``x^T A x + 2 h^T x = 1``. Then ``c = -A^-1 h`` and ``M M^T = (1 + h^T A^-1 h) A^-1 / g^2``; its Cholesky factor is ``M`` in the
+lower gauge. Outputs are brought to unit size first, and the fit is repeated about its own centre, where the algebraic
+distance it minimises is nearly the geometric one.
+
+Signs: an ellipsoid is symmetric, so the sign of each axis comes from the planned directions, else the preset, else positive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.model.models import MISALIGNMENT, MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, PARAMETERS
+from imufield.errors import CalibrationError, Reason
+from imufield.samples import AXES, FloatArray
+
+FEWEST_FOR_SCALE_AND_BIAS = 6
+FEWEST_FOR_MISALIGNMENT = 9
+FEWEST_FOR_QUADRATIC = 12
+"""One position for each unknown: three scales and three biases, three angles, three quadratic terms."""
+
+_REFITS = 3
+"""An algebraic fit depends on its origin: each is about the centre that the one before found."""
+_DIRECTION_RANGE = 0.2
+"""An axis whose planned directions vary less than this (unit vectors) says nothing about its sign."""
+
+
+@dataclass(frozen=True, slots=True)
+class Signs:
+    """The sign of each axis and where it comes from."""
+
+    sign: FloatArray
+    source: str
+    """"directions", "preset" or "assumed"."""
+
+
+def closed_form_start(raw: FloatArray, gravity_m_s2: float, sign: FloatArray, *, misalignment: bool = True) -> FloatArray:
+    """Return a parameter vector in the lower gauge (quadratic term zero) from zeroed outputs.
+
+    Parameters
+    ----------
+    raw : ndarray, shape (m, 3)
+        At least six positions.
+    gravity_m_s2 : float
+    sign : ndarray, shape (3,)
+        Signs of the scales.
+    misalignment : bool
+        Whether to try the full ellipsoid first (needs nine positions), or the one along the axes.
+
+    Raises
+    ------
+    CalibrationError
+        If no ellipsoid fits.
+    """
+    signed = raw * sign
+    order = (misalignment, not misalignment)
+    fits = (_ellipsoid(signed, full=full) for full in order if not full or len(raw) >= FEWEST_FOR_MISALIGNMENT)
+    fit = next((fit for fit in fits if fit is not None), None)
+    if fit is None:
+        raise CalibrationError(
+            f"the outputs of the {len(raw)} positions do not lie on an ellipsoid, as those of a still accelerometer do; check "
+            "that each was taken at rest, that columns and raw zero are right, and add positions with every axis up and down",
+            Reason.UNOBSERVABLE,
+            positions=len(raw),
+        )
+    centre, shape = fit
+    M = np.linalg.cholesky(shape) / gravity_m_s2
+    K = np.diag(M).copy()
+    vector = np.zeros(PARAMETERS)
+    vector[0:3] = K * sign
+    vector[3:6] = centre / K
+    vector[MISALIGNMENT] = (M / K[:, None])[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS]
+    return vector
+
+
+def _ellipsoid(raw: FloatArray, *, full: bool) -> tuple[FloatArray, FloatArray] | None:
+    """Return centre and shape S of (N - c)^T S^-1 (N - c) = 1, or None where the best quadric is no ellipsoid."""
+    centre = (raw.max(axis=0) + raw.min(axis=0)) / 2
+    size = np.ptp(raw, axis=0) / 2
+    shape = None
+    for _ in range(_REFITS):
+        quadric = _quadric((raw - centre) / size, full=full)
+        if quadric is None:
+            return None
+        offset, unit_shape = quadric
+        centre = centre + size * offset
+        shape = unit_shape * np.outer(size, size)
+    return None if shape is None else (centre, shape)
+
+
+def _quadric(x: FloatArray, *, full: bool) -> tuple[FloatArray, FloatArray] | None:
+    columns = [x**2, 2 * x]
+    if full:
+        columns.append(2 * x[:, (0, 0, 1)] * x[:, (1, 2, 2)])
+    coefficients = np.linalg.lstsq(np.hstack(columns), np.ones(len(x)), rcond=None)[0]
+    A = np.diag(coefficients[:3])
+    if full:
+        A[(0, 0, 1), (1, 2, 2)] = A[(1, 2, 2), (0, 0, 1)] = coefficients[6:]
+    if np.linalg.eigvalsh(A)[0] <= 0:
+        return None
+    h = coefficients[3:6]
+    inverse = np.linalg.inv(A)
+    shape = (1 + h @ inverse @ h) * inverse
+    # An ellipsoid much larger than the outputs that should lie on it is a flat quadric in disguise.
+    return (-inverse @ h, shape) if np.diag(shape).max() < 100 else None
+
+
+def find_signs(raw: FloatArray, direction: FloatArray, preset_scale: FloatArray | None) -> Signs:
+    """Return the sign of each axis from the planned directions, else the preset, else positive.
+
+    Parameters
+    ----------
+    raw : ndarray, shape (m, 3)
+    direction : ndarray, shape (m, 3)
+        Planned "up" in the body frame; NaN where there was none.
+    preset_scale : ndarray, shape (3,), optional
+
+    Raises
+    ------
+    CalibrationError
+        If axes are swapped or left-handed, or directions and preset disagree.
+    """
+    planned = np.isfinite(direction).all(axis=1)
+    if planned.sum() >= 4 and np.all(np.ptp(direction[planned], axis=0) > _DIRECTION_RANGE):
+        sign = _signs_of_directions(raw[planned], direction[planned])
+        if preset_scale is not None and np.any(sign != np.sign(preset_scale)):
+            axis = AXES[int(np.argmax(sign != np.sign(preset_scale)))]
+            raise CalibrationError(
+                f"the sign of axis {axis} in the preset is opposite to what the planned positions show; check the preset, the "
+                "axis signs of the protocol, or which side was up",
+                Reason.HANDEDNESS,
+                axis=axis,
+            )
+        return Signs(sign, "directions")
+    if preset_scale is not None:
+        return Signs(np.sign(preset_scale), "preset")
+    return Signs(np.ones(3), "assumed")
+
+
+def _signs_of_directions(raw: FloatArray, direction: FloatArray) -> FloatArray:
+    design = np.column_stack([direction, np.ones(len(direction))])
+    slope = np.linalg.lstsq(design, raw, rcond=None)[0][:3].T
+    follows = np.argmax(np.abs(slope), axis=1)
+    for axis in range(3):
+        if follows[axis] != axis:
+            raise CalibrationError(
+                f"output {AXES[axis]} follows body axis {AXES[int(follows[axis])]} of the planned positions: axes are swapped; "
+                "put the columns of the protocol or file into the order x, y, z",
+                Reason.HANDEDNESS,
+                axis=AXES[axis],
+                follows=AXES[int(follows[axis])],
+            )
+    sign: FloatArray = np.sign(np.diag(slope))
+    # All three reversed is an instrument that reports gravity instead of specific force; one reversed is a left-handed triad.
+    if np.prod(sign) < 0 and np.any(sign > 0):
+        odd = int(np.argmax(sign < 0))
+        raise CalibrationError(
+            f"the triad is left-handed: output {AXES[odd]} falls when body axis {AXES[odd]} of the planned positions points up "
+            f"and the others rise; reverse the sign of {AXES[odd]} in the protocol or file",
+            Reason.HANDEDNESS,
+            axis=AXES[odd],
+        )
+    return sign

@@ -1,0 +1,148 @@
+"""Coordinates in which a step of one size means the same in every direction: the cure for stalling beetles.
+
+Let ``J`` be the Jacobian of ``norm(a)`` at the preset, ``S`` the scale of each parameter and ``G`` the three generators of
+turns (``observability``), along which the norm is flat. With ``C`` an orthonormal basis of what is perpendicular to
+``S^-1 G``, and ``J S C = U D V^T``, the coordinates ``z`` of
+
+    parameters = origin + S C V D^-1 z
+
+move the m norms by ``U z``, so ``norm(z)`` is the length of the change in m/s^2. No direction of ``z`` is flat and none is
+steeper than another, so one step size serves all. The generators are taken out analytically: on body axes a large ``K2``
+gives them singular values above any threshold.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imufield.calibrate.model.models import MISALIGNMENT, PARAMETERS, norm_derivatives
+from imufield.calibrate.model.observability import generators, parameter_scale
+from imufield.calibrate.model.result import ACCELEROMETER_NAMES, QuadraticAxes
+from imufield.calibrate.solvers.costs import CostName, NormProblem
+from imufield.errors import CalibrationError, Reason
+from imufield.samples import FloatArray
+
+ALL_FREE = tuple(range(PARAMETERS))
+_WORST_CONDITION = 1e6
+"""Singular values further apart than this are a direction the positions do not show."""
+_REACH = 5.0
+"""Bounds of the coordinates: the solution is about one unit away, and this leaves room for what is not linear."""
+_WORST_START = 0.5
+"""Relative error of the norm at the start that no instrument has: the preset is in another unit or of another instrument."""
+
+
+def observable_basis(
+    vector: FloatArray,
+    raw: FloatArray,
+    gravity_m_s2: float,
+    quadratic_axes: QuadraticAxes = "sensing",
+    free: tuple[int, ...] = ALL_FREE,
+) -> FloatArray:
+    """Return the basis S C V D^-1 of the whitened coordinates, shape (15, n).
+
+    Parameters
+    ----------
+    vector : ndarray, shape (15,)
+        Preset; the basis belongs to it.
+    raw : ndarray, shape (m, 3)
+        Zeroed mean outputs.
+    gravity_m_s2 : float
+    quadratic_axes : {"sensing", "body"}
+    free : tuple of int
+        Parameters that may move. Where all six misalignments are among them, the three turns of the body frame are taken out.
+
+    Raises
+    ------
+    CalibrationError
+        If there are fewer positions than coordinates, or the positions do not show some direction.
+    """
+    columns = list(free)
+    scale = parameter_scale(vector, gravity_m_s2)
+    complement = np.eye(len(columns))
+    if set(range(MISALIGNMENT.start, MISALIGNMENT.stop)) <= set(columns):
+        # A turn moves K, b and K2 a little too; what it moves of a held parameter is left out.
+        turns = (generators(vector) / scale[:, None])[columns]
+        complement = np.linalg.qr(turns, mode="complete")[0][:, 3:]
+    seen = (norm_derivatives(vector, raw, quadratic_axes).jacobian * scale)[:, columns] @ complement
+    _require_rank(seen, complement, columns)
+    _, D, Vt = np.linalg.svd(seen, full_matrices=False)
+    basis = np.zeros((PARAMETERS, complement.shape[1]))
+    basis[columns] = scale[columns, None] * (complement @ (Vt.T / D))
+    return basis
+
+
+def whitened_problem(
+    vector: FloatArray,
+    raw: FloatArray,
+    gravity_m_s2: float,
+    *,
+    quadratic_axes: QuadraticAxes = "sensing",
+    cost_name: CostName = "absolute",
+    sigma_m_s2: FloatArray | None = None,
+    free: tuple[int, ...] = ALL_FREE,
+) -> NormProblem:
+    """Return the problem of finding parameters near a preset, in whitened coordinates.
+
+    A unit of the coordinates is the length of the residual vector at the preset: the solution is about one unit away,
+    whatever the instrument, so the papers' first step of 0.98 fits. Bounds are five units on each side, which leaves room for
+    what is not linear.
+
+    Raises
+    ------
+    CalibrationError
+        If the preset does not belong to these outputs, or the positions do not show what is asked for.
+    """
+    norm = norm_derivatives(vector, raw, quadratic_axes).norm
+    refuse_foreign_start(norm, gravity_m_s2)
+    unit = max(float(np.linalg.norm(norm - gravity_m_s2)), 1e-9 * gravity_m_s2)
+    basis = unit * observable_basis(vector, raw, gravity_m_s2, quadratic_axes, free)
+    sigma = np.ones(len(raw)) if sigma_m_s2 is None else sigma_m_s2
+    return NormProblem(raw, gravity_m_s2, sigma, vector, basis, quadratic_axes, cost_name, _REACH)
+
+
+def refuse_foreign_start(norm_m_s2: FloatArray, gravity_m_s2: float) -> None:
+    """Refuse a preset with which the norms are nothing like gravity.
+
+    Raises
+    ------
+    CalibrationError
+        Naming the parameter that is most likely in another unit.
+    """
+    middle = float(np.median(norm_m_s2)) if np.isfinite(norm_m_s2).all() else float("nan")
+    if abs(middle / gravity_m_s2 - 1) <= _WORST_START:
+        return
+    raise CalibrationError(
+        f"with the preset the norm of the specific force is {middle:.4g} m/s^2 where gravity is {gravity_m_s2:.6g} m/s^2 (at "
+        f"most {_WORST_START:.0%} off is accepted): accelerometer.scale is in another unit or of another instrument; check it",
+        Reason.UNITS,
+        parameter="accelerometer.scale",
+        norm_m_s2=middle,
+        gravity_m_s2=gravity_m_s2,
+    )
+
+
+def _require_rank(seen: FloatArray, complement: FloatArray, columns: list[int]) -> None:
+    m, n = seen.shape
+    if m < n:
+        raise CalibrationError(
+            f"{m} positions are fewer than the {n} parameters to be found; take at least {n} positions, or hold "
+            f"{ACCELEROMETER_NAMES[columns[-1]]} and its like",
+            Reason.TOO_FEW,
+            positions=m,
+            needed=n,
+        )
+    if not np.isfinite(seen).all():
+        raise CalibrationError(
+            "the outputs or the preset hold a value that is not finite; remove that position, or complete the preset",
+            Reason.NOT_FINITE,
+        )
+    values, Vt = np.linalg.svd(seen, full_matrices=False)[1:]
+    if values[-1] * _WORST_CONDITION < values[0]:
+        weakest = ACCELEROMETER_NAMES[columns[int(np.argmax(np.abs(complement @ Vt[-1])))]]
+        raise CalibrationError(
+            f"the {m} positions do not show {weakest} (singular values from {values[0]:.2g} to {values[-1]:.2g}); add "
+            "positions with every axis up, down and in between, or fit fewer parameters",
+            Reason.UNOBSERVABLE,
+            parameter=weakest,
+            condition=float(values[0] / values[-1]) if values[-1] > 0 else float("inf"),
+        )

@@ -1,0 +1,1 @@
+"""The gyroscope from stills, moves between them, whole turns or a turntable."""

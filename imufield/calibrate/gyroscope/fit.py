@@ -1,0 +1,278 @@
+"""One weighted fit of everything that moves and stills say about a gyroscope, and its covariance.
+
+Gauss-Newton on the residuals of ``gyroscope_model`` with the full covariance ``S`` of ``gyroscope_noise``, the Earth's rate as
+prior knowledge. The two scatters of S are estimated along the way. Half of a step is tried where the whole one does not help.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.gyroscope.model import FIRST_HORIZONTAL, VERTICAL, Evaluation, GyroscopeData, evaluate
+from imufield.calibrate.gyroscope.move_integration import PARAMETERS
+from imufield.calibrate.gyroscope.noise import Covariances, ForceErrors, Scatter, covariances, next_scatter
+from imufield.calibrate.solvers.base import SolverResult, SolverStatus
+from imufield.earth import EARTH_RATE_RAD_S
+from imufield.errors import CalibrationError, Reason
+from imufield.samples import FloatArray, IntArray
+
+_ITERATIONS = 60
+"""Steps before it says that it did not converge; the scatters settle last."""
+_SETTLED = 1e-8
+"""Sum of squared changes in sigma at which it stops: a ten-thousandth of a sigma."""
+_SCATTER_SETTLED = 1e-3
+"""Relative change of each scatter at which it stops: 24 stills tell a scatter to a tenth."""
+_HALVINGS = 6
+"""Shares of a step that are tried, 1 to 1/32; the last is taken as it is, and the next step is another."""
+_SESSION_ROOT_S = 20.0
+"""Root of the length of a session, sqrt(s), to start from: 400 s, 24 positions of 17 s."""
+HEADING_SEEN = 0.2
+"""Sigma of the horizontal Earth rate over its length below which its length is taken as known and one azimuth is fitted."""
+_LENGTH_SIGMA = 1e-4
+"""Of the Earth's rate: how strictly the known length is kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class EarthKnowledge:
+    """What is known of the Earth's rate before the fit."""
+
+    vertical_rad_s: float
+    vertical_sigma_rad_s: float
+    """0 where the latitude is known."""
+    horizontal_sigma_rad_s: float
+    """Of each horizontal component while the azimuth is unknown."""
+    horizontal_rad_s: float | None
+    """Length of the horizontal part, None where the latitude is not known."""
+
+    @classmethod
+    def at(cls, latitude_deg: float | None) -> EarthKnowledge:
+        """Return what a latitude says."""
+        if latitude_deg is None:
+            anywhere = EARTH_RATE_RAD_S / np.sqrt(3.0)
+            return cls(0.0, float(anywhere), float(anywhere), None)
+        latitude = np.radians(latitude_deg)
+        horizontal_rad_s = float(EARTH_RATE_RAD_S * np.cos(latitude))
+        return cls(float(EARTH_RATE_RAD_S * np.sin(latitude)), 0.0, horizontal_rad_s / np.sqrt(2.0), horizontal_rad_s)
+
+
+@dataclass(frozen=True, slots=True)
+class JointFit:
+    """The end of a fit."""
+
+    p: FloatArray
+    """See ``gyroscope_model``."""
+    free: IntArray
+    """Which of ``p`` were fitted."""
+    covariance: FloatArray
+    """Of the free ones."""
+    gain: FloatArray
+    """d free / d residual: minus this times the noise is the error, shape (free, rows)."""
+    evaluation: Evaluation
+    parts: Covariances
+    scatter: Scatter
+    solved: SolverResult
+    heading_fitted: bool
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Residuals less parameters of the instrument."""
+        return int(len(self.evaluation.residual) - np.count_nonzero(self.free < PARAMETERS))
+
+
+@dataclass(frozen=True, slots=True)
+class _Prior:
+    """Rows (p - mean) / sigma for the Earth's rate, and the known length of its horizontal part."""
+
+    mean: FloatArray
+    sigma: FloatArray
+    """inf where nothing is known."""
+    length_rad_s: float | None
+
+    def rows(self, p: FloatArray, free: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return residuals and derivatives in units of sigma."""
+        known = np.flatnonzero(np.isfinite(self.sigma))
+        known = known[np.isin(known, free)]
+        jacobian = np.zeros((len(known), len(p)))
+        jacobian[range(len(known)), known] = 1 / self.sigma[known]
+        residual = (p[known] - self.mean[known]) / self.sigma[known]
+        if self.length_rad_s is not None:
+            extra_residual, extra_jacobian = self._length_rows(p)
+            residual, jacobian = np.append(residual, extra_residual), np.vstack([jacobian, extra_jacobian])
+        return residual, jacobian[:, free]
+
+    def _length_rows(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
+        size = np.maximum(np.linalg.norm(h, axis=1), 1e-30)
+        sigma = _LENGTH_SIGMA * EARTH_RATE_RAD_S
+        jacobian = np.zeros((len(h), len(p)))
+        for k in range(len(h)):
+            column = FIRST_HORIZONTAL + 2 * k
+            jacobian[k, column : column + 2] = h[k] / size[k] / sigma
+        return (size - (self.length_rad_s or 0.0)) / sigma, jacobian
+
+
+def make_prior(data: GyroscopeData, earth: EarthKnowledge, *, heading: bool) -> _Prior:
+    """Return what is known of the Earth's rate; ``heading``: its horizontal length is known and strictly kept."""
+    mean, sigma = np.zeros(data.parameters), np.full(data.parameters, np.inf)
+    mean[VERTICAL] = earth.vertical_rad_s
+    if earth.vertical_sigma_rad_s > 0:
+        sigma[VERTICAL] = earth.vertical_sigma_rad_s
+    if not heading:
+        sigma[FIRST_HORIZONTAL:] = earth.horizontal_sigma_rad_s
+    return _Prior(mean, sigma, earth.horizontal_rad_s if heading else None)
+
+
+def fit_jointly(
+    data: GyroscopeData,
+    errors: ForceErrors,
+    start: FloatArray,
+    free: IntArray,
+    earth: EarthKnowledge,
+    scatter: Scatter | None = None,
+) -> JointFit:
+    """Fit the parameters ``free`` of ``p``, starting at ``start``; the Earth's horizontal rate is always fitted along.
+
+    Parameters
+    ----------
+    data : GyroscopeData
+    errors : ForceErrors
+    start : ndarray, shape (data.parameters,)
+    free : ndarray of int
+        Which of the 21 instrument parameters to fit.
+    earth : EarthKnowledge
+    scatter : Scatter, optional
+        To start from.
+    """
+    p = start.copy()
+    p[VERTICAL] = earth.vertical_rad_s
+    nuisance = [] if earth.vertical_sigma_rad_s == 0 else [VERTICAL]
+    columns = np.array([*free, *nuisance, *range(FIRST_HORIZONTAL, data.parameters)], dtype=np.int64)
+    fitted = _gauss_newton(data, errors, p, columns, make_prior(data, earth, heading=False), scatter)
+    if earth.horizontal_rad_s and _heading_seen(fitted, earth.horizontal_rad_s):
+        p = _at_length(fitted.p, earth.horizontal_rad_s)
+        fitted = _gauss_newton(data, errors, p, columns, make_prior(data, earth, heading=True), fitted.scatter)
+    return fitted
+
+
+def _heading_seen(fitted: JointFit, horizontal_rad_s: float) -> bool:
+    """Whether every chain knows its azimuth."""
+    places = np.flatnonzero(fitted.free >= FIRST_HORIZONTAL)
+    variance = np.diag(fitted.covariance)[places].reshape(-1, 2).sum(axis=1)
+    return bool(np.all(np.sqrt(variance) < HEADING_SEEN * horizontal_rad_s))
+
+
+def _at_length(p: FloatArray, horizontal_rad_s: float) -> FloatArray:
+    result = p.copy()
+    h = result[FIRST_HORIZONTAL:].reshape(-1, 2)
+    h *= horizontal_rad_s / np.linalg.norm(h, axis=1)[:, None]
+    return result
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """The linearised problem at one point."""
+
+    change: FloatArray
+    covariance: FloatArray
+    gain: FloatArray
+    cost: float
+    size: float
+    """Change in sigma, squared."""
+
+
+def _gauss_newton(
+    data: GyroscopeData,
+    errors: ForceErrors,
+    p: FloatArray,
+    free: IntArray,
+    prior: _Prior,
+    scatter: Scatter | None,
+) -> JointFit:
+    now = evaluate(p, data)
+    scatter = scatter or first_scatter(now)
+    status, count = SolverStatus.ITERATION_LIMIT, 1
+    parts = covariances(now, p[:PARAMETERS], data, errors)
+    for _ in range(_ITERATIONS):
+        step = _linear_step(now, parts, scatter, p, free, prior)
+        p, now, tried = _walk(data, p, free, step, (parts, scatter, prior))
+        count += tried
+        parts = covariances(now, p[:PARAMETERS], data, errors)
+        before, scatter = scatter, next_scatter(scatter, now.residual, now.jacobian[:, free], parts)
+        if step.size < _SETTLED * len(free) and _same(before, scatter):
+            status = SolverStatus.CONVERGED
+            break
+    step = _linear_step(now, parts, scatter, p, free, prior)
+    settled = status is SolverStatus.CONVERGED
+    message = "changes are below a ten-thousandth of a sigma" if settled else f"it still moves after {_ITERATIONS} steps"
+    solved = SolverResult(p[free], step.cost, status, message, count)
+    return JointFit(p, free, step.covariance, step.gain, now, parts, scatter, solved, prior.length_rad_s is not None)
+
+
+def _same(before: Scatter, after: Scatter) -> bool:
+    return all(abs(old - new) <= _SCATTER_SETTLED * max(old, 1e-9) for old, new in zip(before.sizes, after.sizes, strict=True))
+
+
+def first_scatter(evaluation: Evaluation) -> Scatter:
+    """Return generous sizes to start from."""
+    m = evaluation.moves
+    moves, stills = evaluation.residual[: 2 * m], evaluation.residual[2 * m : 2 * m + 3 * evaluation.stills]
+    turn = float(np.sqrt(np.mean(moves**2))) if m else 0.0
+    drift = float(np.sqrt(np.mean(stills**2)))
+    return Scatter(drift, drift / _SESSION_ROOT_S, min(turn, 0.1))
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return the Cholesky factor of the covariance of all residuals.
+
+    Raises
+    ------
+    CalibrationError
+        If the scatter that explains the residuals has grown past all noise: the moves do not fit the model at all.
+    """
+    try:
+        return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    except np.linalg.LinAlgError as error:
+        spread = float(np.sqrt(np.diagonal(covariance).max()))
+        raise CalibrationError(
+            f"the moves contradict one another: their residuals scatter by {spread:.3g}, far beyond the noise, so "
+            "no gyroscope fits them; repeat the session with slower turns, or give the right raw unit",
+            Reason.NOT_CONVERGED,
+            scatter=spread,
+        ) from error
+
+
+def _linear_step(now: Evaluation, parts: Covariances, scatter: Scatter, p: FloatArray, free: IntArray, prior: _Prior) -> _Step:
+    L = _root(parts.total(scatter))
+    whitened = np.linalg.solve(L, np.column_stack([now.residual, now.jacobian[:, free]]))
+    prior_residual, prior_jacobian = prior.rows(p, free)
+    residual = np.concatenate([whitened[:, 0], prior_residual])
+    jacobian = np.vstack([whitened[:, 1:], prior_jacobian])
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    inverse = np.linalg.pinv(jacobian / size) / size[:, None]
+    change = -inverse @ residual
+    gain = inverse[:, : len(whitened)] @ np.linalg.inv(L)
+    return _Step(change, inverse @ inverse.T, gain, float(residual @ residual), float(np.sum((jacobian @ change) ** 2)))
+
+
+def _walk(
+    data: GyroscopeData,
+    p: FloatArray,
+    free: IntArray,
+    step: _Step,
+    weights: tuple[Covariances, Scatter, _Prior],
+) -> tuple[FloatArray, Evaluation, int]:
+    """Take the step, or the half of it that first lowers the cost."""
+    parts, scatter, prior = weights
+    L = _root(parts.total(scatter))
+    share, tried = 1.0, 0
+    while True:
+        trial, tried = p.copy(), tried + 1
+        trial[free] += step.change * share
+        now = evaluate(trial, data)
+        prior_residual, _ = prior.rows(trial, free)
+        cost = float(np.sum(np.linalg.solve(L, now.residual) ** 2) + prior_residual @ prior_residual)
+        if cost <= step.cost * (1 + 1e-9) + 1e-9 or tried == _HALVINGS:
+            return trial, now, tried
+        share /= 2

@@ -1,0 +1,259 @@
+"""What stills and moves say about the gyroscope: residuals and their derivatives.
+
+With ``u`` the direction of the specific force in the body frame (from the calibrated accelerometer), ``R`` the turn of a move
+from gyroscope integration (end frame to start frame, inertial), ``T`` its duration and ``w_e`` the Earth's rate in the body
+frame at its start::
+
+    move    u_after - R^T exp([w_e T]) u_before       two components at right angles to u
+    still   A n - b - H a - w_e                       three components, rad/s
+
+The Earth's rate at a still is ``v u + Q h``: ``v = rate sin(latitude)`` along up, and a horizontal vector ``h`` (2) in axes
+``Q`` that are carried from still to still through the moves, so that one unknown ``h`` serves a whole chain of moves. A move
+that had to be dropped begins a new chain. Where the latitude is known, ``h`` has a known length and only its direction, one
+azimuth, is unknown.
+
+Two more kinds of rows, where the session holds them::
+
+    stop    log(R^T exp([w_e T])) . u_after           a whole turn about the vertical, against a stop: one component
+    table   A d - w u                                 d: half the difference of outputs at +w and -w about u; three components
+
+Parameters ``p`` of a fit: the 21 of ``move_integration``, then ``v``, then ``h`` of each chain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY, CentredSlots, Turns, integrate
+from imufield.calibrate.model.rotation import cross, from_matrix, logarithm, matrix, rotation_matrix, skew
+from imufield.samples import FloatArray, IntArray
+
+VERTICAL = PARAMETERS
+FIRST_HORIZONTAL = PARAMETERS + 1
+
+
+@dataclass(frozen=True, slots=True)
+class TableRows:
+    """t pairs of turntable rates, ready for fitting.
+
+    Attributes
+    ----------
+    half_difference_raw : ndarray, shape (t, 3)
+        (N+ - N-) / 2.
+    covariance_raw : ndarray, shape (t, 3, 3)
+    rate_rad_s : ndarray, shape (t, 3)
+        Body rate in the positive run.
+    rate_covariance : ndarray, shape (t, 3, 3)
+        Of that rate, (rad/s)^2: speed of the table and direction of its axis.
+    """
+
+    half_difference_raw: FloatArray
+    covariance_raw: FloatArray
+    rate_rad_s: FloatArray
+    rate_covariance: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.rate_rad_s)
+
+
+def no_table() -> TableRows:
+    """Return zero pairs."""
+    vectors, matrices = np.empty((0, 3)), np.empty((0, 3, 3))
+    return TableRows(vectors, matrices, vectors, matrices)
+
+
+@dataclass(frozen=True, slots=True)
+class GyroscopeData:
+    """s stills and m moves, ready for fitting.
+
+    Attributes
+    ----------
+    rate_raw : ndarray, shape (s, 3)
+        Mean gyroscope output less ``rest_raw``.
+    rate_covariance : ndarray, shape (s, 3, 3)
+        Of that mean, within the still.
+    force : ndarray, shape (s, 3)
+        Specific force, m/s^2, body frame.
+    slots : CentredSlots
+    before, after : ndarray of int, shape (m,)
+    chain : ndarray of int, shape (s,)
+        Number of the chain that each still belongs to.
+    noise_density_raw : ndarray, shape (3,)
+        Raw unit per sqrt(Hz).
+    rest_raw : ndarray, shape (3,)
+    time_s : ndarray, shape (s,)
+        Middle of each still.
+    stops : ndarray of int, shape (c,)
+        Moves that are whole turns against a stop.
+    stop_sigma_rad : ndarray, shape (c,)
+        Repeatability of the stop.
+    table : TableRows
+    """
+
+    rate_raw: FloatArray
+    rate_covariance: FloatArray
+    force: FloatArray
+    slots: CentredSlots
+    before: IntArray
+    after: IntArray
+    chain: IntArray
+    noise_density_raw: FloatArray
+    rest_raw: FloatArray
+    time_s: FloatArray
+    stops: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    stop_sigma_rad: FloatArray = field(default_factory=lambda: np.empty(0))
+    table: TableRows = field(default_factory=no_table)
+
+    @property
+    def up(self) -> FloatArray:
+        """Unit vectors, shape (s, 3)."""
+        up: FloatArray = self.force / np.linalg.norm(self.force, axis=1)[:, None]
+        return up
+
+    @property
+    def chains(self) -> int:
+        """Number of chains."""
+        return int(self.chain.max()) + 1
+
+    @property
+    def parameters(self) -> int:
+        """Length of ``p``."""
+        return FIRST_HORIZONTAL + 2 * self.chains
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """Residuals at one ``p``: 2 m of moves, 3 s of stills, c of stops, 3 t of the turntable."""
+
+    residual: FloatArray
+    jacobian: FloatArray
+    """Shape (2 m + 3 s + c + 3 t, parameters)."""
+    turns: Turns
+    tangent: FloatArray
+    """Two unit vectors at right angles to u_after, shape (m, 2, 3)."""
+    predicted: FloatArray
+    """R^T exp([w_e T]) u_before, shape (m, 3)."""
+    carry: FloatArray
+    """R^T exp([w_e T]), shape (m, 3, 3)."""
+    stills: int
+    """Number of stills."""
+
+    @property
+    def moves(self) -> int:
+        """Number of moves."""
+        return len(self.tangent)
+
+    def angle_error_rad(self, up_after: FloatArray) -> FloatArray:
+        """Return the angle between measured and predicted direction of each move, shape (m,)."""
+        sine = np.linalg.norm(cross(self.predicted, up_after), axis=1)
+        error: FloatArray = np.arctan2(sine, np.sum(self.predicted * up_after, axis=1))
+        return error
+
+
+def chains_of(stills: int, before: IntArray, after: IntArray) -> IntArray:
+    """Return the chain of each still: stills joined by moves share one."""
+    chain = np.arange(stills)
+    for first, second in zip(before, after, strict=True):
+        chain[chain == chain[second]] = chain[first]
+    return np.unique(chain, return_inverse=True)[1].astype(np.int64)
+
+
+def evaluate(p: FloatArray, data: GyroscopeData) -> Evaluation:
+    """Return residuals and derivatives at ``p``."""
+    x, v = p[:PARAMETERS], p[VERTICAL]
+    h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
+    turns = integrate(x, data.slots, data.noise_density_raw)
+    up = data.up
+    Q, carry = carry_azimuth(data, turns, v, h)
+    predicted = (carry @ up[data.before][:, :, None])[:, :, 0]
+    tangent = _tangent(up[data.after])
+    residual_moves = (tangent @ (up[data.after] - predicted)[:, :, None])[:, :, 0]
+    earth = v * up + (Q @ h[data.chain][:, :, None])[:, :, 0]
+    A, H = x[INVERSE].reshape(3, 3), x[SENSITIVITY].reshape(3, 3)
+    residual_stills = data.rate_raw @ A.T - x[BIAS] - data.force @ H.T - earth
+    stops, stop_rows = _stop_rows(data, turns, carry)
+    table = data.table.half_difference_raw @ A.T - data.table.rate_rad_s
+    jacobian = np.vstack(
+        [_move_rows(data, turns, tangent, predicted, carry, Q), _still_rows(data, Q), stop_rows, _table_rows(data)]
+    )
+    residual = np.concatenate([residual_moves.ravel(), residual_stills.ravel(), stops, table.ravel()])
+    return Evaluation(residual, jacobian, turns, tangent, predicted, carry, len(up))
+
+
+def carry_azimuth(data: GyroscopeData, turns: Turns, v: float, h: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the horizontal axes at each still, shape (s, 3, 2), and R^T exp([w_e T]) of each move, shape (m, 3, 3)."""
+    up = data.up
+    Q = np.swapaxes(_tangent(up), 1, 2).copy()
+    back = np.swapaxes(matrix(turns.quaternion), 1, 2)
+    carry = np.empty_like(back)
+    duration = np.add.reduceat(data.slots.duration_s, data.slots.first)
+    for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
+        earth = v * up[i] + Q[i] @ h[data.chain[i]]
+        carry[k] = back[k] @ rotation_matrix(earth * duration[k])
+        Q[j] = _level(carry[k] @ Q[i], up[j])
+    return Q, carry
+
+
+def _level(axes: FloatArray, up: FloatArray) -> FloatArray:
+    """Return two axes (3, 2) made orthonormal and at right angles to up."""
+    first = axes[:, 0] - up * (up @ axes[:, 0])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(up, first)], axis=1)
+
+
+def _tangent(up: FloatArray) -> FloatArray:
+    """Return two unit vectors at right angles to each of the unit vectors, shape (m, 3) -> (m, 2, 3)."""
+    other = np.eye(3)[np.argmin(np.abs(up), axis=1)]
+    first = cross(up, other)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack([first, cross(up, first)], axis=1)
+
+
+def _move_rows(
+    data: GyroscopeData, turns: Turns, tangent: FloatArray, predicted: FloatArray, carry: FloatArray, Q: FloatArray
+) -> FloatArray:
+    m = len(data.before)
+    rows = np.zeros((m, 2, data.parameters))
+    # u_pred' = exp(-d turn) u_pred, so d u_pred = u_pred x d turn.
+    rows[:, :, :PARAMETERS] = -tangent @ skew(predicted) @ turns.jacobian
+    duration = np.add.reduceat(data.slots.duration_s, data.slots.first)
+    by_earth = tangent @ carry @ skew(data.up[data.before]) * duration[:, None, None]
+    by_horizontal = by_earth @ Q[data.before]
+    for k in range(m):
+        column = FIRST_HORIZONTAL + 2 * data.chain[data.before[k]]
+        rows[k, :, column : column + 2] = by_horizontal[k]
+    return rows.reshape(-1, data.parameters)
+
+
+def _still_rows(data: GyroscopeData, Q: FloatArray) -> FloatArray:
+    s = len(data.force)
+    rows = np.zeros((s, 3, data.parameters))
+    for axis in range(3):
+        rows[:, axis, 3 * axis : 3 * axis + 3] = data.rate_raw
+        start = SENSITIVITY.start + 3 * axis
+        rows[:, axis, start : start + 3] = -data.force
+    rows[:, :, BIAS] = -np.eye(3)
+    rows[:, :, VERTICAL] = -data.up
+    for k in range(s):
+        column = FIRST_HORIZONTAL + 2 * data.chain[k]
+        rows[k, :, column : column + 2] = -Q[k]
+    return rows.reshape(-1, data.parameters)
+
+
+def _stop_rows(data: GyroscopeData, turns: Turns, carry: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return by how much turns about the vertical miss being whole, shape (c,), and the derivatives."""
+    k = data.stops
+    up = data.up[data.after[k]]
+    missed = np.sum(logarithm(from_matrix(carry[k])) * up, axis=1)
+    rows = np.zeros((len(k), data.parameters))
+    rows[:, :PARAMETERS] = -(up[:, None, :] @ turns.jacobian[k])[:, 0, :]
+    return missed, rows
+
+
+def _table_rows(data: GyroscopeData) -> FloatArray:
+    rows = np.zeros((len(data.table), 3, data.parameters))
+    for axis in range(3):
+        rows[:, axis, 3 * axis : 3 * axis + 3] = data.table.half_difference_raw
+    return rows.reshape(-1, data.parameters)

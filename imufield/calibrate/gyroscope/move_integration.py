@@ -1,0 +1,194 @@
+"""Integrate the gyroscope over moves for given parameters, with the derivative of every turn.
+
+The gyroscope's inverse model is linear in its parameters: with ``n = N - N0`` (``N0`` the mean output at rest)
+
+    w = A n - b - H a,        A = (K E)^-1,  b = A (e - N0),  H = A G
+
+so the rotation vector of a slot is linear in ``A``, ``b`` and ``H`` but for the small coning term (see ``moves``), and with
+``W_k`` the matrix that takes a change of the rotation vector of slot k to the frame at the end of the move,
+
+    d turn = sum_k W_k (dA turn_k - db T_k - dH velocity_k)
+
+Vectors of parameters ``x`` hold A row by row (9), b (3), H row by row (9).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.gyroscope.moves import Moves, Slots
+from imufield.calibrate.model.rotation import cross, exponential, matrix, right_jacobian, running_turns
+from imufield.samples import FloatArray, IntArray
+
+PARAMETERS = 21
+INVERSE = slice(0, 9)
+BIAS = slice(9, 12)
+SENSITIVITY = slice(12, 21)
+
+
+@dataclass(frozen=True, slots=True)
+class CentredSlots:
+    """The k slots of m moves with the gyroscope's output at rest taken off, and the specific force in SI units.
+
+    Attributes
+    ----------
+    duration_s : ndarray, shape (k,)
+    turn, moment, area : ndarray, shape (k, 3)
+        As ``Slots`` has them, of n instead of N: raw rate times s, times s^2, and squared times s^2.
+    velocity_m_s : ndarray, shape (k, 3)
+        Integral of the specific force.
+    bridge : ndarray, shape (k,)
+        Variance of the turn that bridged losses leave, in squares of raw rate times s.
+    first, length : ndarray of int, shape (m,)
+        First slot of each move, and how many it has.
+    """
+
+    duration_s: FloatArray
+    turn: FloatArray
+    moment: FloatArray
+    area: FloatArray
+    velocity_m_s: FloatArray
+    bridge: FloatArray
+    first: IntArray
+    length: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Turns:
+    """Turns of m moves at one parameter vector.
+
+    Attributes
+    ----------
+    quaternion : ndarray, shape (m, 4)
+        Takes body vectors at the end to the body frame at the start, relative to inertial space.
+    jacobian : ndarray, shape (m, 3, 21)
+        d turn / d x, rotation vector at the end.
+    duration : ndarray, shape (m, 3, 3)
+        Sum of W_k T_k: what a constant rate error does.
+    spread : ndarray, shape (m, 3, 3)
+        Covariance of the turn for white noise of unit density in each raw axis: sum of W_k A A^T W_k^T T_k.
+    """
+
+    quaternion: FloatArray
+    jacobian: FloatArray
+    duration: FloatArray
+    spread: FloatArray
+    net_rad: FloatArray
+    """Sum of the rotation vectors in the frame at the end, shape (m, 3): 2 pi for a whole turn."""
+
+
+def centre(moves: Moves, rest_raw: FloatArray, force_m_s2: FloatArray) -> CentredSlots:
+    """Take the output at rest off, exactly.
+
+    Parameters
+    ----------
+    moves : Moves
+    rest_raw : ndarray, shape (3,)
+        N0.
+    force_m_s2 : ndarray, shape (k, 3)
+        Mean specific force of each slot.
+    """
+    slots: Slots = moves.slots
+    T = slots.duration_s[:, None]
+    return CentredSlots(
+        slots.duration_s,
+        slots.turn - rest_raw * T,
+        slots.moment - rest_raw * T**2 / 2,
+        slots.area + cross(T * slots.turn - 2 * slots.moment, rest_raw),
+        force_m_s2 * T,
+        slots.bridge,
+        moves.first,
+        moves.length,
+    )
+
+
+def inverse_matrix(x: FloatArray) -> FloatArray:
+    """Return A of a parameter vector."""
+    return x[INVERSE].reshape(3, 3)
+
+
+def rotation_vectors(x: FloatArray, slots: CentredSlots) -> FloatArray:
+    """Return the rotation vector of each slot, coning included, shape (k, 3)."""
+    A, b, H = inverse_matrix(x), x[BIAS], x[SENSITIVITY].reshape(3, 3)
+    T = slots.duration_s[:, None]
+    M = np.linalg.inv(A)
+    cofactor = np.linalg.det(A) * M.T
+    coning = slots.area + cross(T * slots.turn - 2 * slots.moment, M @ b)
+    vectors: FloatArray = slots.turn @ A.T - b * T - slots.velocity_m_s @ H.T + 0.5 * coning @ cofactor.T
+    return vectors
+
+
+def integrate(x: FloatArray, slots: CentredSlots, noise_density_raw: FloatArray) -> Turns:
+    """Return the turns of all moves at ``x``.
+
+    Parameters
+    ----------
+    x : ndarray, shape (21,)
+    slots : CentredSlots
+    noise_density_raw : ndarray, shape (3,)
+        Raw unit per sqrt(Hz), for ``spread``.
+    """
+    vectors = rotation_vectors(x, slots)
+    running = running_turns(exponential(vectors), slots.first)
+    last = slots.first + slots.length - 1
+    end = running[last]
+    C = matrix(running)
+    to_end = np.swapaxes(np.repeat(C[last], slots.length, axis=0), 1, 2) @ C
+    W = to_end @ right_jacobian(vectors)
+
+    def total(values: FloatArray) -> FloatArray:
+        summed: FloatArray = np.add.reduceat(values, slots.first, axis=0)
+        return summed
+
+    T = slots.duration_s
+    by_inverse = total((W[:, :, :, None] * slots.turn[:, None, None, :]).reshape(-1, 3, 9))
+    duration = total(W * T[:, None, None])
+    by_force = total((W[:, :, :, None] * slots.velocity_m_s[:, None, None, :]).reshape(-1, 3, 9))
+    A = inverse_matrix(x)
+    noise = W @ (A * noise_density_raw)
+    bridged = W @ A
+    spread = noise @ np.swapaxes(noise, 1, 2) * T[:, None, None]
+    if slots.bridge.any():
+        spread += bridged @ np.swapaxes(bridged, 1, 2) * (slots.bridge / 3)[:, None, None]
+    return Turns(
+        end,
+        np.concatenate([by_inverse, -duration, -by_force], axis=2),
+        duration,
+        total(spread),
+        total((to_end @ vectors[:, :, None])[:, :, 0]),
+    )
+
+
+def rough_inverse(slots: CentredSlots, window_s: float = 0.1) -> FloatArray:
+    """Return A without knowing anything, from how the specific force turns during moves, shape (3, 3).
+
+    A vector fixed in space turns in the body as ``da/dt = a x w``, so ``a_2 - a_1 = a x A turn`` for a short window: linear in
+    the nine entries. The acceleration of the hand disturbs it; what comes out is good to 10 or 20 %, signs and order of
+    the axes included.
+    """
+    starts = _windows(slots, window_s)
+    T = np.add.reduceat(slots.duration_s, starts)
+    force = np.add.reduceat(slots.velocity_m_s, starts) / T[:, None]
+    turn = np.add.reduceat(slots.turn, starts)
+    between = np.searchsorted(slots.first, starts, side="right")
+    same = between[2:] == between[:-2]
+    change = (force[2:] - force[:-2])[same]
+    middle, gained = force[1:-1][same], ((turn[:-2] + turn[2:]) / 2 + turn[1:-1])[same]
+    weight = 1 / (1 + np.abs(np.linalg.norm(middle, axis=1) - np.median(np.linalg.norm(middle, axis=1))))
+    rows = np.zeros((len(middle), 3, 9))
+    for axis in range(3):
+        # (a x e_axis) turn_j multiplies A[axis, j].
+        rows[:, :, 3 * axis : 3 * axis + 3] = cross(middle, np.eye(3)[axis])[:, :, None] * gained[:, None, :]
+    rows *= weight[:, None, None]
+    solution: FloatArray = np.linalg.lstsq(rows.reshape(-1, 9), (change * weight[:, None]).reshape(-1), rcond=None)[0]
+    return solution.reshape(3, 3)
+
+
+def _windows(slots: CentredSlots, window_s: float) -> IntArray:
+    elapsed = np.cumsum(slots.duration_s) - slots.duration_s
+    chain = np.repeat(np.arange(len(slots.first)), slots.length)
+    window = np.floor((elapsed - elapsed[slots.first][chain]) / window_s).astype(np.int64)
+    changes = np.flatnonzero((np.diff(window) != 0) | (np.diff(chain) != 0)) + 1
+    return np.concatenate(([0], changes)).astype(np.int64)

@@ -1,0 +1,490 @@
+"""Moves between still positions, as compact sums that a stream can produce in bounded memory.
+
+The gyroscope has to be integrated with parameters that are not known yet, again and again while they are fitted. Keeping
+every sample would do; keeping integrals over short slots (5 ms) is as good and does not grow with the sample rate. With raw
+output ``N(t)`` over a slot of duration ``T``, ``alpha(t)`` its integral from the start of the slot::
+
+    turn    alpha(T)                          moment   integral of alpha dt
+    force   integral of the accelerometer     area     integral of alpha x N dt
+
+For *any* linear model ``w = A (N - e)`` the rotation vector of the slot is, to second order [1]_,
+
+    A (turn - e T) + 1/2 cof(A) (area + (T turn - 2 moment) x e),    cof(A) = det(A) A^-T
+
+because ``A x  x  A y = cof(A) (x x y)``. The second term is coning. What is left out is of third order: 1e-8 rad a slot for a
+hand at 4 rad/s. Neighbouring slots join exactly in the same order (``join_slots``), so quiet stretches of a long recording are
+kept as slots of 0.1 s.
+
+Between two samples the output is taken as the first sample's value for half of the time and the second's for the other half:
+for samples that are the mean turn over their own interval, or increments, the product of their turns is then exact. Where
+samples were lost, the straight line between their neighbours bridges up to 30 ms; longer losses drop the move.
+
+References
+----------
+.. [1] J. E. Bortz, "A new mathematical formulation for strapdown inertial navigation", IEEE Trans. AES-7(1), 1971.
+
+Where a still really ends: an observation need not hold all of it.
+
+An observation stops counting after a while, and guard bands are cut off. For a move every second at rest is a second of noise
+for nothing, so the stills are stretched: cells of 0.1 s before and after are compared with the cells inside, and belong to the
+still as long as both triads stay within a few of its standard deviations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from enum import IntFlag
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.calibrate.model.rotation import cross
+from imufield.samples import LARGEST_OUTPUT, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
+
+CELL_S = 0.1
+"""The guide's cell."""
+GUARD_CELLS = 10
+"""Kept between the stretched still and what looks like motion."""
+_SIGMAS = 5.0
+"""Of the cells inside the still; what is further off looks like motion."""
+_FEWEST = 5
+"""Cells inside a still that tell its scatter."""
+
+
+def stretch_stills(
+    slot_start_s: FloatArray, duration_s: FloatArray, turn: FloatArray, force: FloatArray, stills: FloatArray
+) -> FloatArray:
+    """Return begin and end of each still, stretched, shape (s, 2).
+
+    Parameters
+    ----------
+    slot_start_s, duration_s : ndarray, shape (k,)
+        Slots of the session, in time order.
+    turn, force : ndarray, shape (k, 3)
+        Integrals over them.
+    stills : ndarray, shape (s, 2)
+        Begin and end, in time order.
+    """
+    if not len(slot_start_s):
+        return stills
+    cell_s, cells = _cells(slot_start_s, duration_s, np.concatenate([turn, force], axis=1))
+    low = np.searchsorted(cell_s, stills[:, 0])
+    high = np.searchsorted(cell_s, stills[:, 1] - CELL_S)
+    stretched = stills.copy()
+    for k in range(len(stills)):
+        if high[k] - low[k] < _FEWEST:
+            continue
+        before = int(high[k - 1]) if k else 0
+        after = int(low[k + 1]) if k + 1 < len(stills) else len(cell_s)
+        left, right = _reach(cells, int(low[k]), int(high[k]), before, after)
+        stretched[k, 0] = min(stills[k, 0], cell_s[min(left, len(cell_s) - 1)])
+        stretched[k, 1] = max(stills[k, 1], cell_s[min(right, len(cell_s) - 1)])
+    return stretched
+
+
+def _cells(start_s: FloatArray, duration_s: FloatArray, sums: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the start of each cell, shape (m,), and its mean outputs, shape (m, 6)."""
+    number: IntArray = np.floor(start_s / CELL_S + 1e-6).astype(np.int64)
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(number)) + 1))
+    total = np.maximum(np.add.reduceat(duration_s, starts), 1e-9)
+    return start_s[starts], np.add.reduceat(sums, starts) / total[:, None]
+
+
+def _reach(cells: FloatArray, low: int, high: int, before: int, after: int) -> tuple[int, int]:
+    """Return the cells at which a still can begin and end, guard included."""
+    inside = cells[low:high]
+    centre = inside.mean(axis=0)
+    allowed = _SIGMAS * inside.std(axis=0)
+    calm = np.all(np.abs(cells[before:after] - centre) <= allowed, axis=1)
+    later, earlier = calm[high - before :], calm[: low - before][::-1]
+    forward = len(later) if later.all() else int(np.argmin(later))
+    backward = len(earlier) if earlier.all() else int(np.argmin(earlier))
+    return low - max(backward - GUARD_CELLS, 0), high + max(forward - GUARD_CELLS, 0)
+
+
+SLOT_S = 0.005
+QUIET_SLOTS = 20
+"""Slots of a quiet stretch that are joined: 0.1 s, the guide's cell."""
+BRIDGED_S = 0.03
+"""Longest loss of samples that a straight line bridges: a hand at 2 Hz and 1 rad/s then strays by 0.4 mrad."""
+BRIDGED_INTERVALS = 3.5
+"""The same for slow instruments: two lost samples."""
+LONGEST_MOVE_S = 300.0
+"""The noise of a longer one says nothing any more."""
+INTERRUPTED_S = 1.0
+"""A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out."""
+_LOST_INTERVALS = 1.5
+"""Between one interval, however unsteady the clock, and the two of a lost sample."""
+_PLATEAU = 4
+"""Equal values in a row at the largest or smallest output of the session that make it a saturated axis."""
+_COMPACT_AT = 1_000_000
+"""Slots before quiet stretches are joined: 83 minutes, 170 MB."""
+_SLOT_MARGIN = 1e-6
+"""Of a slot, or s: rounding may put a time just below the edge it stands on."""
+
+DropReason = Literal["saturated", "lost samples", "interrupted", "clock jump", "no samples", "too long", "invalid samples"]
+
+
+class SlotFlag(IntFlag):
+    """What happened in a slot."""
+
+    BRIDGED = 1
+    LOST = 2
+    CLOCK_JUMP = 4
+    SATURATED = 8
+    INVALID = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Slots:
+    """Integrals over k short slots, in time order; raw rates, see the module.
+
+    Attributes
+    ----------
+    start_s, duration_s : ndarray, shape (k,)
+    turn, moment, area, force : ndarray, shape (k, 3)
+    bridge : ndarray, shape (k,)
+        Variance of the turn that bridged losses leave, raw unit squared.
+    flags : ndarray of uint8, shape (k,)
+        ``SlotFlag``.
+    plateau : ndarray, shape (k, 3)
+        Output that repeated itself ``_PLATEAU`` times; NaN where none did.
+    """
+
+    start_s: FloatArray
+    duration_s: FloatArray
+    turn: FloatArray
+    moment: FloatArray
+    area: FloatArray
+    force: FloatArray
+    bridge: FloatArray
+    flags: NDArray[np.uint8]
+    plateau: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.start_s)
+
+    def __getitem__(self, rows: slice | IntArray | NDArray[np.bool_]) -> Slots:
+        return Slots(*(getattr(self, field.name)[rows] for field in fields(Slots)))
+
+
+def stack_slots(parts: list[Slots]) -> Slots:
+    """Put slots one after the other; at least one part is needed."""
+    return parts[0] if len(parts) == 1 else Slots(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Slots)))
+
+
+def no_slots() -> Slots:
+    """Return zero slots."""
+    none, vectors = np.empty(0), np.empty((0, 3))
+    return Slots(none, none, vectors, vectors, vectors, vectors, none, np.empty(0, np.uint8), vectors)
+
+
+def join_slots(slots: Slots, starts: IntArray) -> Slots:
+    """Join each run of slots that begins at one of ``starts`` into one slot, exactly to second order."""
+    length = np.diff(np.append(starts, len(slots)))
+    before = np.cumsum(slots.turn, axis=0) - slots.turn
+    before -= np.repeat(before[starts], length, axis=0)
+    moment = slots.moment + before * slots.duration_s[:, None]
+    area = slots.area + cross(before, slots.turn)
+
+    def total(values: FloatArray) -> FloatArray:
+        summed: FloatArray = np.add.reduceat(values, starts, axis=0)
+        return summed
+
+    return Slots(
+        slots.start_s[starts],
+        total(slots.duration_s),
+        total(slots.turn),
+        total(moment),
+        total(area),
+        total(slots.force),
+        total(slots.bridge),
+        np.bitwise_or.reduceat(slots.flags, starts),
+        np.fmax.reduceat(slots.plateau, starts, axis=0),
+    )
+
+
+class SlotBuilder:
+    """Turns samples into slots; the result does not depend on how the samples were cut into blocks.
+
+    Parameters
+    ----------
+    units : SampleUnits
+        ``interval_s`` tells losses; where it is not known, the median interval of the first block does.
+    slot_s : float
+    """
+
+    def __init__(self, units: SampleUnits, slot_s: float = SLOT_S) -> None:
+        self.slot_s = slot_s
+        self.low = np.full(3, np.inf)
+        self.high = np.full(3, -np.inf)
+        self.interval_s = units.interval_s
+        self._parts: list[Slots] = []
+        self._count = 0
+        self._compact_at = _COMPACT_AT
+        self._pending: Samples | None = None
+        self._flat = np.zeros(3, dtype=np.int64)
+
+    def feed(self, samples: Samples) -> None:
+        """Take the next samples."""
+        finite = (np.abs(samples.gyroscope) <= LARGEST_OUTPUT).all(axis=1)
+        samples = samples if finite.all() else samples[np.flatnonzero(finite)]
+        if not len(samples):
+            return
+        if self._pending is not None:
+            samples = concatenate([self._pending, samples])
+        if self.interval_s is None and len(samples) > 2:
+            self.interval_s = float(np.median(np.diff(samples.time_s)))
+        if self.interval_s is None:
+            self._pending = samples
+            return
+        self._take(samples)
+
+    def finish(self) -> Slots:
+        """Return all slots so far, the unfinished one included."""
+        if self._pending is not None and len(self._pending) > 1 and self.interval_s:
+            slots = self._measure(self._pending, self._slot_of(self._pending.time_s[:-1]))
+            return stack_slots([*self._parts, slots])
+        return stack_slots(self._parts) if self._parts else no_slots()
+
+    def _slot_of(self, time_s: FloatArray) -> IntArray:
+        slot: IntArray = np.floor(time_s / self.slot_s + _SLOT_MARGIN).astype(np.int64)
+        return slot
+
+    def _take(self, samples: Samples) -> None:
+        slot = self._slot_of(samples.time_s[:-1])
+        changes = np.flatnonzero(np.diff(slot)) + 1
+        cut = int(changes[-1]) if len(changes) else 0
+        if cut:
+            self._parts.append(self._measure(samples[: cut + 1], slot[:cut]))
+            self._count += len(self._parts[-1])
+            if self._count > self._compact_at:
+                self._compact()
+        self._pending = samples[cut:]
+
+    def _measure(self, samples: Samples, slot: IntArray) -> Slots:
+        """Return the slots of n intervals between n + 1 samples."""
+        starts = np.concatenate(([0], np.flatnonzero(np.diff(slot)) + 1))
+        N, a, dt = samples.gyroscope_rate(), samples.accelerometer_rate(), np.diff(samples.time_s)
+        flags, bridge = self._losses(dt, np.diff(N, axis=0))
+        dt = np.where(flags & np.uint8(SlotFlag.CLOCK_JUMP), 0.0, dt)
+        half = 0.5 * dt[:, None]
+        turn = half * (N[:-1] + N[1:])
+        flags |= _sample_flags(samples.status)
+        force = half * (a[:-1] + a[1:])
+        # Product of the two half turns: area of a step of N_k for dt/2, then N_k+1 for dt/2.
+        area, moment = half**2 * cross(N[:-1], N[1:]), half**2 * (3 * N[:-1] + N[1:]) / 2
+        single = Slots(samples.time_s[:-1], dt, turn, moment, area, force, bridge, flags, self._plateau(N))
+        self.low, self.high = np.minimum(self.low, N.min(axis=0)), np.maximum(self.high, N.max(axis=0))
+        return join_slots(single, starts)
+
+    def _losses(self, dt: FloatArray, change: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
+        interval = self.interval_s or 0.0
+        flags = np.zeros(len(dt), dtype=np.uint8)
+        lost = dt > _LOST_INTERVALS * interval
+        flags[lost] |= np.uint8(SlotFlag.BRIDGED)
+        flags[dt > max(BRIDGED_S, BRIDGED_INTERVALS * interval)] |= np.uint8(SlotFlag.LOST)
+        flags[dt <= 0] |= np.uint8(SlotFlag.CLOCK_JUMP)
+        # Over a loss the rate changed by `change`; when it did so is unknown, and moves the turn by up to half of this.
+        bridge = np.where(lost, np.sum(change**2, axis=1) * dt**2 / 16, 0.0)
+        return flags, bridge
+
+    def _plateau(self, N: FloatArray) -> FloatArray:
+        """Return outputs that were repeated often enough, one row for each interval, NaN elsewhere."""
+        equal = np.diff(N, axis=0) == 0
+        result = np.full(equal.shape, np.nan)
+        for axis in np.flatnonzero(equal.any(axis=0)):
+            place = np.arange(1, len(equal) + 1)
+            last_change = np.maximum.accumulate(np.where(equal[:, axis], 0, place))
+            run = place - last_change + np.where(last_change == 0, self._flat[axis], 0)
+            result[run >= _PLATEAU - 1, axis] = N[1:][run >= _PLATEAU - 1, axis]
+            self._flat[axis] = run[-1]
+        self._flat[~equal[-1]] = 0
+        return result
+
+    def _compact(self) -> None:
+        """Join the slots of the quieter half of the recording into cells of 0.1 s."""
+        slots = stack_slots(self._parts)
+        cell = self._slot_of(slots.start_s) // QUIET_SLOTS
+        cell_starts = np.concatenate(([0], np.flatnonzero(np.diff(cell)) + 1))
+        rate = slots.turn / np.maximum(slots.duration_s, 1e-9)[:, None]
+        swing = np.max(np.maximum.reduceat(rate, cell_starts) - np.minimum.reduceat(rate, cell_starts), axis=1)
+        quiet = swing <= 2 * np.median(swing[swing > 0]) if np.any(swing > 0) else np.ones(len(swing), dtype=np.bool_)
+        length = np.diff(np.append(cell_starts, len(slots)))
+        keep = ~np.repeat(quiet, length)
+        keep[cell_starts] = True
+        joined = join_slots(slots, np.flatnonzero(keep))
+        self._parts, self._count = [joined], len(joined)
+        self._compact_at = max(_COMPACT_AT, 2 * self._count)
+
+
+def _sample_flags(status: NDArray[np.uint32]) -> NDArray[np.uint8]:
+    """Return the slot flags of intervals from the status of their two samples."""
+    saturated = (status & np.uint32(Status.GYROSCOPE_SATURATED)) != 0
+    invalid = (status & np.uint32(Status.GYROSCOPE_INVALID | Status.INSTRUMENT_FAULT)) != 0
+    flags = saturated * np.uint8(SlotFlag.SATURATED) + invalid * np.uint8(SlotFlag.INVALID)
+    either: NDArray[np.uint8] = (flags[:-1] | flags[1:]).astype(np.uint8)
+    return either
+
+
+@dataclass(frozen=True, slots=True)
+class DroppedMove:
+    """A stretch between two stills that cannot be used, and why."""
+
+    start_s: float
+    end_s: float
+    reason: DropReason
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class Moves:
+    """m moves between still intervals.
+
+    Attributes
+    ----------
+    before, after : ndarray of int, shape (m,)
+        Rows of the still intervals at both ends, as they were given.
+    start_s, end_s : ndarray, shape (m,)
+    first : ndarray of int, shape (m,)
+        Row of the first slot of each move.
+    slots : Slots
+        Slots of all moves, one after the other.
+    dropped : tuple of DroppedMove
+    """
+
+    before: IntArray
+    after: IntArray
+    start_s: FloatArray
+    end_s: FloatArray
+    first: IntArray
+    slots: Slots
+    dropped: tuple[DroppedMove, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.before)
+
+    @property
+    def length(self) -> IntArray:
+        """Slots of each move, shape (m,)."""
+        return np.diff(np.append(self.first, len(self.slots)))
+
+    @property
+    def duration_s(self) -> FloatArray:
+        """Shape (m,)."""
+        if not len(self):
+            return np.empty(0)
+        duration: FloatArray = np.add.reduceat(self.slots.duration_s, self.first)
+        return duration
+
+
+class MoveCollector:
+    """Collects the moves of a recording from a stream of samples; the still intervals are told at the end.
+
+    Parameters
+    ----------
+    units : SampleUnits
+    """
+
+    def __init__(self, units: SampleUnits) -> None:
+        self._builder = SlotBuilder(units)
+
+    def feed(self, samples: Samples) -> None:
+        """Take the next samples."""
+        self._builder.feed(samples)
+
+    def finish(self, start_s: FloatArray, duration_s: FloatArray) -> Moves:
+        """Return the moves between still intervals (sample clock, shape (s,), in any order)."""
+        return cut_moves(self._builder.finish(), start_s, duration_s, (self._builder.low, self._builder.high))
+
+
+def cut_moves(
+    slots: Slots, start_s: FloatArray, duration_s: FloatArray, limits: tuple[FloatArray, FloatArray] | None = None
+) -> Moves:
+    """Cut slots at still intervals; ``limits`` are the smallest and largest output of the session."""
+    if not np.isfinite(start_s).all():
+        # Means that somebody else averaged have no time: nothing is known of what lies between them.
+        return _gather(slots, [], ())
+    order = np.argsort(start_s, kind="stable")
+    # A clock that jumps back must not hide what lies behind the jump; the move with the jump is dropped.
+    rising_s = np.maximum.accumulate(slots.start_s)
+    stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
+    stills = stretch_stills(rising_s, slots.duration_s, slots.turn, slots.force, stills)
+    kept: list[_Cut] = []
+    dropped: list[DroppedMove] = []
+    for k, (before, after) in enumerate(pairwise(order)):
+        begin, end = float(stills[k, 1]), float(stills[k + 1, 0])
+        low, high = (int(row) for row in np.searchsorted(rising_s, [begin - _SLOT_MARGIN, end - _SLOT_MARGIN]))
+        fault = _fault(slots[low:high], begin, end, limits)
+        if fault is None:
+            kept.append(_Cut(int(before), int(after), begin, end, low, high))
+        else:
+            dropped.append(DroppedMove(begin, end, *fault))
+    return _gather(slots, kept, tuple(dropped))
+
+
+class _Cut(NamedTuple):
+    """One move: stills at its ends, times, rows of slots."""
+
+    before: int
+    after: int
+    begin_s: float
+    end_s: float
+    low: int
+    high: int
+
+
+def _gather(slots: Slots, cuts: list[_Cut], dropped: tuple[DroppedMove, ...]) -> Moves:
+    rows = [np.arange(cut.low, cut.high) for cut in cuts]
+    length = np.array([len(part) for part in rows], dtype=np.int64)
+    return Moves(
+        np.array([cut.before for cut in cuts], dtype=np.int64),
+        np.array([cut.after for cut in cuts], dtype=np.int64),
+        np.array([cut.begin_s for cut in cuts], dtype=np.float64),
+        np.array([cut.end_s for cut in cuts], dtype=np.float64),
+        np.cumsum(length) - length,
+        slots[np.concatenate(rows)] if rows else slots[:0],
+        dropped,
+    )
+
+
+def _fault(
+    slots: Slots, begin: float, end: float, limits: tuple[FloatArray, FloatArray] | None
+) -> tuple[DropReason, str] | None:
+    """Return why a move cannot be used, None if it can."""
+    where = f"the move from {begin:.1f} s to {end:.1f} s"
+    if end - begin > LONGEST_MOVE_S:
+        return "too long", f"{where} lasts more than {LONGEST_MOVE_S:g} s and is left out; put the unit down in between"
+    if not len(slots):
+        return "no samples", f"{where} has no samples and is left out"
+    seen = int(np.bitwise_or.reduce(slots.flags))
+    covered = float(slots.duration_s.sum())
+    if seen & SlotFlag.CLOCK_JUMP:
+        return "clock jump", f"the sample clock jumps back in {where}, which is left out"
+    hole_s = float(slots.duration_s[(slots.flags & np.uint8(SlotFlag.LOST)) != 0].sum())
+    if seen & SlotFlag.LOST or covered < end - begin - BRIDGED_S - SLOT_S * QUIET_SLOTS:
+        missing = max(hole_s, end - begin - covered)
+        if missing >= INTERRUPTED_S:
+            return "interrupted", f"the recording was interrupted for {missing:.1f} s in {where}, which is left out"
+        return "lost samples", (
+            f"{where} lost samples for {missing:.3f} s (at most {BRIDGED_S} s are bridged) and is left out; repeat it"
+        )
+    if seen & SlotFlag.SATURATED or _at_limit(slots, limits):
+        return (
+            "saturated",
+            f"the gyroscope is saturated in {where}, which is left out; turn more slowly, or choose a larger range",
+        )
+    if seen & SlotFlag.INVALID:
+        return "invalid samples", f"the gyroscope is flagged invalid in {where}, which is left out; repeat it"
+    return None
+
+
+def _at_limit(slots: Slots, limits: tuple[FloatArray, FloatArray] | None) -> bool:
+    """Whether an output repeats itself at the end of its range."""
+    if limits is None:
+        return False
+    low, high = limits
+    stuck = (slots.plateau == high) | (slots.plateau == low)
+    return bool(np.any(stuck & (high > low)))

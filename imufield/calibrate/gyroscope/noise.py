@@ -1,0 +1,304 @@
+"""The covariance of everything that moves and stills say, shared sources counted once.
+
+Sources, all independent: noise of the accelerometer mean of each still (enters the two moves that share it, and, through the
+calibration, every other), the rest of the accelerometer's uncertainty, noise of the gyroscope mean of each still, its noise
+during each move, and three kinds of scatter whose size the residuals tell:
+
+drift    the bias of each still differs from the fitted one (flicker, and g-sensitivity where it is not fitted)
+wander   the bias walks over the session (temperature, slow flicker): a random walk about its mean over the stills
+turn     every turn is wrong by a little more than its noise says (non-linearity, sampling, vibration)
+
+A move has the mean of the biases of its two stills. The fitted bias is the mean over the stills of this session.
+
+With ``S = S0 + drift^2 V1 + wander^2 V2 + turn^2 V3`` their sizes are estimated by restricted maximum likelihood, by Fisher
+scoring [1]_: with ``P = S^-1 - S^-1 J (J^T S^-1 J)^-1 J^T S^-1``, score and information are
+
+    2 s_k = r^T P V_k P r - tr(P V_k),    2 F_kl = tr(P V_k P V_l)
+
+References
+----------
+.. [1] D. A. Harville, "Maximum likelihood approaches to variance component estimation", J. Am. Stat. Assoc. 72 (1977).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.gyroscope.model import Evaluation, GyroscopeData
+from imufield.calibrate.gyroscope.move_integration import INVERSE, SENSITIVITY
+from imufield.calibrate.model.models import norm_derivatives, recover_vectors, to_vector
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration
+from imufield.calibrate.model.rotation import skew
+from imufield.samples import FloatArray
+
+_DIFFERENCE = 1e-6
+"""Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them."""
+_MOST_SCATTER = 1e4
+"""Times the largest squared residual: no scatter beyond it explains anything, and the numbers stay finite."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForceErrors:
+    """Where errors of the specific force of s stills come from.
+
+    Attributes
+    ----------
+    by_noise : ndarray, shape (s, 3, 3)
+        d force / d raw accelerometer mean.
+    noise : ndarray, shape (s, 3, 3)
+        Covariance of the raw accelerometer mean, scatter between positions included.
+    by_parameters : ndarray, shape (s, 3, 15)
+        d force / d accelerometer parameters.
+    gain : ndarray, shape (s, 15, 3)
+        d accelerometer parameters / d raw mean of each still: the calibration used them.
+    rest : ndarray, shape (15, 15)
+        Covariance of the parameters that does not come from those means (gravity, doubt about the model).
+    with_gravity : ndarray, shape (15,)
+        Covariance of the parameters with gravity.
+    """
+
+    by_noise: FloatArray
+    noise: FloatArray
+    by_parameters: FloatArray
+    gain: FloatArray
+    rest: FloatArray
+    with_gravity: FloatArray
+
+
+def force_errors(observations: Observations, calibration: Calibration, rests: int = 0) -> ForceErrors:
+    """Return how errors of the accelerometer and its calibration reach the specific force of each still.
+
+    The calibration came from all stills but the last ``rests``.
+    """
+    parameters = calibration.accelerometer
+    p, axes = to_vector(parameters), parameters.quadratic_axes
+    raw = observations.mean_raw - parameters.raw_zero
+    by_noise = np.stack(
+        [_difference(p, raw, axes, raw_step=np.eye(3)[k] * _DIFFERENCE * np.abs(raw).max()) for k in range(3)], axis=2
+    )
+    steps = _DIFFERENCE * np.maximum(np.abs(p), [*np.abs(p[:3]), *[1.0] * 9, *np.abs(p[:3]) / 10])
+    by_parameters = np.stack([_difference(p, raw, axes, step=np.eye(15)[k] * steps[k]) for k in range(15)], axis=2)
+    covariance, by_gravity, with_gravity = _accelerometer_covariance(calibration)
+    tau = calibration.quality.between_position_sigma_m_s2
+    within = np.nan_to_num(observations.covariance_raw)
+    noise = within + np.diag((tau * parameters.scale) ** 2)
+    gain, rest = _gain(p, raw, calibration, covariance - by_gravity, noise, rests)
+    return ForceErrors(by_noise, noise, by_parameters, gain, rest + by_gravity, with_gravity)
+
+
+def _difference(
+    p: FloatArray, raw: FloatArray, axes: str, *, step: FloatArray | None = None, raw_step: FloatArray | None = None
+) -> FloatArray:
+    change = np.zeros(15) if step is None else step
+    shift = np.zeros(3) if raw_step is None else raw_step
+    size = float(np.abs(change).max() + np.abs(shift).max())
+    quadratic = "body" if axes == "body" else "sensing"
+    upper = recover_vectors(p + change, raw + shift, quadratic)  # type: ignore[arg-type]
+    lower = recover_vectors(p - change, raw - shift, quadratic)  # type: ignore[arg-type]
+    return (upper - lower) / (2 * size)
+
+
+def _accelerometer_covariance(calibration: Calibration) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the covariance of the 15 parameters, the part of it that comes from gravity, and that with gravity."""
+    places = {name: k for k, name in enumerate(calibration.covariance_names)}
+    known = [name for name in ACCELEROMETER_NAMES if name in places]
+    rows = [ACCELEROMETER_NAMES.index(name) for name in known]
+    columns = [places[name] for name in known]
+    covariance, by_gravity, with_gravity = np.zeros((15, 15)), np.zeros((15, 15)), np.zeros(15)
+    covariance[np.ix_(rows, rows)] = calibration.covariance[np.ix_(columns, columns)]
+    g = places.get(GRAVITY_NAME)
+    if g is not None and calibration.covariance[g, g] > 0:
+        with_gravity[rows] = calibration.covariance[columns, g]
+        by_gravity = np.outer(with_gravity, with_gravity) / calibration.covariance[g, g]
+    return covariance, by_gravity, with_gravity
+
+
+def _gain(
+    p: FloatArray, raw: FloatArray, calibration: Calibration, covariance: FloatArray, noise: FloatArray, rests: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the gain of the accelerometer fit, and what its covariance holds beyond the noise of these means."""
+    derivatives = norm_derivatives(p, raw, calibration.accelerometer.quadratic_axes)
+    v = derivatives.raw_gradient
+    variance = np.einsum("mi,mij,mj->m", v, noise, v)
+    measured = len(raw) - rests
+    usable = (variance > 0) & (len(calibration.positions.used) == measured) & (np.arange(len(raw)) < measured)
+    weight = np.where(usable, 1 / np.where(variance > 0, variance, 1.0), 0.0)
+    gain = -(derivatives.jacobian * weight[:, None] @ covariance)[:, :, None] * v[:, None, :]
+    explained = np.einsum("mij,mjk,mlk->il", gain, noise, gain)
+    values, vectors = np.linalg.eigh(covariance - explained)
+    rest: FloatArray = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return gain, rest
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """1 sigma of what the residuals show beyond the noise."""
+
+    drift_rad_s: float
+    wander_rad_s_per_root_s: float
+    turn_rad: float
+
+    @property
+    def sizes(self) -> tuple[float, float, float]:
+        """In the order of the parts of S."""
+        return self.drift_rad_s, self.wander_rad_s_per_root_s, self.turn_rad
+
+
+@dataclass(frozen=True, slots=True)
+class Covariances:
+    """Parts of S, in the order of ``Evaluation.residual``."""
+
+    fixed: FloatArray
+    drift: FloatArray
+    wander: FloatArray
+    turn: FloatArray
+    with_accelerometer: FloatArray
+    """Covariance of the residuals with the 15 accelerometer parameters and gravity, shape (2 m + 3 s, 16)."""
+
+    def total(self, scatter: Scatter) -> FloatArray:
+        """Return S."""
+        S: FloatArray = self.fixed.copy()
+        for size, part in zip(scatter.sizes, (self.drift, self.wander, self.turn), strict=True):
+            if size > 0:
+                S += size**2 * part
+        return S
+
+
+def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData, errors: ForceErrors) -> Covariances:
+    """Return the parts of S at one evaluation."""
+    m, rows = evaluation.moves, len(evaluation.residual)
+    A, H = x[INVERSE].reshape(3, 3), x[SENSITIVITY].reshape(3, 3)
+    by_force = _by_force(evaluation, data, H)
+    by_parameters = np.einsum("rsi,sip->rp", by_force, errors.by_parameters)
+    by_raw = np.einsum("rsi,sij->rsj", by_force, errors.by_noise) + np.einsum("rp,spj->rsj", by_parameters, errors.gain)
+    noisy = np.einsum("rsi,sij->rsj", by_raw, errors.noise).reshape(rows, -1)
+    fixed = noisy @ by_raw.reshape(rows, -1).T + by_parameters @ errors.rest @ by_parameters.T
+    from_means = noisy @ np.swapaxes(errors.gain, 1, 2).reshape(-1, 15)
+    from_rest = by_parameters @ np.column_stack([errors.rest, errors.with_gravity])
+    with_accelerometer = from_rest + np.pad(from_means, ((0, 0), (0, 1)))
+    to_tangent = -evaluation.tangent @ skew(evaluation.predicted)
+    _add_blocks(fixed, to_tangent @ evaluation.turns.spread @ np.swapaxes(to_tangent, 1, 2), 0)
+    _add_blocks(fixed, A @ data.rate_covariance @ A.T, 2 * m)
+    _add_stops_and_table(fixed, evaluation, data, to_tangent, A)
+    drift = _by_drift(evaluation, data, to_tangent)
+    turn = np.zeros((rows, rows))
+    turning = [*range(2 * m), *_stop_places(data)]
+    turn[turning, turning] = 1.0
+    walk = drift @ np.kron(random_walk(data.time_s), np.eye(3)) @ drift.T
+    return Covariances(fixed, drift @ drift.T, walk, turn, with_accelerometer)
+
+
+def random_walk(time_s: FloatArray) -> FloatArray:
+    """Return the covariance of a random walk of 1 per sqrt(s) about its own mean, shape (s, s)."""
+    elapsed = time_s - time_s.min()
+    centring = np.eye(len(elapsed)) - 1 / len(elapsed)
+    walk: FloatArray = centring @ np.minimum(elapsed[:, None], elapsed) @ centring
+    return walk
+
+
+def _add_blocks(target: FloatArray, blocks: FloatArray, start: int) -> None:
+    size = blocks.shape[1]
+    for k, block in enumerate(blocks):
+        place = slice(start + k * size, start + (k + 1) * size)
+        target[place, place] += block
+
+
+def _stop_places(data: GyroscopeData) -> list[int]:
+    start = 2 * len(data.before) + 3 * len(data.force)
+    return list(range(start, start + len(data.stops)))
+
+
+def _add_stops_and_table(
+    fixed: FloatArray, evaluation: Evaluation, data: GyroscopeData, to_tangent: FloatArray, A: FloatArray
+) -> None:
+    """Add the noise of stops, which share the noise of their move, and of the turntable."""
+    for place, k, sigma in zip(_stop_places(data), data.stops, data.stop_sigma_rad, strict=True):
+        to_stop = -data.up[data.after[k]]
+        shared = to_tangent[k] @ evaluation.turns.spread[k] @ to_stop
+        fixed[place, place] += to_stop @ evaluation.turns.spread[k] @ to_stop + sigma**2
+        fixed[place, 2 * k : 2 * k + 2] += shared
+        fixed[2 * k : 2 * k + 2, place] += shared
+    table = data.table
+    start = len(fixed) - 3 * len(table)
+    _add_blocks(fixed, A @ table.covariance_raw @ A.T + table.rate_covariance, start)
+
+
+def _by_force(evaluation: Evaluation, data: GyroscopeData, H: FloatArray) -> FloatArray:
+    """Return d residual / d specific force of each still, shape (rows, s, 3)."""
+    m, s, rows = evaluation.moves, len(data.force), len(evaluation.residual)
+    up, size = data.up, np.linalg.norm(data.force, axis=1)
+    to_up = (np.eye(3) - up[:, :, None] * up[:, None, :]) / size[:, None, None]
+    result = np.zeros((rows, s, 3))
+    for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
+        place = slice(2 * k, 2 * k + 2)
+        result[place, j] += evaluation.tangent[k] @ to_up[j]
+        result[place, i] -= evaluation.tangent[k] @ evaluation.carry[k] @ to_up[i]
+    for k in range(s):
+        result[2 * m + 3 * k : 2 * m + 3 * k + 3, k] = -H
+    return result
+
+
+def _by_drift(evaluation: Evaluation, data: GyroscopeData, to_tangent: FloatArray) -> FloatArray:
+    """Return d residual / d drift (rad/s) of each still, shape (rows, 3 s)."""
+    m, s = evaluation.moves, len(data.force)
+    result = np.zeros((len(evaluation.residual), 3 * s))
+    effect = to_tangent @ evaluation.turns.duration / 2
+    for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
+        for still in (i, j):
+            result[2 * k : 2 * k + 2, 3 * still : 3 * still + 3] += effect[k]
+    result[2 * m : 2 * m + 3 * s] = np.eye(3 * s)
+    for place, k in zip(_stop_places(data), data.stops, strict=True):
+        half = -data.up[data.after[k]] @ evaluation.turns.duration[k] / 2
+        for still in (data.before[k], data.after[k]):
+            result[place, 3 * still : 3 * still + 3] += half
+    return result
+
+
+def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, parts: Covariances) -> Scatter:
+    """Return one step of restricted maximum likelihood towards the sizes of the scatters."""
+    inverse = np.linalg.inv(parts.total(scatter))
+    weighted = inverse @ jacobian
+    P = inverse - weighted @ np.linalg.pinv(jacobian.T @ weighted, hermitian=True) @ weighted.T
+    components = (parts.drift, parts.wander, parts.turn)
+    products = [P @ V for V in components]
+    Pr = P @ residual
+    score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])
+    information = np.array([[np.sum(a * b.T) for b in products] for a in products])
+    now = np.array(scatter.sizes) ** 2
+    step = _bounded_step(now, score, information)
+    most = np.array([_MOST_SCATTER * float(np.max(residual**2)) / _least_share(V) for V in components])
+    return Scatter(*(float(value) for value in np.sqrt(np.clip(now + step, 0.0, most))))
+
+
+def _least_share(component: FloatArray) -> float:
+    """Return the least variance that a scatter of size one gives to a residual it touches at all; infinite for none."""
+    diagonal = np.diag(component)
+    return float(np.min(diagonal[diagonal > 0], initial=np.inf))
+
+
+def _bounded_step(now: FloatArray, score: FloatArray, information: FloatArray) -> FloatArray:
+    """Return the scoring step; a component at zero that wants to fall stays there."""
+    free = ~((now <= 0) & (score <= 0)) & (np.diag(information) > 0)
+    step = np.zeros(len(now))
+    if not free.any():
+        return step
+    step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=None)[0]
+    falling = now + step < 0
+    if falling.any():
+        # The others answer for what the one at its bound cannot take.
+        step[falling] = -now[falling]
+        rest = free & ~falling
+        if rest.any():
+            answer = score[rest] - information[np.ix_(rest, falling)] @ step[falling]
+            step[rest] = np.linalg.lstsq(information[np.ix_(rest, rest)], answer, rcond=None)[0]
+    return step
+
+
+def accelerometer_force(parameters: AccelerometerParameters, mean_raw: FloatArray) -> FloatArray:
+    """Return the specific force of slot means without the quadratic term, shape (k, 3): enough for g-sensitivity in a move."""
+    s = (mean_raw - parameters.raw_zero) / parameters.scale - parameters.bias_m_s2
+    force: FloatArray = s @ np.linalg.inv(np.eye(3) + parameters.misalignment_rad).T
+    return force

@@ -1,0 +1,177 @@
+"""The static path of a gyroscope that sees the Earth turn: two numbers from every still position.
+
+With ``w = A n - b`` (see ``move_integration``) and ``u`` the direction of the specific force, whatever the heading::
+
+    norm         |w| - rate                            ([1]_ eq. 7, weighted)
+    invariant    u . w - rate sin(latitude)            the specific force times the Earth's rate, over g
+
+The norm alone leaves the frame of A free; the invariant ties it to the accelerometer's. Two readings of one still share its
+noise: their covariance is ``B C B^T`` with the rows of ``B`` the directions of w and u. Bias is known to 0.01 or 0.02 deg/h
+after 10 s a position at 0.003 deg/sqrt(h); scale only to some 1e-3, so it is held at the preset unless asked for.
+
+The invariant also checks the latitude: with it left free, ``sin(latitude) = v / rate``.
+
+References
+----------
+.. [1] Y. Liu et al., "A New Norm-Observed Calibration Method Based on Improved Differential Evolution Algorithm for SINS",
+   2021.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from imufield.calibrate.gyroscope.noise import Covariances, Scatter, next_scatter, random_walk
+from imufield.earth import EARTH_RATE_RAD_S
+from imufield.samples import FloatArray
+
+StaticFree = Literal["bias", "all"]
+SEES_EARTH = 0.1
+"""Sigma of a position mean over the Earth's rate below which an instrument sees the Earth turn."""
+CONTRADICTED = 4.0
+"""Sigmas between the latitude given and seen: once in 16 000 good sessions."""
+_ITERATIONS = 40
+"""Steps before it says that it did not converge; Gauss-Newton on a nearly linear problem, the scatters settle last."""
+_SETTLED = 1e-10
+"""Sum of squared changes in sigma at which it stops: a hundred-thousandth of a sigma."""
+_AT_POLE = 1e-4
+"""Of the Earth's rate, 1 sigma, in each row: at the pole its two directions are one, and their covariance singular."""
+
+
+@dataclass(frozen=True, slots=True)
+class StaticData:
+    """s still positions.
+
+    Attributes
+    ----------
+    rate_raw : ndarray, shape (s, 3)
+        Mean outputs less the output at rest.
+    covariance_raw : ndarray, shape (s, 3, 3)
+    up : ndarray, shape (s, 3)
+    time_s : ndarray, shape (s,)
+    """
+
+    rate_raw: FloatArray
+    covariance_raw: FloatArray
+    up: FloatArray
+    time_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class StaticFit:
+    """``x`` holds A row by row (9), then b (3)."""
+
+    x: FloatArray
+    covariance: FloatArray
+    """Shape (12, 12), zero where not fitted."""
+    scatter: Scatter
+    vertical_rad_s: float
+    vertical_sigma_rad_s: float
+    """u . w as the stills show it with the latitude left free."""
+    converged: bool
+
+
+def seen_latitude_deg(vertical_rad_s: float, sigma_rad_s: float) -> tuple[float, float]:
+    """Return the latitude of a vertical Earth rate, and its sigma."""
+    sine = float(np.clip(vertical_rad_s / EARTH_RATE_RAD_S, -1, 1))
+    cosine = math.sqrt(max(1 - sine**2, 1e-6))
+    return math.degrees(math.asin(sine)), math.degrees(sigma_rad_s / EARTH_RATE_RAD_S / cosine)
+
+
+def latitude_words(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) -> tuple[str, ...]:
+    """Return what u . w says about the latitude that was given."""
+    seen, seen_sigma = seen_latitude_deg(vertical_rad_s, sigma_rad_s)
+    if abs(seen - latitude_deg) > CONTRADICTED * seen_sigma:
+        sentence = (
+            f"the latitude {latitude_deg:g} deg contradicts the gyroscope, which sees {seen:.2f} deg ({seen_sigma:.2f} deg "
+            "1 sigma) in the specific force times the Earth's rate: check it"
+        )
+        return (sentence,)
+    return (f"the gyroscope sees latitude {seen:.2f} deg ({seen_sigma:.2f} deg 1 sigma), given {latitude_deg:g} deg",)
+
+
+def sees_earth(covariance_raw: FloatArray, A: FloatArray) -> bool:
+    """Whether the position means (covariance (s, 3, 3)) are known well below the Earth's rate."""
+    variance = np.trace(A @ covariance_raw @ A.T, axis1=1, axis2=2) / 3
+    return bool(np.sqrt(np.median(variance)) < SEES_EARTH * EARTH_RATE_RAD_S)
+
+
+def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: StaticFree = "bias") -> StaticFit:
+    """Fit the bias, or all of A and b, to still positions.
+
+    Parameters
+    ----------
+    data : StaticData
+    A : ndarray, shape (3, 3)
+        (K E)^-1 of the preset.
+    latitude_deg : float
+    free : {"bias", "all"}
+    """
+    columns = static_columns(free)
+    start = static_start(data, A, latitude_deg)
+    p, covariance, scatter, converged = _fit(data, start, columns)
+    seen, seen_covariance, *_ = _fit(data, p, [*columns, 12])
+    full = np.zeros((12, 12))
+    full[np.ix_(columns, columns)] = covariance
+    return StaticFit(p[:12], full, scatter, float(seen[12]), math.sqrt(seen_covariance[-1, -1]), converged)
+
+
+def static_columns(free: StaticFree) -> list[int]:
+    """Return which entries of A and b are fitted."""
+    return [9, 10, 11] if free == "bias" else list(range(12))
+
+
+def static_start(data: StaticData, A: FloatArray, latitude_deg: float) -> FloatArray:
+    """Return A, the bias with the vertical Earth rate taken off, and that rate, shape (13,)."""
+    vertical_rad_s = EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg))
+    bias = (data.rate_raw @ A.T - vertical_rad_s * data.up).mean(axis=0)
+    return np.concatenate([A.ravel(), bias, [vertical_rad_s]])
+
+
+def _fit(data: StaticData, start: FloatArray, columns: list[int]) -> tuple[FloatArray, FloatArray, Scatter, bool]:
+    p, scatter = start.copy(), Scatter(0.3 * EARTH_RATE_RAD_S, 0.0, 0.0)
+    left = _ITERATIONS
+    while True:
+        residual, jacobian, parts = linearise_static(p, data)
+        J = jacobian[:, columns]
+        inverse = np.linalg.inv(parts.total(scatter))
+        size = np.sqrt(np.maximum(np.einsum("ij,ik,kj->j", J, inverse, J), 1e-300))
+        information = (J / size).T @ inverse @ (J / size)
+        change = -np.linalg.solve(information, (J / size).T @ inverse @ residual)
+        p[columns] += change / size
+        before, scatter = scatter, next_scatter(scatter, residual, J, parts)
+        steady = abs(before.drift_rad_s - scatter.drift_rad_s) <= 1e-3 * before.drift_rad_s + 1e-12
+        converged = steady and float(change @ information @ change) < _SETTLED
+        left -= 1
+        if converged or not left:
+            covariance = np.asarray(np.linalg.inv(information) / np.outer(size, size), dtype=np.float64)
+            return p, covariance, scatter, converged
+
+
+def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, FloatArray, Covariances]:
+    """Return, at A, b and v (13), residuals (2 s), derivatives by A, b and v (2 s, 13), and the parts of their covariance."""
+    A, b, v = p[:9].reshape(3, 3), p[9:12], p[12]
+    s = len(data.rate_raw)
+    w = data.rate_raw @ A.T - b
+    norm = np.linalg.norm(w, axis=1)
+    B = np.stack([w / norm[:, None], data.up], axis=1)
+    residual = np.stack([norm - EARTH_RATE_RAD_S, np.sum(w * data.up, axis=1) - v], axis=1)
+    jacobian = np.zeros((s, 2, 13))
+    jacobian[:, :, :9] = (B[:, :, :, None] * data.rate_raw[:, None, None, :]).reshape(s, 2, 9)
+    jacobian[:, :, 9:12] = -B
+    jacobian[:, 1, 12] = -1.0
+    spread = np.zeros((2 * s, 3 * s))
+    for k in range(s):
+        spread[2 * k : 2 * k + 2, 3 * k : 3 * k + 3] = B[k]
+    noise = np.zeros((3 * s, 3 * s))
+    for k, block in enumerate(A @ data.covariance_raw @ A.T):
+        noise[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = block
+    fixed = spread @ noise @ spread.T
+    fixed += np.eye(2 * s) * (_AT_POLE * EARTH_RATE_RAD_S) ** 2
+    wander = spread @ np.kron(random_walk(data.time_s), np.eye(3)) @ spread.T
+    parts = Covariances(fixed, spread @ spread.T, wander, np.zeros_like(fixed), np.zeros((2 * s, 16)))
+    return residual.ravel(), jacobian.reshape(2 * s, 13), parts

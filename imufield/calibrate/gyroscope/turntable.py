@@ -1,0 +1,97 @@
+"""Turntable runs: known rates, both ways, about known axes.
+
+A run at +w about an axis and one at -w about the same axis, in the same attitude, differ by ``2 K E w``: bias, g-sensitivity
+(the centripetal force is the same both ways) and, over whole turns, the Earth's rate drop out ([1]_ eq. 25, in vector form).
+Each pair gives three numbers, so three axes give all nine entries of K E.
+
+The paper's own cost for this path (eq. 26) compares only the *lengths* of ``N+ - N-`` and ``2 K E w``. With turns about the
+sensor axes it sees nothing but the three column norms of K E: rank 3 of 9 (``triad_costs.TurnsProblem`` has both).
+
+References
+----------
+.. [1] Y. Liu et al., "A New Norm-Observed Calibration Method Based on Improved Differential Evolution Algorithm for SINS",
+   2021.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.gyroscope.model import TableRows
+from imufield.errors import CalibrationError, Reason
+from imufield.samples import FloatArray
+
+_SAME_RATE = 0.05
+"""Runs whose rates differ by more than this share are no pair."""
+
+
+@dataclass(frozen=True, slots=True)
+class TurntableRun:
+    """The mean output of one run.
+
+    Attributes
+    ----------
+    axis : ndarray, shape (3,)
+        Axis of the table in the body frame, unit: "up" of the still before, for a table with a vertical axis.
+    rate_rad_s : float
+        Signed, right-handed about ``axis``.
+    mean_raw : ndarray, shape (3,)
+        Mean gyroscope output over whole turns.
+    covariance_raw : ndarray, shape (3, 3)
+    rate_sigma_rad_s : float
+    axis_sigma_rad : float
+    """
+
+    axis: FloatArray
+    rate_rad_s: float
+    mean_raw: FloatArray
+    covariance_raw: FloatArray
+    rate_sigma_rad_s: float = 0.0
+    axis_sigma_rad: float = 0.0
+
+
+def pair_runs(runs: Sequence[TurntableRun]) -> TableRows:
+    """Join runs into pairs of opposite rates about the same axis.
+
+    Raises
+    ------
+    CalibrationError
+        If a run has no counterpart.
+    """
+    left = list(runs)
+    pairs: list[tuple[TurntableRun, TurntableRun]] = []
+    while left:
+        run = left.pop(0)
+        partner = next((other for other in left if _opposite(run, other)), None)
+        if partner is None:
+            raise CalibrationError(
+                f"the turntable run at {np.degrees(run.rate_rad_s):+.1f} deg/s about {np.round(run.axis, 2).tolist()} has no "
+                "counterpart at the opposite rate about the same axis; record both ways, or leave it out",
+                Reason.TOO_FEW,
+                rate_deg_s=float(np.degrees(run.rate_rad_s)),
+            )
+        left.remove(partner)
+        pairs.append((run, partner) if run.rate_rad_s > 0 else (partner, run))
+    return _rows(pairs)
+
+
+def _opposite(run: TurntableRun, other: TurntableRun) -> bool:
+    same_axis = float(run.axis @ other.axis) > 1 - 1e-3
+    return same_axis and abs(run.rate_rad_s + other.rate_rad_s) <= _SAME_RATE * abs(run.rate_rad_s)
+
+
+def _rows(pairs: list[tuple[TurntableRun, TurntableRun]]) -> TableRows:
+    t = len(pairs)
+    half, rate = np.zeros((t, 3)), np.zeros((t, 3))
+    raw_covariance, covariance = np.zeros((t, 3, 3)), np.zeros((t, 3, 3))
+    for k, (plus, minus) in enumerate(pairs):
+        w = (plus.rate_rad_s - minus.rate_rad_s) / 2
+        u = plus.axis / np.linalg.norm(plus.axis)
+        half[k], rate[k] = (plus.mean_raw - minus.mean_raw) / 2, w * u
+        raw_covariance[k] = (plus.covariance_raw + minus.covariance_raw) / 4
+        along, across = plus.rate_sigma_rad_s**2 / 2, (w * plus.axis_sigma_rad) ** 2
+        covariance[k] = along * np.outer(u, u) + across * (np.eye(3) - np.outer(u, u))
+    return TableRows(half, raw_covariance, rate, covariance)

@@ -1,0 +1,1 @@
+"""Error models, observations, gauge, observability and uncertainty: what every calibration shares."""

@@ -1,0 +1,210 @@
+"""Error models of the two triads: predict outputs, recover inputs, and their derivatives.
+
+Accelerometer, with zeroed output ``N`` (raw unit), specific force ``a`` (m/s^2) and ``s = T a``::
+
+    "sensing" quadratic axes    N = K (s + b) + K2 s**2
+    "body" quadratic axes       N = K (s + b) + K2 a**2        as [1]_ eq. 8 to 10 print it
+
+On sensing axes each axis is a quadratic of its own ``s``. Of its two roots the one that goes to ``N / K - b`` for a
+vanishing ``K2`` is wanted, in the form without cancellation::
+
+    s = 2 (N - K b) / (K + sign(K) sqrt(D)),    D = K**2 + 4 K2 (N - K b)
+
+On body axes ``a = T^-1 ((N - K2 a**2) / K - b)`` is a contraction for any sane instrument ([1]_ eq. 14) and is iterated.
+
+The derivative of ``norm(a)`` with fixed outputs follows from ``N(a, p) = const``: with ``u = a / norm(a)`` and
+``v = (dN/da)^-T u``, ``d norm(a) / dp = -v . dN/dp`` and ``d norm(a) / dN = v``.
+
+Vectors of parameters have 15 entries in the order of ``ACCELEROMETER_NAMES``.
+
+References
+----------
+.. [1] P. Wang et al., "In-Field Calibration of Triaxial Accelerometer Based on Beetle Swarm Antenna Search Algorithm",
+   Sensors, 2020.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters, QuadraticAxes
+from imufield.errors import CalibrationError, Reason
+from imufield.samples import AXES, FloatArray
+
+PARAMETERS = 15
+SCALE = slice(0, 3)
+BIAS = slice(3, 6)
+MISALIGNMENT = slice(6, 12)
+QUADRATIC = slice(12, 15)
+MISALIGNMENT_ROWS = np.array([0, 0, 1, 1, 2, 2])
+MISALIGNMENT_COLUMNS = np.array([1, 2, 0, 2, 0, 1])
+"""Row and column of T for the six entries of the vector: xy, xz, yx, yz, zx, zy."""
+
+_CONTRACTION_TOLERANCE = 1e-14
+"""Relative change at which the iteration stops: navigation grade gets there in four or five passes."""
+_CONTRACTION_ACCEPTED = 1e-12
+"""Rounding can keep the last bits moving for ever; a real failure moves by far more."""
+_CONTRACTION_PASSES = 60
+"""A contraction by 0.6 a pass reaches the tolerance in 60; what is slower is no instrument."""
+
+
+def to_vector(parameters: AccelerometerParameters) -> FloatArray:
+    """Return the 15 parameters as a vector (``raw_zero`` is not one of them)."""
+    off_diagonal = parameters.misalignment_rad[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS]
+    return np.concatenate([parameters.scale, parameters.bias_m_s2, off_diagonal, parameters.quadratic])
+
+
+def from_vector(
+    vector: FloatArray, raw_zero: FloatArray | None = None, quadratic_axes: QuadraticAxes = "sensing"
+) -> AccelerometerParameters:
+    """Return the parameters of a vector, shape (15,)."""
+    off_diagonal = np.zeros((3, 3))
+    off_diagonal[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS] = vector[MISALIGNMENT]
+    zero = np.zeros(3) if raw_zero is None else np.asarray(raw_zero, dtype=np.float64)
+    return AccelerometerParameters(
+        vector[SCALE].copy(), vector[BIAS].copy(), off_diagonal, vector[QUADRATIC].copy(), zero, quadratic_axes
+    )
+
+
+def alignment_matrix(vector: FloatArray) -> FloatArray:
+    """Return T of one vector or of many, shape (..., 15) -> (..., 3, 3)."""
+    T = np.zeros((*vector.shape[:-1], 3, 3))
+    T[..., (0, 1, 2), (0, 1, 2)] = 1.0
+    T[..., MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS] = vector[..., MISALIGNMENT]
+    return T
+
+
+def predict(parameters: AccelerometerParameters, a: FloatArray) -> FloatArray:
+    """Return raw outputs, ``raw_zero`` included, for specific forces in m/s^2, both of shape (..., 3)."""
+    s = a + a @ parameters.misalignment_rad.T
+    squared = s if parameters.quadratic_axes == "sensing" else a
+    output: FloatArray = parameters.scale * (s + parameters.bias_m_s2) + parameters.quadratic * squared**2 + parameters.raw_zero
+    return output
+
+
+def recover(parameters: AccelerometerParameters, raw: FloatArray) -> FloatArray:
+    """Return specific forces in m/s^2 for raw outputs, both of shape (n, 3).
+
+    Raises
+    ------
+    CalibrationError
+        If no specific force gives such an output with these parameters.
+    """
+    raw = np.asarray(raw, dtype=np.float64)
+    a = recover_vectors(to_vector(parameters), raw - parameters.raw_zero, parameters.quadratic_axes)
+    lost = np.isnan(a).any(axis=-1) & np.isfinite(raw).all(axis=-1)
+    if np.any(lost):
+        raise _not_recoverable(parameters, raw, int(np.flatnonzero(lost)[0]))
+    return a
+
+
+def recover_vectors(vector: FloatArray, raw: FloatArray, quadratic_axes: QuadraticAxes) -> FloatArray:
+    """Return specific forces for one or many candidate vectors; NaN where there is no solution.
+
+    Parameters
+    ----------
+    vector : ndarray, shape (..., 15)
+    raw : ndarray, shape (m, 3)
+        Zeroed outputs.
+    quadratic_axes : {"sensing", "body"}
+
+    Returns
+    -------
+    ndarray, shape (..., m, 3)
+    """
+    inverse = np.asarray(np.swapaxes(np.linalg.inv(alignment_matrix(vector)), -1, -2), dtype=np.float64)
+    if quadratic_axes == "sensing":
+        recovered: FloatArray = _sensing_input(vector, raw) @ inverse
+        return recovered
+    return _body_input(vector, raw, inverse)
+
+
+def _sensing_input(vector: FloatArray, raw: FloatArray) -> FloatArray:
+    K, b, K2 = (vector[..., None, part] for part in (SCALE, BIAS, QUADRATIC))
+    unbiased = raw - K * b
+    with np.errstate(invalid="ignore"):
+        root = np.sqrt(K**2 + 4 * K2 * unbiased)
+    s: FloatArray = 2 * unbiased / (K + np.copysign(root, K))
+    return s
+
+
+def _body_input(vector: FloatArray, raw: FloatArray, inverse_transposed: FloatArray) -> FloatArray:
+    K, b, K2 = (vector[..., None, part] for part in (SCALE, BIAS, QUADRATIC))
+    a: FloatArray = (raw / K - b) @ inverse_transposed
+    if not np.any(K2):
+        return a
+    with np.errstate(over="ignore", invalid="ignore"):
+        change = np.inf
+        for _ in range(_CONTRACTION_PASSES):
+            previous, a = a, ((raw - K2 * a**2) / K - b) @ inverse_transposed
+            change = np.abs(a - previous).max(axis=-1) / np.abs(a).max(axis=-1)
+            if not np.any(change > _CONTRACTION_TOLERANCE):
+                break
+    stuck = np.asarray(~(change <= _CONTRACTION_ACCEPTED))
+    return np.where(stuck[..., None], np.nan, a)
+
+
+def _not_recoverable(parameters: AccelerometerParameters, raw: FloatArray, row: int) -> CalibrationError:
+    output = raw.reshape(-1, 3)[row]
+    if parameters.quadratic_axes == "body":
+        return CalibrationError(
+            f"the inverse of the body-axis quadratic model does not converge for output {output.tolist()} (row {row}) within "
+            f"{_CONTRACTION_PASSES} passes; use quadratic axes 'sensing' or check scale and quadratic term",
+            Reason.NOT_CONVERGED,
+            row=row,
+            raw=output,
+        )
+    s = _sensing_input(to_vector(parameters), output - parameters.raw_zero)
+    axis = int(np.argmax(np.isnan(s).reshape(3)))
+    return CalibrationError(
+        f"output {output[axis]:g} of axis {AXES[axis]} (row {row}) is beyond the turning point of the quadratic model with "
+        f"scale {parameters.scale[axis]:g} and quadratic term {parameters.quadratic[axis]:g}; check those two and the raw unit",
+        Reason.BOUNDS,
+        row=row,
+        axis=AXES[axis],
+        raw=float(output[axis]),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class NormDerivatives:
+    """norm(a) of m positions and its derivatives at one parameter vector."""
+
+    a: FloatArray
+    """Specific force, shape (m, 3)."""
+    norm: FloatArray
+    """Shape (m,)."""
+    jacobian: FloatArray
+    """d norm / d parameters, shape (m, 15)."""
+    raw_gradient: FloatArray
+    """d norm / d raw output, shape (m, 3)."""
+
+
+def norm_derivatives(vector: FloatArray, raw: FloatArray, quadratic_axes: QuadraticAxes = "sensing") -> NormDerivatives:
+    """Return norm(a) and its analytic derivatives for zeroed outputs, shape (m, 3)."""
+    K, b, K2 = vector[SCALE], vector[BIAS], vector[QUADRATIC]
+    T = alignment_matrix(vector)
+    a = recover_vectors(vector, raw, quadratic_axes)
+    norm = np.linalg.norm(a, axis=1)
+    s = a @ T.T
+    sensing = quadratic_axes == "sensing"
+    slope = K + 2 * K2 * s if sensing else np.broadcast_to(K, s.shape)
+    dN_da = slope[:, :, None] * T
+    if not sensing:
+        dN_da[:, range(3), range(3)] += 2 * K2 * a
+    with np.errstate(invalid="ignore"):  # a position without any specific force has no direction: NaN
+        u = a / norm[:, None]
+    v = np.linalg.solve(np.swapaxes(dN_da, 1, 2), u[:, :, None])[:, :, 0]
+    misalignment = (v * slope)[:, MISALIGNMENT_ROWS] * a[:, MISALIGNMENT_COLUMNS]
+    squared = s**2 if sensing else a**2
+    jacobian = -np.hstack([v * (s + b), v * K, misalignment, v * squared])
+    return NormDerivatives(a, norm, jacobian, v)
+
+
+def predict_gyroscope(parameters: GyroscopeParameters, rate: FloatArray, a: FloatArray | None = None) -> FloatArray:
+    """Return raw outputs N = K E w + e + G a for rates in rad/s (and specific forces in m/s^2), shape (..., 3)."""
+    turned = rate + rate @ parameters.misalignment_rad.T
+    output: FloatArray = parameters.scale * turned + parameters.bias
+    return output if a is None else output + a @ parameters.g_sensitivity.T

@@ -1,0 +1,222 @@
+"""What the norm of the specific force can show of the 15 parameters, and what it cannot.
+
+A turn ``a' = R a`` of the body frame leaves norm(a) as it is. With ``M = T R^T`` and ``D = diag(M)`` the instrument is
+the same when
+
+    T' = D^-1 M,  K' = K D,  b' = D^-1 b,  K2' = K2 D**2
+
+(exactly for quadratic axes "sensing"). For a small turn ``R = I + [w]x`` its derivative is the 15 x 3 matrix of
+``generators``: three directions in parameter space in which the norm is flat, at every set of positions. They are taken out
+analytically; a threshold on singular values cannot do it, because a large ``K2`` on body axes lifts them over any.
+
+What is left is judged in scaled coordinates, where a unit step of each parameter weighs as 1 m/s^2 at 1 g. There the part of a
+column of the Jacobian that the columns before it do not explain has a length: ``sight``. A position put halfway between two
+faces gives about 0.5 of sight to the misalignment of those two axes; sigma of a parameter is at least s_i / sight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.model.models import (
+    BIAS,
+    MISALIGNMENT,
+    MISALIGNMENT_COLUMNS,
+    MISALIGNMENT_ROWS,
+    PARAMETERS,
+    QUADRATIC,
+    SCALE,
+    NormDerivatives,
+    alignment_matrix,
+)
+from imufield.calibrate.model.result import ACCELEROMETER_NAMES
+from imufield.errors import CalibrationError, Reason
+from imufield.samples import AXES, LARGEST_OUTPUT, FloatArray
+
+LOWER_GAUGE_COLUMNS = (0, 1, 2, 3, 4, 5, 8, 10, 11, 12, 13, 14)
+"""The parameters that stay free where T is lower triangular: K, b, T_yx, T_zx, T_zy, K2."""
+
+WEAKEST_SIGHT = 0.15
+"""A parameter with less sight than this counts as unobservable.
+
+The 24-position schemes give misalignment 1.0 and the quadratic term 0.7 or more, a hand-held session that shows one axis once
+0.24; edges alone, placed to 0.05 rad, give the quadratic term 0.03.
+"""
+
+_FLATTEST = 0.1
+"""Thickness over spread of the outputs of positions in one plane, placed to 5 deg; 24 positions have 0.9."""
+_DEAD = 1e-3
+"""Spread of an axis over that of the widest at which it counts as dead."""
+_ROUND = 0.2
+"""Positions in a plane keep their distance to a degree or so; those of a scheme, seen along an axis, go through the middle."""
+OUTPUT_SIZE = (1e-9, LARGEST_OUTPUT)
+"""Spread and size of outputs: nano-units are below the step of any instrument."""
+
+FACE_COSINE = float(np.cos(np.radians(15.0)))
+"""Nearer than 15 deg to an axis a position is a face. Faces alone show misalignment and quadratic term only by accident of
+their placement (sight 0.2 to 0.4 for 24 positions placed to 0.1 rad), so those are not fitted from them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observability:
+    """What m positions show."""
+
+    rank: int
+    """Of the gauge-free problem: at most 12 with the quadratic term, 9 without."""
+    condition: float
+    """Largest over smallest singular value among those counted in ``rank``, scaled coordinates."""
+    singular_values: FloatArray
+    free: tuple[int, ...]
+    """Observable parameters in the lower gauge, indices into ACCELEROMETER_NAMES."""
+    unobservable: tuple[str, ...]
+    """Names of the parameters these positions cannot show (in the lower gauge)."""
+
+
+def parameter_scale(vector: FloatArray, gravity_m_s2: float) -> FloatArray:
+    """Return the step of each parameter that weighs as 1 m/s^2 at 1 g, shape (15,)."""
+    K = np.abs(vector[SCALE])
+    ones = np.ones(3)
+    g = gravity_m_s2
+    return np.concatenate([K / g, ones, np.full(6, 1 / g), K / g**2])
+
+
+def generators(vector: FloatArray) -> FloatArray:
+    """Return d parameters / d w for a turn a' = a + w x a of the body frame, shape (15, 3)."""
+    T = alignment_matrix(vector)
+    result = np.zeros((PARAMETERS, 3))
+    for axis in range(3):
+        # (I + [e]x)^T = I - [e]x, so dM = -T [e]x, whose rows are e x (row of T).
+        dM = np.cross(np.eye(3)[axis], T)
+        d = np.diag(dM)
+        dT = dM - d[:, None] * T
+        result[SCALE, axis] = vector[SCALE] * d
+        result[BIAS, axis] = -vector[BIAS] * d
+        result[MISALIGNMENT, axis] = dT[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS]
+        result[QUADRATIC, axis] = 2 * vector[QUADRATIC] * d
+    return result
+
+
+def observe(derivatives: NormDerivatives, vector: FloatArray, gravity_m_s2: float, *, quadratic: bool) -> Observability:
+    """Judge what positions show, from the derivatives of the norm.
+
+    Parameters
+    ----------
+    derivatives : NormDerivatives
+        At ``vector``, of m positions.
+    vector : ndarray, shape (15,)
+    gravity_m_s2 : float
+    quadratic : bool
+        Whether the quadratic term is asked for.
+    """
+    columns = np.arange(PARAMETERS if quadratic else PARAMETERS - 3)
+    gauge_free = [column for column in LOWER_GAUGE_COLUMNS if column in columns]
+    scale = parameter_scale(vector, gravity_m_s2)
+    scaled = (derivatives.jacobian * scale)[:, columns]
+    turns = (generators(vector) / scale[:, None])[columns]
+    complement = np.linalg.qr(turns, mode="complete")[0][:, 3:]
+    values = np.asarray(np.linalg.svd(scaled @ complement, compute_uv=False), dtype=np.float64)
+    faces_only = bool(np.all(np.abs(derivatives.a).max(axis=1) > FACE_COSINE * derivatives.norm))
+    free = _visible(scaled, gauge_free[:6] if faces_only else gauge_free)
+    hidden = tuple(ACCELEROMETER_NAMES[column] for column in gauge_free if column not in free)
+    rank = len(free)
+    condition = float(values[0] / values[rank - 1]) if 0 < rank <= len(values) else np.inf
+    return Observability(rank, condition, values, tuple(free), hidden)
+
+
+def _visible(scaled: FloatArray, columns: list[int]) -> list[int]:
+    """Return the columns that show something the ones before them do not (Gram-Schmidt in order of importance)."""
+    seen: list[int] = []
+    basis = np.zeros((len(scaled), 0))
+    for column in columns:
+        rest = scaled[:, column]
+        for _ in range(2):  # the second pass takes away what rounding left
+            rest = rest - basis @ (basis.T @ rest)
+        length = float(np.linalg.norm(rest))
+        if length > WEAKEST_SIGHT and len(seen) < len(scaled):
+            seen.append(column)
+            basis = np.column_stack([basis, rest / length])
+    return seen
+
+
+def require_scale_and_bias(seen: Observability) -> None:
+    """Refuse positions that do not even show scale and bias of each axis.
+
+    Raises
+    ------
+    CalibrationError
+        Naming the axis and the positions that are missing.
+    """
+    missing = sorted({ACCELEROMETER_NAMES[column][-1] for column in range(6) if column not in seen.free})
+    if missing:
+        axes = " and ".join(missing)
+        raise CalibrationError(
+            f"these positions cannot tell scale from bias of axis {axes} (less than {WEAKEST_SIGHT} of sight is left); "
+            f"add positions with {', '.join(f'+{axis} up and -{axis} up' for axis in missing)}",
+            Reason.UNOBSERVABLE,
+            axes=tuple(missing),
+        )
+
+
+def require_outputs(raw: FloatArray, names: tuple[str, ...]) -> None:
+    """Refuse outputs that no instrument sends.
+
+    Raises
+    ------
+    CalibrationError
+    """
+    small, large = OUTPUT_SIZE
+    sizes = np.abs(raw).max(axis=1)
+    worst = int(np.argmax(sizes))
+    if sizes[worst] > large:
+        raise CalibrationError(
+            f"position {names[worst]} (number {worst + 1} of {len(raw)}) has the output {raw[worst].tolist()}, larger than "
+            f"{large:g}, which no instrument sends; correct or remove it",
+            Reason.BOUNDS,
+            position=names[worst],
+        )
+    spread = float(np.ptp(raw, axis=0).max())
+    if spread < small:
+        raise CalibrationError(
+            f"the outputs of all {len(raw)} positions are the same within {spread:.2g} (limit {small:g}): nothing was turned, "
+            "or the unit is wrong; check the columns, and take each position with another side up",
+            Reason.UNOBSERVABLE,
+            spread=spread,
+        )
+
+
+def require_space(raw: FloatArray) -> None:
+    """Refuse outputs that do not fill space: a dead axis, or all positions in one plane.
+
+    Raises
+    ------
+    CalibrationError
+    """
+    spread = np.ptp(raw, axis=0)
+    widest = float(spread.max())
+    values, directions = np.linalg.svd(raw - raw.mean(axis=0), full_matrices=len(raw) < 3)[1:]
+    flatness = float(values[2] / values[0])
+    axis = int(np.argmin(spread))
+    if spread[axis] <= _DEAD * widest and not _is_circle(np.delete(raw, axis, axis=1)):
+        raise CalibrationError(
+            f"axis {AXES[axis]} gives {raw[0, axis]:g} at every position (spread {spread[axis]:g}, other axes {widest:g}): it "
+            "is saturated or dead; check range and wiring",
+            Reason.SATURATED,
+            axis=AXES[axis],
+        )
+    if flatness < _FLATTEST:
+        missing = AXES[int(np.argmax(np.abs(directions[2])))]
+        raise CalibrationError(
+            f"all {len(raw)} positions lie in one plane (thickness {flatness:.2g} of their spread, at least {_FLATTEST} is "
+            f"needed); add positions with axis {missing} up and down",
+            Reason.UNOBSERVABLE,
+            thickness=flatness,
+        )
+
+
+def _is_circle(outputs: FloatArray) -> bool:
+    """Tell whether the outputs of two axes keep their distance to a centre, as they do when both stay in a vertical plane."""
+    centre = (outputs.max(axis=0) + outputs.min(axis=0)) / 2
+    distance = np.linalg.norm((outputs - centre) / np.maximum(np.ptp(outputs, axis=0), np.finfo(float).tiny), axis=1)
+    return bool(np.ptp(distance) < _ROUND * distance.max())

@@ -1,0 +1,190 @@
+"""Position means that somebody else averaged: one CSV row per position.
+
+The header names the columns, in any order: ``ax,ay,az`` are needed; ``gx,gy,gz``, ``sigma_ax`` to ``sigma_gz`` (1 sigma of the
+mean, raw unit), ``name`` and ``temperature_degc`` are optional, triads as a whole. Lines that start with ``#`` are comments.
+An empty value in an optional column is "not available". Cells may be separated by semicolons or tabs instead, as spreadsheets
+of many countries write them; numbers may have a decimal comma then.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from imufield.calibrate.model.observations import Observations
+from imufield.errors import Reason, RecordingError
+from imufield.files import read_small_file
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray, SampleUnits
+
+NAME = "name"
+TEMPERATURE = "temperature_degc"
+_SIGMA_ACCELEROMETER = tuple(f"sigma_{column}" for column in ACCELEROMETER_COLUMNS)
+_SIGMA_GYROSCOPE = tuple(f"sigma_{column}" for column in GYROSCOPE_COLUMNS)
+_TRIADS = (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, _SIGMA_ACCELEROMETER, _SIGMA_GYROSCOPE)
+_COLUMNS = (*(column for triad in _TRIADS for column in triad), NAME, TEMPERATURE)
+_SEPARATORS = (",", ";", "\t")
+"""No name of a column has one of these: the header tells which it is."""
+_DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
+_SMALLEST_SIGMA = 1e-30
+"""No mean is known so well in any unit, and its square would be zero."""
+_SHOWN = 40
+"""Characters of a cell that a sentence repeats."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """The text cells of a file."""
+
+    path: Path
+    header: tuple[str, ...]
+    rows: list[list[str]]
+    lines: list[int]
+    """Line number of each row."""
+
+
+def read_observations(path: str | Path, *, units: SampleUnits | None = None) -> Observations:
+    """Read position means from a CSV file.
+
+    Parameters
+    ----------
+    path : str or Path
+    units : SampleUnits, optional
+        Raw units of the means. Default: m/s^2 where the outputs span 2 g of that (rad/s with it), g where they span 2, else
+        count.
+
+    Returns
+    -------
+    Observations
+        Covariances are diagonal from the sigmas, NaN where there are none; directions are NaN.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, a column is unknown, missing or twice there, or a value is not a number or not finite;
+        names file, line and column.
+    """
+    table = _read_table(Path(path))
+    mean = _triad(table, ACCELEROMETER_COLUMNS)
+    m = len(table.rows)
+    names = tuple(row[table.header.index(NAME)].strip() for row in table.rows) if NAME in table.header else ("",) * m
+    unknown = np.full(m, np.nan)
+    return Observations(
+        name=tuple(name or f"p{row + 1:02d}" for row, name in enumerate(names)),
+        mean_raw=mean,
+        covariance_raw=_diagonal(_triad(table, _SIGMA_ACCELEROMETER)),
+        gyroscope_mean_raw=_triad(table, GYROSCOPE_COLUMNS),
+        gyroscope_covariance_raw=_diagonal(_triad(table, _SIGMA_GYROSCOPE)),
+        direction=np.full((m, 3), np.nan),
+        start_s=unknown,
+        duration_s=unknown.copy(),
+        temperature_degc=_column(table, TEMPERATURE),
+        units=_guess_units(mean) if units is None else units,
+    )
+
+
+def _read_table(path: Path) -> _Table:
+    numbered = [
+        (k, line) for k, line in enumerate(_text(path).splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not numbered:
+        raise _refuse(path, None, "it is empty; give a header with ax,ay,az and one row per position")
+    lines = [k for k, _ in numbered]
+    separator = next((one for one in _SEPARATORS if one in numbered[0][1]), ",")
+    rows = [_cells(path, k, line, separator) for k, line in numbered]
+    header = tuple(cell.strip() for cell in rows[0])
+    _check_header(path, lines[0], header)
+    for line, row in zip(lines[1:], rows[1:], strict=True):
+        if len(row) != len(header):
+            comma = separator == "," and len(row) == 2 * len(header)
+            remedy = "with decimal commas separate the cells by semicolons" if comma else "complete the row"
+            raise _refuse(path, line, f"{len(row)} values where the header has {len(header)} columns; {remedy}")
+    if separator != ",":
+        rows = [
+            [cell if name == NAME else _DECIMAL_COMMA.sub(".", cell) for name, cell in zip(header, row, strict=True)]
+            for row in rows
+        ]
+    return _Table(path, header, rows[1:], lines[1:])
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_small_file(path).decode("utf-8-sig")
+    except OSError as error:
+        what = f"{path} cannot be read ({error.strerror}); check the file name and its permissions"
+        raise RecordingError(what, Reason.NOT_A_RECORDING, path=str(path)) from error
+    except UnicodeDecodeError as error:
+        raise _refuse(path, None, f"it is no UTF-8 text (byte {error.start}); save the means as CSV") from error
+
+
+def _refuse(path: Path, line: int | None, what: str, column: str | None = None) -> RecordingError:
+    where = str(path) + (f", line {line}" if line else "") + (f", column {column}" if column else "")
+    return RecordingError(f"{where}: {what}", Reason.BAD_DATA, path=str(path), line=line, column=column)
+
+
+def _cells(path: Path, number: int, line: str, separator: str) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=separator, strict=True))
+    except csv.Error as error:
+        raise _refuse(path, number, f"it is no CSV ({error}); save the means as CSV") from error
+
+
+def _check_header(path: Path, line: int, header: tuple[str, ...]) -> None:
+    for column in header:
+        if column not in _COLUMNS:
+            blanks = len(column.split()) > 1 and all(word in _COLUMNS for word in column.split())
+            hint = "separate the columns by commas, semicolons or tabs" if blanks else f"the columns are {', '.join(_COLUMNS)}"
+            raise _refuse(path, line, f"unknown column {column[:_SHOWN]!r}; {hint}")
+        if header.count(column) > 1:
+            raise _refuse(path, line, f"column {column!r} is there twice; keep one")
+    for triad in _TRIADS:
+        present = [column for column in triad if column in header]
+        if len(present) < 3 and (present or triad is ACCELEROMETER_COLUMNS):
+            missing = [column for column in triad if column not in header]
+            word = "columns" if len(missing) > 1 else "column"
+            raise _refuse(path, line, f"{word} {', '.join(missing)} missing; give all of {', '.join(triad)}")
+
+
+def _triad(table: _Table, columns: tuple[str, ...]) -> FloatArray:
+    return np.column_stack([_column(table, column) for column in columns])
+
+
+def _column(table: _Table, column: str) -> FloatArray:
+    if column not in table.header:
+        return np.full(len(table.rows), np.nan)
+    place = table.header.index(column)
+    cells = zip(table.lines, table.rows, strict=True)
+    return np.array([_number(table.path, line, column, row[place]) for line, row in cells], dtype=np.float64)
+
+
+def _number(path: Path, line: int, column: str, cell: str) -> float:
+    if not cell.strip() and column not in ACCELEROMETER_COLUMNS:
+        return math.nan
+    try:
+        value = float(cell)
+    except ValueError as error:
+        what = f"{cell.strip()[:_SHOWN]!r} is not a number; correct or remove the row"
+        raise _refuse(path, line, what, column) from error
+    possible = _SMALLEST_SIGMA <= value <= LARGEST_OUTPUT if column.startswith("sigma_") else abs(value) <= LARGEST_OUTPUT
+    if not possible:
+        raise _refuse(path, line, f"{cell.strip()[:_SHOWN]} is no possible value; correct or remove the row", column)
+    return value
+
+
+def _diagonal(sigma: FloatArray) -> FloatArray:
+    covariance = np.zeros((len(sigma), 3, 3))
+    covariance[:, range(3), range(3)] = sigma**2
+    # All of a covariance is unknown where its diagonal is.
+    covariance[np.isnan(sigma).any(axis=1)] = np.nan
+    return covariance
+
+
+def _guess_units(mean: FloatArray) -> SampleUnits:
+    reach = float(np.median(np.ptp(mean, axis=0))) / 2 if len(mean) else 0.0
+    if 8.0 < reach < 12.0:
+        return SampleUnits("m/s^2", "rad/s")
+    return SampleUnits("g" if 0.8 < reach < 1.2 else "count", "count")

@@ -1,0 +1,1 @@
+"""Allan deviation and the noise figures read from it."""

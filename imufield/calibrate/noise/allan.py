@@ -1,0 +1,304 @@
+"""Overlapped Allan deviation of long recordings, as a stream: the adapter of allantools.
+
+The estimator is allantools'. It wants all samples of an axis at once and several copies of them; a day at 200 Hz is 17
+million. So the samples go through levels, each of which averages 32 samples of the one before: short times are taken
+from chunks of the full rate, longer ones from chunks of averages, the longest from all averages at once. At 8 or more samples
+of a level per averaging time, stepping by whole samples loses less than 1 % of the overlapped estimator's freedom. The
+variances of chunks are averaged, weighted by their number of terms; the terms that straddle two chunks are the only ones lost.
+
+From samples as they arrive to even rows: what an Allan deviation needs.
+
+Lost samples are bridged by a straight line where no more than a second is missing, and counted; longer losses and clocks that
+jump back begin a new run of rows.
+"""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from imufield.errors import Reason, UsageError
+from imufield.samples import FloatArray, IntArray
+
+BRIDGED_S = 1.0
+"""A longer hole ends the stretch."""
+
+
+@dataclass(frozen=True, slots=True)
+class EvenRows:
+    """Rows one sample interval apart."""
+
+    start_s: float
+    rows: FloatArray
+    bridged: int
+    """How many of them are on a straight line between samples."""
+    broken: bool
+    """They do not follow the rows before."""
+
+
+class EvenGrid:
+    """Puts samples onto an even grid, block by block.
+
+    Parameters
+    ----------
+    interval_s : float
+    """
+
+    def __init__(self, interval_s: float) -> None:
+        self.interval_s = interval_s
+        self._last: tuple[float, FloatArray] | None = None
+
+    def feed(self, time_s: FloatArray, values: FloatArray) -> list[EvenRows]:
+        """Return the even rows of n samples, shape (n,) and (n, c), in runs."""
+        continues = self._last is not None
+        if self._last is not None:
+            time_s = np.concatenate([[self._last[0]], time_s])
+            values = np.concatenate([self._last[1][None], values])
+        self._last = (float(time_s[-1]), values[-1])
+        between = np.diff(time_s)
+        steps = np.rint(between / self.interval_s).astype(np.int64)
+        breaks = np.flatnonzero((between > BRIDGED_S) | (between <= 0)) + 1
+        runs = []
+        for number, rows in enumerate(np.split(np.arange(len(time_s)), breaks)):
+            even, bridged = bridge(values[rows], steps[rows[:-1]])
+            # The first row of a continued run was handed out with the block before.
+            skip = 1 if continues and number == 0 else 0
+            if len(even) > skip:
+                start_s = float(time_s[rows[0]]) + skip * self.interval_s
+                runs.append(EvenRows(start_s, even[skip:], bridged, number > 0))
+        return runs
+
+
+def bridge(values: FloatArray, steps: IntArray) -> tuple[FloatArray, int]:
+    """Return rows with straight lines over what is missing, and how many those are.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, c)
+    steps : ndarray of int, shape (n - 1,)
+        Sample intervals from each row to the next; fewer than 1 count as 1.
+    """
+    steps = np.maximum(steps, 1)
+    missing = int(np.sum(steps - 1))
+    if not missing:
+        return values, 0
+    place = np.concatenate([[0], np.cumsum(steps)])
+    grid = np.arange(place[-1] + 1)
+    return np.stack([np.interp(grid, place, column) for column in values.T], axis=1), missing
+
+
+DECIMATION = 32
+"""Samples that are averaged into one of the next level: five octaves."""
+CHUNK = 1 << 18
+"""Rows that are measured at once: 2 MiB a column."""
+_CHUNKED_LEVELS = 2
+"""Levels that are measured in chunks; the one above keeps all its rows, one in 1024."""
+_OCTAVES_LOWEST = 8
+"""Octaves taken at the full rate, 1 to 128 samples; every level above adds five."""
+_OCTAVES_A_LEVEL = 5
+"""Of ``DECIMATION``."""
+_SMALLEST = 3
+"""At least this many averaging times in the recording: fewer say nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class AllanDeviation:
+    """Overlapped Allan deviation of c columns at n octaves.
+
+    Attributes
+    ----------
+    tau_s : ndarray, shape (n,)
+    deviation : ndarray, shape (n, c)
+    samples : int
+        At the full rate.
+    factor : ndarray of int, shape (n,)
+        Averaging time in samples of the full rate.
+    """
+
+    tau_s: FloatArray
+    deviation: FloatArray
+    samples: int
+    factor: np.ndarray[Any, np.dtype[np.int64]]
+
+
+class _Level:
+    """Samples of one rate, and what their chunks showed."""
+
+    def __init__(self, columns: int) -> None:
+        self.parts: list[FloatArray] = []
+        self.rows = 0
+        self.total = 0
+        self.square: dict[int, FloatArray] = {}
+        self.terms: dict[int, float] = {}
+        self.flushed = False
+        self.left = np.empty((0, columns))
+
+    def add(self, octave: int, variance: FloatArray, terms: float) -> None:
+        """Add the variance of one chunk."""
+        self.square[octave] = self.square.get(octave, np.zeros(len(variance))) + terms * variance
+        self.terms[octave] = self.terms.get(octave, 0.0) + terms
+
+    def take(self) -> FloatArray:
+        """Return all rows and forget them."""
+        rows = np.concatenate(self.parts) if self.parts else np.empty((0, self.left.shape[1]))
+        self.parts, self.rows = [], 0
+        return rows
+
+
+class AllanStream:
+    """Collects the Allan deviation of c columns; memory does not grow with the length but for one row in 1024.
+
+    Parameters
+    ----------
+    interval_s : float
+        Between samples, which must be even.
+    columns : int
+
+    Raises
+    ------
+    UsageError
+        If allantools is not installed.
+    """
+
+    def __init__(self, interval_s: float, columns: int) -> None:
+        self._allantools = load_allantools()
+        self.interval_s = interval_s
+        self.columns = columns
+        self._levels = [_Level(columns) for _ in range(_CHUNKED_LEVELS + 1)]
+
+    @property
+    def samples(self) -> int:
+        """Samples so far."""
+        return self._levels[0].total
+
+    def feed(self, values: FloatArray) -> None:
+        """Take the next samples, shape (n, c)."""
+        self._put(0, values)
+
+    def finish(self) -> AllanDeviation:
+        """Return the deviation at all octaves of which the recording holds three averaging times."""
+        n = self.samples
+        most = int(np.log2(max(n // _SMALLEST, 1))) if n >= _SMALLEST else -1
+        rest = [level.take() for level in self._levels]
+        octaves, deviation = [], []
+        for octave in range(most + 1):
+            variance = self._variance(octave, rest)
+            if variance is not None:
+                octaves.append(octave)
+                deviation.append(np.sqrt(variance))
+        factor = np.array([1 << octave for octave in octaves], dtype=np.int64)
+        tau_s: FloatArray = np.asarray(factor * self.interval_s, dtype=np.float64)
+        return AllanDeviation(tau_s, np.array(deviation).reshape(-1, self.columns), n, factor)
+
+    def _put(self, number: int, values: FloatArray) -> None:
+        level = self._levels[number]
+        level.parts.append(values)
+        level.rows += len(values)
+        level.total += len(values)
+        if number < _CHUNKED_LEVELS:
+            while level.rows >= 2 * CHUNK:
+                self._flush(number)
+
+    def _flush(self, number: int) -> None:
+        """Take one chunk off; at least as much stays, so the last chunk is never a short one."""
+        level = self._levels[number]
+        rows = level.take()
+        chunk, rest = rows[:CHUNK], rows[CHUNK:]
+        level.parts, level.rows, level.flushed = [rest], len(rest), True
+        self._measure(level, number, chunk, range(self._first(number), self._last(number) + 1))
+        self._average(number, chunk)
+
+    def _average(self, number: int, rows: FloatArray) -> None:
+        level = self._levels[number]
+        joined = np.concatenate([level.left, rows])
+        whole = len(joined) // DECIMATION * DECIMATION
+        level.left = joined[whole:]
+        if whole:
+            self._put(number + 1, joined[:whole].reshape(-1, DECIMATION, self.columns).mean(axis=1))
+
+    def _variance(self, octave: int, rest: list[FloatArray]) -> FloatArray | None:
+        """Return the variance at one octave, from the lowest level that can show it."""
+        for number, level in enumerate(self._levels):
+            if octave <= self._last(number) or number == _CHUNKED_LEVELS or not level.flushed:
+                if octave >= self._first(number) and len(rest[number]):
+                    self._measure(level, number, rest[number], [octave])
+                if octave in level.terms:
+                    variance: FloatArray = level.square[octave] / level.terms[octave]
+                    return variance
+                return None
+            if number + 1 < len(rest) and len(rest[number]):
+                # What was left below goes up once, when the first octave of the next level is asked for.
+                self._average(number, rest[number])
+                rest[number] = np.empty((0, self.columns))
+                rest[number + 1] = np.concatenate([rest[number + 1], self._levels[number + 1].take()])
+        return None
+
+    @staticmethod
+    def _last(number: int) -> int:
+        return _OCTAVES_LOWEST - 1 + _OCTAVES_A_LEVEL * number
+
+    @staticmethod
+    def _first(number: int) -> int:
+        return 0 if number == 0 else _OCTAVES_LOWEST + _OCTAVES_A_LEVEL * (number - 1)
+
+    def _measure(self, level: _Level, number: int, rows: FloatArray, octaves: range | list[int]) -> None:
+        interval_s = self.interval_s * DECIMATION**number
+        inside = [octave for octave in octaves if (1 << (octave - _OCTAVES_A_LEVEL * number)) * 2 < len(rows)]
+        if not inside:
+            return
+        taus = np.array([float(1 << (octave - _OCTAVES_A_LEVEL * number)) for octave in inside]) * interval_s
+        variances, terms = [], np.empty(0)
+        for column in rows.T:
+            # Starting from zero keeps the phase, a running sum, small against its rounding.
+            _, deviation, _, terms = self._allantools.oadev(
+                column - column[0], rate=1 / interval_s, data_type="freq", taus=taus
+            )
+            variances.append(deviation**2)
+        for k, octave in enumerate(inside[: len(terms)]):
+            level.add(octave, np.array([variance[k] for variance in variances]), float(terms[k]))
+
+
+def load_allantools() -> Any:
+    """Return the package.
+
+    Raises
+    ------
+    UsageError
+        If it is not installed.
+    """
+    try:
+        return importlib.import_module("allantools")
+    except ImportError as error:
+        raise UsageError(
+            "the Allan deviation needs the package allantools; install it with `pip install 'imufield[noise]'`",
+            Reason.MISSING_PACKAGE,
+        ) from error
+
+
+def degrees_of_freedom(deviation: AllanDeviation, column: int) -> FloatArray:
+    """Return the equivalent degrees of freedom of each point, shape (n,), from the slope of the deviation there."""
+    ci = importlib.import_module("allantools.ci")
+    sigma = deviation.deviation[:, column]
+    n = len(sigma)
+    if n < 2:
+        return np.ones(n)
+    slope = np.gradient(np.log(np.maximum(sigma, 1e-300)), np.log(deviation.tau_s))
+    # Power law of the rate's spectrum: -1/2 white (0), 0 flicker (-1), +1/2 random walk (-2).
+    power = np.clip(np.rint(-1 - 2 * slope), -2, 0).astype(int)
+    freedom = [
+        ci.edf_greenhall(int(alpha), 2, int(m), deviation.samples + 1, overlapping=True, modified=False)
+        for alpha, m in zip(power, deviation.factor, strict=True)
+    ]
+    return np.maximum(np.array(freedom, dtype=np.float64), 1.0)
+
+
+def interval_95(sigma: FloatArray, freedom: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the 95 % limits of a deviation: chi squared with its degrees of freedom."""
+    from scipy.special import chdtri  # slow to load
+
+    low = sigma * np.sqrt(freedom / chdtri(freedom, 0.025))
+    high = sigma * np.sqrt(freedom / chdtri(freedom, 0.975))
+    return np.asarray(low), np.asarray(high)

@@ -1,0 +1,376 @@
+"""Noise of an instrument from hours of standstill: what ``imufield noise`` finds.
+
+Samples go onto an even grid (lost ones are bridged by a straight line up to 1 s, and counted), the longest stretch in which
+nothing was moved goes into the Allan deviation, and each axis is identified by itself. Memory does not grow with the length.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from imufield.calibrate.noise.allan import (
+    BRIDGED_S,
+    AllanDeviation,
+    AllanStream,
+    EvenGrid,
+    EvenRows,
+    degrees_of_freedom,
+    interval_95,
+)
+from imufield.calibrate.noise.noise_fit import NoiseFigure, NoiseModel, identify
+from imufield.errors import CalibrationError, Reason, RecordingError
+from imufield.samples import AXES, FloatArray, Samples, SampleUnits
+
+MOVED = 0.005
+"""Change of the mean output of a second, over the length of the accelerometer's mean: 5 mg. More is a unit that was moved."""
+REFERENCE_S = 60.0
+"""The mean that a second is held against follows the last minute: warm-up passes, a touch does not."""
+LEAST_SAMPLES = 1000
+"""The deviation at one sample interval is then known to 3 %."""
+LEAST_S = 60.0
+"""In less, nothing but white noise can be seen."""
+QUANTISED = 0.5
+"""Scatter of samples below this many steps of the output: the steps do not average out, the true noise is hidden."""
+_IDENTIFIED_POINTS = 6
+"""Octaves that tell the five kinds of noise of ``noise_fit`` apart: one more than there are kinds."""
+_FIRST_BLOCK = 3
+"""Samples that tell the interval where nothing else does."""
+_HOURS = 3600.0
+_SPLITS_NAMED = 3
+"""Disturbances that are told one by one; the others are counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisNoise:
+    """One axis. Figures are SI where the scale is known, else raw unit.
+
+    Attributes
+    ----------
+    name : str
+        "accelerometer x".
+    unit : str
+    tau_s, deviation, low, high, freedom : ndarray, shape (n,)
+        Overlapped Allan deviation with 95 % limits and equivalent degrees of freedom.
+    model : NoiseModel or None
+        None for an axis that never changed, or is too short to say anything.
+    sample_sigma, step : float
+        Scatter of single samples; smallest change of the output.
+    quantised : bool
+    sentences : tuple of str
+    """
+
+    name: str
+    unit: str
+    tau_s: FloatArray
+    deviation: FloatArray
+    low: FloatArray
+    high: FloatArray
+    freedom: FloatArray
+    model: NoiseModel | None
+    sample_sigma: float
+    step: float
+    quantised: bool
+    sentences: tuple[str, ...] = ()
+
+    @property
+    def density(self) -> NoiseFigure:
+        """White noise, unit per sqrt(Hz)."""
+        return _NOT_KNOWN if self.model is None else self.model.density
+
+    @property
+    def instability(self) -> NoiseFigure:
+        """Bias instability, unit."""
+        return _NOT_KNOWN if self.model is None else self.model.instability
+
+    @property
+    def walk(self) -> NoiseFigure:
+        """Rate random walk, unit per sqrt(s)."""
+        return _NOT_KNOWN if self.model is None else self.model.walk
+
+
+_NOT_KNOWN = NoiseFigure(math.nan, 0.0, math.nan, False)
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseResult:
+    """What a recording at rest showed."""
+
+    axes: tuple[AxisNoise, ...]
+    """Accelerometer x, y, z, then gyroscope x, y, z where there is one."""
+    start_s: float
+    duration_s: float
+    """Of the stretch that was used."""
+    rate_hz: float
+    samples: int
+    bridged: int
+    """Lost samples that were bridged."""
+    is_si: bool
+    sentences: tuple[str, ...] = field(default=())
+
+    @property
+    def source(self) -> str:
+        """Where the figures come from, in words."""
+        return f"Allan deviation of {self.duration_s / _HOURS:.2f} h at rest, {self.rate_hz:.4g} Hz"
+
+    def triad(self, name: str) -> tuple[AxisNoise, ...]:
+        """Return the axes of "accelerometer" or "gyroscope"."""
+        return tuple(axis for axis in self.axes if axis.name.startswith(name))
+
+    def values(self, triad: str, figure: str) -> FloatArray:
+        """Return "density", "instability" or "walk" of a triad, shape (3,); NaN where it was not seen."""
+        found = [getattr(axis, figure).value for axis in self.triad(triad)]
+        return np.array(found) if found else np.full(3, np.nan)
+
+    def upper_limits(self, triad: str, figure: str) -> FloatArray:
+        """Return the upper 95 % limits, shape (3,)."""
+        found = [getattr(axis, figure).high for axis in self.triad(triad)]
+        return np.array(found) if found else np.full(3, np.nan)
+
+
+class NoiseStream:
+    """Collects the noise of a recording from a stream of samples.
+
+    Parameters
+    ----------
+    units : SampleUnits
+    accelerometer_scale, gyroscope_scale : float or ndarray, shape (3,), optional
+        Raw unit per SI, from a calibration or the driver; without them figures stay in raw units.
+    """
+
+    def __init__(
+        self,
+        units: SampleUnits,
+        accelerometer_scale: FloatArray | float | None = None,
+        gyroscope_scale: FloatArray | float | None = None,
+    ) -> None:
+        self._units = units
+        known = (_scale(accelerometer_scale, units.accelerometer, "m/s"), _scale(gyroscope_scale, units.gyroscope, "rad"))
+        self.is_si = all(scale is not None for scale in known)
+        self._scale = np.concatenate([np.ones(3) if scale is None else scale for scale in known])
+        self._grid: EvenGrid | None = None
+        self._columns = 6
+        self._best: _Stretch | None = None
+        self._now: _Stretch | None = None
+        self._waiting: list[FloatArray] = []
+        self._waiting_s = 0.0
+        self._splits: list[str] = []
+
+    def feed(self, samples: Samples) -> None:
+        """Take the next samples."""
+        values = np.concatenate([samples.accelerometer_rate(), samples.gyroscope_rate()], axis=1) / self._scale
+        if self._grid is None:
+            if len(samples) < _FIRST_BLOCK:
+                return
+            interval_s = self._units.interval_s or float(np.median(np.diff(samples.time_s)))
+            self._grid = EvenGrid(interval_s)
+            # An instrument without a gyroscope has NaN there all along.
+            self._columns = 6 if np.isfinite(values[:, 3:]).any() else 3
+        values = values[:, : self._columns]
+        good = samples.usable & np.isfinite(values).all(axis=1)
+        if not good.any():
+            return
+        for run in self._grid.feed(samples.time_s[good], values[good]):
+            self._take(run, self._grid.interval_s)
+
+    def finish(self) -> NoiseResult:
+        """Return what the longest undisturbed stretch shows.
+
+        Raises
+        ------
+        CalibrationError
+            If no stretch is long enough to say anything.
+        """
+        self._end_run()
+        best = self._best
+        if best is None or best.stream.samples < LEAST_SAMPLES or best.duration_s < LEAST_S:
+            longest = 0.0 if best is None else best.duration_s
+            raise CalibrationError(
+                f"the longest undisturbed stretch lasts {longest:.0f} s and the noise needs {LEAST_S:.0f} s and "
+                f"{LEAST_SAMPLES} samples at least (an hour says something, six hours more); record with the unit lying still",
+                Reason.TOO_FEW,
+                longest_s=longest,
+            )
+        return _result(best, self._units, self.is_si, tuple(self._splits))
+
+    def _take(self, run: EvenRows, interval_s: float) -> None:
+        """Take even rows: whole seconds are judged and go on, the rest waits."""
+        if run.broken:
+            self._end_run()
+            self._splits.append(f"samples are missing for more than {BRIDGED_S:g} s before {run.start_s:.1f} s")
+        if not self._waiting:
+            self._waiting_s = run.start_s
+        self._waiting.append(run.rows)
+        second = max(round(1 / interval_s), 1)
+        if sum(len(part) for part in self._waiting) < second:
+            return
+        joined = np.concatenate(self._waiting)
+        whole = len(joined) // second * second
+        self._judge(joined[:whole].reshape(-1, second, self._columns), interval_s)
+        if self._now is not None:
+            self._now.bridged += run.bridged
+        self._waiting = [joined[whole:]]
+        self._waiting_s += whole * interval_s
+
+    def _judge(self, seconds: FloatArray, interval_s: float) -> None:
+        """Feed seconds, shape (n, rows, c), and cut where the unit was moved."""
+        begin = 0
+        for k, mean in enumerate(seconds[:, :, :3].mean(axis=1)):
+            at_s = self._waiting_s + k * seconds.shape[1] * interval_s
+            if self._now is not None and self._now.is_moved(mean):
+                self._now.feed(seconds[begin:k].reshape(-1, self._columns))
+                self._splits.append(f"the unit was moved at {at_s:.0f} s")
+                self._end_stretch()
+                begin = k
+            if self._now is None:
+                self._now = _Stretch(AllanStream(interval_s, self._columns), at_s, interval_s)
+            self._now.follow(mean)
+        if self._now is not None:
+            self._now.feed(seconds[begin:].reshape(-1, self._columns))
+
+    def _end_run(self) -> None:
+        """End the stretch; the second that was not full is given up."""
+        self._waiting = []
+        self._end_stretch()
+
+    def _end_stretch(self) -> None:
+        if self._now is not None and (self._best is None or self._now.stream.samples > self._best.stream.samples):
+            self._best = self._now
+        self._now = None
+
+
+class _Stretch:
+    """One undisturbed stretch."""
+
+    def __init__(self, stream: AllanStream, start_s: float, interval_s: float) -> None:
+        self.stream = stream
+        self.start_s = start_s
+        self.interval_s = interval_s
+        self.bridged = 0
+        self.step = np.full(stream.columns, np.inf)
+        self.squares = np.zeros(stream.columns)
+        self._reference: FloatArray | None = None
+        self._seconds = 0
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last sample."""
+        return self.stream.samples * self.interval_s
+
+    def is_moved(self, mean: FloatArray) -> bool:
+        """Whether the mean of a second (3,) is that of a unit that was moved."""
+        if self._reference is None:
+            return False
+        return float(np.abs(mean - self._reference).max()) > MOVED * float(np.linalg.norm(self._reference))
+
+    def follow(self, mean: FloatArray) -> None:
+        """Let the reference follow the mean of a second."""
+        self._seconds = min(self._seconds + 1, int(REFERENCE_S))
+        before = mean if self._reference is None else self._reference
+        self._reference = before + (mean - before) / self._seconds
+
+    def feed(self, rows: FloatArray) -> None:
+        """Take even rows."""
+        if not len(rows):
+            return
+        change = np.abs(np.diff(rows, axis=0))
+        self.squares += np.sum(change**2, axis=0)
+        change[change == 0] = np.inf
+        self.step = np.minimum(self.step, change.min(axis=0, initial=np.inf))
+        self.stream.feed(rows)
+
+
+def measure_noise(
+    blocks: Iterable[Samples],
+    accelerometer_scale: FloatArray | float | None = None,
+    gyroscope_scale: FloatArray | float | None = None,
+) -> NoiseResult:
+    """Return the noise of a recording; see ``NoiseStream``.
+
+    Raises
+    ------
+    RecordingError
+        If there are no samples.
+    CalibrationError
+        If no stretch is long enough.
+    UsageError
+        If allantools is not installed.
+    """
+    stream: NoiseStream | None = None
+    for block in blocks:
+        stream = stream or NoiseStream(block.units, accelerometer_scale, gyroscope_scale)
+        stream.feed(block)
+    if stream is None:
+        raise RecordingError("the recording holds no samples; check that it is the right one", Reason.NOT_A_RECORDING)
+    return stream.finish()
+
+
+def _scale(given: FloatArray | float | None, unit: str, si: str) -> FloatArray | None:
+    if given is not None:
+        return np.broadcast_to(np.asarray(given, dtype=np.float64), (3,))
+    return np.ones(3) if unit.startswith(si) else None
+
+
+def _result(best: _Stretch, units: SampleUnits, is_si: bool, splits: tuple[str, ...]) -> NoiseResult:
+    allan = best.stream.finish()
+    names = [f"{triad} {axis}" for triad in ("accelerometer", "gyroscope") for axis in AXES][: best.stream.columns]
+    axes = tuple(_axis(name, column, best, allan, _unit(column, units, is_si)) for column, name in enumerate(names))
+    sentences = tuple(f"{why}; the longest stretch without that is used" for why in splits[:_SPLITS_NAMED])
+    if len(splits) > _SPLITS_NAMED:
+        sentences += (f"and {len(splits) - _SPLITS_NAMED} more disturbances",)
+    if best.bridged:
+        sentences += (f"{best.bridged} lost samples were bridged by a straight line",)
+    return NoiseResult(
+        axes, best.start_s, best.duration_s, 1 / best.interval_s, best.stream.samples, best.bridged, is_si, sentences
+    )
+
+
+def _unit(column: int, units: SampleUnits, is_si: bool) -> str:
+    triad = "accelerometer" if column < len(AXES) else "gyroscope"
+    if is_si:
+        return {"accelerometer": "m/s^2", "gyroscope": "rad/s"}[triad]
+    name, increment = (
+        (units.accelerometer, units.accelerometer_is_increment)
+        if triad == "accelerometer"
+        else (units.gyroscope, units.gyroscope_is_increment)
+    )
+    return f"{name}/s" if increment else name
+
+
+def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, unit: str) -> AxisNoise:
+    deviation, freedom = allan.deviation[:, column], degrees_of_freedom(allan, column)
+    low, high = interval_95(deviation, freedom)
+    step = float(best.step[column])
+    sigma = math.sqrt(best.squares[column] / max(2 * (best.stream.samples - 1), 1))
+    quantised = math.isfinite(step) and sigma < QUANTISED * step
+    model = None
+    if len(deviation) >= _IDENTIFIED_POINTS and deviation.min() > 0:
+        model = identify(allan.tau_s, deviation, freedom)
+        if quantised:
+            limit = max(QUANTISED * step * math.sqrt(best.interval_s), model.density.high)
+            model = replace(model, density=NoiseFigure(math.nan, 0.0, limit, False))
+    axis = AxisNoise(name, unit, allan.tau_s, deviation, low, high, freedom, model, sigma, step, quantised)
+    return replace(axis, sentences=_sentences(axis, best.duration_s))
+
+
+def _sentences(axis: AxisNoise, duration_s: float) -> tuple[str, ...]:
+    if not np.isfinite(axis.step):
+        return (f"{axis.name} never changed: a dead axis, or noise far below one step of its output",)
+    sentences = []
+    if axis.quantised:
+        sentences.append(
+            f"{axis.name} is limited by quantisation (scatter {axis.sample_sigma:.3g}, one step {axis.step:.3g} {axis.unit}): "
+            "its white noise is an upper limit"
+        )
+    if axis.model is None:
+        return (*sentences, f"{axis.name} is too short to identify anything; record longer")
+    for name, figure, unit in (("bias instability", axis.instability, ""), ("random walk", axis.walk, "/sqrt(s)")):
+        if not figure.seen:
+            sentences.append(
+                f"{duration_s / _HOURS:.2g} h are too short to see the {name} of {axis.name}: below {figure.high:.3g} "
+                f"{axis.unit}{unit}"
+            )
+    return tuple(sentences)

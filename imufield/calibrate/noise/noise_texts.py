@@ -1,0 +1,138 @@
+"""Noise figures in the forms that navigation filters read, and as a plot.
+
+Filters take one number for a triad: the largest axis. A random walk that the recording was too short to see is given as its
+upper 95 % limit, and a comment says so; zero would make a filter trust a constant bias.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+from typing import Any, Literal
+
+import numpy as np
+
+from imufield.calibrate.noise.noise import NoiseResult
+from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.errors import Reason, UsageError
+
+NoiseFormat = Literal["kalibr", "openvins", "vins", "ros2"]
+
+
+def noise_text(result: NoiseResult, form: NoiseFormat, *, topic: str = "/imu0", gravity_m_s2: float | None = None) -> str:
+    """Return YAML text for Kalibr, OpenVINS, VINS-Fusion, or the publisher of a ROS 2 ``sensor_msgs/Imu``.
+
+    Raises
+    ------
+    UsageError
+        If the figures are not in SI units, or there is no gyroscope.
+    """
+    if not result.is_si or not result.triad("gyroscope"):
+        raise UsageError(
+            "the noise is known in raw units or for one triad only; solve a calibration first, so that the scale is known",
+            Reason.UNITS,
+        )
+    if form == "vins":
+        return _vins(result, STANDARD_GRAVITY_M_S2 if gravity_m_s2 is None else gravity_m_s2)
+    if form == "ros2":
+        return _covariances(result)
+    lines = [
+        f"# {result.source}; largest axis of each triad",
+        *(["imu0:"] if form == "openvins" else []),
+        *_lines(result, "  " if form == "openvins" else ""),
+    ]
+    indent = "  " if form == "openvins" else ""
+    return "\n".join([*lines, f"{indent}rostopic: {topic}", f"{indent}update_rate: {result.rate_hz:.6g}"]) + "\n"
+
+
+def _lines(result: NoiseResult, indent: str) -> list[str]:
+    names = (
+        ("accelerometer_noise_density", "accelerometer", "density", "m/s^2/sqrt(Hz)"),
+        ("accelerometer_random_walk", "accelerometer", "walk", "m/s^3/sqrt(Hz)"),
+        ("gyroscope_noise_density", "gyroscope", "density", "rad/s/sqrt(Hz)"),
+        ("gyroscope_random_walk", "gyroscope", "walk", "rad/s^2/sqrt(Hz)"),
+    )
+    return [f"{indent}{name}: {_largest(result, triad, figure)} {unit}" for name, triad, figure, unit in names]
+
+
+def _vins(result: NoiseResult, gravity_m_s2: float) -> str:
+    names = (
+        ("acc_n", "accelerometer", "density"),
+        ("gyr_n", "gyroscope", "density"),
+        ("acc_w", "accelerometer", "walk"),
+        ("gyr_w", "gyroscope", "walk"),
+    )
+    lines = [f"# {result.source}; largest axis of each triad"]
+    lines += [f"{name}: {_largest(result, triad, figure)} SI" for name, triad, figure in names]
+    return "\n".join([*lines, f"g_norm: {gravity_m_s2:.6f}"]) + "\n"
+
+
+def _covariances(result: NoiseResult) -> str:
+    """Return the covariances that belong into every message at the recorded rate, axis by axis.
+
+    A filter takes messages for independent, so what counts is the white noise it adds up, N^2 times the rate: where the
+    instrument filters its output, single samples scatter less than that.
+    """
+    lines = [f"# {result.source}; of sensor_msgs/Imu at this rate, row by row"]
+    for triad, name, unit in (
+        ("accelerometer", "linear_acceleration_covariance", "(m/s^2)^2"),
+        ("gyroscope", "angular_velocity_covariance", "(rad/s)^2"),
+    ):
+        known, most = result.values(triad, "density"), result.upper_limits(triad, "density")
+        diagonal = np.diag(np.where(np.isfinite(known), known, most) ** 2 * result.rate_hz)
+        lines.append(f"{name}: [{', '.join(f'{value:.6e}' if value else '0.0' for value in diagonal.ravel())}]  # {unit}")
+    return "\n".join(lines) + "\n"
+
+
+def _largest(result: NoiseResult, triad: str, figure: str) -> str:
+    """Return the number and the start of a comment."""
+    values = result.values(triad, figure)
+    if np.isfinite(values).any():
+        return f"{np.nanmax(values):.6e}  #"
+    return f"{np.nanmax(result.upper_limits(triad, figure)):.6e}  # upper 95 % limit, not seen;"
+
+
+def draw_plot(result: NoiseResult, kind: str) -> bytes:
+    """Return a picture of the Allan deviation of all axes, with 95 % limits and the model.
+
+    Parameters
+    ----------
+    result : NoiseResult
+    kind : str
+        Format by the suffix of its file: "png", "svg", "pdf" and what else matplotlib writes.
+
+    Raises
+    ------
+    UsageError
+        If matplotlib is not installed, or does not write such files.
+    """
+    figure = _figure_class()(figsize=(9.0, 4.5), layout="constrained")
+    for place, triad in enumerate(("accelerometer", "gyroscope")):
+        axes = figure.add_subplot(1, 2, place + 1)
+        for axis in result.triad(triad):
+            (line,) = axes.loglog(axis.tau_s, axis.deviation, ".", label=axis.name[-1])
+            axes.fill_between(axis.tau_s, axis.low, axis.high, alpha=0.2, color=line.get_color())
+            if axis.model is not None:
+                axes.loglog(axis.tau_s, axis.model.deviation(axis.tau_s), "-", linewidth=1, color=line.get_color())
+            axes.set_ylabel(f"Allan deviation, {axis.unit}")
+        axes.set_title(triad)
+        axes.set_xlabel("averaging time, s")
+        axes.grid(visible=True, which="both", alpha=0.3)
+        if result.triad(triad):
+            axes.legend()
+    figure.suptitle(result.source)
+    kinds = figure.canvas.get_supported_filetypes()
+    if kind not in kinds:
+        raise UsageError(f"a plot cannot be a .{kind} file; end its name in one of .{', .'.join(sorted(kinds))}", kind=kind)
+    picture = io.BytesIO()
+    figure.savefig(picture, format=kind, dpi=150)
+    return picture.getvalue()
+
+
+def _figure_class() -> Any:
+    try:
+        return importlib.import_module("matplotlib.figure").Figure
+    except ImportError as error:
+        raise UsageError(
+            "a plot needs the package matplotlib; install it with `pip install 'imufield[report]'`", Reason.MISSING_PACKAGE
+        ) from error

@@ -1,0 +1,119 @@
+"""Agreement of methods as proof: how far apart they end, in units of sigma.
+
+Each method minimises the cost of its paper, so even two perfect ones differ by statistics: an absolute cost weighs outliers
+less than squares do. A cross-check therefore runs twice: with each method's own cost, and with one weighted cost for all, where
+what is left is how well each method searches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.solvers.costs import CostName
+from imufield.calibrate.solvers.registry import find_method
+from imufield.samples import FloatArray
+
+LEAST_SQUARES = "least-squares"
+CROSS_CHECKED = ("bsas", "ide", LEAST_SQUARES)
+AGREEMENT_SIGMA = 3.0
+"""Methods with different costs may differ by this much; an absolute cost alone makes 0.7 on the average of one parameter."""
+SEARCH_AGREEMENT_SIGMA = 0.05
+"""Methods with one cost may differ by this much."""
+
+Attempt = tuple[FloatArray, str]
+"""What a method found, and why it did not converge, "" where it did."""
+
+
+@dataclass(frozen=True, slots=True)
+class MethodDifference:
+    """The largest difference between two methods in one number."""
+
+    sigma: float
+    parameter: str
+    methods: tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class CrossCheck:
+    """What several methods make of the same observations."""
+
+    what: str
+    """Accelerometer or gyroscope."""
+    own_costs: MethodDifference
+    """Each with the cost of its paper."""
+    one_cost: MethodDifference
+    """All with the weighted cost."""
+    not_converged: tuple[str, ...]
+    """A sentence for each run that did not converge."""
+    found: dict[str, FloatArray]
+    """The numbers compared, by method, own costs, shape (n,) each."""
+
+    @property
+    def agree(self) -> bool:
+        """Whether the methods prove one another."""
+        near = self.own_costs.sigma <= AGREEMENT_SIGMA and self.one_cost.sigma <= SEARCH_AGREEMENT_SIGMA
+        return near and not self.not_converged
+
+    @property
+    def sentence(self) -> str:
+        """The outcome in words."""
+        own, one = self.own_costs, self.one_cost
+        verdict = "the methods prove one another" if self.agree else "the methods do NOT prove one another"
+        failed = f"; {'; '.join(self.not_converged)}" if self.not_converged else ""
+        own_words = f"{own.sigma:.2g} sigma ({own.parameter}, {own.methods[0]} against {own.methods[1]})"
+        return (
+            f"cross-check of the {self.what} by {', '.join(self.found)}: {verdict}; largest disagreement {own_words} with the "
+            f"cost of each paper, {one.sigma:.2g} sigma with one cost{failed}"
+        )
+
+
+def compare(
+    what: str,
+    attempt: Callable[[str, CostName], Attempt],
+    names: Sequence[str],
+    sigma: FloatArray,
+    methods: Sequence[str] = CROSS_CHECKED,
+) -> CrossCheck:
+    """Let each method try with its own cost and with the weighted one, and compare.
+
+    Parameters
+    ----------
+    what : str
+    attempt : callable
+        Given method and cost, returns the n numbers it found and why it did not converge.
+    names : sequence of str
+    sigma : ndarray, shape (n,)
+        0 where a number is not fitted.
+    methods : sequence of str
+
+    Raises
+    ------
+    UsageError
+        If there is no such method.
+    """
+    own: dict[str, FloatArray] = {}
+    one: dict[str, FloatArray] = {}
+    open_runs: list[str] = []
+    for method in methods:
+        costs: tuple[CostName, CostName] = (find_method(method).cost_name, "weighted")
+        for found_by, cost_name in zip((own, one), costs, strict=True):
+            found_by[method], why = attempt(method, cost_name)
+            if why:
+                open_runs.append(f"{method} did not converge ({why})")
+    return CrossCheck(what, _largest(own, names, sigma), _largest(one, names, sigma), tuple(dict.fromkeys(open_runs)), own)
+
+
+def _largest(found: Mapping[str, FloatArray], names: Sequence[str], sigma: FloatArray) -> MethodDifference:
+    methods = list(found)
+    largest = MethodDifference(0.0, "", (methods[0], methods[-1]))
+    fitted = sigma > 1e-9 * np.maximum(np.abs(found[methods[0]]), np.finfo(float).tiny)
+    for i, first in enumerate(methods):
+        for second in methods[i + 1 :]:
+            apart = np.where(fitted, np.abs(found[first] - found[second]) / np.where(fitted, sigma, 1.0), 0.0)
+            worst = int(np.argmax(apart))
+            if apart[worst] > largest.sigma:
+                largest = MethodDifference(float(apart[worst]), names[worst], (first, second))
+    return largest

@@ -1,0 +1,160 @@
+"""Cost functions of the norm of the specific force over whole populations, and the problem that solvers work on.
+
+With ``n_i = norm(a_i)`` of position i, ``g`` the gravity and ``s_i`` the sigma of ``n_i``::
+
+    absolute   sum |n_i - g|                            m/s^2         [1]_ eq. 13
+    squares    sqrt(sum (g^2 - n_i^2)^2 / (M - 1))      (m/s^2)^2     [2]_ eq. 7 and 10
+    weighted   sum ((n_i - g) / s_i)^2                  1
+
+Coordinates: ``parameters = origin + basis z``. The basis keeps the gauge and the parameters that are not fitted, and scales
+each coordinate to m/s^2 at 1 g, so that a step of one size means the same in all of them.
+
+Swarms ask for thousands of costs and get them in one call with no iteration that can be avoided: the inverse of the printed
+form ([1]_ eq. 14) starts from ``T^-1 (N / K - b)`` and takes a fixed number of passes; only the candidates that still move then
+take the slow, safe way of ``models.recover_vectors``.
+
+References
+----------
+.. [1] P. Wang et al., "In-Field Calibration of Triaxial Accelerometer Based on Beetle Swarm Antenna Search Algorithm",
+   Sensors, 2020.
+.. [2] Y. Liu et al., "A New Norm-Observed Calibration Method Based on Improved Differential Evolution Algorithm for SINS",
+   2021.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from imufield.calibrate.model.models import BIAS, MISALIGNMENT, QUADRATIC, SCALE, norm_derivatives, recover_vectors
+from imufield.calibrate.model.result import ACCELEROMETER_NAMES, QuadraticAxes
+from imufield.calibrate.solvers.triad_costs import inverse_matrices, unit_diagonal_matrices
+from imufield.samples import FloatArray
+
+CostName = Literal["absolute", "squares", "weighted"]
+
+_PASSES = 4
+"""Passes of eq. 14 that reach 2e-15 for navigation-grade parameters."""
+_MORE_PASSES = 6
+"""Passes more that settle the wild candidates of the first rounds without the safe way."""
+_MOVING = 1e-12
+"""Relative change in the last pass above which a candidate is inverted with care."""
+
+
+@dataclass(frozen=True, slots=True)
+class NormProblem:
+    """The norms of m positions as a function of n coordinates (satisfies ``solvers.base.Problem``).
+
+    Attributes
+    ----------
+    raw : ndarray, shape (m, 3)
+        Zeroed mean outputs.
+    gravity_m_s2 : float
+    sigma_m_s2 : ndarray, shape (m,)
+    origin : ndarray, shape (15,)
+    basis : ndarray, shape (15, n)
+    quadratic_axes : {"sensing", "body"}
+    cost_name : {"absolute", "squares", "weighted"}
+    reach : float
+        Bounds of every coordinate: minus and plus this.
+    """
+
+    raw: FloatArray
+    gravity_m_s2: float
+    sigma_m_s2: FloatArray
+    origin: FloatArray
+    basis: FloatArray
+    quadratic_axes: QuadraticAxes = "sensing"
+    cost_name: CostName = "weighted"
+    reach: float = np.inf
+
+    @property
+    def start(self) -> FloatArray:
+        """The origin, shape (n,)."""
+        return np.zeros(self.basis.shape[1])
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Limits of the coordinates, shape (n,) each."""
+        reach = np.full(self.basis.shape[1], self.reach)
+        return -reach, reach
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each coordinate moves most, for messages."""
+        weight = np.abs(self.basis) / np.maximum(np.abs(self.basis).max(axis=1, keepdims=True), np.finfo(float).tiny)
+        return tuple(ACCELEROMETER_NAMES[int(k)] for k in np.argmax(weight, axis=0))
+
+    def vector(self, z: FloatArray) -> FloatArray:
+        """Return parameters of coordinates, shape (..., n) -> (..., 15)."""
+        vector: FloatArray = z @ self.basis.T
+        vector += self.origin
+        return vector
+
+    def cost(self, candidates: FloatArray) -> FloatArray:
+        """Return the cost of a population, shape (c, n) -> (c,); inf where the model cannot be inverted."""
+        squares = self._squared_norms(self.vector(candidates))
+        cost: FloatArray
+        if self.cost_name == "squares":
+            squares -= self.gravity_m_s2**2
+            cost = np.sqrt(np.einsum("cm,cm->c", squares, squares) / (squares.shape[1] - 1))  # eq. 7 of [2]_
+        else:
+            residual = np.sqrt(squares, out=squares)
+            residual -= self.gravity_m_s2
+            if self.cost_name == "absolute":
+                cost = np.abs(residual, out=residual).sum(axis=1)  # eq. 13 of [1]_
+            else:
+                residual /= self.sigma_m_s2
+                cost = np.einsum("cm,cm->c", residual, residual)
+        cost[~np.isfinite(cost)] = np.inf
+        return cost
+
+    def _squared_norms(self, vectors: FloatArray) -> FloatArray:
+        """Return norm(a)^2, shape (c, 15) -> (c, m)."""
+        with np.errstate(all="ignore"):
+            inverse = inverse_matrices(unit_diagonal_matrices(vectors[:, MISALIGNMENT]))
+            a = self._sensing(vectors, inverse) if self.quadratic_axes == "sensing" else self._body(vectors, inverse)
+            return np.asarray(np.einsum("cim,cim->cm", a, a))
+
+    def _sensing(self, vectors: FloatArray, inverse: FloatArray) -> FloatArray:
+        K, b, K2 = (vectors[:, part, None] for part in (SCALE, BIAS, QUADRATIC))
+        unbiased = self.raw.T - K * b
+        root = np.sqrt(K**2 + 4 * K2 * unbiased)
+        s = 2 * unbiased / (K + np.copysign(root, K))
+        return np.asarray(inverse @ s)
+
+    def _body(self, vectors: FloatArray, inverse: FloatArray) -> FloatArray:
+        K = vectors[:, SCALE]
+        input_b = self.raw.T / K[:, :, None]
+        input_b -= vectors[:, BIAS, None]
+        linear = inverse @ input_b
+        curved = inverse * (vectors[:, QUADRATIC] / K)[:, None, :]  # eq. 14 of [1]_: a = T^-1 (N / K - b) - T^-1 (K2 / K) a^2
+        a = before = linear
+        for _ in range(_PASSES - 1):
+            a = linear - curved @ (a * a)
+        for _ in range(_MORE_PASSES):
+            before, a = a, linear - curved @ (a * a)
+            if np.abs(a - before).max() <= _MOVING * self.gravity_m_s2:
+                return np.asarray(a)
+        # Negated, because a candidate with NaN moves too.
+        moving = ~(np.abs(a - before).max(axis=(1, 2)) <= _MOVING * self.gravity_m_s2)
+        a[moving] = np.swapaxes(recover_vectors(vectors[moving], self.raw, self.quadratic_axes), 1, 2)
+        return np.asarray(a)
+
+    def residuals(self, z: FloatArray) -> FloatArray:
+        """Return what least squares minimises for this cost, shape (m,)."""
+        a = recover_vectors(self.vector(z), self.raw, self.quadratic_axes)
+        norm = np.linalg.norm(a, axis=-1)
+        if self.cost_name == "squares":
+            return np.asarray((norm**2 - self.gravity_m_s2**2) / np.sqrt(len(norm) - 1))
+        return np.asarray((norm - self.gravity_m_s2) / self.sigma_m_s2)
+
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        """Return the derivative of ``residuals``, shape (m, n)."""
+        derivatives = norm_derivatives(self.vector(z), self.raw, self.quadratic_axes)
+        jacobian = derivatives.jacobian @ self.basis
+        if self.cost_name == "squares":
+            return np.asarray(jacobian * (2 * derivatives.norm / np.sqrt(len(jacobian) - 1))[:, None])
+        return np.asarray(jacobian / self.sigma_m_s2[:, None])

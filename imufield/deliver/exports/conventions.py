@@ -1,0 +1,246 @@
+"""The one place where our error model becomes the correction other programs store.
+
+Ours is the error direction, raw output from specific force: ``N = K (T a + b) + K2 (T a)**2 + raw_zero``. Without the quadratic
+term it is ``N = M^-1 a + o`` with ``M = (K T)^-1`` and ``o = raw_zero + K b``. Four ways of writing that are in use::
+
+    shifted input    u = M (N - o)             VectorNav, imu_tk, PX4, ArduPilot     Correction.matrix, .offset
+    shifted output   u = M N - M o             dpkoch imu_calib, DLIO, RealSense, Basalt, PSINS     .output_offset
+    error direction  N = M^-1 u + o            Kalibr, OpenVINS, pyins               .error_matrix
+    split            N = K R u + o             imucal; imu_tk splits M = T K         .split_rows, .split_columns
+
+A target that wants a triangular matrix wants another body frame: one rotation ``R``, ``u' = R u``, for both triads (``Frame``).
+
+Quadratic term. On a sensing axis ``N = K (s + b) + K2 s**2``. Over all directions at 1 g, s is spread evenly over [-g, g]
+(Archimedes' hat-box theorem), so the straight line nearest to it in the least-squares sense has the same K and the bias
+``b + K2 g**2 / (3 K)``; what is left is ``K2 / K g**2 (x**2 - 1/3)``, ``0.298 K2 / K g**2`` rms and two thirds of it at most.
+
+Scale and bias only. With unit sensing axes ``u_i = T_i / norm(T_i)``, the diagonal model whose norm stays right on average
+over all directions is ``S_i = 1 / (K_i norm(T_i))`` in the frame nearest to the sensing axes (``Frame`` "sensor"): the cross
+terms of the norm have no mean there. Cutting the diagonal out of ``M`` in a triangular gauge is wrong by the squared angles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from imufield.calibrate.model.gauge import change_gauge
+from imufield.calibrate.model.models import MISALIGNMENT, to_vector
+from imufield.calibrate.model.result import AccelerometerParameters, Calibration
+from imufield.errors import ParameterFileError, Reason
+from imufield.samples import FloatArray
+
+Frame = Literal["file", "lower", "upper", "symmetric", "sensor"]
+"""Body frame of an export: as in the parameter file, one of three gauges, or nearest to the accelerometer's sensing axes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """u = M (N - o): how the raw output of a triad is corrected."""
+
+    matrix: FloatArray
+    """M, shape (3, 3), m/s^2 (or rad/s) per raw unit."""
+    offset: FloatArray
+    """o, shape (3,), raw unit."""
+
+    def apply(self, raw: FloatArray) -> FloatArray:
+        """Return corrected values, shape (..., 3)."""
+        corrected: FloatArray = (raw - self.offset) @ self.matrix.T
+        return corrected
+
+    @property
+    def output_offset(self) -> FloatArray:
+        """M o of u = M N - M o, shape (3,)."""
+        shifted: FloatArray = self.matrix @ self.offset
+        return shifted
+
+    @property
+    def error_matrix(self) -> FloatArray:
+        """M^-1 of N = M^-1 u + o, shape (3, 3)."""
+        return np.asarray(np.linalg.inv(self.matrix), dtype=np.float64)
+
+    def split_rows(self) -> tuple[FloatArray, FloatArray]:
+        """Return K, diagonal, and R, rows of unit length, of N = K R u + o; both of shape (3, 3)."""
+        error = self.error_matrix
+        length = np.linalg.norm(error, axis=1)
+        return np.diag(length), error / length[:, None]
+
+    def split_columns(self) -> tuple[FloatArray, FloatArray]:
+        """Return T, unit diagonal, and K, diagonal, of u = T K (N - o); both of shape (3, 3)."""
+        diagonal = np.diag(self.matrix)
+        return self.matrix / diagonal, np.diag(diagonal)
+
+    def turned(self, rotation: FloatArray) -> Correction:
+        """Return the correction into a body frame u' = R u."""
+        return Correction(rotation @ self.matrix, self.offset)
+
+    def of_scaled(self, scale: float, zero: FloatArray) -> Correction:
+        """Return the correction of raw values given as (N - zero) / scale."""
+        return Correction(self.matrix * scale, (self.offset - zero) / scale)
+
+
+@dataclass(frozen=True, slots=True)
+class Corrections:
+    """Both triads in one body frame."""
+
+    accelerometer: Correction
+    gyroscope: Correction | None
+    g_sensitivity: FloatArray
+    """G, shape (3, 3), raw gyroscope unit per m/s^2 in this body frame: w = M (N - o - G a)."""
+    rotation: FloatArray
+    """R of u' = R u from the parameter file's body frame to this one, shape (3, 3)."""
+
+    @property
+    def holds_g_sensitivity(self) -> bool:
+        """Whether anything of a specific force is taken off the gyroscope."""
+        return bool(np.any(self.g_sensitivity))
+
+    def turned(self, rotation: FloatArray) -> Corrections:
+        """Return the corrections into a body frame u' = R u, accelerometer and gyroscope together."""
+        gyroscope = None if self.gyroscope is None else self.gyroscope.turned(rotation)
+        G: FloatArray = self.g_sensitivity @ rotation.T
+        return Corrections(self.accelerometer.turned(rotation), gyroscope, G, rotation @ self.rotation)
+
+    def without_g_sensitivity(self) -> Corrections:
+        """Return the same for a target that does not know G."""
+        return replace(self, g_sensitivity=np.zeros((3, 3)))
+
+    def apply_accelerometer(self, raw: FloatArray) -> FloatArray:
+        """Return specific force in m/s^2 for raw outputs, both of shape (..., 3)."""
+        return self.accelerometer.apply(raw)
+
+    def gyroscope_force(self, raw: FloatArray) -> FloatArray:
+        """Return the specific force that G is multiplied with: what the linear accelerometer makes of its raw output."""
+        return self.apply_accelerometer(raw)
+
+    def apply_gyroscope(self, raw: FloatArray, specific_force: FloatArray) -> FloatArray:
+        """Return angular rate in rad/s for raw outputs and specific force in this frame, shape (..., 3)."""
+        if self.gyroscope is None:
+            return np.full_like(raw, np.nan)
+        return self.gyroscope.apply(raw - specific_force @ self.g_sensitivity.T)
+
+
+def linear_corrections(calibration: Calibration, frame: Frame = "file") -> Corrections:
+    """Return the linear corrections nearest to a calibration over all directions at 1 g, in a body frame.
+
+    Raises
+    ------
+    ParameterFileError
+        If a parameter is not finite or a scale is zero.
+    CalibrationError
+        If the sensing axes are left-handed or nearly in one plane.
+    """
+    require_usable(calibration)
+    accelerometer = linearised(calibration.accelerometer, calibration.gravity.gravity_m_s2)
+    offset = accelerometer.raw_zero + accelerometer.scale * accelerometer.bias_m_s2
+    corrections = Corrections(
+        Correction(_inverse(accelerometer.scale, accelerometer.misalignment_rad), offset),
+        *_gyroscope(calibration),
+        rotation=np.eye(3),
+    )
+    if frame == "file":
+        return corrections
+    turned = corrections.turned(rotation_to(calibration.accelerometer, frame))
+    # The gauge makes these entries zero; what rounding leaves of them would be refused or read as a misalignment.
+    shape = {"lower": np.tril, "upper": np.triu}.get(frame, np.asarray)
+    return replace(turned, accelerometer=Correction(shape(turned.accelerometer.matrix), offset))
+
+
+def diagonal_corrections(calibration: Calibration) -> Corrections:
+    """Return the best corrections of scale and bias only for the accelerometer.
+
+    In the frame nearest to the accelerometer's sensing axes. The gyroscope's matrix stays whole: what scale a target without
+    one assumes is the target's affair.
+    """
+    corrections = linear_corrections(calibration, "sensor")
+    parameters = calibration.accelerometer
+    length = np.linalg.norm(np.eye(3) + parameters.misalignment_rad, axis=1)
+    diagonal = np.diag(1 / (parameters.scale * length))
+    return replace(corrections, accelerometer=Correction(diagonal, corrections.accelerometer.offset))
+
+
+def linearised(parameters: AccelerometerParameters, gravity_m_s2: float) -> AccelerometerParameters:
+    """Return the linear model nearest to a quadratic one over all directions at 1 g."""
+    squared_length = np.ones(3)
+    if parameters.quadratic_axes == "sensing":
+        squared_length = np.sum((np.eye(3) + parameters.misalignment_rad) ** 2, axis=1)
+    mean = parameters.quadratic / parameters.scale * gravity_m_s2**2 * squared_length / 3
+    return replace(parameters, bias_m_s2=parameters.bias_m_s2 + mean, quadratic=np.zeros(3))
+
+
+def rotation_to(parameters: AccelerometerParameters, frame: Frame) -> FloatArray:
+    """Return R of u' = R u from the parameters' body frame to another, shape (3, 3)."""
+    vector = to_vector(parameters)
+    if frame == "file":
+        return np.eye(3)
+    if frame == "sensor":
+        along_axes = vector.copy()
+        along_axes[MISALIGNMENT] = 0.0
+        return change_gauge(vector, "preset", along_axes).rotation
+    return change_gauge(vector, frame).rotation
+
+
+def rotation_vector(rotation: FloatArray) -> FloatArray:
+    """Return the rotation vector of R in rad, shape (3,), for angles below pi."""
+    axis = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    sine = float(np.linalg.norm(axis)) / 2
+    angle = float(np.arctan2(sine, (np.trace(rotation) - 1) / 2))
+    return axis / 2 * (angle / sine if sine else 1.0)
+
+
+def rotation_times_triangle(matrix: FloatArray, triangle: Literal["lower", "upper"]) -> tuple[FloatArray, FloatArray]:
+    """Split a matrix into Q, the proper rotation near the identity, and a triangular matrix: M = Q L or M = Q U."""
+    order = slice(None, None, -1) if triangle == "lower" else slice(None)
+    Q, R = np.linalg.qr(matrix[order, order])
+    Q, R = Q[order, order], R[order, order]
+    sign = np.where(np.diag(Q) < 0, -1.0, 1.0)
+    if np.linalg.det(Q * sign) < 0:
+        sign[np.argmin(np.abs(np.diag(Q)))] *= -1
+    return np.asarray(Q * sign, dtype=np.float64), np.asarray(sign[:, None] * R, dtype=np.float64)
+
+
+def require_usable(calibration: Calibration) -> None:
+    """Check that every parameter that will be used is a number and no scale is zero; raise ``ParameterFileError``."""
+    accelerometer = calibration.accelerometer
+    groups = {
+        "accelerometer.scale": accelerometer.scale,
+        "accelerometer.bias_m_s2": accelerometer.bias_m_s2,
+        "accelerometer.misalignment_rad": accelerometer.misalignment_rad,
+        "accelerometer.quadratic": accelerometer.quadratic,
+        "accelerometer.raw_zero": accelerometer.raw_zero,
+    }
+    if _has_gyroscope(calibration) and calibration.gyroscope is not None:
+        gyroscope = calibration.gyroscope.parameters
+        groups |= {
+            "gyroscope.scale": gyroscope.scale,
+            "gyroscope.misalignment_rad": gyroscope.misalignment_rad,
+            "gyroscope.bias": gyroscope.bias,
+            "gyroscope.g_sensitivity": gyroscope.g_sensitivity,
+        }
+    for name, values in groups.items():
+        usable = np.isfinite(values) & ((values != 0) | (not name.endswith("scale")))
+        if not usable.all():
+            raise ParameterFileError(
+                f"{name} is {values.tolist()} and cannot be used: every entry must be finite and a scale not zero; solve again",
+                Reason.NOT_FINITE,
+                name=name,
+                value=values.tolist(),
+            )
+
+
+def _has_gyroscope(calibration: Calibration) -> bool:
+    gyroscope = calibration.gyroscope
+    return gyroscope is not None and bool(np.isfinite(gyroscope.parameters.scale).all())
+
+
+def _gyroscope(calibration: Calibration) -> tuple[Correction | None, FloatArray]:
+    if calibration.gyroscope is None or not _has_gyroscope(calibration):
+        return None, np.zeros((3, 3))
+    parameters = calibration.gyroscope.parameters
+    return Correction(_inverse(parameters.scale, parameters.misalignment_rad), parameters.bias), parameters.g_sensitivity
+
+
+def _inverse(scale: FloatArray, misalignment_rad: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(scale[:, None] * (np.eye(3) + misalignment_rad)), dtype=np.float64)

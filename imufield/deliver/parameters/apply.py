@@ -1,0 +1,157 @@
+"""Use parameters: raw output in, specific force and angular rate out.
+
+A linear model is one product per sample: ``a = C N - d`` with ``C = (K T)^-1`` and ``d = C (raw_zero + K b)``, likewise
+for the gyroscope. The matrices are formed once, and the rows are worked on in pieces that stay in the processor's cache, so
+the cost is that of reading and writing the arrays once. The quadratic model goes through
+``imufield.calibrate.model.models.recover``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imufield.calibrate.model.models import recover
+from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
+from imufield.errors import ParameterFileError, Reason
+from imufield.samples import FloatArray
+
+_ROWS_AT_ONCE = 4096
+"""Pieces of 96 KiB a triad, read and written: they stay in a second-level cache."""
+
+
+def correct_accelerometer(parameters: AccelerometerParameters, raw: FloatArray, *, out: FloatArray | None = None) -> FloatArray:
+    """Return specific force in m/s^2 for raw outputs (increments divided by their interval), both of shape (..., 3).
+
+    ``out`` of shape (n, 3) receives the result where it is given.
+
+    Raises
+    ------
+    CalibrationError
+        If no specific force gives such an output with these parameters; NaN is passed on as NaN.
+    ParameterFileError
+        If the last axis of ``raw`` has not 3 entries.
+    """
+    raw = three_columns(raw, "accelerometer")
+    if np.any(parameters.quadratic):
+        out = np.empty(raw.shape) if out is None else out
+        out[...] = recover(parameters, raw.reshape(-1, 3)).reshape(raw.shape)
+        return out
+    inverse = _inverse(parameters.scale, parameters.misalignment_rad)
+    return _affine(inverse, parameters.raw_zero + parameters.scale * parameters.bias_m_s2, raw, out=out)
+
+
+def correct_gyroscope(
+    parameters: GyroscopeParameters,
+    raw: FloatArray,
+    specific_force: FloatArray | None = None,
+    *,
+    out: FloatArray | None = None,
+) -> FloatArray:
+    """Return angular rate in rad/s for raw outputs, both of shape (..., 3).
+
+    Parameters
+    ----------
+    parameters : GyroscopeParameters
+    raw : ndarray, shape (..., 3)
+        Raw unit; increments divided by their interval.
+    specific_force : ndarray, shape (..., 3), optional
+        m/s^2, corrected; needed where a g-sensitivity was fitted.
+    out : ndarray, shape (n, 3), optional
+        Receives the result.
+
+    Raises
+    ------
+    ParameterFileError
+        If a g-sensitivity was fitted and ``specific_force`` is not given, or a shape is wrong.
+    """
+    raw = three_columns(raw, "gyroscope")
+    inverse = _inverse(parameters.scale, parameters.misalignment_rad)
+    if not np.any(parameters.g_sensitivity):
+        return _affine(inverse, parameters.bias, raw, out=out)
+    if specific_force is None:
+        raise ParameterFileError(
+            "these gyroscope parameters contain a g-sensitivity; give the corrected specific force as well", Reason.USAGE
+        )
+    force = np.broadcast_to(three_columns(specific_force, "specific force"), raw.shape)
+    return _affine(inverse, parameters.bias, raw, (inverse @ parameters.g_sensitivity, force), out=out)
+
+
+def correct_both(accelerometer: AccelerometerParameters, gyroscope: GyroscopeParameters, raw: FloatArray) -> FloatArray:
+    """Return specific force and angular rate side by side for raw outputs side by side, both of shape (n, 6).
+
+    Without a quadratic term the two are one affine map of six numbers, g-sensitivity included: the rows are read once.
+
+    Raises
+    ------
+    CalibrationError
+        If no specific force gives such an output with these parameters; NaN stays in its triad.
+    """
+    corrected = np.empty(raw.shape)
+    if np.any(accelerometer.quadratic):
+        return _by_triads(accelerometer, gyroscope, raw, corrected)
+    force = _inverse(accelerometer.scale, accelerometer.misalignment_rad)
+    rate = _inverse(gyroscope.scale, gyroscope.misalignment_rad)
+    matrix = np.block([[force, np.zeros((3, 3))], [-rate @ gyroscope.g_sensitivity @ force, rate]])
+    offset = np.concatenate([accelerometer.raw_zero + accelerometer.scale * accelerometer.bias_m_s2, gyroscope.bias])
+    with np.errstate(invalid="ignore"):
+        _affine(matrix, offset, raw, out=corrected)
+    if not np.isfinite(corrected.sum()):
+        # Zero times NaN is NaN: what one triad lacks must not spoil the other.
+        spoilt = np.flatnonzero(~np.isfinite(corrected).all(axis=1))
+        corrected[spoilt] = _by_triads(accelerometer, gyroscope, raw[spoilt], corrected[spoilt])
+    return corrected
+
+
+def _by_triads(
+    accelerometer: AccelerometerParameters, gyroscope: GyroscopeParameters, raw: FloatArray, out: FloatArray
+) -> FloatArray:
+    force = correct_accelerometer(accelerometer, raw[:, :3], out=out[:, :3])
+    correct_gyroscope(gyroscope, raw[:, 3:], force, out=out[:, 3:])
+    return out
+
+
+def _inverse(scale: FloatArray, misalignment_rad: FloatArray) -> FloatArray:
+    forward = scale[:, None] * (np.eye(3) + misalignment_rad)
+    return np.asarray(np.linalg.inv(forward), dtype=np.float64)
+
+
+def _affine(
+    inverse: FloatArray,
+    offset: FloatArray,
+    raw: FloatArray,
+    less: tuple[FloatArray, FloatArray] | None = None,
+    *,
+    out: FloatArray | None = None,
+) -> FloatArray:
+    """Return C N - C o, less a matrix times vectors of the same shape as ``raw``; C is (3, 3), or (6, 6) for six columns."""
+    out = np.empty(raw.shape) if out is None else out
+    columns = len(offset)
+    rows, target = raw.reshape(-1, columns), out.reshape(-1, columns)
+    matrix = np.ascontiguousarray(inverse.T)
+    product = np.empty((min(_ROWS_AT_ONCE, len(rows)), columns))
+    # Rows of the constant written out: subtracting equal shapes is three times as fast as spreading one row.
+    shift = np.tile(inverse @ offset, (len(product), 1))
+    for start in range(0, len(rows), _ROWS_AT_ONCE):
+        part = slice(start, start + _ROWS_AT_ONCE)
+        piece = target[part]
+        np.dot(rows[part], matrix, out=product[: len(piece)])
+        np.subtract(product[: len(piece)], shift[: len(piece)], out=piece)
+        if less is not None:
+            piece -= less[1].reshape(-1, 3)[part] @ less[0].T
+    return out
+
+
+def three_columns(values: FloatArray, what: str) -> FloatArray:
+    """Return ``values`` as float64 of shape (..., 3).
+
+    Raises
+    ------
+    ParameterFileError
+        If the last axis has not 3 entries.
+    """
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape[-1:] != (3,):
+        raise ParameterFileError(
+            f"{what} values of shape {array.shape} cannot be corrected; give an array whose last axis is x, y, z", Reason.USAGE
+        )
+    return array

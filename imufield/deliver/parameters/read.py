@@ -1,0 +1,174 @@
+"""Read a parameter file, and refuse every one that cannot be trusted, in one sentence."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from imufield.deliver.parameters.document import FORMAT, VERSION, Document
+from imufield.deliver.parameters.schema import first_fault, shown
+from imufield.deliver.parameters.versions import CONVERTERS, to_current
+from imufield.deliver.parameters.write import EDITED, content_sha256
+from imufield.errors import ParameterFileError, Reason
+from imufield.files import read_small_file
+
+_ROUNDING = 1e-9
+"""Relative: a covariance that was computed and printed is symmetric to a few units of the last digit."""
+_REMEDY = "solve the session again, or take a kept parameters-<n>.toml"
+
+
+class VersionedDocument(NamedTuple):
+    """A document of the current version, and the version the file is of."""
+
+    document: Document
+    version: int
+
+
+def read_document(path: Path | str) -> VersionedDocument:
+    """Return the content of a parameter file that passed every check, converted where it is of an older version.
+
+    Raises
+    ------
+    ParameterFileError
+        If the file is not there, cut, damaged, newer than this program, not a parameter file, or edited by hand without
+        saying so.
+    """
+    path = Path(path)
+    return parse_document(_text(path), str(path))
+
+
+def parse_document(text: str, where: str = "parameter file") -> VersionedDocument:
+    """Return the content of a parameter file's text; ``where`` names it in errors, which are those of ``read_document``."""
+    try:
+        document: Document = tomllib.loads(text)
+        version = _check_format(document, where)
+        _check_integrity(document, where)
+        document = _converted(document, version, where)
+        _check(document, where)
+    except ParameterFileError:
+        raise
+    except (ValueError, RecursionError) as error:
+        # Besides bad TOML: nesting and whole numbers so large that Python gives up on them.
+        raise ParameterFileError(f"{where} is damaged or no TOML ({_line(error)}); {_REMEDY}", where=where) from error
+    return VersionedDocument(document, version)
+
+
+def _converted(document: Document, version: int, where: str) -> Document:
+    if version == VERSION:
+        return document
+    try:
+        return to_current(document, version)
+    except ParameterFileError as error:
+        raise ParameterFileError(f"{where}: {error.message}", error.reason, where=where, **error.values) from error
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _check(document: Document, where: str) -> None:
+    fault = first_fault(document)
+    if fault is not None:
+        raise ParameterFileError(f"{where}: {fault.key} {fault.what}; {_REMEDY}", fault.reason, where=where, key=fault.key)
+    _check_consistency(document, where)
+    from imufield.deliver.parameters.consistency import contradiction  # late: a refused file needs no models
+
+    is_edited = document["integrity"]["sha256"] == EDITED
+    what = contradiction(document, is_edited=is_edited)
+    if not what:
+        return
+    remedy = _REMEDY
+    if is_edited:
+        remedy = "in a file edited by hand change what follows from a value with it, or take a kept parameters-<n>.toml"
+    raise ParameterFileError(f"{where}: {what}; {remedy}", where=where, key=what.partition(" ")[0])
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_small_file(path).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ParameterFileError(f"{path} is no text file; check the file name, or {_REMEDY}", where=str(path)) from error
+    except OSError as error:
+        remedy = "check the file name, or make it with imufield solve"
+        raise ParameterFileError(
+            f"{path} cannot be read ({error.strerror}); {remedy}", Reason.FOREIGN, where=str(path)
+        ) from error
+
+
+def _check_format(document: Document, where: str) -> int:
+    """Return the version."""
+    if document.get("format") != FORMAT:
+        raise ParameterFileError(
+            f'{where} has no line format = "{FORMAT}"; give a parameter file written by imufield solve', Reason.FOREIGN
+        )
+    version = document.get("version")
+    if not isinstance(version, int) or isinstance(version, bool) or version < min(CONVERTERS):
+        raise ParameterFileError(f"{where}: version is {shown(version)} instead of {VERSION}; {_REMEDY}", where=where)
+    if version > VERSION:
+        raise ParameterFileError(
+            f"{where} has version {version} and this imufield reads up to version {VERSION}; update imufield",
+            Reason.NEWER,
+            version=version,
+        )
+    return version
+
+
+def _check_integrity(document: Document, where: str) -> None:
+    integrity = document.get("integrity")
+    noted = integrity.get("sha256") if isinstance(integrity, dict) else None
+    if noted is None:
+        raise ParameterFileError(f"{where} is cut short: the table [integrity] at its end is missing; {_REMEDY}", where=where)
+    if noted not in (EDITED, content_sha256(document)):
+        raise ParameterFileError(
+            f"{where} was changed after it was written (its values do not give the hash in [integrity]); {_REMEDY}, or, "
+            f'where the change is meant, write sha256 = "{EDITED}" there',
+            where=where,
+        )
+
+
+def _check_consistency(document: Document, where: str) -> None:
+    """Check what a schema cannot say."""
+    names, matrix = document["covariance"]["names"], document["covariance"]["matrix"]
+    positions, tables = document["session"]["positions"], len(document["position"])
+    what = ""
+    if positions != tables:
+        what = f"session.positions is {positions}, but there are {tables} [[position]] tables"
+    elif any(len(row) != len(names) for row in [matrix, *matrix]):
+        what = f"covariance.matrix is not {len(names)} by {len(names)} as covariance.names asks"
+    what = what or _covariance_fault(matrix)
+    for triad in ("accelerometer", "gyroscope"):
+        what = what or _triad_fault(document.get(triad), triad)
+    if what:
+        raise ParameterFileError(f"{where}: {what}; {_REMEDY}", where=where)
+
+
+def _covariance_fault(rows: list[list[float]]) -> str:
+    """Say what makes it no covariance; elements that are not known, NaN, are none."""
+    matrix = np.array(rows, dtype=np.float64).reshape(len(rows), len(rows))
+    if np.any(np.diagonal(matrix) < 0):
+        return "covariance.matrix has a variance below zero"
+    # Where the gauge fixes a parameter nothing but rounding is left of its row.
+    free = np.diagonal(matrix) > 0
+    sigma = np.sqrt(np.diagonal(matrix)[free])
+    correlation = matrix[np.ix_(free, free)] / np.outer(sigma, sigma)
+    if np.any(np.abs(correlation - correlation.T) > _ROUNDING):
+        return "covariance.matrix is not symmetric"
+    if np.any(np.abs(correlation) > 1 + _ROUNDING):
+        return "covariance.matrix has a correlation beyond 1"
+    return ""
+
+
+def _triad_fault(table: Document | None, triad: str) -> str:
+    if table is None:
+        return ""
+    if 0 in table["scale"]:
+        return f"{triad}.scale has a zero, with which nothing can be corrected"
+    misalignment = np.array(table["misalignment_rad"], dtype=np.float64)
+    if np.any(np.diagonal(misalignment) != 0):
+        return f"{triad}.misalignment_rad has a diagonal other than zero, which belongs into scale"
+    if abs(np.linalg.det(np.eye(3) + misalignment)) < 1e-3:  # axes this close to one plane measure no third direction
+        return f"{triad}.misalignment_rad puts the three axes into one plane"
+    return ""

@@ -1,0 +1,75 @@
+"""Older versions of the parameter file, each brought to the next by a function of its own.
+
+A file is checked against the hash of what was written first, then converted step by step in memory, then checked against the
+schema like any other; the file itself stays as it is. A version without a converter is refused, and so is a key that its
+version did not have. Whoever raises ``VERSION`` adds the step from the one before to ``CONVERTERS``, and a file of it to the
+tests.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Mapping
+
+from imufield.deliver.parameters.document import VERSION, Document
+from imufield.deliver.parameters.write import EDITED, content_sha256
+from imufield.errors import ParameterFileError, Reason
+
+_ZEROS, _UNKNOWN = [0.0] * 3, [math.nan] * 3
+_NEW_IN_1: dict[tuple[str, ...], Document] = {
+    ("accelerometer",): {
+        "raw_zero": _ZEROS,
+        "quadratic": _ZEROS,
+        "quadratic_axes": "sensing",
+        "quadratic_fitted": False,
+    },
+    ("accelerometer", "uncertainty"): {"quadratic": _UNKNOWN},
+    ("accelerometer", "intrinsic"): {"quadratic": _ZEROS, "quadratic_sigma": _UNKNOWN},
+    ("gyroscope",): {"g_sensitivity": [_ZEROS] * 3},
+    ("gyroscope", "uncertainty"): {"g_sensitivity": [_UNKNOWN] * 3},
+}
+"""What version 0, a draft with linear models only, could not say; by table."""
+
+
+def _from_0(document: Document) -> Document:
+    """Version 0 knew no mid-scale, no quadratic term and no g-sensitivity: they are zero and were not estimated."""
+    for place, keys in _NEW_IN_1.items():
+        table: object = document
+        for name in place:
+            table = table.get(name) if isinstance(table, dict) else None
+        # What is missing or no table is for the schema to say.
+        if isinstance(table, dict):
+            _add(table, keys, place)
+    return document
+
+
+def _add(table: Document, keys: Mapping[str, object], place: tuple[str, ...]) -> None:
+    for key, value in keys.items():
+        if key in table:
+            raise ParameterFileError(
+                f"{'.'.join((*place, key))} is not a key of version 0; solve the session again, or write the version it is of",
+                Reason.UNKNOWN_KEY,
+                key=key,
+            )
+        table[key] = copy.deepcopy(value)
+
+
+CONVERTERS: dict[int, Callable[[Document], Document]] = {0: _from_0}
+"""From this version to the next."""
+
+
+def to_current(document: Document, version: int) -> Document:
+    """Return a document of an older version as one of ``VERSION``; the one given is left alone.
+
+    Raises
+    ------
+    ParameterFileError
+        If it holds what its version did not have.
+    """
+    converted = copy.deepcopy(document)
+    for step in range(version, VERSION):
+        converted = {**CONVERTERS[step](converted), "version": step + 1}
+    if converted["integrity"]["sha256"] != EDITED:
+        converted["integrity"] = {"sha256": content_sha256(converted)}
+    return converted

@@ -1,0 +1,169 @@
+"""Write a parameter file: TOML laid out for a person, exact for a program, safe against a crash.
+
+Every float is written with the digits that give the same float64 back. The last table holds a SHA-256 over the content
+as canonical JSON (keys sorted, no blanks, NaN as null), so comments and layout may change and values may not.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import Calibration
+from imufield.deliver.parameters.context import Context
+from imufield.deliver.parameters.document import Document, to_document
+from imufield.deliver.parameters.schema import first_fault, json_ready
+from imufield.errors import ParameterFileError, Reason
+from imufield.files import write_keeping
+
+EDITED = "edited"
+"""Stands in place of the hash where a person changed the file on purpose."""
+
+_ROW_WIDTH = 100  # an array of texts longer than this gets one line each
+
+_HEADER = """\
+imufield parameter file: a calibrated instrument, and how well each number is known.
+
+Corrected values from raw output N (raw unit: what the instrument sends, increments divided by their interval):
+  accelerometer   N - raw_zero = K (s + b) + K2 s^2 with s = T a      a: specific force, m/s^2, +g along the axis pointing up
+                  (quadratic_axes = "body":  N - raw_zero = K (T a + b) + K2 a^2)
+  gyroscope       N = K E w + e + G a                                 w: angular rate, rad/s
+  K scale, b bias_m_s2, T and E identity + misalignment_rad (rows are sensing axes), K2 quadratic, e bias, G g_sensitivity
+In Python: imufield.load("parameters.toml").apply(samples).
+
+Vectors are x, y, z. nan: not known or not estimated. Uncertainties are 1 sigma; 0 where the gauge fixes a number.
+"""
+
+_COMMENTS = {
+    "site": "Gravity is a common scale factor of the accelerometer: its error goes into every scale.",
+    "accelerometer": "scale: raw_unit per m/s^2. quadratic: raw_unit per (m/s^2)^2.",
+    "accelerometer.uncertainty": "1 sigma, the same keys and units.",
+    "accelerometer.intrinsic": (
+        "Free of the gauge, for comparison with other programs: row lengths of K T, K b in raw_unit, "
+        "angles x-y, x-z, y-z\nbetween the sensing axes less a right angle."
+    ),
+    "gyroscope": "scale: raw_unit per rad/s. bias: raw_unit. g_sensitivity: raw_unit per m/s^2.",
+    "gyroscope.uncertainty": "1 sigma, the same keys and units.",
+    "quality": "Residual: norm of the corrected specific force less gravity, at rest.",
+    "covariance": "Joint covariance of all parameters, rows and columns in the order of names.",
+    "integrity": (
+        'SHA-256 of the values above. Whoever changes a value on purpose writes sha256 = "edited" here;\n'
+        "imufield then loads the file and says that it was edited."
+    ),
+}
+
+
+def content_sha256(document: Document) -> str:
+    """Return the hash of a document's values, its own ``integrity`` left out."""
+    content = {key: value for key, value in document.items() if key != "integrity"}
+    # default=str: a date, which this format never holds, must end as "changed by hand" and not as a defect.
+    text = json.dumps(json_ready(content), sort_keys=True, separators=(",", ":"), default=str)
+    return hashlib.sha256(text.encode("ascii")).hexdigest()
+
+
+def to_toml(document: Document) -> str:
+    """Return the text of a parameter file, hash included.
+
+    Raises
+    ------
+    ParameterFileError
+        If the document breaks the rules of the format, e.g. a parameter is NaN.
+    """
+    fault = first_fault(document)
+    if fault is not None:
+        raise ParameterFileError(
+            f"the parameters cannot be written because {fault.key} {fault.what}; solve again from better data",
+            fault.reason,
+            key=fault.key,
+        )
+    complete = document | {"integrity": {"sha256": content_sha256(document)}}
+    return "\n".join([_comment(_HEADER), *_table_lines(complete, "")]) + "\n"
+
+
+def write_parameters(path: Path | str, calibration: Calibration, observations: Observations, context: Context) -> Path | None:
+    """Write a parameter file; an existing one is kept as ``parameters-<n>.toml``.
+
+    Returns
+    -------
+    Path or None
+        Where the file that stood there before is kept.
+    """
+    return write_document(path, to_document(calibration, observations, context))
+
+
+def write_document(path: Path | str, document: Document) -> Path | None:
+    """Write a document as ``write_parameters`` does.
+
+    Raises
+    ------
+    ParameterFileError
+        If the document breaks the rules of the format, or the file cannot be written; a file that stood there is intact.
+    """
+    path = Path(path)
+    text = to_toml(document)
+    try:
+        return write_keeping(path, text.encode("utf-8"))
+    except OSError as error:
+        raise _not_written(path, error) from error
+
+
+def _not_written(path: Path, error: OSError) -> ParameterFileError:
+    full = error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
+    remedy = "free some space there" if full else "choose another place with --output"
+    return ParameterFileError(
+        f"{path} cannot be written ({error.strerror}); {remedy}",
+        Reason.DISK_FULL if full else Reason.NO_PERMISSION,
+        where=str(path),
+    )
+
+
+def _table_lines(table: Document, name: str) -> Iterator[str]:
+    plain = {key: value for key, value in table.items() if not _is_table(value)}
+    for key, value in plain.items():
+        yield f"{key} = {_value(value)}"
+    for key, value in table.items():
+        if key not in plain:
+            yield from _inner_tables(value, f"{name}.{key}" if name else key)
+
+
+def _inner_tables(value: Any, name: str) -> Iterator[str]:
+    heading = f"[[{name}]]" if isinstance(value, list) else f"[{name}]"
+    for table in value if isinstance(value, list) else [value]:
+        yield ""
+        if name in _COMMENTS:
+            yield _comment(_COMMENTS[name])
+        yield heading
+        yield from _table_lines(table, name)
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
+
+
+def _comment(text: str) -> str:
+    return "\n".join(f"# {line}".rstrip() for line in text.splitlines())
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        # JSON's escapes are TOML's, but TOML wants the delete character escaped as well.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, list):
+        return _array(value)
+    return repr(value)
+
+
+def _array(values: list[Any]) -> str:
+    items = [_value(value) for value in values]
+    in_one_line = "[" + ", ".join(items) + "]"
+    rows = bool(values) and isinstance(values[0], list)
+    if not rows and (len(in_one_line) <= _ROW_WIDTH or not all(isinstance(value, str) for value in values)):
+        return in_one_line
+    return "[\n" + "".join(f"    {item},\n" for item in items) + "]"

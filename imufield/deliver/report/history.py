@@ -1,0 +1,413 @@
+"""Parameters of instruments over time, from a folder of parameter files: an SQLite index, changes in sigma, staleness.
+
+The index (``.imufield-history.sqlite`` in the folder) holds what was read of each file and its size and time of change, so
+that a thousand files are read once. It can be deleted at any time.
+
+Compared are the gauge-free numbers, because the same instrument has other parameters in another gauge. Where both
+calibrations took the same gravity, its error is in both scales alike and does not count in their difference.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imufield.deliver.parameters.file import Parameters, load
+from imufield.deliver.parameters.gauge_free import Number, numbers_of
+from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
+
+INDEX_FILE = ".imufield-history.sqlite"
+INDEX_VERSION = 4
+STALE_DAYS = 365.0
+MOVED_SIGMA = 3.0
+"""A change beyond this is said aloud."""
+CSV_COLUMNS = (
+    "instrument",
+    "serial_number",
+    "created",
+    "verdict",
+    "file",
+    "parameter",
+    "unit",
+    "value",
+    "sigma",
+    "change_sigma",
+    "remark",
+)
+_SAME_GRAVITY_M_S2 = 1e-7
+_COLORS = ("#111111", "#0b5394", "#b45f06")
+_MARKERS = "osD^v<>Px"
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS entry (
+    path TEXT PRIMARY KEY, size INTEGER, changed_ns INTEGER, fault TEXT,
+    instrument TEXT, serial_number TEXT, created TEXT, verdict TEXT, session TEXT, raw_unit TEXT, gravity_m_s2 REAL,
+    numbers TEXT, edited INTEGER
+);
+CREATE INDEX IF NOT EXISTS by_instrument ON entry (serial_number, created);
+"""
+_COLUMNS = ("path", "size", "changed_ns", "fault", "instrument", "serial_number", "created", "verdict", "session", "raw_unit")
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One parameter file."""
+
+    path: str
+    """Relative to the folder."""
+    instrument: str
+    serial_number: str
+    created: str
+    verdict: str
+    session: str
+    """SHA-256 of what was solved."""
+    raw_unit: str
+    gravity_m_s2: float
+    numbers: tuple[Number, ...]
+    edited: bool = False
+    """Whether somebody changed the file by hand."""
+
+    @property
+    def time(self) -> datetime:
+        """When it was calibrated."""
+        return datetime.strptime(self.created, "%Y-%m-%dT%H:%M:%SZ").replace(tzinfo=UTC)
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One number from one calibration to another."""
+
+    name: str
+    unit: str
+    difference: float
+    sigma: float
+    """Of the difference."""
+
+    @property
+    def in_sigma(self) -> float:
+        """The difference in units of its sigma; NaN where that is not known."""
+        return self.difference / self.sigma if self.sigma > 0 else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class InstrumentHistory:
+    """All calibrations of one instrument, the oldest first."""
+
+    instrument: str
+    serial_number: str
+    entries: tuple[Entry, ...]
+
+    @property
+    def title(self) -> str:
+        """Model and serial number."""
+        return " ".join(filter(None, (self.instrument, self.serial_number))) or "unknown instrument"
+
+    def age_days(self, now: datetime) -> float:
+        """Return the age of the newest calibration."""
+        return (now - self.entries[-1].time).total_seconds() / 86400
+
+    def nearest(self, at: datetime) -> Entry:
+        """Return the calibration closest in time, before or after; of several of one time the one that counts as newest."""
+        return min(reversed(self.entries), key=lambda entry: abs((entry.time - at).total_seconds()))
+
+    def changes(self, since: int = -2) -> tuple[Change, ...]:
+        """Return what has changed from an earlier calibration to the newest; nothing where there is none."""
+        if len(self.entries) < 2:
+            return ()
+        return compare(self.entries[since], self.entries[-1])
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """What a folder holds."""
+
+    folder: Path
+    instruments: tuple[InstrumentHistory, ...]
+    faults: tuple[str, ...] = field(default=())
+    """A sentence for each file that could not be read."""
+    read: int = 0
+    """Files read in this run; the others were in the index."""
+
+
+def find(folder: Path | str, serial_number: str, at: datetime | None = None) -> Parameters:
+    """Return the parameters of an instrument that were calibrated closest to a time.
+
+    Parameters
+    ----------
+    folder : Path or str
+        Of parameter files, searched below too.
+    serial_number : str
+    at : datetime, optional
+        When the data were taken, UTC where it has no time zone; None: now.
+
+    Raises
+    ------
+    ParameterFileError
+        If there is no parameter file of that instrument, or it cannot be used.
+    """
+    history = read_history(Path(folder), serial_number)
+    entry = one_instrument(history).nearest(as_utc(at or datetime.now(UTC)))
+    return load(history.folder / entry.path)
+
+
+def one_instrument(history: History) -> InstrumentHistory:
+    """Return the only instrument of a history.
+
+    Raises
+    ------
+    UsageError
+        If there are several.
+    """
+    only, *others = history.instruments
+    if others:
+        names = ", ".join(one.serial_number or one.title for one in history.instruments)
+        raise UsageError(f"{history.folder} holds {len(history.instruments)} instruments ({names}); choose one with --serial")
+    return only
+
+
+def as_utc(time: datetime) -> datetime:
+    """Return the time with its zone, UTC where it has none."""
+    return time if time.tzinfo is not None else time.replace(tzinfo=UTC)
+
+
+def read_history(folder: Path, serial_number: str | None = None) -> History:
+    """Return the history of a folder and everything below it, reading files that are new or changed.
+
+    Raises
+    ------
+    ParameterFileError
+        If there is no such folder, or nothing in it is a parameter file.
+    """
+    if not folder.is_dir():
+        raise ParameterFileError(
+            f"{folder} is no folder; give the folder that holds the parameter files", Reason.FOREIGN, folder=str(folder)
+        )
+    if next(folder.rglob("*.toml"), None) is None:  # an index of nothing is not left behind
+        raise ParameterFileError(
+            f"{folder} holds no parameter file; give the folder of your sessions, or of parameter files you kept",
+            Reason.FOREIGN,
+            folder=str(folder),
+        )
+    with closing(_open_index(folder)) as index, index:
+        read = _refresh(index, folder)
+        rows = index.execute(f"SELECT {', '.join(_COLUMNS)}, gravity_m_s2, numbers, edited FROM entry").fetchall()  # noqa: S608 (constants)
+    faults = tuple(row[3] for row in rows if row[3])
+    entries = [_entry(row) for row in rows if row[6]]
+    chosen = [one for one in entries if serial_number in (None, one.serial_number)]
+    if not chosen:
+        what = "" if serial_number is None else f" of serial number {serial_number}"
+        first = f"; the first that cannot be read: {faults[0]}" if faults else ""
+        raise ParameterFileError(
+            f"{folder} holds no parameter file{what} ({len(entries)} in all){first}; give the folder of your sessions, or of "
+            "parameter files you kept",
+            Reason.FOREIGN,
+            folder=str(folder),
+        )
+    return History(folder, _by_instrument(chosen), faults, read)
+
+
+def compare(old: Entry, new: Entry) -> tuple[Change, ...]:
+    """Return the change of every number that both have, in the same unit."""
+    before = {one.name: one for one in old.numbers}
+    same_gravity = abs(old.gravity_m_s2 - new.gravity_m_s2) < _SAME_GRAVITY_M_S2
+    found = []
+    for number in new.numbers:
+        one = before.get(number.name)
+        if one is None or one.unit != number.unit:
+            continue
+        variance = one.sigma**2 + number.sigma**2
+        if same_gravity:
+            variance -= one.common**2 + number.common**2
+        found.append(Change(number.name, number.unit, number.value - one.value, math.sqrt(max(variance, 0.0))))
+    return tuple(found)
+
+
+def _open_index(folder: Path) -> sqlite3.Connection:
+    """Open the index; in memory where the folder cannot be written or the file is none of ours."""
+    for place in (folder / INDEX_FILE, ":memory:"):
+        try:
+            connection = sqlite3.connect(place)
+        except sqlite3.Error:
+            continue
+        try:
+            version = connection.execute("PRAGMA user_version").fetchone()[0]
+            if version != INDEX_VERSION:
+                connection.execute("DROP TABLE IF EXISTS entry")
+            connection.executescript(_SCHEMA)
+            connection.execute(f"PRAGMA user_version = {INDEX_VERSION}")
+            connection.execute("SELECT COUNT(*) FROM entry").fetchone()
+        except sqlite3.Error:
+            connection.close()
+            continue
+        return connection
+    raise UsageError(f"the history of {folder} cannot be indexed; check the disk space and the SQLite of this Python")
+
+
+def _refresh(index: sqlite3.Connection, folder: Path) -> int:
+    """Bring the index up to date; return the number of files read."""
+    known = {row[0]: row[1:] for row in index.execute("SELECT path, size, changed_ns FROM entry")}
+    read, there = 0, set()
+    for path in sorted(folder.rglob("*.toml")):
+        name = path.relative_to(folder).as_posix()
+        try:
+            state = path.stat()
+        except OSError:
+            continue  # it went away meanwhile
+        there.add(name)
+        if known.get(name) == (state.st_size, state.st_mtime_ns):
+            continue
+        read += 1
+        _put(index, name, state.st_size, state.st_mtime_ns, path)
+    index.executemany("DELETE FROM entry WHERE path = ?", [(name,) for name in set(known) - there])
+    return read
+
+
+def _put(index: sqlite3.Connection, name: str, size: int, changed_ns: int, path: Path) -> None:
+    try:
+        values = _values(load(path))
+    except ImufieldError as error:
+        # Session files and configurations are TOML too, and nobody's fault.
+        fault = "" if error.reason is Reason.FOREIGN else error.message
+        values = (fault, "", "", "", "", "", "", 0.0, "[]", 0)
+    index.execute(f"INSERT OR REPLACE INTO entry VALUES ({', '.join('?' * 13)})", (name, size, changed_ns, *values))  # noqa: S608
+
+
+def _values(parameters: Parameters) -> tuple[object, ...]:
+    """Return the columns of the index after path, size and time."""
+    context, calibration = parameters.context, parameters.calibration
+    numbers = [[one.name, one.unit, one.value, one.sigma, one.common] for one in numbers_of(calibration)]
+    return (
+        None,
+        context.instrument.model or context.instrument.driver,
+        context.instrument.serial_number,
+        context.created,
+        calibration.quality.verdict,
+        context.session.sha256,
+        calibration.accelerometer_raw_unit,
+        calibration.gravity.gravity_m_s2,
+        json.dumps(numbers),
+        int(parameters.edited),
+    )
+
+
+def _entry(row: tuple[str, ...]) -> Entry:
+    path, _, _, _, instrument, serial_number, created, verdict, session, raw_unit, gravity, numbers, edited = row
+    found = tuple(Number(*values) for values in json.loads(numbers))
+    return Entry(path, instrument, serial_number, created, verdict, session, raw_unit, float(gravity), found, bool(edited))
+
+
+def _by_instrument(entries: list[Entry]) -> tuple[InstrumentHistory, ...]:
+    """Group by instrument; of one recording solved several times the newest solution counts.
+
+    What stands behind the first word of a model (firmware, options) may change between two calibrations; a serial number
+    alone is not enough, because makers count from one as well.
+    """
+    groups: dict[tuple[str, str], dict[str, Entry]] = {}
+    for one in sorted(entries, key=lambda entry: (entry.created, entry.path)):
+        key = (one.instrument.split(" ")[0] if one.serial_number else one.instrument, one.serial_number)
+        groups.setdefault(key, {})[one.session or one.path] = one
+    ordered = [sorted(group.values(), key=lambda entry: (entry.created, entry.path)) for _, group in sorted(groups.items())]
+    return tuple(InstrumentHistory(group[-1].instrument, group[-1].serial_number, tuple(group)) for group in ordered)
+
+
+def to_csv(history: History) -> str:
+    """Return one row per instrument, calibration and number, and one without a number for each file that was refused."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(CSV_COLUMNS)
+    for instrument in history.instruments:
+        for place, entry in enumerate(instrument.entries):
+            before = compare(instrument.entries[place - 1], entry) if place else ()
+            changes = {one.name: one.in_sigma for one in before}
+            for number in entry.numbers:
+                change = changes.get(number.name, math.nan)
+                writer.writerow([
+                    instrument.instrument, instrument.serial_number, entry.created, entry.verdict, entry.path, number.name,
+                    number.unit, repr(number.value), repr(number.sigma), "" if math.isnan(change) else f"{change:.2f}",
+                    "edited by hand" if entry.edited else "",
+                ])  # fmt: skip
+    for fault in history.faults:
+        writer.writerow([*[""] * (len(CSV_COLUMNS) - 1), f"refused: {fault}"])
+    return buffer.getvalue()
+
+
+def sentences(instrument: InstrumentHistory, now: datetime, stale_days: float = STALE_DAYS) -> Iterator[str]:
+    """Yield what there is to say: every number that moved, against the one before and the first, and a stale calibration."""
+    if not instrument.serial_number and len(instrument.entries) > 1:
+        yield "the serial number is not known: these calibrations may be of several instruments"
+    edited = [entry.path for entry in instrument.entries if entry.edited]
+    if edited:
+        yield f"edited by hand, so that their numbers are not those that imufield solve wrote: {', '.join(edited)}"
+    entries = list(instrument.entries)
+    if len(entries) >= 2 and entries[-2].time == entries[-1].time:
+        yield f"{entries[-2].path} and {entries[-1].path} bear the same time: the last by name counts as the newest"
+    # Against the one before and, where that is another, against the first.
+    for place in sorted({len(entries) - 2, 0}, reverse=True) if len(entries) >= 2 else ():
+        since = _moment(entries[place], entries[-1])
+        for change in instrument.changes(place):
+            if not abs(change.in_sigma) > MOVED_SIGMA:
+                continue
+            yield f"{change.name} moved {abs(change.in_sigma):.1f} sigma since {since} ({change.difference:+.4g} {change.unit})"
+    age_days = instrument.age_days(now)
+    if age_days > stale_days:
+        yield f"the newest calibration is {age_days:.0f} days old (limit {stale_days:g}): calibrate again"
+
+
+def _moment(old: Entry, new: Entry) -> str:
+    """Return the day of the older one, with the time where both are of the same day."""
+    time = f", {old.time:%H:%M} UTC" if old.time.date() == new.time.date() else ""
+    return f"{old.time.day} {old.time:%B %Y}{time}"
+
+
+def plot_history(instrument: InstrumentHistory) -> bytes:
+    """Return an SVG file: every kind of number over time, relative to the first calibration, with 1 sigma.
+
+    Raises
+    ------
+    UsageError
+        If matplotlib is not installed.
+    """
+    from imufield.deliver.report import plots
+
+    names = [one.name for one in instrument.entries[-1].numbers]
+    kinds = list(dict.fromkeys(name.rpartition(" ")[0] for name in names))
+    with plots.style():
+        drawn = plots.figure(1.7 * len(kinds) + 0.6)
+        panels = np.atleast_1d(drawn.subplots(len(kinds), 1, sharex=True))
+        for axes, kind in zip(panels, kinds, strict=True):
+            _plot_kind(axes, instrument, kind, [name for name in names if name.rpartition(" ")[0] == kind])
+        panels[0].set_title(instrument.title, loc="left", fontweight="bold")
+        panels[-1].tick_params(axis="x", rotation=30)
+        return plots.to_svg(drawn, "history").encode("utf-8")
+
+
+def _plot_kind(axes: Any, instrument: InstrumentHistory, kind: str, names: list[str]) -> None:
+    unit = ""
+    for name, marker, style, color in zip(names, _MARKERS, ("-", "--", ":") * 3, _COLORS * 3, strict=False):
+        found = [(entry.time, number) for entry in instrument.entries for number in entry.numbers if number.name == name]
+        first, unit = found[0][1], found[0][1].unit
+        values = np.array([number.value - first.value for _, number in found])
+        sigma = np.array([number.sigma for _, number in found])
+        scale = 1e6 / abs(first.value) if "scale" in kind else 1.0
+        axes.errorbar(
+            [time for time, _ in found],
+            values * scale,
+            yerr=sigma * scale,
+            fmt=marker + style,
+            capsize=3,
+            label=name.rpartition(" ")[2],
+            markerfacecolor="white",
+            color=color,
+        )
+    axes.set_ylabel(f"{kind}\n{'ppm' if 'scale' in kind else unit}")
+    axes.legend(ncols=3, loc="upper left", fontsize=7)

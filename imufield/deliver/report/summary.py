@@ -1,0 +1,314 @@
+"""A calibration for a person at a terminal: parameters with uncertainty, residual by position, verdict, what to do next.
+
+The verdict comes last, because the end is what a terminal of 24 lines shows.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from imufield.acquire.protocol.units import nominal_scale
+from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
+from imufield.deliver.parameters.document import VERSION, gyroscope_bias_rad_s
+from imufield.deliver.parameters.file import Parameters
+from imufield.deliver.parameters.numbers import (
+    ARC_MINUTE_RAD,
+    DEG_PER_HOUR_RAD_S,
+    WIDTH,
+    acceleration_unit,
+    bar,
+    to_ascii,
+    with_sigma,
+    with_sigma_within,
+)
+from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity, height_words
+from imufield.samples import AXES
+
+_VERDICT_STYLES = {"good": "bold green", "usable": "bold yellow", "poor": "bold red"}
+_VERDICT_WORDS = {
+    "good": "fit for use",
+    "usable": "can be used, with what follows in mind",
+    "poor": "do not navigate with it",
+}
+_GAUGE_WORDS = {
+    "lower": "body x is the sensor's x axis, body y lies in its x-y plane",
+    "upper": "body z is the sensor's z axis, body y lies in its y-z plane",
+    "symmetric": "body axes lie in the middle of the sensor's axes",
+    "preset": "body axes are those of the preset",
+}
+_BAR_WIDTH = 9
+_NUMBER_WIDTH = 18
+_PAIRS = tuple((i, j) for i in range(3) for j in range(3) if i != j)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a summary says beside the parameters: where they went."""
+
+    path: Path | None = None
+    """The file written."""
+    kept: Path | None = None
+    """Where the file that stood there before is kept."""
+    session: Path | None = None
+    """The session they come from."""
+
+
+def print_summary(parameters: Parameters, outcome: Outcome | None = None, console: Console | None = None) -> None:
+    """Print the summary; without a terminal as plain text of 80 columns, without Unicode in ASCII."""
+    console = console or Console()
+    if console.is_terminal and not console.options.ascii_only:
+        console.print(summary(parameters, outcome), crop=False)
+        return
+    text = summary_text(parameters, outcome)
+    console.out(to_ascii(text) if console.options.ascii_only else text, end="", highlight=False)
+
+
+def summary_text(parameters: Parameters, outcome: Outcome | None = None) -> str:
+    """Return the summary as plain text of 80 columns."""
+    console = Console(width=WIDTH, color_system=None, file=io.StringIO(), legacy_windows=False)
+    with console.capture() as capture:
+        console.print(summary(parameters, outcome), crop=False)
+    # rich fills columns with blanks; in a file or a mail they are only noise.
+    return "".join(f"{line.rstrip()}\n" for line in capture.get().splitlines())
+
+
+def summary(parameters: Parameters, outcome: Outcome | None = None) -> RenderableType:
+    """Return the summary as something rich can draw in 80 columns or more."""
+    calibration = parameters.calibration
+    parts: list[RenderableType] = [_heading(parameters), "", _accelerometer(calibration)]
+    if calibration.gyroscope is not None:
+        parts += ["", _gyroscope(calibration.gyroscope)]
+    parts += ["", _facts(calibration), "", *_residuals(parameters), "", _verdict(parameters)]
+    parts += _next_steps(parameters, outcome or Outcome())
+    return Group(*parts)
+
+
+def _heading(parameters: Parameters) -> RenderableType:
+    instrument, session = parameters.context.instrument, parameters.context.session
+    who = " ".join(word for word in (instrument.model or instrument.driver or "IMU", instrument.serial_number) if word)
+    low, high = session.temperature_degc
+    facts = [f"{len(parameters.document['position'])} positions"]
+    if math.isfinite(low) and math.isfinite(high):
+        facts.append(f"{low:.0f} °C" if round(low) == round(high) else f"{low:.0f} to {high:.0f} °C")
+    facts.append(parameters.context.created.replace("T", " ").replace("Z", " UTC"))
+    return Group(Text(f"Calibration of {who}", style="bold"), Text(" · ".join(facts), style="dim"))
+
+
+def _table(title: str) -> Table:
+    table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column(Text(title, style="bold"), no_wrap=True, min_width=13)
+    table.add_column("", no_wrap=True, style="dim", min_width=6)
+    for axis in AXES:
+        table.add_column(axis, justify="right", no_wrap=True, min_width=_NUMBER_WIDTH, header_style="bold")
+    return table
+
+
+def _row(table: Table, name: str, unit: str, values: np.ndarray, sigma: np.ndarray, *, sign: bool = True) -> None:
+    cells = [
+        with_sigma_within(_NUMBER_WIDTH, float(value), float(one), sign=sign) for value, one in zip(values, sigma, strict=True)
+    ]
+    table.add_row(name, unit, *cells)
+
+
+def _accelerometer(calibration: Calibration) -> Table:
+    p, sigma = calibration.accelerometer, calibration.accelerometer_sigma
+    table = _table("Accelerometer")
+    _row(table, "bias", "mg", p.bias_m_s2 / MILLI_G_M_S2, sigma.bias_m_s2 / MILLI_G_M_S2)
+    _row(table, "", "m/s²", p.bias_m_s2, sigma.bias_m_s2)
+    _scale(table, p.scale, sigma.scale, calibration.accelerometer_raw_unit, "m/s²")
+    _misalignment(table, p.misalignment_rad, sigma.misalignment_rad)
+    if calibration.quadratic_fitted or np.any(p.quadratic):
+        # K2 / K is (m/s²) per (m/s²)²; times g it is g per g², of which a millionth is µg/g².
+        size = STANDARD_GRAVITY_M_S2 / p.scale * 1e6
+        _row(table, "quadratic", "µg/g²", p.quadratic * size, sigma.quadratic * np.abs(size))
+    return table
+
+
+def _scale(table: Table, scale: np.ndarray, sigma: np.ndarray, raw_unit: str, per: str) -> None:
+    nominal = nominal_scale(raw_unit)
+    if nominal is None:
+        _row(table, f"{raw_unit} per {per}", "", scale, sigma, sign=False)
+    else:
+        _row(table, "scale error", "ppm", (scale / nominal - 1) * 1e6, sigma / nominal * 1e6)
+
+
+def _misalignment(table: Table, matrix: np.ndarray, sigma: np.ndarray) -> None:
+    shown = [(i, j) for i, j in _PAIRS if matrix[i, j] != 0 or sigma[i, j] != 0]
+    if not any(np.isfinite(sigma[i, j]) and matrix[i, j] for i, j in shown):
+        table.add_row("misalignment", "", *(["not estimated"] * 3))
+        return
+    for start in range(0, len(shown), 3):
+        pairs = shown[start : start + 3]
+        name = "misalignment" if start == 0 else ""
+        cells = [f"{AXES[i]}{AXES[j]} {with_sigma(matrix[i, j] * 1e3, sigma[i, j] * 1e3, sign=True)}" for i, j in pairs]
+        table.add_row(name, "mrad", *cells)
+        minutes = [f"{matrix[i, j] / ARC_MINUTE_RAD:+.1f}" if np.isfinite(sigma[i, j]) else "" for i, j in pairs]
+        table.add_row("", "arcmin", *minutes, style="dim")
+
+
+def _gyroscope(gyroscope: GyroscopeCalibration) -> RenderableType:
+    p, sigma = gyroscope.parameters, gyroscope.sigma
+    table = _table("Gyroscope")
+    if np.isfinite(p.scale).all():
+        bias, bias_sigma = gyroscope_bias_rad_s(gyroscope)
+        slow = float(np.abs(bias).max()) < 1000 * DEG_PER_HOUR_RAD_S
+        unit, size = ("°/h", DEG_PER_HOUR_RAD_S) if slow else ("°/s", 3600 * DEG_PER_HOUR_RAD_S)
+        _row(table, "bias", unit, bias / size, bias_sigma / size)
+    else:
+        _row(table, "bias", gyroscope.raw_unit, p.bias, sigma.bias)
+    if np.isfinite(sigma.scale).all():
+        _scale(table, p.scale, sigma.scale, gyroscope.raw_unit, "rad/s")
+        _misalignment(table, p.misalignment_rad, sigma.misalignment_rad)
+        if np.any(p.g_sensitivity):
+            _g_sensitivity(table, gyroscope)
+    return Group(table, Text(gyroscope.path, style="dim"))
+
+
+def _g_sensitivity(table: Table, gyroscope: GyroscopeCalibration) -> None:
+    """Add G / K: a row for each axis of the specific force, what the gyroscopes x, y, z show of it."""
+    p, sigma = gyroscope.parameters, gyroscope.sigma
+    size = STANDARD_GRAVITY_M_S2 / p.scale / DEG_PER_HOUR_RAD_S
+    for j, axis in enumerate(AXES):
+        shown, known = p.g_sensitivity[:, j] * size, sigma.g_sensitivity[:, j] * np.abs(size)
+        _row(table, f"g-sens. of a{axis}", "°/h/g", shown, known)
+
+
+def _facts(calibration: Calibration) -> Table:
+    quality, gravity = calibration.quality, calibration.gravity
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column()
+    table.add_row("Gravity", _gravity_words(gravity))
+    table.add_row("Frame", f"gauge {calibration.gauge}: {_GAUGE_WORDS[calibration.gauge]}")
+    factor = quality.student_factor_95
+    if math.isfinite(factor):
+        table.add_row(
+            "Sigma", f"± is 1 sigma; {factor:.2f} times that is the 95 % limit ({quality.degrees_of_freedom} to spare)"
+        )
+    else:
+        table.add_row("Sigma", "± is 1 sigma of the holds alone: no position is left to check the others")
+    return table
+
+
+def _gravity_words(gravity: Gravity) -> str:
+    value = f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s²"
+    if gravity.source == "assumed":
+        return f"{value}, ASSUMED: nobody said where this was; give --latitude or --gravity"
+    if gravity.source == "normal" and gravity.latitude_deg is not None:
+        return f"{value}, WGS-84 at latitude {gravity.latitude_deg:g}°, {height_words(gravity)}"
+    return f"{value}, {gravity.source}"
+
+
+def _residuals(parameters: Parameters) -> Iterator[RenderableType]:
+    tables = parameters.document["position"]
+    residual = np.array([table["residual_m_s2"] for table in tables], dtype=np.float64)
+    used = np.array([table["used"] for table in tables], dtype=np.bool_)
+    largest = float(np.nanmax(np.abs(residual), initial=0.0))
+    quality = parameters.calibration.quality
+    unit, size = acceleration_unit(largest)
+    title = Text("Residual by position", style="bold")
+    figures = f", {unit}: RMS {_short(quality.residual_rms_m_s2 / size)}, largest {_short(largest / size)}"
+    if math.isfinite(quality.leave_one_out_rms_m_s2):
+        figures += f", each left out once {_short(quality.leave_one_out_rms_m_s2 / size)} RMS"
+    title.append(figures, style="not bold")
+    yield title
+    # Residuals of nothing but rounding have no worst.
+    worst = int(np.nanargmax(np.abs(residual))) if largest > 1e-3 * MICRO_G_M_S2 else -1
+    cells = [
+        _residual_cell(table["name"], value / size, largest / size if worst >= 0 else 0.0, bool(is_used), i == worst)
+        for i, (table, value, is_used) in enumerate(zip(tables, residual, used, strict=True))
+    ]
+    yield _in_columns(cells, max(len(table["name"]) for table in tables))
+
+
+def _short(value: float) -> str:
+    if abs(value) < 0.005:
+        return "0"
+    return f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
+
+
+def _residual_cell(name: str, value: float, largest: float, used: bool, worst: bool) -> tuple[str, Text, Text]:
+    if not used or not math.isfinite(value):
+        return name, Text("not used", style="dim"), Text("")
+    style = "bold yellow" if worst else ""
+    number = f"{value:+.0f}" if abs(largest) >= 10 else f"{value:+.2f}"
+    return (
+        name,
+        Text(bar(abs(value) / largest if largest else 0, _BAR_WIDTH), style=style or "cyan"),
+        Text(number + (" ◄" if worst else "  "), style=style),
+    )
+
+
+def _in_columns(cells: list[tuple[str, Text, Text]], name_width: int) -> Table:
+    columns = max(1, min(3, WIDTH // (name_width + _BAR_WIDTH + 10)))
+    rows = -(-len(cells) // columns)
+    table = Table.grid(padding=(0, 1, 0, 0))
+    for _ in range(columns):
+        table.add_column(no_wrap=True)
+        table.add_column(no_wrap=True)
+        table.add_column(justify="right", no_wrap=True, min_width=8)
+    for row in range(rows):
+        # Down the first column, then the second: the order in which they were taken.
+        taken = [cells[row + rows * column] for column in range(columns) if row + rows * column < len(cells)]
+        table.add_row(*(part for cell in taken for part in cell))
+    return table
+
+
+def _verdict(parameters: Parameters) -> RenderableType:
+    quality = parameters.calibration.quality
+    line = Text("Verdict: ", style="bold")
+    line.append(quality.verdict.upper(), style=_VERDICT_STYLES[quality.verdict])
+    line.append(f", {_VERDICT_WORDS[quality.verdict]}", style="not bold")
+    if parameters.edited:
+        line.append(" (the file was edited by hand)", style="bold yellow")
+    if parameters.version != VERSION:
+        line.append(f" (converted from version {parameters.version} of the file)", style="bold yellow")
+    return Group(line, *_bullets(quality.reasons))
+
+
+def _bullets(sentences: Iterator[str] | tuple[str, ...] | list[str]) -> Iterator[RenderableType]:
+    table = Table.grid(padding=(0, 1, 0, 0))
+    table.add_column(no_wrap=True)
+    table.add_column()
+    for sentence in sentences:
+        table.add_row(" ·", Text(sentence))
+    if table.row_count:
+        yield table
+
+
+def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[RenderableType]:
+    steps = []
+    calibration = parameters.calibration
+    if calibration.gravity.source == "assumed":
+        again = "imufield solve" if outcome.session is None else f"imufield solve {shlex.quote(str(outcome.session))}"
+        yield from _bullets(["tell where this was:"])
+        yield _unbroken(f"   {again} --latitude DEGREES --height METRES")
+    if calibration.quality.degrees_of_freedom < 1:
+        steps.append("take a session of 24 positions, in which each is checked by the others: imufield capture")
+    elif calibration.quality.verdict == "poor":
+        steps.append("take the session again, the marked position with most care: imufield capture")
+    if outcome.path is not None:
+        if outcome.kept is not None:
+            steps.append(f"the file that stood there before is now {outcome.kept.name}")
+        if calibration.quality.verdict != "poor":
+            steps.append("use it in Python: imufield.load(FILE).apply(samples)")
+        yield Text("")
+        yield Text("Written to", style="bold")
+        yield _unbroken(str(outcome.path))
+    if steps:
+        yield from _bullets(steps)
+
+
+def _unbroken(text: str) -> Text:
+    """Return a path or a command on a line of its own: in two pieces it cannot be copied."""
+    return Text(text, overflow="ignore", no_wrap=True)

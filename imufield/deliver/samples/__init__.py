@@ -1,0 +1,1 @@
+"""Samples handed on: raw tables, ROS 2 bags, corrected recordings."""

@@ -1,0 +1,179 @@
+"""Samples for other programs: one row each, flagged ones included, numbers exact to the last bit.
+
+Raw units (in ``session.toml``), what is not available is left empty.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from imufield.acquire.protocol.protocol import Protocol
+from imufield.deliver.samples.export_ros2 import write_ros2
+from imufield.deliver.samples.export_tables import write_hdf5, write_parquet
+from imufield.errors import Reason, RecordingError
+from imufield.files import refuse_what_is_no_file
+from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, FloatArray, Samples, concatenate
+
+_ROWS_AT_ONCE = 8192
+"""Text made at a time: about 1 MB, however large the blocks are."""
+_ROWS_IN_A_BLOCK = 1 << 16
+"""5 MB: a good size for the pieces of a Parquet file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A format of exported samples."""
+
+    suffix: str
+    title: str
+    write: Callable[[Iterable[Samples], Path, Mapping[str, str]], int]
+    """Writes blocks to a new file, with facts for its head; returns the number of rows."""
+    lacks: str = ""
+    """What it has no place for, in words."""
+
+
+def export_samples(blocks: Iterable[Samples], path: str | Path, to: str = "csv", facts: Mapping[str, str] | None = None) -> int:
+    """Write a file of samples; it takes its name when it is complete.
+
+    Parameters
+    ----------
+    blocks : iterable of Samples
+        In time order; only a few are held at a time.
+    path : Path
+        Replaced if it exists.
+    to : str
+        One of ``FORMATS``.
+    facts : mapping, optional
+        What the file should say of its numbers, where its format can.
+
+    Returns
+    -------
+    int
+        Rows written.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written; whatever stood under its name before is untouched.
+    UsageError
+        The package for the format is not installed, or it cannot hold these samples.
+    """
+    path = Path(path)
+    try:
+        refuse_what_is_no_file(path)
+        descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".new", dir=path.parent)
+        os.close(descriptor)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    try:
+        rows = FORMATS[to].write(in_large_blocks(blocks), Path(name), facts or {})
+        mask = os.umask(0)
+        os.umask(mask)
+        Path(name).chmod(0o666 & ~mask)
+        Path(name).replace(path)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    finally:
+        with suppress(FileNotFoundError):
+            Path(name).unlink()
+    return rows
+
+
+def in_large_blocks(blocks: Iterable[Samples], rows: int = _ROWS_IN_A_BLOCK) -> Iterator[Samples]:
+    """Join small blocks to some of at least ``rows``, so that each is worth a compressed piece of a file."""
+    held: list[Samples] = []
+    for block in blocks:
+        held.append(block)
+        if sum(map(len, held)) >= rows:
+            yield concatenate(held)
+            held = []
+    if held:
+        yield concatenate(held)
+
+
+def facts_of(protocol: Protocol, raw_zero: FloatArray) -> dict[str, str]:
+    """Return what our own import reads again from files that can hold it."""
+    units = protocol.units
+    facts = {
+        "imufield_accelerometer_unit": units.accelerometer,
+        "imufield_gyroscope_unit": units.gyroscope,
+        "imufield_raw_zero": ",".join(repr(float(zero)) for zero in raw_zero),
+    }
+    if units.interval_s is not None:
+        facts |= {"imufield_increments": "true", "imufield_rate_hz": repr(1 / units.interval_s)}
+    return facts
+
+
+def export_csv(blocks: Iterable[Samples], path: str | Path) -> int:
+    """Write a CSV file; as ``export_samples``."""
+    return export_samples(blocks, path, "csv")
+
+
+def _write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (CSV has no place for them)
+    with path.open("w", encoding="ascii", newline="") as file:
+        return write_csv(blocks, file)
+
+
+def _write_ros2(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (units of ROS are fixed)
+    return write_ros2(blocks, path)
+
+
+_LACKING = "messages of ROS hold no temperature, counter, losses or status"
+FORMATS = {
+    "csv": Format("csv", "text, one line for each sample", _write_csv),
+    "parquet": Format("parquet", "Parquet (extra `parquet`)", write_parquet),
+    "hdf5": Format("h5", "HDF5, one dataset for each column (extra `hdf5`)", write_hdf5),
+    "ros2": Format("mcap", "sensor_msgs/msg/Imu for ROS 2, Foxglove, PlotJuggler", _write_ros2, _LACKING),
+}
+
+
+def write_csv(blocks: Iterable[Samples], file: TextIO) -> int:
+    """Write header and rows to an open text file; return the number of rows."""
+    file.write(",".join(SAMPLE_COLUMNS) + "\n")
+    rows = 0
+    for block in blocks:
+        for start in range(0, len(block), _ROWS_AT_ONCE):
+            part = block[start : start + _ROWS_AT_ONCE]
+            file.write(_lines(part))
+            rows += len(part)
+    return rows
+
+
+def _lines(samples: Samples) -> str:
+    columns = [
+        _floats(samples.time_s),
+        *(_floats(samples.accelerometer[:, axis]) for axis in range(3)),
+        *(_floats(samples.gyroscope[:, axis]) for axis in range(3)),
+        _floats(samples.temperature_degc),
+        ["" if value == NO_COUNTER else str(value) for value in samples.counter.tolist()],
+        list(map(str, samples.status.tolist())),
+    ]
+    return "\n".join(map(",".join, zip(*columns, strict=True))) + "\n"
+
+
+def _floats(values: FloatArray) -> list[str]:
+    """Return the shortest text that reads back as the same number; empty for NaN."""
+    missing = np.isnan(values)
+    if missing.all():
+        return [""] * len(values)
+    texts = list(map(repr, values.tolist()))
+    for row in np.flatnonzero(missing):
+        texts[row] = ""
+    return texts
+
+
+def _cannot_write(path: Path, error: OSError) -> RecordingError:
+    return RecordingError(
+        f"{path} cannot be written ({error.strerror}): check the folder, its permissions and the disk space.",
+        Reason.DISK_FULL,
+        path=str(path),
+        errno=error.errno,
+    )

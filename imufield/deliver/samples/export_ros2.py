@@ -1,0 +1,129 @@
+"""Samples as ``sensor_msgs/msg/Imu`` in an MCAP file, as ROS 2, Foxglove and PlotJuggler read it.
+
+The message is fixed in length, since the name of its frame is, so that NumPy fills a block of them at once. It is written in
+CDR, little-endian (OMG DDS-XTypes 1.3, section 7.4.3: each number at a multiple of its size behind the head)::
+
+    bytes 0-3    00 01 00 00      CDR, little-endian
+    bytes 4-11   i32, u32         stamp, s and ns
+    bytes 12-19  u32, "imu", 0    frame_id
+    then f64     4 + 9            orientation and covariance: -1 first, not available (REP 145)
+                 3 + 9            angular velocity, rad/s; covariance 0, not known
+                 3 + 9            linear acceleration, m/s^2
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.acquire.link.host_clock import NANOSECONDS
+from imufield.errors import Reason, RecordingError, UsageError
+from imufield.samples import UNUSABLE, FloatArray, Samples, SampleUnits, Status
+
+TOPIC = "/imu/data_raw"
+_OF_ACCELEROMETER = Status.ACCELEROMETER_INVALID | Status.ACCELEROMETER_SATURATED
+_OF_GYROSCOPE = Status.GYROSCOPE_INVALID | Status.GYROSCOPE_SATURATED
+SCHEMA_NAME = "sensor_msgs/msg/Imu"
+_NOT_AVAILABLE = -1.0
+_LARGEST_S = 2**31 - 1
+_PARTS = (
+    ("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id"),
+    ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec"),
+    ("geometry_msgs/Quaternion", "float64 x\nfloat64 y\nfloat64 z\nfloat64 w"),
+    ("geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z"),
+)
+SCHEMA = (
+    "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
+    "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
+    "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n"
+) + "".join(f"{'=' * 80}\nMSG: {name}\n{fields}\n" for name, fields in _PARTS)
+_MESSAGE = np.dtype(
+    [
+        ("head", "u1", (4,)),
+        ("sec", "<i4"),
+        ("nanosec", "<u4"),
+        ("frame_size", "<u4"),
+        ("frame_id", "S4"),
+        ("orientation", "<f8", (4,)),
+        ("orientation_covariance", "<f8", (9,)),
+        ("angular_velocity", "<f8", (3,)),
+        ("angular_velocity_covariance", "<f8", (9,)),
+        ("linear_acceleration", "<f8", (3,)),
+        ("linear_acceleration_covariance", "<f8", (9,)),
+    ]
+)
+
+
+def write_ros2(blocks: Iterable[Samples], path: Path) -> int:
+    """Write an MCAP file; return the number of messages.
+
+    Raises
+    ------
+    UsageError
+        The samples are counts or pulses: ROS knows SI alone.
+    RecordingError
+        Times that a stamp cannot hold.
+    """
+    from mcap.writer import Writer
+
+    rows = 0
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="imufield")
+        schema = writer.register_schema(name=SCHEMA_NAME, encoding="ros2msg", data=SCHEMA.encode())
+        channel = writer.register_channel(topic=TOPIC, message_encoding="cdr", schema_id=schema)
+        for block in blocks:
+            stamps = _nanoseconds(block.time_s)
+            messages = _messages(block, stamps).tobytes()
+            size = _MESSAGE.itemsize
+            for row, stamp in enumerate(stamps.tolist()):
+                writer.add_message(channel, stamp, messages[row * size : (row + 1) * size], stamp, rows + row)
+            rows += len(block)
+        writer.finish()  # type: ignore[no-untyped-call]  # the library annotates its arguments only
+    return rows
+
+
+def _nanoseconds(time_s: FloatArray) -> NDArray[np.int64]:
+    if len(time_s) and not (time_s[0] >= 0 and time_s[-1] < _LARGEST_S):
+        raise RecordingError(
+            f"times from {time_s[0]:g} s to {time_s[-1]:g} s do not fit into stamps of ROS, 0 to {_LARGEST_S} s; export "
+            "another format",
+            Reason.BOUNDS,
+        )
+    whole = np.floor(time_s)
+    nanoseconds: NDArray[np.int64] = whole.astype(np.int64) * NANOSECONDS + np.rint((time_s - whole) * NANOSECONDS).astype(
+        np.int64
+    )
+    return nanoseconds
+
+
+def _messages(samples: Samples, stamps: NDArray[np.int64]) -> NDArray[np.void]:
+    _check_units(samples.units)
+    messages = np.zeros(len(samples), dtype=_MESSAGE)
+    messages["head"][:, 1] = 1
+    messages["sec"], messages["nanosec"] = stamps // NANOSECONDS, stamps % NANOSECONDS
+    messages["frame_size"], messages["frame_id"] = 4, b"imu"
+    messages["orientation"][:, 3] = 1.0
+    messages["orientation_covariance"][:, 0] = _NOT_AVAILABLE
+    for name, values, flag in (
+        ("angular_velocity", samples.gyroscope_rate(), UNUSABLE & ~_OF_ACCELEROMETER),
+        ("linear_acceleration", samples.accelerometer_rate(), UNUSABLE & ~_OF_GYROSCOPE),
+    ):
+        messages[name] = values
+        # There is no place for a status: what must enter no mean is not available.
+        gone = np.isnan(values).any(axis=1) | ((samples.status & np.uint32(flag)) != 0)
+        messages[name][gone] = np.nan
+        messages[f"{name}_covariance"][gone, 0] = _NOT_AVAILABLE
+    return messages
+
+
+def _check_units(units: SampleUnits) -> None:
+    if not units.is_si:
+        raise UsageError(
+            f"ROS knows m/s^2 and rad/s, the session holds {units.accelerometer} and {units.gyroscope}: export csv, parquet or "
+            "hdf5, or correct it first with `imufield apply`",
+            Reason.UNITS,
+        )

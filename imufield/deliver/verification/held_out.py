@@ -1,0 +1,398 @@
+"""Held-out positions: the proof of an accelerometer calibration on data it has not seen.
+
+At rest the corrected specific force must be as long as gravity. How far it is off, ``r = norm(a) - g``, is compared with
+how far it may be off: with ``J = d norm / d parameters`` and the joint covariance ``C`` of parameters and gravity,
+
+    S = [J, -1] C [J, -1]^T + (variance of each mean) + tau^2
+
+where tau is the scatter between positions of the calibration. Gravity is common to calibration and check where both were at one
+place, so its error, which went into every scale, cancels here: this check proves nothing about g.
+
+``cross_validate`` needs no second session: each group of positions is predicted by a calibration from all the others.
+
+What is called large: for another session the F distribution with as many degrees of freedom as the calibration had residuals
+to spare (exact where the scatter rules, too wide where the noise within a hold does); for the own session simulated ones.
+
+How large the misfit of held-out positions of its own session may be by chance.
+
+The calibrations that predict the groups share most of their positions, and each has a scatter tau of its own from the few
+residuals that its group leaves it: their pooled misfit has no textbook distribution (that of F is far too wide for a scatter
+well seen, and too narrow for 3 residuals to spare). So sessions are simulated that have the stated noise and nothing else, in
+the linearised model, and taken through the same steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.models import norm_derivatives, to_vector
+from imufield.calibrate.model.observability import parameter_scale
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration
+from imufield.calibrate.model.uncertainty import f_chance, f_limit_95, known_covariance, within_variance
+from imufield.calibrate.solvers.agreement import AGREEMENT_SIGMA
+from imufield.earth import MICRO_G_M_S2, Gravity
+from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.samples import FloatArray
+
+RUNS = 4000
+"""Four times what the rarest statement, 1 in 1000, needs."""
+_NEWTON_STEPS = 20
+_TINY = 1e-22
+"""Square of a nanogal, as in the misfit itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """The linearised session: residual = jacobian z + noise."""
+
+    jacobian: FloatArray
+    """Independent columns, shape (m, n)."""
+    within: FloatArray
+    """Variance of each mean, shape (m,)."""
+    tau_m_s2: float
+
+
+def simulated_misfits(session: Session, groups: list[NDArray[np.bool_]], seed: int = 0) -> FloatArray:
+    """Return the pooled misfit of simulated sessions whose noise is as stated, shape (RUNS,).
+
+    Parameters
+    ----------
+    session : Session
+    groups : list of ndarray of bool, shape (m,)
+        Positions left out together; every position in one of them.
+    seed : int
+    """
+    m = len(session.within)
+    sigma = np.sqrt(session.within + session.tau_m_s2**2)
+    noise = sigma * np.random.default_rng(seed).standard_normal((RUNS, m))
+    squares = [_squares(session, held, noise, sigma) for held in groups]
+    return np.asarray(np.sum(squares, axis=0) / m)
+
+
+def _squares(session: Session, held: NDArray[np.bool_], noise: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Return r^T S^-1 r of one group of every run, shape (RUNS,)."""
+    rest = ~held
+    J, H = session.jacobian[rest], session.jacobian[held]
+    # Q spans the weighted columns; the fit at the true weights stands for that at the estimated ones.
+    Q, R = np.linalg.qr(J / sigma[rest, None])
+    whitened = noise[:, rest] / sigma[rest]
+    z = np.linalg.solve(R, Q.T @ whitened.T).T
+    left = noise[:, rest] - z @ J.T
+    tau2 = _scatter(left, session.within[rest], int(rest.sum()) - J.shape[1])
+    residual = noise[:, held] - z @ H.T
+    weight = 1 / (session.within[rest] + tau2[:, None] + _TINY)
+    normal = np.einsum("ai,ra,aj->rij", J, weight, J, optimize=True)
+    S = H @ np.linalg.solve(normal, np.broadcast_to(H.T, (len(normal), *H.T.shape)))
+    diagonal = np.arange(len(H))
+    S[:, diagonal, diagonal] += session.within[held] + tau2[:, None] + _TINY
+    return np.asarray(np.einsum("rh,rh->r", residual, np.linalg.solve(S, residual[..., None])[..., 0]))
+
+
+def _scatter(left: FloatArray, within: FloatArray, freedom: int) -> FloatArray:
+    """Return tau^2 of every run, as ``between_position_sigma`` finds it: Newton's method from below never overshoots."""
+    tau2 = np.zeros(len(left))
+    if not np.any(within):
+        return np.asarray(np.sum(left**2, axis=1) / freedom)
+    for _ in range(_NEWTON_STEPS):
+        weight = 1 / (within + tau2[:, None])
+        weighted = left**2 * weight
+        excess = np.sum(weighted, axis=1) - freedom
+        tau2 += np.maximum(excess, 0.0) / np.sum(weighted * weight, axis=1)
+    return tau2
+
+
+FEWEST_LEFT = 6
+"""Positions that must be left to calibrate from."""
+STRONG = 1e-3
+"""A misfit less probable than this is called a defect; among fewer than a thousand checks it does not come by chance."""
+FOREIGN = 10.0
+"""Misfit of another session beyond this, three times the forecast: no uncertainty that was honest at all is so far off."""
+_SAME_GRAVITY_M_S2 = 1e-7
+_ROUNDING_M_S2 = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Residuals of m positions that the parameters have not seen, arrays of shape (m,)."""
+
+    name: tuple[str, ...]
+    up: FloatArray
+    """Measured direction of "up" in the body frame, shape (m, 3)."""
+    residual_m_s2: FloatArray
+    before_m_s2: FloatArray
+    """The same with the preset; NaN without one."""
+    sigma_m_s2: FloatArray
+    """Forecast, 1 sigma; NaN where the parameter file does not know its own uncertainty."""
+    misfit: float
+    """Mean square in units of the forecast, correlations between positions allowed for; 1 is as forecast."""
+    misfit_limit: float
+    """Exceeded by chance in 1 of 20 checks."""
+    how: str
+    """In words: which positions, and who predicted them."""
+    chance: float = float("nan")
+    """Probability of a misfit at least so large where instrument and uncertainty are as stated; NaN where not known."""
+    is_own: bool = False
+    """Whether the positions are those of the calibration."""
+    objection: str = ""
+    """Why the parameters fail, whatever is required: a sentence, empty where nothing speaks against them."""
+
+    @property
+    def rms_m_s2(self) -> float:
+        """Root mean square of ``residual_m_s2``."""
+        return _rms(self.residual_m_s2)
+
+    @property
+    def before_rms_m_s2(self) -> float:
+        """Root mean square of ``before_m_s2``."""
+        return _rms(self.before_m_s2)
+
+    @property
+    def forecast_rms_m_s2(self) -> float:
+        """Root mean square of ``sigma_m_s2``: what the residual should be about."""
+        return _rms(self.sigma_m_s2)
+
+    @property
+    def as_forecast(self) -> bool:
+        """Whether the residuals are no larger than the stated uncertainty allows."""
+        return not self.objection and self.misfit <= self.misfit_limit
+
+    @property
+    def words(self) -> str:
+        """The misfit in a sentence, or the objection; empty where there is no forecast."""
+        if self.objection:
+            return self.objection
+        if not np.isfinite(self.misfit):
+            return ""
+        figures = f"misfit {self.misfit:.2f}; 1 in 20 sound checks has more than {self.misfit_limit:.2f}"
+        if self.as_forecast:
+            return f"as forecast ({figures})"
+        if self.chance >= STRONG:
+            again = "another --hold-out" if self.is_own else "a second session"
+            rare = f"so large in 1 of {1 / self.chance:.0f} sound checks"
+            return f"larger than forecast, by chance {rare} ({figures}): look at the largest, and check again with {again}"
+        cause = (
+            "the stated uncertainty is too small, or single positions were disturbed"
+            if self.is_own
+            else "this is not the instrument the parameters were made for, or it has changed since"
+            if self.misfit > FOREIGN
+            else "the instrument has changed since, or the stated uncertainty is too small"
+        )
+        return f"LARGER THAN FORECAST, by chance in fewer than 1 of {1 / STRONG:.0f} sound checks ({figures}): {cause}"
+
+
+def check_positions(
+    calibration: Calibration, observations: Observations, gravity: Gravity, before: AccelerometerParameters | None = None
+) -> HeldOut:
+    """Return what a calibration makes of positions of another session.
+
+    Raises
+    ------
+    CalibrationError
+        If there is no position, or an output is not finite.
+    """
+    _require_finite(observations)
+    residual, S = _residual(calibration, observations, gravity)
+    m = len(observations)
+    freedom, misfit = max(calibration.quality.degrees_of_freedom, 1), _misfit(residual, S)
+    return HeldOut(
+        observations.name,
+        _up(calibration, observations),
+        residual,
+        _residual_of(before, observations, gravity),
+        np.sqrt(np.diag(S)),
+        misfit,
+        f_limit_95(m, freedom),
+        f"{m} position{'s' if m > 1 else ''} of another session",
+        f_chance(misfit, m, freedom),
+    )
+
+
+def contradiction(
+    calibration: Calibration, observations: Observations, before: AccelerometerParameters | None = None
+) -> HeldOut | None:
+    """Hold parameters against the positions they are said to come from; None where solving these again gives the same.
+
+    Compared is the corrected specific force at each position, in sigma of the parameters solved again: that knows no gauge, and
+    the error of gravity, which is in both, cancels. Methods with costs of their own may differ by ``AGREEMENT_SIGMA``.
+
+    Raises
+    ------
+    CalibrationError
+        If an output is not finite, or the positions cannot be calibrated from.
+    """
+    _require_finite(observations)
+    gravity, again = calibration.gravity, _again(calibration, observations)
+    stated, solved = (_residual_of(one.accelerometer, observations, gravity) for one in (calibration, again))
+    sigma = np.sqrt(np.diag(_forecast(again, observations)))
+    known = np.where(np.isfinite(sigma), sigma, _rms(solved))
+    apart = float(np.max(np.abs(stated - solved) / (known + _ROUNDING_M_S2)))
+    # NaN, of parameters that give no specific force here, is no agreement.
+    if apart <= AGREEMENT_SIGMA:
+        return None
+    m = len(observations)
+    left = f"{_rms(stated) / MICRO_G_M_S2:.0f} ug RMS at the {m} positions they are said to come from"
+    objection = (
+        f"NOT WHAT THIS SESSION GIVES: these parameters leave {left}, where solving again leaves "
+        f"{_rms(solved) / MICRO_G_M_S2:.0f} ug, and are up to {apart:.0f} sigma away from that, {AGREEMENT_SIGMA:g} at most by "
+        "another method: the file was changed, or its solver did not converge; solve the session again"
+    )
+    how = f"{m} positions of its own session, as the parameters under test leave them"
+    found = check_positions(calibration, observations, gravity, before)
+    return replace(found, how=how, misfit=float("nan"), chance=float("nan"), is_own=True, objection=objection)
+
+
+def cross_validate(
+    calibration: Calibration, observations: Observations, hold_out: int, before: AccelerometerParameters | None = None
+) -> HeldOut:
+    """Return residuals of positions each predicted by a calibration that has not seen it.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        From these observations; its model and signs are kept.
+    observations : Observations
+    hold_out : int
+        Positions left out at a time.
+    before : AccelerometerParameters, optional
+
+    Raises
+    ------
+    UsageError
+        If too few positions would be left.
+    CalibrationError
+        If those left cannot be calibrated from.
+    """
+    _require_finite(observations)
+    m = len(observations)
+    _require_enough(m, hold_out)
+    groups = -(-m // hold_out)
+    residual, misfit, sigma = np.empty(m), 0.0, np.empty(m)
+    parts = [np.arange(m) % groups == first for first in range(groups)]
+    for held in parts:
+        left = _again(calibration, observations[~held])
+        residual[held], S = _residual(left, observations[held], calibration.gravity)
+        sigma[held] = np.sqrt(np.diag(S))
+        misfit += _misfit(residual[held], S) * int(held.sum()) / m
+    by_chance = simulated_misfits(_linearised(calibration, observations), parts)
+    return HeldOut(
+        observations.name,
+        _up(calibration, observations),
+        residual,
+        _residual_of(before, observations, calibration.gravity),
+        sigma,
+        misfit,
+        float(np.quantile(by_chance, 0.95)),
+        f"{m} positions of its own session, up to {hold_out} at a time predicted by a calibration from all the others",
+        float((1 + np.count_nonzero(by_chance >= misfit)) / (1 + len(by_chance))),
+        is_own=True,
+    )
+
+
+def _linearised(calibration: Calibration, observations: Observations) -> Session:
+    """Return the session as ``simulated_misfits`` takes it."""
+    p, quality = calibration.accelerometer, calibration.quality
+    at = norm_derivatives(to_vector(p), observations.mean_raw - p.raw_zero, p.quadratic_axes)
+    fitted = np.diag(_covariance(calibration))[:-1] > 0
+    size = parameter_scale(to_vector(p), calibration.gravity.gravity_m_s2)
+    # In most gauges columns hang together; as many as were fitted are independent.
+    columns = np.linalg.svd((at.jacobian * size)[:, fitted], full_matrices=False)[0][:, : quality.parameters_fitted]
+    within = np.zeros(len(observations))
+    if known_covariance(observations.covariance_raw):
+        within = within_variance(at.raw_gradient, observations.covariance_raw)
+    return Session(columns, within, quality.between_position_sigma_m_s2)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _require_finite(observations: Observations) -> None:
+    if not len(observations):
+        raise CalibrationError("the session holds no position to check; hold the instrument still in some", Reason.TOO_FEW)
+    for row in np.flatnonzero(~np.isfinite(observations.mean_raw).all(axis=1)):
+        raise CalibrationError(
+            f"position {observations.name[row]} has the mean output {observations.mean_raw[row].tolist()}, which "
+            "is not finite; remove or retake it",
+            Reason.NOT_FINITE,
+            position=observations.name[row],
+        )
+
+
+def _require_enough(m: int, hold_out: int) -> None:
+    if not 1 <= hold_out <= m - FEWEST_LEFT:
+        raise UsageError(
+            f"--hold-out {hold_out} of {m} positions is not possible, {FEWEST_LEFT} must be left to calibrate from; give 1 to "
+            f"{max(m - FEWEST_LEFT, 1)}",
+            hold_out=hold_out,
+            positions=m,
+        )
+
+
+def _again(calibration: Calibration, observations: Observations) -> Calibration:
+    return calibrate_accelerometer(
+        observations,
+        calibration.gravity,
+        model="quadratic" if calibration.quadratic_fitted else "linear",
+        preset=calibration.accelerometer,
+        quadratic_axes=calibration.accelerometer.quadratic_axes,
+        raw_zero=calibration.accelerometer.raw_zero,
+    )
+
+
+def _up(calibration: Calibration, observations: Observations) -> FloatArray:
+    p = calibration.accelerometer
+    a = norm_derivatives(to_vector(p), observations.mean_raw - p.raw_zero, p.quadratic_axes).a
+    up: FloatArray = a / np.linalg.norm(a, axis=1)[:, None]
+    return up
+
+
+def _residual_of(parameters: AccelerometerParameters | None, observations: Observations, gravity: Gravity) -> FloatArray:
+    if parameters is None:
+        return np.full(len(observations), np.nan)
+    raw = observations.mean_raw - parameters.raw_zero
+    norm = norm_derivatives(to_vector(parameters), raw, parameters.quadratic_axes).norm
+    return norm - gravity.gravity_m_s2
+
+
+def _residual(calibration: Calibration, observations: Observations, gravity: Gravity) -> tuple[FloatArray, FloatArray]:
+    """Return r, shape (m,), and S, shape (m, m)."""
+    p = calibration.accelerometer
+    at = norm_derivatives(to_vector(p), observations.mean_raw - p.raw_zero, p.quadratic_axes)
+    one_place = abs(gravity.gravity_m_s2 - calibration.gravity.gravity_m_s2) < _SAME_GRAVITY_M_S2
+    S = _forecast(calibration, observations, one_place=one_place)
+    own = np.full(len(observations), calibration.quality.between_position_sigma_m_s2**2)
+    if known_covariance(observations.covariance_raw):
+        own = own + within_variance(at.raw_gradient, observations.covariance_raw)
+    S = S + np.diag(own) + (0.0 if one_place else gravity.sigma_m_s2**2)
+    return at.norm - gravity.gravity_m_s2, S
+
+
+def _forecast(calibration: Calibration, observations: Observations, *, one_place: bool = True) -> FloatArray:
+    """Return the covariance of the residuals as far as the parameters make them, shape (m, m)."""
+    p = calibration.accelerometer
+    at = norm_derivatives(to_vector(p), observations.mean_raw - p.raw_zero, p.quadratic_axes)
+    J = np.column_stack([at.jacobian, np.full(len(observations), -1.0 if one_place else 0.0)])
+    covariance: FloatArray = J @ _covariance(calibration) @ J.T
+    return covariance
+
+
+def _covariance(calibration: Calibration) -> FloatArray:
+    """Return the covariance of the 15 parameters and gravity, zero for what was not fitted, shape (16, 16)."""
+    names = (*ACCELEROMETER_NAMES, GRAVITY_NAME)
+    own = [k for k, name in enumerate(calibration.covariance_names) if name in names]
+    places = [names.index(calibration.covariance_names[k]) for k in own]
+    covariance = np.zeros((len(names), len(names)))
+    covariance[np.ix_(places, places)] = calibration.covariance[np.ix_(own, own)]
+    return covariance
+
+
+def _misfit(residual: FloatArray, S: FloatArray) -> float:
+    if not np.isfinite(S).all():
+        return float("nan")
+    # Where nothing at all is uncertain (simulations without noise) rounding decides; a nanogal keeps it harmless.
+    return float(residual @ np.linalg.solve(S + np.eye(len(S)) * 1e-22, residual)) / len(residual)

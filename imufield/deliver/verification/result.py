@@ -1,0 +1,366 @@
+"""What a verification found: requirements met or not, the file beside the parameters, and the text for a person.
+
+``parameters.verification.json`` holds the results of the last check of held-out positions and of the last static
+navigation; the report reads it. It belongs to one content of the parameter file, by its hash, and has a hash of its own: a
+verdict that was edited is none.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import textwrap
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import imufield
+from imufield.deliver.navigation.check import NavigationResult
+from imufield.deliver.navigation.drift import QUANTITIES, Drift
+from imufield.deliver.parameters.file import Parameters, json_ready
+from imufield.deliver.parameters.numbers import acceleration_unit
+from imufield.deliver.parameters.write import content_sha256
+from imufield.deliver.verification.held_out import HeldOut
+from imufield.earth import MICRO_G_M_S2
+from imufield.errors import ParameterFileError, Reason, UsageError
+from imufield.files import read_small_file, write_atomically
+from imufield.samples import FloatArray
+
+Document = dict[str, Any]
+
+FORMAT = "imufield-verification"
+VERSION = 1
+REQUIREMENTS = {
+    "residual-ug": "RMS residual of held-out positions, micro-g",
+    "nav-nmi-per-h": "largest position error over the time navigated, nautical miles an hour",
+}
+_WIDTH = 80
+_HOURS_FROM_S = 7200.0
+"""Shorter recordings are told in minutes: a sixth of them has one decimal in hours."""
+_POINTS = 600
+"""Of each curve in the file: more than a plot shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """One requirement and what was measured."""
+
+    name: str
+    limit: float
+    measured: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is met; NaN is not."""
+        return self.measured <= self.limit
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """Everything one run of ``verify`` found."""
+
+    parameters: Parameters
+    session: str
+    held_out: HeldOut | None = None
+    navigation: NavigationResult | None = None
+    requirements: tuple[Requirement, ...] = ()
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether all requirements are met and nothing objects to the parameters; None without either."""
+        if self.objections:
+            return False
+        return all(one.passed for one in self.requirements) if self.requirements else None
+
+    @property
+    def objections(self) -> tuple[str, ...]:
+        """Sentences that make it fail whatever was measured: what the held-out positions and the file itself say."""
+        own = self.held_out.objection if self.held_out is not None else ""
+        return tuple(filter(None, (own, doubt(self.parameters) if self.requirements else "")))
+
+
+def doubt(parameters: Parameters) -> str:
+    """Say why parameters are not to be relied on by what their own file says; empty where it says nothing of the kind."""
+    solver, quality = parameters.calibration.solver, parameters.calibration.quality
+    if not solver.converged:
+        return (
+            f"the file says itself that {solver.method} did not converge (status {solver.status}: {solver.message}); "
+            f"its verdict is {quality.verdict}; solve again"
+        )
+    if quality.verdict == "poor":
+        return f"the file itself has the verdict poor: {quality.main_reason}"
+    return ""
+
+
+def parse_requirements(text: str | None) -> dict[str, float]:
+    """Read ``NAME=LIMIT,NAME=LIMIT``.
+
+    Raises
+    ------
+    UsageError
+        If a name is not known or stands twice, a limit is no positive number, or nothing is required.
+    """
+    limits: dict[str, float] = {}
+    for part in [] if text is None else text.split(","):
+        name, _, value = (piece.strip() for piece in part.partition("="))
+        if name not in REQUIREMENTS:
+            raise UsageError(
+                f"--require {part.strip()!r} is unknown; give NAME=LIMIT with NAME one of {', '.join(REQUIREMENTS)}"
+            )
+        try:
+            limit = float(value)
+        except ValueError:
+            limit = math.nan
+        if not 0 < limit < math.inf:
+            raise UsageError(f"--require {name} has the limit {value!r}; give a positive number, e.g. {name}=50")
+        if name in limits:
+            raise UsageError(f"--require gives {name} twice, {limits[name]:g} and {limit:g}; give the limit that is meant")
+        limits[name] = limit
+    return limits
+
+
+def judge(
+    limits: Mapping[str, float], held_out: HeldOut | None, navigation: NavigationResult | None
+) -> tuple[Requirement, ...]:
+    """Return every requirement with what was measured, NaN where it was not."""
+    measured = dict.fromkeys(REQUIREMENTS, math.nan)
+    if held_out is not None:
+        measured["residual-ug"] = held_out.rms_m_s2 / MICRO_G_M_S2
+    if navigation is not None:
+        measured["nav-nmi-per-h"] = list(navigation.drifts.values())[-1].rate_nmi_per_h
+    return tuple(Requirement(name, limit, measured[name]) for name, limit in limits.items())
+
+
+def to_document(verification: Verification) -> Document:
+    """Return everything as plain values."""
+    document: Document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "software": f"imufield {imufield.__version__}",
+        "parameters_sha256": content_sha256(verification.parameters.document),
+        "session": verification.session,
+        "passed": verification.passed,
+        "requirement": [
+            {"name": one.name, "limit": one.limit, "measured": one.measured, "passed": one.passed}
+            for one in verification.requirements
+        ],
+        "objections": list(verification.objections),
+        "notes": list(verification.notes),
+    }
+    if verification.held_out is not None:
+        document["positions"] = _positions(verification.held_out) | {"session": verification.session}
+    if verification.navigation is not None:
+        document["navigation"] = _navigation(verification.navigation) | {"session": verification.session}
+    return document
+
+
+def _positions(held_out: HeldOut) -> Document:
+    return {
+        "how": held_out.how,
+        "rms_m_s2": held_out.rms_m_s2,
+        "before_rms_m_s2": held_out.before_rms_m_s2,
+        "forecast_rms_m_s2": held_out.forecast_rms_m_s2,
+        "misfit": held_out.misfit,
+        "misfit_limit": held_out.misfit_limit,
+        "as_forecast": held_out.as_forecast,
+        "chance": held_out.chance,
+        "words": held_out.words,
+        "name": list(held_out.name),
+        **{key: getattr(held_out, key).tolist() for key in ("up", "residual_m_s2", "before_m_s2", "sigma_m_s2")},
+    }
+
+
+def _navigation(result: NavigationResult) -> Document:
+    settings = result.settings
+    document: Document = {
+        "align_s": settings.align_s,
+        "navigated_s": result.navigated_s,
+        "turned": settings.turned,
+        "heading_deg": None if settings.heading is None else math.degrees(settings.heading.angle_rad),
+        "latitude_deg": settings.latitude_deg,
+        "seed": settings.seed,
+        "samples": result.samples,
+        "lost": result.lost,
+        "noise_density": result.noise.density.tolist(),
+        "bias_instability": result.noise.instability.tolist(),
+        "notes": list(result.notes),
+        "drift": {name: _drift(drift) for name, drift in result.drifts.items()},
+    }
+    found = result.forecast
+    if found is not None:
+        document["forecast"] = {
+            "runs": found.runs,
+            "rate_median_nmi_per_h": found.rate_median_nmi_per_h,
+            "rate_95_nmi_per_h": found.rate_95_nmi_per_h,
+            "heading_sigma_rad": found.heading_sigma_rad,
+            "sources_nmi_per_h": found.sources,
+            "as_forecast": found.holds(list(result.drifts.values())[-1]),
+            "time_s": found.time_s.tolist(),
+            "low": {name: found.low[name].tolist() for name in QUANTITIES},
+            "high": {name: found.high[name].tolist() for name in QUANTITIES},
+            "position_median_nmi": found.position_median_nmi.tolist(),
+            "position_95_nmi": found.position_95_nmi.tolist(),
+        }
+    return document
+
+
+def _drift(drift: Drift) -> Document:
+    rows = np.unique(np.linspace(0, len(drift.time_s) - 1, _POINTS).astype(np.int64))
+    curves = {key: getattr(drift, key)[rows].tolist() for key in ("time_s", *QUANTITIES, "position_nmi")}
+    return {"rate_nmi_per_h": drift.rate_nmi_per_h, "final_nmi": float(drift.position_nmi[-1]), **curves}
+
+
+def verification_path(parameter_file: Path) -> Path:
+    """Return where the results of a parameter file lie."""
+    return parameter_file.with_name(f"{parameter_file.stem}.verification.json")
+
+
+def write_verification(path: Path, document: Document) -> None:
+    """Write the results; those of the other check, of the same parameters, are kept.
+
+    Raises
+    ------
+    ParameterFileError
+        If the file cannot be written; one that stood there is intact.
+    """
+    kept = read_verification(path, document["parameters_sha256"]) or {}
+    merged = {key: kept[key] for key in ("positions", "navigation") if key in kept} | document
+    whole = merged | {"integrity": {"sha256": content_sha256(merged)}}
+    try:
+        write_atomically(path, (json.dumps(json_ready(whole)) + "\n").encode("ascii"))
+    except OSError as error:
+        raise ParameterFileError(
+            f"{path} cannot be written ({error.strerror}); choose another place with --output",
+            Reason.NO_PERMISSION,
+            path=str(path),
+        ) from error
+
+
+def read_verification(path: Path, parameters_sha256: str) -> Document | None:
+    """Return the results for parameters of this content; None where there are none, or ``verification_note`` has a reason."""
+    try:
+        document = json.loads(read_small_file(path))
+    except (OSError, ValueError):
+        return None
+    if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
+        return None
+    whole = document.pop("integrity", None) == {"sha256": content_sha256(document)}
+    return document if whole and document.get("parameters_sha256") == parameters_sha256 else None
+
+
+def verification_note(path: Path, parameters_sha256: str) -> str:
+    """Return a sentence where the results that lie there cannot be used for these parameters, else an empty one."""
+    if not path.exists() or read_verification(path, parameters_sha256) is not None:
+        return ""
+    return (
+        f"{path.name} is left out: it belongs to other parameters, or was damaged or changed after it was written; run "
+        "imufield verify again"
+    )
+
+
+def verification_text(verification: Verification) -> str:
+    """Return the results for a person at a terminal, 80 columns."""
+    lines: list[str] = []
+    if verification.held_out is not None:
+        lines += [*_position_lines(verification.held_out), ""]
+    if verification.navigation is not None:
+        lines += [*_navigation_lines(verification.navigation), ""]
+    for note in verification.notes:
+        lines += textwrap.wrap(f" · {note}", _WIDTH, subsequent_indent="   ")
+    held = verification.held_out
+    for sentence in verification.objections:
+        if held is None or sentence != held.objection:  # which stands below its table
+            lines += textwrap.wrap(f"Objection: {sentence}", _WIDTH, subsequent_indent="  ")
+    for one in verification.requirements:
+        word = "met" if one.passed else "NOT MET"
+        measured = "not measured" if math.isnan(one.measured) else f"{one.measured:.4g}"
+        lines.append(f"Requirement {one.name} <= {one.limit:g}: {measured}, {word}")
+    if verification.passed is not None:
+        lines.append(f"Verdict: {'PASS' if verification.passed else 'FAIL'}")
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _position_lines(found: HeldOut) -> Iterator[str]:
+    yield from textwrap.wrap(f"Held-out positions: {found.how}", _WIDTH, subsequent_indent="  ")
+    with_before = bool(np.isfinite(found.before_m_s2).all())
+    columns = [found.residual_m_s2, found.sigma_m_s2, *([found.before_m_s2] if with_before else [])]
+    unit, size = acceleration_unit(max(float(np.nanmax(np.abs(column), initial=0.0)) for column in columns[:2]))
+    width = max(8, *(len(name) for name in found.name))
+    yield f"  {'position':<{width}} {'before' if with_before else '':>10} {'after':>10} {'forecast':>10}   {unit}"
+    for name, before, after, sigma in zip(found.name, found.before_m_s2, found.residual_m_s2, found.sigma_m_s2, strict=True):
+        yield f"  {name:<{width}} {_cell(before / size):>10} {_cell(after / size):>10} {_cell(sigma / size, '±'):>10}"
+    figures = [found.before_rms_m_s2, found.rms_m_s2, found.forecast_rms_m_s2]
+    before, after, sigma = (figure / size for figure in figures)
+    yield f"  {'RMS':<{width}} {_cell(before, ''):>10} {_cell(after, ''):>10} {_cell(sigma, ''):>10}"
+    if found.words:
+        yield from textwrap.wrap(f"  {found.words}", _WIDTH, subsequent_indent="  ")
+
+
+def _cell(value: float, sign: str = "+") -> str:
+    if math.isnan(value):
+        return ""
+    shown = f"{value:.0f}" if abs(value) >= 100 else f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
+    return f"±{shown}" if sign == "±" else f"+{shown}" if sign == "+" and value >= 0 else shown
+
+
+def _navigation_lines(result: NavigationResult) -> Iterator[str]:
+    turned = ", turned over after it" if result.settings.turned else ""
+    told = result.settings.heading
+    heading = "" if told is None else f", heading {math.degrees(told.angle_rad):g} deg as told"
+    how = f"{duration_words(result.navigated_s)} after an alignment of {result.settings.align_s:g} s{heading}{turned}"
+    yield from textwrap.wrap(f"Static navigation: {how}", _WIDTH, subsequent_indent="  ")
+    yield f"  {'time':>8} {'latitude':>12} {'longitude':>12} {'v north':>9} {'v east':>9} {'position':>9}  95 %"
+    unit, size_s = ("h", 3600) if result.navigated_s >= _HOURS_FROM_S else ("min", 60)
+    yield f"  {unit:>8} {'deg':>12} {'deg':>12} {'m/s':>9} {'m/s':>9} {'nmi':>9}  {'nmi' if result.forecast else ''}"
+    for name, drift in result.drifts.items():
+        yield f"  {name}"
+        last = name == list(result.drifts)[-1]
+        for row in _rows_shown(drift.time_s):
+            most = "" if result.forecast is None or not last else f"{_at(result, float(drift.time_s[row])):.3f}"
+            yield (
+                f"  {drift.time_s[row] / size_s:8.2f} {drift.latitude_deg[row]:+12.6f} {drift.longitude_deg[row]:+12.6f} "
+                f"{drift.north_velocity_m_s[row]:+9.4f} {drift.east_velocity_m_s[row]:+9.4f} "
+                f"{drift.position_nmi[row]:9.3f}  {most}"
+            )
+    for name, drift in result.drifts.items():
+        yield f"  drift {name}: {drift.rate_nmi_per_h:.3f} nmi/h"
+    yield from _forecast_lines(result)
+
+
+def _forecast_lines(result: NavigationResult) -> Iterator[str]:
+    found = result.forecast
+    if found is None:
+        for note in result.notes:
+            yield from textwrap.wrap(f"  {note}", _WIDTH, subsequent_indent="  ")
+        return
+    drift = list(result.drifts.values())[-1]
+    word = "as forecast" if found.holds(drift) else "MORE THAN FORECAST"
+    most = f"with 95 % probability at most {found.rate_95_nmi_per_h:.3f} nmi/h; each source alone:"
+    yield from textwrap.wrap(f"  {word}: {most}", _WIDTH, subsequent_indent="  ")
+    for source, rate in sorted(found.sources.items(), key=lambda item: -item[1]):
+        yield f"    {source:<26}{rate:8.3f}"
+    if not result.settings.turned:
+        yield "  Alignment hides the accelerometer: held-out positions prove it, or turn over"
+        yield "  after it (--turned)."
+
+
+def duration_words(duration_s: float) -> str:
+    """Return hours, or minutes where they have more digits."""
+    return f"{duration_s / 3600:.2f} h" if duration_s >= _HOURS_FROM_S else f"{duration_s / 60:.1f} min"
+
+
+def _rows_shown(time_s: FloatArray) -> list[int]:
+    """Return rows at six equal steps of time."""
+    steps = np.linspace(0, time_s[-1], 7)[1:]
+    return [int(row) for row in np.minimum(np.searchsorted(time_s, steps), len(time_s) - 1)]
+
+
+def _at(result: NavigationResult, time_s: float) -> float:
+    found = result.forecast
+    return math.nan if found is None else float(np.interp(time_s, found.time_s, found.position_95_nmi))

@@ -1,0 +1,271 @@
+"""Do the gyroscope's axes belong to the accelerometer's? Asked of the moves between stills.
+
+A unit that turns with the body rate w carries a direction fixed in the room, such as up, through the body frame as
+du/dt = -w x u. So the up seen before a move, carried through it by the gyroscope, must arrive at the up seen after it. All 48
+signed permutations of the gyroscope's axes are tried (24 of them left-handed): if another one than the identity brings the
+directions together, axes are swapped, a sign is wrong, or a triad is left-handed.
+
+What cannot be seen: all three accelerometer signs wrong together (u and -u turn alike), and which of the two triads is the
+wrong one.
+
+Rates of one cell (0.1 s) are taken as constant; at 180 deg/s that misjudges a move by about a degree, far below the tens of
+degrees that a wrong axis gives. Where the gyroscope's scale is not known, or no arrangement fits with the one that is said to
+be known, one common factor is searched with each permutation: a wrong unit or range is told from wrong axes.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imufield.errors import CalibrationError, Reason
+from imufield.guide.stillness.scale import RoughScale
+from imufield.guide.stillness.stretch import Judgement, Phase
+from imufield.samples import AXES, FloatArray
+
+ENOUGH_MOVES = 4
+LEAST_TURN_DEG = 20.0
+"""A move that turns up by less says nothing about axes."""
+GOOD_DEG = 20.0
+"""Largest RMS misfit of the right axes: 1 m/s^2 of bias on each accelerometer axis alone makes 14 degrees."""
+MARGIN = 3.0
+"""The right permutation must fit this much better than any other."""
+_LONGEST_MOVE_CELLS = 600
+_MOVES_KEPT = 24
+_SCALES = 25
+_SAME_FACTOR = 0.1
+_MOVES_FOR_SCALE = 12
+_TURNS_OF_UP = (0.5, 4.0)
+"""Total angle turned over the angle between the ups, as the range in which an unknown scale is searched."""
+
+
+@dataclass(frozen=True, slots=True)
+class MoveBetweenStills:
+    """Up before and after, unit vectors (3,), and the cell-mean rates between, shape (k, 3), raw, bias taken off."""
+
+    up_before: FloatArray
+    up_after: FloatArray
+    rate_raw: FloatArray
+    cell_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class AxesCheck:
+    """The answer.
+
+    Attributes
+    ----------
+    agrees : bool or None
+        None where the moves do not tell (``words`` says why).
+    permutation : ndarray, shape (3, 3)
+        The signed permutation that fits best: right rates = permutation @ given rates.
+    misfit_deg, best_misfit_deg, second_misfit_deg : float
+        RMS angle between predicted and measured up with the axes as given, with the best permutation, with the next one.
+    gyroscope_scale : float
+        Raw per rad/s, given or found.
+    words : str
+    """
+
+    agrees: bool | None
+    permutation: FloatArray
+    misfit_deg: float
+    best_misfit_deg: float
+    second_misfit_deg: float
+    gyroscope_scale: float
+    words: str
+    turns_ratio: float = 1.0
+    """How many times as fast the unit turns as the gyroscope says, where its scale is contradicted; otherwise 1."""
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether axes or scale of the gyroscope are not what they are said to be, or nothing fits what it shows."""
+        nothing_fits = self.agrees is None and self.misfit_deg > GOOD_DEG and self.best_misfit_deg > GOOD_DEG
+        return self.agrees is False or self.turns_ratio != 1.0 or nothing_fits
+
+    @property
+    def error(self) -> CalibrationError | None:
+        """The refusal, where the axes do not agree."""
+        if self.agrees is not False:
+            return None
+        return CalibrationError(self.words, Reason.HANDEDNESS, misfit_deg=self.misfit_deg, best_misfit_deg=self.best_misfit_deg)
+
+
+class MoveLog:
+    """Collects moves from judgements, the newest 24, each up to a minute long.
+
+    Parameters
+    ----------
+    cell_s : float
+    """
+
+    def __init__(self, cell_s: float) -> None:
+        self._cell_s = cell_s
+        self._rates: list[list[float]] = []
+        self._before: list[float] = []
+        self._slot: int | None = None
+        self._whole = False
+        self._finished: deque[tuple[list[float], list[float], list[list[float]]]] = deque(maxlen=_MOVES_KEPT)
+
+    def follow(self, judgement: Judgement, still_mean: list[float]) -> None:
+        """Take one judgement and the running mean of the stretch in force (6 raw rates; empty when there is none)."""
+        slot = int(judgement.cells.slot[judgement.row])
+        unbroken = self._slot is not None and slot - self._slot == 1
+        self._slot, self._whole = slot, self._whole and unbroken
+        if judgement.ended is not None:
+            # A gap ends a stretch, too, and the unit may have turned in it.
+            self._before, self._rates, self._whole = judgement.ended.mean, [], unbroken
+        if judgement.phase is Phase.STILL:
+            if self._before and self._whole and self._rates:
+                self._finished.append((self._before, list(still_mean), self._rates))
+            self._before, self._rates = [], []
+        elif self._before:
+            self._rates.append(judgement.cells.mean[judgement.row, 3:].tolist())
+            self._whole = self._whole and len(self._rates) <= _LONGEST_MOVE_CELLS
+
+    def moves(self, scale: RoughScale) -> list[MoveBetweenStills]:
+        """Return the moves with a gyroscope that turned up by enough to tell axes apart."""
+        found = []
+        for before, after, rates in self._finished:
+            start, end = (_unit(scale.specific_force(np.array(mean[:3]))) for mean in (before, after))
+            bias = (np.array(before[3:]) + np.array(after[3:])) / 2
+            rate = np.array(rates) - bias
+            if np.isfinite(rate).all() and _angle(start, end) > math.radians(LEAST_TURN_DEG):
+                found.append(MoveBetweenStills(start, end, rate, self._cell_s))
+        return found
+
+
+def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) -> AxesCheck:
+    """Compare the turns of up seen by the accelerometer with those of the gyroscope, over all signed permutations.
+
+    Parameters
+    ----------
+    moves : list of MoveBetweenStills
+    gyroscope_scale : float or None
+        Raw per rad/s; None where it is not known.
+    """
+    if len(moves) < ENOUGH_MOVES:
+        return _undecided(
+            f"axes not checked: {len(moves)} moves of more than {LEAST_TURN_DEG:g} deg, {ENOUGH_MOVES} are needed"
+        )
+    found = _arrange(moves, gyroscope_scale or _find_scale(moves, signed_permutations()))
+    if gyroscope_scale is None or found.agrees is not None or found.misfit_deg <= GOOD_DEG:
+        return found
+    scale = _find_scale(moves, signed_permutations())
+    other = _arrange(moves, scale)
+    ratio = gyroscope_scale / scale
+    # Turns about one axis leave others open, but that the given ones fit with a factor is enough to say so.
+    if (other.agrees is None and other.misfit_deg > GOOD_DEG) or abs(math.log(ratio)) < _SAME_FACTOR:
+        return found
+    # What is contradicted is the scale as given, so the misfit is the one that it makes.
+    return replace(other, misfit_deg=found.misfit_deg, words=_scale_words(ratio, found, other), turns_ratio=ratio)
+
+
+def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
+    """Return the arrangement of axes that fits best with a scale."""
+    permutations = signed_permutations()
+    misfit = _misfit(moves, permutations, scale)
+    order = np.argsort(misfit)
+    identity = int(np.flatnonzero((permutations == np.eye(3)).all(axis=(1, 2)))[0])
+    best, given, second = (math.degrees(float(misfit[i])) for i in (order[0], identity, order[1]))
+    clear = best <= GOOD_DEG and second >= MARGIN * best
+    agrees = bool(order[0] == identity) if clear else None
+    words = _words(agrees, permutations[order[0]], given, best, second)
+    return AxesCheck(agrees, permutations[order[0]], given, best, second, scale, words)
+
+
+def signed_permutations() -> FloatArray:
+    """Return the 48 signed permutation matrices, shape (48, 3, 3)."""
+    orders, signs = itertools.permutations(range(3)), list(itertools.product((1.0, -1.0), repeat=3))
+    return np.array([np.eye(3)[list(order)] * np.array(sign)[:, None] for order in orders for sign in signs])
+
+
+def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scale: float) -> FloatArray:
+    """Return the RMS angle between predicted and measured up for each permutation, rad, shape (48,)."""
+    longest = max(len(move.rate_raw) for move in moves)
+    angle = np.zeros((longest, len(moves), 3))
+    for i, move in enumerate(moves):
+        angle[: len(move.rate_raw), i] = move.rate_raw * (move.cell_s / scale)
+    up = np.tile(np.array([move.up_before for move in moves]), (len(permutations), 1, 1))
+    for step in angle:
+        up = _carry(up, np.einsum("pij,mj->pmi", permutations, step))
+    after = np.array([move.up_after for move in moves])
+    sine = np.linalg.norm(np.cross(up, after), axis=2)
+    return np.asarray(np.sqrt(np.mean(np.arctan2(sine, (up * after).sum(axis=2)) ** 2, axis=1)))
+
+
+def _carry(up: FloatArray, turn: FloatArray) -> FloatArray:
+    """Turn directions by minus the rotation vectors ``turn``, both of shape (..., 3): Rodrigues' formula."""
+    angle = np.linalg.norm(turn, axis=-1, keepdims=True)
+    axis = turn / np.maximum(angle, 1e-12)
+    along = (axis * up).sum(axis=-1, keepdims=True)
+    result: FloatArray = up * np.cos(angle) - np.cross(axis, up) * np.sin(angle) + axis * along * (1 - np.cos(angle))
+    return result
+
+
+def _find_scale(moves: list[MoveBetweenStills], permutations: FloatArray) -> float:
+    """Return the common scale (raw per rad/s) with which some permutation brings the moves together best."""
+    turned = [float(np.linalg.norm(move.rate_raw, axis=1).sum() * move.cell_s) for move in moves]
+    needed = [_angle(move.up_before, move.up_after) for move in moves]
+    typical = max(float(np.median(np.array(turned) / needed)), 1e-12)
+    few = sorted(moves, key=lambda move: len(move.rate_raw))[:_MOVES_FOR_SCALE]
+    candidates = typical / np.geomspace(*_TURNS_OF_UP, _SCALES)
+    misfit = np.array([_misfit(few, permutations, float(scale)) for scale in candidates])
+    row, column = np.unravel_index(int(misfit.argmin()), misfit.shape)
+    step = candidates[0] / candidates[1]
+    finer = candidates[row] * np.geomspace(1 / step, step, _SCALES)
+    best = permutations[column : column + 1]
+    return float(finer[np.argmin([_misfit(few, best, float(scale))[0] for scale in finer])])
+
+
+def _words(agrees: bool | None, permutation: FloatArray, given: float, best: float, second: float) -> str:
+    if agrees:
+        return f"axes agree: gyroscope and accelerometer turn together within {given:.1f} deg (any other way {second:.0f} deg)"
+    if agrees is None:
+        return (
+            f"axes not decided: as given the moves misfit by {given:.0f} deg, the best arrangement by {best:.0f} deg "
+            f"(limit {GOOD_DEG:g} deg), the next by {second:.0f} deg; turn the unit slowly about different axes"
+        )
+    handed = "one triad is left-handed" if np.linalg.det(permutation) < 0 else "axes are exchanged or have the wrong sign"
+    return (
+        f"gyroscope and accelerometer do not belong together: {handed}; as given the moves misfit by {given:.0f} deg, "
+        f"with gyroscope {_rows(permutation)} by {best:.1f} deg (limit {GOOD_DEG:g} deg); correct driver or protocol"
+    )
+
+
+def _rows(permutation: FloatArray) -> str:
+    return ", ".join(
+        f"{AXES[i]} = {'+' if row.sum() > 0 else '-'}{AXES[int(np.abs(row).argmax())]}" for i, row in enumerate(permutation)
+    )
+
+
+def _scale_words(ratio: float, given: AxesCheck, found: AxesCheck) -> str:
+    axes = "" if found.agrees is not False else f" and with gyroscope {_rows(found.permutation)}"
+    return (
+        f"the unit turns {ratio:.3g} times as fast as the gyroscope says{_likely_cause(ratio)}: as given the moves misfit by "
+        f"{given.misfit_deg:.0f} deg, with that factor{axes} by {found.best_misfit_deg:.1f} deg (limit {GOOD_DEG:g} deg); "
+        "correct unit or range of the gyroscope (--set or the protocol)"
+    )
+
+
+def _likely_cause(ratio: float) -> str:
+    """Return which two units were taken for each other, where the ratio is theirs to a tenth."""
+    for factor, cause in ((math.degrees(1.0), "rad/s taken for deg/s"), (math.radians(1.0), "deg/s taken for rad/s")):
+        if abs(math.log(ratio / factor)) < _SAME_FACTOR:
+            return f" ({cause})"
+    return ""
+
+
+def _undecided(words: str) -> AxesCheck:
+    return AxesCheck(None, np.eye(3), math.nan, math.nan, math.nan, math.nan, words)
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    return vector / np.linalg.norm(vector)
+
+
+def _angle(first: FloatArray, second: FloatArray) -> float:
+    return math.atan2(float(np.linalg.norm(np.cross(first, second))), float(first @ second))

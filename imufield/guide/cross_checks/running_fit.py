@@ -1,0 +1,239 @@
+"""What the positions measured so far say together: residuals, who disagrees, forecast, and the position that helps most.
+
+A maximum a posteriori fit of the norm model in the lower gauge with wide priors (what an uncalibrated unit can be), so that
+there is an answer from the fourth observation on and every parameter has a forecast from the first. The priors weigh nothing
+once the positions say more. This is for leading the operator; the numbers that are delivered come from ``calibrate``.
+
+Disagreement is judged by the residual of a fit without the position over its sigma (externally studentised), where the
+scatter between positions is estimated from the others and from an expectation of ``EXPECTED_SCATTER_M_S2``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from imufield.calibrate.model.models import PARAMETERS, norm_derivatives
+from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS, observe
+from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
+from imufield.errors import CalibrationError
+from imufield.guide.hold.observe import Observation
+from imufield.guide.stillness.scale import RoughScale
+from imufield.samples import FloatArray
+
+FEWEST = 4
+EXPECTED_SCATTER_M_S2 = 1e-4 * STANDARD_GRAVITY_M_S2
+_EXPECTED_FREEDOM = 3.0
+DOUBT_SIGMAS = 5.0
+"""A position that the others contradict by this much is doubted, where there are many."""
+DOUBT_SHARE = 1e-4
+"""Of good positions so many may be doubted at one look: a session of 24 looks some hundred times, at much the same."""
+_FEW = (28.0, 15.54, 11.18, 9.08, 7.88, 7.12, 6.59, 6.21, 5.92, 5.69, 5.51, 5.36, 5.24, 5.13, 5.04)
+"""Two-sided quantiles of Student's distribution at ``DOUBT_SHARE``, from ``_EXPECTED_FREEDOM`` degrees of freedom on."""
+DOUBT_M_S2 = 3e-4 * STANDARD_GRAVITY_M_S2
+"""And by this much: less does no harm that another hold would cure."""
+TOLD_SHARE = 0.5
+"""What is known no better than to so much of the prior was assumed rather than measured."""
+_GROUPS = {"bias_ug": 1, "scale_ppm": 0, "misalignment_urad": 2, "quadratic_ug_per_g2": 3}
+"""Names of the groups of a forecast, and their places among the parameters."""
+_STEPS = 8
+_LINEAR = 9
+"""Free parameters without the quadratic term."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """How a position fits the others."""
+
+    name: str
+    leave_one_out_m_s2: float
+    sigmas: float
+    limit_sigmas: float = DOUBT_SIGMAS
+    """More is doubted; larger while few positions tell what a usual disagreement is."""
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether somebody should look at it again."""
+        return abs(self.sigmas) > self.limit_sigmas and abs(self.leave_one_out_m_s2) > DOUBT_M_S2
+
+
+@dataclass(frozen=True)
+class RunningFit:
+    """The fit; columns are those of ``LOWER_GAUGE_COLUMNS`` (12), rows the observations, then the priors."""
+
+    names: tuple[str, ...]
+    vector: FloatArray
+    scale: RoughScale
+    residual_m_s2: FloatArray
+    sigma_m_s2: FloatArray
+    jacobian: FloatArray
+    """Of the norms, shape (m, 12)."""
+    prior_sigma: FloatArray
+    rank: int
+    condition: float
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """Inverse covariance, priors included, shape (12, 12)."""
+        weighted = self.jacobian / self.sigma_m_s2[:, None]
+        result: FloatArray = weighted.T @ weighted + np.diag(self.prior_sigma**-2.0)
+        return result
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Forecast covariance, shape (12, 12)."""
+        return np.asarray(np.linalg.inv(self.information), dtype=np.float64)
+
+    def forecast(self) -> dict[str, float]:
+        """Return 1 sigma of the groups of parameters, the largest axis of each, in the units people use.
+
+        A group of which the positions have not told yet, whose sigma is still that of the prior, is left out.
+        """
+        sigma = np.sqrt(np.diag(self.covariance))
+        told = (sigma / self.prior_sigma).reshape(4, 3).max(axis=1) < TOLD_SHARE
+        K = np.abs(self.vector[:3])
+        known = {
+            "bias_ug": float(sigma[3:6].max() / MICRO_G_M_S2),
+            "scale_ppm": float((sigma[:3] / K).max() * 1e6),
+            "misalignment_urad": float(sigma[6:9].max() * 1e6),
+            "quadratic_ug_per_g2": float((sigma[9:] / K).max() * STANDARD_GRAVITY_M_S2**2 / MICRO_G_M_S2),
+        }
+        return {name: known[name] for name, group in _GROUPS.items() if told[group]}
+
+    def common_scale(self) -> tuple[float, float]:
+        """Return the mean of the sensing axes' scales, raw rate per m/s^2, and its relative 1 sigma; free of the gauge."""
+        T = np.eye(3)
+        T[[0, 0, 1, 1, 2, 2], [1, 2, 0, 2, 0, 1]] = self.vector[6:12]
+        K = np.abs(self.vector[:3])
+        share = np.zeros(12)
+        share[:3] = 1 / (3 * self.vector[:3])
+        sigma = math.sqrt(float(share @ self.covariance @ share))
+        return float(np.exp(np.mean(np.log(K * np.linalg.norm(T, axis=1))))), sigma
+
+    def disagreements(self) -> list[Disagreement]:
+        """Return how each position fits the others, in their order."""
+        weighted = self.jacobian / self.sigma_m_s2[:, None]
+        leverage = np.minimum(np.einsum("mi,ij,mj->m", weighted, self.covariance, weighted), 1 - 1e-6)
+        ratio = self.residual_m_s2 / self.sigma_m_s2
+        without = ratio / (1 - leverage)
+        squares = ratio**2 / (1 - leverage)
+        freedom = max(float((1 - leverage).sum()), 0.0)
+        limit = _doubt_limit(_EXPECTED_FREEDOM + max(freedom - 1, 0.0))
+        found = []
+        for k, name in enumerate(self.names):
+            others = max(float(ratio @ ratio - squares[k]), 0.0)
+            variance = (_EXPECTED_FREEDOM + others) / (_EXPECTED_FREEDOM + max(freedom - 1, 0.0))
+            sigmas = without[k] * math.sqrt(1 - leverage[k]) / math.sqrt(max(variance, 0.05))
+            found.append(Disagreement(name, float(without[k] * self.sigma_m_s2[k]), float(sigmas), limit))
+        return found
+
+    def gain(self, directions: FloatArray) -> FloatArray:
+        """Return by how much a hold in each of the directions (n, 3) would shrink the ellipsoid: log det, D-optimal."""
+        force = STANDARD_GRAVITY_M_S2 * directions
+        raw = _predict_zeroed(self.vector, force)
+        rows = norm_derivatives(self.vector, raw).jacobian[:, LOWER_GAUGE_COLUMNS]
+        sigma = float(np.median(self.sigma_m_s2))
+        gain: FloatArray = np.log1p(np.einsum("ni,ij,nj->n", rows, self.covariance, rows) / sigma**2)
+        return gain
+
+    def quadratic_sigmas(self) -> float:
+        """Return the largest quadratic term over its sigma."""
+        sigma = np.sqrt(np.diag(self.covariance))[9:]
+        return float(np.max(np.abs(self.vector[12:]) / sigma))
+
+
+def _doubt_limit(freedom: float) -> float:
+    """Return the sigmas from which on a position is doubted: few degrees of freedom leave large ones to chance."""
+    return max(DOUBT_SIGMAS, float(np.interp(freedom - _EXPECTED_FREEDOM, np.arange(len(_FEW)), _FEW)))
+
+
+def _predict_zeroed(vector: FloatArray, force: FloatArray) -> FloatArray:
+    T = np.eye(3)
+    T[[0, 0, 1, 1, 2, 2], [1, 2, 0, 2, 0, 1]] = vector[6:12]
+    s = force @ T.T
+    raw: FloatArray = vector[:3] * (s + vector[3:6]) + vector[12:] * s**2
+    return raw
+
+
+def running_fit(observations: list[Observation], scale: RoughScale, gravity_m_s2: float) -> RunningFit | None:
+    """Fit what was measured so far; None while there are too few or where it does not converge.
+
+    Parameters
+    ----------
+    observations : list of Observation
+    scale : RoughScale
+        Nominal scale and mid-scale: where the fit starts, and the centre of the priors.
+    gravity_m_s2 : float
+        Local gravity if known; a wrong value changes the common scale only.
+    """
+    if len(observations) < FEWEST or not scale.accelerometer:
+        return None
+    raw = np.array([one.mean_raw for one in observations]) - scale.raw_zero
+    within = np.array([one.covariance_raw for one in observations])
+    start = np.zeros(PARAMETERS)
+    start[:3] = scale.accelerometer
+    prior = _prior_sigma(scale)
+    sigma = np.full(len(raw), EXPECTED_SCATTER_M_S2)
+    try:
+        vector, residual, jacobian, across = _minimise(start, raw, sigma, prior, gravity_m_s2)
+        own = np.einsum("mi,mij,mj->m", across, within, across)
+        # Weights from the first fit, the fit again, and the weights that belong to it.
+        sigma = _sigma(residual, jacobian, own, prior)
+        vector, residual, jacobian, _ = _minimise(start, raw, sigma, prior, gravity_m_s2)
+        sigma = _sigma(residual, jacobian, own, prior)
+        seen = observe(norm_derivatives(vector, raw), vector, gravity_m_s2, quadratic=True)
+    except (CalibrationError, np.linalg.LinAlgError):
+        return None
+    names = tuple(one.name for one in observations)
+    return RunningFit(names, vector, scale, residual, sigma, jacobian, prior, seen.rank, seen.condition)
+
+
+def _sigma(residual: FloatArray, jacobian: FloatArray, own: FloatArray, prior: FloatArray) -> FloatArray:
+    """Return 1 sigma of each norm: of its mean, and between positions."""
+    between = EXPECTED_SCATTER_M_S2**2 * _scatter(residual, jacobian, own, prior)
+    sigma: FloatArray = np.sqrt(np.maximum(own, 0.0) + between)
+    return sigma
+
+
+def _prior_sigma(scale: RoughScale) -> FloatArray:
+    """Return what an uncalibrated instrument can be off by, in the order of ``LOWER_GAUGE_COLUMNS``."""
+    K = scale.accelerometer or 1.0
+    spread = 0.2 if scale.learned else 0.03
+    return np.concatenate(
+        [np.full(3, spread * K), np.full(3, 0.5), np.full(3, 0.02), np.full(3, 5e-4 * K / STANDARD_GRAVITY_M_S2)]
+    )
+
+
+def _minimise(
+    start: FloatArray, raw: FloatArray, sigma: FloatArray, prior: FloatArray, gravity_m_s2: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return vector (15,), residuals (m,), Jacobian (m, 12) and d norm / d raw (m, 3): Gauss-Newton with priors."""
+    columns = list(LOWER_GAUGE_COLUMNS)
+    vector = start.copy()
+    for _ in range(_STEPS):
+        derivatives = norm_derivatives(vector, raw)
+        rows = np.vstack([derivatives.jacobian[:, columns] / sigma[:, None], np.diag(1 / prior)])
+        residual = derivatives.norm - gravity_m_s2
+        goal = -np.concatenate([residual / sigma, (vector - start)[columns] / prior])
+        vector[columns] += np.linalg.lstsq(rows, goal, rcond=None)[0]
+    found = norm_derivatives(vector, raw)
+    return vector, found.norm - gravity_m_s2, found.jacobian[:, columns], found.raw_gradient
+
+
+def _scatter(residual: FloatArray, jacobian: FloatArray, within: FloatArray, prior: FloatArray) -> float:
+    """Return the variance between positions over the expected one: from the residuals, pulled towards 1 while there are few.
+
+    The median keeps one bad position from raising the sigma of all.
+    """
+    freedom = max(len(residual) - _LINEAR, 0)
+    if freedom < 2:
+        return 1.0
+    sigma = np.sqrt(within + EXPECTED_SCATTER_M_S2**2)
+    weighted = np.vstack([jacobian / sigma[:, None], np.diag(1 / prior)])
+    leverage = np.einsum("mi,mi->m", weighted, np.linalg.pinv(weighted).T)[: len(residual)]
+    squares = (residual / EXPECTED_SCATTER_M_S2) ** 2 / np.maximum(1 - leverage, 0.05)
+    robust = float(np.median(squares)) / 0.455
+    return (_EXPECTED_FREEDOM + freedom * robust) / (_EXPECTED_FREEDOM + freedom)

@@ -1,0 +1,225 @@
+"""From a still stretch to an observation: which cells count, their mean, and the covariance of that mean.
+
+A stretch has passed limits wide enough for a unit held against an edge. Here it is judged by its own standard: the typical
+(median) vibration and change of its cells. At both ends the cells that stand out are cut off together with the guard band
+(a box that rocks to rest, a hand that comes near); cells inside that stand out (a knock on the table) are left out of the
+mean, and where they are many the stretch is refused.
+
+Neighbouring cell means are not independent (bandwidth of the instrument, flicker noise, tremor), so the covariance of the
+mean of N cells is C0 / N times 1 + 2 (rho_1 + rho_2 + ...) for each axis, the sum cut off where a pair of successive
+autocorrelations turns negative [1]_. It is never less than white noise or the resolution of the output would give.
+
+The mean is that of the vector, as it comes: right for a unit that is placed. A unit in the hand wobbles, which shortens the
+mean vector; ``held`` turns every sample of such a hold into one frame first.
+
+References
+----------
+.. [1] C. J. Geyer, "Practical Markov chain Monte Carlo", Statistical Science 7(4), 1992: initial positive sequence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imufield.calibrate.model.observations import Observations
+from imufield.guide.hold.hand_mean import HeldMean
+from imufield.guide.stillness.cells import Cells
+from imufield.guide.stillness.limits import Limits, StillnessSettings, scatter_of_variance
+from imufield.samples import FloatArray, SampleUnits
+
+SETTLE_S = 1.0
+"""Within this time of both ends, everything outside the outermost cell that stands out is cut off."""
+_CHANGE_OVER_MEDIAN = 3.5
+"""The median of the length of a 3-D Gaussian vector is 1.54 sigma; 5.4 sigma are exceeded once in a million cells."""
+_LEAST_RATIO = 0.1
+"""Nothing below this share of the detector's limit stands out: a perfectly quiet output has a median of 0."""
+UNKNOWN_RESOLUTION = 1e-6
+"""Of the reading: resolution assumed where the output never changed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What one hold showed; raw rates, see ``Observations``."""
+
+    name: str
+    direction: FloatArray
+    mean_raw: FloatArray
+    covariance_raw: FloatArray
+    gyroscope_mean_raw: FloatArray
+    gyroscope_covariance_raw: FloatArray
+    start_s: float
+    duration_s: float
+    temperature_degc: float
+    held: HeldMean | None = None
+    """For a hold in the hand."""
+
+
+def stand_out(cells: Cells, limits: Limits) -> FloatArray:
+    """Return by how much each cell stands out of its stretch, shape (m, 4): above 1 it is not like the others.
+
+    Columns: vibration of the accelerometer, of the gyroscope, change of the accelerometer, of the gyroscope.
+    """
+    vibration = np.nan_to_num(cells.variance / limits.vibration**2)
+    centre = np.median(cells.mean, axis=0)
+    change = np.nan_to_num(((cells.mean - centre) / limits.change) ** 2)
+    ratios = np.sqrt(
+        np.stack([vibration[:, :3].mean(1), vibration[:, 3:].mean(1), change[:, :3].sum(1), change[:, 3:].sum(1)], axis=1)
+    )
+    usual, middle = float(np.median(cells.usable)), np.median(ratios, axis=0)
+    several = cells.usable > 1
+    if usual < 2 and several.any():
+        # One sample shows no vibration: cells of two are compared with each other.
+        usual, middle[:2] = 2.0, np.median(ratios[several, :2], axis=0)
+    scatter = 1.25 * scatter_of_variance(3 * (usual - 1))
+    allowed = middle * [scatter, scatter, _CHANGE_OVER_MEDIAN, _CHANGE_OVER_MEDIAN]
+    result: FloatArray = ratios / np.maximum(allowed, _LEAST_RATIO)
+    return result
+
+
+def guard_cells(limits: Limits, settings: StillnessSettings) -> int:
+    """Return the length of the guard band."""
+    with_gyroscope = bool(np.isfinite(limits.change[3:]).any())
+    return settings.cells(settings.guard_s if with_gyroscope else settings.guard_without_gyroscope_s)
+
+
+def trim_stretch(cells: Cells, limits: Limits, settings: StillnessSettings) -> slice:
+    """Return the rows of a stretch that count: without what stands out at the ends, and without the guard bands."""
+    outside = np.flatnonzero(np.any(stand_out(cells, limits) > 1, axis=1))
+    settle, m = settings.cells(SETTLE_S), len(cells)
+    early = outside[outside < min(settle, m // 2)]
+    late = outside[outside >= max(m - settle, m // 2)]
+    guard = guard_cells(limits, settings)
+    start = (int(early[-1]) + 1 if len(early) else 0) + guard
+    stop = (int(late[0]) if len(late) else m) - guard
+    return slice(start, max(stop, start))
+
+
+def knocked(cells: Cells, limits: Limits) -> NDArray[np.bool_]:
+    """Return which of the trimmed cells hold a knock: the accelerometer stands out twice over, or its neighbour's does."""
+    outside: NDArray[np.bool_] = np.any(stand_out(cells, limits)[:, [0, 2]] > 2, axis=1)
+    wider = outside.copy()
+    wider[1:] |= outside[:-1]
+    wider[:-1] |= outside[1:]
+    return wider
+
+
+def cell_means(cells: Cells) -> tuple[FloatArray, FloatArray]:
+    """Return the mean over cells, weighted by their samples, shape (6,), and the covariance of that mean, shape (6, 6)."""
+    weight = np.repeat(np.stack([cells.usable, cells.gyroscope_usable], axis=1), 3, axis=1).astype(np.float64)
+    values = np.where(weight > 0, cells.mean, 0.0)
+    total = weight.sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(total > 0, (weight * values).sum(axis=0) / total, np.nan)
+        pooled = ((weight - 1).clip(0) * cells.variance).sum(axis=0) / np.maximum((weight - 1).clip(0).sum(axis=0), 1)
+        white = pooled / total
+    deviation = np.where(weight > 0, values - mean, 0.0)
+    covariance = _covariance_of_mean(deviation)
+    least = np.maximum(white, _resolution_variance(mean, np.sqrt(pooled), cells.step.min(axis=0), total))
+    covariance += np.diag(np.maximum(least - np.diag(covariance), 0.0))
+    absent = np.isnan(mean)
+    covariance[absent, :] = np.nan
+    covariance[:, absent] = np.nan
+    return mean, covariance
+
+
+def _covariance_of_mean(deviation: FloatArray) -> FloatArray:
+    """Return the covariance of the mean of a stationary series from its deviations (m, 6)."""
+    m = len(deviation)
+    if m < 2:
+        return np.zeros((6, 6))
+    factor = np.sqrt([correlation_factor(column) for column in deviation.T])
+    covariance: FloatArray = deviation.T @ deviation / ((m - 1) * m) * np.outer(factor, factor)
+    return covariance
+
+
+def correlation_factor(deviation: FloatArray) -> float:
+    """Return by how much autocorrelation raises the variance of the mean of a series (m,) with mean 0; at least 1.
+
+    With a correlation time of a tenth of the series the sigma that follows is still about 1.5 times too small: what is
+    slower than a hold shows between holds only.
+    """
+    m = len(deviation)
+    energy = float(deviation @ deviation)
+    if m < 4 or energy == 0:
+        return 1.0
+    lags = max(m // 4, 2)
+    correlation = np.array([float(deviation[: m - lag] @ deviation[lag:]) / energy for lag in range(lags)])
+    pairs = correlation[: lags // 2 * 2].reshape(-1, 2).sum(axis=1)
+    negative = np.flatnonzero(pairs <= 0)
+    kept = pairs[: negative[0]] if len(negative) else pairs
+    factor = max(2 * float(kept.sum()) - 1, 1.0)
+    # Deviations from the series' own mean miss the variance of that mean, the share factor / m.
+    return factor / max(1 - factor / m, 0.5)
+
+
+def _resolution_variance(mean: FloatArray, sigma: FloatArray, step: FloatArray, total: FloatArray) -> FloatArray:
+    """Return the variance that the resolution leaves in a mean, shape (6,).
+
+    A step q gives q^2 / 12. Noise above half a step spreads the reading over the steps, so the error averages out with
+    the samples; a quieter output sits between two steps and stays there.
+    """
+    known = np.where(np.isfinite(step), step, UNKNOWN_RESOLUTION * np.abs(mean))
+    samples = np.where(sigma > known / 2, total, 1.0)
+    result: FloatArray = known**2 / 12 / np.maximum(samples, 1.0)
+    return result
+
+
+def knocks_of(cells: Cells, limits: Limits) -> FloatArray:
+    """Return begin and end of the cells that hold a knock, shape (k, 2)."""
+    rows = np.flatnonzero(knocked(cells, limits))
+    return np.stack([cells.start_s[rows], cells.end_s[rows]], axis=1)
+
+
+def observe(
+    cells: Cells, limits: Limits, name: str, direction: FloatArray | None = None, held: HeldMean | None = None
+) -> Observation:
+    """Return the observation of a trimmed stretch; cells with a knock are left out."""
+    out = knocked(cells, limits)
+    kept = cells if not out.any() or out.all() else _keep(cells, ~out)
+    if held is None:
+        mean, covariance = cell_means(kept)
+    else:
+        mean = np.concatenate([held.force_raw, held.gyroscope_raw])
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3], covariance[3:, 3:] = held.covariance_raw, held.gyroscope_covariance_raw
+    warmth = kept.temperature_degc[np.isfinite(kept.temperature_degc)]
+    return Observation(
+        name=name,
+        direction=np.full(3, np.nan) if direction is None else direction,
+        mean_raw=mean[:3],
+        covariance_raw=covariance[:3, :3],
+        gyroscope_mean_raw=mean[3:],
+        gyroscope_covariance_raw=covariance[3:, 3:],
+        start_s=float(cells.start_s[0]),
+        duration_s=float(cells.end_s[-1] - cells.start_s[0]),
+        temperature_degc=float(warmth.mean()) if len(warmth) else float("nan"),
+        held=held,
+    )
+
+
+def _keep(cells: Cells, rows: NDArray[np.bool_]) -> Cells:
+    return cells[np.flatnonzero(rows)]
+
+
+def gather(observations: Sequence[Observation], units: SampleUnits) -> Observations:
+    """Return observations as the arrays that the solvers take."""
+
+    def stack(values: list[FloatArray], *shape: int) -> FloatArray:
+        return np.array(values, dtype=np.float64).reshape(len(values), *shape)
+
+    return Observations(
+        name=tuple(one.name for one in observations),
+        mean_raw=stack([one.mean_raw for one in observations], 3),
+        covariance_raw=stack([one.covariance_raw for one in observations], 3, 3),
+        gyroscope_mean_raw=stack([one.gyroscope_mean_raw for one in observations], 3),
+        gyroscope_covariance_raw=stack([one.gyroscope_covariance_raw for one in observations], 3, 3),
+        direction=stack([one.direction for one in observations], 3),
+        start_s=np.array([one.start_s for one in observations], dtype=np.float64),
+        duration_s=np.array([one.duration_s for one in observations], dtype=np.float64),
+        temperature_degc=np.array([one.temperature_degc for one in observations], dtype=np.float64),
+        units=units,
+    )

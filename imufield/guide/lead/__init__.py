@@ -1,0 +1,1 @@
+"""The guide itself: state table, actions, plan, turns, refusals and advice."""

@@ -1,0 +1,154 @@
+"""Still intervals of a recording that nobody guided: every one is an observation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from imufield.calibrate.model.observations import Observations
+from imufield.errors import CalibrationError, Reason, RecordingError
+from imufield.guide.cross_checks.axes import AxesCheck, MoveLog, check_axes
+from imufield.guide.hold.checks import CheckLimits, HoldUnderTest, Refusal, examine
+from imufield.guide.hold.observe import Observation, gather, observe, trim_stretch
+from imufield.guide.positions import nearest_cube_direction
+from imufield.guide.stillness.cells import CellBuilder, Cells
+from imufield.guide.stillness.detector import StillnessDetector
+from imufield.guide.stillness.limits import StillnessSettings
+from imufield.guide.stillness.noise_floor import MAX_FLOOR_M_S2, NoiseFloor
+from imufield.guide.stillness.scale import RoughScale
+from imufield.guide.stillness.stretch import Phase, Stretch
+from imufield.samples import Samples, SampleUnits
+
+SHORTEST_S = 1.0
+"""A still interval shorter than this, guard bands off, is a pause in a motion."""
+
+
+@dataclass(frozen=True, slots=True)
+class StillIntervals:
+    """What a recording gave."""
+
+    observations: Observations
+    refused: tuple[tuple[float, Refusal], ...]
+    """Start time and reason of still intervals that were not believed."""
+    noise_floor: NoiseFloor
+    scale: RoughScale
+    axes: AxesCheck
+    """Whether the gyroscope's axes belong to the accelerometer's."""
+
+
+class StillIntervalFinder:
+    """Collects an observation from each still interval of a stream; memory does not grow with its length.
+
+    Parameters
+    ----------
+    units : SampleUnits
+    scale : RoughScale, optional
+        What is known of the raw units; by default what their names say.
+    settings, checks : optional
+    shortest_s : float
+    """
+
+    def __init__(
+        self,
+        units: SampleUnits,
+        scale: RoughScale | None = None,
+        *,
+        settings: StillnessSettings | None = None,
+        checks: CheckLimits | None = None,
+        shortest_s: float = SHORTEST_S,
+    ) -> None:
+        self.units = units
+        self.detector = StillnessDetector(scale or RoughScale.of_units(units), settings)
+        self._checks = checks or CheckLimits()
+        self._shortest_s = shortest_s
+        self._found: list[Observation] = []
+        self._refused: list[tuple[float, Refusal]] = []
+        self._moves = MoveLog(self.detector.settings.cell_s)
+        self._builder = CellBuilder(self.detector.settings.cell_s)
+
+    def feed(self, samples: Samples) -> None:
+        """Take the next samples."""
+        self._take_ended(self._builder.feed(samples))
+
+    def finish(self) -> StillIntervals:
+        """Return what was found; the last interval ends here.
+
+        Raises
+        ------
+        CalibrationError
+            If no stretch was quiet enough to be a noise floor.
+        """
+        self._take_ended(self._builder.flush())
+        if self.detector.phase is Phase.STILL:
+            self._take(self.detector.stretch)
+            self.detector.restart()
+        if self.detector.floor is None:
+            raise CalibrationError(
+                f"no {self.detector.settings.floor_s:g} s of the recording are quiet (each cell alike, at most "
+                f"{MAX_FLOOR_M_S2} m/s^2 rms), so stillness cannot be judged; lay the unit down for some seconds each time",
+                Reason.TOO_FEW,
+            )
+        scale = self.detector.scale
+        axes = check_axes(self._moves.moves(scale), scale.gyroscope)
+        return StillIntervals(gather(self._found, self.units), tuple(self._refused), self.detector.floor, scale, axes)
+
+    def _take_ended(self, cells: Cells | None) -> None:
+        for judgement in () if cells is None else self.detector.judge(cells):
+            self._moves.follow(judgement, self.detector.stretch.mean)
+            if judgement.ended is not None:
+                self._take(judgement.ended)
+
+    def _take(self, stretch: Stretch) -> None:
+        detector, floor = self.detector, self.detector.floor
+        cells = stretch.cells()
+        cells = cells[trim_stretch(cells, detector.limits, detector.settings)]
+        if floor is None or len(cells) < detector.settings.cells(self._shortest_s):
+            return
+        refusal = examine(HoldUnderTest(cells, floor, detector.limits, detector.scale, self._checks))
+        if refusal is not None:
+            self._refused.append((float(cells.start_s[0]), refusal))
+            return
+        force = detector.scale.specific_force(cells.mean[:, :3].mean(axis=0))
+        self._found.append(
+            observe(cells, detector.limits, f"free {len(self._found) + 1}: near {nearest_cube_direction(force)}")
+        )
+
+
+def find_still_intervals(
+    blocks: Iterable[Samples],
+    *,
+    scale: RoughScale | None = None,
+    settings: StillnessSettings | None = None,
+    checks: CheckLimits | None = None,
+    shortest_s: float = SHORTEST_S,
+) -> StillIntervals:
+    """Find every still interval of a recording.
+
+    Parameters
+    ----------
+    blocks : iterable of Samples
+        In time order, of the same units, cut anywhere.
+    scale, settings, checks, shortest_s
+        See ``StillIntervalFinder``.
+
+    Returns
+    -------
+    StillIntervals
+        Observations named after the nearest face, edge or corner of a cube ("free 7: near +x+y"), without a planned
+        direction.
+
+    Raises
+    ------
+    RecordingError
+        If there are no samples.
+    CalibrationError
+        If no stretch is quiet enough to be a noise floor.
+    """
+    finder: StillIntervalFinder | None = None
+    for block in blocks:
+        if finder is None:
+            finder = StillIntervalFinder(block.units, scale, settings=settings, checks=checks, shortest_s=shortest_s)
+        finder.feed(block)
+    if finder is None:
+        raise RecordingError("the recording holds no samples; check that it is the right one", Reason.NOT_A_RECORDING)
+    return finder.finish()

@@ -1,0 +1,1 @@
+"""Still or moving: cells, noise floor, limits, stretches and their edges."""

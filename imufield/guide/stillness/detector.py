@@ -1,0 +1,280 @@
+"""When the unit lies still: cells in, judgements out.
+
+Each cell is compared with limits that come from the measured noise floor, in two ways for each triad:
+
+vibration   the scatter inside the cell against the floor's, r = sqrt(mean over axes of (variance / limit^2));
+change      the cell's mean against the running mean of the still stretch, r = sqrt(sum over axes of (difference / limit)^2).
+
+Together they are the generalised likelihood ratio of Skog et al. [1]_ (is the force of constant size and direction, is the
+rate that of a unit at rest?), kept apart so that a refusal can name triad, axis, value and limit. The largest r is the
+*activity*: a stretch begins when it stays at or below 1 for the dwell time and ends when it exceeds the leave factor (2):
+without this hysteresis a unit at the limit would flicker between still and moving.
+
+A limit is a multiple of the noise floor, or an absolute allowance where that is larger: a table that trembles by 5 mg under
+a navigation-grade instrument is still a table. The allowances are wide enough for a unit held against an edge. What they
+let through is judged afterwards by the stretch's own standard: see ``trim_stretch``.
+
+References
+----------
+.. [1] I. Skog, P. Handel, J.-O. Nilsson, J. Rantakokko, "Zero-velocity detection: an algorithm evaluation",
+   IEEE Trans. Biomed. Eng. 57(11), 2010: equation 15.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from imufield.guide.stillness.cells import CellBuilder, Cells, join_cells
+from imufield.guide.stillness.hand_edges import hand_edges
+from imufield.guide.stillness.limits import (
+    Activity,
+    Limits,
+    StillnessSettings,
+    hand_settings,
+    largest_activity,
+    noise_limits,
+    vibration_ratio,
+)
+from imufield.guide.stillness.noise_floor import FEW_SAMPLES, NoiseFloor, is_quiet, is_quieter, measure_floor
+from imufield.guide.stillness.scale import RoughScale
+from imufield.guide.stillness.stretch import Judgement, Phase, Standard, Stretch, Tracker
+from imufield.samples import Samples
+
+HAND_RAD_S = math.radians(0.35)
+"""Vibration of the gyroscope beyond its noise that tells a hand: the smallest tremor (0.02 deg rms at 8 Hz) makes 1 deg/s."""
+HAND_CHANGE_RAD_S = math.radians(0.15)
+"""The same for the change from cell to cell: the sway of an arm."""
+
+
+class StillnessDetector:
+    """Judges cells as they come.
+
+    The result does not depend on how the samples are cut into blocks. Cells that arrive before the noise floor is known
+    are judged as soon as it is, none is lost. With ``settings.hand`` a second set of limits is held beside the first: a
+    unit that is not still as on a table may be as still as a hand is.
+
+    Parameters
+    ----------
+    settings : StillnessSettings
+    scale : RoughScale
+        What is known of the raw units.
+    """
+
+    LONGEST_WAIT_S = 600.0
+    """Cells kept while no quiet stretch has been seen; older ones are let go."""
+    LEARN_FROM_S = 2.0
+    """Shortest stretch that may lower the noise floor or tell the gyroscope's bias."""
+
+    def __init__(self, scale: RoughScale, settings: StillnessSettings | None = None) -> None:
+        self.settings = settings or StillnessSettings()
+        self.scale = scale
+        self.floor: NoiseFloor | None = None
+        """None until a quiet stretch was seen."""
+        self._table = Tracker(self.settings)
+        self._hand = Tracker(hand_settings(self.settings)) if self.settings.hand and scale.gyroscope else None
+        self.in_hand = False
+        """Whether ``phase`` and ``stretch`` are those of a unit in the hand."""
+        self.bias: list[float] = []
+        """Gyroscope at rest, raw rate, from the last still stretch; empty without a gyroscope."""
+        self._builder = CellBuilder(self.settings.cell_s)
+        self._waiting: list[Cells] = []
+        self._slot: int | None = None
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of a placed unit in force; infinite until there is a noise floor."""
+        return self._table.standard.limits
+
+    @property
+    def phase(self) -> Phase:
+        """What the detector thinks of the latest cell."""
+        return self._active.phase
+
+    @property
+    def stretch(self) -> Stretch:
+        """The stretch under way."""
+        return self._active.stretch
+
+    @property
+    def _active(self) -> Tracker:
+        return self._hand if self.in_hand and self._hand is not None else self._table
+
+    def feed(self, samples: Samples) -> list[Judgement]:
+        """Judge the cells that these samples finish."""
+        cells = self._builder.feed(samples)
+        return [] if cells is None else list(self.judge(cells))
+
+    def flush(self) -> list[Judgement]:
+        """Judge the unfinished cell; for the end of a recording or of a link."""
+        cells = self._builder.flush()
+        return [] if cells is None else list(self.judge(cells))
+
+    def restart(self) -> None:
+        """Forget the current stretch: the next one begins with the next cell at the earliest."""
+        self._table.restart()
+        if self._hand is not None:
+            self._hand.restart()
+        self.in_hand = False
+
+    def interrupt(self) -> None:
+        """Forget the current stretch and where the clock was: the link is gone, or comes from another start."""
+        self.restart()
+        self._builder = CellBuilder(self.settings.cell_s)
+        self._slot = None
+
+    def judge(self, cells: Cells) -> Iterator[Judgement]:
+        """Judge finished cells one by one; between two of them ``stretch`` and ``phase`` are as the last one left them."""
+        if self.floor is None and len(cells):
+            cells = self._learn(cells)
+        judged = 0
+        while self.floor is not None and judged < len(cells):
+            # A floor lowered by one cell holds from the next on, wherever the block was cut.
+            for judgement in self._judge_under_one_floor(cells, judged):
+                judged += 1
+                yield judgement
+
+    def waited(self) -> Cells:
+        """Return the last cells, as many as a noise floor needs, while there is none; at least one was judged."""
+        window = self.settings.cells(self.settings.floor_s)
+        return join_cells(self._waiting[-window:])[-window:]
+
+    def explain(self, judgement: Judgement) -> Activity:
+        """Return what the activity of a cell comes from, with value and limit in SI where the scale is known."""
+        limits = judgement.limits or self.limits
+        mean = judgement.cells.mean[judgement.row]
+        reference = np.array(judgement.reference) if judgement.reference else mean
+        vibration = np.sqrt(judgement.cells.variance[judgement.row]) / limits.vibration
+        return largest_activity(vibration, np.abs(mean - reference) / limits.change, limits, self.scale)
+
+    def hold_edges(self, cells: Cells) -> slice:
+        """Return the rows of a hold in the hand that are not of the turn before it."""
+        return slice(0, len(cells)) if self._hand is None else hand_edges(cells, self._hand.standard.limits.change)
+
+    def is_hand_like(self, cells: Cells) -> bool:
+        """Whether a stretch moves as a hand does: the gyroscope shows more than its noise, in most of its cells."""
+        floor, gyroscope = self.floor, self.scale.gyroscope
+        if floor is None or not gyroscope or not floor.has_gyroscope:
+            return False
+        excess = np.median((cells.variance[:, 3:] - floor.sigma[3:] ** 2).mean(axis=1))
+        change = np.median(np.abs(np.diff(cells.mean[:, 3:], axis=0)), axis=0) if len(cells) > 1 else np.zeros(3)
+        shakes = math.sqrt(max(float(excess), 0.0)) > HAND_RAD_S * gyroscope
+        return shakes or bool((change > np.maximum(HAND_CHANGE_RAD_S * gyroscope, 3 * floor.cell_sigma[3:])).any())
+
+    def _learn(self, cells: Cells) -> Cells:
+        """Look for a quiet window that ends in these cells; return what can be judged now: all cells so far, or none."""
+        window = self.settings.cells(self.settings.floor_s)
+        self._waiting.append(cells)
+        tail = join_cells([*self._waiting[-window:-1], cells])
+        for end in range(max(len(tail) - len(cells) + 1, window), len(tail) + 1):
+            if is_quiet(tail[end - window : end], self.scale):
+                self._set_floor(measure_floor(tail[end - window : end]))
+                waiting, self._waiting = join_cells(self._waiting), []
+                return waiting
+        kept = sum(len(part) for part in self._waiting)
+        while kept > self.settings.cells(self.LONGEST_WAIT_S):
+            kept -= len(self._waiting.pop(0))
+        return cells[:0]
+
+    def _set_floor(self, floor: NoiseFloor) -> None:
+        self.scale = self.scale.learn(floor.mean[:3])
+        self.floor = floor
+        for tracker in self._trackers():
+            tracker.standard = Standard.of(floor, noise_limits(floor, self.scale, tracker.settings))
+        if not self.bias and floor.has_gyroscope:
+            self.bias = floor.mean[3:].tolist()
+
+    def _trackers(self) -> tuple[Tracker, ...]:
+        return (self._table,) if self._hand is None else (self._table, self._hand)
+
+    def _judge_under_one_floor(self, cells: Cells, start: int) -> Iterator[Judgement]:
+        standard = self._table.standard
+        vibration = [vibration_ratio(cells[start:], tracker.standard.limits).tolist() for tracker in self._trackers()]
+        means = cells.mean[start:].tolist()
+        slots = cells.slot[start:].tolist()
+        full = (cells.usable[start:] >= self.settings.usable_fraction * standard.usual_samples).tolist()
+        for offset, mean in enumerate(means):
+            gap = 1 if self._slot is None else slots[offset] - self._slot
+            if full[offset]:
+                self._slot = slots[offset]
+                # One lost cell between two is bridged.
+                where = (gap in (1, 2), self.bias)
+                row = start + offset
+                found = [
+                    tracker.follow(cells, row, ratio[offset], mean, where)
+                    for tracker, ratio in zip(self._trackers(), vibration, strict=True)
+                ]
+                yield self._choose(*found)
+            else:
+                yield self._judge_lost(cells, start + offset, gap)
+            if self._table.standard is not standard:
+                return
+
+    def _choose(self, table: Judgement, hand: Judgement | None = None) -> Judgement:
+        """Return the judgement that counts: of the table where it is still, else of the hand.
+
+        A hold goes over from the table's limits to the hand's only where it looked like a hand all the time; a unit on a table
+        that is pushed has ended its hold.
+        """
+        if table.ended is not None:
+            self._learn_from(table.ended)
+        if hand is None or self._hand is None:
+            return table
+        if self.in_hand:
+            return self._choose_in_hand(table, hand, self._hand)
+        if table.phase is Phase.STILL:
+            return table
+        if table.ended is not None:
+            if hand.phase is Phase.STILL and self.is_hand_like(table.ended.cells()):
+                self.in_hand = True
+                return hand
+            self._hand.restart()
+            return table
+        if hand.phase is Phase.STILL:
+            self.in_hand = True
+        return table if hand.phase is Phase.MOVING else hand
+
+    def _choose_in_hand(self, table: Judgement, hand: Judgement, tracker: Tracker) -> Judgement:
+        """Return the judgement that counts for a unit that was in the hand until now."""
+        if hand.ended is not None:
+            hand.ended.cut(self.hold_edges(hand.ended.cells()))
+        if table.phase is Phase.STILL and self._was_put_down():
+            self.in_hand = False
+            tracker.restart()
+            return table
+        if hand.phase is Phase.STILL:
+            return hand
+        self.in_hand = False
+        return hand if hand.ended is None or table.phase is Phase.STILL else hand._replace(phase=table.phase)
+
+    def _was_put_down(self) -> bool:
+        """Whether a hold that began in the hand goes on upon a table: looked at once a second."""
+        stretch = self._table.stretch
+        return stretch.judged % self.settings.cells(1.0) == 0 and not self.is_hand_like(stretch.cells())
+
+    def _judge_lost(self, cells: Cells, row: int, gap: int) -> Judgement:
+        """Judge a cell that is nearly empty: the first is passed over, the second in a row ends a stretch."""
+        if gap == 1:
+            return Judgement(self.phase, 0.0, cells, row, self.stretch.mean)
+        ended = self.stretch if self.phase is Phase.STILL else None
+        if ended is not None and not self.in_hand:
+            self._learn_from(ended)
+        self.restart()
+        return Judgement(self.phase, 0.0, cells, row, [], ended=ended)
+
+    def _learn_from(self, stretch: Stretch) -> None:
+        """Learn from a stretch that ended: the gyroscope's bias, and the noise floor if it was quieter."""
+        if self.floor is None or stretch.judged < self.settings.cells(self.LEARN_FROM_S):
+            return
+        cells = stretch.cells()
+        inner = cells[len(cells) // 4 : len(cells) - len(cells) // 4]
+        if self.bias:
+            self.bias = np.where(np.isnan(mean := np.nanmean(inner.mean[:, 3:], axis=0)), self.bias, mean).tolist()
+        quieter = measure_floor(inner)
+        if quieter.samples_per_cell < FEW_SAMPLES and len(inner) < self.settings.cells(self.settings.floor_s):
+            # So few samples look quieter than they are by chance.
+            return
+        if is_quieter(quieter, self.floor) and is_quiet(inner, self.scale):
+            self._set_floor(quieter)

@@ -1,0 +1,66 @@
+"""How raw units relate to SI, as far as it is known before the calibration: enough to recognise sides and state limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from imufield.acquire.protocol.protocol import Nominal
+from imufield.acquire.protocol.units import nominal_scale
+from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.samples import FloatArray, SampleUnits
+
+
+@dataclass(frozen=True, slots=True)
+class RoughScale:
+    """Rough raw rates per SI unit; None where not known.
+
+    Attributes
+    ----------
+    accelerometer, gyroscope : float or None
+        Raw unit (per second for increments) per m/s^2 and per rad/s, one for all axes.
+    raw_zero : ndarray, shape (3,)
+        Accelerometer mid-scale, taken off first.
+    learned : bool
+        Whether the accelerometer's comes from the first still (its norm is g) and not from the instrument's data.
+    """
+
+    accelerometer: float | None = None
+    gyroscope: float | None = None
+    raw_zero: FloatArray = field(default_factory=lambda: np.zeros(3))
+    learned: bool = False
+
+    @classmethod
+    def of(cls, units: SampleUnits, nominal: Nominal) -> RoughScale:
+        """Return what the instrument's protocol says, and the names of the units where it says nothing."""
+        named = cls.of_units(units)
+        per_second = 1 / units.interval_s if units.accelerometer_is_increment and units.interval_s else 1.0
+        # Raw per m/s in an increment is raw per second per m/s^2 in its rate: only the mid-scale changes.
+        return cls(
+            nominal.accelerometer_scale or named.accelerometer,
+            nominal.gyroscope_scale or named.gyroscope,
+            np.asarray(nominal.raw_zero, dtype=np.float64) * per_second,
+        )
+
+    @classmethod
+    def of_units(cls, units: SampleUnits, raw_zero: FloatArray | None = None) -> RoughScale:
+        """Return what the names of the units alone say."""
+        return cls(
+            nominal_scale(units.accelerometer),
+            nominal_scale(units.gyroscope),
+            np.zeros(3) if raw_zero is None else np.asarray(raw_zero, dtype=np.float64),
+        )
+
+    def learn(self, mean_raw: FloatArray) -> RoughScale:
+        """Return a scale whose accelerometer is known: as it is, or from a still mean (3,) whose norm is taken as g."""
+        if self.accelerometer is not None:
+            return self
+        norm = float(np.linalg.norm(mean_raw - self.raw_zero))
+        return replace(self, accelerometer=norm / STANDARD_GRAVITY_M_S2, learned=True) if norm > 0 else self
+
+    def specific_force(self, mean_raw: FloatArray) -> FloatArray:
+        """Return raw accelerometer rates, shape (..., 3), as rough m/s^2; the scale must be known."""
+        if self.accelerometer is None:
+            raise ValueError("the accelerometer's rough scale is not known yet: call `learn` with a still mean")
+        return (mean_raw - self.raw_zero) / self.accelerometer

@@ -1,0 +1,192 @@
+"""A still stretch as it grows: cells under one standard, with hysteresis and dwell time."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from imufield.guide.stillness.cells import Cells, join_cells
+from imufield.guide.stillness.limits import Limits, StillnessSettings
+from imufield.guide.stillness.noise_floor import NoiseFloor
+
+
+class Phase(Enum):
+    """What the detector thinks of the latest cell."""
+
+    MOVING = "moving"
+    SETTLING = "settling"
+    STILL = "still"
+
+
+class Stretch:
+    """The cells of a still stretch, oldest first, at most ``longest`` of them."""
+
+    def __init__(self, longest: int) -> None:
+        self._longest = longest
+        self._parts: list[tuple[Cells, int, int]] = []
+        self.mean: list[float] = []
+        self.judged = 0
+        """Cells that belong to the stretch, kept or not."""
+
+    def add(self, cells: Cells, row: int, mean: list[float]) -> None:
+        """Append one cell and follow the running mean: of all cells at first, of the last 50 or so later."""
+        if self.judged < self._longest:
+            if self._parts and self._parts[-1][0] is cells and self._parts[-1][2] == row:
+                self._parts[-1] = (cells, self._parts[-1][1], row + 1)
+            else:
+                self._parts.append((cells, row, row + 1))
+        self.judged += 1
+        if not self.mean:
+            self.mean = list(mean)
+            return
+        share = 1 / min(self.judged, 50)
+        self.mean = [old if math.isnan(new) else old + share * (new - old) for old, new in zip(self.mean, mean, strict=True)]
+
+    def cells(self) -> Cells:
+        """Return the kept cells; at least one was added."""
+        return join_cells([cells[start:stop] for cells, start, stop in self._parts])
+
+    def cut(self, rows: slice) -> None:
+        """Keep only some of the kept cells, and take the mean of these; at least one."""
+        whole, cells = self.judged == len(self), self.cells()[rows]
+        self._parts = [(cells, 0, len(cells))]
+        self.judged = len(cells) if whole else self.judged - rows.start
+        self.mean = np.nanmean(cells.mean, axis=0).tolist() if whole else self.mean
+
+    def __len__(self) -> int:
+        return min(self.judged, self._longest)
+
+
+class Judgement(NamedTuple):
+    """What one cell meant."""
+
+    phase: Phase
+    activity: float
+    cells: Cells
+    row: int
+    reference: list[float]
+    """Running mean of the stretch before this cell, raw rates (6); empty outside a stretch."""
+    began: bool = False
+    """A stretch counts as still with this cell."""
+    ended: Stretch | None = None
+    """The stretch that this cell ended."""
+    limits: Limits | None = None
+    """Those that the activity was measured against; None: those of a placed unit."""
+
+
+class Standard(NamedTuple):
+    """What a cell is held against, with the limits in the form that the loop over cells needs."""
+
+    limits: Limits
+    change_weight: list[float]
+    """1 / change, 0 where there is no gyroscope."""
+    usual_samples: float
+
+    @classmethod
+    def of(cls, floor: NoiseFloor, limits: Limits) -> Standard:
+        """Return the standard of limits that were made for a noise floor."""
+        weight = np.where(np.isnan(limits.change), 0.0, 1 / limits.change)
+        return cls(limits, weight.tolist(), floor.samples_per_cell)
+
+
+_NO_STANDARD = Standard(Limits(np.full(6, np.inf), np.full(6, np.inf), 1.0), [0.0] * 6, 0.0)
+
+
+class _Passed(NamedTuple):
+    """A cell since the last stretch ended, kept for the reach back."""
+
+    cells: Cells
+    row: int
+    vibration: float
+    mean: list[float]
+
+
+class Tracker:
+    """Follows a stream of cells under one standard: moving, settling or still, and the stretch under way."""
+
+    def __init__(self, settings: StillnessSettings) -> None:
+        self.settings = settings
+        self.standard = _NO_STANDARD
+        self.phase = Phase.MOVING
+        self.stretch = Stretch(settings.cells(settings.longest_s))
+        self._passed: deque[_Passed] = deque(maxlen=settings.cells(settings.reach_back_s))
+
+    def restart(self) -> None:
+        """Forget the stretch and what came before it."""
+        self._drop()
+        self._passed.clear()
+
+    def _drop(self) -> None:
+        self.stretch = Stretch(self.settings.cells(self.settings.longest_s))
+        self.phase = Phase.MOVING
+
+    def follow(self, cells: Cells, row: int, vibration: float, mean: list[float], where: tuple[bool, list[float]]) -> Judgement:
+        """Judge one cell; ``where`` says whether it follows the one before, and the gyroscope's bias."""
+        unbroken, bias = where
+        activity = max(vibration, self._change_ratio(mean))
+        reference, limits = self.stretch.mean, self.standard.limits
+        if self.phase is Phase.STILL:
+            if unbroken and activity <= self.settings.leave_factor:
+                self.stretch.add(cells, row, mean)
+                return Judgement(Phase.STILL, activity, cells, row, reference, limits=limits)
+            ended = self.stretch
+            self._passed.clear()
+            self._begin(cells, row, vibration, mean, bias)
+            return Judgement(self.phase, activity, cells, row, reference, ended=ended, limits=limits)
+        if not unbroken:
+            self._passed.clear()
+        self._passed.append(_Passed(cells, row, vibration, mean))
+        if unbroken and activity <= 1 and self.stretch.judged:
+            self.stretch.add(cells, row, mean)
+            began = self.stretch.judged >= self.settings.cells(self.settings.dwell_s)
+            self.phase = Phase.STILL if began else Phase.SETTLING
+            if began:
+                self._reach_back()
+            return Judgement(self.phase, activity, cells, row, reference, began=began, limits=limits)
+        self._begin(cells, row, vibration, mean, bias)
+        return Judgement(self.phase, activity, cells, row, reference, limits=limits)
+
+    def _reach_back(self) -> None:
+        """Let the cells before the stretch join it, the nearest first, up to one that would have ended it."""
+        passed = list(self._passed)
+        first = max(len(passed) - self.stretch.judged, 0)
+        begin = first
+        while begin and self._would_stay(passed[begin - 1]):
+            begin -= 1
+        self._passed.clear()
+        if begin < first:
+            self.stretch = Stretch(self.settings.cells(self.settings.longest_s))
+            for one in passed[begin:]:
+                self.stretch.add(one.cells, one.row, one.mean)
+
+    def _would_stay(self, cell: _Passed) -> bool:
+        return max(cell.vibration, self._change_ratio(cell.mean)) <= self.settings.leave_factor
+
+    def _begin(self, cells: Cells, row: int, vibration: float, mean: list[float], bias: list[float]) -> None:
+        """Begin a candidate with this cell if it could be the first of a stretch."""
+        self._drop()
+        if vibration <= 1 and self._offset_ratio(mean, bias) <= 1:
+            self.stretch.add(cells, row, mean)
+            self.phase = Phase.SETTLING
+
+    def _change_ratio(self, mean: list[float]) -> float:
+        """Return the larger change ratio of the two triads against the stretch's running mean, 0 without one."""
+        before = self.stretch.mean
+        if not before:
+            return 0.0
+        weight = self.standard.change_weight
+        accelerometer = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3)))
+        gyroscope = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3, 6)))
+        return max(accelerometer, gyroscope)
+
+    def _offset_ratio(self, mean: list[float], bias: list[float]) -> float:
+        """Return the gyroscope's distance from its last known bias over what is allowed, 0 without a gyroscope."""
+        if not bias:
+            return 0.0
+        weight = self.standard.change_weight
+        distance = math.hypot(*((mean[i] - bias[i - 3]) * weight[i] for i in range(3, 6)))
+        return 0.0 if math.isnan(distance) else distance / self.standard.limits.gyroscope_offset

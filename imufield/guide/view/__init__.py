@@ -1,0 +1,1 @@
+"""Views of the guide: terminal, plain lines, JSON lines, sound."""

@@ -1,0 +1,190 @@
+"""A box in perspective-free 3-D, drawn with characters: how the unit is held, and how it should be.
+
+Gravity tells which way is up in the body, never the heading; so a heading is chosen and kept: from frame to frame the box turns
+by the shortest way that brings the new "up" to the top, and the goal is the shortest way from there.
+
+Lines are drawn on the 2 x 4 dots of a Braille character where the terminal knows Unicode, else on whole characters.
+Only faces towards the onlooker are drawn, so the box reads as solid; each bears the name of its axis.
+
+Letters that can be read from three metres: five by seven dots, two columns and one row each.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imufield.samples import AXES, FloatArray
+
+DOT = "##"
+LETTER_WIDTH = 12
+ROWS = 7
+
+# Five columns of each letter, the lowest bit on top: the shapes of common dot-matrix displays.
+_COLUMNS = {
+    "+": "08083e0808", "-": "0808080808", "?": "0201590906", ".": "0060600000",
+    "0": "3e5149453e", "1": "00427f4000", "2": "7249494946", "3": "2141494d33", "4": "1814127f10",
+    "5": "2745454539", "6": "3c4a494931", "7": "4121110907", "8": "3649494936", "9": "464949291e",
+    "A": "7c1211127c", "B": "7f49494936", "C": "3e41414122", "D": "7f4141413e", "E": "7f49494941",
+    "F": "7f09090901", "G": "3e41415173", "H": "7f0808087f", "I": "00417f4100", "J": "2040413f01",
+    "K": "7f08142241", "L": "7f40404040", "M": "7f021c027f", "N": "7f0408107f", "O": "3e4141413e",
+    "P": "7f09090906", "Q": "3e4151215e", "R": "7f09192946", "S": "2649494932", "T": "03017f0103",
+    "U": "3f4040403f", "V": "1f2040201f", "W": "3f4038403f", "X": "6314081463", "Y": "0304780403",
+    "Z": "6159494d43",
+}  # fmt: skip
+
+
+def big_lines(text: str, width: int) -> list[str]:
+    """Return a word in big letters, cut off at the width; what has no shape is a space.
+
+    Parameters
+    ----------
+    text : str
+    width : int
+        Characters of the screen.
+    """
+    letters = text.upper()[: width // LETTER_WIDTH]
+    columns = [bytes.fromhex(_COLUMNS.get(letter, "0000000000")) + b"\0" for letter in letters]
+    dots = b"".join(columns)
+    blank = " " * len(DOT)
+    return ["".join(DOT if column >> row & 1 else blank for column in dots).rstrip() for row in range(ROWS)]
+
+
+HALF_SIZE = (1.0, 0.72, 0.42)
+"""Of the box along body x, y, z: the three sides are told apart by their lengths."""
+_PITCH, _YAW = math.radians(24.0), math.radians(33.0)
+_BRAILLE = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
+_REACH = 1.42
+"""Screen units from the middle to the edge: half the diagonal of the box and room for the cable."""
+CABLE_LENGTH = 0.55
+
+
+def turn_shortest(attitude: FloatArray, up: FloatArray) -> FloatArray:
+    """Turn an attitude by the shortest way so that ``up`` (body) points up in the room.
+
+    Parameters
+    ----------
+    attitude : ndarray, shape (3, 3)
+        Takes body vectors to the room: x right, y away, z up.
+    up : ndarray, shape (3,)
+        Unit vector.
+    """
+    now = attitude @ up
+    goal = np.array([0.0, 0.0, 1.0])
+    axis = np.cross(now, goal)
+    sine, cosine = float(np.linalg.norm(axis)), float(now @ goal)
+    if sine < 1e-9:
+        if cosine > 0:
+            return attitude
+        axis, sine, cosine = np.array([1.0, 0.0, 0.0]), 0.0, -1.0
+    else:
+        axis = axis / sine
+    K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    turned: FloatArray = (np.eye(3) + sine * K + (1 - cosine) * K @ K) @ attitude
+    # Rounding adds up over thousands of frames.
+    u, _, v = np.linalg.svd(turned)
+    return np.asarray(u @ v)
+
+
+def draw_box(attitude: FloatArray, width: int, height: int, *, cable: str | None = None, ascii_only: bool = False) -> list[str]:
+    """Return the lines of a picture of the box.
+
+    Parameters
+    ----------
+    attitude : ndarray, shape (3, 3)
+        See ``turn_shortest``.
+    width, height : int
+        Characters.
+    cable : str, optional
+        Face where the cable leaves, e.g. "-x".
+    ascii_only : bool
+        Draw with ASCII.
+    """
+    canvas = _Canvas(width, height, dots=not ascii_only)
+    view = _onlooker() @ attitude
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            normal = sign * np.eye(3)[axis]
+            if (view @ normal)[1] < -0.05:  # towards the onlooker
+                corners = _face(axis, sign) @ view.T
+                for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+                    canvas.line(start, end)
+                canvas.label(corners.mean(axis=0), f"{'+' if sign > 0 else '-'}{AXES[axis]}")
+    if cable is not None:
+        axis, sign = AXES.index(cable[1]), 1.0 if cable[0] == "+" else -1.0
+        foot = np.eye(3)[axis] * sign * HALF_SIZE[axis]
+        end = foot + np.eye(3)[axis] * sign * CABLE_LENGTH
+        hidden = (view @ foot)[1] > 0
+        canvas.line(view @ foot, view @ end, dashed=hidden)
+        canvas.label(view @ end, "cable", free=True)
+    return canvas.lines()
+
+
+def _onlooker() -> FloatArray:
+    """Return the turn from the room to the onlooker: x right, y away, z up; he looks a little from above and from one side."""
+    cp, sp, cy, sy = math.cos(_PITCH), math.sin(_PITCH), math.cos(_YAW), math.sin(_YAW)
+    yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    pitch = np.array([[1.0, 0.0, 0.0], [0.0, cp, -sp], [0.0, sp, cp]])
+    return np.asarray(pitch @ yaw)
+
+
+def _face(axis: int, sign: float) -> FloatArray:
+    """Return the four corners of a face in order, shape (4, 3)."""
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    corners = np.zeros((4, 3))
+    corners[:, axis] = sign * HALF_SIZE[axis]
+    corners[:, first] = np.array([1, -1, -1, 1]) * HALF_SIZE[first]
+    corners[:, second] = np.array([1, 1, -1, -1]) * HALF_SIZE[second]
+    return corners
+
+
+class _Canvas:
+    """Dots and labels on a grid of characters."""
+
+    def __init__(self, width: int, height: int, *, dots: bool) -> None:
+        self._across, self._down = (2, 4) if dots else (1, 1)
+        self._shape = (height * self._down, width * self._across)
+        self._dots = np.zeros(self._shape, dtype=bool)
+        self._width, self._height = width, height
+        self._labels: list[tuple[int, int, str]] = []
+        # A character is twice as high as wide: with 2 x 4 dots they are square, without, they are not.
+        self._aspect = 1.0 if dots else 2.0
+        self._scale = min(self._shape[1] / 2 / self._aspect, self._shape[0] / 2) / _REACH
+
+    def _place(self, point: FloatArray) -> tuple[float, float]:
+        row = (self._shape[0] - 1) / 2 - point[2] * self._scale
+        column = (self._shape[1] - 1) / 2 + point[0] * self._scale * self._aspect
+        return row, column
+
+    def line(self, start: FloatArray, end: FloatArray, *, dashed: bool = False) -> None:
+        (r0, c0), (r1, c1) = self._place(start), self._place(end)
+        steps = int(max(abs(r1 - r0), abs(c1 - c0))) + 1
+        part = np.linspace(0, 1, steps + 1)
+        if dashed:
+            part = part[np.arange(len(part)) % 4 < 2]
+        rows = np.rint(r0 + (r1 - r0) * part).astype(int)
+        columns = np.rint(c0 + (c1 - c0) * part).astype(int)
+        inside = (rows >= 0) & (rows < self._shape[0]) & (columns >= 0) & (columns < self._shape[1])
+        self._dots[rows[inside], columns[inside]] = True
+
+    def label(self, point: FloatArray, text: str, *, free: bool = False) -> None:
+        row, column = self._place(point)
+        line = min(max(round((row - self._down / 2 + 0.5) / self._down), 0), self._height - 1)
+        place = min(max(round(column / self._across - len(text) / 2), 0), self._width - len(text))
+        if free or not any(one[0] == line and abs(one[1] - place) < 3 for one in self._labels):
+            self._labels.append((line, place, text))
+
+    def lines(self) -> list[str]:
+        rows = [list(line) for line in (self._braille() if self._down == 4 else self._plain())]
+        for row, column, text in self._labels:
+            rows[row][column : column + len(text)] = text
+        return ["".join(row) for row in rows]
+
+    def _plain(self) -> list[str]:
+        return ["".join("." if dot else " " for dot in row) for row in self._dots]
+
+    def _braille(self) -> list[str]:
+        blocks = self._dots.reshape(self._height, 4, self._width, 2)
+        codes = np.einsum("rdcs,ds->rc", blocks, np.array(_BRAILLE))
+        return ["".join(chr(0x2800 + int(code)) if code else " " for code in row) for row in codes]

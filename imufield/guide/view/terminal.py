@@ -1,0 +1,131 @@
+"""The live view in a terminal: thin, it only hands ``screen`` to rich.
+
+Single keys from the terminal, without waiting for Enter and without blocking.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from imufield.guide.events import Event
+from imufield.guide.lead.guide import Snapshot
+from imufield.guide.positions import Scheme
+from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, Screen, draw, draw_big, draw_small
+
+
+class Keyboard:
+    """Keys typed since the last look; nothing at all where standard input is no terminal.
+
+    Use as a context manager: the terminal is put back as it was, whatever happens. Ctrl-C keeps its meaning.
+    """
+
+    def __init__(self) -> None:
+        self._descriptor: int | None = None
+        self._before: list[Any] | None = None
+
+    def __enter__(self) -> Self:
+        if os.name == "posix" and sys.stdin is not None and sys.stdin.isatty():
+            import termios
+            import tty
+
+            descriptor = self._descriptor = sys.stdin.fileno()
+            self._before = termios.tcgetattr(descriptor)
+            tty.setcbreak(descriptor)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._descriptor is not None and self._before is not None:
+            import termios
+
+            # The terminal may be closed already; then there is nothing to put back.
+            with suppress(termios.error):
+                termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
+            self._descriptor = None
+
+    def read(self) -> str:
+        """Return the characters typed since the last call, lower case, "" when there are none."""
+        if os.name == "nt":
+            return _read_windows()
+        if self._descriptor is None:
+            return ""
+        import select
+
+        typed = ""
+        while select.select([self._descriptor], [], [], 0)[0]:
+            data = os.read(self._descriptor, 64)
+            if not data:
+                self._descriptor = None  # end of file: the terminal went away
+                break
+            typed += data.decode("ascii", "ignore")
+        return typed.lower()
+
+
+def _read_windows() -> str:
+    import importlib
+
+    msvcrt: Any = importlib.import_module("msvcrt")
+    typed = ""
+    while msvcrt.kbhit():
+        typed += msvcrt.getwch()
+    return typed.lower()
+
+
+class TerminalView:
+    """Shows a session at up to 10 frames a second; use as a context manager.
+
+    Parameters
+    ----------
+    scheme : Scheme
+    console : rich.console.Console, optional
+    big : bool
+    cable : str, optional
+        Face where the cable leaves, "-x".
+    """
+
+    FRAMES_PER_SECOND = 10
+
+    def __init__(self, scheme: Scheme, console: Console | None = None, *, big: bool = False, cable: str | None = None) -> None:
+        self._cable = cable
+        self.big = big
+        """Big letters instead of pictures."""
+        self._scheme = scheme
+        self._screen = Screen()
+        self._live = Live(
+            Text(),
+            console=console,
+            auto_refresh=False,
+            screen=True,
+            vertical_overflow="crop",
+        )
+
+    def __enter__(self) -> Self:
+        self._live.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._live.stop()
+
+    def show(self, events: list[Event], snapshot: Snapshot, lost_samples: int | None = None, *, silent: bool = False) -> None:
+        """Draw the state after these events; call it at most ``FRAMES_PER_SECOND`` times a second.
+
+        ``silent`` says that the port is there, but nothing arrives.
+        """
+        self._screen.follow(events)
+        link = LinkState(lost_samples, silent, self._cable)
+        width, height = self._live.console.size
+        if width < WIDTH or height < HEIGHT:
+            picture = draw_small(self._screen, snapshot, link, width=width, height=height)
+        elif self.big:
+            picture = draw_big(self._screen, snapshot, link)
+        else:
+            ascii_only = self._live.console.options.ascii_only
+            picture = draw(self._screen, snapshot, self._scheme, link, ascii_only=ascii_only, size=(width, height))
+        self._live.update(picture, refresh=True)

@@ -1,0 +1,201 @@
+"""From what was measured to parameters: accelerometer by the method asked for, gyroscope by what the session holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.accelerometer.methods import cross_check, solve_with
+from imufield.calibrate.gyroscope.calibrate import FEWEST_STILLS, GyroscopeInput, GyroscopeModel, calibrate_gyroscope
+from imufield.calibrate.gyroscope.methods import cross_check_gyroscope, solve_gyroscope_with
+from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, no_slots
+from imufield.calibrate.gyroscope.report import GyroscopeResult
+from imufield.calibrate.gyroscope.whole_turns import Stop, stops_at
+from imufield.calibrate.model.observations import Observations, join_observations
+from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice
+from imufield.calibrate.solvers.agreement import LEAST_SQUARES
+from imufield.deliver.parameters.file import Context, Parameters, from_document, to_document
+from imufield.earth import Gravity
+from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.guide.events import Event, Turned
+from imufield.guide.lead.turns import VERTICAL
+from imufield.samples import FloatArray, Samples
+
+_CONTRADICTED = (Reason.UNITS, Reason.HANDEDNESS)
+"""Reasons for a gyroscope without a calibration that say that its data are not what they are said to be."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What is calibrated from, wherever it came from."""
+
+    observations: Observations
+    gravity: Gravity
+    context: Context
+    moves: Moves | None = None
+    """Between the stills, of positions and then of turns; None where only means are known."""
+    rests: Observations | None = None
+    """Stills between whole turns: for the gyroscope alone."""
+    stops: tuple[Stop, ...] = ()
+    """Whole turns about the vertical."""
+    raw_zero: FloatArray | None = None
+    gyroscope_scale: float | None = None
+    """Raw unit per rad/s, nominal."""
+    reasons: tuple[str, ...] = ()
+    """Sentences about the recording that belong to the verdict."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """How the user wants it calibrated."""
+
+    model: ModelChoice = "auto"
+    gauge: Gauge | None = None
+    method: str = LEAST_SQUARES
+    polish: bool = True
+    cross_check: bool = False
+    gyroscope_model: GyroscopeModel = "auto"
+    preset: Parameters | None = None
+    raw_zero: FloatArray | None = None
+    seed: int = 0
+
+
+class MoveListener:
+    """Keeps what the gyroscope fit needs of a stream of samples."""
+
+    def __init__(self) -> None:
+        self._collector: MoveCollector | None = None
+        self._turned_s: list[float] = []
+
+    def feed(self, samples: Samples) -> None:
+        """Take the next samples."""
+        self._collector = self._collector or MoveCollector(samples.units)
+        self._collector.feed(samples)
+
+    def hear(self, events: Iterable[Event]) -> None:
+        """Remember the whole turns about the vertical that the guide saw."""
+        turned = (event for event in events if isinstance(event, Turned) and event.about == VERTICAL)
+        self._turned_s += [(event.start_s + event.end_s) / 2 for event in turned]
+
+    def stops(self, moves: Moves) -> tuple[Stop, ...]:
+        """Return the whole turns about the vertical that are among the moves."""
+        return stops_at(self._turned_s, moves.start_s, moves.end_s)
+
+    def between(self, observations: Observations, rests: Observations | None = None) -> Moves:
+        """Return the moves between the observed stills, and those between whole turns."""
+        observations = observations if rests is None else join_observations(observations, rests)
+        if self._collector is None:
+            return cut_moves(no_slots(), observations.start_s, observations.duration_s)
+        return self._collector.finish(observations.start_s, observations.duration_s)
+
+
+def calibrate(measured: Measured, wishes: Wishes) -> Parameters:
+    """Return the parameters of both triads.
+
+    Raises
+    ------
+    CalibrationError
+        If calibration is impossible from these data, or refused.
+    ParameterFileError
+        If the preset is for another instrument.
+    """
+    if wishes.preset is not None:
+        _check_preset(wishes.preset, measured)
+    preset = None if wishes.preset is None else wishes.preset.calibration.accelerometer
+    calibration = calibrate_accelerometer(
+        measured.observations,
+        measured.gravity,
+        model=wishes.model,
+        gauge=wishes.gauge,
+        preset=preset,
+        raw_zero=measured.raw_zero if wishes.raw_zero is None else wishes.raw_zero,
+        seed=wishes.seed,
+    )
+    rng = np.random.default_rng(wishes.seed)
+    sentences = list(measured.reasons)
+    if wishes.cross_check:
+        sentences.append(cross_check(measured.observations, calibration, rng=rng, preset=preset).sentence)
+    if wishes.method != LEAST_SQUARES:
+        calibration = solve_with(
+            wishes.method,
+            measured.observations,
+            calibration,
+            rng=rng,
+            preset=preset,
+            polish=wishes.polish,
+            seed=wishes.seed,
+        )
+    calibration = _with_gyroscope(calibration, measured, wishes, rng)
+    quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *sentences))
+    calibration = replace(calibration, quality=quality)
+    return from_document(to_document(calibration, measured.observations, measured.context))
+
+
+def _with_gyroscope(calibration: Calibration, measured: Measured, wishes: Wishes, rng: np.random.Generator) -> Calibration:
+    """Join the gyroscope, where the session holds its output."""
+    observations = measured.observations if measured.rests is None else join_observations(measured.observations, measured.rests)
+    there = np.isfinite(observations.gyroscope_mean_raw).all(axis=1)
+    if int(there.sum()) < FEWEST_STILLS:
+        return calibration
+    before = None if wishes.preset is None else wishes.preset.calibration.gyroscope
+    given = GyroscopeInput(
+        observations,
+        cut_moves(no_slots(), observations.start_s, observations.duration_s) if measured.moves is None else measured.moves,
+        calibration,
+        latitude_deg=measured.gravity.latitude_deg,
+        preset=None if before is None else before.parameters,
+        nominal_scale=measured.gyroscope_scale,
+        stops=measured.stops,
+        rests=0 if measured.rests is None else len(measured.rests),
+    )
+    try:
+        return _by_method(calibrate_gyroscope(given, wishes.gyroscope_model), calibration, wishes, rng)
+    except CalibrationError as error:
+        # The accelerometer is known all the same; axes that contradict it were refused before.
+        sentence = f"the gyroscope is not calibrated: {error.message}"
+        quality = calibration.quality
+        if error.reason in _CONTRADICTED:
+            return replace(calibration, quality=quality.lowered("usable", sentence))
+        return replace(calibration, quality=replace(quality, reasons=(*quality.reasons, sentence)))
+
+
+def _by_method(result: GyroscopeResult, calibration: Calibration, wishes: Wishes, rng: np.random.Generator) -> Calibration:
+    """Check the gyroscope by several methods and solve it by the one asked for, then join it."""
+    check = cross_check_gyroscope(result, rng=rng) if wishes.cross_check else None
+    result, solved = solve_gyroscope_with(wishes.method, result, rng=rng, polish=wishes.polish)
+    joined = result.join(calibration)
+    quality = joined.quality
+    if solved is not None and not solved.converged:
+        sentence = f"the method {wishes.method} did not converge on the gyroscope, do not use its parameters: {solved.message}"
+        quality = quality.lowered("poor", sentence)
+    elif solved is not None:
+        quality = replace(quality, reasons=(*quality.reasons, f"gyroscope solved by {wishes.method}: {solved.message}"))
+    if check is not None:
+        quality = replace(quality, reasons=(*quality.reasons, check.sentence))
+    return replace(joined, quality=quality)
+
+
+def _check_preset(preset: Parameters, measured: Measured) -> None:
+    """Refuse the parameters of another instrument, and those in other raw units: their scale would mean something else."""
+    preset.check_instrument(measured.context.instrument.serial_number)
+    units = measured.observations.units
+    preset.check_unit("accelerometer", units.accelerometer_rate_unit)
+    if preset.gyroscope_is_complete and np.isfinite(measured.observations.gyroscope_mean_raw).any():
+        preset.check_unit("gyroscope", units.gyroscope_rate_unit)
+
+
+def one_of(name: str, value: str, choices: tuple[str, ...]) -> Any:
+    """Return the value of an option that has a few names only.
+
+    Raises
+    ------
+    UsageError
+        If it is none of them.
+    """
+    if value not in choices:
+        raise UsageError(f"--{name} {value!r} is unknown; choose one of {', '.join(choices)}")
+    return value

@@ -1,0 +1,358 @@
+"""The way of the data from bytes to observations: the same for a live capture, a replay and a test (CONTRIBUTING.md).
+
+A chain has one decoder per part and one guide (or, for sessions that nobody guided, one finder of still intervals) per
+session. It reads no clock: arrival times come with the bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from imufield.acquire.decode.statistics import DecoderStatistics
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.protocol.protocol import Protocol, parse_protocol
+from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks
+from imufield.acquire.recording.session import Session
+from imufield.calibrate.model.observations import Observations
+from imufield.earth import choose_gravity
+from imufield.errors import ProtocolError, Reason, RecordingError, SettingError
+from imufield.guide.events import Event, LinkLost
+from imufield.guide.lead.guide import Guide
+from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
+from imufield.guide.positions import scheme
+from imufield.guide.stillness.scale import RoughScale
+from imufield.pipeline.damage import require_samples
+from imufield.samples import FloatArray, Samples
+
+MARK = "mark"
+"""Name of a recorded event: what the operator said, to be said again on replay."""
+SCHEME_FILE = "positions.toml"
+"""Copy, in the session's folder, of positions that are not shipped: the session must be solved again without their file."""
+PART_BEGINS = "the session goes on after a pause; everything measured so far is kept"
+PART_GAP_S = 1.0
+"""Least time between the samples of two parts, whatever the clocks of the host say of them."""
+
+SamplesListener = Callable[[Samples], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingPlan:
+    """How a session is read: guided through a scheme, or every still interval for itself (``scheme`` is None)."""
+
+    scheme: str | None
+    guide: GuideSettings = field(default_factory=GuideSettings)
+    raw_zero: tuple[float, ...] | None = None
+    """Mid-scale of the accelerometer, where the protocol does not tell it."""
+
+    @classmethod
+    def of(cls, session: Session) -> ReadingPlan:
+        """Return the plan written in ``session.toml``; positions of the user's own lie beside it."""
+        name = session.metadata.get("scheme") or None
+        raw_zero = session.metadata.get("nominal", {}).get("raw_zero")
+        return cls(
+            str(session.folder / SCHEME_FILE) if name == SCHEME_FILE else name,
+            guide_settings(session.metadata),
+            None if raw_zero is None else tuple(raw_zero),
+        )
+
+
+def guide_settings(metadata: Mapping[str, Any]) -> GuideSettings:
+    """Return the settings of the guide written in ``session.toml``."""
+    table = metadata.get("guide", {})
+
+    def number(key: str) -> float | None:
+        return None if table.get(key) is None else float(table[key])
+
+    site = metadata.get("site", {})
+    gravity = choose_gravity(site.get("gravity_m_s2"), site.get("latitude_deg"), site.get("height_m"))
+    return GuideSettings(
+        hold_s=number("hold_s"),
+        target_bias_ug=number("target_bias_ug"),
+        target_scale_ppm=number("target_scale_ppm"),
+        revisit_first=bool(table.get("revisit_first", False)),
+        rotations=table.get("rotations"),
+        gravity_m_s2=gravity.gravity_m_s2,
+        earlier_scale_raw=number("earlier_scale_raw"),
+        earlier_scale_sigma=number("earlier_scale_sigma") or 0.0,
+    )
+
+
+class Chain:
+    """Bytes in, events out.
+
+    Parameters
+    ----------
+    plan : ReadingPlan
+    listeners : sequence of callable
+        Each is given every block of samples, in order.
+    judging : bool
+        False where only the samples are wanted.
+    """
+
+    def __init__(self, plan: ReadingPlan, listeners: tuple[SamplesListener, ...] = (), *, judging: bool = True) -> None:
+        self.plan = plan
+        self._judging = judging
+        self.guide: Guide | None = None
+        self.finder: StillIntervalFinder | None = None
+        self.protocol: Protocol | None = None
+        self.decoder: Decoder | None = None
+        self.statistics: list[DecoderStatistics] = []
+        """One per part."""
+        self.temperature_degc = (float("nan"), float("nan"))
+        """Lowest and highest so far."""
+        self.notes: list[str] = []
+        """Sentences about how the recording was read."""
+        self._listeners = listeners
+        self._offset_s: float | None = 0.0
+        self._first_s: float | None = None
+        self._last_s: float | None = None
+        self._last_utc_ns = 0
+
+    def start_part(self, protocol: Protocol) -> list[Event]:
+        """Begin a part: clocks, counters and half frames do not carry over.
+
+        Raises
+        ------
+        ProtocolError
+            If its samples have other units than those of the parts before.
+        """
+        if self.protocol is not None and protocol.units != self.protocol.units:
+            raise ProtocolError(
+                f"the parts of this session have different units ({self.protocol.units.accelerometer} and "
+                f"{protocol.units.accelerometer}); import or solve them one by one",
+                Reason.UNITS,
+            )
+        self.protocol = protocol
+        if self._judging and self.guide is None and self.finder is None:
+            self._make_judge(protocol)
+        return [_goes_on(event) for event in self._start_decoder(protocol)]
+
+    def feed_block(self, block: RecordedBlock) -> list[Event]:
+        """Take many recorded reads at once, as if they came one by one."""
+        if self.decoder is None:
+            raise RecordingError("bytes stand before the start of a part; the recording is damaged", Reason.DAMAGED)
+        return self._take(self.decoder.feed_chunks(block.data, block.end, block.monotonic_s), block.utc_ns)
+
+    def feed(self, data: bytes, arrival_s: float, utc_ns: int) -> list[Event]:
+        """Take the bytes of one read and return what the guide has to say."""
+        if self.decoder is None:
+            raise RecordingError("bytes stand before the start of a part; the recording is damaged", Reason.DAMAGED)
+        return self._take(self.decoder.feed(data, arrival_s), utc_ns)
+
+    def _take(self, samples: Samples, utc_ns: int) -> list[Event]:
+        if not len(samples):
+            return []
+        samples = self._on_session_clock(samples, utc_ns)
+        if self._first_s is None:
+            self._first_s = float(samples.time_s[0])
+        self._last_s, self._last_utc_ns = float(samples.time_s[-1]), utc_ns
+        self._note_temperature(samples.temperature_degc)
+        for listener in self._listeners:
+            listener(samples)
+        if self.finder is not None:
+            self.finder.feed(samples)
+        return self.guide.feed(samples) if self.guide is not None else []
+
+    def origin_s(self) -> float:
+        """Return the sample clock at the session's first sample, what a person counts from; 0 before it."""
+        return self._first_s or 0.0
+
+    def mark(self, action: str, time_s: float | None = None, position: str | None = None) -> list[Event]:
+        """Take what the operator says, now or at a time of the sample clock."""
+        if self.guide is None:
+            return []
+        return self.guide.mark(action, self.guide.time_s if time_s is None else time_s, position)
+
+    def link_lost(self) -> list[Event]:
+        """Say that nothing arrives any more; what comes later is read anew."""
+        return [] if self.protocol is None else self._start_decoder(self.protocol)
+
+    def finish(self) -> list[Event]:
+        """Take what the decoder held back; nothing will follow."""
+        events = self._flush_decoder()
+        return events + self.guide.flush() if self.guide is not None else events
+
+    def observations(self) -> Observations:
+        """Return the accepted positions of a guided session."""
+        if self.guide is None:
+            raise ValueError("the session is not guided: ask `still_intervals`")
+        return self.guide.observations()
+
+    def turn_rests(self) -> Observations | None:
+        """Return the stills between the whole turns of a guided session; None where there are none."""
+        rests = None if self.guide is None else self.guide.turn_rests()
+        return rests if rests is not None and len(rests) else None
+
+    def still_intervals(self) -> StillIntervals:
+        """Return what an unguided session holds; nothing can be fed afterwards.
+
+        Raises
+        ------
+        CalibrationError
+            If no stretch is quiet enough.
+        """
+        if self.finder is None:
+            raise ValueError("the session is guided: ask `observations`")
+        return self.finder.finish()
+
+    def raw_zero(self, protocol: Protocol) -> FloatArray:
+        """Return the raw accelerometer output at no input, shape (3,)."""
+        return protocol.nominal.raw_zero if self.plan.raw_zero is None else np.array(self.plan.raw_zero)
+
+    def _start_decoder(self, protocol: Protocol) -> list[Event]:
+        """Begin with fresh clocks, behind what was read before."""
+        events = self._flush_decoder()
+        self.decoder = Decoder(protocol)
+        self.statistics.append(self.decoder.statistics)
+        if self._last_s is None:
+            return events
+        self._offset_s = None
+        return events + self.guide.link_lost() if self.guide is not None else events
+
+    def _flush_decoder(self) -> list[Event]:
+        return [] if self.decoder is None else self._take(self.decoder.flush(), self._last_utc_ns)
+
+    def _make_judge(self, protocol: Protocol) -> None:
+        nominal = protocol.nominal
+        scale = RoughScale(nominal.accelerometer_scale, nominal.gyroscope_scale, self.raw_zero(protocol))
+        if self.plan.scheme is None:
+            self.finder = StillIntervalFinder(protocol.units, scale)
+            return
+        self.guide = Guide(scheme(self.plan.scheme), protocol.units, scale=scale, settings=self.plan.guide)
+
+    def _on_session_clock(self, samples: Samples, utc_ns: int) -> Samples:
+        """Shift the samples of a later part behind those of the parts before, as far as the host's clock says."""
+        if not len(samples):
+            return samples
+        if self._offset_s is None and self._last_s is not None:
+            pause_s = max((utc_ns - self._last_utc_ns) / 1e9, PART_GAP_S)
+            # What was held back may reach further back than the pause, by clocks of the host that were set meanwhile.
+            ends_s, begins_s = self._last_s + pause_s - samples.time_s[-1], self._last_s + PART_GAP_S - samples.time_s[0]
+            self._offset_s = float(max(ends_s, begins_s))
+        return replace(samples, time_s=samples.time_s + self._offset_s) if self._offset_s else samples
+
+    def _note_temperature(self, temperature_degc: FloatArray) -> None:
+        known = temperature_degc[np.isfinite(temperature_degc)]
+        if len(known):
+            low, high = self.temperature_degc
+            self.temperature_degc = (float(np.fmin(low, known.min())), float(np.fmax(high, known.max())))
+
+
+def _goes_on(event: Event) -> Event:
+    """Return the event of a link that is gone as what it is at the start of a part: the operator may have wanted it."""
+    return replace(event, words=PART_BEGINS) if isinstance(event, LinkLost) else event
+
+
+def part_metadata(protocol: Protocol, extra: Mapping[str, object]) -> dict[str, object]:
+    """Return what a part must hold to be decoded without the outside."""
+    return {
+        **extra,
+        "protocol": protocol.name,
+        "protocol_text": protocol.text,
+        "protocol_sha256": protocol.sha256,
+        "settings": {name: setting.value for name, setting in protocol.settings.items()},
+    }
+
+
+def recorded_protocol(metadata: Mapping[str, Any], session: Session) -> Protocol:
+    """Return the protocol a part was recorded with; the session's own where the part's start is damaged.
+
+    Raises
+    ------
+    RecordingError
+        If neither holds one.
+    """
+    text = metadata.get("protocol_text") or session.metadata.get("protocol", {}).get("text")
+    if not text:
+        raise RecordingError(f"{session.folder} does not hold the protocol it was recorded with; restore session.toml")
+    recorded = {name: entry["value"] for name, entry in session.metadata.get("settings", {}).items()}
+    try:
+        return parse_protocol(text, metadata.get("settings") or recorded, label=f"protocol of {session.name}")
+    except SettingError as error:
+        # Nobody typed it: it stands in the recording.
+        raise ProtocolError(error.message, error.reason, **error.values) from error
+
+
+def _edited_settings(part: PartStart, session: Session) -> list[str]:
+    """Say which settings in ``session.toml`` are not those the bytes of a part were recorded with, which are used."""
+    recorded = part.metadata.get("settings", {})
+    written = {name: entry["value"] for name, entry in session.metadata.get("settings", {}).items()}
+    return [
+        f"session.toml says {name} = {value}, but {part.path.name} was recorded with {recorded[name]}, which is used: what is "
+        "edited there changes nothing"
+        for name, value in written.items()
+        if name in recorded and recorded[name] != value
+    ]
+
+
+def replay_into(
+    chain: Chain,
+    session: Session,
+    damage: list[Damage],
+    listener: Callable[[list[Event]], None] | None = None,
+    *,
+    ended: bool = True,
+) -> None:
+    """Run a recorded session through a chain, with the operator's marks at their places.
+
+    Parameters
+    ----------
+    chain : Chain
+    session : Session
+    damage : list of Damage
+        Receives what could not be read.
+    listener : callable, optional
+        Given the events of each step.
+    ended : bool
+        Nothing will follow; False where a capture goes on.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read, or has ended without a sample.
+    """
+    for item in read_blocks(session, damage):
+        if isinstance(item, PartStart):
+            events = chain.start_part(recorded_protocol(item.metadata, session))
+            chain.notes += _edited_settings(item, session)
+        elif isinstance(item, RecordedEvent):
+            events = _say_again(chain, item.event)
+        else:
+            events = chain.feed_block(item)
+        if events and listener is not None:
+            listener(events)
+    last = chain.finish() if ended else []
+    if last and listener is not None:
+        listener(last)
+    if ended:
+        require_samples(session, chain.statistics, damage)
+
+
+def session_samples(session: Session, damage: list[Damage]) -> Iterator[Samples]:
+    """Decode a session, block by block, on one sample clock; raises as ``replay_into``."""
+    blocks: list[Samples] = []
+    chain = Chain(ReadingPlan(None), listeners=(blocks.append,), judging=False)
+    for item in read_blocks(session, damage):
+        if isinstance(item, PartStart):
+            chain.start_part(recorded_protocol(item.metadata, session))
+        elif isinstance(item, RecordedEvent):
+            _say_again(chain, item.event)
+        else:
+            chain.feed_block(item)
+        yield from blocks
+        blocks.clear()
+    chain.finish()
+    yield from blocks
+    require_samples(session, chain.statistics, damage)
+
+
+def _say_again(chain: Chain, event: Mapping[str, Any]) -> list[Event]:
+    kind = event.get("event")
+    if kind == MARK:
+        return chain.mark(str(event.get("action")), event.get("time_s"), event.get("position"))
+    return chain.link_lost() if kind == "link_lost" else []

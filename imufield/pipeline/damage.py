@@ -1,0 +1,82 @@
+"""What a damaged or empty recording means for the command that reads it: the error, and the sentence that names the damage."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from imufield.acquire.decode.statistics import DecoderStatistics
+from imufield.acquire.recording.reader import Damage
+from imufield.acquire.recording.session import Session
+from imufield.errors import CalibrationError, Reason, RecordingError
+
+NAMED = 2
+"""Of a recording with many holes one sentence names so many."""
+_BY_LOSS = (Reason.TOO_FEW, Reason.UNOBSERVABLE)
+"""What a recording with all its bytes might have been enough for."""
+
+
+def require_samples(session: Session, statistics: Sequence[DecoderStatistics], damage: Sequence[Damage]) -> None:
+    """Refuse a session that was read to its end without a single sample.
+
+    Raises
+    ------
+    RecordingError
+        Naming its files, what is wrong with them and what is lost.
+    """
+    if any(part.samples for part in statistics):
+        return
+    total = sum(part.bytes_total for part in statistics)
+    if not session.parts:
+        why = "its recording, part-001.mcap, is gone; put it back, or record or import again"
+    elif total:
+        bad = sum(part.frames_bad_checksum for part in statistics)
+        why = (
+            f"its {total} bytes are not of the protocol they were recorded with ({bad} frames have a bad checksum)"
+            f"{damage_clause(damage)}; record again with the driver of this instrument"
+        )
+    else:
+        names = ", ".join(path.name for path in session.parts)
+        why = f"all of {names} is lost{damage_clause(damage)}; put a copy in its place, or record or import again"
+    raise RecordingError(
+        f"{session.folder} holds no sample: {why}",
+        Reason.BAD_DATA if total and not damage else Reason.DAMAGED,
+        folder=str(session.folder),
+        bytes=total,
+    )
+
+
+def damage_clause(damage: Sequence[Damage]) -> str:
+    """Return ", FILE is cut off ..., ..." to be put into a sentence; empty without damage."""
+    named = [one.what.rstrip(".") for one in damage[:NAMED]]
+    if len(damage) > NAMED:
+        named.append(f"and {len(damage) - NAMED} more like these")
+    return "".join(f", {one}" for one in named)
+
+
+@contextmanager
+def naming_damage(session: Session, damage: Sequence[Damage]) -> Iterator[None]:
+    """Let no calibration fail without a word of the damage of its recording.
+
+    Raises
+    ------
+    RecordingError
+        Instead of a CalibrationError where bytes are missing that may be what it lacks.
+    CalibrationError
+        Otherwise: the same with the damage named.
+    """
+    try:
+        yield
+    except CalibrationError as error:
+        if not damage:
+            raise
+        clause = damage_clause(damage).removeprefix(", ")
+        if error.reason in _BY_LOSS and any(_is_loss(one, session) for one in damage):
+            message = f"{session.folder} is damaged, {clause}, and what is left is not enough: {error.message}"
+            raise RecordingError(message, Reason.DAMAGED, **error.values) from error
+        raise CalibrationError(f"{error.message} (and {clause})", error.reason, **error.values) from error
+
+
+def _is_loss(damage: Damage, session: Session) -> bool:
+    """Tell whether bytes went after they were recorded: a torn end is also what a program leaves that is killed."""
+    return not damage.torn_end or (session.finished and damage.path == session.parts[-1])

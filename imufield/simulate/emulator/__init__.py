@@ -1,0 +1,1 @@
+"""Virtual instruments on a pseudo-terminal or a CAN bus, with faults."""

@@ -1,0 +1,210 @@
+"""A virtual instrument on a CAN bus: real frames, real rate times ``speed``, with faults on request.
+
+::
+
+    with CanEmulator(load_protocol("j1939_imu"), source, "udp_multicast:239.0.0.1") as emulator:
+        opened = open_can(emulator.bus, driver="aceinna_can")
+
+``virtual:NAME`` stays inside one process. Between processes take ``udp_multicast:GROUP``, or ``slcan``: the emulator then plays
+an adapter on a pseudo-terminal, and ``emulator.bus`` names it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol as Interface
+
+import can
+import numpy as np
+
+from imufield.acquire.link.can import make_message, open_bus, parse_bus
+from imufield.acquire.protocol.can_frames import EXTENDED, Frame
+from imufield.acquire.protocol.protocol import Protocol
+from imufield.samples import Samples, Status
+from imufield.simulate.emulator.core import LINGER_S, EmulatorCore, EmulatorSettings, SampleSource
+from imufield.simulate.emulator.faults import CanFaultInjector, CanFaults, error_burst
+from imufield.simulate.emulator.port import PseudoTerminal
+from imufield.simulate.emulator.slcan import SlcanDevice
+from imufield.simulate.wire.can_encode import CanEncoder
+
+SLCAN = "slcan"
+_REQUEST_PF = 0xEA
+_VERSION = {"VersionMajor": 19, "VersionMinor": 1, "VersionPatch": 51, "VersionStage": 0, "VersionBuild": 3}
+
+
+class _Port(Interface):
+    """What frames are handed to."""
+
+    bus: str
+
+    def send(self, frames: list[Frame]) -> None: ...
+
+    def receive(self) -> list[Frame]: ...
+
+    def has_reader(self) -> bool: ...
+
+    def close(self) -> None: ...
+
+
+class _BusPort:
+    """A bus of python-can."""
+
+    def __init__(self, bus: str) -> None:
+        self.bus = bus
+        self._bus = open_bus(parse_bus(bus))
+
+    def send(self, frames: list[Frame]) -> None:
+        for frame in frames:
+            message = make_message(frame.can_id, frame.data, frame.flags)
+            message.timestamp = frame.time_s
+            # Nobody may be there to take it.
+            with contextlib.suppress(can.CanError):
+                self._bus.send(message)
+
+    def receive(self) -> list[Frame]:
+        frames = []
+        while (message := self._bus.recv(0)) is not None:
+            extended = EXTENDED if message.is_extended_id else 0
+            frames.append(Frame(message.arbitration_id | extended, bytes(message.data)))
+        return frames
+
+    def has_reader(self) -> bool:
+        return True
+
+    def close(self) -> None:
+        self._bus.shutdown()
+
+
+class _SlcanPort:
+    """An adapter on a pseudo-terminal."""
+
+    def __init__(self, link: Path | None) -> None:
+        self._device = SlcanDevice(PseudoTerminal(link))
+        self.bus = f"{SLCAN}:{self._device.port.port}"
+
+    def send(self, frames: list[Frame]) -> None:
+        self._device.send(frames)
+
+    def receive(self) -> list[Frame]:
+        return self._device.receive()
+
+    def has_reader(self) -> bool:
+        self._device.receive()
+        return self._device.is_open
+
+    def close(self) -> None:
+        self._device.close()
+
+
+class CanEmulator(EmulatorCore):
+    """An instrument on a bus, run by a thread from ``start`` (or ``with``) to ``stop``.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        Of kind "can".
+    source : SampleSource
+        Gives the samples, in the units of the protocol.
+    bus : str
+        ``INTERFACE:CHANNEL``, or ``slcan`` for an adapter on a pseudo-terminal.
+    settings : EmulatorSettings, optional
+    faults : CanFaults, optional
+    seed : int
+        Of the faults.
+    on_progress : callable, optional
+        Called by the thread after each slice that sent samples.
+
+    Raises
+    ------
+    UsageError
+        If the speed or the bus makes no sense.
+    LinkError
+        If the bus cannot be opened.
+    """
+
+    def __init__(
+        self,
+        protocol: Protocol,
+        source: SampleSource,
+        bus: str,
+        settings: EmulatorSettings | None = None,
+        *,
+        faults: CanFaults | None = None,
+        seed: int = 0,
+        on_progress: Callable[[], None] | None = None,
+    ) -> None:
+        self.injector = CanFaultInjector(faults or CanFaults(), seed)
+        super().__init__(source, settings, self.injector, 0.0, on_progress)
+        self.encoder = CanEncoder(protocol)
+        self.frames_sent = 0
+        self._messages = {
+            message.can_id >> 8 & 0x3FFFF: message.name for message in (protocol.can.messages if protocol.can else ())
+        }
+        self._port: _Port = _SlcanPort(self.settings.link) if bus == SLCAN else _BusPort(bus)
+        self._start_wall_s = 0.0
+        self._held_back: list[Frame] = []
+
+    @property
+    def address(self) -> str:
+        """What a host opens."""
+        return self._port.bus
+
+    @property
+    def bus(self) -> str:
+        """What a host opens."""
+        return self._port.bus
+
+    def _must_wait(self) -> bool:
+        # An adapter hands out nothing before its channel is open, so it always waits for that.
+        return (self.settings.wait_for_reader or isinstance(self._port, _SlcanPort)) and not self._port.has_reader()
+
+    def _power_on(self) -> None:
+        self._start_wall_s = time.time()
+
+    def _listen(self) -> None:
+        """Answer J1939 requests for the messages this instrument has."""
+        for frame in self._port.receive():
+            if frame.can_id & EXTENDED and frame.can_id >> 16 & 0xFF == _REQUEST_PF and len(frame.data) >= 3:
+                name = self._messages.get(int.from_bytes(frame.data[:3], "little"))
+                if name is not None:
+                    self._port.send([self.encoder.frame(name, _VERSION if name == "SoftwareVersion" else {})])
+
+    def _put(self, samples: Samples, duration_s: float, *, stalled: bool) -> None:
+        self.encoder.counter_offset += self.injector.counter_jump(duration_s)
+        unavailable = self.injector.unavailable(len(samples))
+        if unavailable.any():
+            invalid = np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID)
+            samples = replace(samples, status=np.where(unavailable, samples.status | invalid, samples.status))
+        frames = [
+            replace(one.frame, time_s=self._start_wall_s + one.frame.time_s / self.settings.speed)
+            for one in self.encoder.encode(samples)
+        ]
+        self.samples_sent += len(samples)
+        if self._is_gone:
+            self.injector.counts["frames_while_off"] += len(frames)
+            return
+        self._held_back += self.injector.damage(frames, self.time_s, duration_s)
+        if not stalled:
+            self._release()
+
+    def _release(self) -> None:
+        self._port.send(self._held_back)
+        self.frames_sent += len(self._held_back)
+        self._held_back = []
+
+    def _go_away(self) -> None:
+        self._port.send(error_burst(self.time_s))
+
+    def _come_back(self) -> None:
+        """Nothing to be done: the next frames are sent."""
+
+    def _linger(self) -> None:
+        self._release()
+        self._stopping.wait(LINGER_S)
+
+    def _close(self) -> None:
+        self._port.close()

@@ -1,0 +1,346 @@
+"""The virtual instrument as the command runs it: options in, a port, the truth in a file for comparison."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+from numpy.typing import ArrayLike
+
+from imufield.acquire.driver import Driver
+from imufield.acquire.protocol.protocol import Protocol, load_protocol
+from imufield.acquire.registry import load_driver
+from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.errors import UsageError
+from imufield.files import write_atomically
+from imufield.simulate.emulator.core import EmulatorCore
+from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
+from imufield.simulate.emulator.serial import Emulator, EmulatorSettings, VirtualImu
+from imufield.simulate.instruments.aceinna import AceinnaInstrument
+from imufield.simulate.instruments.microstrain import MicroStrainInstrument
+from imufield.simulate.instruments.protocol_device import InProtocolUnits, ProtocolDevice
+from imufield.simulate.instruments.scripted import ScriptedInstrument
+from imufield.simulate.instruments.stim300 import Device, Stim300Device, Stim300Identity, TextDevice
+from imufield.simulate.instruments.vectornav import VectorNavInstrument
+from imufield.simulate.instruments.witmotion import WitMotionInstrument
+from imufield.simulate.instruments.xsens import XsensInstrument
+from imufield.simulate.truth.grades import draw_truth, find_grade
+from imufield.simulate.truth.imu import Imu, ImuSettings
+from imufield.simulate.truth.motion import Site
+from imufield.simulate.truth.operator import Operator, OperatorSettings
+from imufield.simulate.wire.encode import ACCELEROMETER_BITS, Stim300Format, TextFormat
+from imufield.simulate.wire.wire_forms import DEFAULT_RATE_HZ, WireForm, choose_form
+from imufield.version import __version__
+
+_STIM300_OUTPUTS = ("accelerometer_output", "gyroscope_output")
+TRUTH_FORMAT = "imufield-truth"
+TRUTH_VERSION = 1
+
+OWN_RATE_HZ = {"stim300": 2000.0, "text": 100.0}
+"""Of instruments with a device class of their own; the others' stands in their protocols."""
+SCRIPTS: Mapping[str, Callable[[float, WireForm], ScriptedInstrument]] = {
+    "aceinna_serial": AceinnaInstrument,
+    "microstrain_mip": MicroStrainInstrument,
+    "vectornav_ascii": VectorNavInstrument,
+    "vectornav_binary": VectorNavInstrument,
+    "witmotion": WitMotionInstrument,
+    "xsens_mtdata2": XsensInstrument,
+}
+"""What instruments answer, by driver; a STIM300 does so by its device class, the others hear nothing."""
+DEFAULT_BUS = "slcan"
+_OWN_FORM = WireForm("", 0.0, {}, ())
+_STIM300_RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Emulation:
+    """What to emulate."""
+
+    device: str = "stim300"
+    """Name of a driver, or path of a protocol file of the user."""
+    rate_hz: float | None = None
+    """None: the usual one of the instrument, 2000 Hz for a STIM300 and 100 Hz for text."""
+    grade: str = "tactical"
+    seed: int = 0
+    directions: ArrayLike = ()
+    """Directions of "up" in the body frame that the operator goes through, shape (m, 3); none: it lies on a table."""
+    operator: OperatorSettings = field(default_factory=OperatorSettings)
+    site: Site = field(default_factory=Site)
+    imu: ImuSettings = field(default_factory=ImuSettings)
+    """The rate in it is not used."""
+    faults: WireFaults = field(default_factory=Faults)
+    run: EmulatorSettings = field(default_factory=EmulatorSettings)
+    stim300: Stim300Format | None = None
+    """None: accelerometer, inclinometer, CR LF and the smallest range that holds the grade's."""
+    text: TextFormat = field(default_factory=TextFormat)
+    truth: Path | None = None
+    """File for the truth, TOML or (by its suffix) JSON."""
+    form: str | None = None
+    """Which of the forms that the protocol lists to send; None: the first that agrees with the settings."""
+    settings: Mapping[str, object] = field(default_factory=dict)
+    """Of the protocol."""
+    bus: str | None = None
+    """Of an instrument on CAN; None: an adapter on a pseudo-terminal."""
+    day: int = 0
+    """Of the same instrument: on each its noise, drift, operator and faults are others."""
+
+
+@dataclass(frozen=True, slots=True)
+class WireChoice:
+    """How an instrument is run on its wire."""
+
+    protocol: Protocol
+    rate_hz: float
+    form: WireForm | None
+    """None on a CAN bus."""
+    baud: int
+    settings: dict[str, object]
+    """What a reader must be told."""
+    driver: type[Driver] | None
+    """None for a protocol file of the user."""
+
+
+def choose_wire(options: Emulation) -> WireChoice:
+    """Return what goes on the wire.
+
+    Raises
+    ------
+    ProtocolError
+        If there is no such driver or protocol, or a setting is not allowed.
+    UsageError
+        If there is no such form.
+    """
+    driver = None if options.device.endswith(".toml") else load_driver(options.device)
+
+    def load(settings: Mapping[str, object]) -> Protocol:
+        return load_protocol(options.device, settings) if driver is None else driver.load_protocol(settings)
+
+    baud = 115200 if driver is None else driver.default_baud
+    base = load({})
+    given = dict(options.settings)
+    if base.can is not None:
+        return WireChoice(load(given), options.rate_hz or DEFAULT_RATE_HZ, None, baud, given, driver)
+    if options.device in OWN_RATE_HZ:
+        return WireChoice(load(given), options.rate_hz or OWN_RATE_HZ[options.device], _OWN_FORM, baud, given, driver)
+    form = choose_form(base, options.form, options.settings)
+    settings: dict[str, object] = {**form.settings, **options.settings}
+    defaults = {name: setting.value for name, setting in base.settings.items()}
+    told_hz = load(settings).clock.rate_hz if "rate_hz" in settings else 0.0
+    rate_hz = options.rate_hz or told_hz or form.rate_hz
+    # A reader measures the rate; increments need it said.
+    if "rate_hz" in defaults and "rate_hz" not in settings:
+        settings["rate_hz"] = rate_hz
+    protocol = load(settings)
+    by_increment = protocol.units.accelerometer_is_increment or protocol.units.gyroscope_is_increment
+    # A counter of lines tells the time by the rate alone.
+    counts_by_rate = protocol.lines is not None and "counter" in protocol.lines.columns
+    told = {
+        name: value
+        for name, value in settings.items()
+        if str(defaults.get(name)) != str(value) and (name != "rate_hz" or by_increment or counts_by_rate)
+    }
+    return WireChoice(protocol, rate_hz, form, baud, told, driver)
+
+
+def make_virtual_imu(options: Emulation, rate_hz: float | None = None) -> VirtualImu:
+    """Return the instrument of the seed and its operator of the day; ``rate_hz`` is the wire's where options have none."""
+    grade = find_grade(options.grade)
+    instrument = draw_truth(grade, np.random.default_rng([options.seed, 401]))
+    rate_hz = options.rate_hz or rate_hz or OWN_RATE_HZ[options.device]
+    seed = session_seed(options)
+    operator = Operator(options.directions, seed, options.operator, options.site)
+    return VirtualImu(Imu(instrument, seed, replace(options.imu, rate_hz=rate_hz)), operator)
+
+
+def session_seed(options: Emulation) -> int:
+    """Return the seed of what is another on each day."""
+    if options.day == 0:
+        return options.seed
+    return int(np.random.SeedSequence([options.seed, 402, options.day]).generate_state(1, np.uint64)[0])
+
+
+def make_emulator(options: Emulation) -> EmulatorCore:
+    """Return the emulator, not yet started: a ``CanEmulator`` for an instrument on a bus, else an ``Emulator``.
+
+    Raises
+    ------
+    UsageError
+        If a value of the options makes no sense.
+    ProtocolError
+        If there is no such driver or protocol.
+    """
+    wire = choose_wire(options)
+    source = make_virtual_imu(options, wire.rate_hz)
+    grade = source.imu.instrument.grade
+    if options.device in OWN_RATE_HZ:
+        return _on_port(options, make_device(options, wire), source, source)
+    converted = InProtocolUnits(source, (grade.accelerometer_scale, grade.gyroscope_scale), wire.protocol, wire.rate_hz)
+    if wire.form is None:
+        return _on_bus(options, wire.protocol, converted, source)
+    return _on_port(options, make_device(options, wire), converted, source)
+
+
+def _on_port(options: Emulation, device: Device, source: Any, virtual: VirtualImu) -> Emulator:
+    if options.bus is not None:
+        raise UsageError(f"{options.device} is no instrument of a CAN bus; leave --bus out", bus=options.bus)
+    if not isinstance(options.faults, Faults):
+        raise UsageError(f"{options.device} has a serial line, which cannot lose or double CAN frames")
+    progress = _TruthKeeper(options, virtual) if options.truth is not None else None
+    return Emulator(device, source, options.run, faults=options.faults, seed=session_seed(options), on_progress=progress)
+
+
+def _on_bus(options: Emulation, protocol: Protocol, source: InProtocolUnits, virtual: VirtualImu) -> EmulatorCore:
+    from imufield.simulate.emulator.can import CanEmulator
+
+    # The default of the options is no fault at all, on whatever wire.
+    faults = CanFaults() if options.faults == Faults() else options.faults
+    if not isinstance(faults, CanFaults):
+        raise UsageError(f"{options.device} is on a CAN bus, which lets no damaged bytes through; choose faults of frames")
+    progress = _TruthKeeper(options, virtual) if options.truth is not None else None
+    bus = options.bus or DEFAULT_BUS
+    return CanEmulator(protocol, source, bus, options.run, faults=faults, seed=session_seed(options), on_progress=progress)
+
+
+def emulate(options: Emulation, on_start: Callable[[EmulatorCore], None] | None = None) -> EmulatorCore:
+    """Run a virtual instrument until its time is over; Ctrl-C ends it too and is passed on.
+
+    Parameters
+    ----------
+    options : Emulation
+    on_start : callable, optional
+        Called with the running emulator, which knows its address.
+
+    Returns
+    -------
+    EmulatorCore
+        The stopped one, for its counts.
+    """
+    with make_emulator(options) as emulator:
+        if on_start is not None:
+            on_start(emulator)
+        # A wait without limit would not let Ctrl-C through on every system.
+        while not emulator.wait(0.5):
+            pass
+    if emulator.failure is not None:
+        raise emulator.failure
+    return emulator
+
+
+def truth_document(options: Emulation, source: VirtualImu) -> dict[str, Any]:
+    """Return the truth as plain values; times are on the sample clock, which is 0 at the first sample.
+
+    ``mean_drift`` is what the slow drift added to the bias on average so far; a calibration sees the sum.
+    """
+    instrument, settings = source.imu.instrument, source.imu.settings
+    drift = source.imu.mean_drift.tolist()
+    return {
+        "format": TRUTH_FORMAT,
+        "version": TRUTH_VERSION,
+        "software": f"imufield {__version__}",
+        "device": options.device,
+        "grade": options.grade,
+        "seed": options.seed,
+        "day": options.day,
+        "rate_hz": settings.rate_hz,
+        "true_rate_hz": 1 / source.interval_s,
+        "clock_error_ppm": instrument.clock_error_ppm,
+        "triad_delay_s": instrument.triad_delay_s,
+        "site": asdict(options.site),
+        "accelerometer": {
+            "raw_unit": instrument.grade.units.accelerometer,
+            **_plain(instrument.accelerometer),
+            "mean_drift_m_s2": drift[:3],
+        },
+        "gyroscope": {
+            "raw_unit": instrument.grade.units.gyroscope,
+            **_plain(instrument.gyroscope),
+            "mean_drift_rad_s": drift[3:],
+        },
+        "still": [_timed(still, source.imu) for still in source.operator.stills],
+        "move": [_timed(move, source.imu) for move in source.operator.moves],
+    }
+
+
+def write_truth(options: Emulation, source: VirtualImu) -> None:
+    """Write the truth known so far to ``options.truth``."""
+    if options.truth is None:
+        return
+    document = truth_document(options, source)
+    text = json.dumps(document, indent=1) if options.truth.suffix == ".json" else tomli_w.dumps(document)
+    write_atomically(options.truth, text.encode())
+
+
+class _TruthKeeper:
+    """Writes the truth at the start and whenever the operator has planned further."""
+
+    def __init__(self, options: Emulation, source: VirtualImu) -> None:
+        self._options, self._source = options, source
+        self._written: tuple[object, ...] = ()
+
+    def __call__(self) -> None:
+        stills = self._source.operator.stills
+        known = (len(stills), stills[-1].end_s)
+        if known != self._written:
+            self._written = known
+            write_truth(self._options, self._source)
+
+
+def make_device(options: Emulation, wire: WireChoice) -> Device:
+    """Return the instrument on a serial line, without port or samples.
+
+    Raises
+    ------
+    UsageError
+        If it has not the rate, or a setting is not emulated.
+    """
+    if options.device not in OWN_RATE_HZ:
+        form = wire.form or _OWN_FORM
+        script = SCRIPTS.get(options.device)
+        answering = None if script is None else script(wire.rate_hz, form)
+        return ProtocolDevice(wire.protocol, form, wire.rate_hz, wire.baud, answering)
+    chosen: dict[str, Any] = {name: wire.protocol.settings[name].value for name in options.settings}
+    if options.device == "text":
+        if "columns" in chosen:
+            chosen["columns"] = tuple(name.strip() for name in str(chosen["columns"]).split(","))
+        return TextDevice(_apply(options.text, chosen, options.device, ("columns", "prefix")))
+    if wire.rate_hz not in _STIM300_RATES_HZ:
+        raise UsageError(
+            f"sample rate {wire.rate_hz:g} Hz is not one of a STIM300's; choose 125, 250, 500, 1000 or 2000 Hz",
+            rate_hz=wire.rate_hz,
+        )
+    if options.stim300 is not None:
+        return Stim300Device(replace(options.stim300, rate_hz=wire.rate_hz), Stim300Identity.of_seed(options.seed))
+    range_g = find_grade(options.grade).accelerometer.range_si / STANDARD_GRAVITY_M_S2
+    fitting = [held for held in ACCELEROMETER_BITS if held >= round(range_g, 6)]
+    own = Stim300Format(rate_hz=wire.rate_hz, accelerometer_range_g=min(fitting))
+    own = _apply(own, chosen, options.device, ("accelerometer_range_g", *_STIM300_OUTPUTS))
+    return Stim300Device(own, Stim300Identity.of_seed(options.seed))
+
+
+def _apply(own: Any, chosen: Mapping[str, object], device: str, allowed: tuple[str, ...]) -> Any:
+    """Return the format of a device with the settings chosen."""
+    wrong = next((name for name in chosen if name not in allowed), None)
+    if wrong is not None:
+        raise UsageError(f"--set {wrong} is not emulated for {device}; choose among {', '.join(allowed)}", setting=wrong)
+    return replace(own, **chosen)
+
+
+def _plain(record: Any) -> dict[str, Any]:
+    values = asdict(record)
+    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
+
+
+def _timed(record: Any, imu: Imu) -> dict[str, Any]:
+    """Return an interval with its times on the sample clock; ``end_s`` is left out while it is not known."""
+    values = _plain(record)
+    values["start_s"] = imu.to_sample_clock(record.start_s)
+    values["end_s"] = imu.to_sample_clock(record.end_s)
+    if math.isinf(record.end_s):
+        del values["end_s"]
+    return values

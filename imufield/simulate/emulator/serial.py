@@ -1,0 +1,139 @@
+"""A virtual instrument on a pseudo-terminal: real protocol, real rate times ``speed``.
+
+::
+
+    with Emulator(Stim300Device(), source) as emulator:
+        port = serial.Serial(emulator.port)
+
+What does not fit into the buffer of the system is dropped and counted, as a UART does.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from imufield.samples import Samples
+from imufield.simulate.emulator.core import (
+    LINGER_S,
+    MAXIMUM_SPEED,
+    SLICE_S,
+    EmulatorCore,
+    EmulatorSettings,
+    SampleSource,
+    VirtualImu,
+)
+from imufield.simulate.emulator.faults import FaultInjector, Faults
+from imufield.simulate.emulator.port import PseudoTerminal
+from imufield.simulate.instruments.stim300 import Device
+
+__all__ = ["LINGER_S", "MAXIMUM_SPEED", "Emulator", "EmulatorSettings", "SampleSource", "VirtualImu"]
+
+
+class Emulator(EmulatorCore):
+    """An instrument on a pseudo-terminal, run by a thread from ``start`` (or ``with``) to ``stop``.
+
+    Parameters
+    ----------
+    device : Device
+        Speaks the protocol.
+    source : SampleSource
+        Gives the samples.
+    settings : EmulatorSettings, optional
+    faults : Faults, optional
+    seed : int
+        Of the faults.
+    on_progress : callable, optional
+        Called by the thread after each slice that sent samples.
+
+    Raises
+    ------
+    UsageError
+        If the speed makes no sense.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        source: SampleSource,
+        settings: EmulatorSettings | None = None,
+        *,
+        faults: Faults | None = None,
+        seed: int = 0,
+        on_progress: Callable[[], None] | None = None,
+    ) -> None:
+        self.injector = FaultInjector(faults or Faults(), seed)
+        super().__init__(source, settings, self.injector, device.start_up_s, on_progress)
+        self.device = device
+        self._rate_hz = device.rate_hz
+        self._pty = PseudoTerminal(self.settings.link)
+        self._answers = b""
+        self._held_back = b""
+
+    @property
+    def address(self) -> str:
+        """What a host opens."""
+        return self._pty.port
+
+    @property
+    def port(self) -> str:
+        """What a host opens."""
+        return self._pty.port
+
+    @property
+    def bytes_dropped(self) -> int:
+        """Bytes that nobody took in time."""
+        return self._pty.bytes_dropped
+
+    def _must_wait(self) -> bool:
+        return self.settings.wait_for_reader and not self._pty.has_reader()
+
+    def _power_on(self) -> None:
+        self._answers = self.device.power_on()
+
+    def _listen(self) -> None:
+        answer = self.device.hear(self._pty.read())
+        self._answers += answer.data
+        if answer.resets:
+            self._boot_sample = self._samples_made
+            self._answers += self.device.power_on()
+        if self.device.rate_hz not in (None, self._rate_hz):
+            self._rate_hz = self.device.rate_hz
+            self._set_rate(self._rate_hz)
+        if self._answers and not self.device.answers_replace_samples:
+            self._send(b"", stalled=self.time_s < self._stalled_until_s)
+
+    def _put(self, samples: Samples, duration_s: float, *, stalled: bool) -> None:
+        self.device.jump_counter(self.injector.counter_jump(duration_s))
+        # Only what takes the place of a sample is still waiting here; that may be the only one that is due.
+        samples = samples[1:] if self._answers and self.samples_sent else samples
+        data = b""
+        if self.device.streaming and len(samples):
+            frames = self.device.encode(samples)
+            data = self.injector.damage(frames.data, frames.checksum_at, duration_s)
+            self.samples_sent += len(samples)
+        self._send(data, stalled=stalled)
+
+    def _send(self, data: bytes, *, stalled: bool) -> None:
+        """Send the answers there are and samples behind them."""
+        self._held_back += self._answers + data
+        self._answers = b""
+        if not stalled:
+            self._pty.write(self._held_back)
+            self._held_back = b""
+
+    def _go_away(self) -> None:
+        self._pty.close()
+
+    def _come_back(self) -> None:
+        self._pty.open()
+
+    def _linger(self) -> None:
+        self._pty.write(self._held_back)
+        self._held_back = b""
+        end_s = time.monotonic() + LINGER_S
+        while self._pty.has_reader() and time.monotonic() < end_s and not self._stopping.wait(SLICE_S):
+            self._pty.write(b"")
+
+    def _close(self) -> None:
+        self._pty.close()

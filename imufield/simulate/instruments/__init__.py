@@ -1,0 +1,1 @@
+"""How real instruments answer: one scripted behaviour for each family."""

@@ -1,0 +1,106 @@
+"""A MicroStrain sensor: idle and resume, device information, message format by base rate and decimation (DCP manual)."""
+
+from __future__ import annotations
+
+from imufield.simulate.instruments.scripted import ScriptedInstrument
+from imufield.simulate.wire.wire_forms import WireForm
+
+_UNKNOWN_COMMAND, _BAD_VALUE = 0x01, 0x03
+_SAVE = 3
+_APPLY, _READ = 1, 2
+_GPS_TIME = 0x12
+
+
+class MicroStrainInstrument(ScriptedInstrument):
+    """A GX5 where the form has a GPS time (commands 0x06 and 0x08), else a CV7 (0x0E and 0x0F); the other's are refused."""
+
+    def __init__(self, rate_hz: float, form: WireForm) -> None:
+        super().__init__(rate_hz)
+        sent = form.frames[0].fields
+        self.legacy = _GPS_TIME in sent
+        self.base_hz = 1000 if self.legacy else 500
+        decimation = max(round(self.base_hz / rate_hz), 1)
+        self.format = [(one, decimation) for one in sent]
+        """Descriptor and decimation of each field."""
+
+    def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
+        begin = heard.find(b"\x75\x65")
+        if begin < 0 or len(heard) < begin + 6 or len(heard) < begin + 6 + heard[begin + 3]:
+            return None, heard
+        end = begin + 6 + heard[begin + 3]
+        frame = heard[begin:end]
+        good = mip_packet(frame[2], frame[4:-2]) == frame
+        return (frame, heard[end:]) if good else (b"", heard[begin + 2 :])
+
+    def _answer(self, command: bytes) -> bytes:
+        fields, answers = command[4:-2], b""
+        # A field counts itself, so anything below 2 is none.
+        while len(fields) >= 2 and 2 <= fields[0] <= len(fields):
+            answers += self._carry_out(command[2], fields[1], fields[2 : fields[0]])
+            fields = fields[fields[0] :]
+        return mip_packet(command[2], answers) if answers else b""
+
+    def _carry_out(self, descriptor_set: int, number: int, data: bytes) -> bytes:
+        base = {0x01: b"", 0x02: b"", 0x03: self._information(), 0x06: b""}
+        if descriptor_set == 0x01 and number in base:
+            self.streaming = {0x02: False, 0x06: True}.get(number, self.streaming)
+            return _acknowledgement(number, 0) + base[number]
+        if descriptor_set == 0x0C and data[:1] == bytes([_SAVE]):
+            self.memory_writes.append(bytes([number]) + data)
+            return _acknowledgement(number, 0)
+        if descriptor_set == 0x0C and number in ((0x06, 0x08) if self.legacy else (0x0E, 0x0F)):
+            return self._settings(number, data)
+        return _acknowledgement(number, _UNKNOWN_COMMAND)
+
+    def _settings(self, number: int, data: bytes) -> bytes:
+        data_set = b"" if self.legacy else b"\x80"
+        if number in (0x06, 0x0E):
+            return _acknowledgement(number, 0) + mip_field(
+                number + 0x7D if self.legacy else 0x8E, data_set + _u16(self.base_hz)
+            )
+        if data[:1] == bytes([_APPLY]):
+            return _acknowledgement(number, 0 if self._apply(data[1 + len(data_set) :]) else _BAD_VALUE)
+        if data[:1] != bytes([_READ]):
+            return _acknowledgement(number, _BAD_VALUE)
+        listed = b"".join(bytes([one]) + _u16(decimation) for one, decimation in self.format)
+        return _acknowledgement(number, 0) + mip_field(
+            0x80 if self.legacy else 0x8F, data_set + bytes([len(self.format)]) + listed
+        )
+
+    def _apply(self, held: bytes) -> bool:
+        """Take a message format: the fields that are sent, at one decimation; return whether it is one."""
+        fields = [(held[at], int.from_bytes(held[at + 1 : at + 3], "big")) for at in range(1, len(held) - 2, 3)]
+        good = len(held) == 1 + 3 * len(fields) and held[0] == len(fields) and all(decimation for _, decimation in fields)
+        # It sends one kind of packet: other fields, or fields at rates of their own, are not emulated.
+        good = good and [one for one, _ in fields] == [one for one, _ in self.format] and len({rate for _, rate in fields}) == 1
+        if good:
+            self.format = fields
+            self.rate_hz = self.base_hz / fields[0][1]
+        return good
+
+    def _information(self) -> bytes:
+        names = ("3DM-GX5-25" if self.legacy else "3DM-CV7-AHRS", "6251-4220", "6251.123456", "I042Y", "5g, 300d/s")
+        return mip_field(0x81, _u16(1134) + b"".join(name.rjust(16).encode() for name in names))
+
+
+def mip_packet(descriptor_set: int, fields: bytes) -> bytes:
+    """Return a packet with its two running sums."""
+    data = bytes([0x75, 0x65, descriptor_set, len(fields)]) + fields
+    first = second = 0
+    for byte in data:
+        first = (first + byte) % 256
+        second = (second + first) % 256
+    return data + bytes([first, second])
+
+
+def mip_field(number: int, data: bytes) -> bytes:
+    """Return a field with its length and descriptor."""
+    return bytes([len(data) + 2, number]) + data
+
+
+def _acknowledgement(number: int, error: int) -> bytes:
+    return mip_field(0xF1, bytes([number, error]))
+
+
+def _u16(value: int) -> bytes:
+    return value.to_bytes(2, "big")

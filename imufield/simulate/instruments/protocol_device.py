@@ -1,0 +1,173 @@
+"""Any instrument whose protocol is a file: it sends one of the forms the file lists, and answers by its script."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from imufield.acquire.protocol.protocol import Protocol
+from imufield.earth import STANDARD_GRAVITY_M_S2
+from imufield.samples import FloatArray, Samples, SampleUnits
+from imufield.simulate.emulator.core import SampleSource
+from imufield.simulate.instruments.scripted import NoCommands, ScriptedInstrument
+from imufield.simulate.instruments.stim300 import Answer, Frames
+from imufield.simulate.wire.frame_encode import FrameEncoder, WireClock
+from imufield.simulate.wire.sentence_encode import LINE_END, LineEncoder, SentenceEncoder
+from imufield.simulate.wire.wire_forms import WireForm
+
+COUNTS_OF_A_CONVERTER = 32768.0
+"""From the middle of a 16-bit converter to its end."""
+CONVERTER_RANGE_M_S2, CONVERTER_RANGE_RAD_S = 4 * STANDARD_GRAVITY_M_S2, math.radians(500.0)
+"""What the end of the converter stands for where a protocol says neither scale nor range."""
+
+
+class ProtocolDevice:
+    """An instrument that sends samples in the units of its protocol.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        With the settings of the form in place.
+    form : WireForm
+    rate_hz : float
+        Nominal rate of the samples.
+    baud : int
+    script : ScriptedInstrument, optional
+        What it answers; nothing without.
+
+    Raises
+    ------
+    UsageError
+        If the form does not fit the protocol.
+    """
+
+    start_up_s = 0.0
+    answers_replace_samples = False
+
+    def __init__(
+        self,
+        protocol: Protocol,
+        form: WireForm,
+        rate_hz: float,
+        baud: int = 115200,
+        script: ScriptedInstrument | None = None,
+    ) -> None:
+        self.protocol = protocol
+        self.script = script or NoCommands(rate_hz)
+        self.baud = baud
+        self._clock = WireClock(protocol, rate_hz)
+        lines = [frame for frame in form.frames if frame.line]
+        self._sentences: list[SentenceEncoder | LineEncoder] = [
+            SentenceEncoder(protocol, frame, self._clock) for frame in lines
+        ]
+        if protocol.lines is not None and not protocol.lines.sentences:
+            self._sentences = [LineEncoder(protocol, self._clock)]
+        self._frames = [] if self._sentences else [FrameEncoder(protocol, frame, self._clock) for frame in form.frames]
+        self._has_counter = any(one.has_counter for one in self._sentences) or any(one.has_counter for one in self._frames)
+
+    @property
+    def streaming(self) -> bool:
+        """Whether samples are sent."""
+        return self.script.streaming
+
+    @property
+    def rate_hz(self) -> float:
+        """Output rate now."""
+        return self.script.rate_hz
+
+    @property
+    def memory_writes(self) -> list[bytes]:
+        """Commands that would have changed memory that outlives the power."""
+        return self.script.memory_writes
+
+    def encode(self, samples: Samples) -> Frames:
+        """Return the frames of a block, all those of a sample one behind another."""
+        if self._sentences:
+            lines = [line for each in zip(*(one.encode(samples) for one in self._sentences), strict=True) for line in each]
+            ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
+            return Frames(np.frombuffer(b"".join(lines), dtype=np.uint8), ends, ends - len(LINE_END) - 1)
+        rows = np.hstack([encoder.encode(samples) for encoder in self._frames])
+        lengths = np.array([encoder.length for encoder in self._frames])
+        ends = (np.arange(len(rows))[:, np.newaxis] * rows.shape[1] + np.cumsum(lengths)).reshape(-1)
+        last = np.array([encoder.length - encoder.checksum_at for encoder in self._frames])
+        return Frames(rows.reshape(-1), ends, ends - np.tile(last, len(rows)))
+
+    def power_on(self) -> bytes:
+        """Return nothing."""
+        return b""
+
+    def hear(self, data: bytes) -> Answer:
+        """Return what the script answers."""
+        answer = self.script.hear(data)
+        self._clock.rate_hz = self.script.rate_hz
+        return Answer(answer)
+
+    def jump_counter(self, by: int) -> None:
+        """Let the counter jump, or the time stamp where there is none."""
+        self._clock.jump(by, self._has_counter)
+
+
+def _scales(protocol: Protocol, rate_hz: float) -> tuple[float, float]:
+    """Return the raw unit per m/s^2 and per rad/s of what a protocol sends (per m/s and per rad of increments).
+
+    Where a file leaves open what a count is, a converter is assumed: solving finds its scale as that of any other.
+    """
+    nominal, units = protocol.nominal, protocol.units
+    middle = float(np.mean(nominal.raw_zero)) or COUNTS_OF_A_CONVERTER
+    accelerometer = middle / (nominal.accelerometer_range_m_s2 or CONVERTER_RANGE_M_S2)
+    gyroscope = COUNTS_OF_A_CONVERTER / (nominal.gyroscope_range_rad_s or CONVERTER_RANGE_RAD_S)
+    return (
+        nominal.accelerometer_scale or accelerometer * (rate_hz if units.accelerometer_is_increment else 1.0),
+        nominal.gyroscope_scale or gyroscope * (rate_hz if units.gyroscope_is_increment else 1.0),
+    )
+
+
+class InProtocolUnits:
+    """A source whose samples come in the units of a protocol.
+
+    Parameters
+    ----------
+    source : SampleSource
+    scale : tuple of float
+        Raw unit of the source per m/s^2 and per rad/s.
+    protocol : Protocol
+    rate_hz : float
+        Nominal rate, for increments.
+    """
+
+    def __init__(self, source: SampleSource, scale: tuple[float, float], protocol: Protocol, rate_hz: float) -> None:
+        self._source = source
+        self._units: SampleUnits = protocol.units
+        nominal = _scales(protocol, rate_hz)
+        self._per_unit = [wanted / has for wanted, has in zip(nominal, scale, strict=True)]
+        self._rate_hz = rate_hz
+        self._raw_zero = protocol.nominal.raw_zero
+
+    @property
+    def interval_s(self) -> float:
+        """True time between samples."""
+        return self._source.interval_s
+
+    @property
+    def _factors(self) -> list[float]:
+        by_increment = (self._units.accelerometer_is_increment, self._units.gyroscope_is_increment)
+        return [
+            factor / (self._rate_hz if increment else 1.0)
+            for factor, increment in zip(self._per_unit, by_increment, strict=True)
+        ]
+
+    def set_rate(self, rate_hz: float) -> None:
+        """Go on at another nominal rate."""
+        self._source.set_rate(rate_hz)
+        self._rate_hz = rate_hz
+
+    def next_block(self, count: int) -> Samples:
+        """Return the next ``count`` samples, fewer where some are lost."""
+        samples = self._source.next_block(count)
+        to_accelerometer, to_gyroscope = self._factors
+        accelerometer: FloatArray = samples.accelerometer_rate() * to_accelerometer + self._raw_zero
+        return replace(
+            samples, accelerometer=accelerometer, gyroscope=samples.gyroscope_rate() * to_gyroscope, units=self._units
+        )

@@ -1,0 +1,57 @@
+"""An Xsens MTi: configuration and measurement state, requests, MTData2 (MT0101P)."""
+
+from __future__ import annotations
+
+import struct
+
+from imufield.simulate.instruments.scripted import ScriptedInstrument
+from imufield.simulate.wire.wire_forms import WireForm
+
+_ANYWHERE = {0x30, 0x10, 0x40}
+_INVALID_MESSAGE = 0x04
+
+
+class XsensInstrument(ScriptedInstrument):
+    """Answers requests in configuration state alone, as the real one; its output configuration is kept over power-off."""
+
+    def __init__(self, rate_hz: float, form: WireForm) -> None:
+        super().__init__(rate_hz)
+        self.product_code = "MTi-30-2A8G4"
+        self.device_id = 0x0368248C
+        self.firmware = bytes([1, 8, 2]) + bytes(8)
+        self.outputs = b"".join(struct.pack(">HH", one, round(rate_hz)) for one in form.frames[0].fields)
+
+    def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
+        begin = heard.find(b"\xfa\xff")
+        if begin < 0 or len(heard) < begin + 5 + (heard[begin + 3] if len(heard) > begin + 3 else 0):
+            return None, heard
+        end = begin + 5 + heard[begin + 3]
+        frame = heard[begin:end]
+        return (frame, heard[end:]) if sum(frame[1:]) % 256 == 0 else (b"", heard[begin + 1 :])
+
+    def _answer(self, command: bytes) -> bytes:
+        if not command:
+            return b""
+        message, data = command[2], command[4:-1]
+        if self.streaming and message not in _ANYWHERE:
+            return b""
+        if message in (0x30, 0x10):
+            self.streaming = message == 0x10
+            return xbus_message(message + 1, b"")
+        if message in (0xC0, 0x18) and data:
+            self.memory_writes.append(command)
+        answers = {
+            0x00: self.device_id.to_bytes(4, "big"),
+            0x12: self.firmware,
+            0x1C: self.product_code.ljust(20).encode(),
+            0xC0: self.outputs,
+        }
+        if message in answers:
+            return xbus_message(message + 1, answers[message])
+        return xbus_message(0x42, bytes([_INVALID_MESSAGE]))
+
+
+def xbus_message(number: int, data: bytes) -> bytes:
+    """Return a message whose bytes but the first add up to zero."""
+    body = bytes([0xFF, number, len(data)]) + data
+    return b"\xfa" + body + bytes([-sum(body) % 256])

@@ -1,0 +1,202 @@
+"""Pieces of hand motion: turns, rests, holds and shocks, each a closed function of time.
+
+The attitude in a piece is ``q0 exp(turn * s) exp(w)``: ``s`` is the minimum-jerk profile 10 u^3 - 15 u^4 + 6 u^5 of the
+piece's relative time u, and ``w`` is a small rotation vector: hand tremor and sway, a wobble that vanishes at both ends
+with its first two derivatives, and the ring-down of shocks. Linear accelerations of the pivot are analytic too.
+
+References
+----------
+.. [1] T. Flash, N. Hogan, "The coordination of arm movements", J. Neurosci. 5 (1985): minimum jerk.
+.. [2] R. J. Elble, W. C. Koller, "Tremor", 1990: physiological tremor of the hand, 8 to 12 Hz.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.model.rotation import exponential, multiply
+from imufield.guide.stillness.turn_fit import minimum_jerk
+from imufield.samples import FloatArray
+
+RING_DECAYS = 12.0
+"""A ring-down is cut after so many decay times, where 2e-4 of its peak is left."""
+_HAND_FADE = 0.25
+"""Share of a turn in which the hand takes hold of the unit, or lets go."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shock:
+    """Ring-down after a knock: ``amplitude (t/d) exp(1 - t/d) sin(2 pi f t)``."""
+
+    start_s: float
+    acceleration: FloatArray
+    """Local level frame, shape (3,), m/s^2."""
+    rotation_rad: FloatArray
+    """Body frame, shape (3,)."""
+    frequency_hz: float
+    decay_s: float
+
+    @property
+    def end_s(self) -> float:
+        """When it is over."""
+        return self.start_s + RING_DECAYS * self.decay_s
+
+    def shape(self, time_s: FloatArray) -> FloatArray:
+        """Return the unit ring-down, shape (n,)."""
+        since = time_s - self.start_s
+        ratio = np.clip(since / self.decay_s, 0.0, RING_DECAYS)
+        ringing = ratio * np.exp(1 - ratio) * np.sin(2 * math.pi * self.frequency_hz * since)
+        return np.where(ratio < RING_DECAYS, ringing, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Hand:
+    """Tremor and sway of a hand: sums of sines of fixed phase.
+
+    Rows of the arrays are sines, columns the axes x, y, z.
+    """
+
+    rotation_rad: FloatArray
+    """Amplitudes about the body axes, shape (k, 3)."""
+    rotation_hz: FloatArray
+    rotation_phase: FloatArray
+    shift_m: FloatArray
+    """Amplitudes along the local level axes, shape (j, 3)."""
+    shift_hz: FloatArray
+    shift_phase: FloatArray
+
+    def rotation(self, time_s: FloatArray) -> FloatArray:
+        """Return the rotation vector, shape (n, 3), rad."""
+        return _sines(time_s, self.rotation_rad, self.rotation_hz, self.rotation_phase)
+
+    def acceleration(self, time_s: FloatArray) -> FloatArray:
+        """Return the linear acceleration, local level frame, shape (n, 3), m/s^2."""
+        return _sines(time_s, -self.shift_m * (2 * math.pi * self.shift_hz) ** 2, self.shift_hz, self.shift_phase)
+
+
+def draw_hand(
+    rng: np.random.Generator, tremor_rad: float, sway_rad: float, sway_m: float, tremor_band_hz: tuple[float, float]
+) -> Hand:
+    """Draw a hand whose tremor and sway have the given RMS on each axis.
+
+    Sway lies at 0.1 to 2 Hz (rotation) and 0.1 to 1 Hz (shift), amplitudes falling as 1/f.
+    """
+    tremor_hz = _spread(rng, *tremor_band_hz, 6)
+    sway_hz = _spread(rng, 0.1, 2.0, 5)
+    shift_hz = _spread(rng, 0.1, 1.0, 5)
+    rotation = np.concatenate([np.full((6, 3), tremor_rad * math.sqrt(2 / 6)), _falling(sway_hz, sway_rad)])
+    hz = np.concatenate([tremor_hz, sway_hz])
+    phase = rng.uniform(0, 2 * math.pi, (16, 3))
+    return Hand(rotation, hz, phase[:11], _falling(shift_hz, sway_m), shift_hz, phase[11:])
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Motion from ``start_s`` to ``end_s``; ``end_s`` may be infinite while the operator waits."""
+
+    start_s: float
+    end_s: float
+    quaternion_nb: FloatArray
+    """Attitude at the start, without hand motion."""
+    turn_rad: FloatArray
+    """Rotation made in the piece, body frame; zeros for none."""
+    wobble_rad: FloatArray
+    """Amplitude of the wobble in the middle of a turn."""
+    wobble_hz: float = 1.5
+    lift_m: float = 0.0
+    """Height in the middle of the piece above its ends."""
+    travel_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """How far the pivot is carried, local level frame."""
+    hand: Hand | None = None
+    hand_at_start: bool = False
+    hand_at_end: bool = False
+    shocks: tuple[Shock, ...] = ()
+
+    @property
+    def final_quaternion(self) -> FloatArray:
+        """Attitude at the end, without hand motion."""
+        return multiply(self.quaternion_nb, exponential(self.turn_rad))
+
+    @property
+    def is_rest(self) -> bool:
+        """Whether nothing moves at all."""
+        return self.hand is None and not self.shocks and self.lift_m == 0 and not np.any(self.turn_rad)
+
+    def attitude(self, time_s: FloatArray) -> FloatArray:
+        """Return ``quaternion_nb``, shape (n, 4)."""
+        u = self._relative(time_s)
+        planned = multiply(self.quaternion_nb, exponential(minimum_jerk(u)[:, np.newaxis] * self.turn_rad))
+        small = bell(u)[:, np.newaxis] * np.sin(2 * math.pi * self.wobble_hz * (time_s - self.start_s))[:, np.newaxis]
+        rotation = small * self.wobble_rad
+        if self.hand is not None:
+            rotation = rotation + self._grip(u)[:, np.newaxis] * self.hand.rotation(time_s)
+        for shock in self.shocks:
+            rotation = rotation + shock.shape(time_s)[:, np.newaxis] * shock.rotation_rad
+        return multiply(planned, exponential(rotation))
+
+    def acceleration(self, time_s: FloatArray) -> FloatArray:
+        """Return the acceleration of the pivot, local level frame, shape (n, 3), m/s^2."""
+        u = self._relative(time_s)
+        duration = self.end_s - self.start_s
+        acceleration = np.zeros((len(time_s), 3))
+        if math.isfinite(duration):
+            # Height follows the bell 64 u^3 (1-u)^3, travel the minimum-jerk profile; both end at rest.
+            acceleration[:, 2] -= self.lift_m * _bell_curvature(u) / duration**2
+            acceleration += np.outer(_minimum_jerk_curvature(u), self.travel_m) / duration**2
+        if self.hand is not None:
+            acceleration += self._grip(u)[:, np.newaxis] * self.hand.acceleration(time_s)
+        for shock in self.shocks:
+            acceleration += shock.shape(time_s)[:, np.newaxis] * shock.acceleration
+        return acceleration
+
+    def _relative(self, time_s: FloatArray) -> FloatArray:
+        if not math.isfinite(self.end_s):
+            return np.zeros(len(time_s))
+        return (time_s - self.start_s) / (self.end_s - self.start_s)
+
+    def _grip(self, u: FloatArray) -> FloatArray:
+        grip = np.ones(len(u))
+        if not self.hand_at_start:
+            grip *= minimum_jerk(np.clip(u / _HAND_FADE, 0.0, 1.0))
+        if not self.hand_at_end:
+            grip *= minimum_jerk(np.clip((1 - u) / _HAND_FADE, 0.0, 1.0))
+        return grip
+
+
+def bell(u: FloatArray) -> FloatArray:
+    """Return 64 u^3 (1 - u)^3: 0 at both ends with two derivatives, 1 in the middle."""
+    profile: FloatArray = 64 * (u * (1 - u)) ** 3
+    return profile
+
+
+def _minimum_jerk_curvature(u: FloatArray) -> FloatArray:
+    curvature: FloatArray = 60 * u * (1 + u * (2 * u - 3))
+    return curvature
+
+
+def _bell_curvature(u: FloatArray) -> FloatArray:
+    product = u * (1 - u)
+    curvature: FloatArray = 64 * product * (6 * (1 - 2 * u) ** 2 - 6 * product)
+    return curvature
+
+
+def _spread(rng: np.random.Generator, low_hz: float, high_hz: float, count: int) -> FloatArray:
+    """Draw one frequency from each of ``count`` equal parts of a band: two nearly equal ones would beat for minutes."""
+    part = (np.arange(count)[:, np.newaxis] + rng.random((count, 3))) / count
+    frequencies: FloatArray = low_hz + (high_hz - low_hz) * part
+    return frequencies
+
+
+def _falling(hz: FloatArray, rms: float) -> FloatArray:
+    shape = 1 / hz
+    amplitudes: FloatArray = rms * shape * np.sqrt(2 / np.sum(shape**2, axis=0))
+    return amplitudes
+
+
+def _sines(time_s: FloatArray, amplitude: FloatArray, hz: FloatArray, phase: FloatArray) -> FloatArray:
+    angle = 2 * math.pi * hz * time_s[:, np.newaxis, np.newaxis] + phase
+    total: FloatArray = np.einsum("nkc,kc->nc", np.sin(angle), amplitude)
+    return total

@@ -1,0 +1,1 @@
+"""From samples to bytes, lines and CAN frames: the decoder turned around."""

@@ -1,0 +1,149 @@
+"""What an emulated instrument sends: the table ``[[emulate]]`` of a protocol file.
+
+Without such a table it is the first kind of frame or sentence that has an accelerometer or a gyroscope, once for each sample;
+of a protocol whose lines are all of one kind it is that line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from imufield.acquire.protocol.protocol import Protocol
+from imufield.acquire.protocol.toml import Source, Table, near, spell
+from imufield.errors import UsageError
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS
+
+DEFAULT_RATE_HZ = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class WireFrame:
+    """One frame of each sample."""
+
+    start: bytes = b""
+    """First bytes, which choose among several forms of frames."""
+    key: int = 0
+    fields: tuple[int, ...] = ()
+    """Ids, in order, of a body made of fields."""
+    masks: bytes = b""
+    """Group byte and masks of a body told by them."""
+    values: Mapping[str, float] = field(default_factory=dict)
+    """Raw values of fields that mean nothing in a sample; all others are 0."""
+    line: str = ""
+    """Template of a sentence: a replacement field for each number of a sample, and one for the checksum."""
+
+
+@dataclass(frozen=True, slots=True)
+class WireForm:
+    """One way to run the instrument."""
+
+    name: str
+    rate_hz: float
+    settings: Mapping[str, object]
+    """Of the protocol, without which this form is not read rightly."""
+    frames: tuple[WireFrame, ...]
+
+
+def wire_forms(protocol: Protocol) -> tuple[WireForm, ...]:
+    """Return the forms a protocol lists, or the default one.
+
+    Raises
+    ------
+    ProtocolError
+        If the table is not understood, with line and key.
+    """
+    source = Source(f"protocol {protocol.name}", protocol.text)
+    top = Table(source.parse(), (), source)
+    found = tuple(_read_form(each) for each in top.tables("emulate"))
+    return found or (WireForm("default", protocol.clock.rate_hz or DEFAULT_RATE_HZ, {}, (_first_frame(protocol),)),)
+
+
+def choose_form(protocol: Protocol, name: str | None, given: Mapping[str, object]) -> WireForm:
+    """Return the form of that name; without a name the first that agrees with the settings given.
+
+    Raises
+    ------
+    UsageError
+        If there is none.
+    """
+    forms = wire_forms(protocol)
+    if name is None:
+        agreeing = (form for form in forms if all(_agree(given.get(key), value) for key, value in form.settings.items()))
+        return next(agreeing, forms[0])
+    found = next((form for form in forms if form.name == name), None)
+    if found is None:
+        names = [form.name for form in forms]
+        raise UsageError(
+            f"{protocol.name} has no form {name!r} to send{near(name, names)}; choose one of {', '.join(names)}", form=name
+        )
+    return found
+
+
+def _agree(given: object, value: object) -> bool:
+    return given is None or spell(given) == spell(value)
+
+
+def number_template(column: str, ticks_per_s: float = 1.0, *, whole: bool = False) -> str:
+    """Return how a number of a line is printed where nothing says so.
+
+    Parameters
+    ----------
+    column : str
+        Its name; a minus in front is the sign, alone it means nothing.
+    ticks_per_s : float
+        Of a time.
+    whole : bool
+        Outputs are counts.
+    """
+    name = column.removeprefix("-")
+    if name == "":
+        return "0"
+    if name == "time":
+        return f"{{:.{max(0, 6 - round(math.log10(ticks_per_s)))}f}}"
+    return {"counter": "{:d}", "temperature": "{:.2f}"}.get(name, "{:.0f}" if whole else "{:.9f}")
+
+
+def _first_frame(protocol: Protocol) -> WireFrame:
+    if protocol.lines is not None and not protocol.lines.sentences:
+        return WireFrame()
+    wanted = {*protocol.samples.accelerometer.fields, *protocol.samples.gyroscope.fields}
+    for form in protocol.frame.forms if protocol.frame else ():
+        for key, layout in form.layouts.items():
+            if not layout.is_message and any(one.name in wanted for one in layout.fields):
+                return WireFrame(form.sync, key)
+    triads = {*ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS}
+    rule = protocol.lines
+    for sentence in rule.sentences if rule else ():
+        if rule and rule.checksums and triads & {column.removeprefix("-") for column in sentence.columns}:
+            cells = [number_template(column, protocol.clock.time_ticks_per_s) for column in sentence.columns]
+            head = f"{rule.markers[0]}{sentence.name},{rule.header_end}"
+            return WireFrame(line=f"{head}{','.join(cells)}*{{:0{2 * rule.checksums[0].size}X}}")
+    raise UsageError(f"protocol {protocol.name} does not say what to send; add a table [[emulate]] to its file")
+
+
+def _read_form(table: Table) -> WireForm:
+    form = WireForm(
+        table.text("name"),
+        table.number("rate_hz", DEFAULT_RATE_HZ),
+        table.table("settings").values,
+        tuple(_read_frame(each) for each in table.tables("frames")),
+    )
+    table.finish()
+    return form
+
+
+def _read_frame(table: Table) -> WireFrame:
+    values: dict[str, Any] = table.table("values").values
+    frame = WireFrame(
+        table.hexadecimal("start"),
+        int(table.text("key", "0x0"), 16),
+        tuple(int(str(each), 16) for each in table.items("fields", [])),
+        table.hexadecimal("masks"),
+        values,
+        table.text("line", ""),
+    )
+    table.finish()
+    return frame

@@ -1,0 +1,44 @@
+"""Lag behind the host clock."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imufield.acquire.clock.loss_watch import HostBaseline
+
+
+def test_nothing_known_means_no_lag() -> None:
+    baseline = HostBaseline()
+    assert baseline.lag_s(5.0, 1.0) == 0
+    assert baseline.slope is None
+
+
+def test_late_arrivals_do_not_lift_the_line() -> None:
+    baseline = HostBaseline()
+    rng = np.random.default_rng(0)
+    for sample_s in np.arange(0, 10, 0.02):
+        baseline.add(100 + sample_s + 0.003 + rng.exponential(0.01), sample_s)
+    assert baseline.lag_s(110.103, 10.0) == pytest.approx(0.1, abs=2e-3)
+
+
+@pytest.mark.parametrize("error", [-0.02, 100e-6, 0.038])
+def test_a_wrong_nominal_rate_is_a_slope_and_no_lag(error: float) -> None:
+    baseline = HostBaseline()
+    rng = np.random.default_rng(1)
+    worst = 0.0
+    for arrival_s in np.arange(0, 60, 0.02):
+        sample_s = arrival_s * (1 - error)
+        late_s = arrival_s + rng.exponential(0.004)
+        worst = max(worst, baseline.lag_s(late_s, sample_s))
+        baseline.add(late_s, sample_s)
+    assert baseline.slope == pytest.approx(error, abs=2e-4)
+    assert worst < 0.12
+
+
+def test_a_host_clock_that_starts_anew_is_taken_as_it_comes() -> None:
+    baseline = HostBaseline()
+    for sample_s in np.arange(0, 3, 0.1):
+        baseline.add(1000 + sample_s, sample_s)
+    baseline.add(2.0, 3.1)
+    assert baseline.lag_s(2.1, 3.2) == pytest.approx(0, abs=1e-9)

@@ -1,0 +1,211 @@
+"""The sample clock: losses the counter cannot show, restarts, streams without a clock."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imufield.acquire.clock.sample_clock import Arrivals, SampleClock
+from imufield.acquire.decode.assembly import RawBlock
+from imufield.acquire.decode.statistics import DecoderStatistics
+from imufield.acquire.protocol.samples_and_clock import ClockRule
+from imufield.samples import NO_COUNTER, Samples, SampleUnits, Status, concatenate
+
+COUNTER = ClockRule("counter", 256, 2000.0, (1, 2, 4, 8, 16))
+GAP = np.uint32(Status.AFTER_GAP | Status.GAP_ESTIMATED)
+
+
+def block(counter: np.ndarray | None = None, ticks: np.ndarray | None = None, n: int = 0) -> RawBlock:
+    n = len(counter) if counter is not None else len(ticks) if ticks is not None else n
+    return RawBlock(
+        np.zeros((n, 3)),
+        np.zeros((n, 3)),
+        np.zeros(n),
+        np.full(n, NO_COUNTER) if counter is None else counter,
+        np.empty(0) if ticks is None else ticks,
+        np.zeros(n, dtype=np.uint32),
+        np.zeros(n, dtype=np.int64),
+        np.zeros(n),
+        np.arange(1, n + 1),
+    )
+
+
+def run(rule: ClockRule, blocks: list[tuple[RawBlock, float]]) -> tuple[Samples, DecoderStatistics]:
+    statistics = DecoderStatistics()
+    clock = SampleClock(rule, SampleUnits(), statistics)
+    done = [clock.push(each, Arrivals(np.array([len(each)]), np.array([arrival_s]))) for each, arrival_s in blocks]
+    return concatenate([samples for samples in (*done, clock.flush()) if samples is not None]), statistics
+
+
+def counter_blocks(numbers: np.ndarray, step: int, arrival_s: np.ndarray, size: int) -> list[tuple[RawBlock, float]]:
+    """Return samples of these numbers in blocks of ``size``; a block arrives when its last sample does."""
+    return [
+        (block(numbers[at : at + size] * step % 256), float(arrival_s[at : at + size][-1]))
+        for at in range(0, len(numbers), size)
+    ]
+
+
+@pytest.mark.parametrize("step", [1, 16])
+@pytest.mark.parametrize("lost", [300, 256, 512, 5000])
+def test_whole_wraps_are_estimated_from_the_host_clock(step: int, lost: int) -> None:
+    n = 8000
+    numbers = np.concatenate([np.arange(n), np.arange(n) + n + lost])
+    rng = np.random.default_rng(lost)
+    size = 40 // step if step == 1 else 4
+    # Every sample arrives when it was taken, and the system hands blocks over up to 15 ms late.
+    arrival_s = 50 + numbers * step / 2000 + rng.uniform(0, 0.015, len(numbers))
+    samples, statistics = run(COUNTER, counter_blocks(numbers, step, arrival_s, size))
+    assert len(samples) == 2 * n
+    np.testing.assert_allclose(samples.time_s, numbers * step / 2000, atol=1e-9)
+    assert statistics.samples_lost + statistics.losses_estimated == lost
+    assert statistics.gaps == 1
+    (place,) = np.flatnonzero(samples.status & GAP)
+    assert place == n
+    assert samples.status[place] & np.uint32(Status.GAP_ESTIMATED)
+
+
+def test_a_burst_of_late_data_is_no_loss() -> None:
+    numbers = np.arange(8000)
+    arrival_s = 10 + numbers / 2000
+    # The host stops for 1 s and then reads what was buffered in 5 ms steps.
+    late = (numbers >= 4000) & (numbers < 6200)
+    arrival_s[late] = 10 + 6000 / 2000 + (numbers[late] - 4000) * 0.1 / 2200
+    samples, statistics = run(COUNTER, counter_blocks(numbers, 1, arrival_s, 40))
+    np.testing.assert_allclose(samples.time_s, numbers / 2000, atol=1e-9)
+    assert statistics.losses_estimated == statistics.samples_lost == statistics.gaps == 0
+    assert not samples.status.any()
+
+
+@pytest.mark.parametrize("slow", [0.3, 0.7])
+def test_a_slow_emulator_is_no_loss(slow: float) -> None:
+    numbers = np.arange(8000)
+    samples, statistics = run(COUNTER, counter_blocks(numbers, 1, 10 + numbers / 2000 / slow, 40))
+    np.testing.assert_allclose(samples.time_s, numbers / 2000, atol=1e-9)
+    assert statistics.losses_estimated == statistics.gaps == 0
+
+
+def test_damage_whose_bytes_are_accounted_for_is_no_loss_of_wraps() -> None:
+    numbers = np.array([i for i in range(8000) if not 3010 <= i < 3015])
+    blocks = counter_blocks(numbers, 1, 10 + numbers / 2000 / 0.9, 40)
+    blocks[3010 // 40][0].skipped_before[3010 % 40] = 5.0
+    samples, statistics = run(COUNTER, blocks)
+    np.testing.assert_allclose(samples.time_s, numbers / 2000, atol=1e-9)
+    assert statistics.samples_lost == 5
+    assert statistics.losses_estimated == 0
+
+
+def test_wraps_lost_amid_damage_are_put_where_the_damage_is() -> None:
+    # 2000 samples are gone with part of a read: 208 by the counter, and the bytes of 3 passed over.
+    numbers = np.concatenate([np.arange(3010), np.arange(5010, 9000)])
+    blocks = counter_blocks(numbers, 1, 10 + numbers / 2000, 40)
+    blocks[3010 // 40][0].skipped_before[3010 % 40] = 3.0
+    samples, statistics = run(COUNTER, blocks)
+    np.testing.assert_allclose(samples.time_s, numbers / 2000, atol=1e-9)
+    assert statistics.samples_lost + statistics.losses_estimated == 2000
+    assert np.flatnonzero(samples.status & GAP).tolist() == [3010]
+
+
+def test_a_late_last_read_is_no_loss() -> None:
+    numbers = np.arange(4000)
+    arrival_s = 10 + numbers / 2000
+    arrival_s[-40:] += 0.2
+    samples, statistics = run(COUNTER, counter_blocks(numbers, 1, arrival_s, 40))
+    np.testing.assert_allclose(samples.time_s, numbers / 2000, atol=1e-9)
+    assert statistics.losses_estimated == 0
+
+
+def test_without_arrival_times_nothing_is_estimated() -> None:
+    numbers = np.arange(2000)
+    samples, statistics = run(COUNTER, counter_blocks(numbers, 1, np.full(2000, np.nan), 40))
+    assert len(samples) == 2000
+    assert statistics.losses_estimated == 0
+    assert statistics.rate_hz is None
+
+
+def test_the_true_rate_is_measured() -> None:
+    numbers = np.arange(60 * 1000)
+    true_hz = 962.4
+    arrival_s = 5 + numbers / true_hz + np.random.default_rng(0).exponential(0.004, len(numbers))
+    _, statistics = run(
+        ClockRule("counter", 128, 1000.0, (1,)),
+        [(block(numbers[at : at + 20] % 128), float(arrival_s[at + 19])) for at in range(0, len(numbers), 20)],
+    )
+    assert statistics.nominal_rate_hz == 1000
+    assert statistics.rate_hz == pytest.approx(true_hz, rel=3e-4)
+    assert statistics.losses_estimated == 0
+
+
+def test_time_stamps_wrap_and_restart() -> None:
+    ticks = np.concatenate([np.arange(40) * 100 + 2**32 - 1000, np.arange(20) * 100 + 5000]) % 2**32
+    ticks[40:] = np.arange(20) * 100 + 7
+    rule = ClockRule(time_field="time", time_modulus=2**32, time_ticks_per_s=1e4)
+    for size in (60, 1, 7):
+        samples, statistics = run(rule, [(block(ticks=ticks[at : at + size]), 0.0) for at in range(0, 60, size)])
+        np.testing.assert_allclose(np.diff(samples.time_s), 0.01, atol=1e-9)
+        assert samples.time_s[0] == (2**32 - 1000) / 1e4
+        assert np.flatnonzero(samples.status & GAP).tolist() == [40]
+        assert statistics.clock_resets == statistics.gaps == 1
+        assert statistics.samples_lost == 0
+
+
+def test_a_clock_set_by_gnss_is_no_loss() -> None:
+    stamps = np.concatenate([np.arange(30) * 0.01, 345600 + np.arange(30) * 0.01])
+    samples, statistics = run(ClockRule(time_field="time"), [(block(ticks=stamps), 0.0)])
+    assert statistics.samples_lost == 0
+    assert statistics.clock_resets == 1
+    assert samples.time_s[-1] < 1
+
+
+def test_gaps_in_time_stamps_are_counted() -> None:
+    numbers = np.array([i for i in range(200) if i not in (50, 51, 52, 120)])
+    jitter = np.random.default_rng(4).uniform(-0.001, 0.001, len(numbers))
+    samples, statistics = run(ClockRule(time_field="time"), [(block(ticks=numbers * 0.01 + jitter), 0.0)])
+    assert statistics.samples_lost == 4
+    assert statistics.gaps == 2
+    assert np.flatnonzero(samples.status).tolist() == [50, 117]
+
+
+def test_a_counter_counts_what_a_time_stamp_dates() -> None:
+    numbers = np.array([i for i in range(100) if i != 40])
+    rule = ClockRule("counter", 65536, 0.0, (1,), "time", 0, 1.0, 100.0)
+    both = block(numbers + 65500, numbers * 0.5)
+    both.counter[:] %= 65536
+    samples, statistics = run(rule, [(both, 0.0)])
+    np.testing.assert_array_equal(samples.time_s, numbers * 0.5)
+    assert statistics.samples_lost == 1
+    assert np.flatnonzero(samples.status).tolist() == [40]
+
+
+@pytest.mark.parametrize("said_hz", [100.0, 50.0])
+def test_without_any_clock_samples_follow_the_host(said_hz: float) -> None:
+    true_hz, n = 104.0, 6000
+    taken_s = 20 + np.arange(n) / true_hz
+    rng = np.random.default_rng(8)
+    blocks = [(block(n=5), float(taken_s[at + 4] + rng.exponential(0.005))) for at in range(0, n, 5)]
+    samples, statistics = run(ClockRule(rate_hz=said_hz), blocks)
+    assert len(samples) == n
+    assert (np.diff(samples.time_s) > 0).all()
+    assert np.abs(samples.time_s - taken_s)[1000:].max() < 0.03
+    assert (samples.status & np.uint32(Status.TIME_ESTIMATED)).all()
+    assert statistics.losses_estimated == 0
+    assert statistics.rate_hz == pytest.approx(true_hz, rel=2e-3)
+
+
+def test_without_any_clock_a_lasting_lag_is_a_gap() -> None:
+    taken_s = np.concatenate([np.arange(1000) / 100, 14 + np.arange(1000) / 100])
+    blocks = [(block(n=5), float(taken_s[at + 4])) for at in range(0, 2000, 5)]
+    samples, statistics = run(ClockRule(rate_hz=100.0), blocks)
+    np.testing.assert_allclose(samples.time_s, taken_s, atol=0.02)
+    assert statistics.losses_estimated == pytest.approx(400, abs=3)
+    assert np.flatnonzero(samples.status & np.uint32(Status.GAP_ESTIMATED)).tolist() == [1000]
+
+
+def test_few_samples_come_out_at_the_end() -> None:
+    for rule, one in (
+        (COUNTER, block(np.array([5, 6]))),
+        (ClockRule(time_field="t"), block(ticks=np.array([1.0, 2.0]))),
+        (ClockRule(rate_hz=10.0), block(n=2)),
+    ):
+        samples, _ = run(rule, [(one, np.nan)])
+        assert len(samples) == 2
+        assert np.diff(samples.time_s)[0] > 0

@@ -1,0 +1,50 @@
+"""Time stamps of the instrument."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imufield.acquire.clock.stamp_clock import StampClock
+from imufield.acquire.protocol.samples_and_clock import ClockRule
+
+
+def run(stamps: np.ndarray, rule: ClockRule, size: int) -> tuple[np.ndarray, np.ndarray]:
+    clock = StampClock(rule)
+    clock.start(stamps[:size])
+    parts = [clock.time(stamps[at : at + size], 0.01) for at in range(0, len(stamps), size)]
+    return np.concatenate([part.time_s for part in parts]), np.concatenate([part.reset for part in parts])
+
+
+def test_stamps_are_kept_as_they_are() -> None:
+    stamps = 0.02984 + np.arange(100) * 0.01
+    time_s, reset = run(stamps, ClockRule(time_field="t"), 33)
+    np.testing.assert_array_equal(time_s, stamps)
+    assert not reset.any()
+
+
+def test_many_wraps_of_a_short_stamp() -> None:
+    ticks = np.arange(1000, dtype=np.int64) * 7
+    time_s, reset = run(ticks % 256, ClockRule(time_field="t", time_modulus=256, time_ticks_per_s=100.0), 9)
+    np.testing.assert_array_equal(time_s, ticks / 100)
+    assert not reset.any()
+
+
+@pytest.mark.parametrize("size", [1, 7, 200])
+def test_garbage_keeps_time_finite_and_forward_however_cut(size: int) -> None:
+    rng = np.random.default_rng(3)
+    stamps = np.arange(200) * 0.01
+    stamps[rng.integers(0, 200, 60)] = rng.choice([np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, 1e10, -1e10], 60)
+    time_s, reset = run(stamps, ClockRule(time_field="t"), size)
+    assert np.isfinite(time_s).all()
+    assert (np.diff(time_s) >= 0).all()
+    wanted_s, wanted = run(stamps, ClockRule(time_field="t"), 50)
+    np.testing.assert_array_equal(time_s, wanted_s)
+    np.testing.assert_array_equal(reset, wanted)
+
+
+def test_a_restart_goes_on_where_time_was() -> None:
+    stamps = np.concatenate([100 + np.arange(10) * 0.01, np.arange(10) * 0.01])
+    time_s, reset = run(stamps, ClockRule(time_field="t"), 6)
+    np.testing.assert_allclose(time_s, 100 + np.arange(20) * 0.01, atol=1e-9)
+    assert np.flatnonzero(reset).tolist() == [10]

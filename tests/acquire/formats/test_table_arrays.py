@@ -1,0 +1,210 @@
+"""Files of arrays as the libraries write them that programs write them with."""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+import subprocess
+import sys
+import zipfile
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from imufield.acquire.formats.table_arrays import _handed_over
+from imufield.acquire.formats.tables import read_tables
+from imufield.errors import Reason, RecordingError, UsageError
+from imufield.samples import FloatArray
+from tests.acquire.array_files import (
+    FORCE,
+    RATE,
+    TIME,
+    WRITERS,
+    N,
+    Writer,
+    hdf5_groups,
+    hdf5_records,
+    mat_matrix,
+    mat_structure,
+    mat_triads,
+    mat_vectors,
+    numpy_names,
+    numpy_table,
+    parquet_columns,
+    written,
+)
+
+h5py = pytest.importorskip("h5py", reason="extra hdf5")
+pyarrow = pytest.importorskip("pyarrow", reason="extra parquet")
+parquet = pytest.importorskip("pyarrow.parquet", reason="extra parquet")
+
+
+def check(rows: FloatArray) -> None:
+    np.testing.assert_array_equal(rows[:, 0], TIME)
+    np.testing.assert_array_equal(rows[:, 1:4], FORCE)
+    np.testing.assert_array_equal(rows[:, 4:7], RATE)
+
+
+@pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)
+def test_values(tmp_path: Path, write: Writer) -> None:
+    table = read_tables([written(tmp_path, write)])
+    check(table.rows)
+    assert table.settings == {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s"}
+
+
+def test_what_is_left_out_is_said(tmp_path: Path) -> None:
+    said = " ".join(read_tables([written(tmp_path, mat_vectors)]).assumptions)
+    assert "marks" in said
+    said = " ".join(read_tables([written(tmp_path, numpy_names)]).assumptions)
+    assert "label" in said
+    with pytest.raises(UsageError, match="--columns names 2 columns"):
+        read_tables([written(tmp_path, mat_matrix)], columns="time,ax")
+
+
+def test_dates_count_from_the_first_row(tmp_path: Path) -> None:
+    stamps = np.datetime64("2026-03-01T10:00:00", "ns") + (np.arange(N) * 5_000_000).astype("timedelta64[ns]")
+    columns = {"timestamp": stamps, **{name: FORCE[:, axis] for axis, name in enumerate(("ax", "ay", "az"))}}
+    parquet.write_table(pyarrow.table(columns), tmp_path / "log.parquet")
+    table = read_tables([tmp_path / "log.parquet"])
+    np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-12)
+    assert any("dates count in seconds from the first row" in sentence for sentence in table.assumptions)
+
+
+def test_a_gap_is_named_by_its_row(tmp_path: Path) -> None:
+    force = FORCE.copy()
+    force[41, 1] = np.nan
+    np.savez(tmp_path / "gap.npz", time=TIME, acc=force)
+    with pytest.raises(RecordingError, match="nan for ay in row 42") as caught:
+        read_tables([tmp_path / "gap.npz"])
+    assert caught.value.values["line"] == 42
+
+
+@pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)
+def test_files_cut_short(tmp_path: Path, write: Writer) -> None:
+    path = written(tmp_path, write)
+    content = path.read_bytes()
+    rng = np.random.default_rng(3)
+    for _ in range(6):
+        path.write_bytes(content[: rng.integers(8, len(content) - 8)])
+        with pytest.raises((RecordingError, UsageError)) as caught:
+            read_tables([path])
+        assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("write", [parquet_columns, numpy_table, numpy_names, mat_structure, hdf5_records])
+def test_files_with_bytes_changed(tmp_path: Path, write: Writer) -> None:
+    path = written(tmp_path, write)
+    content = path.read_bytes()
+    rng = np.random.default_rng(4)
+    for _ in range(8):
+        damaged = bytearray(content)
+        for place in rng.integers(8 if write is not mat_structure else 200, len(damaged), 20):
+            damaged[place] = rng.integers(256)
+        path.write_bytes(damaged)
+        with suppress(RecordingError, UsageError):
+            read_tables([path])
+
+
+def test_a_matlab_file_that_kills_its_reader(tmp_path: Path) -> None:
+    path = written(tmp_path, mat_matrix)
+    content = bytearray(path.read_bytes())
+    # The type of the numbers, 9 for double, leads into a table whose end SciPy does not look at: what lies behind it mostly
+    # kills the process, by one signal or another.
+    place = content.index(struct.pack("<I", 9), 170)
+    content[place : place + 4] = struct.pack("<I", 0x7F09)
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match="is a damaged MATLAB file") as caught:
+        read_tables([path])
+    assert caught.value.reason is Reason.DAMAGED
+
+
+def hdf5_trap(path: Path) -> None:
+    # Chunks that were never written take no room and read as zeros.
+    with h5py.File(path, "w") as file:
+        for name in ("t", "ax", "ay", "az"):
+            file.create_dataset(name, (250_000_000,), "f8", chunks=(1 << 16,))
+
+
+def parquet_trap(path: Path) -> None:
+    zeros = pyarrow.array(np.zeros(4_000_000))
+    with parquet.ParquetWriter(path, pyarrow.schema([("t", "f8"), ("ax", "f8")]), compression="zstd") as writer:
+        for _ in range(40):
+            writer.write_table(pyarrow.table({"t": zeros, "ax": zeros}), row_group_size=len(zeros))
+
+
+def numpy_trap(path: Path) -> None:
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (50_000_000, 4)})
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("data.npy", "w", force_zip64=True) as member,
+    ):
+        member.write(head.getvalue())
+        for _ in range(200):
+            member.write(bytes(8_000_000))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit the memory of a process")
+@pytest.mark.parametrize("write", [hdf5_trap, parquet_trap, numpy_trap])
+def test_a_small_file_that_unpacks_to_gigabytes(tmp_path: Path, write: Writer) -> None:
+    path = written(tmp_path, write)
+    assert path.stat().st_size < 10_000_000
+    with pytest.raises(RecordingError, match=r"is a damaged .*more memory"):
+        read_tables([path])
+
+
+def test_a_reader_that_dies_is_said_to() -> None:
+    command = [sys.executable, "-c", "import os; os.kill(os.getpid(), 9)"]
+    with (
+        subprocess.Popen(command, stdout=subprocess.PIPE) as process,
+        pytest.raises(ValueError, match="its reader broke down with -9"),
+    ):
+        _handed_over(process)
+
+
+def test_what_lies_in_the_folder_is_not_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("numpy", "scipy", "json"):
+        (tmp_path / f"{name}.py").write_text("from pathlib import Path\nPath('ran').touch()\n")
+    monkeypatch.chdir(tmp_path)
+    check(read_tables([written(tmp_path, mat_triads)]).rows)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_files_without_columns(tmp_path: Path) -> None:
+    savemat(tmp_path / "empty.mat", {"note": "nothing"})
+    np.save(tmp_path / "one.npy", np.float64(3))
+    for name in ("empty.mat", "one.npy"):
+        with pytest.raises(RecordingError, match="no columns of numbers"):
+            read_tables([tmp_path / name])
+    (tmp_path / "head.mat").write_bytes(b"MATLAB 5.0 MAT-file\x00\x01\x02")
+    with pytest.raises(RecordingError, match="is a damaged MATLAB file") as caught:
+        read_tables([tmp_path / "head.mat"])
+    assert caught.value.reason is Reason.DAMAGED
+
+
+@pytest.mark.parametrize(
+    ("write", "package", "extra"), [(hdf5_groups, "h5py", "hdf5"), (parquet_columns, "pyarrow", "parquet")]
+)
+@pytest.mark.parametrize("cause", ["No module named '{}'", "{} was built for another NumPy"])
+def test_a_package_that_cannot_be_imported_is_named(
+    tmp_path: Path, write: Writer, package: str, extra: str, cause: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, said = written(tmp_path, write), cause.format(package)
+    (tmp_path / "packages").mkdir()
+    (tmp_path / "packages" / f"{package}.py").write_text(f"raise ImportError({said!r})\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "packages"))
+    install = re.escape(f"({said}); install it with `pip install 'imufield[{extra}]'`")
+    with pytest.raises(UsageError, match=rf"file {re.escape(str(path))} needs the package {package}, .*{install}") as caught:
+        read_tables([path])
+    assert caught.value.reason is Reason.MISSING_PACKAGE
+
+
+def test_a_broken_scipy_comes_with_imufield_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "scipy.py").write_text("raise ImportError('no libopenblas')\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(UsageError, match=r"package scipy, .*\(no libopenblas\); install it with `pip install imufield`"):
+        read_tables([written(tmp_path, mat_matrix)])

@@ -1,0 +1,500 @@
+import gzip
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.formats import table_text
+from imufield.acquire.formats.table_columns import named_column
+from imufield.acquire.formats.tables import ROW_BYTES, read_tables, write_rows
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.protocol.protocol import load_protocol
+from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
+from tests.acquire.table_files import ACCELEROMETER, GYROSCOPE, RNG, TIME, N, text_of, write
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "unit"),
+    [
+        ("ax", "ax", None),
+        ("Acc X (m/s^2)", "ax", "m/s^2"),
+        ("acc_y [g]", "ay", "g"),
+        ("accel_z_m_s2", "az", "m/s^2"),
+        ("accelX", "ax", None),
+        ("AccelerometerY", "ay", None),
+        ("xacc", "ax", None),
+        ("field.linear_acceleration.x", "ax", None),
+        ("imu_acceleration_z_mg", "az", "mg"),
+        ("gx", "gx", None),
+        ("wx", "gx", None),
+        ("Gyr_Z", "gz", None),
+        ("gyro_y_dps", "gy", "deg/s"),
+        ("Gyro X (°/s)", "gx", "deg/s"),
+        ("gyro_z_rad_s", "gz", "rad/s"),
+        ("angular_velocity.x", "gx", None),
+        ("xgyro", "gx", None),
+        ("Rate Z (deg/s)", "gz", "deg/s"),
+        ("t", "time", None),
+        ("time_s", "time", "s"),
+        ("Time (ms)", "time", "ms"),
+        ("timestamp_us", "time", "us"),
+        ("timestamp [ns]", "time", "ns"),
+        ("t_s", "time", "s"),
+        ("temperature_degc", "temperature", "degC"),
+        ("Temp (°C)", "temperature", "degC"),
+        ("az_counts", "az", "count"),
+        ("gz (LSB)", "gz", "count"),
+        ("counter", None, None),
+        ("status", None, None),
+        ("mag_x", None, None),
+        ("FreeAcc_X", None, None),
+        ("quaternion_x", None, None),
+        ("", None, None),
+    ],
+)
+def test_column_names_are_understood(name: str, field: str | None, unit: str | None) -> None:
+    column = named_column(name, 3)
+    assert (column.field, column.unit, column.index) if column else (field, unit, 3)[: 3 if column else 2] == (None, None)
+    assert (column.field if column else None, column.unit if column else None) == (field, unit)
+
+
+def test_a_csv_with_header_says_everything_itself(tmp_path: Path) -> None:
+    header = "time_ms,acc_x (m/s^2),acc_y (m/s^2),acc_z (m/s^2),gyro_x (rad/s),gyro_y (rad/s),gyro_z (rad/s)\r\n"
+    path = write(tmp_path, text_of(TIME * 1e3, ACCELEROMETER, GYROSCOPE, delimiter=",", header=header, end="\r\n"))
+    table = read_tables([path])
+    assert table.rows.shape == (N, 8)
+    np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-12)
+    assert np.array_equal(table.rows[:, 1:4], ACCELEROMETER)
+    assert np.array_equal(table.rows[:, 4:7], GYROSCOPE)
+    assert np.isnan(table.rows[:, 7]).all()
+    assert table.settings == {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s"}
+    assert table.raw_zero == (0.0, 0.0, 0.0)
+    assert table.assumptions == ()
+    assert table.rate_hz == pytest.approx(100.0)
+
+
+def test_columns_in_any_order_among_others(tmp_path: Path) -> None:
+    header = '"Counter";"Gyr_X";"Gyr_Y";"Gyr_Z";"Mag_X";"Acc_X";"Acc_Y";"Acc_Z";"time_s";"Temp"\n'
+    columns = (np.arange(N), GYROSCOPE, TIME, ACCELEROMETER, TIME, TIME + 20.0)
+    table = read_tables([write(tmp_path, text_of(*columns, delimiter=";", header=header))])
+    assert np.array_equal(table.rows, np.column_stack([TIME, ACCELEROMETER, GYROSCOPE, TIME + 20.0]))
+    assert "ignored the columns Counter, Mag_X" in table.assumptions[0]
+
+
+def test_decimal_commas_beside_semicolons(tmp_path: Path) -> None:
+    text = text_of(TIME, ACCELEROMETER, delimiter=";").replace(".", ",")
+    table = read_tables([write(tmp_path, text)])
+    assert np.array_equal(table.rows[:, :4], np.column_stack([TIME, ACCELEROMETER]))
+
+
+def test_a_line_of_units_below_the_names(tmp_path: Path) -> None:
+    header = "Time,AccX,AccY,AccZ\n(ms),(mg),(mg),(mg)\n"
+    table = read_tables([write(tmp_path, text_of(TIME * 1e3, ACCELEROMETER / 9.8 * 1e3, delimiter=",", header=header))])
+    assert table.settings["accelerometer_unit"] == "g"
+    np.testing.assert_allclose(table.rows[:, 1:4], ACCELEROMETER / 9.8, rtol=1e-12)
+    np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-12)
+    assert any("converted from mg to g" in sentence for sentence in table.assumptions)
+
+
+@pytest.mark.parametrize("mark", ["# ", "% ", "//"])
+def test_a_commented_header_counts(tmp_path: Path, mark: str) -> None:
+    header = f"{mark}made by a logger\n{mark}t gx gy gz ax ay az\n"
+    table = read_tables([write(tmp_path, text_of(TIME, GYROSCOPE, ACCELEROMETER, header=header))])
+    assert np.array_equal(table.rows[:, 1:7], np.column_stack([ACCELEROMETER, GYROSCOPE]))
+
+
+@pytest.mark.parametrize(
+    ("columns", "places"),
+    [
+        ((TIME, ACCELEROMETER), slice(0, 4)),
+        ((TIME, ACCELEROMETER, GYROSCOPE), slice(0, 7)),
+        ((TIME, ACCELEROMETER, GYROSCOPE, TIME), slice(0, 8)),
+    ],
+)
+def test_without_header_the_count_decides_and_is_said(tmp_path: Path, columns: tuple[np.ndarray, ...], places: slice) -> None:
+    table = read_tables([write(tmp_path, text_of(*columns, delimiter="\t"))])
+    assert np.array_equal(table.rows[:, places], np.column_stack(columns))
+    assert "no header" in table.assumptions[0]
+
+
+def test_without_time_a_rate_is_needed(tmp_path: Path) -> None:
+    path = write(tmp_path, text_of(ACCELEROMETER, GYROSCOPE))
+    with pytest.raises(UsageError, match="--rate-hz"):
+        read_tables([path])
+    table = read_tables([path], rate_hz=200.0)
+    assert np.array_equal(table.rows[:, 0], np.arange(N) / 200.0)
+    assert table.settings["rate_hz"] == 200.0
+    assert any("200 Hz" in sentence for sentence in table.assumptions)
+
+
+def test_the_user_s_word_counts_most(tmp_path: Path) -> None:
+    path = write(tmp_path, text_of(GYROSCOPE, TIME * 1e6, TIME, ACCELEROMETER))
+    table = read_tables([path], columns="gx,gy,gz,time_us,-,ax,ay,az", settings={"gyroscope_unit": "deg/s"})
+    np.testing.assert_allclose(table.rows[:, :7], np.column_stack([TIME, ACCELEROMETER, GYROSCOPE]), atol=1e-12)
+    assert table.settings["gyroscope_unit"] == "deg/s"
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ("time,ax,ay", "names 3 columns"),
+        ("time,ax,ay,az,gx,gy,colour", "'colour'"),
+        ("time,ax,ay,az,gx,gy,gy", "two columns that mean gy"),
+        ("time,ax,ay,az,gx,gy,-", "no column for gz"),
+        ("time,-,-,-,-,-,-", "no column of"),
+        ("a;b", "describes 2 files"),
+    ],
+)
+def test_a_word_that_makes_no_sense_is_refused(tmp_path: Path, columns: str, words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER, GYROSCOPE))], columns=columns)
+
+
+def test_unknown_columns_are_a_question_to_the_user(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="5 columns of unknown meaning"):
+        read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER, TIME))])
+    with pytest.raises(UsageError, match="known as accelerometer or gyroscope"):
+        read_tables([write(tmp_path, text_of(TIME, TIME, header="p q\n"))])
+    with pytest.raises(UsageError, match="two columns that mean ax"):
+        read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER, TIME, header="t ax ay az acc_x\n"))])
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_the_unit_of_time_follows_from_the_median_step(tmp_path: Path, unit: str, scale: float) -> None:
+    path = write(tmp_path, text_of(np.round(TIME * scale, 6) + 1e5, ACCELEROMETER))
+    table = read_tables([path])
+    np.testing.assert_allclose(table.rows[:, 0], TIME + 1e5 / scale, atol=1e-6)
+    assert any(f"taken as {unit}," in sentence for sentence in table.assumptions)
+
+
+def test_an_implausible_step_is_a_question(tmp_path: Path) -> None:
+    path = write(tmp_path, text_of(TIME * 23.0, ACCELEROMETER))
+    with pytest.raises(UsageError, match=r"median step of 0\.23"):
+        read_tables([path])
+    assert read_tables([path], columns="time_s,ax,ay,az").rate_hz == pytest.approx(1.0 / 0.23)
+    assert read_tables([path], rate_hz=4.3).rate_hz == pytest.approx(1.0 / 0.23)
+    with pytest.raises(UsageError, match="give the right --rate-hz"):
+        read_tables([path], rate_hz=100.0)
+    with pytest.raises(UsageError, match="contradicts"):
+        read_tables([path], columns="time_s,ax,ay,az", rate_hz=100.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "zero", "unit"),
+    [
+        (np.round(ACCELEROMETER * 400.0) + 32768.0, None, "count"),
+        (ACCELEROMETER * 400.5 + 32768.0, "32768", "count"),
+        (ACCELEROMETER, None, "m/s^2"),
+        (ACCELEROMETER / 9.81, None, "g"),
+        (ACCELEROMETER * 50.0 + 0.1, None, "count"),
+    ],
+)
+def test_the_unit_of_the_accelerometer_is_assumed_aloud(
+    tmp_path: Path, values: np.ndarray, zero: str | None, unit: str
+) -> None:
+    table = read_tables([write(tmp_path, text_of(TIME, values))], zero=zero)
+    assert table.settings["accelerometer_unit"] == unit
+    assert any(f"accelerometer is taken as {unit}" in sentence for sentence in table.assumptions)
+    assert np.array_equal(table.rows[:, 1:4], values)
+
+
+@pytest.mark.parametrize(
+    ("values", "unit"), [(GYROSCOPE, "rad/s"), (GYROSCOPE * 5000.0, "deg/s"), (np.round(GYROSCOPE * 5000.0), "count")]
+)
+def test_the_unit_of_the_gyroscope_is_assumed_aloud(tmp_path: Path, values: np.ndarray, unit: str) -> None:
+    table = read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER, values))])
+    assert table.settings["gyroscope_unit"] == unit
+    assert any(f"gyroscope is taken as {unit}" in sentence for sentence in table.assumptions)
+
+
+@pytest.mark.parametrize(
+    ("zero", "expected"),
+    [("32768", (32768.0,) * 3), (5, (5.0,) * 3), ("1,2,3", (1.0, 2.0, 3.0)), ([1.0, 2.0, 3.0], (1.0, 2.0, 3.0))],
+)
+def test_a_mid_scale_is_kept_beside_the_values(tmp_path: Path, zero: object, expected: tuple[float, ...]) -> None:
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER))
+    assert read_tables([path], zero=zero).raw_zero == expected  # type: ignore[arg-type]  # a table of cases
+
+
+@pytest.mark.parametrize("zero", ["x", "1,2", "nan", "1,2,3,4"])
+def test_a_mid_scale_that_is_none_is_refused(tmp_path: Path, zero: str) -> None:
+    with pytest.raises(UsageError, match="--zero"):
+        read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER))], zero=zero)
+
+
+def test_gzip_is_known_by_its_content(tmp_path: Path) -> None:
+    path = tmp_path / "table.mat"
+    path.write_bytes(gzip.compress(text_of(TIME, ACCELEROMETER).encode()))
+    assert np.array_equal(read_tables([path]).rows[:, 1:4], ACCELEROMETER)
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(RecordingError, match="damaged gzip"):
+        read_tables([path])
+
+
+def test_two_files_with_the_same_times_are_joined_as_they_are(tmp_path: Path) -> None:
+    paths = [write(tmp_path, text_of(TIME, ACCELEROMETER), "a.txt"), write(tmp_path, text_of(TIME, GYROSCOPE), "g.txt")]
+    table = read_tables(paths)
+    assert np.array_equal(table.rows[:, :7], np.column_stack([TIME, ACCELEROMETER, GYROSCOPE]))
+    assert not any("interpolated" in sentence for sentence in table.assumptions)
+
+
+def test_files_with_other_times_are_interpolated_and_their_ends_left_out(tmp_path: Path) -> None:
+    other = np.arange(60) * 0.007 + 0.0334
+    line = np.column_stack([2.0 * other, -other, 5.0 + other])
+    paths = [write(tmp_path, text_of(TIME, ACCELEROMETER), "a.txt"), write(tmp_path, text_of(other, line), "g.txt")]
+    table = read_tables(paths)
+    time = table.rows[:, 0]
+    assert np.array_equal(time, TIME[(TIME >= 0.0334 - 0.0035) & (other[-1] + 0.0035 >= TIME)])
+    inside = (time >= other[0]) & (time <= other[-1])
+    expected = np.column_stack([2.0 * time, -time, 5.0 + time])
+    np.testing.assert_allclose(table.rows[inside, 4:7], expected[inside], atol=1e-12)
+    assert any("interpolated" in sentence for sentence in table.assumptions)
+    assert any("left out" in sentence for sentence in table.assumptions)
+
+
+def test_nothing_is_interpolated_across_a_gap(tmp_path: Path) -> None:
+    other = np.delete(TIME + 0.004, slice(20, 30))
+    paths = [write(tmp_path, text_of(TIME, ACCELEROMETER), "a.txt")]
+    paths.append(write(tmp_path, text_of(other, GYROSCOPE[:40]), "g.txt"))
+    kept = np.rint(read_tables(paths).rows[:, 0] * 100.0).astype(int).tolist()
+    # Row 20 is 6 ms behind the last sample before the gap, row 30 is 4 ms before the first one after it.
+    assert kept == [*range(20), *range(30, 50)]
+
+
+def test_files_that_share_no_time_are_refused(tmp_path: Path) -> None:
+    paths = [write(tmp_path, text_of(TIME, ACCELEROMETER), "a.txt"), write(tmp_path, text_of(TIME + 5.0, GYROSCOPE), "g.txt")]
+    with pytest.raises(UsageError, match="share no time"):
+        read_tables(paths)
+
+
+def test_files_without_time_must_have_the_same_rows(tmp_path: Path) -> None:
+    paths = [write(tmp_path, text_of(ACCELEROMETER), "a.txt"), write(tmp_path, text_of(GYROSCOPE), "g.txt")]
+    table = read_tables(paths, rate_hz=100.0)
+    assert np.array_equal(table.rows[:, 1:7], np.column_stack([ACCELEROMETER, GYROSCOPE]))
+    paths.append(write(tmp_path, text_of(GYROSCOPE[:7], header="temp -x- gx\n"), "t.txt"))
+    with pytest.raises(UsageError, match="no column for gy, gz"):
+        read_tables(paths, rate_hz=100.0)
+    paths[1] = write(tmp_path, text_of(GYROSCOPE[:7]), "g.txt")
+    with pytest.raises(UsageError, match="differ in their rows"):
+        read_tables(paths[:2], rate_hz=100.0)
+
+
+def test_the_same_quantity_twice_is_refused(tmp_path: Path) -> None:
+    header = "t ax ay az\n"
+    paths = [write(tmp_path, text_of(TIME, ACCELEROMETER, header=header), name) for name in ("a.txt", "b.txt")]
+    with pytest.raises(UsageError, match="holds ax, ay, az again"):
+        read_tables(paths)
+
+
+@pytest.mark.parametrize(
+    ("line", "bad", "words"),
+    [
+        (3, "0.02 1.0 x 9.8", '"x" where a number should stand in line 3'),
+        (1, "0.00 1_0 2.0 9.8", '"1_0" where a number'),
+        (7, "0.06 1.0 2.0", "3 instead of 4 columns in line 7"),
+        (7, "0.06 1.0 2.0 3.0 4.0", "5 instead of 4 columns in line 7"),
+        (9, "0.08 1.0 nan 9.8", "nan for ay in line 9"),
+        (9, "0.08 1.0 1e999 9.8", "inf for ay in line 9"),
+        (9, "nan 1.0 2.0 9.8", "nan for time in line 9"),
+        (9, "0.01 1.0 2.0 9.8", "steps back in time from 0.07 to 0.01 in line 9"),
+        (50, "0.49 1.0 --- 9.8", '"---" where a number should stand in line 50'),
+    ],
+)
+@pytest.mark.parametrize("block_bytes", [table_text.BLOCK_BYTES, 300])
+def test_a_bad_line_is_named(
+    tmp_path: Path, line: int, bad: str, words: str, block_bytes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(table_text, "BLOCK_BYTES", block_bytes)
+    lines = text_of(TIME, np.round(ACCELEROMETER, 3)).split("\n")
+    lines[line - 1] = bad
+    path = write(tmp_path, "\n".join(lines))
+    with pytest.raises(RecordingError) as caught:
+        read_tables([path])
+    assert caught.value.reason is Reason.BAD_DATA
+    assert words in caught.value.message
+    assert str(path) in caught.value.message
+    assert caught.value.values["line"] == line
+
+
+def test_a_heading_that_names_more_than_the_rows_hold(tmp_path: Path) -> None:
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER, header="t ax ay az gx gy gz\n"))
+    with pytest.raises(RecordingError, match="has 4 columns in its first row of numbers, but its heading names more"):
+        read_tables([path])
+
+
+def test_blank_and_commented_lines_do_not_shift_the_count(tmp_path: Path) -> None:
+    text = "# logger\n\nt ax ay az\n0.00 1 2 3\n\n# pause\n0.01 1 2 3\n0.02 1 nan 3\n"
+    with pytest.raises(RecordingError, match="in line 8"):
+        read_tables([write(tmp_path, text)])
+
+
+def test_empty_cells_are_gaps_in_an_axis_and_allowed_in_the_temperature(tmp_path: Path) -> None:
+    text = "t,ax,ay,az,gx,gy,gz,temp\n0.00,1,2,3,,,,20\n0.01,1,2,3,,,,\n0.02,1,2,3,,,,21"
+    rows = read_tables([write(tmp_path, text)], settings={"accelerometer_unit": "count"}).rows
+    assert np.isnan(rows[:, 4:7]).all()
+    assert np.array_equal(rows[:, 7], [20.0, np.nan, 21.0], equal_nan=True)
+    with pytest.raises(RecordingError, match="nan for ay in line 3"):
+        read_tables([write(tmp_path, text.replace("0.01,1,2,3", "0.01,1,,3"))])
+
+
+@pytest.mark.parametrize("block_bytes", [1 << 20, 97])
+def test_blocks_of_any_size_give_the_same(tmp_path: Path, block_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table_text, "BLOCK_BYTES", block_bytes)
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER, delimiter=",", header="t,ax,ay,az\n", end=",\n").rstrip("\n"))
+    assert np.array_equal(read_tables([path]).rows[:, :4], np.column_stack([TIME, ACCELEROMETER]))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "no rows of numbers"),
+        (b"\n\n", "no rows of numbers"),
+        (b"t ax ay az\n", "no rows of numbers"),
+        (b"0.0 1 2 3\n", "1 row is no recording"),
+        (b"binary\x00\x01\x02", "is not text"),
+        (b"a\nb\nc\nd\n1 2 3\n", "lines that are no numbers"),
+        (b"t ax ay az\n0 1 2 3\n" + b"1 2 3 4 " * 300_000, "it is no table"),
+    ],
+)
+def test_what_is_no_table_says_so(tmp_path: Path, content: bytes, words: str) -> None:
+    path = tmp_path / "x.csv"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=words) as caught:
+        read_tables([path])
+    assert caught.value.reason is Reason.BAD_DATA
+
+
+def test_missing_files_are_an_error_of_ours(tmp_path: Path) -> None:
+    for paths in ([tmp_path / "missing.csv"], [tmp_path], []):
+        with pytest.raises(ImufieldError):
+            read_tables(paths)
+
+
+class Kept:
+    """A recorder that keeps its chunks."""
+
+    def __init__(self) -> None:
+        self.chunks: list[Chunk] = []
+
+    def write_chunk(self, chunk: Chunk, /) -> None:
+        self.chunks.append(chunk)
+
+
+def test_rows_are_written_whole_and_decode_to_the_same_samples() -> None:
+    n = 10_000
+    time_s = np.arange(n) * 0.01
+    rows = np.column_stack([time_s, RNG.normal(size=(n, 6)), np.full(n, 25.0)])
+    kept = Kept()
+    write_rows(kept, rows)
+    assert all(len(chunk.data) % ROW_BYTES == 0 for chunk in kept.chunks)
+    assert [chunk.monotonic_s for chunk in kept.chunks] == [time_s[4095], time_s[8191], time_s[-1]]
+    decoder = Decoder(load_protocol("rows_f64", {"accelerometer_unit": "count", "gyroscope_unit": "count"}))
+    blocks = [decoder.feed(chunk.data, chunk.monotonic_s) for chunk in kept.chunks]
+    for name, columns in (("time_s", 0), ("accelerometer", slice(1, 4)), ("gyroscope", slice(4, 7)), ("temperature_degc", 7)):
+        assert np.array_equal(np.concatenate([getattr(block, name) for block in blocks]), rows[:, columns])
+    again = Kept()
+    for block in blocks:
+        write_rows(again, block)
+    assert b"".join(chunk.data for chunk in again.chunks) == b"".join(chunk.data for chunk in kept.chunks)
+
+
+def test_the_recording_of_an_xsens_is_read_and_joined(shared_folder: Path) -> None:
+    folder = shared_folder / "data" / "imu_tk"
+    table = read_tables([folder / "xsens_acc.mat.gz", folder / "xsens_gyro.mat.gz"], zero="32768")
+    assert table.rows.shape == (51175, 8)
+    assert table.rows[0, :7].tolist() == [0.02984, 33108.0, 33329.0, 36429.0, 32786.0, 32429.0, 32499.0]
+    assert table.rows[-1, 0] == pytest.approx(511.718, abs=1e-3)
+    assert table.settings == {"accelerometer_unit": "count", "gyroscope_unit": "count"}
+    assert table.raw_zero == (32768.0,) * 3
+    assert table.rate_hz == pytest.approx(100.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("empty", [0, 3])
+def test_an_axis_without_a_number_is_named(tmp_path: Path, empty: int) -> None:
+    table = np.hstack([ACCELEROMETER, GYROSCOPE])
+    table[:, empty] = np.nan
+    path = write(tmp_path, text_of(TIME, table, delimiter=",", header="time_s,ax,ay,az,gx,gy,gz\n"))
+    with pytest.raises(RecordingError, match="no number for " + ("ax", "", "", "gx")[empty]):
+        read_tables([path])
+
+
+@pytest.mark.parametrize("absurd", [1e300, 1e308, 5000.0])
+def test_one_absurd_sample_does_not_decide_the_unit(tmp_path: Path, absurd: float) -> None:
+    gyroscope = GYROSCOPE.copy()
+    gyroscope[7, 1] = absurd
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER, gyroscope, delimiter=",", header="time_s,ax,ay,az,gx,gy,gz\n"))
+    assert read_tables([path]).settings["gyroscope_unit"] == "rad/s"
+
+
+def test_a_rate_that_contradicts_the_time_is_said(tmp_path: Path) -> None:
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER, delimiter=",", header="time,ax,ay,az\n"))
+    with pytest.raises(UsageError, match=r"--rate-hz 50 contradicts the time column .*, 100 Hz"):
+        read_tables([path], rate_hz=50)
+
+
+def test_a_file_without_header_whose_first_column_is_no_time(tmp_path: Path) -> None:
+    path = write(tmp_path, text_of(GYROSCOPE[:, 2:], ACCELEROMETER, GYROSCOPE, delimiter=","))
+    with pytest.raises(
+        RecordingError, match=r"no header, and its first column, taken for time, steps back in time .* --columns time,ax"
+    ):
+        read_tables([path])
+    named = text_of(GYROSCOPE[:, 2:], ACCELEROMETER, header="t,ax,ay,az\n", delimiter=",")
+    with pytest.raises(RecordingError, match="sort the file or cut it there"):
+        read_tables([write(tmp_path, named)])
+
+
+@pytest.mark.parametrize(("unit", "per_s"), [("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_the_unit_of_time_that_is_given_counts(tmp_path: Path, unit: str, per_s: float) -> None:
+    path = write(tmp_path, text_of(TIME, ACCELEROMETER))
+    np.testing.assert_allclose(read_tables([path], settings={"time_unit": unit}).rows[:, 0], TIME / per_s)
+    by_name = read_tables([path], columns=f"time_{unit},ax,ay,az")
+    np.testing.assert_allclose(by_name.rows[:, 0], TIME / per_s)
+    with pytest.raises(UsageError, match=r"time_unit=min is no unit of time; choose one of s, ms, us, ns"):
+        read_tables([path], settings={"time_unit": "min"})
+
+
+OWN = "time_s,ax,ay,az,gx,gy,gz,temperature_degc,counter,status\n"
+
+
+def own(folder: Path, **changed: tuple[int, str]) -> Path:
+    """Write a table like our exports, in counts and deg/s; ``status=(row, text)`` changes a row, ``a`` and ``g`` are triads."""
+    lines = []
+    for row in range(N):
+        cells = {"t": f"{row / 100}", "a": f"{row % 7},{row % 5},16384", "g": f"{row % 3},2.5,90.5", "temperature": "25.0"}
+        cells |= {"counter": str(row), "status": "0"}
+        lines.append(",".join((cells | {name: text for name, (at, text) in changed.items() if at == row}).values()))
+    return write(folder, OWN + "\n".join(lines) + "\n", "own.csv")
+
+
+@pytest.mark.parametrize("row", [0, 1])
+@pytest.mark.parametrize(("status", "gone"), [("1", ("a",)), ("2", ("g",)), ("3", ("a", "g"))])
+def test_a_row_that_lacks_a_triad_decides_no_unit(tmp_path: Path, row: int, status: str, gone: tuple[str, ...]) -> None:
+    table = read_tables([own(tmp_path, status=(row, status), **dict.fromkeys(gone, (row, ",,")))])
+    assert table.settings["accelerometer_unit"] == "count"
+    assert table.settings["gyroscope_unit"] == "deg/s"
+    assert np.isnan(table.rows[:, 1]).nonzero()[0].tolist() == ([row] if "a" in gone else [])
+    assert table.status is not None
+    assert table.status[row] == int(status)
+
+
+@pytest.mark.parametrize("text", ["inf", "-inf", "1e300", "0.5"])
+def test_a_counter_that_is_no_whole_number_is_named(tmp_path: Path, text: str) -> None:
+    words = f"has {float(text):g} for counter in line 4, "
+    with pytest.raises(RecordingError, match=re.escape(words) + ".*no whole number"):
+        read_tables([own(tmp_path, counter=(2, text))])
+
+
+@pytest.mark.parametrize("text", ["", "nan", "inf", "1e300", "1.5", "-1", "8589934592"])
+def test_a_status_that_is_none_is_named(tmp_path: Path, text: str) -> None:
+    with pytest.raises(RecordingError, match=r"for status in line 4, .*no whole number from 0 to 4294967295"):
+        read_tables([own(tmp_path, status=(2, text))])
+
+
+def test_a_counter_may_be_missing_and_a_status_full(tmp_path: Path) -> None:
+    table = read_tables([own(tmp_path, counter=(3, ""), status=(5, "4294967295"))])
+    assert table.counter is not None
+    assert table.counter[2:5].tolist() == [2, -1, 4]
+    assert table.status is not None
+    assert table.status[4:7].tolist() == [0, 2**32 - 1, 0]

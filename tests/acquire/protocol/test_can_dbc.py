@@ -1,0 +1,143 @@
+"""Signals: cantools and our arrays say the same of every bit; codes of no value become gaps."""
+
+from __future__ import annotations
+
+import random
+
+import cantools
+import numpy as np
+import pytest
+from cantools.database.can import Message, Signal
+from cantools.database.conversion import BaseConversion
+from cantools.database.errors import Error
+
+from imufield.acquire.protocol.can_dbc import DbcFile, compile_signal
+from imufield.acquire.protocol.can_frames import EXTENDED
+from imufield.acquire.protocol.protocol import load_protocol, protocol_names
+from imufield.errors import ProtocolError, Reason
+
+DBC = """VERSION ""
+BS_:
+BU_: A
+BO_ 100 Motion: 8 A
+ SG_ Selector M : 0|4@1+ (1,0) [0|15] "" A
+ SG_ First m0 : 8|16@1- (0.5,0) [0|0] "g" A
+ SG_ Second m1 : 8|16@1- (0.25,0) [0|0] "g" A
+ SG_ Always : 31|12@0+ (0.1,-10) [0|0] "deg/s" A
+
+BO_ 200 Other: 4 A
+ SG_ Always : 0|16@1+ (1,0) [0|0] "" A
+ SG_ TooFar : 24|16@1+ (1,0) [0|0] "" A
+
+VAL_ 100 Always 0 "no error" 4095 "SNA" 4094 "sensor error" 7 "not available" ;
+"""
+
+
+def random_signal(rng: random.Random, width: int) -> Signal:
+    is_float = rng.random() < 0.2
+    return Signal(
+        "s",
+        rng.randrange(8 * width),
+        rng.choice((16, 32, 64)) if is_float else rng.randint(1, 64),
+        rng.choice(("big_endian", "little_endian")),
+        rng.random() < 0.5,
+        conversion=BaseConversion.factory(scale=rng.choice((1, 0.01, -0.5)), offset=rng.choice((0, -320)), is_float=is_float),
+    )
+
+
+@pytest.mark.parametrize("width", [8, 64])
+def test_random_signals_agree_with_cantools(width: int) -> None:
+    rng = random.Random(width)
+    compared = 0
+    while compared < 600:
+        signal = random_signal(rng, width)
+        try:
+            message = Message(1, "m", width, [signal], strict=True)
+        except Error:
+            continue  # it does not fit
+        rows = np.frombuffer(rng.randbytes(3 * width), dtype=np.uint8).reshape(3, width)
+        compiled = compile_signal(signal)
+        for row, raw, value in zip(rows, compiled.raw(rows), compiled.values(rows), strict=True):
+            wanted = message.decode(row.tobytes(), scaling=False)["s"]  # type: ignore[call-overload, index, unused-ignore]
+            assert raw == wanted or (raw != raw and wanted != wanted), signal
+            if np.isfinite(value):
+                assert value == pytest.approx(message.decode(row.tobytes())["s"], rel=1e-12, abs=1e-9)  # type: ignore[call-overload, index, unused-ignore]
+        compared += 1
+
+
+@pytest.mark.parametrize("name", [name for name in protocol_names() if load_protocol(name).can is not None])
+def test_every_shipped_signal_agrees_with_cantools(name: str) -> None:
+    rule = load_protocol(name).can
+    assert rule is not None
+    rng = np.random.default_rng(5)
+    for message, signal in rule.dbc.signals():
+        rows = rng.integers(0, 256, (200, 8), dtype=np.uint8)
+        values = signal.values(rows)
+        for row, value in zip(rows, values, strict=True):
+            if np.isnan(value):
+                continue
+            told = rule.dbc.describe(message.name, row.tobytes())[signal.name]
+            if not isinstance(told, str):
+                assert value == pytest.approx(told, rel=1e-12, abs=1e-9)
+
+
+def test_the_file_parses_as_cantools_parses_it() -> None:
+    # The whole text of a protocol goes through TOML; not a byte of the DBC may change.
+    rule = load_protocol("j1939_imu").can
+    assert rule is not None
+    again = cantools.database.load_string(load_protocol("j1939_imu").text.split("text = '''\n")[1].rsplit("'''", 1)[0], "dbc")
+    assert len(again.messages) == 4  # type: ignore[union-attr, unused-ignore]
+
+
+def test_multiplexed_signals_are_forms_of_their_own() -> None:
+    dbc = DbcFile(DBC, "test.dbc")
+    message, signal = dbc.find("Second")
+    assert (message.can_id, message.mask & EXTENDED) == (100, EXTENDED)
+    ((selector, values),) = message.selectors
+    assert (selector.name, values, signal.factor) == ("Selector", (1,), 0.25)
+    assert dbc.find("Motion.Always")[0].selectors == ()
+
+
+def test_value_tables_name_codes() -> None:
+    _, signal = DbcFile(DBC, "test.dbc").find("Motion.Always")
+    codes = {(code.low, code.is_error) for code in signal.codes}
+    assert codes == {(4095, False), (4094, True), (7, False)}
+
+
+def test_j1939_codes() -> None:
+    rule = load_protocol("j1939_imu").can
+    assert rule is not None
+    _, signal = rule.dbc.find("YawRate")
+    raw = np.array([0, 0xFAFF, 0xFB00, 0xFE00, 0xFEFF, 0xFF00, 0xFFFF])
+    rows = np.zeros((7, 8), dtype=np.uint8)
+    rows[:, 4:6] = raw.astype("<u2").view(np.uint8).reshape(7, 2)
+    missing, fault = signal.gaps(signal.raw(rows))
+    assert missing.tolist() == [False, False, True, True, True, True, True]
+    assert fault.tolist() == [False, False, False, True, True, False, False]
+    # u24 of the slope message: the last valid value is 0xFAFFFF
+    _, pitch = rule.dbc.find("PitchAngle")
+    assert min(code.low for code in pitch.codes) == 0xFB0000
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"),
+    [
+        ("Secnd", "did you mean 'Second'"),
+        ("Moton.First", "no message 'Moton' (did you mean 'Motion'?)"),
+        ("Always", "Motion.Always, Other.Always"),
+        ("TooFar", "ends in byte 5, but the message has 4"),
+    ],
+)
+def test_errors_of_names(name: str, wanted: str) -> None:
+    with pytest.raises(ProtocolError) as caught:
+        DbcFile(DBC, "test.dbc").find(name)
+    assert wanted in str(caught.value)
+    assert "test.dbc" in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "garbage", "BO_ x", DBC.replace("8|16@1-", "8|x@1-"), 'VERSION ""\nBS_:\nBU_: A\n'])
+def test_damaged_files_are_refused(text: str) -> None:
+    with pytest.raises(ProtocolError) as caught:
+        DbcFile(text, "bad.dbc")
+    assert "bad.dbc" in str(caught.value)
+    assert caught.value.reason is Reason.BAD_PROTOCOL

@@ -1,0 +1,291 @@
+"""CAN protocols: every vector, what ``--map`` makes of a DBC file, and what is wrong with one that cannot be used."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc, protocol_text
+from imufield.acquire.protocol.can_frames import Frame, pack_frame
+from imufield.acquire.protocol.can_protocol import unit_name
+from imufield.acquire.protocol.protocol import Protocol, load_protocol, parse_protocol
+from imufield.errors import ProtocolError, Reason, UsageError
+from imufield.samples import Samples, Status, concatenate
+from tests.acquire.plain_frames import parse_candump
+
+DBC = """VERSION ""
+BS_:
+BU_: A
+BO_ 256 Acc: 8 A
+ SG_ Count : 48|8@1+ (1,0) [0|0] "" A
+ SG_ AccX : 0|16@1- (0.001,0) [0|0] "g" A
+ SG_ AccY : 16|16@1- (0.001,0) [0|0] "g" A
+ SG_ AccZ : 32|16@1- (0.001,0) [0|0] "g" A
+
+BO_ 257 Gyro: 8 A
+ SG_ Count : 48|8@1+ (1,0) [0|0] "" A
+ SG_ GyroX : 7|16@0- (0.01,0) [0|0] "deg/s" A
+ SG_ GyroY : 23|16@0- (0.01,0) [0|0] "deg/s" A
+ SG_ GyroZ : 39|16@0- (0.01,0) [0|0] "deg/s" A
+
+BO_ 258 Housekeeping: 4 A
+ SG_ Temp : 0|8@1- (1,0) [0|0] "K" A
+ SG_ Speed : 8|16@1+ (1,0) [0|0] "km/h" A
+ SG_ Nameless : 8|16@1+ (1,0) [0|0] "" A
+"""
+MAP = {
+    "accelerometer.x": "AccX",
+    "accelerometer.y": "-AccY",
+    "accelerometer.z": "Acc.AccZ",
+    "gyroscope.x": "GyroX",
+    "gyroscope.y": "GyroY",
+    "gyroscope.z": "GyroZ",
+}
+DBC_OF = {"0x0": "xsens_can", "0x1": "sbg_can", "0x6": "racelogic_can"}
+
+
+@pytest.fixture
+def dbc(tmp_path: Path) -> Path:
+    path = tmp_path / "my imu.dbc"
+    path.write_text(DBC, encoding="cp1252")
+    return path
+
+
+def decode(protocol: Protocol, frames: list[Frame]) -> Samples:
+    decoder = Decoder(protocol)
+    data = b"".join(pack_frame(frame.can_id, frame.data, frame.time_s) for frame in frames)
+    return concatenate([decoder.feed(data, 0.0), decoder.flush()])
+
+
+def vectors(shared_folder: Path, name: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = json.loads((shared_folder / "wire" / f"{name}.vectors.json").read_text())
+    return found
+
+
+def signals_of(protocol: str, message: str, frame: Frame) -> dict[str, float]:
+    """Return the values of every signal of a message, by our arrays."""
+    rule = load_protocol(protocol).can
+    assert rule is not None
+    row = np.frombuffer(frame.data.ljust(8, b"\0"), dtype=np.uint8).reshape(1, 8)
+    return {signal.name: float(signal.values(row)[0]) for owner, signal in rule.dbc.signals() if owner.name == message}
+
+
+def test_every_j1939_vector(shared_folder: Path) -> None:
+    compared = 0
+    for vector in vectors(shared_folder, "aceinna_mtlt_can"):
+        frame, wanted = parse_candump(vector["hex"]), vector["decoded"]
+        assert frame.can_id == int(wanted["can_id"], 16) | 0x80000000
+        group = {61481: "SlopeSensor2", 61482: "AngularRate", 61485: "AccelerationSensor"}.get(wanted["pgn"])
+        if group is None:
+            assert frame.data.hex() == wanted["data"]
+            continue
+        found = signals_of("j1939_imu", group, frame)
+        names = {
+            "pitch_deg": "PitchAngle",
+            "roll_deg": "RollAngle",
+            "acc_w1_ms2": "LateralAcceleration",
+            "acc_w2_ms2": "LongitudinalAcceleration",
+            "acc_w3_ms2": "VerticalAcceleration",
+            "rate_w1_dps": "PitchRate",
+            "rate_w2_dps": "RollRate",
+            "rate_w3_dps": "YawRate",
+        }
+        for key, name in names.items():
+            if key in wanted:
+                assert found[name] == pytest.approx(wanted[key], abs=1e-9), vector["hex"]
+                compared += 1
+        if "latency_ms" in wanted:
+            assert found.get("SlopeLatency", found.get("RateLatency")) == wanted["latency_ms"]
+    assert compared == 3 * (7 + 6) + 2 * 8  # messages of acceleration, rate, slope
+
+
+def test_the_real_trace_as_samples(shared_folder: Path) -> None:
+    frames = [
+        Frame(frame.can_id, frame.data, vector["decoded"]["t_ms"] / 1e3)
+        for vector in vectors(shared_folder, "aceinna_mtlt_can")
+        if "t_ms" in vector["decoded"] and (frame := parse_candump(vector["hex"]))
+    ]
+    samples = decode(load_protocol("j1939_imu"), frames)
+    assert len(samples) == 5
+    np.testing.assert_allclose(samples.accelerometer[0], [-9.75, 0.85, 0.1], atol=1e-12)
+    np.testing.assert_allclose(np.degrees(samples.gyroscope[3]), [9.5859375, -0.203125, -7.0546875], atol=1e-12)
+    assert (np.abs(np.linalg.norm(samples.accelerometer, axis=1) - 9.8) < 0.05).all()
+    np.testing.assert_allclose(np.diff(samples.time_s), 0.010, atol=2e-4)
+    # The trace ends before the last rate message.
+    assert samples.status[-1] & Status.GYROSCOPE_INVALID
+    assert np.isnan(samples.gyroscope[-1]).all()
+
+
+@pytest.mark.parametrize(
+    ("axes", "accelerometer", "gyroscope"),
+    [("xyz", (2, 3, 4), (5, 6, 7)), ("sae", (3, 2, 4), (6, 5, 7)), ("openimu300ri", (3, -2, -4), (6, 5, 7))],
+)
+def test_order_of_axes(axes: str, accelerometer: tuple[int, ...], gyroscope: tuple[int, ...]) -> None:
+    # The examples of the maker's DBC: 2, 3, 4 m/s^2 and 5, 6, 7 deg/s.
+    frames = [parse_candump("08f02d80#c87d2c7e907e0000"), parse_candump("0cf02a80#807f008080800000")]
+    samples = decode(load_protocol("j1939_imu", {"axes": axes}), frames)
+    np.testing.assert_allclose(samples.accelerometer, [accelerometer], atol=1e-12)
+    np.testing.assert_allclose(np.degrees(samples.gyroscope), [gyroscope], atol=1e-12)
+
+
+def test_every_vector_of_other_instruments(shared_folder: Path) -> None:
+    keys = {
+        "acc_ms2": [f"Acceleration{axis}" for axis in "XYZ"],
+        "euler_deg": ["Roll", "Pitch", "Yaw"],
+        "quaternion": ["Q0", "Q1", "Q2", "Q3"],
+        "sample_time_us": ["SampleTime"],
+        "group_counter": ["GroupCounter"],
+        "time_us": ["TimeStamp"],
+        "status": ["ImuStatus"],
+        "temp_c": ["Temperature"],
+        "yaw_rate_dps": ["YawRate"],
+        "roll_rate_dps": ["RollRate"],
+        "ay_g": ["AccelerationY"],
+        "ax_g": ["AccelerationX"],
+        "acc_x_g": ["AccelerationX"],
+        "acc_z_g": ["AccelerationZ"],
+    }
+    compared = 0
+    for vector in vectors(shared_folder, "can_imus"):
+        frame, wanted = parse_candump(vector["hex"]), dict(vector["decoded"])
+        identifier = wanted.pop("can_id")
+        protocol = "bosch_mm510" if "ABS" in identifier else DBC_OF[f"0x{identifier[2]}"]
+        rule = load_protocol(protocol).can
+        assert rule is not None
+        (message,) = {owner.name for owner, _ in rule.dbc.signals() if owner.can_id == frame.can_id}
+        found = signals_of(protocol, message, frame)
+        for key, value in wanted.items():
+            rate = "Rate" if protocol == "sbg_can" else "Gyroscope"
+            names = [f"{rate}{axis}" for axis in "XYZ"] if key == "gyro_rads" else keys[key]
+            values = value if isinstance(value, list) else [value]
+            assert [found[name] for name in names] == pytest.approx(values, abs=1e-8), vector["hex"]
+            compared += 1
+    assert compared == 24
+
+
+def test_a_dbc_file_with_a_map(dbc: Path) -> None:
+    protocol = protocol_from_dbc(dbc, MAP)
+    assert protocol.name == "my_imu"
+    assert (protocol.units.accelerometer, protocol.units.gyroscope) == ("m/s^2", "rad/s")
+    frames = [
+        Frame(0x100, np.array([1000, -500, 250], dtype="<i2").tobytes() + bytes(2), 0.0),
+        Frame(0x101, np.array([100, -200, 18000], dtype=">i2").tobytes() + bytes(2), 0.001),
+    ]
+    samples = decode(protocol, frames)
+    np.testing.assert_allclose(samples.accelerometer, [[9.80665, 0.5 * 9.80665, 0.25 * 9.80665]])
+    np.testing.assert_allclose(samples.gyroscope, [[math.pi / 180, -math.pi / 90, math.pi]])
+    assert samples.status.tolist() == [Status.TIME_ESTIMATED]
+
+
+def test_the_text_of_a_protocol_is_all_that_decodes_it(dbc: Path) -> None:
+    protocol = protocol_from_dbc(dbc, {**MAP, "temperature": "Temp", "counter": "Gyro.Count"}, {"rate_hz": 100})
+    again = parse_protocol(protocol.text, {name: one.value for name, one in protocol.settings.items()})
+    assert again.sha256 == protocol.sha256
+    assert again.can is not None
+    assert protocol.can is not None
+    assert again.can.kinds == protocol.can.kinds
+    assert again.clock == protocol.clock
+    assert again.clock.rate_hz == 100
+
+
+def test_a_written_protocol_beside_its_dbc(dbc: Path) -> None:
+    path = dbc.with_name("mine.toml")
+    path.write_text(protocol_text("mine", dbc.name, MAP), encoding="utf-8")
+    assert load_protocol(path).name == "mine"
+    dbc.unlink()
+    with pytest.raises(ProtocolError, match=r"my imu\.dbc"):
+        load_protocol(path)
+
+
+def test_code_page_of_windows_and_quotes(tmp_path: Path) -> None:
+    path = tmp_path / "degree.dbc"
+    path.write_bytes((DBC.replace('"deg/s"', '"°/s"') + "CM_ \"it's '''so'''\";\r\n").encode("cp1252"))
+    assert protocol_from_dbc(path, MAP).units.gyroscope == "rad/s"
+
+
+@pytest.mark.parametrize(
+    ("change", "wanted"),
+    [
+        ({"accelerometer.x": "AccQ"}, "has no signal 'AccQ' (did you mean 'AccZ'?)"),
+        ({"gyroscope.x": "Gyr.GyroX"}, "has no message 'Gyr' (did you mean 'Gyro'?)"),
+        ({"gyroscope.x": "Speed"}, "signal Speed has 'km/h', which is no unit of the gyroscope"),
+        ({"gyroscope.x": "Nameless"}, "signal Nameless has no unit"),
+        ({"gyroscope.x": "AccX"}, "signal AccX has 'g', which is no unit of the gyroscope"),
+        ({"temperature": "Speed"}, "use one in degC or K"),
+        ({"counter": "Count"}, "Acc.Count, Gyro.Count"),
+        ({"counter": "AccX"}, "is not an unsigned whole number"),
+        ({"starts_with": "Housekeeping"}, "has no signal in [map]"),
+        ({"starts_with": "Akk"}, "has no message 'Akk'"),
+        ({"counters": "Acc.Count"}, "needs one counter in each message"),
+        ({"accelerometer.unit": "furlong"}, "'furlong', which is no unit of the accelerometer"),
+    ],
+)
+def test_what_is_wrong_with_a_map(dbc: Path, change: dict[str, str], wanted: str) -> None:
+    with pytest.raises(ProtocolError) as caught:
+        protocol_from_dbc(dbc, {**MAP, **change})
+    assert wanted in str(caught.value)
+    assert re.search(r"line \d+, key `[a-z_.0-9]+`", str(caught.value))
+
+
+def test_a_wrong_unit_can_be_overruled(dbc: Path) -> None:
+    plain = {**MAP, "gyroscope.x": "Nameless", "gyroscope.y": "Nameless", "gyroscope.z": "Nameless", "gyroscope.unit": "rad/s"}
+    assert protocol_from_dbc(dbc, plain).units.gyroscope == "rad/s"
+
+
+def test_unit_errors_say_so(dbc: Path) -> None:
+    with pytest.raises(ProtocolError) as caught:
+        protocol_from_dbc(dbc, {**MAP, "gyroscope.x": "Speed"})
+    assert caught.value.reason is Reason.UNITS
+
+
+def test_nothing_mapped_names_candidates(dbc: Path) -> None:
+    with pytest.raises(ProtocolError, match=r"Acc\.AccX, Acc\.AccY, Acc\.AccZ, Gyro\.GyroX"):
+        protocol_from_dbc(dbc, {})
+
+
+def test_a_missing_axis_is_named(dbc: Path) -> None:
+    with pytest.raises(UsageError, match=r"accelerometer\.y and no accelerometer\.z"):
+        protocol_from_dbc(dbc, {"accelerometer.x": "AccX"})
+
+
+def test_parse_map() -> None:
+    assert parse_map(["accelerometer.x=-A.B", " counter = C "]) == {"accelerometer.x": "-A.B", "counter": "C"}
+    for texts, wanted in (
+        (["acelerometer.x=A"], "did you mean 'accelerometer.x'"),
+        (["counter="], "has no value"),
+        (["counter=A", "counter=B"], "is given twice"),
+    ):
+        with pytest.raises(UsageError) as caught:
+            parse_map(texts)
+        assert wanted in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("m/s²", "m/s^2"),
+        ("m/s/s", "m/s^2"),
+        ("[m/s^2]", "m/s^2"),
+        ("G", "g"),
+        ("°/s", "deg/s"),
+        ("Deg/Sec", "deg/s"),
+        ("rad/s", "rad/s"),
+        ("°C", "degC"),
+        ("rps", None),
+        ("", None),
+    ],
+)
+def test_spellings_of_units(text: str, unit: str | None) -> None:
+    assert unit_name(text) == unit
+
+
+def test_missing_file() -> None:
+    with pytest.raises(ProtocolError, match="cannot be read"):
+        protocol_from_dbc("nowhere.dbc", MAP)

@@ -1,0 +1,179 @@
+"""Protocol files: what they say, and the sentence a wrong one gets."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imufield.acquire.protocol.protocol import load_protocol, parse_protocol, protocol_names
+from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES
+from imufield.errors import ProtocolError, Reason
+
+STIM300 = load_protocol("stim300").text
+
+
+def wrong(text: str, old: str, new: str) -> ProtocolError:
+    assert old in text
+    with pytest.raises(ProtocolError) as caught:
+        parse_protocol(text.replace(old, new, 1), label="mine.toml")
+    assert "\n" not in caught.value.message
+    return caught.value
+
+
+def line_of(text: str, part: str) -> int:
+    return text[: text.index(part)].count("\n") + 1
+
+
+def test_shipped_protocols_load_by_name() -> None:
+    assert {"rows_f64", "stim300", "text"} <= set(protocol_names())
+    for name in protocol_names():
+        protocol = load_protocol(name)
+        assert protocol.name == name
+        assert parse_protocol(protocol.text).sha256 == protocol.sha256
+
+
+def test_lengths_are_those_of_the_datasheet(lengths: dict[int, int]) -> None:
+    frame = load_protocol("stim300").frame
+    assert frame is not None
+    assert {key: layout.length for key, layout in frame.layouts.items()} == lengths
+
+
+def test_settings_are_assumed_read_or_given() -> None:
+    protocol = load_protocol("stim300", {"accelerometer_range_g": "30"}, read={"rate_hz": 500, "accelerometer_range_g": 5})
+    origins = {name: (setting.value, setting.origin) for name, setting in protocol.settings.items()}
+    assert origins == {
+        "accelerometer_range_g": (30, "given"),
+        "accelerometer_output": ("rate", "assumed"),
+        "gyroscope_output": ("rate", "assumed"),
+        "rate_hz": (500, "read"),
+    }
+    assert protocol.nominal.accelerometer_range_m_s2 == pytest.approx(30 * 9.80665)
+    assert protocol.nominal.gyroscope_range_rad_s == pytest.approx(np.radians(400))
+    assert protocol.nominal.rate_hz == 500
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"accelerometer_range": 10}, "did you mean 'accelerometer_range_g'"),
+        ({"accelerometer_range_g": 12}, "one of 2, 5, 10, 30, 80"),
+        ({"accelerometer_range_g": "big"}, "one of 2, 5, 10, 30, 80"),
+        ({"accelerometer_range_g": True}, "one of 2, 5, 10, 30, 80"),
+        ({"gyroscope_output": "integrated"}, "one of rate, average, increment"),
+        ({"rate_hz": 125.5}, "one of 0, 125"),
+    ],
+)
+def test_wrong_settings_name_what_is_allowed(given: dict[str, object], message: str) -> None:
+    with pytest.raises(ProtocolError, match=message):
+        load_protocol("stim300", given)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "at", "key", "says"),
+    [
+        ('kind = "frames"', 'kind = "frame"', 'kind = "frames"', "kind", "one of frames, text"),
+        ('byte_order = "big"', "", None, "byte_order", "nothing"),
+        ("default = 10\n", "default = 11\n", "default = 10\n", "settings.accelerometer_range_g.default", "2, 5, 10, 30, 80"),
+        (
+            'type = "i24", count = 3, fraction_bits = 22',
+            'type = "i25", count = 3, fraction_bits = 22',
+            "fraction_bits = 22",
+            "parts.inclinometer.0.type",
+            "not 'i25'",
+        ),
+        ("fraction_bits = 22", "fraction_bit = 22", "fraction_bits = 22", "parts.inclinometer.0.fraction_bit", "remove it"),
+        (
+            '0x92 = ["gyroscope", "inclinometer"',
+            '0x92 = ["gyroscope", "inclination"',
+            "0x92 =",
+            "frames.0x92",
+            "no part 'inclination'",
+        ),
+        ("0x92 =", "0x91 =", None, "", "not a readable TOML"),
+        ("0x92 =", "ninety =", "0x92 =", "frames.ninety", "hexadecimal"),
+        ("CRC-32/MPEG-2", "CRC-32/MPEG", "CRC-32/MPEG-2", "frame.checksum.algorithm", "did you mean"),
+        ('"0D 0A"', '"0D 0"', '"0D 0A"', "frame.trailer.bytes", "hexadecimal"),
+        ('flag = "start_up"', 'flag = "startup"', 'flag = "start_up"', "samples.flags.0.flag", "did you mean 'start_up'"),
+        (
+            'accelerometer = { fields = ["accelerometer"] }',
+            'accelerometer = { fields = ["acceleration"] }',
+            "accelerometer = { fields",
+            "samples.accelerometer",
+            "no frame has a field 'acceleration'",
+        ),
+        ("[nominal]", "[nominals]", "[nominal]", "nominals", "did you mean 'nominal'"),
+        ("version = 1", "version = 2", "version = 1", "version", "newer"),
+        ("10 = 19, ", "", "10 = 19", "parts.accelerometer.0.fraction_bits", "accelerometer_range_g = 10"),
+        ('setting = "rate_hz"', 'setting = "rate"', "rate_hz = { setting", "clock.rate_hz", "no setting 'rate'"),
+        ('format = "imufield-protocol"', 'format = "other"', "format", "format", "no protocol"),
+        ('keys = ["0xB1", "0xB3"]', 'keys = ["0xB1", "0x93"]', "keys = [", "messages.part_number.keys", "twice"),
+    ],
+)
+def test_errors_name_line_and_key(old: str, new: str, at: str | None, key: str, says: str) -> None:
+    error = wrong(STIM300, old, new)
+    assert says in error.message
+    assert key in error.message
+    if at is not None:
+        assert f"mine.toml line {line_of(STIM300, at)}," in error.message
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "key"),
+    [
+        ("microstrain_mip", "ticks_per_s = 1e9", "ticks_per_s = 0e9", "clock.time.0.ticks_per_s"),
+        ("microstrain_mip", "ticks_per_s = 1e9", "ticks_per_s = 1e-320", "clock.time.0.ticks_per_s"),
+        ("vectornav_ascii", 'markers = "$"', 'markers = ""', "text.markers"),
+    ],
+)
+def test_what_would_break_at_the_first_bytes_is_refused(name: str, old: str, new: str, key: str) -> None:
+    assert key in wrong(load_protocol(name).text, old, new).message
+
+
+def test_a_unit_that_is_none() -> None:
+    with pytest.raises(ProtocolError, match=r"samples\.temperature`: 'K' is no unit of this; use one of degC"):
+        parse_protocol(STIM300.replace('unit = "degC"', 'unit = "K"'))
+
+
+def test_own_files_by_path(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(STIM300.replace('name = "stim300"', 'name = "mine"'), encoding="utf-8")
+    assert load_protocol(path).name == "mine"
+    assert load_protocol(str(path)).name == "mine"
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    binary, large, folder = tmp_path / "a.toml", tmp_path / "b.toml", tmp_path / "c.toml"
+    binary.write_bytes(b"\x93\xff\xfe")
+    large.write_bytes(b"#" * (FILE_LIMIT_BYTES + 1))
+    folder.mkdir()
+    for path, says in (
+        (binary, "no UTF-8"),
+        (large, "larger than"),
+        (folder, "cannot be read"),
+        (tmp_path / "d.toml", "cannot be read"),
+    ):
+        with pytest.raises(ProtocolError, match=says):
+            load_protocol(path)
+    with pytest.raises(ProtocolError, match="did you mean 'stim300'") as caught:
+        load_protocol("stim30")
+    assert caught.value.reason is Reason.BAD_PROTOCOL
+    with pytest.raises(ProtocolError, match=r"nests|readable"):
+        parse_protocol("a = " + "[" * 100_000)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    start=st.integers(0, len(STIM300)),
+    length=st.integers(0, 40),
+    new=st.one_of(
+        st.text(max_size=10), st.sampled_from(['"x"', "-1", "1e400", "{}", "[]", "true", "nan", "[[1]]", "0x93", "\n"])
+    ),
+)
+def test_any_damage_to_a_protocol_is_a_protocol_error_or_harmless(start: int, length: int, new: str) -> None:
+    with contextlib.suppress(ProtocolError):
+        parse_protocol(STIM300[:start] + new + STIM300[start + length :])

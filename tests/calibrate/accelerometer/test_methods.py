@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calibration_truth import GRAVITY, campaign, random_parameters
+
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.accelerometer.methods import cross_check, problem_for, restart, solve_with
+from imufield.calibrate.model.models import to_vector
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import AccelerometerParameters, Calibration
+from imufield.calibrate.solvers.registry import METHODS
+from imufield.earth import Gravity
+from imufield.errors import CalibrationError, Reason, UsageError
+
+KNOWN_GRAVITY = Gravity(GRAVITY, 0.018, "assumed")
+
+
+def measured(seed: int, quadratic: float = 0.0) -> tuple[Observations, AccelerometerParameters]:
+    rng = np.random.default_rng(seed)
+    truth = random_parameters(rng, quadratic)
+    return campaign(truth, rng), truth
+
+
+def calibrated(seed: int, quadratic: float = 0.0) -> tuple[Observations, Calibration]:
+    observations, _ = measured(seed, quadratic)
+    return observations, calibrate_accelerometer(observations, KNOWN_GRAVITY)
+
+
+@pytest.mark.parametrize("method", ["bsas", "ide"])
+def test_a_polished_method_is_least_squares_from_elsewhere(method: str) -> None:
+    observations, plain = calibrated(1)
+    found = solve_with(method, observations, plain, rng=np.random.default_rng(0), seed=0)
+    assert found.solver.method == method
+    assert found.solver.converged
+    assert found.solver.seed == 0
+    sigma = np.sqrt(np.diag(plain.covariance)[:-1])
+    moved = np.abs(to_vector(found.accelerometer) - to_vector(plain.accelerometer))[:12]
+    assert np.all(moved <= 1e-3 * np.maximum(sigma[:12], 1e-12))
+    assert found.quality.residual_rms_m_s2 == pytest.approx(plain.quality.residual_rms_m_s2, rel=1e-6)
+
+
+def test_without_polish_the_method_keeps_its_own_minimum() -> None:
+    observations, plain = calibrated(1)
+    found = solve_with("bsas", observations, plain, rng=np.random.default_rng(0), polish=False)
+    again = restart(observations, plain)
+    absolute = [float(np.abs(c.positions.residual_m_s2).sum()) for c in (found, plain)]
+    assert absolute[0] < absolute[1]
+    assert found.solver.cost == pytest.approx(absolute[0], rel=1e-9)
+    assert problem_for(again, "bsas").cost_name == "absolute"
+
+
+def test_a_method_that_did_not_converge_is_called_poor_and_told_so_first() -> None:
+    observations, plain = calibrated(1)
+    found = solve_with("bas", observations, plain, rng=np.random.default_rng(0))
+    assert not found.solver.converged
+    assert found.quality.verdict == "poor"
+    assert found.quality.main_reason.startswith("the method bas did not converge, do not use these parameters")
+
+
+@pytest.mark.parametrize(("seed", "quadratic", "moved"), [(1, 0.0, 12), (2, 0.05, 15)])
+def test_the_staged_form_moves_the_fitted_parameters_themselves(seed: int, quadratic: float, moved: int) -> None:
+    observations, plain = calibrated(seed, quadratic)
+    assert problem_for(restart(observations, plain), "bsas-staged").basis.tolist() == np.eye(15)[:, :moved].tolist()
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("seed", "quadratic", "polish"), [(1, 0.0, False), (2, 0.05, True)])
+def test_every_method_gives_a_result_of_the_same_model(seed: int, quadratic: float, polish: bool, method: str) -> None:
+    observations, plain = calibrated(seed, quadratic)
+    found = solve_with(method, observations, plain, rng=np.random.default_rng(0), polish=polish)
+    assert np.isfinite(to_vector(found.accelerometer)).all()
+    assert plain.quadratic_fitted or not np.any(found.accelerometer.quadratic)
+    if found.solver.converged:
+        # Each cost has a minimum of its own, a little from that of the squares.
+        assert found.quality.residual_rms_m_s2 < 1.5 * plain.quality.residual_rms_m_s2
+    else:
+        assert found.quality.verdict == "poor"
+
+
+def test_least_squares_is_what_there_is_already() -> None:
+    observations, plain = calibrated(1)
+    assert solve_with("least-squares", observations, plain, rng=np.random.default_rng(0)) is plain
+
+
+def test_an_unknown_method_is_refused() -> None:
+    observations, plain = calibrated(1)
+    with pytest.raises(UsageError, match="there is no method 'magic'"):
+        solve_with("magic", observations, plain, rng=np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(("seed", "quadratic"), [(1, 0.0), (2, 0.05)])
+def test_methods_agree(seed: int, quadratic: float) -> None:
+    observations, plain = calibrated(seed, quadratic)
+    assert plain.quadratic_fitted is bool(quadratic)
+    checked = cross_check(observations, plain, rng=np.random.default_rng(3))
+    assert checked.agree, checked.sentence
+    assert 0.0 < checked.own_costs.sigma < 3.0
+    assert checked.one_cost.sigma < 0.01
+    start = "cross-check of the accelerometer by bsas, ide, least-squares: the methods prove one another; largest disagreement"
+    assert checked.sentence.startswith(start)
+
+
+def test_methods_agree_from_a_preset_too() -> None:
+    observations, truth = measured(4)
+    preset = replace(truth, scale=truth.scale * 1.0005, bias_m_s2=truth.bias_m_s2 + 0.01)
+    plain = calibrate_accelerometer(observations, KNOWN_GRAVITY, preset=preset)
+    checked = cross_check(observations, plain, rng=np.random.default_rng(3), preset=preset)
+    assert checked.agree, checked.sentence
+
+
+def test_sigma_of_the_check_is_that_of_the_fit_not_of_gravity() -> None:
+    observations, plain = calibrated(1)
+    sigma = restart(observations, plain).gauge_free_sigma()
+    # Gravity is known to 0.018 m/s^2 here: 1800 ppm of scale, which would hide any disagreement.
+    assert np.all(sigma[:3] < 1e-4 * np.abs(plain.accelerometer.scale))
+    assert np.all(sigma[:3] < 0.1 * plain.intrinsic.scale_sigma)
+
+
+def test_methods_that_stop_short_prove_nothing() -> None:
+    observations, plain = calibrated(1)
+    checked = cross_check(observations, plain, rng=np.random.default_rng(0), methods=("bas", "least-squares"))
+    assert not checked.agree
+    assert "the methods do NOT prove one another" in checked.sentence
+    assert "bas did not converge" in checked.sentence
+
+
+def test_a_preset_of_another_instrument_is_named() -> None:
+    observations, plain = calibrated(1)
+    foreign = replace(plain.accelerometer, scale=plain.accelerometer.scale * 9.80665)
+    with pytest.raises(CalibrationError, match=r"accelerometer\.scale is in another unit") as caught:
+        cross_check(observations, plain, rng=np.random.default_rng(0), preset=foreign)
+    assert caught.value.reason is Reason.UNITS

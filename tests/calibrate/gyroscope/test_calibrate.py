@@ -1,0 +1,364 @@
+"""The gyroscope's paths on simulated sessions and real recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gyroscope_sessions import Session, Turn, collect_moves, fit_turns_only, record, rolled, simulate
+
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.gyroscope.calibrate import GyroscopeInput, calibrate_gyroscope, make_data
+from imufield.calibrate.gyroscope.model import evaluate
+from imufield.calibrate.gyroscope.move_integration import rough_inverse
+from imufield.calibrate.gyroscope.report import GYROSCOPE_NAMES, GyroscopeResult, MoveReport, forward, gain_words
+from imufield.calibrate.gyroscope.turntable import TurntableRun
+from imufield.calibrate.gyroscope.whole_turns import Stop
+from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
+from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, GyroscopeParameters
+from imufield.earth import Gravity
+from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.guide.lead.unguided import find_still_intervals
+from imufield.guide.stillness.scale import RoughScale
+from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
+from imufield.simulate.truth.motion import Site
+
+
+def vector(p: GyroscopeParameters) -> FloatArray:
+    off_diagonal = p.misalignment_rad[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS]
+    return np.concatenate([p.scale, off_diagonal, p.bias, p.g_sensitivity.ravel()])
+
+
+def ratios(session: Session, result: GyroscopeResult) -> FloatArray:
+    """Errors over sigma."""
+    found = vector(result.calibration.parameters) - vector(session.truth)
+    return np.asarray(found / vector(result.calibration.sigma))
+
+
+@pytest.fixture(scope="module")
+def session() -> Session:
+    return simulate(3)
+
+
+@pytest.fixture(scope="module")
+def result(session: Session) -> GyroscopeResult:
+    return calibrate_gyroscope(session.given)
+
+
+def test_hand_moves_alone_give_all_21_parameters_within_their_sigma() -> None:
+    found = []
+    for seed in range(4):
+        one = simulate(seed)
+        found.append(ratios(one, calibrate_gyroscope(one.given)))
+    assert np.sqrt(np.mean(np.square(found))) < 1.3
+    assert np.abs(found).max() < 4.5
+
+
+def test_the_path_is_told_and_the_moves_reported(result: GyroscopeResult) -> None:
+    assert "24 moves between 25 still positions against gravity" in result.calibration.path
+    assert "g-sensitivity fitted" in result.calibration.path
+    assert result.moves.rms_after_deg < 0.06 < result.moves.rms_before_deg
+    assert len(result.moves.after_deg) == 24
+    assert result.unobservable == ()
+    assert np.all(result.calibration.sigma.scale < 2e-4)
+
+
+def test_one_joint_covariance(session: Session, result: GyroscopeResult) -> None:
+    joined = result.join(session.calibration)
+    names = joined.covariance_names
+    assert [name for name in names if name.startswith("gyroscope")] == list(GYROSCOPE_NAMES)
+    assert names[-1] == GRAVITY_NAME
+    assert joined.covariance == pytest.approx(joined.covariance.T)
+    place = names.index("gyroscope.scale.x")
+    assert np.sqrt(joined.covariance[place, place]) == pytest.approx(result.calibration.sigma.scale[0])
+    free = np.diag(joined.covariance) > 0
+    size = np.sqrt(np.diag(joined.covariance)[free])
+    assert np.linalg.eigvalsh(joined.covariance[np.ix_(free, free)] / np.outer(size, size)).min() > -1e-9
+    # Both triads are written in one frame: what turns the accelerometer's turns the gyroscope's misalignment.
+    rows = [k for k, name in enumerate(names) if name in ACCELEROMETER_NAMES]
+    columns = [k for k, name in enumerate(names) if name.startswith("gyroscope.misalignment")]
+    assert np.abs(joined.covariance[np.ix_(rows, columns)]).max() > 0
+    assert any("angle error of 24 moves" in reason for reason in joined.quality.reasons)
+
+
+def test_a_joint_covariance_is_one_whatever_raised_the_parts(session: Session, result: GyroscopeResult) -> None:
+    """Raised sigmas of the accelerometer once made some combination of both triads' parameters surer than sure."""
+    joined = replace(result, with_accelerometer=8 * result.with_accelerometer).join(session.calibration)
+    sigma = np.sqrt(np.diag(joined.covariance))
+    np.testing.assert_array_equal(sigma, np.sqrt(np.diag(result.join(session.calibration).covariance)))
+    size = sigma[sigma > 0]
+    correlation = joined.covariance[np.ix_(sigma > 0, sigma > 0)] / np.outer(size, size)
+    assert np.linalg.eigvalsh(correlation).min() > -1e-9
+    assert np.abs(correlation).max() <= 1 + 1e-9
+    changed = joined.covariance != result.join(session.calibration).covariance
+    assert changed.any(), "nothing was too large"
+
+
+def test_forward_derivative() -> None:
+    rng = np.random.default_rng(0)
+    x = np.concatenate([(np.eye(3) + 0.02 * rng.standard_normal((3, 3))).ravel(), 0.01 * rng.standard_normal(12)])
+    values, J = forward(x, np.array([3.0, 1.0, 2.0]))
+    step = 1e-7 * rng.standard_normal(21)
+    change = (forward(x + step, np.array([3.0, 1.0, 2.0]))[0] - forward(x - step, np.array([3.0, 1.0, 2.0]))[0]) / 2
+    assert change == pytest.approx(J @ step, abs=1e-12)
+    assert len(values) == len(GYROSCOPE_NAMES)
+
+
+def test_residual_derivatives(session: Session) -> None:
+    data = make_data(session.given)
+    rng = np.random.default_rng(2)
+    p = np.zeros(data.parameters)
+    p[:9] = np.eye(3).ravel()
+    p[9:21] = 1e-4 * rng.standard_normal(12)
+    now = evaluate(p, data)
+    step = np.zeros(data.parameters)
+    step[:21] = 1e-6 * rng.standard_normal(21)
+    change = (evaluate(p + step, data).residual - evaluate(p - step, data).residual) / 2
+    assert change == pytest.approx(now.jacobian @ step, abs=2e-9)
+
+
+def test_model_is_chosen_by_significance(session: Session) -> None:
+    basic = calibrate_gyroscope(session.given, "basic")
+    assert not basic.g_sensitive
+    assert np.isnan(basic.calibration.sigma.g_sensitivity).all()
+    assert not basic.calibration.parameters.g_sensitivity.any()
+    assert calibrate_gyroscope(session.given, "g-sensitive").g_sensitive
+    quiet = simulate(0, grade="navigation")
+    kept = calibrate_gyroscope(quiet.given)
+    assert not kept.g_sensitive
+    assert "not significant" in " ".join(kept.reasons)
+
+
+def test_a_fine_gyroscope_finds_north_and_checks_the_latitude() -> None:
+    fine = simulate(1, grade="navigation", hold_s=15.0)
+    result = calibrate_gyroscope(fine.given, "basic")
+    assert result.heading_fitted
+    assert "one azimuth fitted" in result.calibration.path
+    assert np.abs(np.degrees(result.calibration.parameters.bias - fine.truth.bias) * 3600).max() < 0.03
+    assert any("sees latitude 4" in reason for reason in result.reasons)
+    wrong = calibrate_gyroscope(replace(fine.given, latitude_deg=45.5), "basic")
+    assert any("contradicts" in reason for reason in wrong.reasons)
+
+
+def test_without_a_latitude_the_earth_is_in_the_sigma(session: Session, result: GyroscopeResult) -> None:
+    unknown = calibrate_gyroscope(replace(session.given, latitude_deg=None))
+    assert "latitude is not known" in unknown.calibration.path
+    assert np.all(unknown.calibration.sigma.g_sensitivity[range(3), range(3)] > result.calibration.sigma.g_sensitivity.min())
+
+
+def test_rolled_whole_turns_sharpen_the_scale(result: GyroscopeResult) -> None:
+    turned = simulate(3, turns=rolled(3))
+    sharp = calibrate_gyroscope(turned.given)
+    assert len(sharp.turns) == 18
+    assert {turn.about for turn in sharp.turns} == {"horizontal"}
+    assert sorted({turn.turns for turn in sharp.turns}) == [-1, 1]
+    assert np.all(result.calibration.sigma.scale > 2.7 * sharp.calibration.sigma.scale)
+    assert np.abs(ratios(turned, sharp)[:3]).max() < 3.5
+    assert "18 of them whole turns closed by gravity" in sharp.calibration.path
+
+
+UPRIGHT = tuple(Turn(np.eye(3)[axis], way * 2 * np.pi, upright=True) for axis in range(3) for way in (1.0, -1.0))
+
+
+def test_turns_about_the_vertical_need_a_stop(result: GyroscopeResult) -> None:
+    turned = simulate(3, turns=UPRIGHT)
+    stops = tuple(Stop(time_s, np.radians(0.01)) for time_s in turned.turn_times_s)
+    without = calibrate_gyroscope(turned.given)
+    with_stops = calibrate_gyroscope(replace(turned.given, stops=stops))
+    coarse = calibrate_gyroscope(replace(turned.given, stops=tuple(replace(stop, repeatability_rad=0.02) for stop in stops)))
+    assert {turn.about for turn in with_stops.turns} == {"vertical"}
+    assert np.all(without.calibration.sigma.scale > 1.5 * with_stops.calibration.sigma.scale)
+    assert np.all(coarse.calibration.sigma.scale > 0.9 * without.calibration.sigma.scale)
+    assert np.abs(ratios(turned, with_stops)[:3]).max() < 3.5
+
+
+def test_a_turn_that_was_not_whole_is_named_with_what_is_missing() -> None:
+    short = Turn(np.array([0, 0, 1.0]), np.radians(352.0), upright=True)
+    turned = simulate(3, turns=(*UPRIGHT, short))
+    stops = tuple(Stop(time_s, np.radians(0.01)) for time_s in turned.turn_times_s)
+    found = calibrate_gyroscope(replace(turned.given, stops=stops))
+    missed = [reason for reason in found.reasons if "was not whole" in reason]
+    assert len(missed) == 1
+    assert "8.0" in missed[0] or "7.9" in missed[0]
+    assert "6 whole turns about the vertical" in found.calibration.path
+    with pytest.raises(UsageError, match="no usable move"):
+        calibrate_gyroscope(replace(turned.given, stops=(Stop(-5.0, 1e-3),)))
+    with pytest.raises(UsageError, match="repeats"):
+        calibrate_gyroscope(replace(turned.given, stops=(Stop(stops[0].time_s, 1.0),)))
+
+
+def test_turntable_rates_join_the_fit(session: Session, result: GyroscopeResult) -> None:
+    truth = session.truth
+    M = truth.scale[:, None] * (np.eye(3) + truth.misalignment_rad)
+    noise, rng = 1e-6, np.random.default_rng(8)
+    runs = [
+        TurntableRun(axis, w, M @ axis * w + truth.bias + noise * rng.standard_normal(3), noise**2 * np.eye(3))
+        for axis in np.eye(3)
+        for w in np.radians([10.0, -10.0, 30.0, -30.0])
+    ]
+    joined = calibrate_gyroscope(replace(session.given, turntable=runs))
+    assert "6 pairs of turntable rates" in joined.calibration.path
+    assert np.all(joined.calibration.sigma.scale < 0.1 * result.calibration.sigma.scale)
+    assert np.abs(ratios(session, joined)[:9]).max() < 4
+
+
+def test_positions_about_one_axis_leave_the_rest_at_the_preset() -> None:
+    # The accelerometer needs all positions; the gyroscope is given the moves about z alone.
+    full = simulate(5)
+    keep = full.given.observations
+    ring = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.radians(np.arange(0, 720, 60))])
+    flat = simulate_ring(ring)
+    given = replace(flat, calibration=full.calibration, preset=full.truth)
+    result = calibrate_gyroscope(given)
+    assert set(result.unobservable) <= set(GYROSCOPE_NAMES[:9])
+    assert "gyroscope.scale.x" in result.unobservable
+    assert "gyroscope.scale.z" not in result.unobservable
+    assert np.isnan(result.calibration.sigma.scale[0])
+    assert result.calibration.parameters.scale[0] == pytest.approx(full.truth.scale[0], rel=1e-3)
+    assert any("cannot show" in reason for reason in result.reasons)
+    counts = replace(given, preset=None, observations=replace(given.observations, units=SampleUnits("count", "count")))
+    with pytest.raises(CalibrationError, match="give a preset"):
+        calibrate_gyroscope(counts)
+    assert len(keep) == 25
+
+
+def simulate_ring(directions: FloatArray) -> GyroscopeInput:
+    """Positions about z alone, of the same instrument; its accelerometer cannot be calibrated from them."""
+    observations, moves = record(5, directions)
+    return GyroscopeInput(observations, moves, calibration=None, latitude_deg=45.0)  # type: ignore[arg-type]
+
+
+def test_wrong_unit_and_handedness_are_refused(session: Session) -> None:
+    with pytest.raises(CalibrationError, match="times as fast") as caught:
+        calibrate_gyroscope(replace(session.given, nominal_scale=57.3))
+    assert caught.value.reason is Reason.UNITS
+    flipped = replace(
+        session.given.moves.slots,
+        turn=session.given.moves.slots.turn * [1, 1, -1],
+        area=session.given.moves.slots.area * [-1, -1, 1],
+        moment=session.given.moves.slots.moment * [1, 1, -1],
+    )
+    with pytest.raises(CalibrationError, match="handedness") as caught:
+        calibrate_gyroscope(replace(session.given, moves=replace(session.given.moves, slots=flipped)))
+    assert caught.value.reason is Reason.HANDEDNESS
+
+
+def test_missing_gyroscope_is_refused(session: Session) -> None:
+    observations = session.given.observations
+    nothing = np.full_like(observations.gyroscope_mean_raw, np.nan)
+    with pytest.raises(CalibrationError, match="record the gyroscope"):
+        calibrate_gyroscope(replace(session.given, observations=replace(observations, gyroscope_mean_raw=nothing)))
+    one = observations.gyroscope_mean_raw.copy()
+    one[3] = np.nan
+    with pytest.raises(CalibrationError, match="although others"):
+        calibrate_gyroscope(replace(session.given, observations=replace(observations, gyroscope_mean_raw=one)))
+
+
+def test_lost_samples_are_bridged_or_named() -> None:
+    def lose(block: Samples) -> Samples:
+        gap = (np.abs(block.time_s - 9.5) < 0.2) | (np.mod(block.time_s, 1.7) < 0.008)
+        return block[np.flatnonzero(~gap)]
+
+    lossy = simulate(3, damage=lose)
+    result = calibrate_gyroscope(lossy.given)
+    assert any("lost samples for 0.4" in reason for reason in result.reasons)
+    assert len(result.moves.after_deg) == 23
+    assert any("separate chains" in reason for reason in result.reasons)
+    assert np.abs(ratios(lossy, result)).max() < 4.5
+
+
+def test_static_bias_where_there_are_no_moves(session: Session) -> None:
+    nothing = collect_moves([], session.given.observations.start_s[:1], session.given.observations.duration_s[:1])
+    result = calibrate_gyroscope(replace(session.given, moves=nothing))
+    assert "static bias" in result.calibration.path
+    joined = result.join(session.calibration)
+    assert joined.gyroscope is not None
+    assert np.isnan(joined.gyroscope.sigma.scale).all()
+
+
+def test_static_norm_for_an_instrument_that_sees_the_earth() -> None:
+    fine = simulate(2, grade="navigation", hold_s=20.0)
+    nothing = collect_moves([], fine.given.observations.start_s[:1], fine.given.observations.duration_s[:1])
+    result = calibrate_gyroscope(replace(fine.given, moves=nothing, preset=fine.truth))
+    assert "static norm of the Earth rate" in result.calibration.path
+    assert np.abs(np.degrees(result.calibration.parameters.bias - fine.truth.bias) * 3600).max() < 0.05
+    everything = calibrate_gyroscope(replace(fine.given, moves=nothing, static_free="all"))
+    assert np.isfinite(everything.calibration.sigma.scale).all()
+
+
+def real_session(samples: Samples, zero: float, gravity: float) -> GyroscopeInput:
+    found = find_still_intervals([samples], scale=RoughScale.of_units(samples.units, np.full(3, zero))).observations
+    calibration = calibrate_accelerometer(found, Gravity(gravity, 1e-5, "typed"), raw_zero=zero, model="linear")
+    return GyroscopeInput(found, collect_moves([samples], found.start_s, found.duration_s), calibration)
+
+
+@pytest.fixture(scope="module")
+def xsens(shared_folder: Path) -> Samples:
+    a = np.loadtxt(shared_folder / "data" / "imu_tk" / "xsens_acc.mat.gz")
+    g = np.loadtxt(shared_folder / "data" / "imu_tk" / "xsens_gyro.mat.gz")
+    return make_samples(a[:, 0], a[:, 1:], g[:, 1:], units=SampleUnits("count", "count"))
+
+
+def test_xsens_on_the_reference_model(xsens: Samples) -> None:
+    given = real_session(xsens, 32768.0, 9.81744)
+    first = xsens.gyroscope[xsens.time_s < 50].mean(axis=0)
+    still = replace(given.observations, gyroscope_mean_raw=np.tile(first, (len(given.observations), 1)))
+    data = make_data(replace(given, observations=still))
+    p = np.zeros(data.parameters)
+    p[:9] = rough_inverse(data.slots).ravel()
+    p = fit_turns_only(data, p)
+    M = np.linalg.inv(p[:9].reshape(3, 3))
+    assert np.linalg.norm(M, axis=1) == pytest.approx([4778.42, 4772.14, 4775.28], rel=1e-3)
+    reference = np.array([[0, -0.009676, -0.010574], [-0.005567, 0, 0.032153], [-0.016155, 0.024104, 0]])
+    assert M / np.diag(M)[:, None] - np.eye(3) == pytest.approx(reference, abs=2e-3)
+    errors = np.degrees(evaluate(p, data).angle_error_rad(data.up[data.after]))
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(0.512, abs=0.02)
+
+
+def test_xsens_with_g_sensitivity(xsens: Samples) -> None:
+    result = calibrate_gyroscope(real_session(xsens, 32768.0, 9.81744))
+    assert result.g_sensitive
+    assert result.moves.rms_after_deg <= 0.15
+    G = np.array([[0.104, 0.293, 0.645], [-1.305, 0.029, 0.818], [-0.697, -0.807, 0.215]])
+    assert result.calibration.parameters.g_sensitivity == pytest.approx(G, abs=0.1)
+    assert result.calibration.raw_unit == "count"
+
+
+@pytest.mark.parametrize("name", ["imu0", "imu2"])
+def test_mpu_9150(shared_folder: Path, name: str) -> None:
+    rows = np.loadtxt(shared_folder / "data" / "mikoff" / f"{name}.log.gz")
+    samples = make_samples(np.arange(len(rows)) / 100, rows[:, :3], rows[:, 3:6], units=SampleUnits())
+    assert calibrate_gyroscope(real_session(samples, 0.0, 9.81)).moves.rms_after_deg <= 0.15
+
+
+def test_a_fit_that_does_not_end_makes_the_whole_usable_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A latitude for data without the Earth's rate, as simulators that leave it out write them."""
+    monkeypatch.setattr(Site, "earth_rate_n", property(lambda _: np.zeros(3)))
+    still = simulate(1, grade="tactical")
+    found = calibrate_gyroscope(still.given)
+    joined = found.join(still.calibration).quality
+    assert still.calibration.quality.verdict == "good"
+    assert joined.verdict == "usable"
+    assert "did not come to an end" in joined.main_reason
+    assert "--gravity in place of --latitude" in joined.main_reason
+    remedied = calibrate_gyroscope(replace(still.given, latitude_deg=None))
+    assert remedied.cautions == ()
+    assert remedied.join(still.calibration).quality.verdict == "good"
+
+
+@pytest.mark.parametrize(
+    ("before_deg", "after_deg", "said"),
+    [
+        (0.368, 0.312, "hardly better than before"),
+        (0.025, 0.078, "worse than before"),
+        (0.097, 0.012, ""),
+        (np.nan, 0.012, ""),
+    ],
+)
+def test_little_gained_by_a_fit_is_said(before_deg: float, after_deg: float, said: str) -> None:
+    time_s = np.arange(6.0)
+    report = MoveReport(time_s, time_s, np.full(6, before_deg), np.full(6, after_deg), np.ones(6))
+    assert gain_words(report).startswith(f": {said}" if said else "")
+    assert bool(gain_words(report)) == bool(said)

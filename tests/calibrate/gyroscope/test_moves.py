@@ -1,0 +1,199 @@
+"""Moves as compact sums: exact against integrating every sample, and honest about what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from gyroscope_sessions import collect_moves
+
+from imufield.calibrate.gyroscope.move_integration import centre, integrate, rough_inverse
+from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, join_slots
+from imufield.calibrate.model.rotation import exponential, multiply
+from imufield.samples import FloatArray, Samples, SampleUnits, Status, make_samples
+
+RATE_HZ = 1000.0
+STILLS = np.array([[0.0, 2.0], [4.0, 2.0], [8.0, 2.0]])
+"""Start and duration of three stills; moves from 2 to 4 s and from 6 to 8 s."""
+START_S, DURATION_S = STILLS.T
+A = np.array([[2e-4, 1e-6, 2e-6], [-1e-6, 2.1e-4, 3e-6], [2e-6, 1e-6, 1.9e-4]])
+REST = np.array([32770.0, 32450.0, 32510.0])
+
+
+def rates(time_s: FloatArray) -> FloatArray:
+    """A hand that turns about changing axes, rad/s; zero in the stills."""
+    u = np.mod(time_s - 2.0, 4.0) / 2.0
+    bell = np.where((u < 1) & (time_s > 2), (u * (1 - u)) ** 2 * 16, 0.0)
+    axes = np.stack([3 * np.cos(3 * time_s), 2 * np.sin(5 * time_s), 1 + np.sin(2 * time_s)], axis=1)
+    return bell[:, None] * axes
+
+
+def session(change: Callable[[Samples], Samples] | None = None) -> Samples:
+    time_s = np.arange(0, 10.0, 1 / RATE_HZ)
+    raw = rates(time_s) @ np.linalg.inv(A).T + REST
+    noise = np.random.default_rng(0).standard_normal((len(time_s), 3))
+    force = np.array([0.1, 0.2, 9.8]) + 0.001 * noise
+    samples = make_samples(time_s, force, raw + 0.5 * noise, units=SampleUnits("m/s^2", "count"))
+    return samples if change is None else change(samples)
+
+
+def turn_of(moves: Moves, k: int) -> FloatArray:
+    slots = centre(moves, REST, moves.slots.force / moves.slots.duration_s[:, None])
+    return integrate(np.concatenate([A.ravel(), np.zeros(12)]), slots, np.ones(3)).quaternion[k]
+
+
+def between(a: FloatArray, b: FloatArray) -> float:
+    """Return the angle between two attitudes, rad."""
+    return float(2 * np.linalg.norm(multiply(a * [1, -1, -1, -1], b)[1:]))
+
+
+def test_compact_sums_integrate_like_every_sample() -> None:
+    samples = session()
+    moves = collect_moves([samples], START_S, DURATION_S)
+    assert len(moves) == 2
+    assert moves.before.tolist() == [0, 1]
+    assert moves.duration_s == pytest.approx([2.0, 2.0], abs=0.01)
+    for k in range(2):
+        inside = (samples.time_s >= moves.start_s[k]) & (samples.time_s < moves.end_s[k])
+        product = np.array([1.0, 0, 0, 0])
+        for rate in (samples.gyroscope[inside] - REST) @ A.T:
+            product = multiply(product, exponential(rate / RATE_HZ))
+        assert between(turn_of(moves, k), product) < 2e-5
+
+
+def test_result_does_not_depend_on_blocks() -> None:
+    samples = session()
+    whole = collect_moves([samples], START_S, DURATION_S)
+    rng = np.random.default_rng(3)
+    cuts = np.sort(rng.choice(len(samples), 300, replace=False))
+    blocks = [samples[slice(a, b)] for a, b in zip([0, *cuts], [*cuts, len(samples)], strict=True)]
+    cut = collect_moves(blocks, START_S, DURATION_S)
+    assert cut.slots.turn == pytest.approx(whole.slots.turn, abs=1e-9)
+    assert cut.slots.area == pytest.approx(whole.slots.area, rel=1e-9, abs=1e-6)
+    assert np.array_equal(cut.first, whole.first)
+
+
+def test_joined_slots_turn_alike() -> None:
+    moves = collect_moves([session()], START_S, DURATION_S)
+    starts = np.concatenate(
+        [np.arange(first, first + length, 2) for first, length in zip(moves.first, moves.length, strict=True)]
+    )
+    joined = join_slots(moves.slots, starts)
+    first = np.searchsorted(starts, moves.first)
+    merged = Moves(moves.before, moves.after, moves.start_s, moves.end_s, first, joined)
+    for k in range(2):
+        assert between(turn_of(moves, k), turn_of(merged, k)) < 2e-5
+
+
+def test_sensitivity_is_the_derivative() -> None:
+    moves = collect_moves([session()], START_S, DURATION_S)
+    slots = centre(moves, REST, moves.slots.force / moves.slots.duration_s[:, None])
+    x = np.concatenate([A.ravel(), [1e-3, -2e-3, 1e-3], 1e-4 * np.arange(9)])
+    turns = integrate(x, slots, np.ones(3))
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        step = np.concatenate([1e-9 * rng.standard_normal(9), 1e-6 * rng.standard_normal(12)])
+        inverse = turns.quaternion * [1, -1, -1, -1]
+        change = multiply(inverse, integrate(x + step, slots, np.ones(3)).quaternion)
+        assert 2 * change[:, 1:] == pytest.approx((turns.jacobian @ step[:, None])[:, :, 0], rel=2e-3, abs=1e-8)
+
+
+def test_a_scale_is_found_from_nothing() -> None:
+    time_s = np.arange(0, 10.0, 1 / RATE_HZ)
+    w = rates(time_s)
+    q = np.array([1.0, 0, 0, 0])
+    up = np.empty((len(time_s), 3))
+    for k, rate in enumerate(w):
+        up[k] = multiply(multiply(q * [1, -1, -1, -1], np.array([0, 0, 0, 9.8])), q)[1:]
+        q = multiply(q, exponential(rate / RATE_HZ))
+    samples = make_samples(time_s, up, w @ np.linalg.inv(A).T + REST, units=SampleUnits("m/s^2", "count"))
+    moves = collect_moves([samples], START_S, DURATION_S)
+    slots = centre(moves, REST, moves.slots.force / moves.slots.duration_s[:, None])
+    assert rough_inverse(slots) == pytest.approx(A, abs=0.05 * 2e-4)
+
+
+def lose(first_s: float, last_s: float) -> Callable[[Samples], Samples]:
+    return lambda samples: samples[(samples.time_s < first_s) | (samples.time_s > last_s)]
+
+
+def test_short_losses_are_bridged() -> None:
+    whole, lossy = session(), session(lose(2.9, 2.92))
+    moves = collect_moves([lossy], START_S, DURATION_S)
+    assert len(moves) == 2
+    reference = turn_of(collect_moves([whole], START_S, DURATION_S), 0)
+    assert between(turn_of(moves, 0), reference) < 1e-3
+    assert moves.slots.bridge.max() > 0
+
+
+def test_long_losses_drop_the_move_and_name_it() -> None:
+    moves = collect_moves([session(lose(2.9, 3.1))], START_S, DURATION_S)
+    assert moves.before.tolist() == [1]
+    assert moves.dropped[0].reason == "lost samples"
+    assert "0.2" in moves.dropped[0].sentence
+
+
+def test_an_interruption_is_not_called_a_loss() -> None:
+    moves = collect_moves([session(lose(2.4, 3.6))], START_S, DURATION_S)
+    assert moves.dropped[0].reason == "interrupted"
+    assert "interrupted for 1.2 s" in moves.dropped[0].sentence
+
+
+def saturate(samples: Samples) -> Samples:
+    limit = 9000.0
+    clipped = np.clip(samples.gyroscope, REST - limit, REST + limit)
+    return make_samples(samples.time_s, samples.accelerometer, clipped, units=samples.units)
+
+
+def test_saturation_is_seen_with_and_without_a_flag() -> None:
+    moves = collect_moves([session(saturate)], START_S, DURATION_S)
+    assert {one.reason for one in moves.dropped} == {"saturated"}
+    samples = session()
+    samples.status[2500] |= np.uint32(Status.GYROSCOPE_SATURATED)
+    moves = collect_moves([samples], START_S, DURATION_S)
+    assert [one.reason for one in moves.dropped] == ["saturated"]
+    assert moves.before.tolist() == [1]
+
+
+def test_clock_jumps_drop_the_move() -> None:
+    samples = session()
+    samples.time_s[2500:] -= 0.05
+    moves = collect_moves([samples], START_S, DURATION_S)
+    assert [one.reason for one in moves.dropped] == ["clock jump"]
+
+
+def test_invalid_and_missing_samples() -> None:
+    samples = session()
+    samples.gyroscope[2500:2900] = np.nan
+    samples.status[6500] |= np.uint32(Status.INSTRUMENT_FAULT)
+    moves = collect_moves([samples], START_S, DURATION_S)
+    assert [one.reason for one in moves.dropped] == ["lost samples", "invalid samples"]
+    assert len(moves) == 0
+    assert not len(moves.duration_s)
+
+
+def test_no_still_after_or_none_at_all() -> None:
+    assert len(collect_moves([session()], START_S[:1], DURATION_S[:1])) == 0
+    assert len(collect_moves([], START_S, DURATION_S)) == 0
+    outside = collect_moves([session()], START_S + 100, DURATION_S)
+    assert {one.reason for one in outside.dropped} == {"no samples"}
+
+
+def test_long_recordings_are_kept_in_less() -> None:
+    units = SampleUnits("m/s^2", "count")
+    small, large = MoveCollector(units), MoveCollector(units)
+    large._builder._compact_at = 1200
+    samples = session()
+    for first in range(0, len(samples), 500):
+        small.feed(samples[slice(first, first + 500)])
+        large.feed(samples[slice(first, first + 500)])
+    assert len(large._builder.finish()) < 0.75 * len(small._builder.finish())
+    a, b = small.finish(START_S, DURATION_S), large.finish(START_S, DURATION_S)
+    for k in range(2):
+        assert between(turn_of(a, k), turn_of(b, k)) < 1e-4
+
+
+def test_stills_are_stretched_to_where_they_end() -> None:
+    # The stills are told as half a second each; the rest of the 2 s is not integrated.
+    moves = collect_moves([session()], START_S + 0.5, np.full(3, 0.6))
+    assert moves.start_s[1] > 5.1 + 0.05 or moves.duration_s[1] < 3.4

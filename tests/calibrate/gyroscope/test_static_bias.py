@@ -1,0 +1,83 @@
+"""Static gyroscope bias with the Earth turning underneath."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from calibration_truth import GRAVITY, campaign, observe, paper24, random_parameters
+
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.gyroscope.static_bias import static_bias, with_gyroscope
+from imufield.earth import EARTH_RATE_RAD_S, Gravity
+from imufield.errors import CalibrationError
+from imufield.samples import FloatArray
+
+BIAS = np.array([12.0, -7.0, 3.0])
+SCALE = 5000.0
+
+
+def still_gyroscope(rng: np.random.Generator, latitude_deg: float, noise: float = 0.0) -> FloatArray:
+    """Mean outputs in paper24 with a heading of its own for each position."""
+    up = paper24()
+    rows = []
+    for direction in up:
+        helper = np.cross(direction, [0.3, 0.5, 0.8])
+        east = helper / np.linalg.norm(helper)
+        heading = rng.uniform(0, 2 * np.pi)
+        north = math.cos(heading) * east + math.sin(heading) * np.cross(direction, east)
+        latitude = math.radians(latitude_deg)
+        earth = EARTH_RATE_RAD_S * (math.sin(latitude) * direction + math.cos(latitude) * north)
+        rows.append(SCALE * earth + BIAS)
+    return np.array(rows) + rng.normal(0, noise, (24, 3)) if noise else np.array(rows)
+
+
+def test_at_the_pole_the_earth_is_taken_off_exactly() -> None:
+    # An unbalanced half of the positions: there the Earth's rate does not average out by itself.
+    half = slice(0, 12)
+    gyroscope = still_gyroscope(np.random.default_rng(0), 90.0)[half]
+    observations = observe(paper24()[half], direction=paper24()[half], gyroscope=gyroscope)
+    known = static_bias(observations, SCALE, latitude_deg=90.0)
+    unknown = static_bias(observations, SCALE)
+    assert known.parameters.bias == pytest.approx(BIAS, abs=1e-12)
+    assert known.sigma.bias == pytest.approx(np.zeros(3), abs=1e-12)
+    assert np.abs(unknown.parameters.bias - BIAS).max() > 0.01
+    assert "vertical Earth rate taken off" in known.path
+    assert "latitude is not known" in unknown.path
+    assert np.isnan(known.sigma.scale).all()
+
+
+def test_sigma_covers_the_error_and_holds_the_unknown_heading() -> None:
+    ratios = []
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        observations = observe(paper24(), direction=paper24(), gyroscope=still_gyroscope(rng, 45.0, noise=1.0))
+        result = static_bias(observations, SCALE, latitude_deg=45.0)
+        ratios.append((result.parameters.bias - BIAS) / result.sigma.bias)
+        assert np.all(result.sigma.bias > 0.5 * SCALE * EARTH_RATE_RAD_S * math.cos(math.radians(45)))
+    assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.2
+
+
+def test_without_scale_or_attitude_it_says_so() -> None:
+    observations = observe(paper24(), gyroscope=still_gyroscope(np.random.default_rng(0), 45.0))
+    assert "scale is not known" in static_bias(observations, None).path
+    assert "attitude is not known" in static_bias(observations, SCALE, latitude_deg=45.0).path
+    assert np.isnan(static_bias(observations, None).parameters.scale).all()
+
+
+def test_without_a_gyroscope_it_is_refused() -> None:
+    with pytest.raises(CalibrationError, match="0 positions have a gyroscope mean"):
+        static_bias(observe(paper24()), SCALE)
+
+
+def test_bias_joins_the_covariance_before_gravity() -> None:
+    rng = np.random.default_rng(1)
+    calibration = calibrate_accelerometer(campaign(random_parameters(rng), rng), Gravity(GRAVITY, 1e-4, "typed"))
+    gyroscope = static_bias(observe(paper24(), gyroscope=still_gyroscope(rng, 45.0, noise=1.0)), SCALE)
+    joined = with_gyroscope(calibration, gyroscope)
+    assert joined.covariance_names[-4:] == ("gyroscope.bias.x", "gyroscope.bias.y", "gyroscope.bias.z", "gravity_m_s2")
+    assert np.diag(joined.covariance)[-4:-1] == pytest.approx(gyroscope.sigma.bias**2)
+    assert joined.covariance[0, -1] == calibration.covariance[0, -1]
+    assert joined.gyroscope is gyroscope
+    assert with_gyroscope(joined, gyroscope).covariance_names == joined.covariance_names

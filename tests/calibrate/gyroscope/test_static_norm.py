@@ -1,0 +1,85 @@
+"""The static path: bias from the Earth's rate at any heading, and the latitude checked."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.gyroscope.static_norm import (
+    StaticData,
+    fit_static,
+    latitude_words,
+    seen_latitude_deg,
+    sees_earth,
+)
+from imufield.earth import EARTH_RATE_RAD_S
+from imufield.samples import FloatArray
+
+DEG_PER_HOUR = np.radians(1.0) / 3600
+FACES = np.concatenate([np.eye(3), -np.eye(3)])
+EDGES = np.array([[a, b, 0.0] for a in (1, -1) for b in (1, -1)])
+UP = np.concatenate([FACES, *(np.roll(EDGES, k, axis=1) for k in range(3)), FACES])
+
+
+def stills(seed: int, seconds: float, latitude_deg: float = 45.0) -> tuple[StaticData, FloatArray, FloatArray]:
+    """24 positions at random headings, 0.003 deg/sqrt(h); K E and bias."""
+    rng = np.random.default_rng(seed)
+    up = UP / np.linalg.norm(UP, axis=1)[:, None]
+    north = np.cross(up, rng.standard_normal(up.shape))
+    north /= np.linalg.norm(north, axis=1)[:, None]
+    latitude = np.radians(latitude_deg)
+    rate = EARTH_RATE_RAD_S * (np.sin(latitude) * up + np.cos(latitude) * north)
+    M: FloatArray = np.eye(3) + 1e-4 * rng.standard_normal((3, 3))
+    bias = 0.01 * DEG_PER_HOUR * rng.standard_normal(3)
+    sigma = 0.003 * np.radians(1.0) / 60 / np.sqrt(seconds)
+    raw = rate @ M.T + bias + sigma * rng.standard_normal(up.shape)
+    time_s: FloatArray = np.asarray(np.arange(len(up)) * (seconds + 10.0))
+    return StaticData(raw, np.tile(sigma**2 * np.eye(3), (len(up), 1, 1)), up, time_s), M, bias
+
+
+def bias_errors(seconds: float, *, known: bool) -> tuple[FloatArray, FloatArray]:
+    errors, over_sigma = [], []
+    for seed in range(40):
+        data, M, bias = stills(seed, seconds)
+        A = np.asarray(np.linalg.inv(M)) if known else np.eye(3)
+        fitted = fit_static(data, A, 45.0, "bias" if known else "all")
+        assert fitted.converged
+        found = np.linalg.solve(fitted.x[:9].reshape(3, 3), fitted.x[9:])
+        errors.append((found - bias) / DEG_PER_HOUR)
+        over_sigma.append((found - bias) / np.sqrt(np.diag(fitted.covariance)[9:]))
+    return np.array(errors), np.array(over_sigma)
+
+
+def test_bias_with_known_scale_after_10_s() -> None:
+    errors, over_sigma = bias_errors(10.0, known=True)
+    assert np.sqrt(np.mean(errors**2)) <= 0.02
+    assert 0.8 < np.sqrt(np.mean(over_sigma**2)) < 1.25
+
+
+def test_everything_free_after_60_s() -> None:
+    errors, over_sigma = bias_errors(60.0, known=False)
+    assert np.sqrt(np.mean(errors**2)) <= 0.03
+    assert 0.8 < np.sqrt(np.mean(over_sigma**2)) < 1.25
+
+
+@pytest.mark.parametrize("latitude_deg", [-60.0, 0.0, 30.0, 80.0])
+def test_any_latitude(latitude_deg: float) -> None:
+    data, M, bias = stills(3, 60.0, latitude_deg)
+    fitted = fit_static(data, np.asarray(np.linalg.inv(M)), latitude_deg)
+    assert np.abs(np.linalg.solve(fitted.x[:9].reshape(3, 3), fitted.x[9:]) - bias).max() < 0.05 * DEG_PER_HOUR
+
+
+def test_a_wrong_latitude_is_seen() -> None:
+    for seed in range(10):
+        data, M, _ = stills(seed, 10.0)
+        fitted = fit_static(data, np.asarray(np.linalg.inv(M)), 45.5)
+        latitude, sigma = seen_latitude_deg(fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)
+        assert latitude == pytest.approx(45.0, abs=4 * sigma)
+        assert "contradicts" in latitude_words(45.5, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)[0]
+        assert "contradicts" not in latitude_words(45.0, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)[0]
+
+
+def test_only_fine_instruments_see_the_earth() -> None:
+    data, *_ = stills(0, 10.0)
+    assert sees_earth(data.covariance_raw, np.eye(3))
+    assert not sees_earth(1e4 * data.covariance_raw, np.eye(3))

@@ -1,0 +1,51 @@
+"""Turntable pairs: the vector form gives all nine entries, the printed form three."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from gyroscope_sessions import matrix_from_pairs, turns_problem
+
+from imufield.calibrate.gyroscope.turntable import TurntableRun, pair_runs
+from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
+from imufield.calibrate.solvers.evolution import DeSettings, solve_ide
+from imufield.errors import CalibrationError
+from imufield.samples import FloatArray
+
+M = np.array([[1.002, 0.003, -0.001], [0.002, 0.997, 0.004], [-0.003, 0.001, 1.005]])
+BIAS = np.array([0.01, -0.02, 0.005])
+
+
+def runs(axes: FloatArray) -> list[TurntableRun]:
+    """Runs both ways, with bias and a centripetal g-sensitivity that is the same both ways."""
+    return [
+        TurntableRun(axis, way * w, M @ axis * way * w + BIAS + 1e-3 * w**2, 1e-14 * np.eye(3), 1e-7, 1e-5)
+        for axis in axes
+        for w in np.radians((10.0, 20.0, 30.0))
+        for way in (1.0, -1.0)
+    ]
+
+
+def test_pairs_are_free_of_bias_and_centripetal_force() -> None:
+    table = pair_runs(runs(np.eye(3)))
+    assert len(table) == 9
+    assert matrix_from_pairs(table) == pytest.approx(M, abs=1e-12)
+    assert np.linalg.eigvalsh(table.rate_covariance).min() > 0
+
+
+def test_a_run_without_counterpart_is_refused() -> None:
+    with pytest.raises(CalibrationError, match=r"\+10\.0 deg/s .* no counterpart"):
+        pair_runs(runs(np.eye(3))[:1])
+
+
+def test_printed_form_is_rank_three_and_vector_form_rank_nine() -> None:
+    table = pair_runs(runs(np.eye(3)))
+    z = np.concatenate([np.diag(M), (M / np.diag(M)[:, None])[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS]])
+    assert np.linalg.matrix_rank(turns_problem(table, form="norm").jacobian(z), tol=1e-9) == 3
+    assert np.linalg.matrix_rank(turns_problem(table).jacobian(z), tol=1e-9) == 9
+
+
+def test_differential_evolution_reaches_the_optimum() -> None:
+    problem = turns_problem(pair_runs(runs(np.eye(3))))
+    found = solve_ide(problem, rng=np.random.default_rng(1), settings=DeSettings(EG=400))
+    assert found.x[:3] == pytest.approx(np.diag(M), abs=1e-4)

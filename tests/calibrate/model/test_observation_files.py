@@ -1,0 +1,99 @@
+"""Position means from CSV: every mistake names file, line and column."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.model.observation_files import read_observations
+from imufield.errors import RecordingError
+from imufield.samples import SampleUnits
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "means.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_all_columns_in_any_order(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        "# averaged elsewhere\n"
+        "name,gz,gy,gx,az,ay,ax,sigma_ax,sigma_ay,sigma_az,temperature_degc\n"
+        "z up,3,2,1,9.8,0.2,0.1,0.01,0.02,0.03,25\n"
+        "\n"
+        '"x, up",6,5,4,0.3,0.2,9.7,0.01,0.02,0.03,\n',
+    )
+    observations = read_observations(path)
+    assert observations.name == ("z up", "x, up")
+    assert observations.mean_raw.tolist() == [[0.1, 0.2, 9.8], [9.7, 0.2, 0.3]]
+    assert observations.gyroscope_mean_raw.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert observations.covariance_raw[0] == pytest.approx(np.diag([1e-4, 4e-4, 9e-4]))
+    assert np.isnan(observations.gyroscope_covariance_raw).all()
+    assert observations.temperature_degc[0] == 25
+    assert np.isnan(observations.temperature_degc[1])
+    assert np.isnan(observations.direction).all()
+
+
+def test_only_the_accelerometer(tmp_path: Path) -> None:
+    observations = read_observations(write(tmp_path, "\ufeffax, ay ,az\r\n1,2,3\r\n-1e3,5,6\r\n"))
+    assert observations.mean_raw.tolist() == [[1, 2, 3], [-1000, 5, 6]]
+    assert observations.name == ("p01", "p02")
+    assert np.isnan(observations.covariance_raw).all()
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_spreadsheets_with_decimal_commas(tmp_path: Path, separator: str) -> None:
+    rows = [["ax", "name", "ay", "az"], ["1,5", "edge 0,5", "-2,25", "9.81"], ["1e-3", "", "0", "-9,8"]]
+    path = write(tmp_path, "".join(separator.join(row) + "\n" for row in rows))
+    observations = read_observations(path)
+    assert observations.mean_raw.tolist() == [[1.5, -2.25, 9.81], [1e-3, 0, -9.8]]
+    assert observations.name == ("edge 0,5", "p02")
+
+
+@pytest.mark.parametrize(("one_g", "unit"), [(9.81, "m/s^2"), (1.0, "g"), (4096.0, "count")])
+def test_unit_is_seen_in_the_size_or_given(tmp_path: Path, one_g: float, unit: str) -> None:
+    rows = "".join(f"{x * one_g},{y * one_g},{z * one_g}\n" for x, y, z in [*np.eye(3), *-np.eye(3)])
+    path = write(tmp_path, "ax,ay,az\n" + rows)
+    assert read_observations(path).units.accelerometer == unit
+    assert read_observations(path, units=SampleUnits("pulse", "pulse")).units.accelerometer == "pulse"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "it is empty"),
+        ("ax,ay\n1,2\n", "line 1: column az missing"),
+        ("ax,ay,az,gx\n1,2,3,4\n", "line 1: columns gy, gz missing"),
+        ("ax,ay,az,foo\n1,2,3,4\n", "line 1: unknown column 'foo'"),
+        ("ax,ay,az,ax\n1,2,3,4\n", "line 1: column 'ax' is there twice"),
+        ("ax,ay,az\n1,2\n", "line 2: 2 values where the header has 3"),
+        ("ax,ay,az\n\n1,2,x\n", "line 3, column az: 'x' is not a number"),
+        ("ax,ay,az\n1,,3\n", "line 2, column ay: '' is not a number"),
+        ("ax,ay,az\n1,nan,3\n", "line 2, column ay: nan is no possible value"),
+        ("ax,ay,az,sigma_ax,sigma_ay,sigma_az\n1,2,3,1,-1,1\n", "line 2, column sigma_ay: -1 is no possible value"),
+        (
+            "ax,ay,az\n1,5,2,5,9,81\n",
+            "line 2: 6 values where the header has 3 columns; .* by semicolons",
+        ),
+        ("ax ay az\n1 2 3\n", "line 1: unknown column 'ax ay az'; separate the columns by commas, semicolons or tabs"),
+        ("ax;ay;az\n1,5;2;1,234,5\n", "line 2, column az: '1.234.5' is not a number"),
+        ('ax,ay,az\n1,2,"3\n4"\n', "line 2: it is no CSV"),
+    ],
+)
+def test_mistakes_are_named(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(RecordingError, match=message) as caught:
+        read_observations(write(tmp_path, text))
+    assert "means.csv" in caught.value.message
+
+
+def test_unreadable_files(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"nowhere\.csv cannot be read"):
+        read_observations(tmp_path / "nowhere.csv")
+    binary = tmp_path / "binary.csv"
+    binary.write_bytes(b"ax,ay,az\n\xff\xfe\n")
+    with pytest.raises(RecordingError, match="no UTF-8"):
+        read_observations(binary)

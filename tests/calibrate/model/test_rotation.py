@@ -1,0 +1,70 @@
+"""Rotations against SciPy's, and running products against a plain loop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from imufield.calibrate.model.rotation import (
+    cross,
+    exponential,
+    from_matrix,
+    logarithm,
+    matrix,
+    multiply,
+    right_jacobian,
+    rotation_matrix,
+    running_turns,
+    skew,
+)
+
+RNG = np.random.default_rng(5)
+VECTORS = np.concatenate([RNG.standard_normal((40, 3)), 1e-9 * RNG.standard_normal((3, 3)), np.zeros((1, 3))])
+
+
+def test_matrices_agree_with_scipy() -> None:
+    assert rotation_matrix(VECTORS) == pytest.approx(Rotation.from_rotvec(VECTORS).as_matrix(), abs=1e-14)
+
+
+def test_product_is_that_of_the_matrices() -> None:
+    a, b = exponential(VECTORS[:20]), exponential(VECTORS[20:40])
+    assert matrix(multiply(a, b)) == pytest.approx(matrix(a) @ matrix(b), abs=1e-14)
+
+
+def test_logarithm_and_from_matrix_come_back() -> None:
+    short = VECTORS / np.maximum(np.linalg.norm(VECTORS, axis=1) / 3.1, 1)[:, None]
+    assert logarithm(exponential(short)) == pytest.approx(short, abs=1e-12)
+    assert logarithm(from_matrix(rotation_matrix(short))) == pytest.approx(short, abs=1e-7)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_from_matrix_half_turns(axis: int) -> None:
+    half = np.pi * np.eye(3)[axis]
+    assert np.abs(from_matrix(rotation_matrix(half))) == pytest.approx(np.abs(exponential(half)), abs=1e-15)
+
+
+def test_cross_and_skew() -> None:
+    a, b = VECTORS[:20], VECTORS[20:40]
+    assert cross(a, b) == pytest.approx(np.cross(a, b))
+    assert (skew(a) @ b[:, :, None])[:, :, 0] == pytest.approx(np.cross(a, b))
+
+
+def test_right_jacobian_is_the_derivative() -> None:
+    step = 1e-6 * RNG.standard_normal(VECTORS.shape)
+    forward = multiply(exponential(-VECTORS), exponential(VECTORS + step))
+    backward = multiply(exponential(-VECTORS), exponential(VECTORS - step))
+    change = (logarithm(forward) - logarithm(backward)) / 2
+    assert change == pytest.approx((right_jacobian(VECTORS) @ step[:, :, None])[:, :, 0], abs=1e-14)
+
+
+def test_running_turns_of_chains_of_any_length() -> None:
+    lengths = [1, 2, 5, 37]
+    turns = exponential(RNG.standard_normal((sum(lengths), 3)))
+    first = (np.cumsum(lengths) - lengths).astype(np.int64)
+    running = running_turns(turns, first)
+    for start, length in zip(first, lengths, strict=True):
+        product = np.array([1.0, 0, 0, 0])
+        for k in range(start, start + length):
+            product = multiply(product, turns[k])
+            assert running[k] == pytest.approx(product, abs=1e-13)

@@ -1,0 +1,133 @@
+"""Weights, scatter between positions, leave-one-out and jackknife, each against a second route."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from calibration_truth import GRAVITY, campaign, random_parameters
+
+from imufield.calibrate.accelerometer.fit import FitData, column_basis, fit
+from imufield.calibrate.accelerometer.start import closed_form_start
+from imufield.calibrate.model.models import from_vector, norm_derivatives, predict, recover, to_vector
+from imufield.calibrate.model.observability import LOWER_GAUGE_COLUMNS
+from imufield.calibrate.model.uncertainty import (
+    between_position_sigma,
+    bounded_cross_covariance,
+    f_limit_95,
+    gravity_sensitivity,
+    influence,
+    jackknife_sigma,
+    known_covariance,
+    student_factor_95,
+    told_apart,
+    within_variance,
+)
+
+LINEAR = LOWER_GAUGE_COLUMNS[:9]
+
+
+def test_leave_one_out_and_jackknife_against_refits() -> None:
+    rng = np.random.default_rng(7)
+    observations = campaign(random_parameters(rng), rng, between_m_s2=2e-3)
+    raw = observations.mean_raw
+    start = closed_form_start(raw, GRAVITY, np.ones(3))
+    basis = column_basis(start, LINEAR, GRAVITY)
+    whole = fit(FitData(raw, None, GRAVITY, "sensing"), start, basis)
+    spread = influence(whole.residual_m_s2, whole.jacobian)
+    shifts = np.empty((24, 9))
+    for k in range(24):
+        part = fit(FitData(np.delete(raw, k, axis=0), None, GRAVITY, "sensing"), start, basis)
+        left_out = np.linalg.norm(recover(from_vector(part.vector), raw[k : k + 1])) - GRAVITY
+        assert spread.leave_one_out[k] == pytest.approx(left_out, rel=5e-3, abs=1e-7)
+        shifts[k] = np.linalg.lstsq(basis, part.vector - whole.vector, rcond=None)[0]
+    assert spread.shift == pytest.approx(shifts, abs=5e-3 * np.abs(shifts).max())
+    assert jackknife_sigma(spread.shift) == pytest.approx(jackknife_sigma(shifts), rel=1e-2)
+    assert spread.leverage.sum() == pytest.approx(9)
+    assert spread.share.sum(axis=0) == pytest.approx(np.ones(9))
+
+
+def test_a_position_alone_cannot_be_left_out() -> None:
+    jacobian = np.array([[1.0, 0], [1.0, 0], [0.0, 1.0]])
+    spread = influence(np.array([0.1, -0.1, 0.0]), jacobian)
+    assert spread.leverage == pytest.approx([0.5, 0.5, 1.0])
+    assert np.isnan(spread.leave_one_out[2])
+    assert spread.leave_one_out[:2] == pytest.approx([0.2, -0.2])
+
+
+def test_between_position_sigma_by_hand() -> None:
+    # Mean of 3 values 0, 1, 2 with equal within variance w: chi^2 = 2 / (w + tau^2) = 2 degrees of freedom.
+    residual, jacobian = np.array([0.0, 1.0, 2.0]), np.ones((3, 1))
+    assert between_position_sigma(residual, jacobian, np.full(3, 0.19)) == pytest.approx(0.9)
+    assert between_position_sigma(residual, jacobian, np.full(3, 1.5)) == 0
+    assert between_position_sigma(residual, jacobian, np.zeros(3)) == pytest.approx(1.0)
+    assert between_position_sigma(residual[:1], jacobian[:1], np.ones(1)) == 0
+
+
+def test_between_position_sigma_makes_chi_squared_its_expectation() -> None:
+    rng = np.random.default_rng(2)
+    within = rng.uniform(0.1, 3, 30) ** 2
+    jacobian = rng.normal(0, 1, (30, 5))
+    residual = rng.normal(0, np.sqrt(within + 2))
+    tau = between_position_sigma(residual, jacobian, within)
+    weight = 1 / np.sqrt(within + tau**2)
+    rest = np.linalg.lstsq(jacobian * weight[:, None], residual * weight, rcond=None)[1]
+    assert rest[0] == pytest.approx(25, rel=1e-6)
+
+
+def test_scatter_between_positions_is_found() -> None:
+    taus = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        observations = campaign(random_parameters(rng), rng, between_m_s2=2e-3)
+        start = closed_form_start(observations.mean_raw, GRAVITY, np.ones(3))
+        data = FitData(observations.mean_raw, observations.covariance_raw, GRAVITY, "sensing")
+        taus.append(fit(data, start, column_basis(start, LINEAR, GRAVITY)).tau_m_s2)
+    assert np.mean(taus) == pytest.approx(2e-3, rel=0.1)
+
+
+def test_within_variance_against_a_sample_of_outputs() -> None:
+    rng = np.random.default_rng(0)
+    truth = random_parameters(rng, 0.02)
+    raw = predict(truth, GRAVITY * np.array([[0.6, 0.0, 0.8]]))
+    root = rng.normal(0, 1, (3, 3))
+    draws = raw + rng.normal(0, 1, (200_000, 3)) @ root.T
+    norms = np.linalg.norm(recover(truth, draws), axis=1)
+    gradient = norm_derivatives(to_vector(truth), raw).raw_gradient
+    assert within_variance(gradient, (root @ root.T)[None]) == pytest.approx(norms.var(), rel=0.02)
+
+
+def test_gravity_sensitivity_against_scaled_parameters() -> None:
+    truth = random_parameters(np.random.default_rng(5), 0.02)
+    vector, step = to_vector(truth), 1e-4
+    raw = predict(truth, GRAVITY * np.eye(3))
+    moved = from_vector(vector + step * gravity_sensitivity(vector, GRAVITY))
+    assert np.linalg.norm(recover(moved, raw), axis=1) == pytest.approx(np.full(3, GRAVITY + step), abs=1e-8)
+
+
+def test_known_covariance() -> None:
+    good = np.broadcast_to(np.eye(3), (4, 3, 3)).copy()
+    assert known_covariance(good)
+    for bad in (0.0, -1.0, np.nan):
+        damaged = good.copy()
+        damaged[2] *= bad
+        assert not known_covariance(damaged)
+
+
+def test_a_covariance_that_is_not_known_is_left_as_it_is() -> None:
+    """A parameter that cannot be seen has none; the others' are not touched beside it."""
+    cross = np.array([[np.nan, np.nan], [0.5, 2.0]])
+    theirs = np.diag([np.nan, 1.0])
+    np.testing.assert_array_equal(bounded_cross_covariance(cross, np.eye(2), theirs), cross)
+
+
+def test_quantiles_against_tables() -> None:
+    assert student_factor_95(12) == pytest.approx(2.179, abs=5e-4)
+    assert np.isnan(student_factor_95(0))
+    assert f_limit_95(3, 12) == pytest.approx(3.49, abs=5e-3)
+    assert f_limit_95(3, 0) == np.inf
+
+
+def test_two_numbers_are_shown_with_the_digits_that_tell_them_apart() -> None:
+    assert told_apart(3.14, 2.01) == ("3.1", "2.0")
+    assert told_apart(2.03, 2.01) == ("2.03", "2.01")
+    assert told_apart(2.0, 2.0) == ("2.0000", "2.0000")

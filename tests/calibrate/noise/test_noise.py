@@ -1,0 +1,229 @@
+"""Allan deviation as a stream, what is identified from it, and what is said where it cannot be."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.noise import allan
+from imufield.calibrate.noise.allan import AllanStream, EvenGrid, degrees_of_freedom, interval_95, load_allantools
+from imufield.calibrate.noise.noise import NoiseStream, measure_noise
+from imufield.calibrate.noise.noise_fit import FLICKER, identify, terms
+from imufield.calibrate.noise.noise_texts import draw_plot, noise_text
+from imufield.errors import CalibrationError, Reason, RecordingError, UsageError
+from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
+
+pytest.importorskip("allantools")
+RATE_HZ = 20.0
+DENSITY = np.repeat([1e-3, 1e-4], 3)
+WALK = np.repeat([3e-5, 3e-6], 3)
+
+
+def standstill(hours: float, seed: int = 0, walk: FloatArray = WALK, step: float = 0.0, block: int = 5000) -> Iterator[Samples]:
+    rng = np.random.default_rng(seed)
+    n, level = int(hours * 3600 * RATE_HZ), np.array([0.0, 0.0, 9.8, 0.0, 0.0, 0.0])
+    for first in range(0, n, block):
+        count = min(block, n - first)
+        path = level + np.cumsum(rng.standard_normal((count, 6)) * walk / np.sqrt(RATE_HZ), axis=0)
+        level = path[-1]
+        values = path + rng.standard_normal((count, 6)) * DENSITY * np.sqrt(RATE_HZ)
+        values = values if step == 0 else step * np.rint(values / step)
+        yield make_samples((first + np.arange(count)) / RATE_HZ, values[:, :3], values[:, 3:], units=SampleUnits())
+
+
+def test_stream_agrees_with_allantools_on_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(allan, "CHUNK", 1 << 13)
+    rng = np.random.default_rng(1)
+    values = rng.standard_normal((120_000, 2))
+    values[:, 1] += np.cumsum(values[:, 0]) * 1e-3
+    stream = AllanStream(0.05, 2)
+    for first in range(0, len(values), 7777):
+        stream.feed(values[first : first + 7777])
+    found = stream.finish()
+    for column in range(2):
+        reference = load_allantools().oadev(values[:, column], rate=20.0, data_type="freq", taus=found.tau_s)
+        # Chunks of 8192 samples lose the terms that straddle them: up to 128 / 8192 of all.
+        assert found.deviation[: len(reference[1]), column] == pytest.approx(reference[1], rel=0.015)
+
+
+def test_short_recordings_are_taken_whole() -> None:
+    values = np.random.default_rng(2).standard_normal((5000, 1))
+    stream = AllanStream(1.0, 1)
+    stream.feed(values)
+    found = stream.finish()
+    reference = load_allantools().oadev(values[:, 0], rate=1.0, data_type="freq", taus=found.tau_s)
+    assert found.deviation[:, 0] == pytest.approx(reference[1], rel=1e-9)
+
+
+def test_terms_are_the_textbook_ones() -> None:
+    # At 1 s the deviation of white noise is its density; the floor of flicker 0.664 B; a random walk K / sqrt(3).
+    row = terms(np.array([1.0]))[0]
+    assert np.sqrt(row) == pytest.approx([math.sqrt(3), 1, 0.664, 1 / math.sqrt(3), 1 / math.sqrt(2)], rel=1e-3)
+    assert math.sqrt(FLICKER) == pytest.approx(0.664, abs=1e-3)
+
+
+def test_exact_curve_gives_its_figures_back() -> None:
+    tau_s: FloatArray = np.asarray(0.05 * 2.0 ** np.arange(18))
+    truth = np.array([1e-6, 2e-3, 4e-4, 5e-6, 0.0])
+    model = identify(tau_s, np.sqrt(terms(tau_s) @ truth**2), 1e9 * tau_s[0] / tau_s)
+    assert model.density.value == pytest.approx(2e-3, rel=1e-3)
+    assert model.instability.value == pytest.approx(4e-4, rel=0.01)
+    assert model.walk.value == pytest.approx(5e-6, rel=0.1)
+    assert model.deviation(tau_s) == pytest.approx(np.sqrt(terms(tau_s) @ truth**2), rel=1e-3)
+
+
+def test_intervals_hold_the_truth() -> None:
+    inside = []
+    for seed in range(3):
+        result = measure_noise(standstill(6.0, seed))
+        for axis, density, walk in zip(result.axes, DENSITY, WALK, strict=True):
+            inside += [axis.density.low <= density <= axis.density.high, axis.walk.low <= walk <= axis.walk.high]
+            assert axis.density.value == pytest.approx(density, rel=0.02)
+    assert np.mean(inside) > 0.85
+
+
+def test_limits_of_the_deviation() -> None:
+    stream = AllanStream(1.0, 1)
+    stream.feed(np.random.default_rng(0).standard_normal((4096, 1)))
+    found = stream.finish()
+    freedom = degrees_of_freedom(found, 0)
+    low, high = interval_95(found.deviation[:, 0], freedom)
+    white = 1 / np.sqrt(found.tau_s)
+    assert np.mean((low < white) & (white < high)) > 0.8
+    assert np.all(np.diff(freedom) < 0)
+
+
+def test_too_short_is_said() -> None:
+    result = measure_noise(standstill(0.1))
+    said = " ".join(sentence for axis in result.axes for sentence in axis.sentences)
+    assert "too short to see the random walk of gyroscope x" in said
+    assert "too short to see the bias instability of accelerometer z" in said
+    assert np.isnan(result.values("gyroscope", "walk")).all()
+    assert np.all(result.upper_limits("gyroscope", "walk") > 0)
+    with pytest.raises(CalibrationError, match="needs 60 s") as caught:
+        measure_noise(standstill(0.01))
+    assert caught.value.reason is Reason.TOO_FEW
+    with pytest.raises(RecordingError, match="no samples"):
+        measure_noise([])
+
+
+def test_quantisation_is_said() -> None:
+    result = measure_noise(standstill(0.2, step=0.014, walk=0 * WALK))
+    quantised = [axis for axis in result.axes if axis.quantised]
+    assert {axis.name[0] for axis in quantised} == {"a"}
+    assert "limited by quantisation" in quantised[0].sentences[0]
+    assert not quantised[0].density.seen
+    assert quantised[0].density.high > DENSITY[0]
+    dead = [axis for axis in result.axes if not np.isfinite(axis.step)]
+    assert all("never changed" in axis.sentences[0] for axis in dead)
+    assert len(dead) == 3
+
+
+def test_moved_units_are_cut_and_the_longest_stretch_is_used() -> None:
+    blocks = []
+    for block in standstill(0.5):
+        turned = block.time_s > 1500
+        block.accelerometer[turned] = block.accelerometer[turned][:, [1, 2, 0]]
+        blocks.append(block)
+    result = measure_noise(blocks)
+    assert result.duration_s == pytest.approx(1500, abs=2)
+    assert "moved at 1500 s" in result.sentences[0]
+    assert result.triad("accelerometer")[2].density.value == pytest.approx(1e-3, rel=0.05)
+
+
+def test_losses_are_bridged_or_cut() -> None:
+    def lossy() -> Iterator[Samples]:
+        for block in standstill(0.3):
+            kept = np.flatnonzero((np.arange(len(block)) % 997 != 0) & ~((block.time_s > 100) & (block.time_s < 103)))
+            yield block[kept]
+
+    result = measure_noise(lossy())
+    assert result.start_s == pytest.approx(103, abs=1)
+    assert result.bridged > 10
+    assert "samples are missing" in result.sentences[0]
+    assert "bridged" in result.sentences[-1]
+    assert result.values("gyroscope", "density") == pytest.approx(DENSITY[3:], rel=0.05)
+
+
+def test_blocks_do_not_matter() -> None:
+    a, b = measure_noise(standstill(0.1)), NoiseStream(SampleUnits())
+    samples = list(standstill(0.1))
+    for block in samples:
+        for first in range(0, len(block), 333):
+            b.feed(block[slice(first, first + 333)])
+    found = b.finish()
+    assert found.samples == a.samples
+    assert found.axes[4].deviation == pytest.approx(a.axes[4].deviation, rel=1e-9)
+
+
+def test_an_accelerometer_alone() -> None:
+    blocks = [make_samples(block.time_s, block.accelerometer, units=block.units) for block in standstill(0.1)]
+    result = measure_noise(blocks)
+    assert len(result.axes) == 3
+    assert np.isnan(result.values("gyroscope", "density")).all()
+    with pytest.raises(UsageError, match="one triad"):
+        noise_text(result, "kalibr")
+
+
+def test_raw_units_need_a_scale() -> None:
+    units = SampleUnits("count", "count")
+    blocks = [make_samples(b.time_s, 100 * b.accelerometer, 5000 * b.gyroscope, units=units) for b in standstill(0.1)]
+    raw, scaled = measure_noise(blocks), measure_noise(blocks, 100.0, np.full(3, 5000.0))
+    assert raw.axes[0].unit == "count"
+    assert not raw.is_si
+    assert scaled.values("gyroscope", "density") == pytest.approx(DENSITY[3:], rel=0.05)
+    with pytest.raises(UsageError, match="raw units"):
+        noise_text(raw, "vins")
+
+
+def test_texts_hold_what_filters_read(tmp_path: Path) -> None:
+    result = measure_noise(standstill(0.5))
+    kalibr, openvins, vins = (noise_text(result, form) for form in ("kalibr", "openvins", "vins"))
+    for text in (kalibr, openvins):
+        found = dict(line.strip().split(": ", 1) for line in text.splitlines() if ": " in line and line[0] != "#")
+        assert float(found["gyroscope_noise_density"].split()[0]) == pytest.approx(1e-4, rel=0.05)
+        assert float(found["accelerometer_random_walk"].split()[0]) > 0
+        assert float(found["update_rate"]) == RATE_HZ
+        assert found["rostopic"] == "/imu0"
+    assert openvins.splitlines()[1] == "imu0:"
+    assert vins.count(":") >= 5
+    assert "g_norm: 9.806650" in vins
+    covariances = dict(line.split("  #")[0].split(": ") for line in noise_text(result, "ros2").splitlines()[1:])
+    for k, name in ((0, "linear_acceleration_covariance"), (3, "angular_velocity_covariance")):
+        matrix = np.array(json.loads(covariances[name])).reshape(3, 3)
+        assert np.diag(matrix) == pytest.approx(DENSITY[k : k + 3] ** 2 * RATE_HZ, rel=0.1)
+        assert np.count_nonzero(matrix) == 3
+    assert "upper 95 % limit" in noise_text(measure_noise(standstill(0.1)), "kalibr")
+    pytest.importorskip("matplotlib")
+    assert draw_plot(result, "png")[:4] == b"\x89PNG"
+    with pytest.raises(UsageError, match=r"cannot be a \.exe file"):
+        draw_plot(result, "exe")
+
+
+def test_missing_allantools_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(name: str) -> None:
+        raise ImportError(name)
+
+    monkeypatch.setattr(importlib, "import_module", refuse)
+    with pytest.raises(UsageError, match="imufield\\[noise\\]"):
+        load_allantools()
+
+
+def test_even_grid() -> None:
+    grid = EvenGrid(1.0)
+    runs = grid.feed(np.array([0.0, 1.0, 1.9]), np.array([[0.0], [1.0], [2.0]]))
+    assert [len(run.rows) for run in runs] == [3]
+    later = EvenGrid(0.1)
+    later.feed(np.array([0.0]), np.array([[0.0]]))
+    (run,) = later.feed(np.array([0.4]), np.array([[4.0]]))
+    assert run.rows[:, 0] == pytest.approx([1, 2, 3, 4])
+    assert run.bridged == 3
+    assert run.start_s == pytest.approx(0.1)
+    (back,) = later.feed(np.array([0.1]), np.array([[7.0]]))
+    assert back.broken

@@ -1,0 +1,229 @@
+"""A folder of parameter files: index, changes in sigma, what is left out, staleness."""
+
+from __future__ import annotations
+
+import csv
+import io
+import sqlite3
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import Calibration
+from imufield.deliver.parameters.context import Context
+from imufield.deliver.parameters.file import write_parameters
+from imufield.deliver.parameters.gauge_free import numbers_of
+from imufield.deliver.report.history import INDEX_FILE, find, one_instrument, plot_history, read_history, sentences, to_csv
+from imufield.errors import ParameterFileError
+
+NOW = datetime(2026, 9, 1, tzinfo=UTC)
+
+
+@pytest.fixture
+def write(tmp_path: Path, calibration: Calibration, observations: Observations, context: Context):  # type: ignore[no-untyped-def]
+    """Return a writer of calibrations: date, bias y moved by so many sigma, serial number."""
+
+    def writer(name: str, created: str, moved: float = 0.0, serial: str = "N1", session: str = "", model: str = "") -> Path:
+        found = calibration.intrinsic
+        raw = found.bias_raw + moved * found.bias_raw_sigma * np.array([0.0, 1.0, 0.0])
+        K = calibration.accelerometer.scale
+        moved_to = replace(calibration.accelerometer, bias_m_s2=raw / K)
+        changed = replace(calibration, accelerometer=moved_to, intrinsic=replace(found, bias_raw=raw))
+        seen = replace(observations, mean_raw=observations.mean_raw + raw - found.bias_raw)
+        facts = replace(context.session, sha256=session or f"{hash(name) % 16:x}" * 64)
+        moment = created if "T" in created else f"{created}T10:00:00Z"
+        instrument = replace(context.instrument, serial_number=serial, model=model or context.instrument.model)
+        where = replace(context, created=moment, instrument=instrument, session=facts)
+        path = tmp_path / name / "parameters.toml"
+        path.parent.mkdir(exist_ok=True)
+        write_parameters(path, changed, seen, where)
+        return path
+
+    return writer
+
+
+def test_a_move_is_told_in_sigma_of_the_difference(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    write("b", "2026-08-01", moved=-4.1 * np.sqrt(2), session="b" * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    assert [entry.created[:10] for entry in instrument.entries] == ["2026-03-04", "2026-08-01"]
+    change = {one.name: one for one in instrument.changes()}["bias y"]
+    assert change.in_sigma == pytest.approx(-4.1, rel=1e-6)
+    told = list(sentences(instrument, NOW))
+    assert told[0].startswith("bias y moved 4.1 sigma since 4 March 2026 (")
+    assert len(told) == 1
+
+
+def test_of_two_on_one_day_the_time_is_told(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-08-01", session="a" * 64)
+    write("b", "2026-08-01T15:30:00Z", moved=9.0, session="b" * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    (told,) = sentences(instrument, NOW)
+    assert "sigma since 1 August 2026, 10:00 UTC (" in told
+
+
+def test_slow_drift_is_told_against_the_first(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    for k in range(4):
+        write(f"s{k}", f"2026-0{k + 1}-01", moved=2.0 * k, session=f"{k}" * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    assert any("since 1 January 2026" in one for one in sentences(instrument, NOW))
+
+
+def test_a_step_is_told_beside_the_way_since_the_first(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    for name, date, moved in (("a", "2026-03-04", 0.0), ("b", "2026-05-01", 15.0), ("c", "2026-08-01", 21.0)):
+        write(name, date, moved=moved, session=name * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    step, way = sentences(instrument, NOW)
+    assert "bias y moved 4.2 sigma since 1 May 2026" in step
+    assert "bias y moved 14.8 sigma since 4 March 2026" in way
+
+
+def test_of_two_at_one_moment_one_counts_everywhere_and_it_is_said(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-08-01", session="a" * 64)
+    write("b", "2026-08-01", moved=9.0, session="b" * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    assert instrument.entries[-1].path.startswith("b")
+    assert instrument.nearest(NOW) is instrument.entries[-1]
+    assert "bear the same time: the last by name counts as the newest" in next(iter(sentences(instrument, NOW)))
+
+
+def test_another_variant_of_the_model_is_the_same_instrument(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64, model="STIM300 K")
+    write("b", "2026-05-04", session="b" * 64, model="STIM300 L")
+    (instrument,) = read_history(tmp_path, "N1").instruments
+    assert len(instrument.entries) == 2
+    assert one_instrument(read_history(tmp_path)).title == "STIM300 L N1"
+
+
+def test_gravity_is_common_to_both_scales(calibration: Calibration) -> None:
+    scale = {one.name: one for one in numbers_of(calibration)}["scale x"]
+    assert scale.common == pytest.approx(5e-4 / 9.8071, rel=1e-3)
+    assert scale.common < scale.sigma
+
+
+def test_an_old_calibration_is_called_old(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2025-08-01")
+    (instrument,) = read_history(tmp_path).instruments
+    assert "396 days old (limit 365)" in next(iter(sentences(instrument, NOW)))
+    assert not list(sentences(instrument, NOW, stale_days=400))
+
+
+def test_only_the_newest_solution_of_a_recording_counts(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    write("a", "2026-03-05", session="a" * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    assert [entry.path for entry in instrument.entries] == ["a/parameters.toml"]
+
+
+def test_instruments_are_kept_apart_and_one_can_be_chosen(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", serial="N1")
+    write("b", "2026-03-05", serial="N2")
+    assert [one.serial_number for one in read_history(tmp_path).instruments] == ["N1", "N2"]
+    assert [one.serial_number for one in read_history(tmp_path, "N2").instruments] == ["N2"]
+    with pytest.raises(ParameterFileError, match="of serial number N3"):
+        read_history(tmp_path, "N3")
+
+
+def test_unknown_serial_numbers_are_not_trusted(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", serial="", session="a" * 64)
+    write("b", "2026-03-05", serial="", session="b" * 64)
+    (instrument,) = read_history(tmp_path).instruments
+    assert "may be of several instruments" in next(iter(sentences(instrument, NOW)))
+
+
+def test_files_are_read_once_and_again_after_a_change(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    path = write("a", "2026-03-04")
+    write("b", "2026-03-05", session="b" * 64)
+    (tmp_path / "a" / "session.toml").write_text('format = "imufield-session"\n')
+    assert [read_history(tmp_path).read for _ in range(2)] == [3, 0]
+    path.unlink()
+    write("b", "2026-04-05", session="b" * 64)
+    history = read_history(tmp_path)
+    assert history.read >= 1
+    assert [entry.created[:10] for entry in history.instruments[0].entries] == ["2026-04-05"]
+
+
+def test_damaged_files_are_named_and_left_out(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    path = write("a", "2026-03-04")
+    text = write("b", "2026-03-05").read_text()
+    path.write_text(text[: len(text) // 2])
+    history = read_history(tmp_path)
+    assert len(history.instruments[0].entries) == 1
+    assert len(history.faults) == 1
+    assert "a/parameters.toml" in history.faults[0]
+
+
+@pytest.mark.parametrize("content", [b"", b"no database at all, and long enough to be looked at" * 20])
+def test_a_spoilt_index_does_no_harm(tmp_path: Path, write, content: bytes) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04")
+    (tmp_path / INDEX_FILE).write_bytes(content)
+    assert len(read_history(tmp_path).instruments) == 1
+
+
+def test_an_index_of_another_version_is_made_anew(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04")
+    read_history(tmp_path)
+    with sqlite3.connect(tmp_path / INDEX_FILE) as index:
+        index.execute("PRAGMA user_version = 99")
+        index.execute("DROP TABLE entry")
+        index.execute("CREATE TABLE entry (other TEXT)")
+    index.close()
+    assert read_history(tmp_path).read == 1
+
+
+def test_empty_and_missing_folders_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ParameterFileError, match="holds no parameter file"):
+        read_history(tmp_path)
+    with pytest.raises(ParameterFileError, match="is no folder"):
+        read_history(tmp_path / "nowhere")
+
+
+def test_table_has_a_row_for_every_number(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    write("b", "2026-08-01", moved=5.0, session="b" * 64)
+    rows = list(csv.DictReader(io.StringIO(to_csv(read_history(tmp_path)))))
+    numbers = len(read_history(tmp_path).instruments[0].entries[0].numbers)
+    assert len(rows) == 2 * numbers
+    moved = [row for row in rows if row["parameter"] == "bias y"]
+    assert [row["change_sigma"] for row in moved] == ["", "3.54"]
+    assert float(moved[0]["value"]) == read_history(tmp_path).instruments[0].entries[0].numbers[1].value
+
+
+def test_table_says_which_file_was_edited_and_which_refused(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    edited = write("b", "2026-08-01", session="b" * 64)
+    refused = write("c", "2026-08-02", session="c" * 64)
+    head, _, _ = edited.read_text(encoding="utf-8").rpartition("sha256 = ")
+    edited.write_text(f'{head}sha256 = "edited"\n', encoding="utf-8")
+    refused.write_text(refused.read_text(encoding="utf-8").replace("used = true", "used = false", 1), encoding="utf-8")
+    rows = list(csv.DictReader(io.StringIO(to_csv(read_history(tmp_path)))))
+    remarks = {row["file"]: row["remark"] for row in rows}
+    assert remarks["a/parameters.toml"] == ""
+    assert remarks["b/parameters.toml"] == "edited by hand"
+    (last,) = [row for row in rows if not row["file"]]
+    assert last["remark"].startswith("refused: ")
+    assert "c/parameters.toml was changed after it was written" in last["remark"]
+    assert last["value"] == ""
+
+
+def test_plot_is_a_drawing_of_every_kind(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    write("a", "2026-03-04", session="a" * 64)
+    write("b", "2026-08-01", session="b" * 64)
+    drawn = plot_history(read_history(tmp_path).instruments[0]).decode()
+    assert drawn.startswith("<svg")
+    assert all(f">{kind}<" in drawn for kind in ("bias", "scale", "angle"))
+
+
+def test_the_calibration_closest_in_time_is_found(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
+    dates = ["2026-01-10T00:00:00Z", "2026-03-10T00:00:00Z", "2026-08-10T00:00:00Z"]
+    paths = [write(f"{k}.toml", date, session=str(k) * 64) for k, date in enumerate(dates)]
+    write("other.toml", "2026-05-01T00:00:00Z", serial="N2", session="f" * 64)
+    for day, expected in ((datetime(2025, 1, 1), 0), (datetime(2026, 3, 20, tzinfo=UTC), 1), (datetime(2026, 6, 1), 2)):  # noqa: DTZ001
+        assert find(tmp_path, "N1", day).path == paths[expected]
+    assert find(str(tmp_path), "N1").path == paths[2]
+    with pytest.raises(ParameterFileError, match="serial number N3"):
+        find(tmp_path, "N3")

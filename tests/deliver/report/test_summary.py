@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
+from imufield.deliver.parameters.context import Context
+from imufield.deliver.parameters.file import Parameters, from_document, to_document
+from imufield.deliver.report.summary import Outcome, print_summary, summary_text
+from imufield.earth import choose_gravity
+
+
+@pytest.fixture
+def full(calibration: Calibration, observations: Observations, context: Context) -> Parameters:
+    return from_document(to_document(calibration, observations, context))
+
+
+def made(calibration: Calibration, observations: Observations, context: Context) -> str:
+    return summary_text(from_document(to_document(calibration, observations, context)))
+
+
+def test_says_every_parameter_with_its_uncertainty(full: Parameters) -> None:
+    text = summary_text(full)
+    assert "+3.182 ± 0.011" in text  # 0.0312 m/s² are 3.1815 mg
+    assert "+0.03120 ± 0.00011" in text
+    assert "+123 ± 52" in text  # 1.000123 against 1 m/s² per m/s²
+    assert "yx +1.310 ± 0.026" in text
+    assert "+4.5" in text  # 1.31 mrad in arc-minutes
+    assert "+10.8 ± 2.9" in text  # 1.1e-6 (m/s²)/(m/s²)² times 9.80665
+    assert "+20.63 ± 0.43" in text  # 1e-4 rad/s in °/h
+    assert "static bias, Earth rate accounted for" in text
+
+
+def test_fits_80_columns_and_ends_lines_without_blanks(full: Parameters) -> None:
+    lines = summary_text(full, Outcome(Path("a" * 30, "b" * 30, "parameters.toml"), Path("parameters-3.toml"))).splitlines()
+    path = "/".join(["a" * 30, "b" * 30, "parameters.toml"])
+    assert lines[lines.index("Written to") + 1] == path
+    assert max(len(line) for line in lines if line != path) <= 80
+    assert all(line == line.rstrip() for line in lines)
+    assert not any("…" in line for line in lines)
+
+
+def test_the_end_fits_a_terminal_of_24_lines(full: Parameters) -> None:
+    lines = summary_text(full, Outcome(Path("parameters.toml"))).splitlines()
+    assert any("Residual by position" in line for line in lines[-23:])
+    assert lines[-1] == " · use it in Python: imufield.load(FILE).apply(samples)"
+
+
+def test_marks_the_worst_position_and_the_unused(
+    calibration: Calibration, observations: Observations, context: Context
+) -> None:
+    used = np.arange(24) != 4
+    left_out = replace(calibration, positions=replace(calibration.positions, used=used))
+    text = made(left_out, observations, context)
+    assert "3-2 █████████    -93 ◄" in text
+    assert text.count("◄") == 1
+    assert text.count("not used") == 1
+
+
+def test_scale_of_an_instrument_that_counts(calibration: Calibration, observations: Observations, context: Context) -> None:
+    counts = replace(calibration, accelerometer_raw_unit="count/s", gauge="symmetric")
+    text = made(counts, observations, context)
+    assert "count/s per m/s²         1.00012 ± 0.00005" in text  # a second digit of sigma would not fit
+    assert max(len(line) for line in text.splitlines()) <= 80
+
+
+def test_six_faces_say_what_was_not_estimated(six_faces: Calibration, observations: Observations, context: Context) -> None:
+    text = made(six_faces, observations, context)
+    line = next(line for line in text.splitlines() if line.startswith("misalignment"))
+    assert line.count("not estimated") == 3
+    assert "Gyroscope" not in text
+
+
+def test_assumed_gravity_is_said_aloud_and_answered(
+    calibration: Calibration, observations: Observations, context: Context
+) -> None:
+    text = made(replace(calibration, gravity=choose_gravity()), observations, context)
+    assert "9.807 ± 0.018 m/s², ASSUMED" in text
+    assert "imufield solve --latitude DEGREES" in text
+
+
+@pytest.mark.parametrize(
+    ("freedom", "advice"), [(0, "take a session of 24 positions"), (5, "take the session again, the marked position")]
+)
+def test_poor_says_what_to_do(
+    calibration: Calibration, observations: Observations, context: Context, freedom: int, advice: str
+) -> None:
+    factor = 2.57 if freedom else float("nan")
+    quality = replace(calibration.quality, verdict="poor", degrees_of_freedom=freedom, student_factor_95=factor)
+    text = made(replace(calibration, quality=quality), observations, context)
+    assert "Verdict: POOR, do not navigate with it" in text
+    assert advice in text
+
+
+def test_gyroscope_of_unknown_scale_and_of_full_calibration(
+    calibration: Calibration, observations: Observations, context: Context, gyroscope: GyroscopeCalibration
+) -> None:
+    unknown = replace(gyroscope, parameters=replace(gyroscope.parameters, scale=np.full(3, np.nan)), raw_unit="count")
+    text = made(replace(calibration, gyroscope=unknown), observations, context)
+    assert "(+100.0 ± 2.1)e-6" in text
+    sigma = replace(gyroscope.sigma, scale=np.full(3, 1e-4), misalignment_rad=np.full((3, 3), 1e-4))
+    fast = replace(gyroscope.parameters, scale=np.array([1.001, 0.999, 1.0]), bias=np.array([0.1, 0.2, -0.3]))
+    text = made(replace(calibration, gyroscope=replace(gyroscope, parameters=fast, sigma=sigma)), observations, context)
+    assert "+5.72385 ± 0.00058" in text  # °/s; the scale's sigma counts in: 0.1 * 1e-4 rad/s
+    assert "+1000 ± 100" in text
+
+
+def test_the_nine_g_sensitivities_are_shown_where_fitted(
+    calibration: Calibration, observations: Observations, context: Context, gyroscope: GyroscopeCalibration
+) -> None:
+    g_sensitivity = 1e-6 * np.arange(1.0, 10.0).reshape(3, 3)
+    sigma = replace(
+        gyroscope.sigma, scale=np.full(3, 1e-4), misalignment_rad=np.full((3, 3), 1e-4), g_sensitivity=np.full((3, 3), 1e-7)
+    )
+    fitted = replace(gyroscope.parameters, scale=np.ones(3), g_sensitivity=g_sensitivity)
+    text = made(replace(calibration, gyroscope=replace(gyroscope, parameters=fitted, sigma=sigma)), observations, context)
+    # 1e-6 rad/s per m/s^2 are 9.80665e-6 * 648000 / pi = 2.02 deg/h per g; y of the gyroscope has four times that of a_x.
+    (row,) = [line for line in text.splitlines() if line.startswith("g-sens. of ax")]
+    assert row.split()[3:] == ["°/h/g", "+2.02", "±", "0.20", "+8.09", "±", "0.20", "+14.16", "±", "0.20"]
+
+
+def test_residuals_of_rounding_have_no_worst(calibration: Calibration, observations: Observations, context: Context) -> None:
+    exact = replace(calibration, positions=replace(calibration.positions, residual_m_s2=np.full(24, 1e-15)))
+    assert "◄" not in made(exact, observations, context)
+
+
+def test_edited_file_is_said(full: Parameters) -> None:
+    assert "edited by hand" in summary_text(replace(full, edited=True))
+
+
+def test_colours_on_a_terminal_only(full: Parameters) -> None:
+    terminal = Console(file=io.StringIO(), force_terminal=True, width=80, color_system="standard")
+    print_summary(full, console=terminal)
+    assert "\x1b[" in terminal.file.getvalue()  # type: ignore[attr-defined]  # it is the StringIO above
+    pipe = Console(file=io.StringIO(), width=200)
+    print_summary(full, console=pipe)
+    assert pipe.file.getvalue() == summary_text(full)  # type: ignore[attr-defined]  # it is the StringIO above
+
+
+def test_ascii_files_get_ascii(full: Parameters, tmp_path: Path) -> None:
+    with (tmp_path / "log.txt").open("w", encoding="ascii") as file:
+        print_summary(full, console=Console(file=file))
+    assert "+3.182 +-0.011" in (tmp_path / "log.txt").read_text(encoding="ascii")

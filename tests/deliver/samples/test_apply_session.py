@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import Calibration
+from imufield.deliver.parameters.context import Context
+from imufield.deliver.parameters.file import Parameters, from_document, to_document
+from imufield.deliver.samples.apply_session import apply_session
+from imufield.errors import ParameterFileError, Reason
+from imufield.samples import Samples, SampleUnits, make_samples
+
+ROWS = 1000
+
+
+def block(start: int = 0, units: SampleUnits | None = None) -> Samples:
+    rng = np.random.default_rng(start)
+    acc, gyr = rng.uniform(-20, 20, (ROWS, 3)), rng.uniform(-3, 3, (ROWS, 3))
+    acc[7], gyr[7] = np.nan, np.nan
+    time_s = start + np.arange(ROWS) / ROWS
+    counter = np.arange(ROWS, dtype=np.int64)
+    return make_samples(time_s, acc, gyr, units=units or SampleUnits(), counter=counter)
+
+
+@pytest.fixture
+def loaded(calibration: Calibration, observations: Observations, context: Context) -> Parameters:
+    return from_document(to_document(calibration, observations, context))
+
+
+def test_writes_what_apply_gives(loaded: Parameters, tmp_path: Path) -> None:
+    blocks = [block(0), block(1)]
+    path = tmp_path / "corrected.csv"
+    assert apply_session(loaded, blocks, path, serial_number="N25581234567890") == 2 * ROWS
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    columns = np.array(table.tolist())[:, 1:7]
+    expected = [np.hstack([c.specific_force_m_s2, c.angular_rate_rad_s]) for c in map(loaded.apply, blocks)]
+    np.testing.assert_array_equal(columns, np.vstack(expected))
+    assert np.isnan(columns[7]).all()
+    np.testing.assert_array_equal(table["counter"][:ROWS], np.arange(ROWS))
+
+
+def test_increments_become_rates(loaded: Parameters, tmp_path: Path) -> None:
+    units = SampleUnits("m/s", "rad", accelerometer_is_increment=True, gyroscope_is_increment=True, interval_s=0.01)
+    rates = block()
+    increments = replace(rates, accelerometer=rates.accelerometer * 0.01, gyroscope=rates.gyroscope * 0.01, units=units)
+    for name, samples in (("a", rates), ("b", increments)):
+        apply_session(loaded, [samples], tmp_path / name)
+    tables = [np.genfromtxt(tmp_path / name, delimiter=",", skip_header=1)[:, :7] for name in "ab"]
+    np.testing.assert_allclose(tables[1], tables[0], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("serial_number", "units", "reason"),
+    [
+        ("N1", SampleUnits(), Reason.FOREIGN),
+        ("", SampleUnits("g"), Reason.UNITS),
+        ("", SampleUnits("count", "count"), Reason.UNITS),
+    ],
+)
+def test_another_instrument_or_unit_is_refused_and_the_old_file_stays(
+    serial_number: str, units: SampleUnits, reason: Reason, loaded: Parameters, tmp_path: Path
+) -> None:
+    path = tmp_path / "corrected.csv"
+    path.write_text("old")
+    with pytest.raises(ParameterFileError) as caught:
+        apply_session(loaded, [block(0), block(1, units)], path, serial_number=serial_number)
+    assert caught.value.reason is reason
+    assert caught.value.exit_code == 5
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_serial_number_not_known_is_no_reason_to_refuse(loaded: Parameters, tmp_path: Path) -> None:
+    assert apply_session(loaded, [block()], tmp_path / "a.csv") == ROWS
+
+
+def test_memory_does_not_grow_with_the_recording(loaded: Parameters, tmp_path: Path) -> None:
+    def stream(count: int) -> Iterator[Samples]:
+        return (block(number) for number in range(count))
+
+    peaks = []
+    for count in (60, 300):
+        tracemalloc.start()
+        apply_session(loaded, stream(count), tmp_path / "corrected.csv")
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.2 * peaks[0]

@@ -1,0 +1,150 @@
+"""Held-out positions of simulated instruments: honest uncertainty passes, a wrong parameter does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.model.models import predict
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import AccelerometerParameters, Calibration
+from imufield.deliver.verification.held_out import check_positions, cross_validate
+from imufield.earth import Gravity
+from imufield.errors import CalibrationError, UsageError
+from imufield.guide.positions import scheme
+from imufield.samples import FloatArray, SampleUnits
+
+GRAVITY = Gravity(9.81, 5e-4, "normal", 48.0, 300.0)
+TRUTH = AccelerometerParameters(
+    np.array([1.001, 0.9985, 1.0007]),
+    np.array([0.02, -0.03, 0.01]),
+    np.array([[0, 0, 0], [1e-3, 0, 0], [-2e-3, 5e-4, 0]]),
+)
+SIGMA = 1e-3
+
+
+def observe(seed: int, positions: str = "paper24", truth: AccelerometerParameters = TRUTH, g: float = 9.81) -> Observations:
+    up = scheme(positions).directions()
+    m = len(up)
+    rng = np.random.default_rng(seed)
+    up = up + 0.03 * rng.normal(size=up.shape)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    unknown: FloatArray = np.full((m, 3), np.nan)
+    return Observations(
+        tuple(f"p{k}" for k in range(m)),
+        predict(truth, g * up) + SIGMA * rng.normal(size=up.shape),
+        np.broadcast_to(np.eye(3) * SIGMA**2, (m, 3, 3)),
+        unknown,
+        np.full((m, 3, 3), np.nan),
+        up,
+        np.arange(m, dtype=np.float64),
+        np.ones(m),
+        np.full(m, 25.0),
+        SampleUnits(),
+    )
+
+
+def calibrated(seed: int = 0) -> Calibration:
+    return calibrate_accelerometer(observe(seed), GRAVITY, model="linear")
+
+
+def test_residuals_of_fresh_positions_are_as_forecast_in_most_seeds() -> None:
+    found = [check_positions(calibrated(seed), observe(100 + seed, "paper36"), GRAVITY) for seed in range(20)]
+    assert sum(one.as_forecast for one in found) >= 17
+    normalised = np.concatenate([one.residual_m_s2 / one.sigma_m_s2 for one in found])
+    assert np.sqrt(np.mean(normalised**2)) == pytest.approx(1.0, abs=0.15)
+
+
+def test_the_error_of_gravity_cancels_at_one_place() -> None:
+    # True gravity differs by 2e-3 from what both sessions were told: nothing is seen, as it must be.
+    calibration = calibrate_accelerometer(observe(1, g=9.812), GRAVITY, model="linear")
+    found = check_positions(calibration, observe(2, g=9.812), GRAVITY)
+    assert found.rms_m_s2 < 3 * SIGMA
+    elsewhere = check_positions(calibration, observe(2, g=9.822), replace(GRAVITY, gravity_m_s2=9.82))
+    assert np.all(elsewhere.sigma_m_s2 > found.sigma_m_s2)
+
+
+def test_a_bias_that_moved_is_found_and_the_preset_compared() -> None:
+    moved = replace(TRUTH, bias_m_s2=TRUTH.bias_m_s2 + np.array([0.01, 0, 0]))
+    found = check_positions(calibrated(), observe(5, truth=moved), GRAVITY, before=moved)
+    assert not found.as_forecast
+    assert found.before_rms_m_s2 < found.rms_m_s2 / 3
+
+
+def test_cross_validation_predicts_every_position_once() -> None:
+    observations = observe(0)
+    found = cross_validate(calibrated(0), observations, 4)
+    assert found.name == observations.name
+    assert np.isfinite(found.residual_m_s2).all()
+    assert found.rms_m_s2 > calibrated(0).quality.residual_rms_m_s2
+    assert found.as_forecast
+    assert np.isnan(found.before_rms_m_s2)
+
+
+def scattered(seed: int, tau_m_s2: float) -> Observations:
+    """Return positions that scatter by more than their noise."""
+    observations = observe(seed)
+    up = observations.mean_raw / np.linalg.norm(observations.mean_raw, axis=1)[:, None]
+    scatter = tau_m_s2 * np.random.default_rng(9000 + seed).normal(size=(len(up), 1))
+    return replace(observations, mean_raw=observations.mean_raw + scatter * up)
+
+
+def test_chance_is_what_it_says_for_few_and_many_held_out() -> None:
+    """Were it as told, a share p of sound sessions has a chance below p, whatever is held out (binomial 99.9 % bounds)."""
+    sessions = [scattered(seed, 5e-3) for seed in range(30)]
+    calibrations = [calibrate_accelerometer(one, GRAVITY, model="linear") for one in sessions]
+    for hold_out in (2, 6):
+        chance = [cross_validate(*pair, hold_out).chance for pair in zip(calibrations, sessions, strict=True)]
+        assert sum(one < 0.05 for one in chance) <= 6
+        assert 5 <= sum(one < 0.5 for one in chance) <= 24
+
+
+def test_limit_of_the_own_session_grows_with_what_is_held_out() -> None:
+    observations = scattered(1, 5e-3)
+    calibration = calibrate_accelerometer(observations, GRAVITY, model="linear")
+    limits = [cross_validate(calibration, observations, hold_out).misfit_limit for hold_out in (1, 4, 8)]
+    assert 1.0 < limits[0] < limits[1] < limits[2] < 4.0
+
+
+def test_words_say_how_probable_and_accuse_only_where_chance_does_not_do_it() -> None:
+    found = check_positions(calibrated(), observe(9), GRAVITY)
+    assert found.words.startswith("as forecast (misfit ")
+    larger = replace(found, misfit=3.15, misfit_limit=2.9, chance=0.02, is_own=True)
+    assert larger.words.startswith("larger than forecast, by chance so large in 1 of 50 sound checks (misfit 3.15; 1 in 20")
+    assert "uncertainty is too small" not in larger.words
+    rare = replace(larger, chance=2e-4)
+    assert rare.words.startswith("LARGER THAN FORECAST, by chance in fewer than 1 of 1000")
+    assert "the stated uncertainty is too small" in rare.words
+    foreign = replace(rare, misfit=55.0, is_own=False)
+    assert "not the instrument the parameters were made for, or it has changed since" in foreign.words
+    assert "uncertainty is too small" not in foreign.words
+
+
+def test_one_at_a_time_is_leave_one_out() -> None:
+    calibration = calibrated(3)
+    found = cross_validate(calibration, observe(3), 1)
+    np.testing.assert_allclose(found.residual_m_s2, calibration.positions.leave_one_out_m_s2, rtol=0.2, atol=2e-4)
+
+
+@pytest.mark.parametrize("hold_out", [0, 19, 24])
+def test_too_many_held_out_are_refused(hold_out: int) -> None:
+    with pytest.raises(UsageError, match=f"--hold-out {hold_out} of 24"):
+        cross_validate(calibrated(), observe(0), hold_out)
+
+
+def test_positions_that_are_no_numbers_are_refused() -> None:
+    observations = observe(0)
+    observations.mean_raw[7, 1] = np.nan
+    with pytest.raises(CalibrationError, match="position p7"):
+        check_positions(calibrated(), observations, GRAVITY)
+
+
+def test_without_covariance_there_is_no_forecast_but_a_residual() -> None:
+    calibration = calibrated()
+    unknown = replace(calibration, covariance=np.full_like(calibration.covariance, np.nan))
+    found = check_positions(unknown, observe(9), GRAVITY)
+    assert np.isnan(found.misfit)
+    assert found.rms_m_s2 < 3 * SIGMA

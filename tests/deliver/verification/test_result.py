@@ -1,0 +1,126 @@
+"""Requirements, and the file beside the parameters."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import Calibration
+from imufield.deliver.navigation.check import CheckSettings, NavigationResult
+from imufield.deliver.navigation.drift import make_drift
+from imufield.deliver.navigation.rest import RestNoise
+from imufield.deliver.parameters.context import Context
+from imufield.deliver.parameters.file import Parameters, from_document
+from imufield.deliver.parameters.file import to_document as parameter_document
+from imufield.deliver.verification.held_out import HeldOut
+from imufield.deliver.verification.result import (
+    Requirement,
+    Verification,
+    judge,
+    parse_requirements,
+    read_verification,
+    to_document,
+    verification_note,
+    verification_path,
+    verification_text,
+    write_verification,
+)
+from imufield.errors import UsageError
+
+MICRO_G = 9.80665e-6
+
+
+@pytest.fixture
+def loaded(calibration: Calibration, observations: Observations, context: Context) -> Parameters:
+    return from_document(parameter_document(calibration, observations, context))
+
+
+@pytest.fixture
+def held_out() -> HeldOut:
+    residual = 40 * MICRO_G * np.array([1.0, -1.0, 1.0])
+    sigma = np.full(3, 45 * MICRO_G)
+    up = np.eye(3)
+    return HeldOut(("+x", "+y", "+z"), up, residual, np.full(3, np.nan), sigma, 0.8, 3.0, "3 positions of another session")
+
+
+@pytest.fixture
+def navigation() -> NavigationResult:
+    time_s = np.linspace(0, 3600, 3601)
+    drift = make_drift(time_s, time_s * 1e-6, np.zeros(3601), np.zeros(3601), np.zeros(3601), 45.0)
+    noise = RestNoise(np.ones(6), np.full(6, np.nan))
+    return NavigationResult({"after": drift}, None, CheckSettings(45.0), 3600.0, 3601, 0, noise, ("no forecast: why",))
+
+
+def test_requirements_are_read() -> None:
+    assert parse_requirements("residual-ug=50, nav-nmi-per-h=1") == {"residual-ug": 50.0, "nav-nmi-per-h": 1.0}
+    assert parse_requirements(None) == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("residual=5", "is unknown"), ("residual-ug=x", "positive number"), ("residual-ug=-1", "positive number")],
+)
+def test_wrong_requirements_are_refused(text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        parse_requirements(text)
+
+
+def test_what_was_not_measured_is_not_met(held_out: HeldOut) -> None:
+    found = judge({"residual-ug": 50.0, "nav-nmi-per-h": 1.0}, held_out, None)
+    assert [one.passed for one in found] == [True, False]
+    assert found[0].measured == pytest.approx(40.0)
+
+
+def test_text_has_the_verdict_last(loaded: Parameters, held_out: HeldOut, navigation: NavigationResult) -> None:
+    requirements = judge({"residual-ug": 30.0}, held_out, navigation)
+    text = verification_text(Verification(loaded, "s", held_out, navigation, requirements))
+    assert text.endswith("Requirement residual-ug <= 30: 40, NOT MET\nVerdict: FAIL\n")
+    assert "as forecast (misfit 0.80" in text
+    assert "drift after: 0.216 nmi/h" in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_file_keeps_the_other_check_of_the_same_parameters(
+    tmp_path: Path, loaded: Parameters, held_out: HeldOut, navigation: NavigationResult
+) -> None:
+    path = verification_path(tmp_path / "parameters.toml")
+    assert path.name == "parameters.verification.json"
+    first = to_document(Verification(loaded, "positions", held_out))
+    write_verification(path, first)
+    write_verification(path, to_document(Verification(loaded, "rest", None, navigation)))
+    document = read_verification(path, first["parameters_sha256"])
+    assert document is not None
+    assert document["positions"]["session"] == "positions"
+    assert document["positions"]["before_m_s2"] == [None] * 3
+    assert document["navigation"]["drift"]["after"]["position_nmi"][0] == 0
+    assert len(document["navigation"]["drift"]["after"]["time_s"]) == 600
+    assert read_verification(path, "0" * 64) is None
+
+
+def test_a_verdict_that_was_edited_is_none(tmp_path: Path, loaded: Parameters, held_out: HeldOut) -> None:
+    path = verification_path(tmp_path / "parameters.toml")
+    document = to_document(Verification(loaded, "s", held_out, None, (Requirement("residual-ug", 5.0, 9.0),)))
+    sha256 = document["parameters_sha256"]
+    assert verification_note(path, sha256) == ""
+    write_verification(path, document)
+    assert verification_note(path, sha256) == ""
+    path.write_text(path.read_text().replace('"passed": false', '"passed": true'))
+    assert read_verification(path, sha256) is None
+    assert verification_note(path, sha256).startswith("parameters.verification.json is left out")
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": "other"}', '{"format": "imufield-verification", "version": 2}'])
+def test_what_is_no_verification_is_left_alone(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "parameters.verification.json"
+    path.write_text(text)
+    assert read_verification(path, "0" * 64) is None
+
+
+def test_document_is_json(loaded: Parameters, held_out: HeldOut, tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    write_verification(path, to_document(Verification(loaded, "s", held_out)))
+    json.loads(path.read_text(), parse_constant=pytest.fail)

@@ -1,0 +1,152 @@
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imufield.errors import CalibrationError, Reason
+from imufield.guide.cross_checks.axes import MoveLog, check_axes, signed_permutations
+from imufield.guide.stillness.cells import cells_of
+from imufield.guide.stillness.detector import StillnessDetector
+from imufield.guide.stillness.scale import RoughScale
+from imufield.samples import Samples
+
+ORDER = ([0, 0, 1], [1, 0, 0], [0, -1, 0.3], [0, 0, -1], [-1, 0.4, 0], [0.2, 1, 0], [0, 0.1, 1])
+
+
+@pytest.fixture
+def moves(make_path: Any) -> Any:
+    path = make_path(200.0, lever_m=np.array([0.05, 0.03, -0.04])).hold(ORDER[0], 5)
+    for up in ORDER[1:]:
+        path.turn(up, 1.2).hold(up, 3)
+    return _moves_of(path.samples())
+
+
+def _moves_of(samples: Samples) -> Any:
+    scale = RoughScale(1.0, 1.0)
+    detector, log = StillnessDetector(scale), MoveLog(0.1)
+    for cells in cells_of([samples]):
+        for judgement in detector.judge(cells):
+            log.follow(judgement, detector.stretch.mean)
+    return log.moves(scale)
+
+
+def test_there_are_48_arrangements_24_of_them_left_handed() -> None:
+    found = signed_permutations()
+    assert len({tuple(one.ravel()) for one in found}) == 48
+    assert (np.linalg.det(found) < 0).sum() == 24
+    np.testing.assert_allclose(found @ found.transpose(0, 2, 1), np.tile(np.eye(3), (48, 1, 1)))
+
+
+def test_right_axes_agree(moves: Any) -> None:
+    assert len(moves) == 6
+    found = check_axes(moves, 1.0)
+    assert found.agrees
+    assert found.misfit_deg < 2
+    assert found.error is None
+    assert not found.is_contradicted
+
+
+@pytest.mark.parametrize("index", range(0, 48, 5))
+def test_every_arrangement_is_found(moves: Any, index: Any) -> None:
+    """Gyroscope axes rearranged by P: the answer is the rearrangement that undoes it."""
+    wrong = signed_permutations()[index]
+    found = check_axes([dataclasses.replace(move, rate_raw=move.rate_raw @ wrong.T) for move in moves], 1.0)
+    np.testing.assert_array_equal(found.permutation, wrong.T)
+    assert found.best_misfit_deg < 2
+
+
+def test_a_left_handed_triad_is_refused_with_the_angles(moves: Any) -> None:
+    mirrored = [dataclasses.replace(move, rate_raw=move.rate_raw * [1, -1, 1]) for move in moves]
+    found = check_axes(mirrored, 1.0)
+    assert found.agrees is False
+    assert isinstance(found.error, CalibrationError)
+    assert found.error.reason is Reason.HANDEDNESS
+    assert found.error.values["misfit_deg"] > 20
+    assert "left-handed" in found.words
+    assert "y = -y" in found.words
+
+
+def test_exchanged_axes_are_not_called_left_handed(moves: Any) -> None:
+    turned = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    found = check_axes([dataclasses.replace(move, rate_raw=move.rate_raw @ turned.T) for move in moves], 1.0)
+    assert found.agrees is False
+    assert "left-handed" not in found.words
+
+
+def test_an_unknown_scale_is_found(moves: Any) -> None:
+    counts = [dataclasses.replace(move, rate_raw=move.rate_raw * 4780.0) for move in moves]
+    found = check_axes(counts, None)
+    assert found.agrees
+    assert found.gyroscope_scale == pytest.approx(4780, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("factor", "cause"), [(1 / 57.3, "(rad/s taken for deg/s)"), (57.3, "(deg/s taken for rad/s)"), (0.4, "")]
+)
+def test_a_scale_that_the_moves_contradict_is_named(moves: Any, factor: float, cause: str) -> None:
+    wrong = [dataclasses.replace(move, rate_raw=move.rate_raw * factor) for move in moves]
+    found = check_axes(wrong, 1.0)
+    assert found.turns_ratio == pytest.approx(1 / factor, rel=0.03)
+    assert found.agrees
+    assert found.error is None
+    assert found.is_contradicted
+    assert found.misfit_deg > 20 > found.best_misfit_deg
+    assert cause in found.words
+    assert "times as fast" in found.words
+
+
+def test_turns_about_one_axis_tell_a_wrong_scale(make_path: Any) -> None:
+    ups = [np.array([0, np.sin(angle), np.cos(angle)]) for angle in np.radians(np.arange(0, 270, 45))]
+    path = make_path(200.0).hold(ups[0], 5)
+    for up in ups[1:]:
+        path.turn(up, 1.2).hold(up, 3)
+    found = check_axes(_moves_of(path.samples()), 57.3)
+    assert found.agrees is None
+    assert found.turns_ratio == pytest.approx(57.3, rel=0.03)
+
+
+def test_a_wrong_scale_and_wrong_axes_are_both_named(moves: Any) -> None:
+    wrong = [dataclasses.replace(move, rate_raw=move.rate_raw * [1, -1, 1] / 57.3) for move in moves]
+    found = check_axes(wrong, 1.0)
+    assert found.agrees is False
+    assert "57" in found.words
+    assert "y = -y" in found.words
+
+
+def test_few_moves_tell_nothing(moves: Any) -> None:
+    found = check_axes(moves[:3], 1.0)
+    assert found.agrees is None
+    assert found.error is None
+    assert "3 moves" in found.words
+
+
+def test_a_gyroscope_that_shows_nothing_is_not_decided(moves: Any) -> None:
+    silent = [dataclasses.replace(move, rate_raw=move.rate_raw * 0) for move in moves]
+    assert check_axes(silent, 1.0).agrees is None
+    assert check_axes(silent, None).agrees is None
+    assert check_axes(silent, 1.0).is_contradicted
+
+
+@pytest.mark.parametrize(
+    ("from_s", "to_s"), [pytest.param(5.4, 5.8, id="in the turn"), pytest.param(4.0, 7.5, id="from still to still")]
+)
+def test_a_gap_in_a_move_drops_it(make_path: Any, from_s: float, to_s: float) -> None:
+    path = make_path(200.0).hold(ORDER[0], 5)
+    for up in ORDER[1:]:
+        path.turn(up, 1.2).hold(up, 3)
+    samples = path.samples()
+    keep = (samples.time_s < from_s) | (samples.time_s >= to_s)
+    moves = _moves_of(samples[keep])
+    assert len(moves) == 5
+    assert check_axes(moves, 1.0).agrees
+
+
+def test_a_pause_with_a_few_more_samples_before_the_turn_drops_the_move(make_path: Any) -> None:
+    """The unit was turned while nothing was written: what arrives before the next hold begins is no whole move."""
+    path = make_path(200.0).hold(ORDER[0], 5)
+    for up in ORDER[1:]:
+        path.turn(up, 1.2).hold(up, 3)
+    samples = path.samples()
+    moves = _moves_of(samples[(samples.time_s < 4.0) | (samples.time_s >= 5.9)])
+    assert len(moves) == 5

@@ -1,0 +1,122 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imufield.calibrate.model.models import predict
+from imufield.guide.cross_checks.running_fit import DOUBT_M_S2, DOUBT_SHARE, FEWEST, running_fit
+from imufield.guide.hold.observe import Observation
+from imufield.guide.positions import scheme
+from imufield.guide.stillness.scale import RoughScale
+from imufield.guide.view.plain import known_words
+from imufield.simulate.truth.grades import GRADES, draw_truth
+
+G = 9.80665
+SI = RoughScale(1.0, 1.0)
+BUMPED = 16
+
+
+def observations(grade: str, seed: int, bump: float = 0.0, scatter: float = 2e-4) -> list[Observation]:
+    rng = np.random.default_rng(seed)
+    instrument = draw_truth(GRADES[grade], rng)
+    found = []
+    for i, up in enumerate(scheme("paper24").directions()):
+        placed = up + 0.1 * rng.normal(size=3)
+        placed /= np.linalg.norm(placed)
+        mean = predict(instrument.accelerometer, G * placed) + rng.normal(0, scatter, 3)
+        if i == BUMPED:
+            mean = mean * (1 + bump)
+        found.append(Observation(f"p{i}", placed, mean, np.eye(3) * scatter**2, np.zeros(3), np.eye(3), 0.0, 10.0, 20.0))
+    return found
+
+
+def test_there_is_none_before_the_fourth() -> None:
+    some = observations("tactical", 0)
+    assert running_fit(some[: FEWEST - 1], SI, G) is None
+    fit = running_fit(some[:FEWEST], SI, G)
+    assert fit is not None
+    assert 0 < fit.rank < 9
+    assert running_fit(some, RoughScale(), G) is None
+
+
+@pytest.mark.parametrize("grade", GRADES)
+def test_the_forecast_shrinks_and_holds(grade: str) -> None:
+    some = observations(grade, 1)
+    fits = [running_fit(some[:count], SI, G) for count in (6, 12, 24)]
+    known = [fit.forecast() for fit in fits if fit is not None]
+    assert len(known) == 3
+    for key in known[0]:
+        assert known[0][key] > known[1][key] > known[2][key] > 0
+    assert fits[2].rank == 12
+    assert fits[2].condition < 20
+
+
+@pytest.mark.parametrize("grade", GRADES)
+@pytest.mark.parametrize("seed", range(3))
+def test_a_bumped_position_is_found_and_no_other(grade: str, seed: int) -> None:
+    fit = running_fit(observations(grade, seed, bump=3e-3), SI, G)
+    doubtful = [one for one in fit.disagreements() if one.doubtful]
+    assert [one.name for one in doubtful] == [f"p{BUMPED}"]
+    assert doubtful[0].leave_one_out_m_s2 == pytest.approx(3e-3 * G, rel=0.2)
+    assert not any(one.doubtful for one in running_fit(observations(grade, seed), SI, G).disagreements())
+
+
+def test_what_only_the_prior_says_is_not_forecast() -> None:
+    """Faces tell scale and bias, not angles; the plain words say so of what is left out."""
+    some = observations("mems", 2)
+    assert "bias_ug" not in running_fit(some[:4], SI, G).forecast()
+    whole = running_fit(some, SI, G)
+    assert {"bias_ug", "scale_ppm", "misalignment_urad"} <= set(whole.forecast())
+    sigma = np.sqrt(np.diag(whole.covariance))
+    assert whole.forecast()["bias_ug"] == pytest.approx(sigma[3:6].max() / 9.80665e-6)
+    assert known_words({}, "bias_ug") == "not known yet"
+    assert [known_words({"bias_ug": ug}, "bias_ug") for ug in (0.51, 172.3, 25800.0)] == ["0.51 ug", "172 ug", "25.8 mg"]
+    assert [known_words({"scale_ppm": ppm}, "scale_ppm") for ppm in (172.3, 26000.0)] == ["172 ppm", "2.6 %"]
+
+
+def test_leave_one_out_is_that_of_a_fit_without_it() -> None:
+    some = observations("tactical", 3)
+    fit = running_fit(some, SI, G)
+    without = running_fit(some[1:], SI, G)
+    from imufield.calibrate.model.models import norm_derivatives
+
+    norm = norm_derivatives(without.vector, some[0].mean_raw[None, :]).norm[0]
+    assert fit.disagreements()[0].leave_one_out_m_s2 == pytest.approx(norm - G, rel=0.15, abs=3e-5)
+
+
+def test_the_gain_is_largest_where_nothing_was_measured() -> None:
+    some = [one for one in observations("tactical", 4) if one.direction[0] < 0.5]
+    fit = running_fit(some, SI, G)
+    gain = fit.gain(np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0]]))
+    assert np.argmax(gain) == 0
+    assert np.all(gain > 0)
+
+
+def test_quadratic_terms_that_matter_show() -> None:
+    some = observations("navigation", 5, scatter=1e-5)
+    bent = [replace(one, mean_raw=one.mean_raw + 2e-4 * one.mean_raw**2 / G) for one in some]
+    assert running_fit(bent, SI, G).quadratic_sigmas() > 3
+    assert running_fit(some, SI, G).quadratic_sigmas() < 3
+
+
+def test_few_positions_need_a_larger_disagreement() -> None:
+    from scipy.special import stdtrit
+
+    fit = running_fit(observations("tactical", 6), SI, G)
+    weighted = fit.jacobian / fit.sigma_m_s2[:, None]
+    freedom = 24 - np.trace(weighted @ fit.covariance @ weighted.T)
+    assert 10 < freedom < 16
+    (limit,) = {one.limit_sigmas for one in fit.disagreements()}
+    assert limit == pytest.approx(max(stdtrit(3 + freedom - 1, 1 - DOUBT_SHARE / 2), 5.0), rel=0.01)
+    few = running_fit(observations("tactical", 6)[:8], SI, G)
+    assert few.disagreements()[0].limit_sigmas > 10
+
+
+@pytest.mark.parametrize("seed", [0, 15, 21, 41, 47])
+def test_no_good_position_is_doubted_at_any_look(seed: int) -> None:
+    """Chips whose positions scatter more than their noise lets expect: a fixed 5 sigma doubts one in each of these seeds."""
+    some = [replace(one, covariance_raw=one.covariance_raw / 16) for one in observations("mems", seed, scatter=2e-3)]
+    fits = [running_fit(some[:count], SI, G) for count in range(FEWEST, 25)]
+    found = [one for fit in fits if fit is not None for one in fit.disagreements()]
+    assert not [one.name for one in found if one.doubtful]
+    assert [one.name for one in found if abs(one.sigmas) > 5 and abs(one.leave_one_out_m_s2) > DOUBT_M_S2]

@@ -1,0 +1,320 @@
+"""What the guide does beyond the positions: hands, doubt, targets, drift check, warm-up, clocks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imufield.guide.events import Accepted, Advice, Done, Event, Move, RefusalCode, Rejected, Topic
+from imufield.guide.lead.advice import Doubts
+from imufield.guide.lead.guide import Guide
+from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.positions import scheme
+from imufield.samples import Samples
+from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
+from imufield.simulate.truth.imu import Imu, ImuSettings
+from imufield.simulate.truth.operator import Operator, OperatorSettings
+
+FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
+ORDER = ("+z", "+x", "-z", "+y", "-x", "-y")
+
+
+def of(events: list[Event], kind: type[Any]) -> Any:
+    return [event for event in events if isinstance(event, kind)]
+
+
+def feed(samples: Samples, name: str = "faces6", cuts: int = 1, **settings: Any) -> tuple[Guide, list[Event]]:
+    guide = Guide(scheme(name), samples.units, settings=GuideSettings(**{"hold_s": 3.0, **settings}))
+    events: list[Event] = []
+    for part in np.array_split(np.arange(len(samples)), cuts):
+        events += guide.feed(samples[int(part[0]) : int(part[-1]) + 1])
+    return guide, events + guide.flush()
+
+
+def hand_session(tremor_deg: float = 0.08, sway_deg: float = 0.3, seed: int = 5) -> tuple[Samples, Operator, Imu]:
+    habits = OperatorSettings(
+        style="held",
+        hold_s=9.0,
+        initial_still_s=5.0,
+        turn_s=(1.0, 2.5),
+        tremor_rad=math.radians(tremor_deg),
+        sway_rad=math.radians(sway_deg),
+        sway_m=0.001,
+    )
+    operator = Operator([FACES[name] for name in ORDER[:4]], seed, habits)
+    imu = Imu(perfect_instrument(TACTICAL), seed, ImuSettings(rate_hz=125, drift=False, loss_probability=0.001))
+    count = round((operator.plan_all() - 0.5) * 125)
+    return imu.feed(operator.block(0, count, imu.interval_s)), operator, imu
+
+
+def test_a_unit_in_the_hand_is_measured_as_such() -> None:
+    samples, operator, imu = hand_session()
+    guide, events = feed(samples, hold_s=5.0)
+    taken = of(events, Accepted)
+    assert sorted(guide.observations().name) == sorted(ORDER[:4])
+    held = [event for event in taken if event.held]
+    assert len(held) >= 3
+    assert all(0.05 < event.tremor_deg < 0.12 for event in held)
+    for event in held:
+        end_s = event.start_s + event.duration_s
+        assert not any(
+            imu.to_sample_clock(move.start_s) < end_s and imu.to_sample_clock(move.end_s) > event.start_s
+            for move in operator.moves
+        )
+    norm = np.linalg.norm(guide.observations().mean_raw, axis=1)
+    np.testing.assert_allclose(norm, operator.site.gravity_m_s2, atol=300e-6 * 9.8)
+
+
+def test_letting_go_too_early_again_and_again_is_helped() -> None:
+    """Holds of 9 s in the hand where 12 are asked for: the first refusal says what moved, the others say what to do."""
+    samples, _, _ = hand_session()
+    _, events = feed(samples, hold_s=12.0)
+    let_go = [event for event in of(events, Rejected) if event.reason is RefusalCode.MOVED]
+    assert len(let_go) >= 3
+    assert let_go[0].remedy == "hold again; only this hold is repeated"
+    for times, event in enumerate(let_go[1:], start=2):
+        assert event.remedy.startswith(f"{times} times in a row it was let go or lifted too early")
+
+
+def test_events_of_a_hand_do_not_depend_on_the_cuts() -> None:
+    samples, _, _ = hand_session()
+    told = [event.to_dict() for event in feed(samples, hold_s=5.0)[1]]
+    for cuts in (7, 611):
+        assert [event.to_dict() for event in feed(samples, hold_s=5.0, cuts=cuts)[1]] == told
+
+
+@pytest.mark.parametrize(("tremor_deg", "sway_deg"), [(0.35, 0.2), (0.05, 4.0)])
+def test_larger_movement_is_refused_with_the_value(tremor_deg: float, sway_deg: float) -> None:
+    samples, _, _ = hand_session(tremor_deg, sway_deg)
+    guide, events = feed(samples, hold_s=5.0)
+    refused = of(events, Rejected)
+    reasons = {event.reason for event in refused}
+    assert reasons & {RefusalCode.TREMBLING, RefusalCode.SWAYING, RefusalCode.NOT_STILL, RefusalCode.MOVED}
+    assert all(event.measured > event.limit > 0 for event in refused if event.reason is not RefusalCode.ALREADY_DONE)
+    assert not any(event.held for event in of(events, Accepted))
+    assert len(guide.observations()) <= 1
+
+
+def corners(make_path: Any, spoil: int | None = None, again: tuple[int, ...] = (), hold_s: float = 4.5) -> Samples:
+    """All of corners24, then some of its positions again; one reading is 3 mg long."""
+    positions = scheme("corners24").positions
+    path = make_path(100.0).hold(positions[0].direction, 8)
+    starts = [0.0]
+    for index in (*range(1, 24), *again):
+        path.turn(positions[index].direction, 1.2)
+        starts.append(path.time_s)
+        path.hold(positions[index].direction, hold_s)
+    samples = path.samples(2e-3, 5e-4)
+    if spoil is not None:
+        rows = (samples.time_s >= starts[spoil] - 0.6) & (samples.time_s < starts[spoil] + hold_s)
+        samples.accelerometer[rows] *= 1.003
+    return samples
+
+
+def test_a_position_that_disagrees_is_named_and_asked_for_again(make_path: Any) -> None:
+    name = scheme("corners24").positions[14].name
+    guide, events = feed(corners(make_path, spoil=14, again=(14,)), "corners24")
+    doubt = next(event for event in of(events, Advice) if event.topic is Topic.DOUBTFUL)
+    assert doubt.position == name
+    assert doubt.measured == pytest.approx(3e-3 * 9.8, rel=0.25)
+    assert "mg" in doubt.words
+    assert "sigma" in doubt.words
+    assert of(events, Move)[-1].position == name
+    assert [event.position for event in of(events, Accepted) if event.replaces] == [name]
+    assert guide.done
+    assert guide.snapshot().doubtful == ()
+
+
+def test_a_doubt_that_no_longer_stands_is_withdrawn_aloud(make_path: Any) -> None:
+    """The doubtful position is measured again at once: the doubt is said once and withdrawn once."""
+    positions = scheme("corners24").positions
+    samples = corners(make_path, spoil=21, again=(21,))
+    guide = Guide(scheme("corners24"), samples.units, settings=GuideSettings(hold_s=3.0))
+    events: list[Event] = []
+    for start in range(0, len(samples), 100):
+        new = guide.feed(samples[start : start + 100])
+        if any(event.topic is Topic.DOUBTFUL for event in of(new, Advice)):
+            guide.mark("retake", guide.time_s)
+        events += new
+    told = [event for event in of(events, Advice) if event.topic in (Topic.DOUBTFUL, Topic.SETTLED)]
+    assert [(event.topic, event.position) for event in told] == [
+        (Topic.DOUBTFUL, positions[21].name),
+        (Topic.SETTLED, positions[21].name),
+    ]
+    assert "no longer disagrees" in told[1].words
+    assert told[1].measured < told[1].limit
+    assert "doubt" not in of(events, Done)[-1].words
+
+
+def test_a_doubt_that_others_settle_asks_for_nothing_any_more(make_path: Any) -> None:
+    guide, _ = feed(corners(make_path), "corners24")
+    fit = guide._do.fit
+    assert fit is not None
+    first = fit.names[3]
+    doubts = Doubts()
+    doubts.now = [replace(fit.disagreements()[3], sigmas=50.0)]
+    assert [one.topic for one in doubts.say(1.0, fit, guide.plan)] == [Topic.DOUBTFUL]
+    (asked,) = doubts.ask_again()
+    index = guide.plan.find(asked)
+    assert index is not None
+    guide.plan.want_again(index)
+    doubts.follow(fit)
+    assert [(one.topic, one.position) for one in doubts.say(2.0, fit, guide.plan)] == [(Topic.SETTLED, first)]
+    assert not guide.plan.wanted_again
+    assert doubts.ask_again() == []
+
+
+def test_a_doubt_that_stands_is_named_at_the_end(make_path: Any) -> None:
+    guide, _ = feed(corners(make_path, spoil=14), "corners24")
+    done = of(guide.mark("finish", guide.time_s) + guide.flush(), Done)
+    assert done[0].words.endswith(f"still in doubt: {scheme('corners24').positions[14].name}")
+
+
+def test_retake_means_the_doubtful_position(make_path: Any) -> None:
+    guide, _ = feed(corners(make_path, spoil=14), "corners24")
+    assert not guide.done
+    assert guide.plan.wanted_again == {14}
+
+
+def test_accepted_tells_how_it_fits_and_what_is_known(make_path: Any) -> None:
+    _, events = feed(corners(make_path), "corners24")
+    taken = of(events, Accepted)
+    assert [event.residual_m_s2 is None for event in taken[:5]] == [True, True, True, False, False]
+    assert taken[-1].rank == 12
+    assert abs(taken[-1].leave_one_out_m_s2) < 5e-3
+    assert taken[-1].forecast["bias_ug"] < taken[10].forecast["bias_ug"]
+    assert not [event for event in of(events, Advice) if event.topic is Topic.DOUBTFUL]
+
+
+def test_finishing_early_is_offered_once_when_the_target_is_met(make_path: Any) -> None:
+    samples = corners(make_path)
+    _, events = feed(samples, "corners24", target_bias_ug=600.0)
+    offers = [event for event in of(events, Advice) if event.topic is Topic.TARGET_MET]
+    assert len(offers) == 1
+    assert offers[0].measured <= offers[0].limit == 600.0
+    assert offers[0].time_s < samples.time_s[-1] - 10
+
+
+def test_the_first_position_is_revisited_and_replaces_nothing(make_path: Any) -> None:
+    guide, events = feed(corners(make_path, again=(0,)), "corners24", revisit_first=True)
+    assert guide.done
+    drift = [event for event in of(events, Advice) if event.topic is Topic.DRIFT]
+    assert len(drift) == 1
+    assert "no drift" in drift[0].words
+    assert len(guide.observations()) == 24
+    assert not any(event.replaces for event in of(events, Accepted))
+    assert of(events, Move)[-1].why.startswith("the first one again")
+
+
+def test_drift_is_seen_at_the_revisit(make_path: Any) -> None:
+    samples = corners(make_path, again=(0,))
+    samples.accelerometer[-500:] *= 1.002
+    _, events = feed(samples, "corners24", revisit_first=True)
+    drift = next(event for event in of(events, Advice) if event.topic is Topic.DRIFT)
+    assert "it has drifted" in drift.words
+    assert drift.measured == pytest.approx(2e-3 * 9.8, rel=0.2)
+
+
+def test_a_wrong_common_scale_is_told(make_path: Any) -> None:
+    samples = corners(make_path)
+    samples.accelerometer[:] *= 1.05
+    _, events = feed(samples, "corners24")
+    told = [event for event in of(events, Advice) if event.topic is Topic.SCALE]
+    assert len(told) == 1
+    assert told[0].measured == pytest.approx(0.05, abs=0.002)
+
+
+@pytest.mark.parametrize(("latitude_error_deg", "told"), [(0.0, "what they were"), (5.0, "check latitude")])
+def test_a_wrong_latitude_shows_against_an_earlier_calibration(make_path: Any, latitude_error_deg: float, told: str) -> None:
+    """Gravity of WGS 84 at 45 degrees grows by 90 ppm per degree of latitude."""
+    wrong = 1 + 90e-6 * latitude_error_deg
+    samples = corners(make_path)
+    gravity = float(np.linalg.norm(samples.accelerometer[:300].mean(axis=0)))
+    _, events = feed(samples, "corners24", gravity_m_s2=gravity * wrong, earlier_scale_raw=1.0)
+    said = [event for event in of(events, Advice) if event.topic is Topic.SCALE]
+    assert len(said) == 1
+    assert told in said[0].remedy
+    assert said[0].measured == pytest.approx(90e-6 * latitude_error_deg, abs=40e-6)
+    assert isinstance(events[-1], Done)
+
+
+def warming(make_path: Any, slope_degc_min: float) -> Samples:
+    samples = make_path(100.0).hold([0, 0, 1], 40).samples()
+    samples.temperature_degc[:] = 20 + np.round(slope_degc_min / 60 * samples.time_s, 2)
+    return samples
+
+
+def test_nothing_is_accepted_while_the_unit_warms_up_unless_the_operator_says_so(make_path: Any) -> None:
+    guide, events = feed(warming(make_path, 2.0), hold_s=8.0)
+    refused = of(events, Rejected)
+    assert {event.reason for event in refused} == {RefusalCode.WARMING_UP}
+    assert refused[0].measured == pytest.approx(2.0, rel=0.2)
+    assert len(guide.observations()) == 0
+    assert len(feed(warming(make_path, 0.3), hold_s=8.0)[0].observations()) == 1
+    samples = warming(make_path, 2.0)
+    guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=8.0))
+    guide.mark("go_on", 10.0)
+    guide.feed(samples)
+    assert len(guide.observations()) == 1
+
+
+def test_a_jump_of_the_clock_is_told(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 20).samples()
+    samples.time_s[500:] += 3600
+    guide, events = feed(samples, hold_s=8.0)
+    told = [event for event in of(events, Rejected) if event.reason is RefusalCode.CLOCK_JUMP]
+    assert [event.measured for event in told] == [pytest.approx(3600, abs=1)]
+    assert len(guide.observations()) == 1
+    assert guide.observations().start_s[0] > 3600
+
+
+def test_a_changed_sample_rate_is_told(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 30).samples()
+    thinned = np.ones(len(samples), dtype=bool)
+    thinned[1000::5] = False
+    _, events = feed(samples[thinned], hold_s=20.0)
+    told = [event for event in of(events, Rejected) if event.reason is RefusalCode.RATE]
+    assert len(told) == 1
+    assert "-20 %" in told[0].words
+
+
+def test_finish_ends_a_session_with_turns_left(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 10).samples()
+    guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=3.0, rotations="horizontal"))
+    guide.feed(samples)
+    assert of(guide.mark("finish", math.nan), Done)
+    assert guide.done
+
+
+def test_what_was_finished_early_is_taken_up_again(make_path: Any) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 10).turn([1, 0, 0], 2).hold([1, 0, 0], 10).samples()
+    guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=3.0, rotations="horizontal"))
+    first = int(np.searchsorted(samples.time_s, 10.5))
+    guide.feed(samples[:first])
+    guide.mark("finish", math.nan)
+    assert guide.finished_early
+    assert [event.kind for event in guide.mark("reopen", math.nan)] == ["link_lost"]
+    events = guide.feed(samples[first:])
+    assert not guide.done
+    assert not guide.finished_early
+    assert of(events, Move)[0].accepted == 1
+    assert [event.accepted for event in of(events, Accepted)] == [2]
+    assert "with 2 of 6 positions and 0 of 6 turns" in guide.asked_to_finish().words
+    assert not guide.mark("reopen", math.nan)
+
+
+def test_undone_positions_are_known_no_longer(make_path: Any) -> None:
+    path = make_path(100.0).hold(FACES[ORDER[0]], 6.0)
+    for name in ORDER[1:5]:
+        path.turn(FACES[name], 1.5).hold(FACES[name], 5.0)
+    guide, _ = feed(path.samples())
+    assert guide.snapshot().forecast is not None
+    for _ in range(2):
+        guide.mark("undo", guide.time_s)
+    guide.flush()
+    assert len(guide.plan.accepted) == 3
+    assert guide.snapshot().forecast is None

@@ -1,0 +1,337 @@
+"""Plain lines, JSON lines and the screen, on the events of one simulated session."""
+
+import json
+import math
+import re
+from dataclasses import replace
+from io import BytesIO, StringIO, TextIOWrapper
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from imufield.guide.events import EVENT_VERSION, EVENTS, Hold, LinkLost, RefusalCode, Rejected, Turning
+from imufield.guide.lead.guide import Guide
+from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.positions import SCHEMES, scheme
+from imufield.guide.view.pictures import big_lines
+from imufield.guide.view.plain import JsonLinesView, PlainView, line
+from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, Screen, big_words, draw, draw_big, draw_small, headline
+from imufield.guide.view.terminal import TerminalView
+
+
+@pytest.fixture
+def session(make_path: Any) -> Any:
+    """A guide fed in 20 ms blocks: yields events and the guide after each."""
+    path = make_path(100.0).hold([0, 0, 1], 6).turn([1, 0, 0], 1.5).hold([1, 0, 0], 2).turn([1, 1, 0], 1).hold([1, 1, 0], 3)
+    samples = path.samples()
+    guide = Guide(scheme("faces6"), samples.units, settings=GuideSettings(hold_s=3.0))
+
+    def play(until_s: Any = math.inf) -> Any:
+        for start in range(0, len(samples), 2):
+            if samples.time_s[start] >= until_s:
+                return
+            yield guide.feed(samples[start : start + 2]), guide
+
+    return play
+
+
+def picture(screen: Any, guide: Any, **options: Any) -> Any:
+    console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing(), **options)
+    console.print(draw(screen, guide.snapshot(), guide.plan.scheme, LinkState(0)))
+    return console.export_text()
+
+
+def open_nothing() -> Any:
+    return StringIO()
+
+
+def shown(session: Any, until_s: Any) -> Any:
+    screen = Screen()
+    played = list(session(until_s))
+    for events, _ in played:
+        screen.follow(events)
+    return picture(screen, played[-1][1])
+
+
+def test_every_event_has_a_line_and_a_dictionary(session: Any) -> None:
+    events = [event for some, _ in session() for event in some]
+    events.append(LinkLost(1.0, 2, 6))
+    kinds = {event.kind for event in events}
+    assert {"noise_floor", "move", "turning", "hold", "holding", "accepted", "rejected", "link_lost"} <= kinds <= set(EVENTS)
+    for event in events:
+        told = event.to_dict()
+        assert told["version"] == EVENT_VERSION
+        assert told["event"] == event.kind
+        assert len(line(event)) > 15
+        assert "\n" not in line(event)
+
+
+def test_json_lines_are_strict_json(session: Any) -> None:
+    lines: list[str] = []
+    JsonLinesView(lines.append).show([event for some, _ in session() for event in some])
+    told = [json.loads(one, parse_constant=pytest.fail) for one in lines]
+    assert [one["event"] for one in told[:2]] == ["noise_floor", "move"]
+    accepted = next(one for one in told if one["event"] == "accepted")
+    assert accepted["position"] == "+z"
+    assert accepted["residual_m_s2"] is None
+    assert accepted["temperature_degc"] is None
+    assert [one["reason"] for one in told if one["event"] == "rejected"] == ["moved", "not_near"]
+
+
+def test_plain_lines_tell_progress_now_and_then(session: Any) -> None:
+    lines: list[str] = []
+    view = PlainView(lines.append)
+    for events, _ in session():
+        view.show(events)
+    text = "\n".join(lines)
+    assert "accepted +z: 3.0 s" in text
+    assert "refused: not near any pending position" in text
+    assert sum("turning:" in one for one in lines) <= 3
+    assert not re.search(r"\x1b", text)
+
+
+@pytest.mark.parametrize(
+    ("until_s", "big", "told"),
+    [
+        (1.0, "L E A V E   I T   S T I L L", "measuring the noise floor"),
+        (3.35, "H O L D   S T I L L", "+z: +z up, standing on the -z face"),
+        (5.0, "G O O D   -   T U R N", "1 of 6 done"),
+        (6.8, "T U R N", "moving"),
+        (12.5, "N O T   T A K E N", "not near any pending position"),
+    ],
+)
+def test_screen_says_what_to_do(session: Any, until_s: Any, big: Any, told: Any) -> None:
+    text = shown(session, until_s)
+    assert big in text
+    assert told in text
+
+
+def test_screen_fits_80_by_24_without_colour_or_cut_words(session: Any) -> None:
+    for until_s in (1.0, 3.35, 5.0, 6.8, 9.0, 12.5):
+        lines = shown(session, until_s).rstrip("\n").split("\n")
+        assert len(lines) <= HEIGHT
+        assert max(len(one) for one in lines) <= WIDTH
+
+
+def test_screen_in_full(session: Any) -> None:
+    assert shown(session, 5.0) == SNAPSHOT
+
+
+@pytest.mark.parametrize("name", SCHEMES)
+def test_map_shows_every_position(make_path: Any, name: str) -> None:
+    samples = make_path(100.0).hold([0, 0, 1], 1).samples()
+    guide = Guide(scheme(name), samples.units)
+    guide.feed(samples)
+    text = picture(Screen(), guide)
+    for position in guide.plan.scheme.positions:
+        assert f"[ ]{position.name} " in text
+
+
+def test_screen_tells_a_lost_link(session: Any) -> None:
+    screen = Screen()
+    guide = list(session(5.0))[-1][1]
+    screen.follow(guide.link_lost())
+    text = picture(screen, guide)
+    assert "N O   L I N K" in text
+    assert "LINK LOST" in text
+    screen.follow(guide.link_back())
+    assert "0 samples lost, pauses not counted   no temperature" in picture(screen, guide)
+
+
+def test_a_refusal_stays_long_enough_to_be_read(session: Any) -> None:
+    screen = Screen()
+    refusal = next(event for some, _ in session() for event in some if isinstance(event, Rejected))
+    screen.follow([refusal])
+    turning = Turning(refusal.time_s + 1, (0.0, 0.0, 1.0), "+z", 1.0, "+z", 1.0)
+    screen.follow([turning])
+    assert screen.refused is refusal
+    screen.follow([Turning(refusal.time_s + 5, (0.0, 0.0, 1.0), "+z", 1.0, "+z", 1.0)])
+    assert screen.refused is None
+
+
+def refused(reason: RefusalCode, words: str, remedy: str, time_s: float = 7.0) -> Rejected:
+    return Rejected(time_s, "", reason, words, remedy, 1.0, 0.0, "deg", None)
+
+
+def test_what_is_nobodys_mistake_is_not_called_refused(session: Any) -> None:
+    guide = list(session(6.5))[-1][1]
+    done = refused(RefusalCode.ALREADY_DONE, "+z is already done", "5 left: +x, -x, +y, -y and 1 more")
+    starting = refused(
+        RefusalCode.START_UP, "the instrument is still starting up in 0.5 of 3 s", "leave it alone until it is ready"
+    )
+    for event, big, short in ((done, "DONE BEFORE", "TURN"), (starting, "WAIT", "WAIT")):
+        screen = Screen()
+        screen.follow([event])
+        assert headline(screen, guide.snapshot())[:2] == (big, f"{event.words}; {event.remedy}")
+        assert big_words(screen, guide.snapshot())[0] == short
+        assert "refused" not in line(event)
+
+
+def test_what_was_waited_for_is_withdrawn_when_a_hold_begins(session: Any) -> None:
+    events = [event for some, _ in session() for event in some]
+    hold = next(event for event in events if isinstance(event, Hold))
+    words = "the instrument is still starting up in 100.0 % of the samples (limit 50 %)"
+    other = refused(RefusalCode.CLOCK_JUMP, "the sample clock jumped", "nothing is lost")
+    screen = Screen()
+    screen.follow([other, refused(RefusalCode.START_UP, words, "leave it alone until it is ready")])
+    assert any(words in message for message in screen.messages)
+    screen.follow([hold])
+    assert [words in message for message in screen.messages] == [False]
+
+
+def test_the_panel_says_what_is_not_known_yet(session: Any) -> None:
+    guide = list(session(9.0))[-1][1]
+    for forecast, told in (
+        ({}, ("bias, scale not known yet", "angles not known yet")),
+        ({"scale_ppm": 26000.0}, ("bias unknown, scale 2.6 %", "angles not known yet")),
+        (
+            {"bias_ug": 172.0, "scale_ppm": 88.0, "misalignment_urad": 120.0},
+            ("bias 172 ug, scale 88 ppm", "angles 120 urad (1 sigma)"),
+        ),
+    ):
+        console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing())
+        console.print(draw(Screen(), replace(guide.snapshot(), forecast=forecast), guide.plan.scheme, LinkState(0)))
+        text = console.export_text()
+        assert all(words in text for words in told), text
+
+
+def test_plain_lines_count_from_the_first_sample(session: Any) -> None:
+    written: list[str] = []
+    events = [replace(event, time_s=event.time_s + 26000) for some, _ in session(6.0) for event in some]
+    PlainView(written.append, origin_s=lambda: 26000.0).show(events)
+    assert all(float(one.split(" s  ")[0]) < 6.5 for one in written)
+
+
+@pytest.mark.parametrize(("width", "height"), [(60, 20), (40, 12)])
+def test_a_small_window_says_what_to_do_and_is_not_cut(session: Any, width: int, height: int) -> None:
+    played = list(session(9.0))
+    screen = Screen()
+    for events, _ in played:
+        screen.follow(events)
+    console = Console(width=width, height=height, record=True, file=open_nothing())
+    snapshot = played[-1][1].snapshot()
+    console.print(draw_small(screen, snapshot, LinkState(0), width=width, height=height))
+    lines = console.export_text().splitlines()
+    assert len(lines) <= height
+    assert lines[0] == headline(screen, snapshot)[0]
+    assert any(line.startswith("stillness") for line in lines)
+    assert any("of 6 done" in line for line in lines)
+    assert lines[-1].rstrip() == f"window {width} x {height}: pictures need 80 x 24"
+    assert not any("…" in line for line in lines if "Hz" not in line)
+
+
+LONG = (
+    "if you showed what was asked for, axes or signs in the driver or protocol are wrong: quit and correct them; if you go "
+    "your own way, go on"
+)
+
+
+@pytest.mark.parametrize(("width", "height"), [(60, 20), (40, 12), (79, 23), (140, 45), (80, 24)])
+def test_instruction_reason_and_remedy_are_whole_in_every_window(session: Any, width: int, height: int) -> None:
+    guide = list(session(6.5))[-1][1]
+    words = "3 times -y-z up was asked for and the accelerometer saw +z up"
+    drawn = open_nothing()
+    console = Console(width=width, height=height, file=drawn, force_terminal=True, color_system=None)
+    with TerminalView(scheme("faces6"), console) as view:
+        view.show([refused(RefusalCode.AXES, words, LONG)], guide.snapshot())
+    text = " ".join(re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn.getvalue()).split())
+    assert f"{words}; {LONG}" in text
+    assert (f"window {width} x {height}" in text) == (width < WIDTH or height < HEIGHT)
+
+
+def test_a_large_window_shows_more_messages(session: Any) -> None:
+    guide = list(session(6.5))[-1][1]
+    screen = Screen()
+    screen.follow([refused(RefusalCode.NOT_STILL, f"number {i}", LONG, 7.0 + i) for i in range(8)])
+    console = Console(width=140, height=45, record=True, file=open_nothing())
+    console.print(draw(screen, guide.snapshot(), guide.plan.scheme, LinkState(0), size=(140, 45)))
+    text = console.export_text()
+    assert all(f"number {i}" in text for i in range(8))
+    assert len(text.splitlines()) <= 45
+
+
+def test_without_a_link_nothing_old_is_shown(session: Any) -> None:
+    guide = list(session(9.0))[-1][1]
+    screen = Screen()
+    screen.follow(guide.link_lost())
+    text = picture(screen, guide)
+    assert "LINK LOST   - Hz" in text
+    assert "allowed" not in text
+
+
+def test_the_newest_message_is_there_to_its_end(session: Any) -> None:
+    guide = list(session(6.5))[-1][1]
+    screen = Screen()
+    remedy = "put it on a firm support or lean it on one, hands off"
+    words = "not still yet: it shakes, accelerometer x 154 mm/s^2 (limit 50 mm/s^2)"
+    screen.follow([refused(RefusalCode.NOT_STILL, words, remedy, time_s) for time_s in (7.0, 8.0, 9.0)])
+    text = " ".join(picture(screen, guide).split())
+    assert text.count(f"refused: {words}; {remedy}") == 2
+    assert text.endswith("q quit (resume later)")
+    assert len(picture(screen, guide).splitlines()) <= HEIGHT
+
+
+def test_live_view_draws_through_rich(session: Any) -> None:
+    drawn = open_nothing()
+    console = Console(width=WIDTH, height=HEIGHT, file=drawn, force_terminal=True)
+    with TerminalView(scheme("faces6"), console) as view:
+        for events, guide in session(3.5):
+            view.show(events, guide.snapshot())
+    assert "H O L D" in drawn.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("until_s", "first"),
+    [(1.0, "LEAVE"), (3.35, "HOLD"), (5.0, "GOOD"), (6.8, "TURN"), (12.5, "AGAIN")],
+)
+def test_big_letters_say_the_same_and_fit(session: Any, until_s: Any, first: Any) -> None:
+    screen = Screen()
+    played = list(session(until_s))
+    for events, _ in played:
+        screen.follow(events)
+    snapshot = played[-1][1].snapshot()
+    assert big_words(screen, snapshot)[0] == first
+    console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing())
+    console.print(draw_big(screen, snapshot, LinkState(0)))
+    lines = console.export_text().rstrip("\n").split("\n")
+    assert len(lines) <= HEIGHT
+    assert max(map(len, lines)) <= WIDTH
+    assert lines[0].rstrip() == big_lines(first, WIDTH)[0]
+
+
+def test_the_screen_is_ascii_where_the_terminal_is(session: Any) -> None:
+    drawn = TextIOWrapper(BytesIO(), encoding="ascii", errors="strict")
+    console = Console(width=WIDTH, height=HEIGHT, file=drawn, force_terminal=True, color_system=None)
+    with TerminalView(scheme("faces6"), console) as view:
+        for events, guide in session(7.0):
+            view.show(events, guide.snapshot())
+    drawn.flush()
+
+
+SNAPSHOT = """\
+╭─ faces6: 1 of 6 done ──────────────────────╮╭─ positions ────────────────────╮
+│ G O O D   -   T U R N                      ││ [ ]+x [x]+z [ ]-y              │
+│ +y: +y up, standing on the -y face         ││ [>]+y [ ]-x [ ]-z              │
+│                                            ││ x done > next @ here ? doubt   │
+│                                            ││ known from the 4th position on │
+│ now                   goal                 ││                                │
+│          ⢀⣀⡠⠤⡀              ⢀⣀⡠⠤⠔⠒⠊⠑⠢⢄⡀    ││                                │
+│    ⣀⠤⠤⠒⠒⠉+z  ⠈⠑⠤⣀        ⢰⠮⣉⠁ ⣀+y⠤⠒⠒⠉⠁⡇    ││                                │
+│    ⡏⠑⠢⣀  ⣀⣀⠤⠤⠒⠊⠉⢹        ⢸  ⢹⠉        ⡇    ││                                │
+│    ⡇-x⠈⡏⠉  -y   ⢸   ->   ⢸-x⢸   +z    ⡇    ││                                │
+│    ⠉⠒⢄⡀⡇  ⢀⣀⠤⠤⠒⠒⠉        ⢸  ⢸      ⢀⣀⡠⠇    ││                                │
+│       ⠈⠓⠊⠉⠁              ⠈⠑⠢⢼⡠⠤⠔⠒⠊⠉⠁       ││                                │
+│                                            ││                                │
+│ to target ................                 ││                                │
+│ hold      ................                 ││                                │
+│ stillness ##......|....... still           ││                                │
+│ shakes 11, 50 mm/s^2 allowed (acc z)       ││                                │
+╰────────────────────────────────────────────╯╰────────────────────────────────╯
+ link ok   100 Hz   0 samples lost   no temperature
+ noise floor: accelerometer 9.62 mm/s^2 rms per axis, gyroscope 0.057 deg/s;
+   still means below 50 mm/s^2
+ accepted +z: 3.0 s
+
+r retake  s skip  u undo  p pause  f finish  b big  q quit (resume later)
+"""

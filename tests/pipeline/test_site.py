@@ -1,0 +1,108 @@
+"""Gravity as it is typed: its digits, its place, and what a session knows of either."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+
+from imufield.cli.run import run
+from imufield.commands.verify import VerifyOptions, _task
+from imufield.pipeline.site import SiteOptions
+
+
+def solved(folder: Path, *options: str) -> dict[str, Any]:
+    path = folder.parent / "solved.toml"
+    path.unlink(missing_ok=True)
+    assert run(["solve", str(folder), "-o", str(path), *options]) == 0
+    return tomllib.loads(path.read_text())
+
+
+def reasons(document: dict[str, Any]) -> str:
+    return " ".join(document["quality"]["reasons"])
+
+
+@pytest.fixture
+def session(whole_session: Path, tmp_path: Path) -> Path:
+    shutil.copytree(whole_session, tmp_path / "session")
+    return tmp_path / "session"
+
+
+def test_gravity_is_as_uncertain_as_its_digits(session: Path) -> None:
+    document = solved(session, "--gravity", "9.81")
+    assert document["site"]["gravity_sigma_m_s2"] == pytest.approx(0.01 / 12**0.5)
+    assert "294 ppm of common scale, which is what its last digit leaves open" in reasons(document)
+    document = solved(session, "--gravity", "9.8100")
+    assert document["site"]["gravity_sigma_m_s2"] == pytest.approx(0.0001 / 12**0.5)
+    document = solved(session, "--gravity", "9.806650")
+    assert document["site"]["gravity_sigma_m_s2"] == pytest.approx(1e-5)
+    assert "last digit" not in reasons(document)
+
+
+def test_a_value_that_is_not_that_of_the_place_is_said_with_both(session: Path) -> None:
+    document = solved(session, "--gravity", "9.80665", "--latitude", "48", "--height", "0")
+    sentence = next(one for one in document["quality"]["reasons"] if "9.80665" in one)
+    assert "given as 9.80665 m/s^2" in sentence
+    assert "latitude 48 deg at 0 m has 9.80891 m/s^2" in sentence
+    assert "230 ppm" in sentence
+    assert document["quality"]["verdict"] != "good"
+    document = solved(session, "--gravity", "9.808", "--latitude", "48", "--height", "300")
+    assert "WGS-84" not in reasons(document)
+
+
+def test_a_typed_value_leaves_the_session_its_place() -> None:
+    recorded = {"latitude_deg": 48.0, "height_m": 300.0}
+    gravity = SiteOptions(9.80798).gravity(recorded)
+    assert (gravity.source, gravity.latitude_deg, gravity.height_m) == ("typed", 48.0, 300.0)
+    gravity = SiteOptions(latitude_deg=10.0).gravity({"gravity_m_s2": 9.81})
+    assert (gravity.source, gravity.latitude_deg) == ("normal", 10.0)
+
+
+def test_a_session_keeps_the_digits() -> None:
+    table = SiteOptions(9.81, gravity_sigma_m_s2=1e-4).table()
+    assert SiteOptions().gravity(table).sigma_m_s2 == pytest.approx(1e-4)
+
+
+def test_settings_edited_afterwards_are_said(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = session / "session.toml"
+    text = path.read_text()
+    before, rest = text.split("[settings.accelerometer_range_g]\nvalue = 10", 1)
+    path.write_text(f"{before}[settings.accelerometer_range_g]\nvalue = 30{rest}")
+    document = solved(session)
+    words = "session.toml says accelerometer_range_g = 30, but part-001.mcap was recorded with 10, which is used"
+    assert words in reasons(document)
+    path.write_text(f"{before}[settings.accelerometer_range_g]\nrange = 10{rest}")
+    capsys.readouterr()
+    assert run(["solve", str(session)]) == 4
+    assert "settings.accelerometer_range_g" in capsys.readouterr().err
+
+
+def without_site(session: Path) -> None:
+    path = session / "session.toml"
+    metadata = tomllib.loads(path.read_text(encoding="utf-8"))
+    metadata.pop("site", None)
+    path.write_text(tomli_w.dumps(metadata), encoding="utf-8")
+
+
+def test_a_default_goes_before_gravity_that_was_assumed(session: Path) -> None:
+    without_site(session)
+    assert solved(session)["site"]["gravity_source"] == "assumed"
+    site = SiteOptions(latitude_deg=60.0, height_m=0.0, is_default=True)
+    task = _task(VerifyOptions(parameters=session.parent / "solved.toml", session=session, site=site))
+    assert (task.gravity.source, task.latitude_deg, task.gravity.height_m) == ("normal", 60.0, 0.0)
+
+
+def test_what_was_typed_to_solve_a_session_without_a_site_goes_before_a_default(session: Path) -> None:
+    without_site(session)
+    site = solved(session, "--latitude", "10", "--height", "300")["site"]
+    assert (site["gravity_source"], site["latitude_deg"], site["height_m"]) == ("normal", 10.0, 300.0)
+    parameters = session.parent / "solved.toml"
+    for options in (SiteOptions(), SiteOptions(latitude_deg=60.0, height_m=0.0, is_default=True)):
+        task = _task(VerifyOptions(parameters=parameters, session=session, site=options))
+        assert task.latitude_deg == 10.0
+        assert task.gravity.height_m == 300.0
+        assert task.gravity.gravity_m_s2 == site["gravity_m_s2"]

@@ -1,0 +1,74 @@
+"""What the encoder writes the decoder reads, for every CAN protocol that ships."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.protocol.protocol import load_protocol, protocol_names
+from imufield.errors import UsageError
+from imufield.samples import Samples, Status, concatenate, make_samples
+from imufield.simulate.wire.can_encode import CanEncoder
+from tests.acquire.plain_frames import pack_frames
+
+NAMES = [name for name in protocol_names() if load_protocol(name).can is not None]
+
+
+def make(name: str, count: int = 300) -> Samples:
+    protocol = load_protocol(name)
+    rng = np.random.default_rng(1)
+    return make_samples(
+        np.arange(count) / 100.0,
+        rng.uniform(-15, 15, (count, 3)),
+        rng.uniform(-3, 3, (count, 3)),
+        units=protocol.units,
+        temperature_degc=rng.uniform(10, 40, count),
+        counter=np.arange(count),
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_round_trip(name: str) -> None:
+    protocol = load_protocol(name)
+    rule = protocol.can
+    assert rule is not None
+    sent = make(name)
+    decoder = Decoder(protocol)
+    data = pack_frames(one.frame for one in CanEncoder(protocol).encode(sent))
+    got = concatenate([decoder.feed(data), decoder.flush()])
+    assert len(got) == len(sent)
+    # Half a step of the coarsest signal.
+    step = max(
+        abs(column.factor) for kind in rule.kinds for column in kind.columns if not column.signal.is_float or column.place == 6
+    )
+    np.testing.assert_allclose(got.accelerometer, sent.accelerometer, atol=0.501 * step)
+    if rule.has_gyroscope:
+        np.testing.assert_allclose(got.gyroscope, sent.gyroscope, atol=0.501 * step)
+    np.testing.assert_allclose(got.time_s - got.time_s[0], sent.time_s, atol=1e-3)
+    assert decoder.statistics.samples_lost == decoder.statistics.losses_estimated == 0
+    assert not (got.status & ~np.uint32(Status.TIME_ESTIMATED) & 0xFFFF).any()
+
+
+def test_invalid_samples_become_codes() -> None:
+    protocol = load_protocol("j1939_imu")
+    sent = make("j1939_imu", 50)
+    sent.accelerometer[7, 1] = np.nan
+    sent.status[9] |= np.uint32(Status.GYROSCOPE_INVALID)
+    frames = [one.frame for one in CanEncoder(protocol).encode(sent)]
+    assert frames[14].data[2:4] == b"\xff\xff"
+    assert frames[19].data[:6] == b"\xff" * 6
+    assert frames[0].text.startswith("08F02D80#"), "priority of the file, address of the instrument"
+
+
+def test_values_stop_at_the_last_that_is_no_code() -> None:
+    protocol = load_protocol("j1939_imu")
+    sent = make("j1939_imu", 2)
+    sent.accelerometer[:] = 1e6, -1e6, 0
+    frame = CanEncoder(protocol).encode(sent)[0].frame
+    assert frame.data[:4] == b"\xff\xfa\x00\x00"
+
+
+def test_other_protocols_have_no_frames() -> None:
+    with pytest.raises(UsageError, match="not one of a CAN bus"):
+        CanEncoder(load_protocol("stim300"))
