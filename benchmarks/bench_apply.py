@@ -15,7 +15,7 @@ import resource
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,10 @@ def make_parameters(quadratic: FloatArray, g_sensitivity: FloatArray) -> Paramet
     rng = np.random.default_rng(1)
     off_diagonal = rng.normal(scale=1e-3, size=(3, 3)) * (1 - np.eye(3))
     accelerometer = AccelerometerParameters(
-        1 + rng.normal(scale=1e-3, size=3), rng.normal(scale=0.02, size=3), off_diagonal, quadratic
+        scale=1 + rng.normal(scale=1e-3, size=3),
+        bias_m_s2=rng.normal(scale=0.02, size=3),
+        misalignment_rad=off_diagonal,
+        quadratic=quadratic,
     )
     gyroscope = GyroscopeParameters(np.ones(3), off_diagonal.T, np.full(3, 1e-4), g_sensitivity)
     nothing = np.zeros(3)
@@ -60,21 +63,42 @@ def make_parameters(quadratic: FloatArray, g_sensitivity: FloatArray) -> Paramet
         accelerometer_raw_unit="m/s^2",
         equation="N - raw_zero = K (T a + b) + K2 (T a)^2",
         gauge="preset",
-        intrinsic=Intrinsic(*[nothing] * 8),
+        intrinsic=Intrinsic(**{field.name: nothing for field in fields(Intrinsic)}),
         covariance_names=(),
         covariance=np.zeros((0, 0)),
-        gravity=Gravity(9.81, 1e-4, "typed"),
+        gravity=Gravity(gravity_m_s2=9.81, sigma_m_s2=1e-4, source="typed"),
         positions=PositionResult(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.bool_)),
-        solver=SolverSummary("least squares", 1, "", 0.0, 1),
-        quality=Quality(0.0, 0.0, 0.0, 0.0, 1, 2.0, 12, 12, 1.0, "good", ()),
+        solver=SolverSummary(method="least squares", status=1, message="", cost=0.0, evaluations=1),
+        quality=Quality(
+            residual_rms_m_s2=0.0,
+            residual_max_m_s2=0.0,
+            leave_one_out_rms_m_s2=0.0,
+            between_position_sigma_m_s2=0.0,
+            degrees_of_freedom=1,
+            student_factor_95=2.0,
+            rank=12,
+            parameters_fitted=12,
+            condition=1.0,
+            verdict="good",
+            reasons=(),
+        ),
         quadratic_fitted=bool(np.any(quadratic)),
         gyroscope=GyroscopeCalibration(gyroscope, gyroscope, "made up"),
     )
     empty, times = np.zeros((0, 3)), np.zeros(0)
     none = Observations(
-        (), empty, np.zeros((0, 3, 3)), empty, np.zeros((0, 3, 3)), empty, times, times, times, units=SampleUnits()
+        name=(),
+        mean_raw=empty,
+        covariance_raw=np.zeros((0, 3, 3)),
+        gyroscope_mean_raw=empty,
+        gyroscope_covariance_raw=np.zeros((0, 3, 3)),
+        direction=empty,
+        start_s=times,
+        duration_s=times,
+        temperature_degc=times,
+        units=SampleUnits(),
     )
-    return Parameters(calibration, Context(), to_document(calibration, none, Context()))
+    return Parameters(calibration=calibration, context=Context(), document=to_document(calibration, none, Context()))
 
 
 def make_block(count: int) -> Samples:

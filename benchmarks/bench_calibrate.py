@@ -27,7 +27,7 @@ from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.earth import Gravity
 from imufield.samples import FloatArray, SampleUnits
 
-GRAVITY = Gravity(9.81, 1e-5, "typed")
+GRAVITY = Gravity(gravity_m_s2=9.81, sigma_m_s2=1e-5, source="typed")
 ROUNDS = 20
 SESSIONS = 100
 
@@ -49,8 +49,19 @@ def make_session(seed: int, quadratic: float = 0.0) -> tuple[FloatArray, Observa
     covariance = np.broadcast_to(sigma**2 * np.eye(3), (24, 3, 3)).copy()
     nothing = np.full((24, 3), np.nan)
     names = tuple(f"p{k:02d}" for k in range(24))
-    units = SampleUnits("count", "count")
-    return vector, Observations(names, mean, covariance, nothing, np.full((24, 3, 3), np.nan), up, nan, nan, nan, units)
+    units = SampleUnits(accelerometer="count", gyroscope="count")
+    return vector, Observations(
+        name=names,
+        mean_raw=mean,
+        covariance_raw=covariance,
+        gyroscope_mean_raw=nothing,
+        gyroscope_covariance_raw=np.full((24, 3, 3), np.nan),
+        direction=up,
+        start_s=nan,
+        duration_s=nan,
+        temperature_degc=nan,
+        units=units,
+    )
 
 
 def best_ms(action: Callable[[], object]) -> float:
@@ -66,7 +77,7 @@ def best_ms(action: Callable[[], object]) -> float:
 def plain_problem(observations: Observations, columns: int) -> NormProblem:
     start = closed_form_start(observations.mean_raw, 9.81, np.ones(3))
     basis = column_basis(start, LOWER_GAUGE_COLUMNS[:columns], 9.81)
-    return NormProblem(observations.mean_raw, 9.81, np.ones(24), start, basis)
+    return NormProblem(raw=observations.mean_raw, gravity_m_s2=9.81, sigma_m_s2=np.ones(24), origin=start, basis=basis)
 
 
 def peer(observations: Observations) -> FloatArray:
@@ -74,7 +85,13 @@ def peer(observations: Observations) -> FloatArray:
     raw = observations.mean_raw
     origin = np.zeros(15)
     origin[:3] = np.ptp(raw, axis=0) / 2 / 9.81
-    problem = NormProblem(raw, 9.81, np.ones(24), origin, column_basis(origin, LOWER_GAUGE_COLUMNS[:9], 9.81))
+    problem = NormProblem(
+        raw=raw,
+        gravity_m_s2=9.81,
+        sigma_m_s2=np.ones(24),
+        origin=origin,
+        basis=column_basis(origin, LOWER_GAUGE_COLUMNS[:9], 9.81),
+    )
     return problem.vector(least_squares(problem.residuals, problem.start).x)
 
 

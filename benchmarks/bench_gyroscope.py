@@ -59,7 +59,11 @@ DEG_PER_HOUR = np.radians(1.0) / 3600
 def read_xsens() -> tuple[Samples, float, float]:
     a = np.loadtxt(SHARED / "imu_tk" / "xsens_acc.mat.gz")
     g = np.loadtxt(SHARED / "imu_tk" / "xsens_gyro.mat.gz")
-    return make_samples(a[:, 0], a[:, 1:], g[:, 1:], units=SampleUnits("count", "count")), 32768.0, 9.81744
+    return (
+        make_samples(a[:, 0], a[:, 1:], g[:, 1:], units=SampleUnits(accelerometer="count", gyroscope="count")),
+        32768.0,
+        9.81744,
+    )
 
 
 def read_mikoff(name: str) -> tuple[Samples, float, float]:
@@ -69,8 +73,12 @@ def read_mikoff(name: str) -> tuple[Samples, float, float]:
 
 def prepare(samples: Samples, zero: float, gravity: float) -> GyroscopeInput:
     found = find_still_intervals([samples], scale=RoughScale.of_units(samples.units, np.full(3, zero))).observations
-    calibration = calibrate_accelerometer(found, Gravity(gravity, 1e-5, "typed"), raw_zero=zero, model="linear")
-    return GyroscopeInput(found, collect_moves([samples], found.start_s, found.duration_s), calibration)
+    calibration = calibrate_accelerometer(
+        found, Gravity(gravity_m_s2=gravity, sigma_m_s2=1e-5, source="typed"), raw_zero=zero, model="linear"
+    )
+    return GyroscopeInput(
+        observations=found, moves=collect_moves([samples], found.start_s, found.duration_s), calibration=calibration
+    )
 
 
 def as_imu_tk(samples: Samples, given: GyroscopeInput) -> FloatArray:
@@ -179,7 +187,12 @@ def turntable(count: int = 30) -> None:
         M = np.diag(1 + 1e-3 * rng.standard_normal(3)) @ (np.eye(3) + 1e-3 * rng.standard_normal((3, 3)) * (1 - np.eye(3)))
         sigma = 0.003 * np.radians(1.0) / 60 / np.sqrt(60.0)
         runs = [
-            TurntableRun(axis, way * w, M @ axis * way * w + sigma * rng.standard_normal(3), sigma**2 * np.eye(3))
+            TurntableRun(
+                axis=axis,
+                rate_rad_s=way * w,
+                mean_raw=M @ axis * way * w + sigma * rng.standard_normal(3),
+                covariance_raw=sigma**2 * np.eye(3),
+            )
             for axis in np.eye(3)
             for w in np.radians(TURN_RATES_DEG_S)
             for way in (1.0, -1.0)
@@ -212,10 +225,14 @@ def speed() -> None:
         collector.feed(block)
         took += time.perf_counter() - begin
     observations = finder.finish().observations
-    calibration = calibrate_accelerometer(observations, Gravity(operator.site.gravity_m_s2, 1e-5, "typed"))
+    calibration = calibrate_accelerometer(
+        observations, Gravity(gravity_m_s2=operator.site.gravity_m_s2, sigma_m_s2=1e-5, source="typed")
+    )
     begin = time.perf_counter()
     moves = collector.finish(observations.start_s, observations.duration_s)
-    result = calibrate_gyroscope(GyroscopeInput(observations, moves, calibration, latitude_deg=45.0))
+    result = calibrate_gyroscope(
+        GyroscopeInput(observations=observations, moves=moves, calibration=calibration, latitude_deg=45.0)
+    )
     fit_s = time.perf_counter() - begin
     print(
         f"{total} samples ({total / 2000 / 60:.0f} min at 2000 Hz), {len(moves)} moves: {took:.1f} s for the sums, "

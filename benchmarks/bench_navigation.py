@@ -52,10 +52,25 @@ class Rest:
         heading = exponential(np.array([0.0, 0.0, np.random.default_rng(seed).uniform(0, 2 * np.pi)]))
         start = multiply(heading, exponential(np.array([np.pi, 0.0, 0.0])))
         end_s = 1e6 if turned_s is None else turned_s
-        self._pieces = [Piece(0.0, end_s, start, np.zeros(3), np.zeros(3))]
+        self._pieces = [Piece(start_s=0.0, end_s=end_s, quaternion_nb=start, turn_rad=np.zeros(3), wobble_rad=np.zeros(3))]
         if turned_s is not None:
-            turn = Piece(end_s, end_s + 4.0, start, np.array([np.pi, 0.0, 0.0]), np.zeros(3))
-            self._pieces += [turn, Piece(turn.end_s, 1e6, turn.final_quaternion, np.zeros(3), np.zeros(3))]
+            turn = Piece(
+                start_s=end_s,
+                end_s=end_s + 4.0,
+                quaternion_nb=start,
+                turn_rad=np.array([np.pi, 0.0, 0.0]),
+                wobble_rad=np.zeros(3),
+            )
+            self._pieces += [
+                turn,
+                Piece(
+                    start_s=turn.end_s,
+                    end_s=1e6,
+                    quaternion_nb=turn.final_quaternion,
+                    turn_rad=np.zeros(3),
+                    wobble_rad=np.zeros(3),
+                ),
+            ]
 
     def attitude(self, time_s: FloatArray) -> FloatArray:
         out = np.empty((len(time_s), 4))
@@ -83,7 +98,7 @@ def recording(
     imu = Imu(instrument, seed, ImuSettings(rate_hz=rate_hz))
     path = Rest(seed, turned_s)
     for first in range(0, int(hours * 3600 * rate_hz), BLOCK):
-        yield imu.feed(sample_motion(path, first, BLOCK, 1 / rate_hz, Site()))
+        yield imu.feed(sample_motion(path, first, BLOCK, 1 / rate_hz, site=Site()))
 
 
 def calibrated(seed: int, hold_s: float = 20.0) -> tuple[TrueInstrument, Calibration]:
@@ -103,11 +118,11 @@ def navigate(
     turned: bool = False,
 ) -> NavigationResult:
     nominal = apply_with(
-        AccelerometerParameters(np.ones(3), np.zeros(3), np.zeros((3, 3))),
+        AccelerometerParameters(scale=np.ones(3), bias_m_s2=np.zeros(3), misalignment_rad=np.zeros((3, 3))),
         GyroscopeParameters(np.ones(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3))),
     )
     new = apply_with(calibration.accelerometer, calibration.gyroscope.parameters)
-    settings = CheckSettings(Site().latitude_deg, gravity_m_s2=Site().gravity_m_s2, turned=turned)
+    settings = CheckSettings(latitude_deg=Site().latitude_deg, gravity_m_s2=Site().gravity_m_s2, turned=turned)
     check = StaticNavigation({"before": nominal, "new": new}, settings)
     turned_s = 630.0 if turned else None
     for block in recording(instrument, 1000 + seed, hours=hours, rate_hz=rate_hz, turned_s=turned_s):
@@ -121,9 +136,11 @@ def speed() -> list[dict[str, Any]]:
     blocks = list(recording(instrument, 1))
     begin, begin_cpu = time.perf_counter(), time.process_time()
     gyroscope = GyroscopeParameters(np.ones(3), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
-    before = apply_with(AccelerometerParameters(np.ones(3), np.zeros(3), np.zeros((3, 3))), gyroscope)
+    before = apply_with(
+        AccelerometerParameters(scale=np.ones(3), bias_m_s2=np.zeros(3), misalignment_rad=np.zeros((3, 3))), gyroscope
+    )
     new = apply_with(calibration.accelerometer, calibration.gyroscope.parameters)
-    check = StaticNavigation({"before": before, "new": new}, CheckSettings(Site().latitude_deg))
+    check = StaticNavigation({"before": before, "new": new}, CheckSettings(latitude_deg=Site().latitude_deg))
     for block in blocks:
         check.feed(block)
     drift = check.finish(calibration).drifts["new"]
@@ -145,7 +162,7 @@ def speed() -> list[dict[str, Any]]:
 def distance_mm(blocks: list[Samples], apply: Apply, drift: Drift) -> float:
     """Return the largest distance from python-ins run in one piece over the same corrected samples, same alignment."""
     pyins = load_pyins()
-    settings = CheckSettings(Site().latitude_deg)
+    settings = CheckSettings(latitude_deg=Site().latitude_deg)
     one = _OneSet(apply, settings)
     for block in blocks:
         one.feed(block)

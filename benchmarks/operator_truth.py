@@ -172,7 +172,7 @@ def _measure(samples: Samples, event: Accepted, with_it: Observation, standards:
     if with_it.held is not None:
         density = standards.floor.cell_sigma[:3] * math.sqrt(standards.cell_s)
         held = held_mean(inside, standards.scale, density, knocks_of(cells, standards.limits))
-    return observe(cells, standards.limits, event.position, with_it.direction, held)
+    return observe(cells, standards.limits, event.position, with_it.direction, held=held)
 
 
 def _norm(imu: Imu, observation: Observation) -> float:

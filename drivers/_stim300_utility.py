@@ -17,14 +17,14 @@ _CRC = make_checksum("CRC-8/SMBUS", start=0xFF)
 
 def enter_utility_mode() -> Command:
     """Return the way from normal mode to utility mode."""
-    return Command("UTILITYMODE", b"UTILITYMODE\r", read=_answer("UTILITYMODE"))
+    return Command(name="UTILITYMODE", data=b"UTILITYMODE\r", read=_answer("UTILITYMODE"))
 
 
 def utility(name: str, *values: object, is_last: bool = False) -> Command:
     """Return a command of utility mode."""
     body = ",".join([f"${name}", *map(str, values)]) + ","
     data = f"{body}{_CRC.of(body.encode())}\r".encode()
-    return Command(name, data, refusal=_refusal, is_last=is_last, read=_answer(name))
+    return Command(name=name, data=data, refusal=_refusal, is_last=is_last, read=_answer(name))
 
 
 def _refusal(answer: Message) -> str:

@@ -15,7 +15,9 @@ from imufield.acquire.instrument.exchange import Command, Message
 from imufield.acquire.protocol.checksum import make_checksum
 
 BINARY_OUTPUTS = (75, 76, 77)
-_MODEL, _SERIAL, _FIRMWARE = 1, 3, 4
+_MODEL = 1
+_SERIAL = 3
+_FIRMWARE = 4
 _XOR = make_checksum("XOR-8")
 
 
@@ -81,7 +83,7 @@ def _command(name: str, text: str, answer: str, number: int, *, is_last: bool = 
     def answers(message: Message) -> bool:
         return message["kind"] == "VNERR" or (message["kind"] == answer and _is_about(message, number))
 
-    return Command(name, sentence(text), answers, _refusal, is_last)
+    return Command(name=name, data=sentence(text), answer=answers, refusal=_refusal, is_last=is_last)
 
 
 def sentence(text: str) -> bytes:

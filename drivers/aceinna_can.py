@@ -11,7 +11,8 @@ from imufield.acquire.protocol.can_frames import EXTENDED, pack_frame
 HOST_ADDRESS = 0xF9
 """J1939 address of an off-board service tool."""
 EVERYBODY = 0xFF
-_REQUEST_PGN, _VERSION_PGN = 0xEA00, 0xFEDA
+_REQUEST_PGN = 0xEA00
+_VERSION_PGN = 0xFEDA
 _PRIORITY = 6
 
 

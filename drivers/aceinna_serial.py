@@ -11,12 +11,13 @@ from imufield.acquire.instrument.exchange import Command, Message
 from imufield.acquire.protocol.checksum import make_checksum
 
 _CRC = make_checksum("CRC-16/SPI-FUJITSU")
-_DMU_KINDS = frozenset({"0x5330", "0x5331"})
-"""Packets S0 and S1; only these instruments know the commands in capitals."""
+_DMU_KINDS = frozenset({"0x5330", "0x5331"})  # Packets S0 and S1; only these instruments know the commands in capitals.
 _RATES_HZ = (200, 100, 50, 20, 10, 5, 2)
-_PACKET_RATE, _PACKET_RATE_DIVIDER = 4, 1
+_PACKET_RATE = 4
+_PACKET_RATE_DIVIDER = 1
 _DMU_HZ = 100
-_QUIET, _DELIVERED_HZ = 0, 100
+_QUIET = 0
+_DELIVERED_HZ = 100
 
 
 class AceinnaSerial(Driver):
@@ -128,10 +129,10 @@ def packet(name: str, letters: str, data: bytes, answer: str) -> Command:
     """Return a packet to the instrument, answered by a message called ``answer`` or by a refusal of these letters."""
     body = letters.encode() + bytes([len(data)]) + data
     return Command(
-        name,
-        b"UU" + body + _CRC.of(body).to_bytes(2, "big"),
-        lambda message: message["kind"] == answer or (message["kind"] == "refused" and message["letters"] == letters),
-        _refusal,
+        name=name,
+        data=b"UU" + body + _CRC.of(body).to_bytes(2, "big"),
+        answer=lambda message: message["kind"] == answer or (message["kind"] == "refused" and message["letters"] == letters),
+        refusal=_refusal,
     )
 
 

@@ -10,13 +10,19 @@ from imufield.acquire.instrument.exchange import Command, Message
 from imufield.acquire.protocol.checksum import make_checksum
 
 _SUMS = make_checksum("FLETCHER-16/MOD-256")
-BASE, SETTINGS = 0x01, 0x0C
-_APPLY, _READ = 1, 2
+BASE = 0x01
+SETTINGS = 0x0C
+_APPLY = 1
+_READ = 2
 _IMU_SET = 0x80
-_IDLE, _DEVICE_INFORMATION, _RESUME = 0x02, 0x03, 0x06
-_IMU_BASE_RATE, _IMU_FORMAT, _SET_BASE_RATE, _SET_FORMAT = 0x06, 0x08, 0x0E, 0x0F
-_INERTIAL = (0x04, 0x05, 0x07, 0x08)
-"""Descriptors of acceleration, rate, delta theta and delta velocity."""
+_IDLE = 0x02
+_DEVICE_INFORMATION = 0x03
+_RESUME = 0x06
+_IMU_BASE_RATE = 0x06
+_IMU_FORMAT = 0x08
+_SET_BASE_RATE = 0x0E
+_SET_FORMAT = 0x0F
+_INERTIAL = (0x04, 0x05, 0x07, 0x08)  # Descriptors of acceleration, rate, delta theta and delta velocity.
 
 
 class MicroStrainMip(Driver):
@@ -112,11 +118,11 @@ def command(name: str, descriptor_set: int, number: int, data: bytes = b"", *, i
     body = bytes([0x75, 0x65, descriptor_set, len(data) + 2, len(data) + 2, number]) + data
     kind = "base" if descriptor_set == BASE else "settings"
     return Command(
-        name,
-        body + _SUMS.of(body).to_bytes(2, "big"),
-        lambda message: message["kind"] == kind and message.get("answered_command") == number,
-        lambda answer: f"error {answer['error']}" if answer["error"] else "",
-        is_last,
+        name=name,
+        data=body + _SUMS.of(body).to_bytes(2, "big"),
+        answer=lambda message: message["kind"] == kind and message.get("answered_command") == number,
+        refusal=lambda answer: f"error {answer['error']}" if answer["error"] else "",
+        is_last=is_last,
     )
 
 

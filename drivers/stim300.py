@@ -122,7 +122,7 @@ class Stim300(Driver):
 
 
 def _datagram(kind: str, data: bytes) -> Command:
-    return Command(kind, data, lambda message: message["kind"] == kind)
+    return Command(name=kind, data=data, answer=lambda message: message["kind"] == kind)
 
 
 def part_number(digits: bytes, revision: str) -> str:

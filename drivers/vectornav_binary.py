@@ -10,7 +10,8 @@ from imufield.acquire.instrument.exchange import Command, Message
 
 from ._vectornav_registers import BINARY_OUTPUTS, VectorNav, read, values_of, write
 
-_IMU_HZ, _IMU_HZ_VN100 = 400, 800
+_IMU_HZ = 400
+_IMU_HZ_VN100 = 800
 
 
 class VectorNavBinary(VectorNav):

@@ -9,11 +9,18 @@ from typing import Any, ClassVar
 from imufield.acquire.driver import Ability, Driver, Evidence, choose_rate
 from imufield.acquire.instrument.exchange import Command, Message
 
-_RATE, _VERSION, _SERIAL, _SERIAL_END, _READ, _KEY = 0x03, 0x2E, 0x7F, 0x83, 0x27, 0x69
+_RATE = 0x03
+_VERSION = 0x2E
+_SERIAL = 0x7F
+_SERIAL_END = 0x83
+_READ = 0x27
+_KEY = 0x69
 _UNLOCK = 0xB588
-_ONCE, _NEVER, _AS_DELIVERED = 0x0C, 0x0D, 0x06
+_ONCE = 0x0C
+_NEVER = 0x0D
+_AS_DELIVERED = 0x06
+# Code 0x0A is left out: some models take it for 125 Hz, others for 100 Hz.
 _RATE_CODES = {0.2: 1, 0.5: 2, 1: 3, 2: 4, 5: 5, 10: 6, 20: 7, 50: 8, 100: 9, 200: 0x0B}
-"""Code 0x0A is left out: some models take it for 125 Hz, others for 100 Hz."""
 _RATES_READ_HZ = {code: rate for rate, code in _RATE_CODES.items()} | {0x0A: 125}
 
 
@@ -104,12 +111,14 @@ def _set_code(code: int) -> Sequence[Command]:
 
 def write(name: str, register: int, value: int) -> Command:
     """Return the order to set a register, which is not answered."""
-    return Command(name, struct.pack("<BBBH", 0xFF, 0xAA, register, value))
+    return Command(name=name, data=struct.pack("<BBBH", 0xFF, 0xAA, register, value))
 
 
 def read(name: str, register: int) -> Command:
     """Return the question for four registers from this one on."""
-    return Command(name, struct.pack("<BBBH", 0xFF, 0xAA, _READ, register), lambda message: message["kind"] == "registers")
+    return Command(
+        name=name, data=struct.pack("<BBBH", 0xFF, 0xAA, _READ, register), answer=lambda message: message["kind"] == "registers"
+    )
 
 
 DRIVER = WitMotion

@@ -10,8 +10,11 @@ from imufield.acquire.instrument.exchange import Command, Message
 from imufield.acquire.protocol.checksum import make_checksum
 
 _SUM = make_checksum("SUM-8/NEGATED")
-REQUEST_DEVICE_ID, GO_TO_MEASUREMENT, REQUEST_FIRMWARE = 0x00, 0x10, 0x12
-REQUEST_PRODUCT_CODE, GO_TO_CONFIG = 0x1C, 0x30
+REQUEST_DEVICE_ID = 0x00
+GO_TO_MEASUREMENT = 0x10
+REQUEST_FIRMWARE = 0x12
+REQUEST_PRODUCT_CODE = 0x1C
+GO_TO_CONFIG = 0x30
 
 
 class XsensMtData2(Driver):
@@ -85,7 +88,9 @@ class XsensMtData2(Driver):
 def request(name: str, message_id: int, answer: str, data: bytes = b"", *, is_last: bool = False) -> Command:
     """Return a message to the instrument, answered by a message called ``answer`` or by an error."""
     body = bytes([0xFF, message_id, len(data)]) + data
-    return Command(name, b"\xfa" + body + bytes([_SUM.of(body)]), _is(answer, "error"), _refusal, is_last)
+    return Command(
+        name=name, data=b"\xfa" + body + bytes([_SUM.of(body)]), answer=_is(answer, "error"), refusal=_refusal, is_last=is_last
+    )
 
 
 def _is(*kinds: str) -> Any:

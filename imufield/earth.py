@@ -42,7 +42,7 @@ HEIGHT_RANGE_M = (-500.0, 9000.0)
 """From the shore of the Dead Sea to the top of Mount Everest, with a margin."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Gravity:
     """Local gravity and how it is known.
 
@@ -125,10 +125,20 @@ def choose_gravity(
                 gravity_m_s2=gravity_m_s2,
             )
         sigma = sigma_of_digits(repr(float(gravity_m_s2))) if sigma_m_s2 is None else sigma_m_s2
-        return Gravity(gravity_m_s2, sigma, "typed", latitude_deg, height_m)
+        return Gravity(
+            gravity_m_s2=gravity_m_s2, sigma_m_s2=sigma, source="typed", latitude_deg=latitude_deg, height_m=height_m
+        )
     if latitude_deg is not None:
         value = normal_gravity(latitude_deg, height_m or 0.0)
         return Gravity(
-            value, NORMAL_GRAVITY_SIGMA_M_S2 if sigma_m_s2 is None else sigma_m_s2, "normal", latitude_deg, height_m or 0.0
+            gravity_m_s2=value,
+            sigma_m_s2=NORMAL_GRAVITY_SIGMA_M_S2 if sigma_m_s2 is None else sigma_m_s2,
+            source="normal",
+            latitude_deg=latitude_deg,
+            height_m=height_m or 0.0,
         )
-    return Gravity(STANDARD_GRAVITY_M_S2, ASSUMED_GRAVITY_SIGMA_M_S2 if sigma_m_s2 is None else sigma_m_s2, "assumed")
+    return Gravity(
+        gravity_m_s2=STANDARD_GRAVITY_M_S2,
+        sigma_m_s2=ASSUMED_GRAVITY_SIGMA_M_S2 if sigma_m_s2 is None else sigma_m_s2,
+        source="assumed",
+    )

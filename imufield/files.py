@@ -17,8 +17,8 @@ from pathlib import Path
 
 from imufield.errors import UsageError
 
+# Names of what a session was recorded as; no command computes them again.
 _RECORDED = re.compile(r"part-\d+\.mcap|session\.toml|positions\.toml")
-"""Names of what a session was recorded as; no command computes them again."""
 
 
 SMALL_FILE_LIMIT_BYTES = 1 << 24

@@ -128,13 +128,13 @@ class Samples:
 
     def __getitem__(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Samples:
         return Samples(
-            self.time_s[rows],
-            self.accelerometer[rows],
-            self.gyroscope[rows],
-            self.temperature_degc[rows],
-            self.counter[rows],
-            self.status[rows],
-            self.units,
+            time_s=self.time_s[rows],
+            accelerometer=self.accelerometer[rows],
+            gyroscope=self.gyroscope[rows],
+            temperature_degc=self.temperature_degc[rows],
+            counter=self.counter[rows],
+            status=self.status[rows],
+            units=self.units,
         )
 
     @property
@@ -173,13 +173,13 @@ def make_samples(
     """Build a block, filling what is not there with "not available"."""
     n = len(time_s)
     return Samples(
-        np.asarray(time_s, dtype=np.float64),
-        np.asarray(accelerometer, dtype=np.float64),
-        np.full((n, 3), np.nan) if gyroscope is None else np.asarray(gyroscope, dtype=np.float64),
-        np.full(n, np.nan) if temperature_degc is None else np.asarray(temperature_degc, dtype=np.float64),
-        np.full(n, NO_COUNTER, dtype=np.int64) if counter is None else counter,
-        np.zeros(n, dtype=np.uint32) if status is None else status,
-        units,
+        time_s=np.asarray(time_s, dtype=np.float64),
+        accelerometer=np.asarray(accelerometer, dtype=np.float64),
+        gyroscope=np.full((n, 3), np.nan) if gyroscope is None else np.asarray(gyroscope, dtype=np.float64),
+        temperature_degc=np.full(n, np.nan) if temperature_degc is None else np.asarray(temperature_degc, dtype=np.float64),
+        counter=np.full(n, NO_COUNTER, dtype=np.int64) if counter is None else counter,
+        status=np.zeros(n, dtype=np.uint32) if status is None else status,
+        units=units,
     )
 
 
@@ -205,11 +205,11 @@ def concatenate(blocks: Iterable[Samples]) -> Samples:
     if len(parts) == 1:
         return parts[0]
     return Samples(
-        np.concatenate([part.time_s for part in parts]),
-        np.concatenate([part.accelerometer for part in parts]),
-        np.concatenate([part.gyroscope for part in parts]),
-        np.concatenate([part.temperature_degc for part in parts]),
-        np.concatenate([part.counter for part in parts]),
-        np.concatenate([part.status for part in parts]),
-        units,
+        time_s=np.concatenate([part.time_s for part in parts]),
+        accelerometer=np.concatenate([part.accelerometer for part in parts]),
+        gyroscope=np.concatenate([part.gyroscope for part in parts]),
+        temperature_degc=np.concatenate([part.temperature_degc for part in parts]),
+        counter=np.concatenate([part.counter for part in parts]),
+        status=np.concatenate([part.status for part in parts]),
+        units=units,
     )

@@ -70,7 +70,11 @@ class Replayed:
         from imufield.commands.solve import SolveOptions, solve_session
         from imufield.pipeline.site import SiteOptions
 
-        site = SiteOptions(options.pop("gravity_m_s2", None), options.pop("latitude_deg", None), options.pop("height_m", None))
+        site = SiteOptions(
+            gravity_m_s2=options.pop("gravity_m_s2", None),
+            latitude_deg=options.pop("latitude_deg", None),
+            height_m=options.pop("height_m", None),
+        )
         return solve_session(self.session, SolveOptions(site=site, **options)).parameters
 
 
@@ -136,7 +140,7 @@ def _make_emulator(driver: str, faults: WireFaults, options: dict[str, Any]) -> 
 
     names = ("speed", "wait_for_reader", "duration_s")
     run = EmulatorSettings(**{name: options.pop(name) for name in names if name in options})
-    return make_emulator(Emulation(driver, faults=faults, run=run, **options))
+    return make_emulator(Emulation(device=driver, faults=faults, run=run, **options))
 
 
 @pytest.fixture

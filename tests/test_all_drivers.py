@@ -176,7 +176,7 @@ def test_emulated_instrument_is_read_back(driver: type[Driver]) -> None:
     """The instrument lies on a table; every sample comes through port or bus, link and decoder, in SI."""
     run = EmulatorSettings(duration_s=DURATION_S, wait_for_reader=driver.wire == "serial")
     bus = f"virtual:{driver.name}-{os.getpid()}" if driver.wire == "can" else None
-    options = Emulation(driver.name, run=run, bus=bus)
+    options = Emulation(device=driver.name, run=run, bus=bus)
     wire = choose_wire(options)
     opened = open_can(bus, driver=driver.name) if bus else None
     decoder = Decoder(wire.protocol) if opened is None else opened.decoder

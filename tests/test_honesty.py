@@ -31,7 +31,9 @@ def error_in_sigma(grade: str, seed: int) -> FloatArray:
     """Return the gauge-free errors of one session in units of their sigma, shape (12,)."""
     positions = scheme("paper24")
     habits = OperatorSettings(hold_s=8.5, initial_still_s=6.0, begins_in_first_position=True)
-    options = Emulation("text", RATE_HZ, grade, seed, directions=positions.directions(), operator=habits)
+    options = Emulation(
+        device="text", rate_hz=RATE_HZ, grade=grade, seed=seed, directions=positions.directions(), operator=habits
+    )
     source = make_virtual_imu(options)
     end_s = source.operator.plan_all()
     guide = Guide(positions, source.imu.instrument.grade.units, settings=GuideSettings(hold_s=5.0))

@@ -1,4 +1,4 @@
-"""What fits on a screen can be read: functions of 40 lines at most, modules of 500."""
+"""What fits on a screen can be read: functions of 60 lines at most, modules of 600."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import pytest
 
 PROJECT = Path(__file__).resolve().parent.parent
 FILES = sorted([*(PROJECT / "imufield").rglob("*.py"), *(PROJECT / "drivers").rglob("*.py")])
-LONGEST_FUNCTION = 40
+LONGEST_FUNCTION = 60
 """Lines from the first statement to the last: a command declares each of its options in a line of its signature."""
-LONGEST_MODULE = 500
+LONGEST_MODULE = 600
 
 
 def lengths(source: str) -> Iterator[tuple[str, int]]:

@@ -31,13 +31,12 @@ if TYPE_CHECKING:
     from imufield.acquire.protocol.can_protocol import CanRule
 
 _INCOMPLETE = np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID)
+# Larger feeds are worked off in pieces of this size: memory stays bounded, and the pieces stay in cache.
 _PIECE_BYTES = 1 << 18
-"""Larger feeds are worked off in pieces of this size: memory stays bounded, and the pieces stay in cache."""
+# Messages kept until somebody fetches them: identity comes first, a stream of the same kind must not fill memory.
 _MESSAGES_KEPT = 1000
-"""Messages kept until somebody fetches them: identity comes first, a stream of the same kind must not fill memory."""
 
-_LONGEST_WRAP_NS = 2.0**62
-"""Stamps of 64 bits do not wrap while a program runs."""
+_LONGEST_WRAP_NS = 2.0**62  # Stamps of 64 bits do not wrap while a program runs.
 
 
 class Decoder:

@@ -85,7 +85,7 @@ class Driver:
         heard : collection of str
             Kinds of frames that the instrument sends.
         """
-        return [Command("identity", data, any_message) for data in cls.identity_commands]
+        return [Command(name="identity", data=data, answer=any_message) for data in cls.identity_commands]
 
     @classmethod
     def state_questions(cls, heard: Collection[str]) -> Sequence[Command]:  # noqa: ARG003  for drivers to use

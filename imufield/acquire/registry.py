@@ -14,8 +14,8 @@ from imufield.acquire.protocol.toml import near
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 
 GROUP = "imufield.drivers"
+# What every driver says of its instrument.
 _STATED = ("name", "title", "protocol", "default_baud", "bauds", "status", "manual")
-"""What every driver says of its instrument."""
 
 
 def driver_names() -> list[str]:

@@ -58,6 +58,7 @@ def devices(as_json: AsJson = False) -> None:
 
 
 def probe(
+    *,
     context: typer.Context,
     port: Port = None,
     bus: Bus = None,
@@ -75,7 +76,9 @@ def probe(
     from imufield.acquire.instrument.connect import host_clock
     from imufield.commands.probe import run_probe, run_probe_bus
 
-    options = connect_options(context, port, bus, None, baud, None, None, None, None)
+    options = connect_options(
+        context=context, port=port, bus=bus, driver=None, baud=baud, protocol=None, dbc=None, mapping=None, settings=None
+    )
     if options.bus is not None:
         run_probe_bus(options, host_clock(clock_speed), ask=ask, as_json=as_json)
         return
@@ -83,6 +86,7 @@ def probe(
 
 
 def capture(
+    *,
     context: typer.Context,
     port: Port = None,
     bus: Bus = None,
@@ -133,7 +137,18 @@ def capture(
     from imufield.commands.terminal.views import Manner, parse_side
 
     options = CaptureOptions(
-        connect=connect_options(context, port, bus, driver, baud, protocol, dbc, mapping, settings, rate_hz),
+        connect=connect_options(
+            context=context,
+            port=port,
+            bus=bus,
+            driver=driver,
+            baud=baud,
+            protocol=protocol,
+            dbc=dbc,
+            mapping=mapping,
+            settings=settings,
+            rate_hz=rate_hz,
+        ),
         positions=positions,
         hold_s=hold_s,
         session=session,
@@ -150,6 +165,7 @@ def capture(
 
 
 def record(
+    *,
     context: typer.Context,
     port: Port = None,
     bus: Bus = None,
@@ -179,7 +195,18 @@ def record(
     from imufield.acquire.instrument.connect import host_clock
     from imufield.commands.record import RecordOptions, run_record
 
-    connect = connect_options(context, port, bus, driver, baud, protocol, dbc, mapping, settings, rate_hz)
+    connect = connect_options(
+        context=context,
+        port=port,
+        bus=bus,
+        driver=driver,
+        baud=baud,
+        protocol=protocol,
+        dbc=dbc,
+        mapping=mapping,
+        settings=settings,
+        rate_hz=rate_hz,
+    )
     options = RecordOptions(
         connect=connect,
         session=session,
@@ -191,6 +218,7 @@ def record(
 
 
 def import_files(
+    *,
     context: typer.Context,
     files: Annotated[list[Path], typer.Argument(help="Files of one recording; several are joined by time.", readable=False)],
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Folder of the new session.", readable=False)] = None,
@@ -243,6 +271,7 @@ def import_files(
 
 
 def replay(
+    *,
     session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).", readable=False)] = None,
     to_pty: Annotated[bool, typer.Option("--to-pty", help="Replay the bytes to a virtual serial port.")] = False,
     bus: Annotated[str | None, typer.Option(help="Replay the frames to a CAN bus, e.g. socketcan:vcan0.")] = None,
@@ -264,6 +293,7 @@ def replay(
 
 
 def emulate(
+    *,
     driver: Annotated[str, typer.Argument(help="Instrument family, see `imufield devices`, or your protocol file (.toml).")],
     form: Annotated[str | None, typer.Option(help="What it sends, e.g. RAWIMUX; a wrong name lists all.")] = None,
     settings: Settings = None,

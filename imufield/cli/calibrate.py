@@ -11,6 +11,7 @@ from imufield.cli.options import LARGEST_SEED, AsJson, GravityValue, Height, Lat
 
 
 def solve(
+    *,
     context: typer.Context,
     sessions: Annotated[
         list[Path] | None, typer.Argument(metavar="[SESSION]...", help="Session folders (default: the newest).", readable=False)
@@ -67,6 +68,7 @@ def solve(
 
 
 def noise(
+    *,
     session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).", readable=False)] = None,
     to: Annotated[str, typer.Option(help="Form of --output: kalibr, openvins, vins or ros2.")] = "kalibr",
     output: Annotated[Path | None, typer.Option("-o", "--output", help="YAML for a navigation filter.", readable=False)] = None,
@@ -89,6 +91,7 @@ def noise(
 
 
 def study(
+    *,
     name: Annotated[str, typer.Argument(help="One of the studies below, a paper (bsas, ide), or all.")],
     quick: Annotated[bool, typer.Option("--quick", help="Few runs, to see that it works.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of all runs.", callback=within(0, LARGEST_SEED))] = 0,

@@ -11,6 +11,7 @@ from imufield.cli.options import LARGEST_SEED, AsJson, GravityValue, Height, Lat
 
 
 def export(
+    *,
     parameters: Annotated[Path, typer.Argument(help="Parameter file.", readable=False)],
     to: Annotated[str | None, typer.Option(help="Target, e.g. c, px4, vectornav (default: list them).")] = None,
     settings: Settings = None,
@@ -60,6 +61,7 @@ def export_data(
 
 
 def verify(
+    *,
     context: typer.Context,
     parameters: Annotated[Path, typer.Argument(help="Parameter file under test.", readable=False)],
     session: Annotated[
@@ -121,6 +123,7 @@ def verify(
 
 
 def report(
+    *,
     session: Annotated[Path | None, typer.Argument(help="Session folder (default: the newest).", readable=False)] = None,
     parameters: Annotated[
         Path | None, typer.Option(help="Parameter file (default: SESSION/parameters.toml).", readable=False)
@@ -149,6 +152,7 @@ def report(
 
 
 def history(
+    *,
     folder: Annotated[Path, typer.Argument(help="Folder of parameter files, searched below too.", readable=False)] = Path(
         "imufield-sessions"
     ),

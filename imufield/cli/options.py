@@ -112,6 +112,7 @@ ClockSpeed = Annotated[
 
 
 def connect_options(
+    *,
     context: typer.Context,
     port: str | None,
     bus: str | None,
@@ -168,4 +169,6 @@ def site(context: typer.Context, gravity: float | None, latitude: float | None, 
         gravity, latitude, height = typed.get("gravity"), typed.get("latitude"), typed.get("height")
     sigma_m_s2 = sigma_of_digits(gravity.text) if isinstance(gravity, TypedNumber) else None
     is_default = not typed
-    return SiteOptions(gravity, latitude, height, is_default=is_default, gravity_sigma_m_s2=sigma_m_s2)
+    return SiteOptions(
+        gravity_m_s2=gravity, latitude_deg=latitude, height_m=height, is_default=is_default, gravity_sigma_m_s2=sigma_m_s2
+    )

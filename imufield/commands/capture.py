@@ -79,7 +79,7 @@ class CaptureOptions:
     manner: Manner = field(default_factory=Manner)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Captured:
     """How a capture ended."""
 
@@ -131,7 +131,7 @@ def _capture(session: Session, connected: Connected, clock: HostClock, options: 
     """Run the loop; where it is broken off, say what there is and how to go on, and pass the reason on."""
     loop = None
     try:
-        with open_loop(session, connected, clock, options.view, options.manner) as loop:
+        with open_loop(session, connected, clock, options.view, manner=options.manner) as loop:
             return loop.run()
     except (KeyboardInterrupt, ImufieldError):
         if loop is not None:
@@ -234,7 +234,7 @@ def _read_positions(path: str) -> bytes:
 
 @contextmanager
 def open_loop(
-    session: Session, connected: Connected, clock: HostClock, view_name: ViewName, manner: Manner | None = None
+    session: Session, connected: Connected, clock: HostClock, view_name: ViewName, *, manner: Manner | None = None
 ) -> Iterator[CaptureLoop]:
     """Open recorder, view and keyboard, and close them whatever happens."""
     chain = Chain(ReadingPlan.of(session))
@@ -245,8 +245,8 @@ def open_loop(
         recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
         keyboard = stack.enter_context(Keyboard())
         positions = scheme(chain.plan.scheme or DEFAULT_SCHEME)
-        view = stack.enter_context(make_view(view_name, session.folder, positions, manner, chain.origin_s))
-        yield CaptureLoop(session, connected, chain, recorder, view, keyboard, clock)
+        view = stack.enter_context(make_view(view_name, session.folder, positions, manner, origin_s=chain.origin_s))
+        yield CaptureLoop(session, connected, chain, recorder, view=view, keyboard=keyboard, clock=clock)
 
 
 class CaptureLoop:
@@ -258,6 +258,7 @@ class CaptureLoop:
         connected: Connected,
         chain: Chain,
         recorder: Recorder,
+        *,
         view: View,
         keyboard: Keyboard,
         clock: HostClock,
@@ -271,12 +272,9 @@ class CaptureLoop:
         self.clock = clock
         self._last_byte_s = clock.monotonic_s()
         self._last_refresh_s = float("-inf")
-        self._link = PatientLink(connected.link, clock)
-        """When to try the port again; None while it is there."""
-        self._finish_until_s = float("-inf")
-        """Until then the key that finishes is believed."""
-        self._advice: dict[Topic, Advice] = {}
-        """The newest of those that are for the end."""
+        self._link = PatientLink(connected.link, clock)  # When to try the port again; None while it is there.
+        self._finish_until_s = float("-inf")  # Until then the key that finishes is believed.
+        self._advice: dict[Topic, Advice] = {}  # The newest of those that are for the end.
 
     def run(self) -> Captured:
         """Go on until all is done or the operator quits."""
@@ -315,7 +313,14 @@ class CaptureLoop:
         guide = self.chain.guide
         accepted, planned = (0, 0) if guide is None else (len(guide.plan.accepted), len(guide.plan.scheme))
         said = tuple(remarks(self.chain.statistics))
-        return Captured(self.session, accepted, planned, self._done, said, tuple(self._summary()))
+        return Captured(
+            session=self.session,
+            accepted=accepted,
+            planned=planned,
+            finished=self._done,
+            remarks=said,
+            summary=tuple(self._summary()),
+        )
 
     def _summary(self) -> Iterator[str]:
         """Say how well the parameters are known, and what was advised at the end."""

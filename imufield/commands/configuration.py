@@ -30,8 +30,8 @@ KEYS: dict[str, tuple[str, ...]] = {
     "settings": ("capture", "record"),
 }
 """Keys of the file, and the commands each is a default of."""
+# Keys that are tables, each with an example.
 _TABLES = {"settings": "accelerometer_range_g = 30", "mapping": '"accelerometer.x" = "AccLong"'}
-"""Keys that are tables, each with an example."""
 
 
 def default_map() -> dict[str, dict[str, Any]]:

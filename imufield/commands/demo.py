@@ -88,7 +88,7 @@ def run_demo(*, seed: int, speed: float, plain: bool, root: Path = DEFAULT_ROOT)
             options = CaptureOptions(
                 connect=ConnectOptions(port=port, driver="stim300"),
                 hold_s=HOLD_S,
-                site=SiteOptions(site.gravity_m_s2, site.latitude_deg),
+                site=SiteOptions(gravity_m_s2=site.gravity_m_s2, latitude_deg=site.latitude_deg),
                 view=view,
                 root=root,
             )

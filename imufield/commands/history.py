@@ -33,8 +33,7 @@ from imufield.deliver.report.history import (
 from imufield.errors import UsageError, counted
 from imufield.files import refuse_overwriting
 
-_NO_UNIT = ("m/s^2 per m/s^2", "rad/s per rad/s")
-"""Units of a scale that is 1 but for its error."""
+_NO_UNIT = ("m/s^2 per m/s^2", "rad/s per rad/s")  # Units of a scale that is 1 but for its error.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

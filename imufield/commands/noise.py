@@ -23,12 +23,12 @@ from imufield.pipeline.calibration import one_of
 from imufield.pipeline.chain import recorded_protocol, session_samples
 from imufield.pipeline.damage import naming_damage
 
+# Title of each figure, and what its unit has behind that of the axis.
 _FIGURES = {
     "density": ("density", "/sqrt(Hz)"),
     "instability": ("bias instability", ""),
     "walk": ("random walk", "/sqrt(s)"),
 }
-"""Title of each figure, and what its unit has behind that of the axis."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,11 +77,11 @@ def run_noise(options: NoiseOptions) -> None:
 def _write_into(path: Path, parameters: Parameters, result: NoiseResult) -> None:
     """Put the figures into the table [noise] of a parameter file; the file as it was is kept."""
     noise = Noise(
-        result.source,
-        result.values("accelerometer", "density"),
-        result.values("gyroscope", "density"),
-        result.values("accelerometer", "instability"),
-        result.values("gyroscope", "instability"),
+        source=result.source,
+        accelerometer_density_m_s2_per_sqrt_hz=result.values("accelerometer", "density"),
+        gyroscope_density_rad_s_per_sqrt_hz=result.values("gyroscope", "density"),
+        accelerometer_bias_instability_m_s2=result.values("accelerometer", "instability"),
+        gyroscope_bias_instability_rad_s=result.values("gyroscope", "instability"),
     )
     document = {key: value for key, value in parameters.document.items() if key != "integrity"}
     write_document(path, document | {"noise": noise_table(noise)})

@@ -28,7 +28,7 @@ _OTHERS_NAMED = 3
 _SECOND_COLUMN = 14
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Probed:
     """What was found on one port.
 
@@ -139,14 +139,21 @@ def probe_port(
     try:
         found = search(port, candidates, bauds, clock)
     except ImufieldError as error:
-        return Probed(port, error=error)
+        return Probed(port=port, error=error)
     try:
         others = _others(found)
         if found.found is None:
-            return Probed(port, others=others, error=nothing_recognised(port, found))
+            return Probed(port=port, others=others, error=nothing_recognised(port, found))
         rate = None if has_no_baud(port) and baud is None else found.last.baud
         identity = _identity(found, found.found, clock, ask=ask)
-        return Probed(port, found.found.finding(), rate, _command(port, found.found, rate), identity, others)
+        return Probed(
+            port=port,
+            found=found.found.finding(),
+            baud=rate,
+            command=_command(port, found.found, rate),
+            identity=identity,
+            others=others,
+        )
     finally:
         found.link.close()
 

@@ -59,7 +59,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
         decoder = Decoder(connected.protocol)
         try:
             try:
-                _record(connected, decoder, recorder, clock, options)
+                _record(connected, decoder, recorder, clock, options=options)
             except KeyboardInterrupt:
                 _take(connected.link.drain(), decoder, recorder)
                 raise
@@ -84,7 +84,7 @@ def _finish(session: Session, cause: BaseException | None) -> None:
         session.update(finished=True)
 
 
-def _record(connected: Connected, decoder: Decoder, recorder: Recorder, clock: HostClock, options: RecordOptions) -> None:
+def _record(connected: Connected, decoder: Decoder, recorder: Recorder, clock: HostClock, *, options: RecordOptions) -> None:
     # What was heard while connecting is recorded, so its time is part of what was asked for.
     _take(connected.chunks, decoder, recorder)
     told_s = clock.monotonic_s()

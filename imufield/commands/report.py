@@ -42,8 +42,7 @@ from imufield.version import __version__
 
 REPORT_FILE = "report.html"
 RECORD_FILE = "calibration-record.html"
-_FEWEST_FOR_METHODS = 9
-"""Positions; the methods of the papers need more than parameters."""
+_FEWEST_FOR_METHODS = 9  # Positions; the methods of the papers need more than parameters.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,15 +94,15 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
     left_out = verification_note(results, sha256)
     many = len(parameters.document["position"]) >= _FEWEST_FOR_METHODS
     data = ReportData(
-        parameters,
-        preset,
-        found.trace,
-        found.closure,
-        convergence(observations_of(parameters), parameters.calibration, before, seed) if many else (),
-        read_verification(results, sha256),
-        tuple(_provenance(path, parameters, session)),
-        options.operator,
-        (*found.notes, *([left_out] if left_out else [])),
+        parameters=parameters,
+        preset=preset,
+        trace=found.trace,
+        closure=found.closure,
+        convergence=convergence(observations_of(parameters), parameters.calibration, before, seed) if many else (),
+        verification=read_verification(results, sha256),
+        provenance=tuple(_provenance(path, parameters, session)),
+        operator=options.operator,
+        notes=(*found.notes, *([left_out] if left_out else [])),
     )
     return data, path.parent if session is None else session.folder
 
@@ -157,7 +156,7 @@ def _replay(session: Session, parameters: Parameters, preset: Parameters | None)
     closed = None
     # Positions that were given otherwise have no time, and no moves between them.
     if len(observations) and np.isfinite(observations.start_s).all():
-        closed = closure(observations, moves.between(observations), parameters, old, nominal)
+        closed = closure(observations, moves.between(observations), parameters, old, nominal=nominal)
     return _Replayed(trace.finish(), closed, tuple(one.what for one in damage))
 
 

@@ -18,6 +18,7 @@ from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
 from imufield.pipeline.site import SiteOptions
 
 _IDENTITY = ("driver", "serial_number")
+# What a session keeps of the options of the guide: the option and how its value is said.
 _KEPT = {
     "hold_s": ("--hold-s", "holds of {:g} s"),
     "target_bias_ug": ("--target-bias-ug", "a bias wanted to {:g} ug"),
@@ -25,7 +26,6 @@ _KEPT = {
     "rotations": ("--rotations", "turns about a {} axis"),
     "earlier_scale_raw": ("--preset", "an earlier scale of {:.9g} (raw)"),
 }
-"""What a session keeps of the options of the guide: the option and how its value is said."""
 
 
 def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactive: bool) -> Session | None:

@@ -48,8 +48,7 @@ from imufield.pipeline.damage import naming_damage
 from imufield.pipeline.site import SiteOptions
 
 HASH_BLOCK_BYTES = 1 << 20
-_BETTER_KNOWN = 3.0
-"""Factor between sigmas of gravity from which the common scale of a session is another in practice."""
+_BETTER_KNOWN = 3.0  # Factor between sigmas of gravity from which the common scale of a session is another in practice.
 FEWEST_POSITIONS = 6
 """For scale and bias, each axis up and down."""
 
@@ -155,7 +154,7 @@ def solve_session(session: Session, options: SolveOptions, progress: ProgressLin
             raise axes.error
         where = "are missing in the file" if session.metadata.get("kind") == "import" else "were lost on the wire"
         reasons = (axes.words, *saturated, *chain.notes, *_loss_sentences(chain, damage, where))
-        found = _measured(session, chain, observations, moves, options.site, reasons)
+        found = _measured(session, chain, observations, moves, site=options.site, reasons=reasons)
         with _naming_saturation(saturated):
             return Solved(calibrate(found, wishes), refused)
 
@@ -184,7 +183,13 @@ def _saturation_sentence(where: list[str], words: str) -> tuple[str, ...]:
 
 
 def _measured(
-    session: Session, chain: Chain, observations: Observations, moves: MoveListener, site: SiteOptions, reasons: tuple[str, ...]
+    session: Session,
+    chain: Chain,
+    observations: Observations,
+    moves: MoveListener,
+    *,
+    site: SiteOptions,
+    reasons: tuple[str, ...],
 ) -> Measured:
     metadata = session.metadata
     instrument = InstrumentFacts(**{key: str(value) for key, value in metadata.get("instrument", {}).items()})
@@ -193,9 +198,9 @@ def _measured(
     rests = chain.turn_rests()
     between = moves.between(observations, rests)
     return Measured(
-        observations,
-        site.gravity(metadata.get("site")),
-        Context(instrument, facts),
+        observations=observations,
+        gravity=site.gravity(metadata.get("site")),
+        context=Context(instrument=instrument, session=facts),
         moves=between,
         rests=rests,
         stops=moves.stops(between),
@@ -210,7 +215,7 @@ def solve_observations(path: Path, options: SolveOptions) -> Solved:
     wishes = _wishes(options)
     observations, repeats = count_repeats_once(read_observations(path))
     facts = SessionFacts(path.name, _sha256([path]))
-    found = Measured(observations, options.site.gravity(), Context(session=facts), reasons=repeats)
+    found = Measured(observations=observations, gravity=options.site.gravity(), context=Context(session=facts), reasons=repeats)
     return Solved(calibrate(found, wishes), ())
 
 
@@ -251,13 +256,12 @@ def _observations(chain: Chain, refusals: list[Rejected]) -> _Found:
     return found.observations, found.axes, sentences, saturated
 
 
+# Observations, their axes, sentences beside the numbers, and one for the verdict about clipped outputs.
 _Found = tuple[Observations, AxesCheck, tuple[str, ...], tuple[str, ...]]
-"""Observations, their axes, sentences beside the numbers, and one for the verdict about clipped outputs."""
-_SHOWN = 6
-"""Places that a sentence lists."""
+_SHOWN = 6  # Places that a sentence lists.
 _AT_LIMIT = (RefusalCode.SATURATED, RefusalCode.STUCK)
+# Refused as soon as it is seen, before a position is known.
 _SPOIL_DATA = (RefusalCode.SATURATED, RefusalCode.INVALID, RefusalCode.SAMPLE_LOSS)
-"""Refused as soon as it is seen, before a position is known."""
 
 
 def _check_count(count: int, refusals: list[tuple[RefusalCode, str, str]]) -> None:

@@ -31,7 +31,7 @@ FAILED = "failed"
 WIDTH = 80
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SessionOutcome:
     """What became of one session; goes from a worker to the process that writes."""
 
@@ -103,13 +103,13 @@ def solve_job(options: SolveOptions, _rng: np.random.Generator) -> SessionOutcom
     try:
         solved = solve_session(Session.open(folder), options)
     except ImufieldError as error:
-        return SessionOutcome(folder, error.exit_code, error.message)
-    return SessionOutcome(folder, document=solved.parameters.document, notes=solved.notes)
+        return SessionOutcome(session=folder, exit_code=error.exit_code, error=error.message)
+    return SessionOutcome(session=folder, document=solved.parameters.document, notes=solved.notes)
 
 
 def _killed(options: SolveOptions) -> SessionOutcome:
     sentence = "its worker was killed again and again, most likely for lack of memory; solve it alone, with more memory"
-    return SessionOutcome(options.session or Path(), UsageError.exit_code, sentence)
+    return SessionOutcome(session=options.session or Path(), exit_code=UsageError.exit_code, error=sentence)
 
 
 def _write(outcome: SessionOutcome) -> SessionOutcome:

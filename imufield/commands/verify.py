@@ -73,7 +73,7 @@ class VerifyOptions:
     as_json: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Task:
     """What is verified, before the data are read."""
 
@@ -84,8 +84,7 @@ class _Task:
     limits: dict[str, float]
     gravity: Gravity
     latitude_deg: float | None
-    is_its_own: bool
-    """Whether the parameters come from this session."""
+    is_its_own: bool  # Whether the parameters come from this session.
 
     @property
     def wants_navigation(self) -> bool:
@@ -134,7 +133,14 @@ def verify_session(task: _Task) -> Verification:
     found = () if held_out is None else (*_gravity_notes(task, held_out), *_instrument_notes(task))
     notes = (*_file_notes(task), *chain.notes, *found, *(one.what for one in damage), *(one.message for one in problems))
     requirements = judge(task.limits, held_out, navigated)
-    return Verification(task.parameters, task.session.name, held_out, navigated, requirements, notes)
+    return Verification(
+        parameters=task.parameters,
+        session=task.session.name,
+        held_out=held_out,
+        navigation=navigated,
+        requirements=requirements,
+        notes=notes,
+    )
 
 
 def _task(options: VerifyOptions) -> _Task:
@@ -146,8 +152,17 @@ def _task(options: VerifyOptions) -> _Task:
         one.check_instrument(session.serial_number)
     recorded = session.metadata.get("site")
     is_its_own = _is_its_own(parameters, session)
-    place = _site(options, parameters, recorded, is_its_own=is_its_own)
-    task = _Task(options, session, parameters, preset, limits, *place, is_its_own)
+    gravity, latitude_deg = _site(options, parameters, recorded, is_its_own=is_its_own)
+    task = _Task(
+        options=options,
+        session=session,
+        parameters=parameters,
+        preset=preset,
+        limits=limits,
+        gravity=gravity,
+        latitude_deg=latitude_deg,
+        is_its_own=is_its_own,
+    )
     _refuse_ignored(task)
     return task
 
@@ -268,7 +283,12 @@ def _before_accelerometer(task: _Task, protocol: Protocol | None) -> Acceleromet
         return None
     # A nominal scale has no sign of its own where the wiring has; the parameters know it.
     own = task.parameters.calibration.accelerometer
-    return AccelerometerParameters(np.abs(scale) * np.sign(own.scale), np.zeros(3), np.zeros((3, 3)), raw_zero=own.raw_zero)
+    return AccelerometerParameters(
+        scale=np.abs(scale) * np.sign(own.scale),
+        bias_m_s2=np.zeros(3),
+        misalignment_rad=np.zeros((3, 3)),
+        raw_zero=own.raw_zero,
+    )
 
 
 class _Navigation:
@@ -319,12 +339,12 @@ class _Navigation:
                 Reason.UNITS,
             )
         settings = CheckSettings(
-            task.latitude_deg,
-            task.gravity.height_m or 0.0,
-            task.gravity.gravity_m_s2,
-            options.align_s,
-            options.turned,
-            _heading(options),
+            latitude_deg=task.latitude_deg,
+            height_m=task.gravity.height_m or 0.0,
+            gravity_m_s2=task.gravity.gravity_m_s2,
+            align_s=options.align_s,
+            turned=options.turned,
+            heading=_heading(options),
             turn_on=_turn_on(options),
             instability=_instability(task.parameters),
             seed=options.seed,

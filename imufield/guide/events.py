@@ -68,7 +68,7 @@ def _plain(value: object) -> object:
     return value
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseFloorMeasured(Event):
     """The noise floor is known; stillness is judged from here on."""
 
@@ -88,7 +88,7 @@ class NoiseFloorMeasured(Event):
     words: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Move(Event):
     """Bring the unit to the next position."""
 
@@ -103,7 +103,7 @@ class Move(Event):
     planned: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Turning(Event):
     """The unit moves; where it points now. At most a few a second."""
 
@@ -145,7 +145,7 @@ class Holding(Event):
     remaining_s: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Accepted(Event):
     """The position is measured."""
 
@@ -181,7 +181,7 @@ class Accepted(Event):
     """Rms of each axis above and below 4 Hz, of a held unit."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Rejected(Event):
     """A hold was refused, or cannot begin: why, by how much, and what to do."""
 
@@ -211,7 +211,7 @@ class Topic(Enum):
     SCALE = "scale"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Advice(Event):
     """Something the operator may act on, or not; nothing is refused."""
 
@@ -226,7 +226,7 @@ class Advice(Event):
     unit: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Turn(Event):
     """Make a whole turn for the gyroscope."""
 
@@ -243,7 +243,7 @@ class Turn(Event):
     planned: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Turned(Event):
     """A whole turn is done; ``start_s`` and ``end_s`` are the ends of the motion on the sample clock."""
 

@@ -25,11 +25,11 @@ from imufield.guide.events import Event, Turned
 from imufield.guide.lead.turns import VERTICAL
 from imufield.samples import FloatArray, Samples
 
+# Reasons for a gyroscope without a calibration that say that its data are not what they are said to be.
 _CONTRADICTED = (Reason.UNITS, Reason.HANDEDNESS)
-"""Reasons for a gyroscope without a calibration that say that its data are not what they are said to be."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Measured:
     """What is calibrated from, wherever it came from."""
 
@@ -49,7 +49,7 @@ class Measured:
     """Sentences about the recording that belong to the verdict."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
     """How the user wants it calibrated."""
 
@@ -143,9 +143,11 @@ def _with_gyroscope(calibration: Calibration, measured: Measured, wishes: Wishes
         return calibration
     before = None if wishes.preset is None else wishes.preset.calibration.gyroscope
     given = GyroscopeInput(
-        observations,
-        cut_moves(no_slots(), observations.start_s, observations.duration_s) if measured.moves is None else measured.moves,
-        calibration,
+        observations=observations,
+        moves=cut_moves(no_slots(), observations.start_s, observations.duration_s)
+        if measured.moves is None
+        else measured.moves,
+        calibration=calibration,
         latitude_deg=measured.gravity.latitude_deg,
         preset=None if before is None else before.parameters,
         nominal_scale=measured.gyroscope_scale,

@@ -101,12 +101,9 @@ class Chain:
         self.finder: StillIntervalFinder | None = None
         self.protocol: Protocol | None = None
         self.decoder: Decoder | None = None
-        self.statistics: list[DecoderStatistics] = []
-        """One per part."""
-        self.temperature_degc = (float("nan"), float("nan"))
-        """Lowest and highest so far."""
-        self.notes: list[str] = []
-        """Sentences about how the recording was read."""
+        self.statistics: list[DecoderStatistics] = []  # One per part.
+        self.temperature_degc = (float("nan"), float("nan"))  # Lowest and highest so far.
+        self.notes: list[str] = []  # Sentences about how the recording was read.
         self._listeners = listeners
         self._offset_s: float | None = 0.0
         self._first_s: float | None = None

@@ -12,8 +12,7 @@ from imufield.errors import CalibrationError, Reason, RecordingError
 
 NAMED = 2
 """Of a recording with many holes one sentence names so many."""
-_BY_LOSS = (Reason.TOO_FEW, Reason.UNOBSERVABLE)
-"""What a recording with all its bytes might have been enough for."""
+_BY_LOSS = (Reason.TOO_FEW, Reason.UNOBSERVABLE)  # What a recording with all its bytes might have been enough for.
 
 
 def require_samples(session: Session, statistics: Sequence[DecoderStatistics], damage: Sequence[Damage]) -> None:

@@ -10,7 +10,7 @@ from imufield.earth import Gravity, choose_gravity
 from imufield.errors import UsageError
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SiteOptions:
     """Options of the command line; None where not given.
 
@@ -54,9 +54,9 @@ class SiteOptions:
         A value of gravity does not tell the place: latitude and height of the session stay known with it.
         """
         known = SiteOptions(
-            recorded.get("gravity_m_s2"),
-            recorded.get("latitude_deg"),
-            recorded.get("height_m"),
+            gravity_m_s2=recorded.get("gravity_m_s2"),
+            latitude_deg=recorded.get("latitude_deg"),
+            height_m=recorded.get("height_m"),
             gravity_sigma_m_s2=recorded.get("gravity_sigma_m_s2"),
         )
         if known.is_known and (self.is_default or not self.is_known):

@@ -72,7 +72,9 @@ def _solve(start: FloatArray, raw: FloatArray) -> tuple[FloatArray, bool]:
 def bound(turn_sigma_rad: float = 0.0, axes: QuadraticAxes = BSAS_AXES) -> FloatArray:
     """Return the Cramér-Rao bound of the 12 gauge-free numbers for a frame known to this, per axis, shape (12,)."""
     clean = bsas_outputs(np.random.default_rng(0), 0.0)
-    return cramer_rao_bound(BSAS_TRUTH, clean, BSAS_GRAVITY_M_S2, BSAS_NOISE_M_S2, axes, turn_sigma_rad=turn_sigma_rad)
+    return cramer_rao_bound(
+        BSAS_TRUTH, clean, BSAS_GRAVITY_M_S2, BSAS_NOISE_M_S2, quadratic_axes=axes, turn_sigma_rad=turn_sigma_rad
+    )
 
 
 def least_squares_bound(context: StudyContext) -> StudyReport:
@@ -99,12 +101,12 @@ def least_squares_bound(context: StudyContext) -> StudyReport:
         (name, known[k], as_preset[k], *(ratio[k] for ratio in ratios.values())) for k, name in enumerate(INTRINSIC_NAMES)
     )
     return StudyReport(
-        "bsas-bound",
-        "least squares against the Cramér-Rao bound",
-        "Instrument, noise, positions and presets of bsas-whitened (all 15 parameters off, quadratic term on body axes as "
-        f"printed); {len(runs)} data sets, so a ratio is known to {1 / np.sqrt(2 * len(runs)):.1%} (1 sigma).",
-        comparisons,
-        (
+        name="bsas-bound",
+        title="least squares against the Cramér-Rao bound",
+        setting="Instrument, noise, positions and presets of bsas-whitened (all 15 parameters off, quadratic term on body axes "
+        f"as printed); {len(runs)} data sets, so a ratio is known to {1 / np.sqrt(2 * len(runs)):.1%} (1 sigma).",
+        comparisons=comparisons,
+        differences=(
             (
                 "Least squares is efficient: in one frame with the truth, its errors are those of the bound. As solved, in the "
                 "frame of the preset (off by up to 100 urad), bias y comes out above the bound of a known frame, and so would "
@@ -112,8 +114,8 @@ def least_squares_bound(context: StudyContext) -> StudyReport:
             ),
             "On sensing axes, our default, a turn of the frame changes none of these numbers, and the question does not arise.",
         ),
-        (CsvTable("ratios", ("number", "bound", "bound with frame as the preset", *ratios), rows),),
-        figures.bars(INTRINSIC_NAMES, ratios, "RMSE over Cramér-Rao bound"),
+        tables=(CsvTable("ratios", ("number", "bound", "bound with frame as the preset", *ratios), rows),),
+        draw=figures.bars(INTRINSIC_NAMES, ratios, "RMSE over Cramér-Rao bound"),
     )
 
 

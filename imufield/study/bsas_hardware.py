@@ -104,11 +104,11 @@ def table_5(context: StudyContext) -> StudyReport:
     )
     rows = tuple((i + 1, *old, *new) for i, (old, new) in enumerate(zip(figures_of["old"], figures_of["new"], strict=True)))
     return StudyReport(
-        "bsas-table5",
-        "36-position check of the norm error",
-        f"{_SETTING} Checked at 36 positions measured anew; {len(runs)} instruments.",
-        comparisons,
-        (
+        name="bsas-table5",
+        title="36-position check of the norm error",
+        setting=f"{_SETTING} Checked at 36 positions measured anew; {len(runs)} instruments.",
+        comparisons=comparisons,
+        differences=(
             (
                 "The direction is the paper's, and so is the size: what remains after recalibration is how well a "
                 "position repeats, which no calibration takes away, and what 24 positions of that quality leave "
@@ -119,8 +119,8 @@ def table_5(context: StudyContext) -> StudyReport:
                 "the 36 directions are among the 24 of the calibration, measured anew."
             ),
         ),
-        (CsvTable("errors", ("instrument", "old mean", "old SD", "new mean", "new SD"), rows),),
-        figures.runs({"old": figures_of["old"][:, 0], "recalibrated": figures_of["new"][:, 0]}, "mean error (µg)"),
+        tables=(CsvTable("errors", ("instrument", "old mean", "old SD", "new mean", "new SD"), rows),),
+        draw=figures.runs({"old": figures_of["old"][:, 0], "recalibrated": figures_of["new"][:, 0]}, "mean error (µg)"),
     )
 
 
@@ -138,13 +138,13 @@ def figure_9(context: StudyContext) -> StudyReport:
     )
     rows = tuple((i + 1, *pair) for i, pair in enumerate(zip(run.old_error_ug, run.new_error_ug, strict=True)))
     return StudyReport(
-        "bsas-fig9",
-        "norm error at 36 positions",
-        f"{_SETTING} The first instrument of bsas-table5.",
-        comparisons,
-        ("One instrument of many; bsas-table5 has the distribution.",),
-        (CsvTable("errors", ("position", "old (ug)", "recalibrated (ug)"), rows),),
-        figures.runs({"old": run.old_error_ug, "recalibrated": run.new_error_ug}, "error (µg)", xlabel="position"),
+        name="bsas-fig9",
+        title="norm error at 36 positions",
+        setting=f"{_SETTING} The first instrument of bsas-table5.",
+        comparisons=comparisons,
+        differences=("One instrument of many; bsas-table5 has the distribution.",),
+        tables=(CsvTable("errors", ("position", "old (ug)", "recalibrated (ug)"), rows),),
+        draw=figures.runs({"old": run.old_error_ug, "recalibrated": run.new_error_ug}, "error (µg)", xlabel="position"),
     )
 
 
@@ -224,14 +224,14 @@ def table_6(context: StudyContext) -> StudyReport:
     )
     rows = tuple((i + 1, *figures_of["old"][i], *figures_of["new"][i]) for i in range(len(runs)))
     return StudyReport(
-        "bsas-table6",
-        "five hours of navigation at rest",
-        f"{_SETTING} Gyroscope bias 0.01 deg/h on each axis, either sign, 0.003 deg/sqrt(h), 10 ug/sqrt(Hz), ten "
+        name="bsas-table6",
+        title="five hours of navigation at rest",
+        setting=f"{_SETTING} Gyroscope bias 0.01 deg/h on each axis, either sign, 0.003 deg/sqrt(h), 10 ug/sqrt(Hz), ten "
         f"minutes of alignment with the parameters that then navigate; {len(runs)} instruments.",
-        comparisons,
-        _TABLE_6_DIFFERENCES,
-        (CsvTable("errors", ("instrument", "old maximum", "old mean", "new maximum", "new mean"), rows),),
-        figures.bars(("maximum", "mean"), {name: np.median(figures_of[name], axis=0) for name in ("old", "new")}, "nmi"),
+        comparisons=comparisons,
+        differences=_TABLE_6_DIFFERENCES,
+        tables=(CsvTable("errors", ("instrument", "old maximum", "old mean", "new maximum", "new mean"), rows),),
+        draw=figures.bars(("maximum", "mean"), {name: np.median(figures_of[name], axis=0) for name in ("old", "new")}, "nmi"),
     )
 
 
@@ -255,13 +255,15 @@ def figure_10(context: StudyContext) -> StudyReport:
         "longitude error (deg)": {name: (run.hours, run.longitude_deg) for name, run in runs.items()},
     }
     return StudyReport(
-        "bsas-fig10",
-        "latitude and longitude error of five hours at rest",
-        f"{_SETTING} The first instrument of bsas-table6.",
-        comparisons,
-        ("Sign and size follow the gyroscope bias that was drawn; old and new curves lie together, as in the paper.",),
-        (_curves(runs, ("latitude_deg", "longitude_deg")),),
-        figures.over_time(panels),
+        name="bsas-fig10",
+        title="latitude and longitude error of five hours at rest",
+        setting=f"{_SETTING} The first instrument of bsas-table6.",
+        comparisons=comparisons,
+        differences=(
+            "Sign and size follow the gyroscope bias that was drawn; old and new curves lie together, as in the paper.",
+        ),
+        tables=(_curves(runs, ("latitude_deg", "longitude_deg")),),
+        draw=figures.over_time(panels),
     )
 
 
@@ -274,13 +276,13 @@ def figure_11(context: StudyContext) -> StudyReport:
     )
     curves = {name: (run.hours, run.position_nmi) for name, run in runs.items()}
     return StudyReport(
-        "bsas-fig11",
-        "position error of five hours at rest",
-        f"{_SETTING} The first instrument of bsas-table6.",
-        comparisons,
-        ("See bsas-table6 for the distribution and for what the check can show.",),
-        (_curves(runs, ("position_nmi",)),),
-        figures.over_time({"position error (nmi)": curves}),
+        name="bsas-fig11",
+        title="position error of five hours at rest",
+        setting=f"{_SETTING} The first instrument of bsas-table6.",
+        comparisons=comparisons,
+        differences=("See bsas-table6 for the distribution and for what the check can show.",),
+        tables=(_curves(runs, ("position_nmi",)),),
+        draw=figures.over_time({"position error (nmi)": curves}),
     )
 
 

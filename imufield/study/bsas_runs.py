@@ -47,11 +47,10 @@ _PAPER_SD = (
 _PAPER_BAS_RMSE = (
     2.9442, 3.4575, 2.0935, 0.002, 0.00012, 0.0021, None, None, None, 5.285e-5, None, None, 0.0607, 0.0016, 0.0614,
 )  # fmt: skip
-_ONE_DATA_SET = 20200210
-"""Seed of the one data set that all of the paper's runs seem to share."""
+_ONE_DATA_SET = 20200210  # Seed of the one data set that all of the paper's runs seem to share.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StagedRun:
     """Each category on its own, the others at the truth: the setting in which the paper's figures are reached."""
 
@@ -78,7 +77,7 @@ def run_categories(one_data_set: bool, rng: np.random.Generator) -> StagedRun:
             costs[row, k] = found.cost
             vectors[row, list(members)] += found.x[list(members)] + (preset - BSAS_TRUTH)[list(members)]
     truth_cost = float(stage_problem(BSAS_TRUTH, raw).cost(np.zeros((1, 15)))[0])
-    return StagedRun(vectors[0], costs[0], vectors[1], costs[1], truth_cost)
+    return StagedRun(vector=vectors[0], costs=costs[0], bas_vector=vectors[1], bas_costs=costs[1], truth_cost=truth_cost)
 
 
 @cache
@@ -123,19 +122,19 @@ def figure_5(context: StudyContext) -> StudyReport:
         ),
     )
     return StudyReport(
-        "bsas-fig5",
-        "final cost of BSAS",
-        f"{SETTING} Each category starts off the truth, the other three hold it; {len(one)} runs.",
-        comparisons,
-        _FIGURE_5_DIFFERENCES,
-        (
+        name="bsas-fig5",
+        title="final cost of BSAS",
+        setting=f"{SETTING} Each category starts off the truth, the other three hold it; {len(one)} runs.",
+        comparisons=comparisons,
+        differences=_FIGURE_5_DIFFERENCES,
+        tables=(
             CsvTable(
                 "costs",
                 ("run", "one data set", "fresh noise"),
                 tuple(zip(range(1, len(one) + 1), last, all_fresh, strict=True)),
             ),
         ),
-        figures.runs({"one data set": last, "fresh noise": all_fresh}, "final cost (m/s$^2$)"),
+        draw=figures.runs({"one data set": last, "fresh noise": all_fresh}, "final cost (m/s$^2$)"),
     )
 
 
@@ -155,11 +154,11 @@ def figure_6(context: StudyContext) -> StudyReport:
         ),
     )
     return StudyReport(
-        "bsas-fig6",
-        "final cost of BAS",
-        f"{SETTING} One beetle, the same steps; the largest of the four categories counts; {len(runs)} runs.",
-        comparisons,
-        (
+        name="bsas-fig6",
+        title="final cost of BAS",
+        setting=f"{SETTING} One beetle, the same steps; the largest of the four categories counts; {len(runs)} runs.",
+        comparisons=comparisons,
+        differences=(
             (
                 "The single beetle fails in the misalignments, here and in the paper; how far off it stops "
                 "depends on the presets, which the paper does not print. Ours are off by 1e-5 rad in that "
@@ -170,12 +169,12 @@ def figure_6(context: StudyContext) -> StudyReport:
                 "all else at the truth, cost 0.6, twenty times what this figure shows."
             ),
         ),
-        (
+        tables=(
             CsvTable(
                 "costs", ("run", *(f"category {k + 1}" for k in range(4))), tuple((i + 1, *row) for i, row in enumerate(costs))
             ),
         ),
-        figures.runs({"BAS": costs.max(axis=1)}, "final cost (m/s$^2$)", log=True),
+        draw=figures.runs({"BAS": costs.max(axis=1)}, "final cost (m/s$^2$)", log=True),
     )
 
 
@@ -188,19 +187,19 @@ def figure_7(context: StudyContext) -> StudyReport:
         for k in range(3)
     )
     return StudyReport(
-        "bsas-fig7",
-        "errors of the scale factors",
-        f"{SETTING} Others at the truth, one data set; {len(runs)} runs.",
-        comparisons,
-        (
+        name="bsas-fig7",
+        title="errors of the scale factors",
+        setting=f"{SETTING} Others at the truth, one data set; {len(runs)} runs.",
+        comparisons=comparisons,
+        differences=(
             (
                 "Our RMSE is smaller than the paper's: with the other twelve at the truth and this noise, scale "
                 "is known to 1e-6 raw/(m/s^2). The paper's 2.5e-5 to 4.9e-5 with a standard deviation of 5e-9 is "
                 "one constant offset in all runs: one data set, with presets that are not quite the truth."
             ),
         ),
-        (CsvTable("errors", ("run", *BSAS_NAMES[:3]), tuple((i + 1, *row) for i, row in enumerate(errors))),),
-        figures.runs({BSAS_NAMES[k]: errors[:, k] for k in range(3)}, "error (raw per m/s$^2$)"),
+        tables=(CsvTable("errors", ("run", *BSAS_NAMES[:3]), tuple((i + 1, *row) for i, row in enumerate(errors))),),
+        draw=figures.runs({BSAS_NAMES[k]: errors[:, k] for k in range(3)}, "error (raw per m/s$^2$)"),
     )
 
 
@@ -240,21 +239,21 @@ def table_3(context: StudyContext) -> StudyReport:
         )
     columns = ("parameter", "truth", "paper RMSE", "paper SD", "mean", "RMSE", "SD", "RMSE fresh noise", "RMSE BAS")
     return StudyReport(
-        "bsas-table3",
-        f"15 parameters of {counted(len(one), 'run')}",
-        f"{SETTING} Each category with the others at the truth (the only setting in which the paper's costs are "
+        name="bsas-table3",
+        title=f"15 parameters of {counted(len(one), 'run')}",
+        setting=f"{SETTING} Each category with the others at the truth (the only setting in which the paper's costs are "
         f"reached), {counted(len(one), 'run')} on one data set, and {len(fresh)} with fresh noise. BAS is the same search with "
         "one beetle in place of a swarm.",
-        tuple(comparisons),
-        _TABLE_3_DIFFERENCES,
-        (CsvTable("parameters", columns, tuple(rows)),),
-        figures.bars(
+        comparisons=tuple(comparisons),
+        differences=_TABLE_3_DIFFERENCES,
+        tables=(CsvTable("parameters", columns, tuple(rows)),),
+        draw=figures.bars(
             BSAS_NAMES, {"paper": np.array(_PAPER_RMSE), "ours": np.array([row[5] for row in rows])}, "RMSE", log=True
         ),
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WhitenedRun:
     """All parameters at once, from presets as they are in the field."""
 
@@ -277,7 +276,14 @@ def run_whitened(_number: int, rng: np.random.Generator) -> WhitenedRun:
     truth = intrinsic(BSAS_TRUTH, BSAS_AXES)[0]
     found = (swarm.x, solve_least_squares(problem).x, z)
     errors = np.array([intrinsic(problem.vector(x), BSAS_AXES)[0] - truth for x in found])
-    return WhitenedRun(swarm.cost, exact, swarm.converged, swarm.evaluations, single.cost, errors)
+    return WhitenedRun(
+        cost=swarm.cost,
+        exact=exact,
+        converged=swarm.converged,
+        evaluations=swarm.evaluations,
+        bas_cost=single.cost,
+        errors=errors,
+    )
 
 
 @cache
@@ -309,15 +315,15 @@ def whitened(context: StudyContext) -> StudyReport:
     rows = tuple((name, known[k], uncertain[k], *rmse[:, k]) for k, name in enumerate(INTRINSIC_NAMES))
     columns = ("number", "bound", "bound with frame as the preset", "bsas", "least squares", "exact minimum")
     return StudyReport(
-        "bsas-whitened",
-        "BSAS with all parameters at once, in whitened coordinates",
-        "Instrument, noise and positions of Table 3, but all 15 parameters start off by up to 500 ppm of K, 1 mg, "
+        name="bsas-whitened",
+        title="BSAS with all parameters at once, in whitened coordinates",
+        setting="Instrument, noise and positions of Table 3, but all 15 parameters start off by up to 500 ppm of K, 1 mg, "
         f"100 urad and 100 % of K2; attenuation 0.965, at most 1200 iterations; {len(runs)} runs with fresh noise "
         "and presets.",
-        _compare_costs(runs) + _compare_with_bound(rmse, known / uncertain),
-        _WHITENED_DIFFERENCES,
-        (CsvTable("gauge-free", columns, rows),),
-        figures.bars(INTRINSIC_NAMES, {"bsas": rmse[0], "least squares": rmse[1]}, "RMSE over Cramér-Rao bound"),
+        comparisons=_compare_costs(runs) + _compare_with_bound(rmse, known / uncertain),
+        differences=_WHITENED_DIFFERENCES,
+        tables=(CsvTable("gauge-free", columns, rows),),
+        draw=figures.bars(INTRINSIC_NAMES, {"bsas": rmse[0], "least squares": rmse[1]}, "RMSE over Cramér-Rao bound"),
     )
 
 

@@ -40,21 +40,28 @@ SETTING = (
     "Instrument of BSAS Table 1, simulated: 24 positions, quadratic term on body axes as printed, noise of "
     f"{BSAS_NOISE_M_S2:g} m/s^2 in the norm of a position, swarm of Table 2 with 300 iterations a category."
 )
+# Final costs at m beetles in the order of the panels; read as K, b, K2, T, which is the order of Fig. 4.
 _PAPER_FIG_3 = {
     10: (8.365e-7, 7.564e-7, 8.112e-7, 7.344e-7),
     6: (3.262e-6, 1.545e-6, 2.036e-6, 1.134e-6),
     2: (6.112e-4, 6.335e-6, 4.513e-6, 1.620e-6),
 }
-"""Final costs at m beetles in the order of the panels; read as K, b, K2, T, which is the order of Fig. 4."""
 _PANELS = (0, 1, 3, 2)
-_VARIED = (0.2, 0.5, 0.8)
-"""Probabilities tried; the paper prints them in its legends only."""
+_VARIED = (0.2, 0.5, 0.8)  # Probabilities tried; the paper prints them in its legends only.
 
 
 def stage_problem(preset: FloatArray, raw: FloatArray) -> NormProblem:
     """Return eq. 13 in the paper's own coordinates: the 15 parameters in their own units, without bounds."""
     sigma = np.ones(len(raw))
-    return NormProblem(raw, BSAS_GRAVITY_M_S2, sigma, preset, np.eye(PARAMETERS), BSAS_AXES, "absolute")
+    return NormProblem(
+        raw=raw,
+        gravity_m_s2=BSAS_GRAVITY_M_S2,
+        sigma_m_s2=sigma,
+        origin=preset,
+        basis=np.eye(PARAMETERS),
+        quadratic_axes=BSAS_AXES,
+        cost_name="absolute",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,14 +138,14 @@ def figure_3(context: StudyContext) -> StudyReport:
     curves = {f"{CATEGORIES[panel]}, {label}": curve for (panel, label), curve in median.items()}
     panels = {CATEGORIES[panel]: {label: median[panel, label] for label in variants} for panel in _PANELS}
     return StudyReport(
-        "bsas-fig3",
-        "convergence with m beetles, p_pos and p_st",
-        f"{SETTING} Each category starts off by up to {CATEGORY_OFF} in its own unit, the other three hold the "
+        name="bsas-fig3",
+        title="convergence with m beetles, p_pos and p_st",
+        setting=f"{SETTING} Each category starts off by up to {CATEGORY_OFF} in its own unit, the other three hold the "
         f"truth; median of {runs} runs.",
-        tuple(comparisons),
-        _FIGURE_3_DIFFERENCES,
-        (curves_table("convergence", "iteration", curves),),
-        figures.convergence(panels, "cost (m/s$^2$)"),
+        comparisons=tuple(comparisons),
+        differences=_FIGURE_3_DIFFERENCES,
+        tables=(curves_table("convergence", "iteration", curves),),
+        draw=figures.convergence(panels, "cost (m/s$^2$)"),
     )
 
 
@@ -157,12 +164,12 @@ def figure_4(context: StudyContext) -> StudyReport:
         panels[CATEGORIES[panel]] = {"BSAS": swarm, "BAS": single}
         curves |= {f"{CATEGORIES[panel]}, BSAS": swarm, f"{CATEGORIES[panel]}, BAS": single}
     return StudyReport(
-        "bsas-fig4",
-        "convergence of BSAS and BAS by category",
-        f"{SETTING} One beetle with the same steps and 300 iterations for BAS; the other categories hold the "
+        name="bsas-fig4",
+        title="convergence of BSAS and BAS by category",
+        setting=f"{SETTING} One beetle with the same steps and 300 iterations for BAS; the other categories hold the "
         f"truth; median of {runs} runs.",
-        tuple(comparisons),
-        (
+        comparisons=tuple(comparisons),
+        differences=(
             (
                 "As in the paper, the misalignments are where a single beetle fails: it stops two orders of "
                 "magnitude above the swarm. Its step shrinks by 0.9 every round, found or not, so it can move no "
@@ -173,13 +180,12 @@ def figure_4(context: StudyContext) -> StudyReport:
                 "of the swarm; the paper's stops earlier."
             ),
         ),
-        (curves_table("convergence", "iteration", curves),),
-        figures.convergence(panels, "cost (m/s$^2$)"),
+        tables=(curves_table("convergence", "iteration", curves),),
+        draw=figures.convergence(panels, "cost (m/s$^2$)"),
     )
 
 
-_ROUNDS = 8
-"""The paper repeats "until the requirements are met" and gives no number."""
+_ROUNDS = 8  # The paper repeats "until the requirements are met" and gives no number.
 _MODERATE = PresetError(0.5 / 734.9, 0.5e-3, 1e-5, 1.0)
 
 
@@ -263,11 +269,11 @@ def staged(context: StudyContext) -> StudyReport:
     )
     curves = {"moderate presets": moderate, "field presets": field}
     return StudyReport(
-        "bsas-staged",
-        "the staged procedure with presets that are not the truth",
-        f"{SETTING} The four categories in turn, {_ROUNDS} rounds; median of {runs} runs each.",
-        comparisons,
-        _STAGED_DIFFERENCES,
-        (curves_table("rounds", "round", curves),),
-        figures.convergence({"median cost": curves}, "cost (m/s$^2$)", xlabel="round"),
+        name="bsas-staged",
+        title="the staged procedure with presets that are not the truth",
+        setting=f"{SETTING} The four categories in turn, {_ROUNDS} rounds; median of {runs} runs each.",
+        comparisons=comparisons,
+        differences=_STAGED_DIFFERENCES,
+        tables=(curves_table("rounds", "round", curves),),
+        draw=figures.convergence({"median cost": curves}, "cost (m/s$^2$)", xlabel="round"),
     )

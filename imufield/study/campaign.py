@@ -28,19 +28,17 @@ Run = Callable[[Argument, np.random.Generator], Result]
 Progress = Callable[[int, int], None]
 
 BLAS_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS")
+# A batch is at most this part of a worker's share of what is left: batches shrink to single runs, so that at the end no worker
+# waits longer for another than one run takes.
 _SHARE_OF_REST = 4
-"""A batch is at most this part of a worker's share of what is left: batches shrink to single runs, so that at the end no
-worker waits longer for another than one run takes."""
 LARGEST_BATCH = 16
 """Sending a batch costs about a millisecond."""
-_KILLS_ACCEPTED = 5
-"""A worker killed more often than this is killed by the run itself, or by lack of memory."""
+_KILLS_ACCEPTED = 5  # A worker killed more often than this is killed by the run itself, or by lack of memory.
 _CONNECT_TIMEOUT_S = 10.0
+# Without a scheme it is tcp; tls needs certificates, which nobody can give here.
 _ADDRESS = re.compile(r"(tcp://)?\[?[^\s/]+\]?:\d+|inproc://\S+")
-"""Without a scheme it is tcp; tls needs certificates, which nobody can give here."""
 
-_Batch = tuple[int, list[Any], list[np.random.SeedSequence]]
-"""Index of its first run, arguments, seeds."""
+_Batch = tuple[int, list[Any], list[np.random.SeedSequence]]  # Index of its first run, arguments, seeds.
 
 
 def run_campaign(
@@ -88,12 +86,12 @@ def run_campaign(
         raise UsageError(f"{workers} workers can do nothing; use 1 or more, or leave it out for one per core", workers=workers)
     count = min(workers or os.cpu_count() or 1, max(len(arguments), 1))
     if scheduler is None and count == 1:
-        return _here(run, arguments, seeds, tell, hear)
-    campaign = _Campaign(run, tuple(arguments), tuple(seeds), tell, on_killed, hear)
+        return _here(run, arguments, seeds, tell, hear=hear)
+    campaign = _Campaign(run=run, arguments=tuple(arguments), seeds=tuple(seeds), tell=tell, on_killed=on_killed, hear=hear)
     return _on_processes(campaign, count) if scheduler is None else _on_cluster(campaign, scheduler)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Campaign(Generic[Argument, Result]):
     """What both kinds of workers are given, and what has come back."""
 
@@ -103,8 +101,7 @@ class _Campaign(Generic[Argument, Result]):
     tell: Progress
     on_killed: Callable[[Argument], Result] | None
     hear: Callable[[Result], None] | None
-    results: dict[int, list[Result]] = field(default_factory=dict)
-    """By the number of the batch's first run."""
+    results: dict[int, list[Result]] = field(default_factory=dict)  # By the number of the batch's first run.
 
     def batches(self, workers: int) -> list[_Batch]:
         """Return the runs in batches that get smaller to the end."""
@@ -138,6 +135,7 @@ def _here(
     arguments: Sequence[Argument],
     seeds: list[np.random.SeedSequence],
     tell: Progress,
+    *,
     hear: Callable[[Result], None] | None,
 ) -> list[Result]:
     results = []

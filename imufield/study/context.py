@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from imufield.study.campaign import Argument, Progress, Result, Run, run_campaign
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StudyContext:
     """Hashable, so that studies of the same runs can share them."""
 

@@ -53,11 +53,10 @@ _PAPER = {
 _NAMES = {"accelerometer": "accelerometer, L_a", "norm": "gyroscope, L_gm as printed", "vector": "gyroscope, vector form"}
 HOURS = 5.0
 """As in the paper's Fig. 10."""
-_QUICK_GENERATIONS = 100
-"""Of GA and PSO in a quick study: enough to see that they work."""
+_QUICK_GENERATIONS = 100  # Of GA and PSO in a quick study: enough to see that they work.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MethodRun:
     """One run of one method on one cost."""
 
@@ -92,7 +91,9 @@ def run_method(job: MethodJob, rng: np.random.Generator) -> MethodRun:
     problem: TriadProblem | TurnsProblem = ide_problem(rng) if cost_name == "accelerometer" else make_problem(cost_name, rng)
     optimum, _ = squares_optimum(problem)
     found = job.solver()(problem, rng=rng)
-    return MethodRun(job.method, cost_name, found.cost, optimum, found.converged, found.x)
+    return MethodRun(
+        method=job.method, cost_name=cost_name, cost=found.cost, optimum=optimum, converged=found.converged, x=found.x
+    )
 
 
 @cache
@@ -134,15 +135,15 @@ def table_5(context: StudyContext) -> StudyReport:
         rows.append((cost, method, success, values.mean(), values.std(ddof=1), ratio, at_optimum))
     columns = ("cost", "method", "success rate", "mean", "SD", "median over optimum", "at the optimum")
     return StudyReport(
-        "ide-table5",
-        "GA, PSO and IDE",
-        "Data as in ide-table2 and ide-table4. GA and PSO from pymoo with its default operators, 60 members and "
+        name="ide-table5",
+        title="GA, PSO and IDE",
+        setting="Data as in ide-table2 and ide-table4. GA and PSO from pymoo with its default operators, 60 members and "
         f"1200 generations like IDE; success: within {SUCCESS:g} times the global optimum (the paper does not "
         "define it); fresh noise in every run.",
-        tuple(comparisons),
-        _TABLE_5_DIFFERENCES,
-        (CsvTable("methods", columns, tuple(rows)),),
-        figures.bars(
+        comparisons=tuple(comparisons),
+        differences=_TABLE_5_DIFFERENCES,
+        tables=(CsvTable("methods", columns, tuple(rows)),),
+        draw=figures.bars(
             [f"{_NAMES[cost].split(',')[0]} {cost} {method.upper()}" for method, cost in _runs(context)],
             {"median cost over the optimum": np.array([row[5] for row in rows])},
             "cost / optimum",
@@ -261,13 +262,13 @@ def figure_10(context: StudyContext) -> StudyReport:
     columns = [getattr(run, name)[::60] for run in first.values() for name in quantities.values()]
     heads = tuple(f"{method} {name}" for method in first for name in quantities.values())
     return StudyReport(
-        "ide-fig10",
-        "navigation at rest by method",
-        "Both triads of IDE Tables 1 and 3 calibrated by each method (gyroscope: eq. 26, then the bias by the "
+        name="ide-fig10",
+        title="navigation at rest by method",
+        setting="Both triads of IDE Tables 1 and 3 calibrated by each method (gyroscope: eq. 26, then the bias by the "
         "static cost with K and E held), simulated static navigation of five hours, attitude given; median of "
         f"{len(flights['ide'])} instruments.",
-        tuple(comparisons),
-        _FIGURE_10_DIFFERENCES,
-        (CsvTable("curves", ("hours", *heads), tuple(zip(hours, *columns, strict=True))),),
-        figures.over_time(panels),
+        comparisons=tuple(comparisons),
+        differences=_FIGURE_10_DIFFERENCES,
+        tables=(CsvTable("curves", ("hours", *heads), tuple(zip(hours, *columns, strict=True))),),
+        draw=figures.over_time(panels),
     )

@@ -37,11 +37,10 @@ SETTING = (
     "IDE as for the accelerometer."
 )
 PATHS = ("static", "norm", "vector")
-_STATIC_PARAMETERS = 12
-"""K, E and the bias; turns say nothing of the bias, so the other paths have nine."""
+_STATIC_PARAMETERS = 12  # K, E and the bias; turns say nothing of the bias, so the other paths have nine.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GyroscopeRun:
     """One run of IDE on one of the three costs."""
 
@@ -69,7 +68,9 @@ def run_gyroscope(path: str, rng: np.random.Generator) -> GyroscopeRun:
     rank = int(np.linalg.matrix_rank(problem.jacobian(truth) * reach, rtol=1e-9))
     errors = found.x - truth
     errors[:3] /= truth[:3]
-    return GyroscopeRun(found.cost, optimum, found.converged, rank, errors, found.history)
+    return GyroscopeRun(
+        cost=found.cost, optimum=optimum, converged=found.converged, rank=rank, errors=errors, history=found.history
+    )
 
 
 @cache
@@ -117,13 +118,15 @@ def table_4(context: StudyContext) -> StudyReport:
         for i, run in enumerate(runs)
     )
     return StudyReport(
-        "ide-table4",
-        "gyroscope with static and dynamic path",
-        f"{SETTING} {len(found['static'])} runs each.",
-        _compare_paths(found),
-        _TABLE_4_DIFFERENCES,
-        (CsvTable("runs", ("path", "run", "cost", "optimum", *(f"error {i + 1}" for i in range(_STATIC_PARAMETERS))), rows),),
-        figures.bars(
+        name="ide-table4",
+        title="gyroscope with static and dynamic path",
+        setting=f"{SETTING} {len(found['static'])} runs each.",
+        comparisons=_compare_paths(found),
+        differences=_TABLE_4_DIFFERENCES,
+        tables=(
+            CsvTable("runs", ("path", "run", "cost", "optimum", *(f"error {i + 1}" for i in range(_STATIC_PARAMETERS))), rows),
+        ),
+        draw=figures.bars(
             ("K (ppm)", "E (µrad)"),
             {p: np.array([_rmse(found[p], slice(0, 3)) * 1e6, _rmse(found[p], slice(3, 9)) * 1e6]) for p in PATHS},
             "RMSE",
@@ -163,19 +166,19 @@ def _compare_paths(found: dict[str, list[GyroscopeRun]]) -> tuple[Comparison, ..
     )
 
 
-def _figure(context: StudyContext, name: str, path: str, title: str, paper: str, difference: str) -> StudyReport:
+def _figure(context: StudyContext, name: str, path: str, title: str, *, paper: str, difference: str) -> StudyReport:
     runs = runs_of(context)[path][:3]
     curves = {f"test {i + 1}": 1 / run.history for i, run in enumerate(runs)}
     final = np.array([run.cost for run in runs])
     comparisons = (Comparison("final cost of three tests", paper, f"{final.min():.4g} to {final.max():.4g}"),)
     return StudyReport(
-        name,
-        title,
-        SETTING,
-        comparisons,
-        (difference,),
-        (curves_table("fitness", "generation", curves),),
-        figures.convergence({"": curves}, "fitness 1 / L", xlabel="generation", log=False),
+        name=name,
+        title=title,
+        setting=SETTING,
+        comparisons=comparisons,
+        differences=(difference,),
+        tables=(curves_table("fitness", "generation", curves),),
+        draw=figures.convergence({"": curves}, "fitness 1 / L", xlabel="generation", log=False),
     )
 
 
@@ -186,8 +189,8 @@ def figure_6(context: StudyContext) -> StudyReport:
         "ide-fig6",
         "static",
         "fitness of the gyroscope at rest",
-        "L_g 0.4935",
-        "In (deg/h)^2. The fitness stays low because the noise of a position is a larger share of the Earth's "
+        paper="L_g 0.4935",
+        difference="In (deg/h)^2. The fitness stays low because the noise of a position is a larger share of the Earth's "
         "rate than that of the accelerometer is of gravity, not because of a local extreme: see ide-table4 for "
         "the optimum.",
     )
@@ -200,6 +203,7 @@ def figure_8(context: StudyContext) -> StudyReport:
         "ide-fig8",
         "norm",
         "fitness of the gyroscope on the dynamic path (eq. 26)",
-        "L_gm 0.003075",
-        "The level is that of the noise of the turns, in (deg/s)^2; see ide-table4 for what this cost leaves undetermined.",
+        paper="L_gm 0.003075",
+        difference="The level is that of the noise of the turns, in (deg/s)^2; see ide-table4 for what this cost "
+        "leaves undetermined.",
     )

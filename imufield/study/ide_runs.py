@@ -85,13 +85,13 @@ def table_2(context: StudyContext) -> StudyReport:
     costs = {name: np.array([run.cost for run in runs]) for name, runs in found.items()}
     rows = tuple((name, i + 1, run.cost, run.optimum) for name, runs in found.items() for i, run in enumerate(runs))
     return StudyReport(
-        "ide-table2",
-        "L_a of DE/rand/1, the combination and IDE",
-        f"{SETTING} Fresh noise in every run, {len(costs['ide'])} runs.",
-        (*_costs_beside_the_paper(costs), *_costs_over_the_optimum(found)),
-        _TABLE_2_DIFFERENCES,
-        (CsvTable("runs", ("strategy", "run", "L_a", "optimum"), rows),),
-        figures.bars(
+        name="ide-table2",
+        title="L_a of DE/rand/1, the combination and IDE",
+        setting=f"{SETTING} Fresh noise in every run, {len(costs['ide'])} runs.",
+        comparisons=(*_costs_beside_the_paper(costs), *_costs_over_the_optimum(found)),
+        differences=_TABLE_2_DIFFERENCES,
+        tables=(CsvTable("runs", ("strategy", "run", "L_a", "optimum"), rows),),
+        draw=figures.bars(
             STRATEGIES,
             {
                 "paper": np.array([_PAPER.get(n, (np.nan,))[0] for n in STRATEGIES]),
@@ -136,7 +136,7 @@ def _costs_over_the_optimum(found: dict[str, list[Evolution]]) -> tuple[Comparis
 
 
 def _figure(
-    context: StudyContext, name: str, strategy: str, title: str, tests: int, paper: str, differences: tuple[str, ...]
+    context: StudyContext, name: str, strategy: str, title: str, *, tests: int, paper: str, differences: tuple[str, ...]
 ) -> StudyReport:
     runs = _evolutions(context)[strategy][:tests]
     fitness = {f"test {i + 1}": 1 / run.history for i, run in enumerate(runs)}
@@ -148,13 +148,13 @@ def _figure(
         Comparison("generations to half the final fitness, median", "curve only", f"{half:.0f}"),
     )
     return StudyReport(
-        name,
-        title,
-        SETTING,
-        comparisons,
-        differences,
-        (curves_table("fitness", "generation", fitness),),
-        figures.convergence({"": fitness}, "fitness 1 / L$_a$", xlabel="generation", log=False),
+        name=name,
+        title=title,
+        setting=SETTING,
+        comparisons=comparisons,
+        differences=differences,
+        tables=(curves_table("fitness", "generation", fitness),),
+        draw=figures.convergence({"": fitness}, "fitness 1 / L$_a$", xlabel="generation", log=False),
     )
 
 
@@ -165,9 +165,11 @@ def figure_2(context: StudyContext) -> StudyReport:
         "ide-fig2",
         "de-rand-1",
         "fitness of DE/rand/1",
-        5,
-        "mean 0.045558 in Table 2",
-        ("Slow, and of poor repeatability, as in the paper: the population has not contracted after 1200 generations.",),
+        tests=5,
+        paper="mean 0.045558 in Table 2",
+        differences=(
+            "Slow, and of poor repeatability, as in the paper: the population has not contracted after 1200 generations.",
+        ),
     )
 
 
@@ -178,9 +180,9 @@ def figure_3(context: StudyContext) -> StudyReport:
         "ide-fig3",
         "de-current-to-best-1",
         "fitness of DE/current-to-best/1",
-        5,
-        'fitness "much smaller" than DE/rand/1',
-        (
+        tests=5,
+        paper='fitness "much smaller" than DE/rand/1',
+        differences=(
             (
                 "Here it ends a little better than DE/rand/1, not worse: the cost has a single basin within these "
                 "bounds, so there is no local optimum to fall into. With F at 1.2, neither has converged."
@@ -196,9 +198,9 @@ def figure_4(context: StudyContext) -> StudyReport:
         "ide-fig4",
         "de-combined",
         "fitness of the combined strategy",
-        5,
-        "0.007656 to 0.008999",
-        (
+        tests=5,
+        paper="0.007656 to 0.008999",
+        differences=(
             (
                 "Better than DE/rand/1, as in the paper, but level with current-to-best/1 and not as near the "
                 "optimum as there: with F held at 1.2 the difference term keeps the population apart to the end. "
@@ -215,9 +217,9 @@ def figure_5(context: StudyContext) -> StudyReport:
         "ide-fig5",
         "ide",
         "fitness of IDE",
-        3,
-        "0.004162 to 0.005808",
-        (
+        tests=3,
+        paper="0.004162 to 0.005808",
+        differences=(
             (
                 "Every test ends on the global optimum of its data. The range is that of the optimum under fresh "
                 "noise, so the paper's scatter of 8.5e-4 is the scatter of its data, not of the method."

@@ -163,4 +163,11 @@ def gyroscope_turns_problem(rng: np.random.Generator, form: str) -> TurnsProblem
     difference = 2 * (triad_outputs(GYROSCOPE_TRUTH, rates) - GYROSCOPE_TRUTH[9:])
     difference = difference + math.sqrt(2) * noise * GYROSCOPE_TRUTH[:3] * rng.standard_normal(rates.shape)
     lower, upper = GYROSCOPE_LOWER[:9], GYROSCOPE_UPPER[:9]
-    return TurnsProblem(difference, rates, lower, upper, "norm" if form == "norm" else "vector", NOMINAL_GYROSCOPE_SCALE)
+    return TurnsProblem(
+        lower=difference,
+        upper=rates,
+        difference=lower,
+        rate=upper,
+        form="norm" if form == "norm" else "vector",
+        unit=NOMINAL_GYROSCOPE_SCALE,
+    )

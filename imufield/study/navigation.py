@@ -88,4 +88,11 @@ def navigate_at_rest(
     start = np.array([latitude_deg, LONGITUDE_DEG, 0.0, 0.0, 0.0, 0.0, *np.asarray(attitude_rph_deg)])
     flown = integrate(start, 0.0, increments)
     latitude, longitude, north, east = (flown[name].to_numpy() for name in ("lat", "lon", "VN", "VE"))
-    return make_drift(flown.index.to_numpy(), latitude - latitude_deg, longitude - LONGITUDE_DEG, north, east, latitude_deg)
+    return make_drift(
+        flown.index.to_numpy(),
+        latitude - latitude_deg,
+        longitude - LONGITUDE_DEG,
+        north,
+        east_velocity_m_s=east,
+        true_latitude_deg=latitude_deg,
+    )

@@ -101,6 +101,7 @@ def cramer_rao_bound(
     raw: FloatArray,
     gravity_m_s2: float,
     sigma_m_s2: float,
+    *,
     quadratic_axes: QuadraticAxes,
     turn_sigma_rad: float = 0.0,
 ) -> FloatArray:

@@ -39,7 +39,7 @@ class CsvTable:
     rows: tuple[tuple[Any, ...], ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StudyReport:
     """The outcome of one study."""
 

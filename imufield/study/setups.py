@@ -33,13 +33,13 @@ def bsas_table_1(_context: StudyContext) -> StudyReport:
         "-0.00048500", "-0.00035363", "0.00023193", "-0.00003365", "0.003654", "0.000644", "-0.002654",
     )  # fmt: skip
     return StudyReport(
-        "bsas-table1",
-        "true values of the 15 parameters",
-        "An input of all BSAS studies.",
-        tuple(
+        name="bsas-table1",
+        title="true values of the 15 parameters",
+        setting="An input of all BSAS studies.",
+        comparisons=tuple(
             Comparison(name, paper, f"{ours:.9g}") for name, paper, ours in zip(BSAS_NAMES, printed, BSAS_TRUTH, strict=True)
         ),
-        (
+        differences=(
             "The paper heads the misalignments '(deg)'; its equations use them as they are, and so do we.",
             (
                 "Its random bias of 10 ug would make the cost of the truth 2e-3, not 8e-7; see bsas-fig3 for the "
@@ -57,11 +57,13 @@ def bsas_table_2(_context: StudyContext) -> StudyReport:
     settings = BsasSettings()
     names = [field.name for field in fields(settings)]
     return StudyReport(
-        "bsas-table2",
-        "settings of BSAS",
-        "The settings of the staged form; the whitened form takes c_s = c_d = 0.965 and up to 1200 iterations.",
-        tuple(Comparison(name, printed[name], f"{getattr(settings, name):g}") for name in names),
-        ("The tolerance ends a run whose antennae smell no difference any more; it changes the time, not the result.",),
+        name="bsas-table2",
+        title="settings of BSAS",
+        setting="The settings of the staged form; the whitened form takes c_s = c_d = 0.965 and up to 1200 iterations.",
+        comparisons=tuple(Comparison(name, printed[name], f"{getattr(settings, name):g}") for name in names),
+        differences=(
+            "The tolerance ends a run whose antennae smell no difference any more; it changes the time, not the result.",
+        ),
         columns=("setting", "paper", "taken"),
     )
 
@@ -69,37 +71,41 @@ def bsas_table_2(_context: StudyContext) -> StudyReport:
 def bsas_table_4(_context: StudyContext) -> StudyReport:
     """List the performance of the hardware."""
     return StudyReport(
-        "bsas-table4",
-        "performance of gyroscope and accelerometer",
-        "The instrument that is simulated in place of the hardware.",
-        (
+        name="bsas-table4",
+        title="performance of gyroscope and accelerometer",
+        setting="The instrument that is simulated in place of the hardware.",
+        comparisons=(
             Comparison("accelerometer constant bias (ug)", "10", f"{OLD_BIAS_M_S2 / MICRO_G_M_S2:g}"),
             Comparison("accelerometer dynamic range (g)", "60", "not simulated"),
             Comparison("gyroscope constant bias (deg/h)", "0.01", f"{GYROSCOPE_BIAS_DEG_PER_H:g}"),
             Comparison("repeatability of a position (ug)", "not given", f"{REPEATABILITY_M_S2 / MICRO_G_M_S2:g}"),
         ),
-        (),
+        differences=(),
         columns=("figure", "paper", "taken"),
     )
 
 
 def ide_table_1(_context: StudyContext) -> StudyReport:
     """List the accelerometer's true values and bounds."""
-    return _triad("ide-table1", "accelerometer: separate calibration and bounds", IDE_TRUTH, IDE_LOWER, IDE_UPPER)
+    return _triad("ide-table1", "accelerometer: separate calibration and bounds", IDE_TRUTH, IDE_LOWER, upper=IDE_UPPER)
 
 
 def ide_table_3(_context: StudyContext) -> StudyReport:
     """List the gyroscope's true values and bounds."""
-    return _triad("ide-table3", "gyroscope: separate calibration and bounds", GYROSCOPE_TRUTH, GYROSCOPE_LOWER, GYROSCOPE_UPPER)
+    return _triad(
+        "ide-table3", "gyroscope: separate calibration and bounds", GYROSCOPE_TRUTH, GYROSCOPE_LOWER, upper=GYROSCOPE_UPPER
+    )
 
 
-def _triad(name: str, title: str, truth: FloatArray, lower: FloatArray, upper: FloatArray) -> StudyReport:
+def _triad(name: str, title: str, truth: FloatArray, lower: FloatArray, *, upper: FloatArray) -> StudyReport:
     rows = zip(TRIAD_NAMES, truth, lower, upper, strict=True)
     return StudyReport(
-        name,
-        title,
-        "An input: the paper's separate calibration is the truth of the simulation.",
-        tuple(Comparison(label, f"{x:.10g}", f"{x:.10g}, bounds {low:g} to {high:g}") for label, x, low, high in rows),
-        ("The paper prints installation errors in two columns for each axis; they are read as row by row of E.",),
+        name=name,
+        title=title,
+        setting="An input: the paper's separate calibration is the truth of the simulation.",
+        comparisons=tuple(
+            Comparison(label, f"{x:.10g}", f"{x:.10g}, bounds {low:g} to {high:g}") for label, x, low, high in rows
+        ),
+        differences=("The paper prints installation errors in two columns for each axis; they are read as row by row of E.",),
         columns=("parameter", "paper", "taken"),
     )

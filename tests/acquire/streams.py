@@ -47,7 +47,15 @@ def stim300(number: int, time_s: float) -> bytes:
     time, force, rate, temperature, counter = (
         np.array([one]) for one in (time_s, FORCE_M_S2, RATE_RAD_S, TEMPERATURE_DEGC, number)
     )
-    one = Samples(time, force, rate, temperature, counter, np.zeros(1, dtype=np.uint32), SampleUnits())
+    one = Samples(
+        time_s=time,
+        accelerometer=force,
+        gyroscope=rate,
+        temperature_degc=temperature,
+        counter=counter,
+        status=np.zeros(1, dtype=np.uint32),
+        units=SampleUnits(),
+    )
     return Stim300Device(Stim300Format(rate_hz=500, accelerometer_range_g=30)).encode(one).data.tobytes()
 
 

@@ -42,7 +42,7 @@ def random_parameters(rng: np.random.Generator, quadratic: float = 0.0) -> Accel
     np.fill_diagonal(misalignment, 0)
     scale = 400 * (1 + rng.normal(0, 0.02, 3))
     K2 = scale * quadratic / GRAVITY**2 * rng.normal(0, 1, 3)
-    return AccelerometerParameters(scale, rng.normal(0, 0.1, 3), misalignment, K2)
+    return AccelerometerParameters(scale=scale, bias_m_s2=rng.normal(0, 0.1, 3), misalignment_rad=misalignment, quadratic=K2)
 
 
 def outputs(parameters: AccelerometerParameters, a: FloatArray) -> FloatArray:
@@ -77,7 +77,7 @@ def observe(
         start_s=nan,
         duration_s=nan,
         temperature_degc=nan,
-        units=SampleUnits("count", "count"),
+        units=SampleUnits(accelerometer="count", gyroscope="count"),
     )
 
 

@@ -75,7 +75,17 @@ class Turner(Operator):
             at, end_s = self._place(turn, rng, at, end_s)
             wobble = self.settings.wobble_rad * rng.standard_normal(3)
             stop_s = end_s + rng.uniform(3.0, 4.0)
-            piece = Piece(end_s, stop_s, at, turn.angle_rad * turn.axis, wobble, 1.0, 0.05, (0.05, 0.02, 0.0), self._hand)
+            piece = Piece(
+                start_s=end_s,
+                end_s=stop_s,
+                quaternion_nb=at,
+                turn_rad=turn.angle_rad * turn.axis,
+                wobble_rad=wobble,
+                wobble_hz=1.0,
+                lift_m=0.05,
+                travel_m=(0.05, 0.02, 0.0),
+                hand=self._hand,
+            )
             self.turn_times_s.append((end_s + stop_s) / 2)
             end_s, at = self._then_rest(piece), piece.final_quaternion
         self._pieces.append(replace(last, start_s=end_s, quaternion_nb=at))
@@ -87,13 +97,28 @@ class Turner(Operator):
         up = turn.axis if turn.upright else np.roll(turn.axis, 1)
         target = self._target(at, up, rng)
         piece = Piece(
-            end_s, end_s + 3.0, at, logarithm(multiply(conjugate(at), target)), np.zeros(3), lift_m=0.05, hand=self._hand
+            start_s=end_s,
+            end_s=end_s + 3.0,
+            quaternion_nb=at,
+            turn_rad=logarithm(multiply(conjugate(at), target)),
+            wobble_rad=np.zeros(3),
+            lift_m=0.05,
+            hand=self._hand,
         )
         return piece.final_quaternion, self._then_rest(piece)
 
     def _then_rest(self, piece: Piece) -> float:
         rest_s = piece.end_s + self.settings.hold_s
-        self._pieces += [piece, Piece(piece.end_s, rest_s, piece.final_quaternion, np.zeros(3), np.zeros(3))]
+        self._pieces += [
+            piece,
+            Piece(
+                start_s=piece.end_s,
+                end_s=rest_s,
+                quaternion_nb=piece.final_quaternion,
+                turn_rad=np.zeros(3),
+                wobble_rad=np.zeros(3),
+            ),
+        ]
         return rest_s
 
 
@@ -164,11 +189,13 @@ def simulate(
         finder.feed(block)
         collector.feed(block if damage is None else damage(block))
     observations = finder.finish().observations
-    calibration = calibrate_accelerometer(observations, Gravity(Site().gravity_m_s2, 1e-5, "typed", 45.0))
+    calibration = calibrate_accelerometer(
+        observations, Gravity(gravity_m_s2=Site().gravity_m_s2, sigma_m_s2=1e-5, source="typed", latitude_deg=45.0)
+    )
     moves = collector.finish(observations.start_s, observations.duration_s)
     truth = replace(drawn.gyroscope, bias=drawn.gyroscope.bias + drawn.gyroscope.scale * mean_drift(drawn, seed, observations))
     rotation = change_gauge(to_vector(drawn.accelerometer), "lower").rotation
-    given = GyroscopeInput(observations, moves, calibration, latitude_deg=latitude_deg)
+    given = GyroscopeInput(observations=observations, moves=moves, calibration=calibration, latitude_deg=latitude_deg)
     return Session(given, turn_gyroscope(truth, rotation), calibration, tuple(operator.turn_times_s))
 
 
@@ -214,4 +241,6 @@ def turns_problem(table: TableRows, reach: float = 0.05, form: Literal["norm", "
     K = np.diag(matrix_from_pairs(table))
     half = np.concatenate([reach * np.abs(K), np.full(6, reach)])
     middle = np.concatenate([K, np.zeros(6)])
-    return TurnsProblem(2 * table.half_difference_raw, table.rate_rad_s, middle - half, middle + half, form)
+    return TurnsProblem(
+        lower=2 * table.half_difference_raw, upper=table.rate_rad_s, difference=middle - half, rate=middle + half, form=form
+    )

@@ -14,7 +14,7 @@ from imufield.earth import Gravity
 from imufield.samples import FloatArray
 
 SEEDS = 240
-EXACT = Gravity(GRAVITY, 1e-7, "typed")
+EXACT = Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=1e-7, source="typed")
 LOW, HIGH = 0.8, 1.25
 
 

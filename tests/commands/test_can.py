@@ -95,7 +95,7 @@ def emulate() -> Iterator[Emulate]:
         ) -> CanEmulator:
             habits = OperatorSettings(hold_s=6.0, initial_still_s=still_s)
             directions = scheme(positions).directions() if positions else ()
-            options = Emulation("text", rate_hz=100.0, grade="mems", seed=5, directions=directions, operator=habits)
+            options = Emulation(device="text", rate_hz=100.0, grade="mems", seed=5, directions=directions, operator=habits)
             settings = EmulatorSettings(speed=speed, link=link, **more.pop("run", {}))
             return stack.enter_context(CanEmulator(protocol, make_virtual_imu(options), bus, settings, **more))
 

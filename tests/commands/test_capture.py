@@ -18,7 +18,7 @@ from imufield.acquire.recording.reader import RecordedEvent, read_session
 from imufield.acquire.recording.session import Session
 from imufield.pipeline.chain import session_samples
 from tests.commands.conftest import IMUFIELD
-from tests.commands.terminal import Terminal
+from tests.commands.pty_terminal import Terminal
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from imufield.acquire.recording.session import Session
-from tests.commands.terminal import Terminal
+from tests.commands.pty_terminal import Terminal
 
 if TYPE_CHECKING:
     from tests.commands.conftest import Program

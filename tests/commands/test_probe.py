@@ -38,7 +38,7 @@ INSTRUMENTS = (*SCRIPTS, "stim300")
 
 
 def emulated(name: str, rate_hz: float | None = None, form: str | None = None) -> Emulator:
-    emulator = make_emulator(Emulation(name, rate_hz, form=form))
+    emulator = make_emulator(Emulation(device=name, rate_hz=rate_hz, form=form))
     assert isinstance(emulator, Emulator)
     return emulator
 
@@ -303,7 +303,7 @@ class Stubborn(MicroStrainInstrument):
 def test_a_rate_that_was_not_taken_is_an_error_and_all_is_as_before() -> None:
     there = emulated("microstrain_mip", 50, "gps_time")
     assert isinstance(there.device, ProtocolDevice)
-    form = choose_wire(Emulation("microstrain_mip", form="gps_time")).form
+    form = choose_wire(Emulation(device="microstrain_mip", form="gps_time")).form
     assert form is not None
     instrument = there.device.script = Stubborn(50, form)
     before = list(instrument.format)
@@ -370,7 +370,7 @@ def test_samples_that_gave_way_to_answers_are_not_lost_on_the_link(deaf: bool) -
             # Behind what it says when it is switched on; the slow clock leaves a busy machine time for the answers.
             listening.messages()
             first = chunks[0]
-            messages = ask_identity(link, chunks, driver, listening, SystemClock() if deaf else ScaledClock(0.05))
+            messages = ask_identity(link, chunks, driver, listening, clock=SystemClock() if deaf else ScaledClock(0.05))
             assert bool(messages) is not deaf
             assert not deaf or first in chunks, "nothing gave way where nothing was answered"
             counting = Decoder(driver.load_protocol())

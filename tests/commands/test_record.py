@@ -68,7 +68,19 @@ def test_the_duration_counts_from_the_first_bytes(
     host = Simulated(max(heard - 1, 0) / 10, first_s)
     protocol = load_protocol("text", {"columns": "time,ax,ay,az", "rate_hz": 10})
     heard_chunks = [chunk(number) for number in range(heard)]
-    connected = Connected(host, protocol, "text", "text", 9600, heard_chunks, {}, "serial", None, None, None)  # type: ignore[arg-type]
+    connected = Connected(
+        link=host,  # type: ignore[arg-type]
+        protocol=protocol,
+        driver="text",
+        model="text",
+        baud=9600,
+        chunks=heard_chunks,
+        identity={},
+        wire="serial",
+        instrument=None,
+        rate_hz=None,
+        rate_before_hz=None,
+    )
     monkeypatch.setattr(module, "connect", lambda *_: connected)
     run_record(RecordOptions(connect=ConnectOptions(), session=tmp_path / "here", duration_s=5.0), host)
     samples = concatenate(list(session_samples(Session.open(tmp_path / "here"), [])))
@@ -93,7 +105,19 @@ class Loose(Simulated):
 
 def record_loose(host: Loose, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     protocol = load_protocol("text", {"columns": "time,ax,ay,az", "rate_hz": 10})
-    connected = Connected(host, protocol, "text", "text", 9600, [], {}, "serial", None, None, None)  # type: ignore[arg-type]
+    connected = Connected(
+        link=host,  # type: ignore[arg-type]
+        protocol=protocol,
+        driver="text",
+        model="text",
+        baud=9600,
+        chunks=[],
+        identity={},
+        wire="serial",
+        instrument=None,
+        rate_hz=None,
+        rate_before_hz=None,
+    )
     monkeypatch.setattr(module, "connect", lambda *_: connected)
     run_record(RecordOptions(connect=ConnectOptions(), session=folder, duration_s=10.0), host)
 

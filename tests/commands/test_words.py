@@ -65,7 +65,7 @@ def test_an_export_asks_for_all_that_is_missing_at_once(solved_session: Path) ->
     calibration = parameters.calibration
     assert calibration.gyroscope is not None
     counts = replace(calibration, accelerometer_raw_unit="count", gyroscope=replace(calibration.gyroscope, raw_unit="count"))
-    unknown = Parameters(counts, parameters.context, parameters.document)
+    unknown = Parameters(calibration=counts, context=parameters.context, document=parameters.document)
     with pytest.raises(ParameterFileError) as caught:
         export_parameters(unknown, "px4")
     assert "--set accelerometer_nominal=NUMBER (count per m/s^2)" in caught.value.message
@@ -153,5 +153,7 @@ def test_a_session_that_goes_on_does_not_speak_of_a_link_that_is_gone(make_sessi
 def test_what_comes_next_can_be_done(
     accepted: int, command: str, whole_session: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _farewell(Captured(Session.open(whole_session), accepted, 24, finished=True), "plain", SystemClock())
+    _farewell(
+        Captured(session=Session.open(whole_session), accepted=accepted, planned=24, finished=True), "plain", SystemClock()
+    )
     assert command in capsys.readouterr().out

@@ -82,7 +82,10 @@ def calibration(parameters: AccelerometerParameters, gyroscope: GyroscopeCalibra
     leave_one_out[3] = np.nan
     names = (*ACCELEROMETER_NAMES, *(f"gyroscope.bias.{axis}" for axis in "xyz"), GRAVITY_NAME)
     sigma = AccelerometerParameters(
-        np.array([5.2e-5, 5.3e-5, 5.4e-5]), np.array([1.1e-4, 1.2e-4, 1.3e-4]), np.abs(LOWER) * 0.02, np.full(3, 3e-7)
+        scale=np.array([5.2e-5, 5.3e-5, 5.4e-5]),
+        bias_m_s2=np.array([1.1e-4, 1.2e-4, 1.3e-4]),
+        misalignment_rad=np.abs(LOWER) * 0.02,
+        quadratic=np.full(3, 3e-7),
     )
     root = np.random.default_rng(6).normal(size=(len(names), len(names)))
     root *= (np.concatenate([to_vector(sigma), gyroscope.sigma.bias, [5e-4]]) / np.linalg.norm(root, axis=1))[:, None]
@@ -95,9 +98,11 @@ def calibration(parameters: AccelerometerParameters, gyroscope: GyroscopeCalibra
         intrinsic=make_intrinsic(intrinsic(to_vector(parameters))[0], np.repeat([5.2e-5, 1.1e-4, 2e-5, 3e-7], 3)),
         covariance_names=names,
         covariance=root @ root.T,
-        gravity=Gravity(9.8071, 5e-4, "normal", 48.1, 520.0),
+        gravity=Gravity(gravity_m_s2=9.8071, sigma_m_s2=5e-4, source="normal", latitude_deg=48.1, height_m=520.0),
         positions=PositionResult(residual, leave_one_out, np.full(POSITIONS, 0.5), np.ones(POSITIONS, dtype=np.bool_)),
-        solver=SolverSummary("least-squares", 1, "converged: the step is below 1e-12", 11.3, 9),
+        solver=SolverSummary(
+            method="least-squares", status=1, message="converged: the step is below 1e-12", cost=11.3, evaluations=9
+        ),
         quality=Quality(
             residual_rms_m_s2=float(np.sqrt(np.mean(residual**2))),
             residual_max_m_s2=9.1e-4,
@@ -138,7 +143,11 @@ def context() -> Context:
     return Context(
         instrument=InstrumentFacts("stim300", "STIM300", "N25581234567890", "3.1"),
         session=SessionFacts("2025-03-01T101500Z-stim300", 64 * "a", 1999.987, (30.9, 33.4)),
-        noise=Noise("still at the start", np.full(3, 7e-4), np.full(3, 4e-5)),
+        noise=Noise(
+            source="still at the start",
+            accelerometer_density_m_s2_per_sqrt_hz=np.full(3, 7e-4),
+            gyroscope_density_rad_s_per_sqrt_hz=np.full(3, 4e-5),
+        ),
         created="2025-03-01T10:55:00Z",
         software="imufield 0.1.0",
     )

@@ -39,7 +39,7 @@ class Case:
 
     def make(self) -> Emulator:
         """Return the instrument, not yet switched on."""
-        emulator = make_emulator(Emulation(self.driver, self.from_hz, seed=1, form=self.form))
+        emulator = make_emulator(Emulation(device=self.driver, rate_hz=self.from_hz, seed=1, form=self.form))
         assert isinstance(emulator, Emulator)
         return emulator
 
@@ -138,7 +138,7 @@ def bench(case: Case, *, deaf: bool = False) -> Iterator[Bench]:
         driver = load_driver(case.driver)
         link = open_link(there.port, baud=driver.default_baud)
         try:
-            settings = choose_wire(Emulation(case.driver, case.from_hz, form=case.form)).settings
+            settings = choose_wire(Emulation(device=case.driver, rate_hz=case.from_hz, form=case.form)).settings
             found = Bench(there, link, Instrument(driver, SystemClock()), settings)
             found.here.heard = set(found.listen(0.3, samples=5).statistics.by_kind)
             yield found

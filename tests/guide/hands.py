@@ -35,15 +35,16 @@ class HeldUnit:
 
     def samples(self, rate_hz: float, duration_s: float, delay_s: float) -> Samples:
         """Return what the unit says if its gyroscope is late by ``delay_s``, to any fraction of a sample."""
-        span = (1000, round(rate_hz * duration_s), 1 / rate_hz, Site())
-        prompt, late = sample_motion(self, *span), sample_motion(replace(self, late_s=delay_s), *span)
+        span = (1000, round(rate_hz * duration_s), 1 / rate_hz)
+        prompt = sample_motion(self, *span, site=Site())
+        late = sample_motion(replace(self, late_s=delay_s), *span, site=Site())
         return make_samples(prompt.time_s, prompt.specific_force, late.angular_rate, units=SampleUnits())
 
 
 def trembling(seed: int, tremor_hz: float, tremor_deg: float, sway_deg: float) -> Hand:
     """Return a hand with one sine of tremor about each axis, rms as given, and the simulator's sway."""
     rng = np.random.default_rng(seed)
-    hand = draw_hand(rng, 0.0, math.radians(sway_deg), 0.0, (8.0, 12.0))
+    hand = draw_hand(rng, 0.0, math.radians(sway_deg), 0.0, tremor_band_hz=(8.0, 12.0))
     amplitude, hz = hand.rotation_rad.copy(), hand.rotation_hz.copy()
     amplitude[0], hz[0] = math.radians(tremor_deg) * math.sqrt(2), tremor_hz + rng.uniform(-0.15, 0.15, 3)
     return replace(hand, rotation_rad=amplitude, rotation_hz=hz)

@@ -43,11 +43,11 @@ class Wire:
 
     def choose(self) -> WireChoice:
         """Return protocol, settings and rate."""
-        return choose_wire(Emulation(self.driver, form=self.form or None))
+        return choose_wire(Emulation(device=self.driver, form=self.form or None))
 
     def device(self) -> Device:
         """Return a new instrument."""
-        return make_device(Emulation(self.driver, form=self.form or None), self.choose())
+        return make_device(Emulation(device=self.driver, form=self.form or None), self.choose())
 
 
 def serial_wires() -> list[Wire]:

@@ -34,7 +34,7 @@ def test_nothing_near_the_exact_minimum_costs_less() -> None:
 def test_least_squares_reaches_the_cramer_rao_bound_on_sensing_axes() -> None:
     sigma = 1e-5
     clean = bsas_outputs(np.random.default_rng(0), 0.0)
-    bound = cramer_rao_bound(BSAS_TRUTH, clean, BSAS_GRAVITY_M_S2, sigma, "sensing")
+    bound = cramer_rao_bound(BSAS_TRUTH, clean, BSAS_GRAVITY_M_S2, sigma, quadratic_axes="sensing")
     rng = np.random.default_rng(1)
     problem = whitened_problem(BSAS_TRUTH, clean, BSAS_GRAVITY_M_S2, quadratic_axes="sensing")
     start = solve_least_squares(problem).x

@@ -152,7 +152,12 @@ def test_names_of_studies() -> None:
 
 
 EXAMPLE = StudyReport(
-    "x-1", "an example", "A setting.", (Comparison("cost", "1|2", "3"),), ("It differs.",), (CsvTable("A b", ("n",), ((1,),)),)
+    name="x-1",
+    title="an example",
+    setting="A setting.",
+    comparisons=(Comparison("cost", "1|2", "3"),),
+    differences=("It differs.",),
+    tables=(CsvTable("A b", ("n",), ((1,),)),),
 )
 
 

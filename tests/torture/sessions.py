@@ -44,7 +44,9 @@ class Sessions:
         """Return the gauge-free errors of one session in units of their stated 95 % limit, shape (12,)."""
         positions = scheme("paper24")
         habits = OperatorSettings(hold_s=VISIT_S, initial_still_s=6.0, begins_in_first_position=True)
-        options = Emulation("stim300", RATE_HZ, self.grade, seed, directions=positions.directions(), operator=habits)
+        options = Emulation(
+            device="stim300", rate_hz=RATE_HZ, grade=self.grade, seed=seed, directions=positions.directions(), operator=habits
+        )
         source = make_virtual_imu(options)
         wire = choose_wire(options)
         device = make_device(options, wire)

@@ -35,40 +35,31 @@ from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status
 
-_WINDOW_S = 0.25
-"""Longer than the delays of a busy host, as for serial ports."""
-_LEAST_WINDOW = 2
-"""Periods; slow instruments send less than that in a quarter second."""
+_WINDOW_S = 0.25  # Longer than the delays of a busy host, as for serial ports.
+_LEAST_WINDOW = 2  # Periods; slow instruments send less than that in a quarter second.
 _USUAL_DELAY = 0.95
-_BURST_S = 0.02
-"""Least step that counts where frames come in bursts: a host under load is late by as much at any time."""
-_RESET_S = 1.0
-"""A stamp that runs back by more is another clock (the adapter's wrapped), by less frames out of order."""
+_BURST_S = 0.02  # Least step that counts where frames come in bursts: a host under load is late by as much at any time.
+_RESET_S = 1.0  # A stamp that runs back by more is another clock (the adapter's wrapped), by less frames out of order.
 _LONGEST_PAUSE_S = 3600.0
-_DRIFT, _DRIFT_RUN = 0.1, 64
-"""So many samples in a row that each move the phase by this part of a period: the rate has changed."""
+# So many samples in a row that each move the phase by this part of a period: the rate has changed.
+_DRIFT = 0.1
+_DRIFT_RUN = 64
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _Phase:
     """What is known once the period is learned."""
 
     period_s: float
     window_s: float
-    unit: int
-    """Samples in the smallest loss that only time shows: 1, or a wrap of the counter."""
-    number: float = 0.0
-    """Number of the next sample."""
-    visible_s: float = 0.0
-    """Smallest step of the phase that counts as loss."""
-    burst: int = 0
-    """How many samples usually come at once."""
-    is_blind: bool = False
-    """The stamps stand still: there is nothing but the number of the sample."""
-    base_s: float = 0.0
-    """Phase at the last sample given out."""
+    unit: int  # Samples in the smallest loss that only time shows: 1, or a wrap of the counter.
+    number: float = 0.0  # Number of the next sample.
+    visible_s: float = 0.0  # Smallest step of the phase that counts as loss.
+    burst: int = 0  # How many samples usually come at once.
+    is_blind: bool = False  # The stamps stand still: there is nothing but the number of the sample.
+    base_s: float = 0.0  # Phase at the last sample given out.
+    # Phases at as many samples given out as come in a burst, and one.
     before_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    """Phases at as many samples given out as come in a burst, and one."""
     last_time_s: float = -np.inf
     run: int = 0
 
@@ -94,8 +85,7 @@ class CanClock:
         self._statistics = statistics
         self._held: list[CanBlock] = []
         self._phase: _Phase | None = None
-        self._tried = LEARN_SAMPLES
-        """From so many samples no period could be learned yet."""
+        self._tried = LEARN_SAMPLES  # From so many samples no period could be learned yet.
         self._offset_s = 0.0
         self._last_time_s = -np.inf
         self._last_stamp_s: float | None = None
@@ -167,7 +157,7 @@ class CanClock:
         period_s = sample_period_s(block.stamp_s, np.cumsum(steps), self._rule.rate_hz)
         window_s = max(_WINDOW_S, _LEAST_WINDOW * period_s)
         unit = self._rule.counter_modulus // self._counter_step if self._last_counter is not None else 1
-        phase = _Phase(period_s, window_s, max(unit, 1))
+        phase = _Phase(period_s=period_s, window_s=window_s, unit=max(unit, 1))
         lag_s = block.stamp_s - np.cumsum(steps) * period_s
         envelope_s = _minimum_ahead(lag_s, block.stamp_s, window_s)
         phase.base_s = float(envelope_s[0])
@@ -383,5 +373,11 @@ class _DeviceTime:
 
 def _make(block: CanBlock, time_s: FloatArray, flags: NDArray[np.uint32], units: SampleUnits) -> Samples:
     return Samples(
-        time_s, block.values[:, 0:3], block.values[:, 3:6], block.values[:, 6], block.counter, block.status | flags, units
+        time_s=time_s,
+        accelerometer=block.values[:, 0:3],
+        gyroscope=block.values[:, 3:6],
+        temperature_degc=block.values[:, 6],
+        counter=block.counter,
+        status=block.status | flags,
+        units=units,
     )

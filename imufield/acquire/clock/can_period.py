@@ -11,39 +11,36 @@ import numpy as np
 
 from imufield.samples import FloatArray
 
-LEARN_SAMPLES, LEARN_S = 8, 1.0
+LEARN_SAMPLES = 8
+LEARN_S = 1.0
 """It takes more samples, for slow instruments, and as long: of bursts every 0.1 s a second shows the period within 1.5 %."""
-_LONGEST_LEARN_S = 3.0
-"""Shorter than a bus is listened to before it counts as not understood."""
-_UNEVEN, _SLEEPS = 4.0, 8.0
-"""A step that many times the usual one is a host that slept; a rate takes so many sleeps."""
-_TRY_PART = 16
-"""It is tried anew with so much more of them; else a fast bus would try too often."""
-_MOST_LEARNED = 4096
-"""Samples after which the period is learned even if the stamps stand still."""
-_REGULAR = 0.25
-"""Part of a step by which stamps of an adapter jitter; bursts of a host are beyond."""
-_REGULAR_SHARE = 0.75
-"""Of the steps; the others are losses."""
-_LONG_STEP, _LONG_SHARE, _LOOSE = 1.5, 0.04, 0.05
-"""Where so many steps are that long, and the others differ by that part, a sender may have been held up, with nothing lost."""
+_LONGEST_LEARN_S = 3.0  # Shorter than a bus is listened to before it counts as not understood.
+# A step that many times the usual one is a host that slept; a rate takes so many sleeps.
+_UNEVEN = 4.0
+_SLEEPS = 8.0
+_TRY_PART = 16  # It is tried anew with so much more of them; else a fast bus would try too often.
+_MOST_LEARNED = 4096  # Samples after which the period is learned even if the stamps stand still.
+_REGULAR = 0.25  # Part of a step by which stamps of an adapter jitter; bursts of a host are beyond.
+_REGULAR_SHARE = 0.75  # Of the steps; the others are losses.
+# Where so many steps are that long, and the others differ by that part, a sender may have been held up, with nothing lost.
+_LONG_STEP = 1.5
+_LONG_SHARE = 0.04
+_LOOSE = 0.05
+# Kuiper's statistic over the square root of the count: n independent losses leave an even pace by less in 1 of 1000.
 _EVEN_RANGE = 0.55
-"""Kuiper's statistic over the square root of the count: n independent losses leave an even pace by less in 1 of 1000."""
-_SHORTEST_OUTAGE_S = 0.1
-"""A host under load pauses as long at any time."""
-_MOST_OUTAGES = 8
-"""So many of the shortest fill most of the second that is learned from."""
-_OWED_WITHIN, _OWED_PART = 0.15, 0.5
-"""A host that slept hands over half of what it owes, and more, within this part of its sleep; a bus that was silent sends no
-more than that part of it meanwhile."""
-_LONGEST_OWED_S, _LEAST_OUTSIDE_S = 0.5, 0.25
-"""It takes no longer for that; a pace is measured beside it if so much is left."""
+_SHORTEST_OUTAGE_S = 0.1  # A host under load pauses as long at any time.
+_MOST_OUTAGES = 8  # So many of the shortest fill most of the second that is learned from.
+# A host that slept hands over half of what it owes, and more, within this part of its sleep; a bus that was silent sends no
+# more than that part of it meanwhile.
+_OWED_WITHIN = 0.15
+_OWED_PART = 0.5
+# It takes no longer for that; a pace is measured beside it if so much is left.
+_LONGEST_OWED_S = 0.5
+_LEAST_OUTSIDE_S = 0.25
+# Part by which bursts may miss the nominal rate, which then is right: an outage of 0.1 s among them makes up to 17 %.
 _NOMINAL_WITHIN = 0.2
-"""Part by which bursts may miss the nominal rate, which then is right: an outage of 0.1 s among them makes up to 17 %."""
-_UNKNOWN_S = 0.01
-"""Where neither stamps nor a nominal rate tell."""
-_SHORTEST_S = 1e-6
-"""Shorter than any frame: stamps may nearly stand still, and lags are divided by the period."""
+_UNKNOWN_S = 0.01  # Where neither stamps nor a nominal rate tell.
+_SHORTEST_S = 1e-6  # Shorter than any frame: stamps may nearly stand still, and lags are divided by the period.
 
 
 def learned_from(stamp_s: FloatArray, tried: int) -> tuple[int, int]:

@@ -41,16 +41,12 @@ from imufield.acquire.decode.assembly import RawBlock
 from imufield.samples import FloatArray, Status
 
 _BUCKET_S = 0.25
-_WINDOW_BUCKETS = 16
-"""4 s: crystals of 100 ppm drift 0.4 ms in it even before the slope is known."""
-_LEAST_BUCKETS = 5
-"""1 s: minima that are known before their jitter is."""
+_WINDOW_BUCKETS = 16  # 4 s: crystals of 100 ppm drift 0.4 ms in it even before the slope is known.
+_LEAST_BUCKETS = 5  # 1 s: minima that are known before their jitter is.
+# A 4 % slow unit is 40 ms behind by then, below what counts as a lag; before, minima are too close together.
 _SLOPE_AFTER_S = 1.0
-"""A 4 % slow unit is 40 ms behind by then, below what counts as a lag; before, minima are too close together."""
-_RESTART_S = 1.0
-"""Arrival that runs back by more than this is another host clock, not the order of threads."""
-_LARGEST_SLOPE = 0.05
-"""The worst unit on record ran 3.8 % slow; more is not a clock error."""
+_RESTART_S = 1.0  # Arrival that runs back by more than this is another host clock, not the order of threads.
+_LARGEST_SLOPE = 0.05  # The worst unit on record ran 3.8 % slow; more is not a clock error.
 
 
 class HostBaseline:
@@ -107,27 +103,25 @@ class HostBaseline:
         return 0.0 if expected is None else arrival_s - sample_s - expected
 
 
-_PROOF_WITH_FAULT_S, _PROOF_S = 1.0, 3.0
-"""How long the lag must stand still, at the least. A buffer that is emptied 1 % faster than it is filled moves it by 15 ms
-from one half of the longer time to the other."""
-_PROOF_SPREADS = 20.0
-"""With a fault, wait for so many times the usual jitter, but no longer than without."""
+# How long the lag must stand still, at the least. A buffer that is emptied 1 % faster than it is filled moves it by 15 ms from
+# one half of the longer time to the other.
+_PROOF_WITH_FAULT_S = 1.0
+_PROOF_S = 3.0
+_PROOF_SPREADS = 20.0  # With a fault, wait for so many times the usual jitter, but no longer than without.
+# A lag that stands that long without being a loss is none; nothing is longer held back, but for late data coming in.
 _GIVE_UP_S = 4.0
-"""A lag that stands that long without being a loss is none; nothing is longer held back, but for late data coming in."""
-_AT_END_S = 0.25
-"""How long, where nothing will follow."""
-_SILENCE = 0.75
-"""Part of the loss that must have been silence; the rest allows for a read that was under way."""
-_FINEST_S, _SPREADS = 0.003, 2.0
-"""The lag stands still within the larger of 3 ms (a busy host) and twice the jitter of the line of earliest arrivals."""
-_COARSEST = 1 / 8
-"""Part of a unit by which the lag may be off, where there is nothing else to go by."""
+_AT_END_S = 0.25  # How long, where nothing will follow.
+_SILENCE = 0.75  # Part of the loss that must have been silence; the rest allows for a read that was under way.
+# The lag stands still within the larger of 3 ms (a busy host) and twice the jitter of the line of earliest arrivals.
+_FINEST_S = 0.003
+_SPREADS = 2.0
+_COARSEST = 1 / 8  # Part of a unit by which the lag may be off, where there is nothing else to go by.
 _COARSEST_WITH_FAULT = 1 / 4
+# Least loss without a trace where single samples are the unit: radio links and networks slow down by less.
 _LEAST_SILENT_S = 1.0
-"""Least loss without a trace where single samples are the unit: radio links and networks slow down by less."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TimedBlock:
     """A block with its time. The arrays are changed in place when a loss before them is found."""
 
@@ -141,7 +135,13 @@ class TimedBlock:
     def part(self, begin: int, end: int, arrival_s: float) -> TimedBlock:
         """Return some of the samples, which arrived by ``arrival_s``; the arrays are views."""
         rows = slice(begin, end)
-        return TimedBlock(self.block[rows], self.time_s[rows], self.flags[rows], self.fault[rows], arrival_s)
+        return TimedBlock(
+            block=self.block[rows],
+            time_s=self.time_s[rows],
+            flags=self.flags[rows],
+            fault=self.fault[rows],
+            arrival_s=arrival_s,
+        )
 
 
 class LossWatch:
@@ -157,19 +157,15 @@ class LossWatch:
 
     def __init__(self, unit_s: float, smallest_s: float) -> None:
         self.baseline = HostBaseline()
-        self.lost_units = 0
-        """Units found missing so far; the sample clock behind them must move on by so much."""
-        self.units_taken_back = 0
-        """Units that were not missing after all; the sample clock stays as it is."""
-        self.gaps = 0
-        """Gaps found that were not flagged before."""
+        self.lost_units = 0  # Units found missing so far; the sample clock behind them must move on by so much.
+        self.units_taken_back = 0  # Units that were not missing after all; the sample clock stays as it is.
+        self.gaps = 0  # Gaps found that were not flagged before.
         self._unit_s = unit_s
         self._smallest_s = smallest_s
         self._held: list[tuple[TimedBlock, float]] = []
         self._last_arrival_s = math.nan
         self._silence_s = 0.0
-        self._believed = 0
-        """Units found missing that an early arrival would disprove."""
+        self._believed = 0  # Units found missing that an early arrival would disprove.
 
     def passes(self, arrival_s: float, last_s: float) -> bool:
         """Take note of a block up to ``last_s`` if it is in time and nothing is held back; return whether it was.

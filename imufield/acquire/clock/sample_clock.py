@@ -27,15 +27,12 @@ from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.errors import ProtocolError, Reason
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status
 
-_FREE_LAG_S = 0.25
-"""Lag that counts as loss where there is no counter: above the usual delays of a busy host."""
+_FREE_LAG_S = 0.25  # Lag that counts as loss where there is no counter: above the usual delays of a busy host.
 _HALF_A_SAMPLE = 0.5
-_MEASURE_RATE_S = 0.5
-"""Host time over which the rate is first measured where the instrument sends neither counter nor time."""
+_MEASURE_RATE_S = 0.5  # Host time over which the rate is first measured where the instrument sends neither counter nor time.
+# Part by which the stated rate of increments may differ from the learned one: coarse time stamps learn badly.
 _LARGEST_RATE_ERROR = 0.25
-"""Part by which the stated rate of increments may differ from the learned one: coarse time stamps learn badly."""
-_SLEW = 0.1
-"""Largest part by which steps are stretched to follow the host clock."""
+_SLEW = 0.1  # Largest part by which steps are stretched to follow the host clock.
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,23 +72,21 @@ class SampleClock:
         self._statistics = statistics
         self._has_time = bool(rule.time_field)
         self._has_counter = bool(rule.counter_field)
+        # Which of time stamp, counter and host clock to go by is settled: not every stream has what its protocol has.
         self._chosen = False
-        """Which of time stamp, counter and host clock to go by is settled: not every stream has what its protocol has."""
         self._steps = StepRule()
         self._watch = LossWatch(1.0, 1.0)
         self._early: list[tuple[RawBlock, float]] = []
         self._started = False
         self._stamps = StampClock(rule)
         self._last_counter = 0
-        self._stamped_step_s = 0.0
-        """Regular step by the first time stamps, where a counter comes beside them."""
+        self._stamped_step_s = 0.0  # Regular step by the first time stamps, where a counter comes beside them.
         # Without time stamps, time is origin_s + ticks / tick_rate_hz: whole numbers, so that nothing adds up.
         self._tick_rate_hz = 1.0
         self._ticks = 0
         self._unit_ticks = 1
         self._origin_s = 0.0
-        self._shift_s = 0.0
-        """Added to even steps to follow the host clock, where there is neither time nor counter."""
+        self._shift_s = 0.0  # Added to even steps to follow the host clock, where there is neither time nor counter.
 
     def push(self, block: RawBlock, arrivals: Arrivals) -> Samples | None:
         """Return the samples whose time is settled now, None if there are none.
@@ -222,7 +217,9 @@ class SampleClock:
         found = self._steps.examine(steps)
         if self._rule.gaps_told:
             self._count_told(block.status, found.lost)
-            return TimedBlock(block, time_s, flags, np.zeros(len(block), dtype=np.bool_), math.nan)
+            return TimedBlock(
+                block=block, time_s=time_s, flags=flags, fault=np.zeros(len(block), dtype=np.bool_), arrival_s=math.nan
+            )
         flags[found.irregular & ~found.inexact] |= np.uint32(Status.AFTER_GAP)
         flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
         unaccounted = np.abs(block.skipped_before - found.lost) > _HALF_A_SAMPLE
@@ -231,7 +228,7 @@ class SampleClock:
         self._statistics.samples_lost += int(found.lost.sum())
         if not (self._has_time or self._has_counter):
             flags |= np.uint32(Status.TIME_ESTIMATED)
-        return TimedBlock(block, time_s, flags, fault, math.nan)
+        return TimedBlock(block=block, time_s=time_s, flags=flags, fault=fault, arrival_s=math.nan)
 
     def _count_told(self, status: NDArray[np.uint32], lost: IntArray) -> None:
         """Count the losses that the samples themselves tell of; how many there are is in the time."""
@@ -297,13 +294,13 @@ class SampleClock:
         self._statistics.samples += len(block)
         self._measure()
         return Samples(
-            time_s,
-            block.accelerometer,
-            block.gyroscope,
-            block.temperature_degc,
-            block.counter,
-            block.status | flags,
-            self._units,
+            time_s=time_s,
+            accelerometer=block.accelerometer,
+            gyroscope=block.gyroscope,
+            temperature_degc=block.temperature_degc,
+            counter=block.counter,
+            status=block.status | flags,
+            units=self._units,
         )
 
     def _follow_host(self, timed: TimedBlock) -> FloatArray:

@@ -20,12 +20,9 @@ from imufield.samples import FloatArray, IntArray
 
 LEARN_FROM = 8
 """Steps from which the regular one is learned."""
-_RELEARN_AFTER = 16
-"""Equal irregular steps in a row: at 2000 Hz 8 ms, and no pattern of losses is that regular."""
-_SHORTEST_S = 1e-6
-"""No instrument sends a million samples per second; steps below are rounding."""
-_TOLERANCE = 0.25
-"""Time stamps may jitter by this part of a step and still count as equal."""
+_RELEARN_AFTER = 16  # Equal irregular steps in a row: at 2000 Hz 8 ms, and no pattern of losses is that regular.
+_SHORTEST_S = 1e-6  # No instrument sends a million samples per second; steps below are rounding.
+_TOLERANCE = 0.25  # Time stamps may jitter by this part of a step and still count as equal.
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +51,7 @@ class StepRule:
     def __init__(self, allowed: tuple[int, ...] = (), jitter: int = 0) -> None:
         self._allowed = allowed
         self._jitter = jitter
-        self.step = 0.0
-        """The regular step; 0 while not learned."""
+        self.step = 0.0  # The regular step; 0 while not learned.
         self._run_value = 0.0
         self._run_length = 0
 
@@ -123,10 +119,9 @@ class StepRule:
 NO_TICKS = np.iinfo(np.int64).min
 """Time stamp of a sample that has none, where others have whole numbers; NaN where others have fractions."""
 
-_LARGEST_TIME_S = 1e11
-"""3000 years; in an unchecked stream anything further from zero, infinity and NaN are garbage."""
+_LARGEST_TIME_S = 1e11  # 3000 years; in an unchecked stream anything further from zero, infinity and NaN are garbage.
+# A time stamp further ahead than this is a clock being set, e.g. by GNSS, not an hour without samples.
 _LONGEST_PAUSE_S = 3600.0
-"""A time stamp further ahead than this is a clock being set, e.g. by GNSS, not an hour without samples."""
 
 
 @dataclass(frozen=True, slots=True)

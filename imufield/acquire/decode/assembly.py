@@ -34,15 +34,12 @@ class FrameJoin:
     """
 
     def __init__(self, rule: JoinRule) -> None:
-        self.kinds = rule.needs
-        """Kinds that take part; their place here is their number."""
+        self.kinds = rule.needs  # Kinds that take part; their place here is their number.
         self._start = rule.needs.index(rule.starts_with)
+        # Frames of a sample that is not complete yet, at most one of each kind.
         self._open: tuple[Kinds, RawBlock] | None = None
-        """Frames of a sample that is not complete yet, at most one of each kind."""
-        self._lost = 0
-        """Samples that were not completed since the last good one."""
-        self._was_complete = False
-        """Whether the newest frame belongs to a complete sample."""
+        self._lost = 0  # Samples that were not completed since the last good one.
+        self._was_complete = False  # Whether the newest frame belongs to a complete sample.
 
     def add(self, kinds: Kinds, block: RawBlock) -> RawBlock | None:
         """Return the samples that are complete now.
@@ -122,11 +119,10 @@ class FrameJoin:
         )
 
 
-_FAR = 2.0**62
-"""Bound on time stamps in ns, for bits that are no time."""
+_FAR = 2.0**62  # Bound on time stamps in ns, for bits that are no time.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RawBlock:
     """n samples that have no time yet. NaN where a value is not available."""
 
@@ -150,15 +146,15 @@ class RawBlock:
 
     def __getitem__(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp]) -> RawBlock:
         return RawBlock(
-            self.accelerometer[rows],
-            self.gyroscope[rows],
-            self.temperature_degc[rows],
-            self.counter[rows],
-            self.ticks[rows] if len(self.ticks) else self.ticks,
-            self.status[rows],
-            self.lost_before[rows],
-            self.skipped_before[rows],
-            self.stream_end[rows],
+            accelerometer=self.accelerometer[rows],
+            gyroscope=self.gyroscope[rows],
+            temperature_degc=self.temperature_degc[rows],
+            counter=self.counter[rows],
+            ticks=self.ticks[rows] if len(self.ticks) else self.ticks,
+            status=self.status[rows],
+            lost_before=self.lost_before[rows],
+            skipped_before=self.skipped_before[rows],
+            stream_end=self.stream_end[rows],
         )
 
 
@@ -167,15 +163,15 @@ def join(blocks: list[RawBlock]) -> RawBlock:
     if len(blocks) == 1:
         return blocks[0]
     return RawBlock(
-        np.concatenate([block.accelerometer for block in blocks]),
-        np.concatenate([block.gyroscope for block in blocks]),
-        np.concatenate([block.temperature_degc for block in blocks]),
-        np.concatenate([block.counter for block in blocks]),
-        np.concatenate([block.ticks for block in blocks]),
-        np.concatenate([block.status for block in blocks]),
-        np.concatenate([block.lost_before for block in blocks]),
-        np.concatenate([block.skipped_before for block in blocks]),
-        np.concatenate([block.stream_end for block in blocks]),
+        accelerometer=np.concatenate([block.accelerometer for block in blocks]),
+        gyroscope=np.concatenate([block.gyroscope for block in blocks]),
+        temperature_degc=np.concatenate([block.temperature_degc for block in blocks]),
+        counter=np.concatenate([block.counter for block in blocks]),
+        ticks=np.concatenate([block.ticks for block in blocks]),
+        status=np.concatenate([block.status for block in blocks]),
+        lost_before=np.concatenate([block.lost_before for block in blocks]),
+        skipped_before=np.concatenate([block.skipped_before for block in blocks]),
+        stream_end=np.concatenate([block.stream_end for block in blocks]),
     )
 
 
@@ -206,8 +202,8 @@ class FrameReader:
             if (when := getattr(protocol.samples, part).scale_when) and (field := layout.field(when.field))
         }
         self._may_be_garbage = any(field.type[0] == "f" for field in (*self._accelerometer, *self._gyroscope))
+        # False for frames that carry other things, e.g. a magnetometer alone.
         self.has_samples = bool(self._accelerometer or self._gyroscope)
-        """False for frames that carry other things, e.g. a magnetometer alone."""
         names = dict.fromkeys([flag.field for flag in rule.flags] + [name for name, _ in rule.instrument_status])
         self._status = [
             _StatusReader(field, [flag for flag in rule.flags if flag.field == name], dict(rule.instrument_status).get(name))
@@ -230,15 +226,15 @@ class FrameReader:
         if self._may_be_garbage:
             status |= _not_numbers(accelerometer, gyroscope)
         return RawBlock(
-            accelerometer,
-            gyroscope,
-            temperature_degc,
-            np.full(n, NO_COUNTER) if self._counter is None else self._counter.raw(rows).astype(np.int64),
-            self._ticks.read(rows),
-            status,
-            np.zeros(n, dtype=np.int64),
-            skipped_before / self.length,
-            starts + self.length,
+            accelerometer=accelerometer,
+            gyroscope=gyroscope,
+            temperature_degc=temperature_degc,
+            counter=np.full(n, NO_COUNTER) if self._counter is None else self._counter.raw(rows).astype(np.int64),
+            ticks=self._ticks.read(rows),
+            status=status,
+            lost_before=np.zeros(n, dtype=np.int64),
+            skipped_before=skipped_before / self.length,
+            stream_end=starts + self.length,
         )
 
     def _read_temperature(self, rows: Rows) -> FloatArray:

@@ -24,35 +24,31 @@ from imufield.acquire.protocol.can_protocol import AssemblyRule
 from imufield.samples import FloatArray, IntArray
 
 NO_FRAME = -1
-_LEARN_FRAMES = 24
-"""Frames of sample kinds from which the order is learned; 0.12 s of two messages at 100 Hz."""
-_LEARN_UNEVEN_FRAMES, _LEARN_UNEVEN_S = 96, 2.0
-"""The same, and the longest time, where the kinds come at different rates: a kind with every tenth sample comes eight times."""
+_LEARN_FRAMES = 24  # Frames of sample kinds from which the order is learned; 0.12 s of two messages at 100 Hz.
+# The same, and the longest time, where the kinds come at different rates: a kind with every tenth sample comes eight times.
+_LEARN_UNEVEN_FRAMES = 96
+_LEARN_UNEVEN_S = 2.0
+# Kinds differ in rate if one comes less often than this, compared with the most frequent one: more than a slower one comes, so
+# that none is missed; to listen longer in vain costs nothing else.
 _EVEN_PART = 0.85
-"""Kinds differ in rate if one comes less often than this, compared with the most frequent one: more than a slower one comes,
-so that none is missed; to listen longer in vain costs nothing else."""
-_FEWEST_INTERVALS, _MOST_OFF = 3, 2.0
-"""Frames of a slower kind are even if more than so many are there, and none is off its turn by more samples than a loss or two
-make: what comes on demand is in no turn."""
+# Frames of a slower kind are even if more than so many are there, and none is off its turn by more samples than a loss or two
+# make: what comes on demand is in no turn.
+_FEWEST_INTERVALS = 3
+_MOST_OFF = 2.0
+# Samples to one frame, on average, of a kind that is slower; of one that comes with each a fifth would have to be lost.
 _SLOWER = 1.25
-"""Samples to one frame, on average, of a kind that is slower; of one that comes with each a fifth would have to be lost."""
+# A sample that so many frames could not complete is closed, whatever the time stamps say: memory stays bounded.
 _OPEN_FRAMES = 4096
-"""A sample that so many frames could not complete is closed, whatever the time stamps say: memory stays bounded."""
-_LATE_FRAMES = 32
-"""By counter: how many frames of samples a frame may come late or early where time stamps tell nothing."""
-_PERIOD_PART = 0.75
-"""A frame that comes later than this part of the period is of another sample."""
-_LEAST_LIMIT_S, _LOOSE_LIMIT_S = 0.05, 0.2
-"""A host under load hands over the second frame of a sample so much later, whatever the period; the latter where stamps are
-made when a buffer is read."""
-_DOUBLED_PART = 0.25
-"""Two equal frames in a row are the same one if the second comes within this part of the period."""
-_CLEAR = 2.0
-"""Factor by which the longest pause must exceed all others; stamps made while reading a buffer show none."""
-_FEWEST = 4
-"""Frames of each kind before pauses are believed."""
-_USUAL_PART = 0.7
-"""A kind that may begin samples comes at least this often, compared with the most frequent one."""
+_LATE_FRAMES = 32  # By counter: how many frames of samples a frame may come late or early where time stamps tell nothing.
+_PERIOD_PART = 0.75  # A frame that comes later than this part of the period is of another sample.
+# A host under load hands over the second frame of a sample so much later, whatever the period; the latter where stamps are made
+# when a buffer is read.
+_LEAST_LIMIT_S = 0.05
+_LOOSE_LIMIT_S = 0.2
+_DOUBLED_PART = 0.25  # Two equal frames in a row are the same one if the second comes within this part of the period.
+_CLEAR = 2.0  # Factor by which the longest pause must exceed all others; stamps made while reading a buffer show none.
+_FEWEST = 4  # Frames of each kind before pauses are believed.
+_USUAL_PART = 0.7  # A kind that may begin samples comes at least this often, compared with the most frequent one.
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,10 +104,8 @@ class Assembler:
         self._start = 0 if self._kinds == 1 else rule.starts_with
         self._limit_s = self._doubled_s = rule.limit_s
         self._learned = self._kinds == 1
-        self.samples_each = [1] * self._kinds
-        """Samples to one frame of each kind; 1 while it is not learned."""
-        self._done = 0
-        """By counter: samples given out of those that begin with the first frames of the next block."""
+        self.samples_each = [1] * self._kinds  # Samples to one frame of each kind; 1 while it is not learned.
+        self._done = 0  # By counter: samples given out of those that begin with the first frames of the next block.
 
     @property
     def start(self) -> int:

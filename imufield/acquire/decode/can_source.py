@@ -28,12 +28,14 @@ from imufield.acquire.protocol.can_protocol import (
 )
 from imufield.samples import INSTRUMENT_STATUS_SHIFT, NO_COUNTER, FloatArray, IntArray, Status
 
-_NO_KIND, _SHORT = -1, -2
+_NO_KIND = -1
+_SHORT = -2
 _VALUES = TEMPERATURE + 1
-_ACCELEROMETER, _GYROSCOPE = slice(0, 3), slice(3, 6)
+_ACCELEROMETER = slice(0, 3)
+_GYROSCOPE = slice(3, 6)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CanBlock:
     """n samples that have no time yet."""
 
@@ -52,7 +54,13 @@ class CanBlock:
 
     def __getitem__(self, rows: slice | NDArray[np.bool_]) -> CanBlock:
         ticks = self.ticks[rows] if len(self.ticks) else self.ticks
-        return CanBlock(self.values[rows], self.status[rows], self.counter[rows], ticks, self.stamp_s[rows])
+        return CanBlock(
+            values=self.values[rows],
+            status=self.status[rows],
+            counter=self.counter[rows],
+            ticks=ticks,
+            stamp_s=self.stamp_s[rows],
+        )
 
 
 def join_blocks(blocks: list[CanBlock]) -> CanBlock:
@@ -60,11 +68,11 @@ def join_blocks(blocks: list[CanBlock]) -> CanBlock:
     if len(blocks) == 1:
         return blocks[0]
     return CanBlock(
-        np.concatenate([block.values for block in blocks]),
-        np.concatenate([block.status for block in blocks]),
-        np.concatenate([block.counter for block in blocks]),
-        np.concatenate([block.ticks for block in blocks]),
-        np.concatenate([block.stamp_s for block in blocks]),
+        values=np.concatenate([block.values for block in blocks]),
+        status=np.concatenate([block.status for block in blocks]),
+        counter=np.concatenate([block.counter for block in blocks]),
+        ticks=np.concatenate([block.ticks for block in blocks]),
+        stamp_s=np.concatenate([block.stamp_s for block in blocks]),
     )
 
 
@@ -84,8 +92,7 @@ class CanSource:
         self._statistics = statistics
         self._keep = keep
         self._unpacker = Unpacker()
-        self._put_back = 0
-        """Frames of the next block that were counted before."""
+        self._put_back = 0  # Frames of the next block that were counted before.
         self._address = rule.source_address
         self._kinds = [_KindReader(kind) for kind in rule.kinds]
         self._match_address()
@@ -93,8 +100,8 @@ class CanSource:
         self._inertial = [
             number for number, kind in enumerate(rule.kinds) if any(column.place < TEMPERATURE for column in kind.columns)
         ]
+        # By number of a slower kind: data of its last frame, and how many samples ago that was.
         self._standing: dict[int, tuple[NDArray[np.uint8], int]] = {}
-        """By number of a slower kind: data of its last frame, and how many samples ago that was."""
         self._bytes_needed = max(reader.bytes_needed for reader in self._kinds)
         self._assembler = Assembler(rule.assembly, [rule.dbc.identifier(kind.message.name) for kind in rule.kinds])
 
@@ -244,20 +251,22 @@ class CanSource:
         for number, reader in enumerate(self._kinds):
             which = rows[:, number]
             if number in self._inertial and (each := self._assembler.samples_each[number]) > 1:
-                has_gaps |= self._read_slower(frames, number, each, which, into)
+                has_gaps |= self._read_slower(frames, number, each, which, into=into)
             elif is_complete or (which >= 0).all():
                 has_gaps |= reader.read(reader.data(frames, which), into, slice(None))
             elif len(there := np.flatnonzero(which >= 0)):
                 reader.read(reader.data(frames, which[there]), into, there)
         if has_gaps:
             self._flag_gaps(values, status)
-        block = CanBlock(values.T, status, counter, ticks, frames.time_s[rows[:, self._assembler.start]])
+        block = CanBlock(
+            values=values.T, status=status, counter=counter, ticks=ticks, stamp_s=frames.time_s[rows[:, self._assembler.start]]
+        )
         if is_complete:
             return block
         # What carries neither acceleration nor rate is no sample.
         return block[np.asarray((rows[:, self._inertial] >= 0).any(axis=1))]
 
-    def _read_slower(self, frames: CanFrames, number: int, samples_each: int, which: IntArray, into: Rows) -> bool:
+    def _read_slower(self, frames: CanFrames, number: int, samples_each: int, which: IntArray, *, into: Rows) -> bool:
         """Read the frames of a kind that comes with some samples only; between them its values stand, and are flagged so."""
         reader, n = self._kinds[number], len(which)
         there = np.flatnonzero(which >= 0)

@@ -17,18 +17,18 @@ from imufield.acquire.protocol.layout import Layout, Rows
 Bytes = NDArray[np.uint8]
 Positions = NDArray[np.intp]
 
-INVALID, VALID, INCOMPLETE = 0, 1, 2
+INVALID = 0
+VALID = 1
+INCOMPLETE = 2
 NO_SHAPE = -1
-_SHAPES_TRIED = 16
-"""Known shapes that are compared with many frames at once; an instrument sends one to ten of one length."""
+_SHAPES_TRIED = 16  # Known shapes that are compared with many frames at once; an instrument sends one to ten of one length.
 _SHAPES_KEPT = 1024
-_GROUPS_OF_LENGTHS = 8
-"""Frames of so many lengths are checked length by length; more (candidates in noise) all at once."""
-_FEW = 256
-"""Numbers up to which a set is faster than a sort."""
+_GROUPS_OF_LENGTHS = 8  # Frames of so many lengths are checked length by length; more (candidates in noise) all at once.
+_FEW = 256  # Numbers up to which a set is faster than a sort.
+# Bytes of frames of many lengths checked together: bounds memory to some 20 MB, 40 bytes for each.
 _BYTES_CHECKED_AT_ONCE = 1 << 19
-"""Bytes of frames of many lengths checked together: bounds memory to some 20 MB, 40 bytes for each."""
-_LENGTH_BITS, _KEY_BITS = 17, 32
+_LENGTH_BITS = 17
+_KEY_BITS = 32
 
 
 class FormCheck:
@@ -171,7 +171,7 @@ class FormCheck:
         places = np.flatnonzero(good)
         batch = np.cumsum(covered[places]) // _BYTES_CHECKED_AT_ONCE
         for part in np.split(places, np.flatnonzero(np.diff(batch)) + 1):
-            good[part] = _sent_is(form.checksum, form, buffer, starts[part], ends[part], covered[part])
+            good[part] = _sent_is(form.checksum, form, buffer, starts[part], ends=ends[part], covered=covered[part])
         return good
 
     def _lengths_of(self, buffer: Bytes, starts: Positions) -> Positions:
@@ -221,8 +221,8 @@ class FrameCheck:
     def __init__(self, rule: FrameRule) -> None:
         self._forms = [FormCheck(form) for form in rule.forms]
         self._can_begin = np.logical_or.reduce([form.first_bytes() for form in self._forms])
+        # Whether frames of several lengths are usual in one stream.
         self.mixes_lengths = any(form.form.length or form.form.masks for form in self._forms) or len(self._forms) > 1
-        """Whether frames of several lengths are usual in one stream."""
         self._shapes: dict[int, Shape] = {}
         self._families: dict[int, list[int]] = {}
         self._next = 0
@@ -454,7 +454,7 @@ def _have(rows: Rows, shape: Shape) -> NDArray[np.bool_]:
 
 
 def _sent_is(
-    checksum: Checksum, form: FrameForm, buffer: Bytes, starts: Positions, ends: Positions, covered: Positions
+    checksum: Checksum, form: FrameForm, buffer: Bytes, starts: Positions, *, ends: Positions, covered: Positions
 ) -> NDArray[np.bool_]:
     """Return where the checksum before ``ends`` is that of the ``covered`` bytes."""
     values = checksum.of_spans(buffer, starts + form.checksum_from, covered)

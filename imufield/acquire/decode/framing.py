@@ -30,17 +30,19 @@ from imufield.acquire.protocol.layout import Layout, Rows
 Bytes = NDArray[np.uint8]
 Positions = NDArray[np.intp]
 
-_FIRST_RUN, _LONGEST_RUN = 32, 8192
-"""Frames checked together: the first guess after a disturbance, and the bound on memory (8 bytes for each byte checked)."""
-_FIRST_WINDOW, _LONGEST_WINDOW = 128, 8192
-"""Positions searched together: about three frames after a disturbance, many in noise."""
-_FIRST_CHAIN, _LONGEST_CHAIN = 1 << 10, 1 << 16
-"""Bytes in which headers are followed from one to the next."""
-_SAME_AGAIN = 64
-"""Frames of one length in a row after which a stream is taken to go on like that."""
+# Frames checked together: the first guess after a disturbance, and the bound on memory (8 bytes for each byte checked).
+_FIRST_RUN = 32
+_LONGEST_RUN = 8192
+# Positions searched together: about three frames after a disturbance, many in noise.
+_FIRST_WINDOW = 128
+_LONGEST_WINDOW = 8192
+# Bytes in which headers are followed from one to the next.
+_FIRST_CHAIN = 1 << 10
+_LONGEST_CHAIN = 1 << 16
+_SAME_AGAIN = 64  # Frames of one length in a row after which a stream is taken to go on like that.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FrameBlock:
     """The frames of one feed, in the order of the stream."""
 
@@ -69,8 +71,8 @@ class _Found:
 
     starts: list[Positions] = field(default_factory=list)
     shapes: list[NDArray[np.int64]] = field(default_factory=list)
+    # Offsets of frames that follow skipped bytes, and how many.
     skipped_before: list[tuple[Positions, NDArray[np.int64]]] = field(default_factory=list)
-    """Offsets of frames that follow skipped bytes, and how many."""
 
 
 class Framer:
@@ -88,18 +90,13 @@ class Framer:
         self._origin = 0
         self._run = _FIRST_RUN
         self._window = _FIRST_WINDOW
-        self._is_mixed = False
-        """Frames of different lengths came one behind another."""
+        self._is_mixed = False  # Frames of different lengths came one behind another.
         self._chain = _FIRST_CHAIN
-        self._cut_at = -1
-        """Where in the buffer a frame is known to begin that is not complete yet."""
-        self._behind_frame = False
-        """The last byte passed belongs to a frame, so a trailer may follow."""
-        self._skipped_here = 0
-        """Bytes passed over since the last frame."""
+        self._cut_at = -1  # Where in the buffer a frame is known to begin that is not complete yet.
+        self._behind_frame = False  # The last byte passed belongs to a frame, so a trailer may follow.
+        self._skipped_here = 0  # Bytes passed over since the last frame.
         self.bytes_skipped = 0
-        self.frames_bad_checksum = 0
-        """Headers of a known kind, right behind a good frame, whose checksum does not fit."""
+        self.frames_bad_checksum = 0  # Headers of a known kind, right behind a good frame, whose checksum does not fit.
 
     def layout(self, shape: int) -> Layout:
         """Return the layout of a shape of the newest block."""
@@ -168,7 +165,9 @@ class Framer:
         if good.all() and joined.all():
             self._run = min(2 * self._run, _LONGEST_RUN)
             return self._accept(found, starts, self._run_shapes(buffer, starts, length, shape), length)
-        return self._take_broken_run(buffer, _Run(starts, length, step, shape, good, joined), found)
+        return self._take_broken_run(
+            buffer, _Run(starts=starts, length=length, step=step, shape=shape, good=good, joined=joined), found
+        )
 
     def _take_broken_run(self, buffer: Bytes, run: _Run, found: _Found) -> int:
         """Take the good frames of a run up to where it ends, single bad ones between them left out."""
@@ -273,7 +272,7 @@ class Framer:
         skipped_before = np.zeros(len(starts), dtype=np.int64)
         for offsets, skipped in found.skipped_before:
             skipped_before[np.searchsorted(starts, offsets)] = skipped
-        return FrameBlock(buffer, starts, shapes, skipped_before, self._origin)
+        return FrameBlock(data=buffer, starts=starts, shapes=shapes, skipped_before=skipped_before, origin=self._origin)
 
 
 def _follow(starts: Positions, ends: Positions) -> list[int]:
@@ -288,15 +287,13 @@ def _follow(starts: Positions, ends: Positions) -> list[int]:
     return chain
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Run:
     """Frames assumed one behind another."""
 
     starts: Positions
     length: int
     step: int
-    shape: int
-    """What all have in common, ``NO_SHAPE`` where there may be several."""
+    shape: int  # What all have in common, ``NO_SHAPE`` where there may be several.
     good: NDArray[np.bool_]
-    joined: NDArray[np.bool_]
-    """Whether the trailer behind each frame is there; true where none is expected."""
+    joined: NDArray[np.bool_]  # Whether the trailer behind each frame is there; true where none is expected.

@@ -10,13 +10,11 @@ from imufield.samples import Status
 
 LEFT_OUT = "without a sample"
 """Kind under which frames of a bus are counted that belong to no sample."""
-_FEW_LEFT_OUT = 10
-"""A stream begins and ends within a sample, and a bus sends a frame again now and then."""
-_MANY_PERCENT = 25.0
-"""Of the samples incomplete: more than a bus loses that works."""
+_FEW_LEFT_OUT = 10  # A stream begins and ends within a sample, and a bus sends a frame again now and then.
+_MANY_PERCENT = 25.0  # Of the samples incomplete: more than a bus loses that works.
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class DecoderStatistics:
     """What went through a decoder since it was made."""
 

@@ -160,12 +160,9 @@ class LineReader:
         self._delimiter_known = rule.delimiter != "auto"
         self._rest = b""
         self._too_long = False
-        self._offset = 0
-        """Of the bytes that are done with, in the stream."""
-        self._lost = 0
-        """Bad lines since the last good one."""
-        self._seen_line = False
-        """Numbers were seen, so a line of words is no header any more."""
+        self._offset = 0  # Of the bytes that are done with, in the stream.
+        self._lost = 0  # Bad lines since the last good one.
+        self._seen_line = False  # Numbers were seen, so a line of words is no header any more.
 
     def feed(self, data: bytes) -> RawBlock | None:
         """Return the samples of the lines that are complete now."""
@@ -273,15 +270,15 @@ class LineReader:
         counter = column.get("counter")
         time = column.get("time")
         return RawBlock(
-            self._triad(rows, "accelerometer", ("ax", "ay", "az")),
-            self._triad(rows, "gyroscope", ("gx", "gy", "gz")),
-            rows[:, column["temperature"]].copy() if "temperature" in column else np.full(len(rows), np.nan),
-            np.full(len(rows), NO_COUNTER) if counter is None else rows[:, counter].astype(np.int64),
-            np.empty(0) if time is None else rows[:, time].copy(),
-            np.zeros(len(rows), dtype=np.uint32),
-            lost,
-            lost.astype(np.float64),
-            ends,
+            accelerometer=self._triad(rows, "accelerometer", ("ax", "ay", "az")),
+            gyroscope=self._triad(rows, "gyroscope", ("gx", "gy", "gz")),
+            temperature_degc=rows[:, column["temperature"]].copy() if "temperature" in column else np.full(len(rows), np.nan),
+            counter=np.full(len(rows), NO_COUNTER) if counter is None else rows[:, counter].astype(np.int64),
+            ticks=np.empty(0) if time is None else rows[:, time].copy(),
+            status=np.zeros(len(rows), dtype=np.uint32),
+            lost_before=lost,
+            skipped_before=lost.astype(np.float64),
+            stream_end=ends,
         )
 
     def _triad(self, rows: FloatArray, part: str, names: tuple[str, ...]) -> FloatArray:

@@ -45,8 +45,7 @@ RuntimeError, the others come out of the parsing of sizes, names and (NumPy) a h
 NUMBERS = "iufb"
 """Kinds of data in NumPy that are numbers: whole, without sign, floating, truth values."""
 DATES = "M"
-_OWN = "imufield_"
-"""What our own exports state of their numbers begins with this."""
+_OWN = "imufield_"  # What our own exports state of their numbers begins with this.
 
 
 def read_mat(path: Path) -> tuple[Arrays, Mapping[Any, Any]]:

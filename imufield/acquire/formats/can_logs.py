@@ -46,6 +46,7 @@ SUFFIXES = tuple(suffix for suffix in _READERS if suffix != _TABLE)
 """Logs this module reads, packed with gzip too; besides, tables of python-can."""
 _BINARY = (".blf",)
 _HEAD_BYTES = 256
+# What logs begin with.
 _HEADS = {
     ".log": rb"\s*\(\d+\.\d+\)\s",
     ".asc": rb"(?i)\s*(date|base)\s",
@@ -54,7 +55,7 @@ _HEADS = {
     ".mf4": rb"MDF",
     _TABLE: rb"timestamp,arbitration_id,",
 }
-"""What logs begin with."""
+# What python-can's readers raise in files that are cut short or of another kind.
 _DAMAGE = (
     ValueError,
     IndexError,
@@ -68,9 +69,7 @@ _DAMAGE = (
     can.CanError,
     BLFParseError,
 )
-"""What python-can's readers raise in files that are cut short or of another kind."""
-_EPOCH_S = 1e8
-"""Time stamps below 1973 count from the start of the log, not from 1970."""
+_EPOCH_S = 1e8  # Time stamps below 1973 count from the start of the log, not from 1970.
 
 
 def is_can_log(path: str | Path) -> bool:

@@ -20,8 +20,8 @@ from imufield.samples import SAMPLE_COLUMNS, FloatArray, Status
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 _MAGIC = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\0")
+# Stamps beyond 1973 count from 1970: whole seconds of the first are taken off, since a float holds only 0.2 us there.
 _EPOCH_S = 100_000_000
-"""Stamps beyond 1973 count from 1970: whole seconds of the first are taken off, since a float holds only 0.2 us there."""
 _BATCH = 1 << 14
 
 
@@ -151,7 +151,9 @@ def _table(path: Path, rows: FloatArray, said: tuple[str, ...]) -> ArrayTable:
     # The flags are those of values: of gaps a recording of ROS says nothing.
     settings: dict[str, str | float] = {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s", "status": "true"}
     units = ("s", *[""] * (len(SAMPLE_COLUMNS) - 1))
-    return ArrayTable(path, SAMPLE_COLUMNS, values, units, settings, None, said)
+    return ArrayTable(
+        path=path, header=SAMPLE_COLUMNS, values=values, units=units, settings=settings, raw_zero=None, assumptions=said
+    )
 
 
 def _cause(error: BaseException) -> str:

@@ -26,16 +26,16 @@ from imufield.acquire.formats.table_columns import named_column
 from imufield.errors import Reason, RecordingError, UsageError, shortened
 from imufield.samples import AXES, FloatArray
 
-MATLAB_7_3, MATLAB_5 = b"MATLAB 7.3", b"MATLAB 5.0"
+MATLAB_7_3 = b"MATLAB 7.3"
+MATLAB_5 = b"MATLAB 5.0"
 _MATLAB_4_TYPES = 5000
 _MAGIC_BYTES = 16
-_MOST_COLUMNS = 64
-"""A matrix with no more rows than this and more columns is written on its side, as MATLAB does in HDF5."""
+_MOST_COLUMNS = 64  # A matrix with no more rows than this and more columns is written on its side, as MATLAB does in HDF5.
+# Environment of the process that reads: what is taken of its address space for nothing is lost to the numbers.
 _QUIET = {"OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
-"""Environment of the process that reads: what is taken of its address space for nothing is lost to the numbers."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ArrayTable:
     """Columns that are in memory, in the form of a ``TextTable``.
 
@@ -93,13 +93,10 @@ def array_reader(path: Path) -> Callable[[Path], ArrayTable] | None:
 class _Kind:
     """A kind of file of arrays."""
 
-    name: str
-    """For ``array_file_reader``."""
+    name: str  # For ``array_file_reader``.
     words: str
-    package: str
-    """That reads it."""
-    extra: str = ""
-    """That it comes with; empty where it comes with imufield."""
+    package: str  # That reads it.
+    extra: str = ""  # That it comes with; empty where it comes with imufield.
 
 
 _MATLAB = _Kind("mat", "MATLAB file", "scipy")
@@ -189,11 +186,14 @@ def _table(path: Path, arrays: Mapping[str, NDArray[Any]], stated: Mapping[str, 
     if any(times):
         said += (f"{path.name}: dates count in seconds from the first row.",)
     if len(used) == 1 and values.shape[1] > 1:
-        return ArrayTable(path, None, values, assumptions=said)
+        return ArrayTable(path=path, header=None, values=values, assumptions=said)
     short = _without_group(list(used))
     names = tuple(one for name, array in zip(short, used.values(), strict=True) for one in _names(name, array.shape[1]))
     units = tuple("s" if is_date else "" for array, is_date in zip(columns, times, strict=True) for _ in range(array.shape[1]))
-    return ArrayTable(path, names, values, units, *_stated(stated), said)
+    settings, raw_zero = _stated(stated)
+    return ArrayTable(
+        path=path, header=names, values=values, units=units, settings=settings, raw_zero=raw_zero, assumptions=said
+    )
 
 
 def _without_group(names: list[str]) -> list[str]:

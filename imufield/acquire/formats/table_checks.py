@@ -16,8 +16,7 @@ from imufield.acquire.formats.table_text import TextTable
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, Status
 
-_GAP_STEPS = 1.5
-"""Between two samples further apart than this, in median steps, nothing is interpolated."""
+_GAP_STEPS = 1.5  # Between two samples further apart than this, in median steps, nothing is interpolated.
 
 Fields = Mapping[str, FloatArray]
 
@@ -125,13 +124,13 @@ def check_whole_triads(path: Path, fields: Mapping[str, FloatArray], kept: Mappi
             )
 
 
+# The flag of a gap, by column.
 _MAY_LACK = dict.fromkeys(ACCELEROMETER_COLUMNS, Status.ACCELEROMETER_INVALID) | dict.fromkeys(
     GYROSCOPE_COLUMNS, Status.GYROSCOPE_INVALID
 )
-"""The flag of a gap, by column."""
 
 
-def check_finite(source: Source, name: str, column: FloatArray, status: FloatArray | None, first_row: int) -> None:
+def check_finite(source: Source, name: str, column: FloatArray, status: FloatArray | None, *, first_row: int) -> None:
     """Refuse what is no number, but for the gaps that say of themselves that they are."""
     wrong = ~np.isfinite(column)
     if status is not None and name in _MAY_LACK:
@@ -147,8 +146,7 @@ def check_finite(source: Source, name: str, column: FloatArray, status: FloatArr
         )
 
 
-_LIMITS = {STATUS: (0, 2**32 - 1), COUNTER: (-(2**63), 2**63 - 1)}
-"""Of what is kept in whole numbers."""
+_LIMITS = {STATUS: (0, 2**32 - 1), COUNTER: (-(2**63), 2**63 - 1)}  # Of what is kept in whole numbers.
 
 
 def check_whole_numbers(source: Source, kept: Mapping[str, FloatArray], first_row: int) -> None:

@@ -31,7 +31,7 @@ _CORRECT = "correct or remove it"
 _DATE = re.compile(r"\d{4}-\d\d-\d\d|\d\d:\d\d")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TextTable:
     """A table whose shape is known and whose numbers are not read yet.
 
@@ -175,7 +175,15 @@ def open_table(path: str | Path) -> TextTable:
             cells = _split(text, delimiter)
             if any(_is_number(cell.replace(",", ".") if decimal_comma else cell) and cell for cell in cells):
                 header, units = _header(path, names, marked, len(cells))
-                return TextTable(path, delimiter, header, units, len(cells), number, decimal_comma)
+                return TextTable(
+                    path=path,
+                    delimiter=delimiter,
+                    header=header,
+                    units=units,
+                    width=len(cells),
+                    lines_before=number,
+                    decimal_comma=decimal_comma,
+                )
             names.append([cell.strip('" ') for cell in cells])
     raise _bad(path, "holds no rows of numbers", "check that it is the right file")
 

@@ -13,19 +13,17 @@ from imufield.samples import LARGEST_OUTPUT, FloatArray
 TIME_SCALE = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 TIME_UNIT = "time_unit"
 """Setting of an import; rows themselves are in seconds."""
-SHORTEST_STEP_S, LONGEST_STEP_S = 2.5e-4, 0.2
+SHORTEST_STEP_S = 2.5e-4
+LONGEST_STEP_S = 0.2
 """Instruments send 5 to 4000 samples a second. The two limits are less than a factor of 1000 apart, so a median step fits one
 unit of time at most."""
+# A typed rate within 20 % of the time column's decides the unit of time; outside, one of the two is wrong.
 _RATE_TOLERANCE = 0.2
-"""A typed rate within 20 % of the time column's decides the unit of time; outside, one of the two is wrong."""
 
-_CONVERTED = {"mg": ("g", 1e-3)}
-"""Units that protocol ``rows_f64`` does not know: what they become, and the factor."""
-_FAST = 0.999
-"""Of all outputs; what lies beyond may be damage."""
+_CONVERTED = {"mg": ("g", 1e-3)}  # Units that protocol ``rows_f64`` does not know: what they become, and the factor.
+_FAST = 0.999  # Of all outputs; what lies beyond may be damage.
 _STANDS_FOR_G = (0.8, 1.25)
-_STANDS_FOR_M_S2 = (8.0, 12.0)
-"""Where the median norm of an accelerometer lies that stands still most of the time."""
+_STANDS_FOR_M_S2 = (8.0, 12.0)  # Where the median norm of an accelerometer lies that stands still most of the time.
 
 
 def given_time_unit(settings: Mapping[str, object]) -> str | None:

@@ -54,20 +54,18 @@ from imufield.samples import (
 
 ROWS_PROTOCOL = "rows_f64"
 ROW_BYTES = 8 * len(FIELDS)
+# A row of the same protocol with ``status = true``.
 _FLAGGED_ROW = np.dtype([("numbers", "<f8", (len(FIELDS),)), ("status", "<u4")])
-"""A row of the same protocol with ``status = true``."""
+# The same with ``status = counted``.
 _COUNTED_ROW = np.dtype([*((name, _FLAGGED_ROW[name]) for name in ("numbers", "status")), ("counter", "<i8")])
-"""The same with ``status = counted``."""
 LATEST_NS = 2**63 - 1
 """What a recording's time stamps hold: 292 years. Times beyond are kept in the rows themselves."""
-_ROWS_A_CHUNK = 4096
-"""256 KiB: few messages, and well below what one damaged byte may cost."""
-_ROWS_TO_GUESS_BY = 1 << 18
-"""20 MiB of numbers; at 2000 Hz two minutes, in which nobody's unit looks like another's."""
+_ROWS_A_CHUNK = 4096  # 256 KiB: few messages, and well below what one damaged byte may cost.
+_ROWS_TO_GUESS_BY = 1 << 18  # 20 MiB of numbers; at 2000 Hz two minutes, in which nobody's unit looks like another's.
 _COLUMN = {name: place for place, name in enumerate(FIELDS)}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ImportedTable:
     """What was imported.
 
@@ -118,7 +116,7 @@ class ChunkWriter(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _File:
     """Columns of one file by field, in the units that were found or assumed."""
 
@@ -166,7 +164,7 @@ def read_tables(
     if not paths:
         raise UsageError("no file to import: name at least one.")
     names = _columns_of_files(columns, len(paths))
-    files = [_read_file(Path(path), names[i], i, len(paths), topic) for i, path in enumerate(paths)]
+    files = [_read_file(Path(path), names[i], i, len(paths), topic=topic) for i, path in enumerate(paths)]
     check_values([file.path for file in files], {name for file in files for name in file.fields})
     return _table(files, rate_hz, zero, settings)
 
@@ -289,7 +287,7 @@ def _table(
     if status is not None and COUNTER in joined and "status" not in known:
         counter = np.nan_to_num(joined[COUNTER], nan=NO_COUNTER).astype(np.int64)
         found["status"] = "counted"
-    return ImportedTable(rows, found, raw_zero, tuple(said), status, counter)
+    return ImportedTable(rows=rows, settings=found, raw_zero=raw_zero, assumptions=tuple(said), status=status, counter=counter)
 
 
 def write_rows(
@@ -369,7 +367,7 @@ def _open(path: Path, topic: str | None) -> Source:
     return open_table(path) if read_arrays is None else read_arrays(path)
 
 
-def _read_file(path: Path, columns: str | None, number: int, files: int, topic: str | None) -> _File:
+def _read_file(path: Path, columns: str | None, number: int, files: int, *, topic: str | None) -> _File:
     source = _open(path, topic)
     meaning = _meaning(source, columns, number, files)
     values = source.read([column.index for column in meaning.columns])
@@ -401,11 +399,18 @@ def _file_of(
     check_whole_numbers(source, kept, first_row)
     for name, column in kept.items():
         if name not in (TEMPERATURE, COUNTER, STATUS):
-            check_finite(source, name, column, kept.get(STATUS), first_row)
+            check_finite(source, name, column, kept.get(STATUS), first_row=first_row)
     check_no_step_back(source, kept.get(TIME), first_row, is_guess=is_guess)
     if isinstance(source, TextTable):
-        return _File(path, kept, units, meaning.assumptions)
-    return _File(path, kept, units, (*source.assumptions, *meaning.assumptions), source.settings, source.raw_zero)
+        return _File(path=path, fields=kept, units=units, assumptions=meaning.assumptions)
+    return _File(
+        path=path,
+        fields=kept,
+        units=units,
+        assumptions=(*source.assumptions, *meaning.assumptions),
+        settings=source.settings,
+        raw_zero=source.raw_zero,
+    )
 
 
 def _meaning(source: Source, columns: str | None, number: int, files: int) -> Meaning:

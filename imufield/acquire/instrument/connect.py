@@ -63,7 +63,7 @@ class ConnectOptions:
     """Output rate to set; None leaves it."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Connected:
     """An open link with an instrument that was understood; it is read in the background from now on."""
 
@@ -226,7 +226,7 @@ def _candidates(options: ConnectOptions, say: Say | None = None) -> list[Candida
         else:
             protocol = parse_protocol(options.protocol_text or "", options.settings, label="protocol of the session")
         baud = options.baud or FALLBACK_BAUD
-        return [Candidate(protocol.name, protocol.title, protocol, (baud,), None)]
+        return [Candidate(name=protocol.name, title=protocol.title, protocol=protocol, bauds=(baud,), driver=None)]
     if options.driver is None:
         return serial_candidates(options.settings, say=say)
     names = driver_names()
@@ -236,7 +236,7 @@ def _candidates(options: ConnectOptions, say: Say | None = None) -> list[Candida
 
 
 def ask_identity(
-    link: ReopenableLink, chunks: list[Chunk], driver: type[Driver], decoder: Decoder, clock: HostClock
+    link: ReopenableLink, chunks: list[Chunk], driver: type[Driver], decoder: Decoder, *, clock: HostClock
 ) -> list[dict[str, Any]]:
     """Return the instrument's messages: those heard, or the answers to commands that change nothing in it."""
     instrument = Instrument(driver, clock, set(decoder.statistics.by_kind))
@@ -269,7 +269,7 @@ def _connected(found: Search, options: ConnectOptions, clock: HostClock, say: Sa
     try:
         if ear is None:
             raise nothing_recognised(found.link.name, found)
-        return _introduced(found, ear, instrument, options, say)
+        return _introduced(found, ear, instrument, options, say=say)
     except BaseException:
         if instrument is not None and instrument.is_changed:
             with suppress(LinkError):
@@ -277,7 +277,7 @@ def _connected(found: Search, options: ConnectOptions, clock: HostClock, say: Sa
         raise
 
 
-def _introduced(found: Search, ear: Ear, instrument: Instrument | None, options: ConnectOptions, say: Say) -> Connected:
+def _introduced(found: Search, ear: Ear, instrument: Instrument | None, options: ConnectOptions, *, say: Say) -> Connected:
     """Ask who it is, set what was asked for, and begin to read in the background."""
     candidate, chunks, identity = ear.candidate, found.last.chunks, {}
     protocol = candidate.protocol
@@ -303,7 +303,17 @@ def _introduced(found: Search, ear: Ear, instrument: Instrument | None, options:
     baud = _baud_of(found, ear, options)
     link = BackgroundLink(found.link)
     return Connected(
-        link, protocol, candidate.name, model, baud, chunks, identity, "serial", instrument, options.rate_hz, rate_before_hz
+        link=link,
+        protocol=protocol,
+        driver=candidate.name,
+        model=model,
+        baud=baud,
+        chunks=chunks,
+        identity=identity,
+        wire="serial",
+        instrument=instrument,
+        rate_hz=options.rate_hz,
+        rate_before_hz=rate_before_hz,
     )
 
 
@@ -398,5 +408,5 @@ def assumed(protocol: Protocol) -> list[str]:
     ]
 
 
+# Settings that change every number, so that an assumed value must be seen.
 _WORTH_SAYING = ("accelerometer_range_g", "columns", "accelerometer_unit", "gyroscope_unit")
-"""Settings that change every number, so that an assumed value must be seen."""

@@ -27,8 +27,7 @@ from imufield.acquire.protocol.can_frames import ERROR, unpack_frames
 from imufield.acquire.protocol.protocol import parse_protocol
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
 
-_IDENTIFIERS_NAMED = 8
-"""More identifiers than this do not help a reader of an error message."""
+_IDENTIFIERS_NAMED = 8  # More identifiers than this do not help a reader of an error message.
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,13 +74,13 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
     """
     link, chunks, found = _heard(options, clock, say)
     try:
-        return _connected(link, chunks, found, options, clock, say)
+        return _connected(link, chunks, found, options, clock=clock, say=say)
     except BaseException:
         link.close()
         raise
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BusFinding:
     """What speaks on a bus: driver, its title, frames it knows, samples made of them, and what it said of itself."""
 
@@ -98,11 +97,17 @@ def probe_bus(options: ConnectOptions, clock: HostClock, say: Say, *, ask: bool)
     try:
         driver, messages = found.driver, found.decoder.messages()
         if driver is not None and ask:
-            messages = ask_identity(link, chunks, driver, found.decoder, clock)
+            messages = ask_identity(link, chunks, driver, found.decoder, clock=clock)
         identity = {} if driver is None else driver.identity(messages)
     finally:
         link.close()
-    return BusFinding(found.description.name, found.description.protocol.title, found.frames, found.samples, identity)
+    return BusFinding(
+        name=found.description.name,
+        title=found.description.protocol.title,
+        frames=found.frames,
+        samples=found.samples,
+        identity=identity,
+    )
 
 
 def _heard(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[CanLink, list[Chunk], _Ear]:
@@ -223,11 +228,11 @@ def _title(ear: _Ear) -> str:
 
 
 def _connected(
-    link: CanLink, chunks: list[Chunk], found: _Ear, options: ConnectOptions, clock: HostClock, say: Say
+    link: CanLink, chunks: list[Chunk], found: _Ear, options: ConnectOptions, *, clock: HostClock, say: Say
 ) -> Connected:
     protocol, identity = found.description.protocol, {}
     if found.driver is not None:
-        messages = ask_identity(link, chunks, found.driver, found.decoder, clock)
+        messages = ask_identity(link, chunks, found.driver, found.decoder, clock=clock)
         identity = found.driver.identity(messages)
         protocol = with_settings(found.driver, protocol, messages)
     name = found.description.name
@@ -237,7 +242,16 @@ def _connected(
         say(sentence)
     model = identity.pop("model", "") or name
     bit_rate = link.address.options.get("bitrate", link.bit_rate)
-    return Connected(BackgroundLink(link), protocol, name, model, bit_rate, chunks, identity, "can")
+    return Connected(
+        link=BackgroundLink(link),
+        protocol=protocol,
+        driver=name,
+        model=model,
+        baud=bit_rate,
+        chunks=chunks,
+        identity=identity,
+        wire="can",
+    )
 
 
 def _nothing_understood(bus: str, chunks: Iterable[Chunk], ears: list[_Ear]) -> LinkError:

@@ -7,7 +7,7 @@ ends by the clock of the host: a cable whose sending half is not connected costs
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 from imufield.acquire.decoder import Decoder
@@ -20,8 +20,7 @@ ANSWER_S = 0.5
 """Wait for an answer: instruments answer within some 50 ms, at 9600 bit/s after up to 100 ms of samples on their way."""
 TRIES = 2
 """A command is sent again once: its first bytes may have met the end of a sleep or a busy instrument."""
-_LONGEST_ANSWER = 1 << 16
-"""Bytes kept while a text answer is looked for: 0.5 s at 1.3 Mbit/s."""
+_LONGEST_ANSWER = 1 << 16  # Bytes kept while a text answer is looked for: 0.5 s at 1.3 Mbit/s.
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +46,7 @@ class Command:
     data: bytes
     answer: Callable[[Message], bool] | None = None
     refusal: Callable[[Message], str] = lambda _: ""
+    _: KW_ONLY
     is_last: bool = False
     read: Callable[[bytes], Message | None] | None = None
 

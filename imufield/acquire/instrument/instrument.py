@@ -13,8 +13,7 @@ from imufield.acquire.link.serial import Chunk, Link
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
 
-_SAME = 1e-3
-"""Rates closer than this are the same: instruments round their divisors."""
+_SAME = 1e-3  # Rates closer than this are the same: instruments round their divisors.
 
 
 class Instrument:

@@ -93,7 +93,9 @@ def driver_candidates(
     for variant in ({}, *(driver.variants if variants else ())):
         if not given.keys() & variant.keys():
             protocol = driver.load_protocol({**given, **variant})
-            yield Candidate(driver.name, driver.title, protocol, driver.bauds, driver, variant)
+            yield Candidate(
+                name=driver.name, title=driver.title, protocol=protocol, bauds=driver.bauds, driver=driver, variant=variant
+            )
 
 
 def bauds_to_try(candidates: list[Candidate], port: str, baud: int | None) -> list[int]:
@@ -139,7 +141,7 @@ def search(port: str, candidates: list[Candidate], bauds: list[int], clock: Host
             ears = [Ear(one, is_given=is_given) for one in candidates if len(bauds) == 1 or baud in one.bauds]
             hearing = Hearing(baud, [], ears)
             found.hearings.append(hearing)
-            _listen(link, hearing, clock, _limits_s(found, bauds), end_s)
+            _listen(link, hearing, clock, _limits_s(found, bauds), end_s=end_s)
             found.found = best(ears)
             if found.found is not None or clock.monotonic_s() >= end_s:
                 break
@@ -154,7 +156,7 @@ def listen_again(found: Search, clock: HostClock) -> None:
     before = found.last
     hearing = Hearing(before.baud, [], [Ear(ear.candidate, is_given=True) for ear in before.ears])
     found.hearings.append(hearing)
-    _listen(found.link, hearing, clock, (LISTEN_S, LISTEN_S), clock.monotonic_s() + patience_s(clock, LISTEN_S))
+    _listen(found.link, hearing, clock, (LISTEN_S, LISTEN_S), end_s=clock.monotonic_s() + patience_s(clock, LISTEN_S))
     found.found = best(hearing.ears)
 
 
@@ -185,7 +187,7 @@ def _limits_s(so_far: Search, bauds: list[int]) -> tuple[float, float]:
     return TRY_S, PROMISING_S
 
 
-def _listen(link: SerialLink, hearing: Hearing, clock: HostClock, limits_s: tuple[float, float], end_s: float) -> None:
+def _listen(link: SerialLink, hearing: Hearing, clock: HostClock, limits_s: tuple[float, float], *, end_s: float) -> None:
     """Read until one candidate is certain, or the patience is over."""
     begin_s, real = clock.monotonic_s(), patience_s(clock, 1.0)
     while not any(ear.is_certain for ear in hearing.ears):

@@ -35,12 +35,12 @@ WEAK_SHARE = 0.9
 GRAVITY_M_S2 = (4.0, 20.0)
 """Median size of the acceleration in the hand or on a table, calibrated or not; values in g give 1, counts thousands."""
 _STEADY_SHARE = 0.15
+# Departure from an even pace that chunks of 20 ms and a busy machine explain, in share of all frames and in frames.
 _STEADY_FRAMES = 3
-"""Departure from an even pace that chunks of 20 ms and a busy machine explain, in share of all frames and in frames."""
 _NORMS_KEPT = 4000
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
     """A way to read the wire.
 
@@ -64,7 +64,7 @@ class Candidate:
     variant: Mapping[str, object] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
     """What a candidate made of the bytes.
 
@@ -150,8 +150,8 @@ class Ear:
         self._messages: list[dict[str, Any]] = []
         self._accelerations = 0
         self._fault = ""
+        # Bad frames and skipped bytes before the end of the listening cut a frame.
         self._before_end: tuple[int, int] | None = None
-        """Bad frames and skipped bytes before the end of the listening cut a frame."""
 
     def feed(self, chunk: Chunk) -> None:
         """Take the bytes of one read."""
@@ -216,20 +216,20 @@ class Ear:
         rate_hz, steady = self._pace()
         reason = self._objection(share, norm, steady=steady)
         return Finding(
-            self.candidate.name,
-            self.candidate.title,
-            dict(self.candidate.variant),
-            not reason,
-            reason,
-            counts.frames,
-            bad,
-            counts.samples,
-            counts.bytes_total,
-            share,
-            self._checked_bits,
-            rate_hz,
-            norm,
-            steady,
+            name=self.candidate.name,
+            title=self.candidate.title,
+            variant=dict(self.candidate.variant),
+            found=not reason,
+            reason=reason,
+            frames=counts.frames,
+            frames_bad_checksum=bad,
+            samples=counts.samples,
+            bytes_total=counts.bytes_total,
+            share=share,
+            checked_bits=self._checked_bits,
+            rate_hz=rate_hz,
+            norm_m_s2=norm,
+            steady=steady,
         )
 
     @property

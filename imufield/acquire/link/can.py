@@ -46,19 +46,18 @@ MOST_FRAMES = 4096
 """Most frames of one chunk: 0.2 s of the busiest bus of 1 Mbit/s; what remains is the next chunk."""
 RECEIVE_BUFFER_BYTES = 1 << 20
 """Asked of the system for sockets: its usual 208 KiB hold some 270 frames, 35 ms of a busy bus."""
-_HOST_CLOCK_S = 60.0
-"""A time stamp nearer than this to the host's clock was made by it."""
+_HOST_CLOCK_S = 60.0  # A time stamp nearer than this to the host's clock was made by it.
+# Reads in a row that may fail before the bus counts as gone: one alone may be a garbled line or a stranger's datagram.
 _FAULTS_BORNE = 3
-"""Reads in a row that may fail before the bus counts as gone: one alone may be a garbled line or a stranger's datagram."""
+# Interfaces whose bit rate is set elsewhere, or that have none.
 _NO_BIT_RATE = ("socketcan", "virtual", "udp_multicast", "socketcand")
-"""Interfaces whose bit rate is set elsewhere, or that have none."""
+# What python-can's drivers raise where a bus cannot be opened. Besides its own errors: OSError of the system, ValueError and
+# TypeError for options that the interface does not know, and ImportError, AttributeError or NameError (kvaser) where the
+# vendor's library is missing or older than the driver expects.
 _OPEN_FAILURES = (can.CanError, OSError, ValueError, TypeError, ImportError, AttributeError, NameError)
-"""What python-can's drivers raise where a bus cannot be opened. Besides its own errors: OSError of the system, ValueError and
-TypeError for options that the interface does not know, and ImportError, AttributeError or NameError (kvaser) where the
-vendor's library is missing or older than the driver expects."""
+# What ``recv`` and ``send`` raise: python-can's own, OSError of the system, and ValueError or IndexError of drivers that parse
+# text or datagrams (slcan, udp_multicast) and meet a garbled one.
 _READ_FAILURES = (can.CanError, OSError, ValueError, IndexError)
-"""What ``recv`` and ``send`` raise: python-can's own, OSError of the system, and ValueError or IndexError of drivers that parse
-text or datagrams (slcan, udp_multicast) and meet a garbled one."""
 _GROUP_AND_PORT = re.compile(r"((?:\d+\.){3}\d+):(\d+)")
 _ERRNO = re.compile(r"\[Errno (\d+)\]|\((\d+),")
 
@@ -226,8 +225,7 @@ class CanLink:
         self.name = name
         self.address = address
         self.bit_rate = bit_rate
-        self.faults = 0
-        """Reads that failed and were borne."""
+        self.faults = 0  # Reads that failed and were borne.
         self._clock = clock
         self._speed = float(getattr(clock, "speed", 1.0))
         self._bus: can.BusABC | None = open_bus(address, bit_rate)

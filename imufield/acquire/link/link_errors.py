@@ -28,8 +28,7 @@ OPEN_FAILURES: tuple[type[Exception], ...] = (OSError, ValueError, *_TERMINAL_ER
 _BUSY = {errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK}
 _ABSENT = {errno.ENOENT, errno.ENXIO, errno.ENODEV}
 _NOT_A_TERMINAL = {errno.ENOTTY, errno.EISDIR}
-_PORTS_NAMED = 6
-"""More ports than this do not help a reader of an error message."""
+_PORTS_NAMED = 6  # More ports than this do not help a reader of an error message.
 
 
 def open_error(port: str, baud: int, error: Exception) -> ImufieldError:

@@ -9,11 +9,10 @@ from pathlib import Path
 from serial.tools import list_ports
 
 _NETWORK = Path("/sys/class/net")
-_TYPE_CAN = "280"
-"""ARPHRD_CAN of Linux, ``if_arp.h``."""
+_TYPE_CAN = "280"  # ARPHRD_CAN of Linux, ``if_arp.h``.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SerialPort:
     """One serial port.
 
@@ -39,7 +38,13 @@ class SerialPort:
 def serial_ports() -> list[SerialPort]:
     """List the serial ports of this machine by name, USB adapters first."""
     found = [
-        SerialPort(port.device, _description(port.description), port.vid, port.pid, port.serial_number)
+        SerialPort(
+            device=port.device,
+            description=_description(port.description),
+            vendor_id=port.vid,
+            product_id=port.pid,
+            serial_number=port.serial_number,
+        )
         for port in list_ports.comports()
     ]
     return sorted(found, key=lambda port: (port.vendor_id is None, port.device))

@@ -24,8 +24,7 @@ class PatientLink:
         self._link = link
         self._clock = clock
         self._next_try_s = 0.0
-        self.lost: LinkError | None = None
-        """Why nothing arrives; None while the link is there."""
+        self.lost: LinkError | None = None  # Why nothing arrives; None while the link is there.
 
     def read(self) -> Chunk | None:
         """Return the next chunk, None if nothing came for a moment.

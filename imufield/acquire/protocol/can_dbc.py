@@ -25,8 +25,8 @@ from imufield.samples import FloatArray
 Rows = NDArray[np.uint8]
 
 CLASSICAL_BYTES = 8
+# J1939: below this PDU format 240 the lower byte is a destination address and no part of the group number.
 _PDU1_BELOW = 0xF000
-"""J1939: below this PDU format 240 the lower byte is a destination address and no part of the group number."""
 _NOT_AVAILABLE = re.compile(
     r"not[ _-]?(avail|valid)|n/?a\b|invalid|\bsna\b|unavail|undefined|reserved|no[ _-]?(data|signal)", re.IGNORECASE
 )
@@ -44,7 +44,7 @@ class Code:
     """The instrument reports a fault; otherwise there is simply no value."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CanSignal:
     """One signal: where its bits are and what they mean. value = raw * factor + offset in ``unit``."""
 
@@ -160,7 +160,7 @@ class CanSignal:
         return missing, fault
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CanMessage:
     """One message of a DBC file, or one multiplexed form of it."""
 
@@ -179,10 +179,12 @@ class CanMessage:
         number = message.frame_id
         if not is_j1939:
             mask, extended = EXTENDED | ID_MASK, EXTENDED if message.is_extended_frame else 0
-            return cls(message.name, number | extended, mask, False, selectors)
+            return cls(name=message.name, can_id=number | extended, mask=mask, is_j1939=False, selectors=selectors)
         # Priority and source address may be any; below PDU format 240 the destination too.
         group = 0x03FFFF00 if number >> 8 & 0xFFFF >= _PDU1_BELOW else 0x03FF0000
-        return cls(message.name, number & group | EXTENDED, EXTENDED | group, True, selectors)
+        return cls(
+            name=message.name, can_id=number & group | EXTENDED, mask=EXTENDED | group, is_j1939=True, selectors=selectors
+        )
 
 
 class DbcFile:
@@ -307,16 +309,16 @@ def compile_signal(signal: Signal, is_j1939: bool = False) -> CanSignal:
     """Return a signal of cantools in our form."""
     codes = [*_codes_of_table(signal), *(_codes_of_j1939(signal) if is_j1939 else ())]
     return CanSignal(
-        signal.name,
-        signal.start,
-        signal.length,
-        signal.byte_order == "big_endian",
-        bool(signal.is_signed),
-        bool(signal.is_float),
-        float(signal.scale),
-        float(signal.offset),
-        signal.unit or "",
-        tuple(codes),
+        name=signal.name,
+        start=signal.start,
+        length=signal.length,
+        big_endian=signal.byte_order == "big_endian",
+        is_signed=bool(signal.is_signed),
+        is_float=bool(signal.is_float),
+        factor=float(signal.scale),
+        offset=float(signal.offset),
+        unit=signal.unit or "",
+        codes=tuple(codes),
     )
 
 

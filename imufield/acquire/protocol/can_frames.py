@@ -27,9 +27,15 @@ from imufield.samples import FloatArray, IntArray
 
 UNIT_BYTES = 24
 MARK = 0xCA4E
-EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000
+EXTENDED = 0x80000000
+REMOTE = 0x40000000
+ERROR = 0x20000000
 ID_MASK = 0x1FFFFFFF
-FD, BIT_RATE_SWITCH, ERROR_STATE, SENT, ADAPTER_TIME = 1, 2, 4, 8, 16
+FD = 1
+BIT_RATE_SWITCH = 2
+ERROR_STATE = 4
+SENT = 8
+ADAPTER_TIME = 16
 MOST_DATA = 64
 BUS_OFF = 0x40
 """Bit in the identifier of an error frame: the controller has left the bus (Linux, include/uapi/linux/can/error.h)."""
@@ -39,10 +45,10 @@ _CONTINUATION = 0xFFFFFFFF
 _MORE = struct.Struct("<I20s")
 _MARK_BYTES = MARK.to_bytes(2, "little")
 _MARK_AT = 6
-_LATEST_S = 1e11
-"""In the year 5138, if seconds since 1970."""
-_FIRST, _FURTHER = 8, 20
-"""Data bytes in the unit of a frame, and in each continuation."""
+_LATEST_S = 1e11  # In the year 5138, if seconds since 1970.
+# Data bytes in the unit of a frame, and in each continuation.
+_FIRST = 8
+_FURTHER = 20
 
 Units = NDArray[np.uint8]
 
@@ -87,7 +93,7 @@ class Frame:
         return f"{self.can_id & ID_MASK:0{width}X}#{self.data.hex().upper()}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CanFrames:
     """n frames as arrays."""
 
@@ -195,8 +201,17 @@ class Unpacker:
     def _at(units: Units, unit: IntArray) -> CanFrames:
         words, times = units.view("<u4"), units.view("<f8")
         if len(unit) == len(units):
-            return CanFrames(words[:, 0], units[:, 4], units[:, 5], _possible(times[:, 1]), units, unit)
-        return CanFrames(words[unit, 0], units[unit, 4], units[unit, 5], _possible(times[unit, 1]), units, unit)
+            return CanFrames(
+                can_id=words[:, 0], size=units[:, 4], flags=units[:, 5], time_s=_possible(times[:, 1]), units=units, unit=unit
+            )
+        return CanFrames(
+            can_id=words[unit, 0],
+            size=units[unit, 4],
+            flags=units[unit, 5],
+            time_s=_possible(times[unit, 1]),
+            units=units,
+            unit=unit,
+        )
 
     def _only_units(self, data: bytes, last: bool) -> bytes:
         """Keep what looks like units; step byte by byte over the rest until a mark stands where one should."""

@@ -28,10 +28,8 @@ _MEANING = {"accelerometer": ("m/s^2", "m/s", "count", "pulse"), "gyroscope": ("
 _TICKS_PER_S = {"s": 1.0, "sec": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "ns": 1e9}
 _ABSOLUTE_ZERO_DEGC = -273.15
 _LONGEST_LIMIT_S = 10.0
-_MOST_BITS = 62
-"""Of a counter: arithmetic is done in 64 bits with a sign."""
-_LONG_TIME_BITS = 48
-"""A time stamp of so many bits runs for 8.9 years of microseconds before it wraps."""
+_MOST_BITS = 62  # Of a counter: arithmetic is done in 64 bits with a sign.
+_LONG_TIME_BITS = 48  # A time stamp of so many bits runs for 8.9 years of microseconds before it wraps.
 _Found = TypeVar("_Found")
 _DBC_LINE = re.compile(r'^\s*dbc\s*=\s*"([^"\n]+)"', re.MULTILINE)
 _EMBEDDED = re.compile(r"^\[dbc\]", re.MULTILINE)
@@ -60,7 +58,7 @@ class Column:
     offset: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CanFlag:
     """A status signal that sets a flag of the sample."""
 
@@ -72,7 +70,7 @@ class CanFlag:
     when_clear: bool = False
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class CanKind:
     """One kind of frame that belongs to a sample: a message, or one multiplexed form of it."""
 
@@ -123,7 +121,7 @@ class AssemblyRule:
     """Whether all kinds share a counter, ``CanKind.group``."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CanRule:
     """Everything a decoder needs to know of one CAN instrument."""
 
@@ -200,14 +198,14 @@ def read_can(top: Table) -> CanParts:
     clock_rule = _read_clock(clock, mapped)
     units = _units(clock, units_of, clock_rule)
     rule = CanRule(
-        dbc,
-        tuple(mapped.kinds.values()),
-        _read_assembly(assembly, mapped, dbc),
-        tuple(_in_file(can, "messages", dbc.message, str(name)) for name in can.items("messages", [])),
-        can.integer("source_address", 0, ANY_ADDRESS, ANY_ADDRESS),
-        can.integer("bit_rate", 1, 20_000_000) if can.has("bit_rate") else None,
-        mapped.counter_modulus,
-        tuple(step for step in clock.items("counter_steps", [1]) if isinstance(step, int) and step > 0) or (1,),
+        dbc=dbc,
+        kinds=tuple(mapped.kinds.values()),
+        assembly=_read_assembly(assembly, mapped, dbc),
+        messages=tuple(_in_file(can, "messages", dbc.message, str(name)) for name in can.items("messages", [])),
+        source_address=can.integer("source_address", 0, ANY_ADDRESS, ANY_ADDRESS),
+        bit_rate=can.integer("bit_rate", 1, 20_000_000) if can.has("bit_rate") else None,
+        counter_modulus=mapped.counter_modulus,
+        counter_steps=tuple(step for step in clock.items("counter_steps", [1]) if isinstance(step, int) and step > 0) or (1,),
     )
     for table in (can, assembly, clock, mapped.table):
         table.finish()
@@ -333,7 +331,7 @@ class _Mapping:
             raise self.table.error(
                 key, f"signal {name} is in some forms of {message.name} only, other signals mapped before it are in all of them"
             )
-        return self.kinds.setdefault((message.name, message.selectors), CanKind(message)), signal
+        return self.kinds.setdefault((message.name, message.selectors), CanKind(message=message)), signal
 
     def _modulus(self, key: str, signal: CanSignal) -> int:
         if signal.is_float or signal.is_signed:
@@ -344,11 +342,11 @@ class _Mapping:
 def _read_flag(table: Table, signal: CanSignal) -> CanFlag:
     names = {flag.name.lower(): flag for flag in Status if flag.name}
     flag = CanFlag(
-        signal,
-        names[table.choice("flag", names)],
-        tuple(int(value) for value in table.items("values", [])),
-        table.integer("mask", 1, (1 << 64) - 1) if table.has("mask") else 0,
-        table.choice("when", ("set", "clear"), "set") == "clear",
+        signal=signal,
+        flag=names[table.choice("flag", names)],
+        values=tuple(int(value) for value in table.items("values", [])),
+        mask=table.integer("mask", 1, (1 << 64) - 1) if table.has("mask") else 0,
+        when_clear=table.choice("when", ("set", "clear"), "set") == "clear",
     )
     if bool(flag.values) == bool(flag.mask):
         raise table.error("values", "a flag needs either values or a mask")
@@ -365,14 +363,14 @@ def _read_assembly(table: Table, mapped: _Mapping, dbc: DbcFile) -> AssemblyRule
         raise table.error("counters", "needs one counter in each message that [map] uses, or none")
     start = table.text("starts_with", "")
     return AssemblyRule(
-        _kind_number(table, "starts_with", start, kinds, dbc) if start else None,
-        tuple(_kind_number(table, "needs", str(name), kinds, dbc) for name in table.items("needs", [])),
+        _kind_number(table, "starts_with", start, kinds, dbc=dbc) if start else None,
+        tuple(_kind_number(table, "needs", str(name), kinds, dbc=dbc) for name in table.items("needs", [])),
         table.number("limit_s", 0.0) if 0 <= table.number("limit_s", 0.0) <= _LONGEST_LIMIT_S else _LONGEST_LIMIT_S,
         bool(counters),
     )
 
 
-def _kind_number(table: Table, key: str, name: str, kinds: list[CanKind], dbc: DbcFile) -> int:
+def _kind_number(table: Table, key: str, name: str, kinds: list[CanKind], *, dbc: DbcFile) -> int:
     for number, kind in enumerate(kinds):
         if name in (kind.name, kind.message.name):
             return number
@@ -399,7 +397,13 @@ def _units(clock: Table, units_of: dict[str, str], rule: ClockRule) -> SampleUni
     increments = accelerometer == "m/s", gyroscope == "rad"
     if any(increments) and not rule.rate_hz:
         raise clock.error("rate_hz", "increments need the sample rate, which is 0 (not known); give it, e.g. --set rate_hz=100")
-    return SampleUnits(accelerometer, gyroscope, *increments, 1 / rule.rate_hz if any(increments) else None)
+    return SampleUnits(
+        accelerometer=accelerometer,
+        gyroscope=gyroscope,
+        accelerometer_is_increment=increments[0],
+        gyroscope_is_increment=increments[1],
+        interval_s=1 / rule.rate_hz if any(increments) else None,
+    )
 
 
 def _candidates(dbc: DbcFile) -> str:

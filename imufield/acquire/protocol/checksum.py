@@ -26,24 +26,21 @@ Bytes = NDArray[np.uint8]
 Values = NDArray[np.uint64]
 Positions = NDArray[np.intp]
 
+# Longest message whose weighted sum, at most 255 n (n + 1) / 2, stays below 2^24, so that single precision is exact.
 _EXACT_IN_SINGLE = 361
-"""Longest message whose weighted sum, at most 255 n (n + 1) / 2, stays below 2^24, so that single precision is exact."""
+# Longest message with a table of its own, 2 MiB; what instruments send all the time has a few hundred bytes.
 _LONGEST_TABLE = 2048
-"""Longest message with a table of its own, 2 MiB; what instruments send all the time has a few hundred bytes."""
-_TABLES_KEPT = 32
-"""Noise makes false frames of any length, each with its table."""
+_TABLES_KEPT = 32  # Noise makes false frames of any length, each with its table.
+# Rows looked up together: keeps the index array (8 bytes for each byte of a frame) in the second-level cache.
 _ROWS_AT_ONCE = 1024
-"""Rows looked up together: keeps the index array (8 bytes for each byte of a frame) in the second-level cache."""
 
 
 class _Ragged(NamedTuple):
     """Every byte of many spans, one after another."""
 
     values: Bytes
-    following: Positions
-    """How many bytes of the same span follow this one."""
-    first: Positions
-    """Where each span begins in the two arrays above."""
+    following: Positions  # How many bytes of the same span follow this one.
+    first: Positions  # Where each span begins in the two arrays above.
 
 
 def _ragged(data: Bytes, starts: Positions, lengths: Positions) -> _Ragged:

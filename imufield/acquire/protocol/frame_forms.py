@@ -19,13 +19,13 @@ from imufield.acquire.protocol.layout import Field, Layout
 Bytes = NDArray[np.uint8]
 Positions = NDArray[np.intp]
 
-NONE, MORE = 0, -1
+NONE = 0
+MORE = -1
 """Instead of a length: no frame begins here; more bytes are needed to tell."""
-_HEADERS_KEPT = 4096
-"""Headers of masks whose length is remembered; noise makes many, an instrument sends a few."""
+_HEADERS_KEPT = 4096  # Headers of masks whose length is remembered; noise makes many, an instrument sends a few.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LengthRule:
     """Length of a frame = number in a field + ``add``; the one value ``extended_when`` refers to a second, wider field."""
 
@@ -48,7 +48,7 @@ class LengthRule:
         return tuple(range(self.at, self.header + (self.extended_size if number == self.extended_when else 0)))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FieldsRule:
     """A body of fields, each with an id and a size of its own."""
 
@@ -161,7 +161,7 @@ class Shape:
     """Those bytes. Shape (m,)."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FrameForm:
     """How frames with the same first bytes are found and read."""
 

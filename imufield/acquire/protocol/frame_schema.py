@@ -19,8 +19,8 @@ LONGEST_FRAME = 65536
 ANY_KEY = "any"
 """The one entry of ``[frames]`` where no byte tells kinds of frames apart."""
 _UNSIGNED = ("u8", "u16", "u24", "u32")
+# Names of fixed-point types: the type that is read and its fraction bits.
 _FIXED_POINT = {"fp12.20": ("i32", 20), "fp16.32": ("fp16.32", 32)}
-"""Names of fixed-point types: the type that is read and its fraction bits."""
 FORMAT = "format"
 """Type of a field whose number type the id of the field tells."""
 _FORMS = 8
@@ -101,9 +101,20 @@ def _read_form(top: Table, frame: Table, parts: dict[str, tuple[Field, ...]], bi
     fields = _read_fields_rule(top, frame, big_endian)
     masks = _read_masks(top, frame, big_endian)
     form = FrameForm(
-        sync, key_at, key_size, key_big_endian, checksum, covered_from, checksum_big_endian, end, length, {}, fields, masks
+        sync=sync,
+        key_at=key_at,
+        key_size=key_size,
+        key_big_endian=key_big_endian,
+        checksum=checksum,
+        checksum_from=covered_from,
+        checksum_big_endian=checksum_big_endian,
+        end=end,
+        length=length,
+        layouts={},
+        fields=fields,
+        masks=masks,
     )
-    form = replace(form, layouts=_read_layouts(top, frame, form, parts, big_endian))
+    form = replace(form, layouts=_read_layouts(top, frame, form, parts, big_endian=big_endian))
     if length is None and masks is None and fields is not None:
         raise frame.error("length", "frames made of fields need a field that tells their length")
     for known in ("trailer", "enabled", "name", "message"):
@@ -146,13 +157,13 @@ def _read_length(frame: Table, big_endian: bool) -> LengthRule | None:
     largest = min((1 << 8 * size) - 1, LONGEST_FRAME)
     extended = table.table("extended")
     rule = LengthRule(
-        table.integer("at", 0, 64),
-        size,
-        _byte_order(table, big_endian),
-        table.integer("add", 0, 256, 0),
-        table.integer("maximum", 0, LONGEST_FRAME, largest),
-        extended.integer("when", 0, largest) if table.has("extended") else -1,
-        NUMBER_BYTES[extended.choice("type", _UNSIGNED)] if table.has("extended") else 0,
+        at=table.integer("at", 0, 64),
+        size=size,
+        big_endian=_byte_order(table, big_endian),
+        add=table.integer("add", 0, 256, 0),
+        maximum=table.integer("maximum", 0, LONGEST_FRAME, largest),
+        extended_when=extended.integer("when", 0, largest) if table.has("extended") else -1,
+        extended_size=NUMBER_BYTES[extended.choice("type", _UNSIGNED)] if table.has("extended") else 0,
     )
     extended.finish()
     table.finish()
@@ -169,7 +180,7 @@ def _read_trailer(frame: Table) -> bytes:
 
 
 def _read_layouts(
-    top: Table, frame: Table, form: FrameForm, parts: dict[str, tuple[Field, ...]], big_endian: bool
+    top: Table, frame: Table, form: FrameForm, parts: dict[str, tuple[Field, ...]], *, big_endian: bool
 ) -> dict[int, Layout]:
     header = max(len(form.sync), form.key_at + form.key_size, form.length.header if form.length else 0)
     header = frame.integer("body_at", header, 256, header)
@@ -182,14 +193,14 @@ def _read_layouts(
     frames = top.table("frames")
     for name in frames.values:
         fields = _fields_of(frames, name, frames.items(name), parts)
-        _add(layouts, frames, name, name, _place(name, fields, header, form.tail), form.key_size)
+        _add(layouts, frames, name, name, layout=_place(name, fields, header, form.tail), key_size=form.key_size)
     messages = top.table("messages")
     for name in messages.values:
         table = messages.table(name)
         fields = _read_fields(table, "fields", big_endian) if form.length is None or table.has("fields") else ()
         layout = replace(_place(name, fields, header, form.tail), is_message=True)
         for key in table.items("keys"):
-            _add(layouts, table, "keys", key, layout, form.key_size)
+            _add(layouts, table, "keys", key, layout=layout, key_size=form.key_size)
         table.finish()
     if not (layouts or form.fields or form.masks):
         raise top.error("frames", "a protocol needs at least one frame")
@@ -203,7 +214,7 @@ def _fields_of(table: Table, key: str, used: list[Any], parts: dict[str, tuple[F
     return tuple(one for part in used for one in parts[part])
 
 
-def _add(layouts: dict[int, Layout], table: Table, at: str, key: object, layout: Layout, key_size: int) -> None:
+def _add(layouts: dict[int, Layout], table: Table, at: str, key: object, *, layout: Layout, key_size: int) -> None:
     if not key_size:
         if key != ANY_KEY or layouts:
             raise table.error(at, f"without a key there is one kind of frame, called {ANY_KEY!r}")
@@ -242,18 +253,18 @@ def _read_fields_rule(top: Table, frame: Table, big_endian: bool) -> FieldsRule 
     messages = {_hexadecimal_key(table, "messages", key): name for key, name in table.table("messages").values.items()}
     table.has("messages")
     rule = FieldsRule(
-        table.integer("at", 0, 64),
-        number.integer("at", 0, 64),
-        NUMBER_BYTES[number.choice("type", _UNSIGNED)],
-        size.integer("at", 0, 64),
-        NUMBER_BYTES[size.choice("type", _UNSIGNED)],
-        size.flag("counts_header"),
-        big_endian,
-        keys,
-        table.integer("ignored_id_bits", 0, (1 << 32) - 1, 0),
-        kinds,
-        _known_fields(top, big_endian),
-        messages,
+        at=table.integer("at", 0, 64),
+        id_at=number.integer("at", 0, 64),
+        id_size=NUMBER_BYTES[number.choice("type", _UNSIGNED)],
+        size_at=size.integer("at", 0, 64),
+        size_size=NUMBER_BYTES[size.choice("type", _UNSIGNED)],
+        size_counts_header=size.flag("counts_header"),
+        big_endian=big_endian,
+        keys=keys,
+        ignored_bits=table.integer("ignored_id_bits", 0, (1 << 32) - 1, 0),
+        format_types=kinds,
+        known=_known_fields(top, big_endian),
+        messages=messages,
     )
     for each in (number, size, table):
         each.finish()
@@ -264,7 +275,7 @@ def _format_type(table: Table, kind: object, big_endian: bool) -> Field:
     if kind not in NUMBER_BYTES and kind not in _FIXED_POINT:
         raise table.error("formats", f"{kind!r} is no number type")
     name, bits = _FIXED_POINT.get(str(kind), (str(kind), 0))
-    return Field("", name, 0, size=NUMBER_BYTES[name], big_endian=big_endian, factor=1 / 2.0**bits)
+    return Field(name="", type=name, at=0, size=NUMBER_BYTES[name], big_endian=big_endian, factor=1 / 2.0**bits)
 
 
 def _known_fields(top: Table, big_endian: bool) -> dict[int | None, dict[int, tuple[Field, ...]]]:
@@ -309,20 +320,20 @@ def _read_field(table: Table, default_big: bool) -> Field:
         size = 0 if table.flag("rest") else table.integer("size", 1, LONGEST_FRAME)
         repeat = table.integer("repeat", 0, 256, 0)
         table.finish()
-        return Field(name, kind, 0, size=size, repeat=repeat)
+        return Field(name=name, type=kind, at=0, size=size, repeat=repeat)
     count = table.integer("count", 1, 256, 1)
     kind, fraction_bits = _FIXED_POINT.get(kind, (kind, 0))
     field = Field(
-        name,
-        kind,
-        0,
-        count,
-        (1 if kind == FORMAT else NUMBER_BYTES[kind]) * count,
-        _byte_order(table, default_big),
-        table.number("scale", 1.0) / 2.0 ** table.integer("fraction_bits", 0, 64, fraction_bits),
-        table.number("offset", 0.0),
-        table.text("unit", ""),
-        tuple(_read_bits(each) for each in table.tables("bits")),
+        name=name,
+        type=kind,
+        at=0,
+        count=count,
+        size=(1 if kind == FORMAT else NUMBER_BYTES[kind]) * count,
+        big_endian=_byte_order(table, default_big),
+        factor=table.number("scale", 1.0) / 2.0 ** table.integer("fraction_bits", 0, 64, fraction_bits),
+        offset=table.number("offset", 0.0),
+        unit=table.text("unit", ""),
+        bits=tuple(_read_bits(each) for each in table.tables("bits")),
     )
     if field.bits and (count != 1 or kind[0] != "u"):
         raise table.error("bits", f"bits belong to one unsigned number, not to {count} of type {kind}")

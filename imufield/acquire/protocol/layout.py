@@ -54,7 +54,7 @@ class Bits:
         return self.values[number] if number < len(self.values) else None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Field:
     """One field of a frame: ``count`` values of one type, value = raw * factor + offset in ``unit``."""
 

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from imufield.acquire.protocol.can_protocol import CanRule
 
 SCHEMA_VERSION = 1
-VERIFIED, DOCUMENT_ONLY = "verified on real bytes", "document only"
+VERIFIED = "verified on real bytes"
+DOCUMENT_ONLY = "document only"
 FOLDER = "imufield.protocols"
 
 _INCREMENT_UNITS = ("m/s", "rad")
@@ -50,7 +51,7 @@ _MEANING = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Nominal:
     """What is known of an instrument before any calibration; None where it is not."""
 
@@ -65,7 +66,7 @@ class Nominal:
     rate_hz: float | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Protocol:
     """A protocol with its settings put in place. Get one from ``load_protocol``."""
 
@@ -140,7 +141,7 @@ def parse_protocol(
 ) -> Protocol:
     """Return the protocol written in ``text``, e.g. as kept in a recording; otherwise like ``load_protocol``."""
     source = Source(label, text)
-    top = Table(source.parse(), (), source)
+    top = Table(values=source.parse(), path=(), source=source)
     if top.text("format", "") != "imufield-protocol":
         raise top.error("format", 'the file does not begin with format = "imufield-protocol", so it is no protocol')
     version = top.integer("version", 1, 1 << 31)
@@ -219,25 +220,31 @@ def _build_can(top: Table, settings: dict[str, Setting]) -> Protocol:
     for key in ("format", "version", "settings", "nominal", "can", "map", "assembly", "clock", "dbc", "emulate"):
         top.has(key)
     top.finish()
-    samples = SampleRule(Quantity(()), Quantity(()), Quantity(()), (), ())
+    samples = SampleRule(
+        accelerometer=Quantity(fields=()),
+        gyroscope=Quantity(fields=()),
+        temperature=Quantity(fields=()),
+        flags=(),
+        instrument_status=(),
+    )
     digest = hashlib.sha256(top.source.text.encode()).hexdigest()
     ones = dict.fromkeys(_MEANING, 1.0)
     return Protocol(
-        name,
-        title,
-        manual,
-        top.source.text,
-        digest,
-        settings,
-        None,
-        None,
-        samples,
-        parts.clock,
-        parts.units,
-        ones,
-        nominal,
-        parts.rule,
-        status,
+        name=name,
+        title=title,
+        manual=manual,
+        text=top.source.text,
+        sha256=digest,
+        settings=settings,
+        frame=None,
+        lines=None,
+        samples=samples,
+        clock=parts.clock,
+        units=parts.units,
+        factors=ones,
+        nominal=nominal,
+        can=parts.rule,
+        status=status,
     )
 
 
@@ -266,19 +273,19 @@ def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
     digest = hashlib.sha256(top.source.text.encode()).hexdigest()
     factors = {part: factor for part, (_, factor) in parts.items()}
     return Protocol(
-        name,
-        title,
-        manual,
-        top.source.text,
-        digest,
-        settings,
-        frame,
-        lines,
-        samples,
-        clock,
-        units,
-        factors,
-        nominal,
+        name=name,
+        title=title,
+        manual=manual,
+        text=top.source.text,
+        sha256=digest,
+        settings=settings,
+        frame=frame,
+        lines=lines,
+        samples=samples,
+        clock=clock,
+        units=units,
+        factors=factors,
+        nominal=nominal,
         status=top.choice("status", (VERIFIED, DOCUMENT_ONLY), VERIFIED),
     )
 
@@ -313,7 +320,13 @@ def _units(top: Table, parts: dict[str, tuple[str, float]], samples: SampleRule,
             "rate_hz", "increments need the sample rate, which is 0 (not known); give it, e.g. --set rate_hz=100"
         )
     interval_s = 1 / clock.rate_hz if by_velocity or by_angle else None
-    return SampleUnits(accelerometer, gyroscope, by_velocity, by_angle, interval_s)
+    return SampleUnits(
+        accelerometer=accelerometer,
+        gyroscope=gyroscope,
+        accelerometer_is_increment=by_velocity,
+        gyroscope_is_increment=by_angle,
+        interval_s=interval_s,
+    )
 
 
 def _read_nominal(top: Table, units: SampleUnits, clock: ClockRule) -> Nominal:
@@ -326,7 +339,14 @@ def _read_nominal(top: Table, units: SampleUnits, clock: ClockRule) -> Nominal:
         ranges.append(table.number(f"{part}_range") * factor if table.has(f"{part}_range") else None)
     raw_zero = np.full(3, table.number("raw_zero", 0.0))
     table.finish()
-    return Nominal(scales[0], scales[1], raw_zero, ranges[0], ranges[1], clock.rate_hz or None)
+    return Nominal(
+        accelerometer_scale=scales[0],
+        gyroscope_scale=scales[1],
+        raw_zero=raw_zero,
+        accelerometer_range_m_s2=ranges[0],
+        gyroscope_range_rad_s=ranges[1],
+        rate_hz=clock.rate_hz or None,
+    )
 
 
 def _check_fields(top: Table, frame: FrameRule | None, samples: SampleRule, clock: ClockRule) -> None:

@@ -14,8 +14,9 @@ COLUMNS = ("time", "counter", "ax", "ay", "az", "gx", "gy", "gz", "temperature",
 """What a number of a line may be; "-" is passed over."""
 
 
-_LEAST_TICKS_PER_S, _MOST_TICKS_PER_S = 1e-3, 1e15
-"""No instrument counts more slowly than every quarter of an hour, or faster than femtoseconds."""
+# No instrument counts more slowly than every quarter of an hour, or faster than femtoseconds.
+_LEAST_TICKS_PER_S = 1e-3
+_MOST_TICKS_PER_S = 1e15
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +28,7 @@ class Sentence:
     """In the order of the line; "-" is passed over, "-ax" is the negative of ax."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TextRule:
     """How lines of numbers are read."""
 
@@ -64,7 +65,7 @@ class TimeRule:
     ticks_per_s: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Quantity:
     """A part of a sample: the first of these fields that a frame has (or three of one value each)."""
 
@@ -87,7 +88,7 @@ class FlagRule:
     when_clear: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SampleRule:
     """What fields mean in a sample."""
 
@@ -99,7 +100,7 @@ class SampleRule:
     """Fields and by how many bits they are shifted inside the upper 16 bits of the status."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ClockRule:
     """What gives a sample its time."""
 
@@ -135,10 +136,10 @@ def read_text(top: Table) -> TextRule:
     if not {"ax", "ay", "az"} <= set(names):
         raise table.error("columns", f"ax, ay and az must be among the columns, but these are: {', '.join(names)}")
     rule = TextRule(
-        names,
-        table.choice("delimiter", ("auto", "comma", "semicolon", "whitespace"), "auto"),
-        table.text("prefix", ""),
-        tuple(str(comment) for comment in table.items("comments", [])),
+        columns=names,
+        delimiter=table.choice("delimiter", ("auto", "comma", "semicolon", "whitespace"), "auto"),
+        prefix=table.text("prefix", ""),
+        comments=tuple(str(comment) for comment in table.items("comments", [])),
     )
     table.finish()
     return rule
@@ -148,14 +149,14 @@ def _read_sentences(table: Table) -> TextRule:
     sentences = tuple(_read_sentence(each) for each in table.tables("sentences"))
     used = {name.lstrip("-") for sentence in sentences for name in sentence.columns}
     rule = TextRule(
-        tuple(name for name in COLUMNS if name in used and name != "-"),
-        "comma",
-        "",
-        (),
-        sentences,
-        table.text("markers", "$"),
-        table.text("header_end", ""),
-        tuple(_read_text_checksum(each) for each in table.tables("checksums")),
+        columns=tuple(name for name in COLUMNS if name in used and name != "-"),
+        delimiter="comma",
+        prefix="",
+        comments=(),
+        sentences=sentences,
+        markers=table.text("markers", "$"),
+        header_end=table.text("header_end", ""),
+        checksums=tuple(_read_text_checksum(each) for each in table.tables("checksums")),
     )
     if not rule.markers:
         raise table.error("markers", "a sentence begins with a marker, e.g. $, but there is none")
@@ -191,11 +192,11 @@ def read_samples(top: Table) -> SampleRule:
     table = top.table("samples")
     status = tuple(_read_shift(each) for each in table.tables("instrument_status"))
     rule = SampleRule(
-        _read_quantity(table.table("accelerometer")),
-        _read_quantity(table.table("gyroscope")),
-        _read_quantity(table.table("temperature")),
-        tuple(_read_flag(each) for each in table.tables("flags")),
-        status,
+        accelerometer=_read_quantity(table.table("accelerometer")),
+        gyroscope=_read_quantity(table.table("gyroscope")),
+        temperature=_read_quantity(table.table("temperature")),
+        flags=tuple(_read_flag(each) for each in table.tables("flags")),
+        instrument_status=status,
     )
     for key in ("accelerometer", "gyroscope", "temperature"):
         table.has(key)
@@ -205,11 +206,11 @@ def read_samples(top: Table) -> SampleRule:
 
 def _read_quantity(table: Table) -> Quantity:
     quantity = Quantity(
-        tuple(str(name) for name in table.items("fields", [])),
-        table.text("unit") if table.has("unit") else None,
-        table.flag("increment"),
-        table.number("scale", 1.0),
-        _read_scale_when(table.table("scale_when")) if table.has("scale_when") else None,
+        fields=tuple(str(name) for name in table.items("fields", [])),
+        unit=table.text("unit") if table.has("unit") else None,
+        increment=table.flag("increment"),
+        scale=table.number("scale", 1.0),
+        scale_when=_read_scale_when(table.table("scale_when")) if table.has("scale_when") else None,
     )
     table.finish()
     return quantity
@@ -249,18 +250,18 @@ def read_clock(top: Table) -> ClockRule:
         raise table.error("time", "each of several time stamps needs its field")
     time = _in_nanoseconds(times) if several else times[0]
     rule = ClockRule(
-        counter.text("field", ""),
-        counter.integer("modulus", 0, 1 << 53, 0),
-        counter.number("ticks_per_s", 0.0),
-        tuple(step for step in counter.items("steps", [1]) if isinstance(step, int) and step > 0),
-        time.field,
-        time.modulus,
-        time.ticks_per_s,
-        table.number("rate_hz", 0.0),
-        counter.integer("jitter", 0, 1 << 16, 0),
-        counter.flag("counts_others"),
-        tuple(times) if several else (),
-        table.flag("gaps_told"),
+        counter_field=counter.text("field", ""),
+        counter_modulus=counter.integer("modulus", 0, 1 << 53, 0),
+        counter_ticks_per_s=counter.number("ticks_per_s", 0.0),
+        counter_steps=tuple(step for step in counter.items("steps", [1]) if isinstance(step, int) and step > 0),
+        time_field=time.field,
+        time_modulus=time.modulus,
+        time_ticks_per_s=time.ticks_per_s,
+        rate_hz=table.number("rate_hz", 0.0),
+        counter_jitter=counter.integer("jitter", 0, 1 << 16, 0),
+        counter_counts_others=counter.flag("counts_others"),
+        times=tuple(times) if several else (),
+        gaps_told=table.flag("gaps_told"),
     )
     if rule.counter_ticks_per_s < 0 or rule.rate_hz < 0:
         raise table.error("ticks_per_s", "rates must be positive")

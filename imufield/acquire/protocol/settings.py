@@ -13,7 +13,7 @@ Origin = Literal["assumed", "read", "given"]
 Value = str | int | float | bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SettingRule:
     """What a setting may be. The type of the default is the type of the setting."""
 
@@ -97,12 +97,12 @@ def _read_rule(name: str, table: Table) -> SettingRule:
         raise table.error("default", "needs a default: a text, a number, or true or false")
     choices = tuple(table.items("choices", []))
     rule = SettingRule(
-        name,
-        default,
-        choices,
-        table.number("minimum") if table.has("minimum") else None,
-        table.number("maximum") if table.has("maximum") else None,
-        table.text("help", ""),
+        name=name,
+        default=default,
+        choices=choices,
+        minimum=table.number("minimum") if table.has("minimum") else None,
+        maximum=table.number("maximum") if table.has("maximum") else None,
+        help=table.text("help", ""),
     )
     table.finish()
     if any(type(choice) is not type(default) for choice in choices):

@@ -90,7 +90,7 @@ def _find_element(lines: list[str], at: int, column: int, index: int) -> tuple[i
     return None
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Table:
     """One TOML table being read: every key is taken once, with its type checked; what is left over is refused."""
 
@@ -196,7 +196,7 @@ class Table:
         """Return a table from a value that must be one."""
         if not isinstance(found, dict):
             raise self.source.error((*self.path, *path), f"needs a table in braces, not {_shown(found)}")
-        return Table(found, (*self.path, *path), self.source, self.settings)
+        return Table(values=found, path=(*self.path, *path), source=self.source, settings=self.settings)
 
     def finish(self) -> None:
         """Refuse keys that nobody took."""

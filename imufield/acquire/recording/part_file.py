@@ -30,12 +30,9 @@ from imufield.errors import Reason, RecordingError
 RECORD_LIMIT_BYTES = CHUNK_LIMIT_BYTES + (1 << 20)
 """Largest record accepted, a packed chunk being a little larger than an unpacked one at worst: limits what is allocated."""
 _SEARCH_BYTES = 1 << 20
-_START_BYTES = 64
-"""Enough for the magic and the Header record up to its profile."""
-_HEAD_LIMIT_BYTES = 64
-"""Header and Channel records have about 35: with a damaged length they must not swallow a chunk."""
-_BYTES_MAY_DIFFER = 2
-"""Damaged bytes at which the start of a file is still taken for ours; foreign files differ in nearly all."""
+_START_BYTES = 64  # Enough for the magic and the Header record up to its profile.
+_HEAD_LIMIT_BYTES = 64  # Header and Channel records have about 35: with a damaged length they must not swallow a chunk.
+_BYTES_MAY_DIFFER = 2  # Damaged bytes at which the start of a file is still taken for ours; foreign files differ in nearly all.
 
 
 def is_part(path: str | Path) -> bool:
@@ -50,7 +47,7 @@ def is_part(path: str | Path) -> bool:
     return start.startswith(MAGIC) and start[profile_at : profile_at + len(profile)] == profile
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Damage:
     """A stretch of a part that could not be read.
 
@@ -184,7 +181,7 @@ class PartFile:
         return end
 
     def _note(self, offset: int, length: int, what: str, *, torn_end: bool = False) -> None:
-        self.damage.append(Damage(self.path, offset, length, what, torn_end))
+        self.damage.append(Damage(path=self.path, offset=offset, length_bytes=length, what=what, torn_end=torn_end))
 
     def _next_chunk(self, position: int) -> int | None:
         """Find the next Chunk record at or after ``position`` by its signature and matching lengths."""

@@ -157,7 +157,7 @@ def read_blocks(
     span_s : float
         Nor beyond this time of the wire, nor over a pause of 0.25 s, nor over an event.
     """
-    joiner = _Joiner(block_bytes, span_s)
+    joiner = _Joiner(block_bytes=block_bytes, span_s=span_s)
     for path in _parts_begun(session, damage):
         for item in _messages_of(path, damage):
             if isinstance(item, PartStart):
@@ -178,7 +178,7 @@ def read_blocks(
             yield joiner.take()
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _Joiner:
     """Collects chunks until they make a block."""
 
@@ -227,10 +227,23 @@ def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
             yield path
         elif original is not None:
             if damage is not None:
-                damage.append(Damage(path, 0, size, f"{path} is a copy of {original.name}, byte for byte, and counts once."))
+                damage.append(
+                    Damage(
+                        path=path,
+                        offset=0,
+                        length_bytes=size,
+                        what=f"{path} is a copy of {original.name}, byte for byte, and counts once.",
+                    )
+                )
         elif damage is not None:
             damage.append(
-                Damage(path, 0, 0, f"{path} is empty: the program was killed before anything arrived.", torn_end=True)
+                Damage(
+                    path=path,
+                    offset=0,
+                    length_bytes=0,
+                    what=f"{path} is empty: the program was killed before anything arrived.",
+                    torn_end=True,
+                )
             )
 
 
@@ -240,7 +253,7 @@ def _missing_before(path: Path, before: int) -> Iterator[Damage]:
     if number > before + 1:
         first, last = (path.with_name(f"part-{one:03d}{path.suffix}") for one in (before + 1, number - 1))
         gone = f"{first} is" if first == last else f"{first} to {last.name} are"
-        yield Damage(first, 0, 0, f"{gone} gone, and what was recorded there.")
+        yield Damage(path=first, offset=0, length_bytes=0, what=f"{gone} gone, and what was recorded there.")
 
 
 def _number(path: Path) -> int:
@@ -320,8 +333,8 @@ class RecordingLink:
         self._pace = pace
         self._clock = clock or SystemClock()
         self._offset_s: float | None = None
+        # Whether what was read so far says when it arrived; an imported dump does not, and has no pace.
         self.has_arrival_times = True
-        """Whether what was read so far says when it arrived; an imported dump does not, and has no pace."""
 
     def read(self) -> Chunk | None:
         """Return the next chunk with the arrival times of the recording.

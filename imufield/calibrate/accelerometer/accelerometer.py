@@ -61,11 +61,11 @@ EQUATIONS = {
     "sensing": "N - raw_zero = K (T a + b) + K2 (T a)^2",
     "body": "N - raw_zero = K (T a + b) + K2 a^2",
 }
+# A number that takes more than this share (in scaled coordinates) of a parameter that was not fitted has no sigma.
 _MIXED = 0.1
-"""A number that takes more than this share (in scaled coordinates) of a parameter that was not fitted has no sigma."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Solution:
     """Everything known after the fit, in the wanted gauge."""
 
@@ -73,11 +73,9 @@ class _Solution:
     gravity: Gravity
     data: FitData
     chosen: Chosen
-    seen: Observability
-    """Of the positions, at the start."""
+    seen: Observability  # Of the positions, at the start.
     fit: Fit
-    to_gauge: FloatArray
-    """d parameters in the wanted gauge / d parameters in the lower gauge, shape (15, 15)."""
+    to_gauge: FloatArray  # d parameters in the wanted gauge / d parameters in the lower gauge, shape (15, 15).
     spread: Influence
 
     @property
@@ -132,7 +130,7 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
         If the gauge is "preset" and there is no preset.
     """
     zero = _raw_zero(raw_zero, preset)
-    data = _checked_data(observations, gravity, zero, quadratic_axes, loss)
+    data = _checked_data(observations, gravity, zero, quadratic_axes, loss=loss)
     before = None if preset is None else _checked_preset(preset)
     signs = find_signs(data.raw, observations.direction, None if before is None else before[SCALE])
     origin, seen = find_origin(data, signs.sign, before, model)
@@ -141,8 +139,17 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     wanted: Gauge = gauge or ("lower" if preset is None else "preset")
     fitted, to_gauge = _in_gauge(data, chosen, wanted, before)
     spread = influence(fitted.residual_m_s2 / fitted.sigma_m_s2, fitted.jacobian / fitted.sigma_m_s2[:, None])
-    solution = _Solution(observations, gravity, data, chosen, seen, fitted, to_gauge, spread)
-    return _calibration(solution, signs, before, wanted, zero, seed)
+    solution = _Solution(
+        observations=observations,
+        gravity=gravity,
+        data=data,
+        chosen=chosen,
+        seen=seen,
+        fit=fitted,
+        to_gauge=to_gauge,
+        spread=spread,
+    )
+    return _calibration(solution, signs, before, wanted, zero=zero, seed=seed)
 
 
 def _raw_zero(raw_zero: FloatArray | float | None, preset: AccelerometerParameters | None) -> FloatArray:
@@ -151,7 +158,9 @@ def _raw_zero(raw_zero: FloatArray | float | None, preset: AccelerometerParamete
     return np.full(3, raw_zero, dtype=np.float64)
 
 
-def _checked_data(observations: Observations, gravity: Gravity, zero: FloatArray, axes: QuadraticAxes, loss: Loss) -> FitData:
+def _checked_data(
+    observations: Observations, gravity: Gravity, zero: FloatArray, axes: QuadraticAxes, *, loss: Loss
+) -> FitData:
     m = len(observations)
     if m < FEWEST_FOR_SCALE_AND_BIAS:
         raise CalibrationError(
@@ -173,7 +182,7 @@ def _checked_data(observations: Observations, gravity: Gravity, zero: FloatArray
     require_outputs(raw, observations.name)
     require_space(raw)
     covariance = observations.covariance_raw if known_covariance(observations.covariance_raw) else None
-    return FitData(raw, covariance, gravity.gravity_m_s2, axes, loss)
+    return FitData(raw=raw, covariance_raw=covariance, gravity_m_s2=gravity.gravity_m_s2, quadratic_axes=axes, loss=loss)
 
 
 def _checked_preset(preset: AccelerometerParameters) -> FloatArray:
@@ -204,7 +213,7 @@ def _in_gauge(data: FitData, chosen: Chosen, gauge: Gauge, before: FloatArray | 
 
 
 def _calibration(
-    solution: _Solution, signs: Signs, before: FloatArray | None, gauge: Gauge, zero: FloatArray, seed: int
+    solution: _Solution, signs: Signs, before: FloatArray | None, gauge: Gauge, *, zero: FloatArray, seed: int
 ) -> Calibration:
     fitted, axes = solution.fit, solution.data.quadratic_axes
     covariance, factors = _joint_covariance(solution)
@@ -212,7 +221,7 @@ def _calibration(
     sigma = np.where(known, np.sqrt(np.diag(covariance)[:PARAMETERS]), np.nan)
     positions = _positions(solution)
     unobservable = _unobservable(solution, known)
-    quality = _quality(solution, positions, signs, before, unobservable, sigma, factors)
+    quality = _quality(solution, positions, signs, before, unobservable=unobservable, sigma=sigma, factors=factors)
     keep = np.append(np.isfinite(sigma), True)
     return Calibration(
         accelerometer=from_vector(fitted.vector, zero, axes),
@@ -234,7 +243,14 @@ def _calibration(
 
 def _summary(fitted: Fit, seed: int) -> SolverSummary:
     solved = fitted.solved
-    return SolverSummary("least squares", int(solved.status), solved.message, solved.cost, solved.evaluations, seed)
+    return SolverSummary(
+        method="least squares",
+        status=int(solved.status),
+        message=solved.message,
+        cost=solved.cost,
+        evaluations=solved.evaluations,
+        seed=seed,
+    )
 
 
 def _positions(solution: _Solution) -> PositionResult:
@@ -291,6 +307,7 @@ def _quality(
     positions: PositionResult,
     signs: Signs,
     before: FloatArray | None,
+    *,
     unobservable: tuple[str, ...],
     sigma: FloatArray,
     factors: FloatArray,

@@ -15,13 +15,11 @@ from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.least_squares import Loss, solve_least_squares
 from imufield.samples import FloatArray
 
-_REWEIGHTINGS = 4
-"""At most; where tau has not settled by then, the last weights count."""
-_SETTLED = 1e-3
-"""Relative change of tau at which weights count as settled: it moves parameters by far less than their sigma."""
+_REWEIGHTINGS = 4  # At most; where tau has not settled by then, the last weights count.
+_SETTLED = 1e-3  # Relative change of tau at which weights count as settled: it moves parameters by far less than their sigma.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FitData:
     """What every fit of one calibration shares."""
 
@@ -34,7 +32,7 @@ class FitData:
     loss: Loss = "linear"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
     """A fitted model: ``vector = origin + basis z``."""
 
@@ -84,7 +82,14 @@ def fit(data: FitData, origin: FloatArray, basis: FloatArray) -> Fit:
     basis : ndarray, shape (15, n)
     """
     m = len(data.raw)
-    problem = NormProblem(data.raw, data.gravity_m_s2, np.ones(m), origin, basis, data.quadratic_axes)
+    problem = NormProblem(
+        raw=data.raw,
+        gravity_m_s2=data.gravity_m_s2,
+        sigma_m_s2=np.ones(m),
+        origin=origin,
+        basis=basis,
+        quadratic_axes=data.quadratic_axes,
+    )
     solved = solve_least_squares(problem, loss="linear")
     current = _evaluate(data, problem, solved)
     evaluations = solved.evaluations
@@ -110,7 +115,15 @@ def _evaluate(data: FitData, problem: NormProblem, solved: SolverResult) -> Fit:
     sigma = np.sqrt(within + tau**2)
     # Without covariances and without redundancy nothing says how sure a position is; equal weights then.
     sigma = np.where(sigma > 0, sigma, 1.0)
-    return Fit(vector, problem.basis, residual, jacobian, sigma, tau, solved)
+    return Fit(
+        vector=vector,
+        basis=problem.basis,
+        residual_m_s2=residual,
+        jacobian=jacobian,
+        sigma_m_s2=sigma,
+        tau_m_s2=tau,
+        solved=solved,
+    )
 
 
 def _chi_squared(fitted: Fit) -> float:

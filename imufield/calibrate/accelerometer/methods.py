@@ -36,7 +36,7 @@ GAUGE_FREE_NAMES = tuple(
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Restart:
     """A calibration's problem, ready to be solved again by any method."""
 
@@ -89,10 +89,10 @@ def restart(observations: Observations, calibration: Calibration, preset: Accele
     gravity = calibration.gravity.gravity_m_s2
     raw = observations.mean_raw - used.raw_zero
     before = None if preset is None else to_vector(preset)
-    data = FitData(raw, None, gravity, used.quadratic_axes)
+    data = FitData(raw=raw, covariance_raw=None, gravity_m_s2=gravity, quadratic_axes=used.quadratic_axes)
     origin, seen = find_origin(data, np.sign(used.scale), before, "auto" if calibration.quadratic_fitted else "linear")
     free = tuple(k for k in seen.free if k < QUADRATIC.start or calibration.quadratic_fitted)
-    start = _start(raw, gravity, origin, before, vector, calibration.quadratic_fitted)
+    start = _start(raw, gravity, origin, before, vector=vector, quadratic=calibration.quadratic_fitted)
     if sum(MISALIGNMENT.start <= k < MISALIGNMENT.stop for k in free) == 3:
         # All misalignments move, less the three turns of the frame: the start's frame is kept.
         free = tuple(sorted({*free, *range(MISALIGNMENT.start, MISALIGNMENT.stop)}))
@@ -100,11 +100,11 @@ def restart(observations: Observations, calibration: Calibration, preset: Accele
     problem = whitened_problem(
         start, raw, gravity, quadratic_axes=used.quadratic_axes, cost_name="weighted", sigma_m_s2=sigma, free=free
     )
-    return Restart(calibration, problem, vector, before, free)
+    return Restart(calibration=calibration, problem=problem, vector=vector, preset=before, free=free)
 
 
 def _start(
-    raw: FloatArray, gravity: float, origin: FloatArray, before: FloatArray | None, vector: FloatArray, quadratic: bool
+    raw: FloatArray, gravity: float, origin: FloatArray, before: FloatArray | None, *, vector: FloatArray, quadratic: bool
 ) -> FloatArray:
     """Return the preset, or scale and bias from the extremes of the outputs."""
     if before is not None:
@@ -180,7 +180,16 @@ def solve_with(
     if polish and found.converged:
         found, vector = _polished(again, found, vector, basis)
     return _replaced(
-        again, vector, SolverSummary(method, int(found.status), found.message, found.cost, found.evaluations, seed)
+        again,
+        vector,
+        SolverSummary(
+            method=method,
+            status=int(found.status),
+            message=found.message,
+            cost=found.cost,
+            evaluations=found.evaluations,
+            seed=seed,
+        ),
     )
 
 
@@ -262,7 +271,7 @@ def cross_check(
         numbers = intrinsic(again.in_gauge(problem.vector(found.x))[0], problem.quadratic_axes)[0]
         return numbers, "" if found.converged else found.message
 
-    return compare("accelerometer", attempt, GAUGE_FREE_NAMES, again.gauge_free_sigma(), methods)
+    return compare("accelerometer", attempt, GAUGE_FREE_NAMES, again.gauge_free_sigma(), methods=methods)
 
 
 def _relative(again: Restart, cost_name: CostName, method: str) -> NormProblem:

@@ -30,7 +30,7 @@ _NO_DOUBT = np.zeros((PARAMETERS, 0))
 _MISALIGNMENT_ENTRIES = range(MISALIGNMENT.start, MISALIGNMENT.stop)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Chosen:
     """The model that was kept, in the lower gauge."""
 
@@ -131,8 +131,10 @@ def choose_model(data: FitData, origin: FloatArray, seen: Observability, model: 
         return _linear(data, origin, seen, f"the model is linear, {reason}")
     quadratic = fit(data, origin, column_basis(origin, seen.free, data.gravity_m_s2))
     if model == "quadratic":
-        return Chosen(quadratic, seen.free, True, _NO_DOUBT, "the quadratic term is fitted, as asked")
-    return _decide(data, origin, seen, quadratic, quadratic_free)
+        return Chosen(
+            fit=quadratic, free=seen.free, quadratic=True, doubt=_NO_DOUBT, sentence="the quadratic term is fitted, as asked"
+        )
+    return _decide(data, origin, seen, quadratic, entries=quadratic_free)
 
 
 def _linear(data: FitData, origin: FloatArray, seen: Observability, sentence: str) -> Chosen:
@@ -141,10 +143,10 @@ def _linear(data: FitData, origin: FloatArray, seen: Observability, sentence: st
     plain[[k for k in seen.free if k >= _FIRST_QUADRATIC]] = 0.0
     free = tuple(k for k in seen.free if k < _FIRST_QUADRATIC)
     fitted = fit(data, plain, column_basis(plain, free, data.gravity_m_s2))
-    return Chosen(fitted, free, False, _NO_DOUBT, sentence)
+    return Chosen(fit=fitted, free=free, quadratic=False, doubt=_NO_DOUBT, sentence=sentence)
 
 
-def _decide(data: FitData, origin: FloatArray, seen: Observability, quadratic: Fit, entries: tuple[int, ...]) -> Chosen:
+def _decide(data: FitData, origin: FloatArray, seen: Observability, quadratic: Fit, *, entries: tuple[int, ...]) -> Chosen:
     change, covariance = _estimate(quadratic, entries)
     F = float(change @ np.linalg.solve(covariance, change)) / len(entries)
     t = float(np.max(np.abs(change) / np.sqrt(np.diag(covariance))))
@@ -154,7 +156,7 @@ def _decide(data: FitData, origin: FloatArray, seen: Observability, quadratic: F
     figures = f"F = {F_shown}, 95 % limit {F_most}; largest {t_shown} sigma, limit {t_most}"
     if F_limit < F or t_limit < t:
         sentence = f"the quadratic term is kept: it is significant ({figures})"
-        return Chosen(quadratic, seen.free, True, _NO_DOUBT, sentence)
+        return Chosen(fit=quadratic, free=seen.free, quadratic=True, doubt=_NO_DOUBT, sentence=sentence)
     sentence = (
         f"the quadratic term is left out: it is not significant ({figures}); what it may hide in scale and bias is in "
         "their uncertainty"

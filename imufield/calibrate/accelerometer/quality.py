@@ -32,15 +32,14 @@ SATURATION_RESIDUAL_M_S2 = POOR_RESIDUAL_M_S2
 """A fit bends around two clipped faces and leaves a tenth of what was cut off: 30 mg of 300 mg."""
 TEMPERATURE_SPAN_DEGC = 5.0
 """Bias of a chip moves by 0.5 to 1 mg/degC (data sheets of MPU-6000 and BMI160): here as much as ``POOR_RESIDUAL_M_S2``."""
+# Means at the same extreme of an axis: two different placements do not agree to the last digit by chance.
 _SATURATED_POSITIONS = 2
-"""Means at the same extreme of an axis: two different placements do not agree to the last digit by chance."""
+# Share of an axis' span within which two means are the same number: the mean of a constant is that to rounding.
 _SAME_OUTPUT = 1e-9
-"""Share of an axis' span within which two means are the same number: the mean of a constant is that to rounding."""
-_OUTLIER_LEVEL = 0.01
-"""Chance that one of all positions of a good session is called an outlier (both sides, Bonferroni)."""
+_OUTLIER_LEVEL = 0.01  # Chance that one of all positions of a good session is called an outlier (both sides, Bonferroni).
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
     """What the verdict rests on."""
 
@@ -74,17 +73,17 @@ def judge(evidence: Evidence) -> Quality:
     verdict = "poor" if poor else "usable" if caution else "good"
     fitted, positions = evidence.fitted, evidence.positions
     return Quality(
-        _rms(positions.residual_m_s2),
-        float(np.abs(positions.residual_m_s2).max()),
-        without,
-        fitted.tau_m_s2,
-        freedom,
-        _student_factor(fitted),
-        evidence.seen.rank,
-        len(evidence.free),
-        evidence.seen.condition,
-        verdict,
-        (_summary(evidence), *poor, *caution, *note),
+        residual_rms_m_s2=_rms(positions.residual_m_s2),
+        residual_max_m_s2=float(np.abs(positions.residual_m_s2).max()),
+        leave_one_out_rms_m_s2=without,
+        between_position_sigma_m_s2=fitted.tau_m_s2,
+        degrees_of_freedom=freedom,
+        student_factor_95=_student_factor(fitted),
+        rank=evidence.seen.rank,
+        parameters_fitted=len(evidence.free),
+        condition=evidence.seen.condition,
+        verdict=verdict,
+        reasons=(_summary(evidence), *poor, *caution, *note),
     )
 
 

@@ -24,10 +24,8 @@ FEWEST_FOR_MISALIGNMENT = 9
 FEWEST_FOR_QUADRATIC = 12
 """One position for each unknown: three scales and three biases, three angles, three quadratic terms."""
 
-_REFITS = 3
-"""An algebraic fit depends on its origin: each is about the centre that the one before found."""
-_DIRECTION_RANGE = 0.2
-"""An axis whose planned directions vary less than this (unit vectors) says nothing about its sign."""
+_REFITS = 3  # An algebraic fit depends on its origin: each is about the centre that the one before found.
+_DIRECTION_RANGE = 0.2  # An axis whose planned directions vary less than this (unit vectors) says nothing about its sign.
 
 
 @dataclass(frozen=True, slots=True)

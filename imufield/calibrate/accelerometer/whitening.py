@@ -23,12 +23,10 @@ from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
 ALL_FREE = tuple(range(PARAMETERS))
-_WORST_CONDITION = 1e6
-"""Singular values further apart than this are a direction the positions do not show."""
-_REACH = 5.0
-"""Bounds of the coordinates: the solution is about one unit away, and this leaves room for what is not linear."""
+_WORST_CONDITION = 1e6  # Singular values further apart than this are a direction the positions do not show.
+_REACH = 5.0  # Bounds of the coordinates: the solution is about one unit away, and this leaves room for what is not linear.
+# Relative error of the norm at the start that no instrument has: the preset is in another unit or of another instrument.
 _WORST_START = 0.5
-"""Relative error of the norm at the start that no instrument has: the preset is in another unit or of another instrument."""
 
 
 def observable_basis(
@@ -36,6 +34,7 @@ def observable_basis(
     raw: FloatArray,
     gravity_m_s2: float,
     quadratic_axes: QuadraticAxes = "sensing",
+    *,
     free: tuple[int, ...] = ALL_FREE,
 ) -> FloatArray:
     """Return the basis S C V D^-1 of the whitened coordinates, shape (15, n).
@@ -95,9 +94,18 @@ def whitened_problem(
     norm = norm_derivatives(vector, raw, quadratic_axes).norm
     refuse_foreign_start(norm, gravity_m_s2)
     unit = max(float(np.linalg.norm(norm - gravity_m_s2)), 1e-9 * gravity_m_s2)
-    basis = unit * observable_basis(vector, raw, gravity_m_s2, quadratic_axes, free)
+    basis = unit * observable_basis(vector, raw, gravity_m_s2, quadratic_axes, free=free)
     sigma = np.ones(len(raw)) if sigma_m_s2 is None else sigma_m_s2
-    return NormProblem(raw, gravity_m_s2, sigma, vector, basis, quadratic_axes, cost_name, _REACH)
+    return NormProblem(
+        raw=raw,
+        gravity_m_s2=gravity_m_s2,
+        sigma_m_s2=sigma,
+        origin=vector,
+        basis=basis,
+        quadratic_axes=quadratic_axes,
+        cost_name=cost_name,
+        reach=_REACH,
+    )
 
 
 def refuse_foreign_start(norm_m_s2: FloatArray, gravity_m_s2: float) -> None:

@@ -59,19 +59,16 @@ FEWEST_STILLS = 2
 """One alone says nothing about its scatter."""
 BASIC = np.arange(12)
 FULL = np.arange(PARAMETERS)
+# The preset's scale is not believed where the rough one differs by more than this factor: the raw unit is another.
 _WRONG_START = 3.0
-"""The preset's scale is not believed where the rough one differs by more than this factor: the raw unit is another."""
-_MOVED = 0.05
-"""Share of all turning that an axis must have to be compared."""
+_MOVED = 0.05  # Share of all turning that an axis must have to be compared.
+# Of the output at rest: more than sums of equal numbers differ by, and less than the last bit of any instrument.
 _CONSTANT = 1e-9
-"""Of the output at rest: more than sums of equal numbers differ by, and less than the last bit of any instrument."""
-_NOISE_ONLY = 3.0
-"""Turns of the slots beyond what noise gives; a hand that turns a unit is hundreds of times beyond."""
-_TURNED = 0.98
-"""Cosine of 11 deg between the directions of gravity before and after a move."""
+_NOISE_ONLY = 3.0  # Turns of the slots beyond what noise gives; a hand that turns a unit is hundreds of times beyond.
+_TURNED = 0.98  # Cosine of 11 deg between the directions of gravity before and after a move.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GyroscopeInput:
     """What a session knows about its gyroscope.
 
@@ -147,10 +144,22 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
     errors = force_errors(given.observations, given.calibration, given.rests)
     earth = EarthKnowledge.at(given.latitude_deg)
     start, sight = _start(given, data, errors)
-    data, refused = _with_stops(given, data, errors, start, sight, earth)
-    chosen = _choose(data, errors, start, sight, earth, model)
+    data, refused = _with_stops(given, data, errors, start, sight=sight, earth=earth)
+    chosen = _choose(data, errors, start, sight, earth=earth, model=model)
     words = (*chosen.words, *refused, *_check_latitude(given, data, errors, chosen))
-    return describe(Described(given, data, chosen.fit, start, sight, chosen.fit_g, chosen.doubt, words, earth))
+    return describe(
+        Described(
+            given=given,
+            data=data,
+            fit=chosen.fit,
+            start=start,
+            sight=sight,
+            fit_g=chosen.fit_g,
+            doubt=chosen.doubt,
+            words=words,
+            earth=earth,
+        )
+    )
 
 
 def make_data(given: GyroscopeInput) -> GyroscopeData:
@@ -162,16 +171,16 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
     density = np.sqrt(np.median(np.diagonal(covariance, 0, 1, 2) * observations.duration_s[:, None], axis=0))
     duration = np.maximum(moves.slots.duration_s, 1e-9)[:, None]
     return GyroscopeData(
-        observations.gyroscope_mean_raw - rest,
-        covariance,
-        recover(parameters, observations.mean_raw),
-        centre(moves, rest, accelerometer_force(parameters, moves.slots.force / duration)),
-        moves.before,
-        moves.after,
-        chains_of(len(observations), moves.before, moves.after),
-        density,
-        rest,
-        observations.start_s + observations.duration_s / 2,
+        rate_raw=observations.gyroscope_mean_raw - rest,
+        rate_covariance=covariance,
+        force=recover(parameters, observations.mean_raw),
+        slots=centre(moves, rest, accelerometer_force(parameters, moves.slots.force / duration)),
+        before=moves.before,
+        after=moves.after,
+        chain=chains_of(len(observations), moves.before, moves.after),
+        noise_density_raw=density,
+        rest_raw=rest,
+        time_s=observations.start_s + observations.duration_s / 2,
         table=pair_runs(given.turntable) if given.turntable else no_table(),
     )
 
@@ -233,7 +242,11 @@ def _static(given: GyroscopeInput) -> GyroscopeResult:
         data = StaticData(observations.gyroscope_mean_raw - rest, observations.gyroscope_covariance_raw, up, middle_s)
         fitted = fit_static(data, A, given.latitude_deg, given.static_free)
         start = static_start(data, A, given.latitude_deg)
-        return static_norm_result(StaticNorm(given, data, start, static_columns(given.static_free), fitted, rest))
+        return static_norm_result(
+            StaticNorm(
+                given=given, data=data, start=start, columns=static_columns(given.static_free), fitted=fitted, rest_raw=rest
+            )
+        )
     gyroscope = static_bias(
         given.observations,
         given.nominal_scale if before is None else before.scale,
@@ -307,13 +320,13 @@ def _handedness() -> CalibrationError:
 
 
 def _with_stops(
-    given: GyroscopeInput, data: GyroscopeData, errors: ForceErrors, start: FloatArray, sight: Sight, earth: EarthKnowledge
+    given: GyroscopeInput, data: GyroscopeData, errors: ForceErrors, start: FloatArray, *, sight: Sight, earth: EarthKnowledge
 ) -> tuple[GyroscopeData, tuple[str, ...]]:
     """Return the data with the turns against a stop that did close, and sentences about those that did not."""
     if not given.stops:
         return data, ()
     moves, sigma = find_stops(given.stops, given.moves.start_s, given.moves.end_s)
-    first = fit_jointly(data, errors, start, sight.free(FULL if sight.sensitivity else BASIC), earth)
+    first = fit_jointly(data, errors, start, sight.free(FULL if sight.sensitivity else BASIC), earth=earth)
     whole, missed = whole_stops(first.evaluation, data, moves, sigma)
     sentences = tuple(
         f"the turn against a stop at {given.moves.start_s[moves[k]]:.1f} s was not whole: it misses by "
@@ -331,7 +344,7 @@ def _check_latitude(given: GyroscopeInput, data: GyroscopeData, errors: ForceErr
     if given.latitude_deg is None or not chosen.fit.heading_fitted or chosen.fit_g:
         return ()
     free = np.array([k for k in chosen.fit.free if k < PARAMETERS])
-    loose = fit_jointly(data, errors, chosen.fit.p, free, EarthKnowledge.at(None), chosen.fit.scatter)
+    loose = fit_jointly(data, errors, chosen.fit.p, free, earth=EarthKnowledge.at(None), scatter=chosen.fit.scatter)
     place = int(np.flatnonzero(loose.free == VERTICAL)[0])
     return latitude_words(given.latitude_deg, float(loose.p[VERTICAL]), float(np.sqrt(loose.covariance[place, place])))
 
@@ -345,7 +358,7 @@ class _Chosen:
 
 
 def _choose(
-    data: GyroscopeData, errors: ForceErrors, start: FloatArray, sight: Sight, earth: EarthKnowledge, model: GyroscopeModel
+    data: GyroscopeData, errors: ForceErrors, start: FloatArray, sight: Sight, *, earth: EarthKnowledge, model: GyroscopeModel
 ) -> _Chosen:
     nothing = np.zeros(data.parameters)
     if model == "basic" or not sight.sensitivity:
@@ -357,15 +370,15 @@ def _choose(
             )
         why = "as asked" if model == "basic" else "because the stills do not show it"
         words = f"g-sensitivity is left out, {why}"
-        return _Chosen(fit_jointly(data, errors, start, sight.free(BASIC), earth), False, nothing, (words,))
-    full = fit_jointly(data, errors, start, sight.free(FULL), earth)
+        return _Chosen(fit_jointly(data, errors, start, sight.free(BASIC), earth=earth), False, nothing, (words,))
+    full = fit_jointly(data, errors, start, sight.free(FULL), earth=earth)
     if model == "g-sensitive":
         return _Chosen(full, True, nothing, ("g-sensitivity is fitted, as asked",))
     F, limit = _significance(full)
     compared = "F = {}, limit {}".format(*told_apart(F, limit))
     if limit < F:
         return _Chosen(full, True, nothing, (f"g-sensitivity is kept: it is significant ({compared})",))
-    basic = fit_jointly(data, errors, start, sight.free(BASIC), earth)
+    basic = fit_jointly(data, errors, start, sight.free(BASIC), earth=earth)
     doubt = np.sqrt(max(0.0, 1 - 1 / F)) * (full.p - basic.p)
     doubt[SENSITIVITY] = 0.0
     words = f"g-sensitivity is left out: it is not significant ({compared})"

@@ -18,20 +18,14 @@ from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray, IntArray
 
-_ITERATIONS = 60
-"""Steps before it says that it did not converge; the scatters settle last."""
-_SETTLED = 1e-8
-"""Sum of squared changes in sigma at which it stops: a ten-thousandth of a sigma."""
-_SCATTER_SETTLED = 1e-3
-"""Relative change of each scatter at which it stops: 24 stills tell a scatter to a tenth."""
-_HALVINGS = 6
-"""Shares of a step that are tried, 1 to 1/32; the last is taken as it is, and the next step is another."""
-_SESSION_ROOT_S = 20.0
-"""Root of the length of a session, sqrt(s), to start from: 400 s, 24 positions of 17 s."""
+_ITERATIONS = 60  # Steps before it says that it did not converge; the scatters settle last.
+_SETTLED = 1e-8  # Sum of squared changes in sigma at which it stops: a ten-thousandth of a sigma.
+_SCATTER_SETTLED = 1e-3  # Relative change of each scatter at which it stops: 24 stills tell a scatter to a tenth.
+_HALVINGS = 6  # Shares of a step that are tried, 1 to 1/32; the last is taken as it is, and the next step is another.
+_SESSION_ROOT_S = 20.0  # Root of the length of a session, sqrt(s), to start from: 400 s, 24 positions of 17 s.
 HEADING_SEEN = 0.2
 """Sigma of the horizontal Earth rate over its length below which its length is taken as known and one azimuth is fitted."""
-_LENGTH_SIGMA = 1e-4
-"""Of the Earth's rate: how strictly the known length is kept."""
+_LENGTH_SIGMA = 1e-4  # Of the Earth's rate: how strictly the known length is kept.
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +51,7 @@ class EarthKnowledge:
         return cls(float(EARTH_RATE_RAD_S * np.sin(latitude)), 0.0, horizontal_rad_s / np.sqrt(2.0), horizontal_rad_s)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class JointFit:
     """The end of a fit."""
 
@@ -86,8 +80,7 @@ class _Prior:
     """Rows (p - mean) / sigma for the Earth's rate, and the known length of its horizontal part."""
 
     mean: FloatArray
-    sigma: FloatArray
-    """inf where nothing is known."""
+    sigma: FloatArray  # inf where nothing is known.
     length_rad_s: float | None
 
     def rows(self, p: FloatArray, free: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -129,6 +122,7 @@ def fit_jointly(
     errors: ForceErrors,
     start: FloatArray,
     free: IntArray,
+    *,
     earth: EarthKnowledge,
     scatter: Scatter | None = None,
 ) -> JointFit:
@@ -149,10 +143,10 @@ def fit_jointly(
     p[VERTICAL] = earth.vertical_rad_s
     nuisance = [] if earth.vertical_sigma_rad_s == 0 else [VERTICAL]
     columns = np.array([*free, *nuisance, *range(FIRST_HORIZONTAL, data.parameters)], dtype=np.int64)
-    fitted = _gauss_newton(data, errors, p, columns, make_prior(data, earth, heading=False), scatter)
+    fitted = _gauss_newton(data, errors, p, columns, prior=make_prior(data, earth, heading=False), scatter=scatter)
     if earth.horizontal_rad_s and _heading_seen(fitted, earth.horizontal_rad_s):
         p = _at_length(fitted.p, earth.horizontal_rad_s)
-        fitted = _gauss_newton(data, errors, p, columns, make_prior(data, earth, heading=True), fitted.scatter)
+        fitted = _gauss_newton(data, errors, p, columns, prior=make_prior(data, earth, heading=True), scatter=fitted.scatter)
     return fitted
 
 
@@ -170,7 +164,7 @@ def _at_length(p: FloatArray, horizontal_rad_s: float) -> FloatArray:
     return result
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Step:
     """The linearised problem at one point."""
 
@@ -178,8 +172,7 @@ class _Step:
     covariance: FloatArray
     gain: FloatArray
     cost: float
-    size: float
-    """Change in sigma, squared."""
+    size: float  # Change in sigma, squared.
 
 
 def _gauss_newton(
@@ -187,6 +180,7 @@ def _gauss_newton(
     errors: ForceErrors,
     p: FloatArray,
     free: IntArray,
+    *,
     prior: _Prior,
     scatter: Scatter | None,
 ) -> JointFit:
@@ -195,19 +189,29 @@ def _gauss_newton(
     status, count = SolverStatus.ITERATION_LIMIT, 1
     parts = covariances(now, p[:PARAMETERS], data, errors)
     for _ in range(_ITERATIONS):
-        step = _linear_step(now, parts, scatter, p, free, prior)
-        p, now, tried = _walk(data, p, free, step, (parts, scatter, prior))
+        step = _linear_step(now, parts, scatter, p, free=free, prior=prior)
+        p, now, tried = _walk(data, p, free, step, weights=(parts, scatter, prior))
         count += tried
         parts = covariances(now, p[:PARAMETERS], data, errors)
         before, scatter = scatter, next_scatter(scatter, now.residual, now.jacobian[:, free], parts)
         if step.size < _SETTLED * len(free) and _same(before, scatter):
             status = SolverStatus.CONVERGED
             break
-    step = _linear_step(now, parts, scatter, p, free, prior)
+    step = _linear_step(now, parts, scatter, p, free=free, prior=prior)
     settled = status is SolverStatus.CONVERGED
     message = "changes are below a ten-thousandth of a sigma" if settled else f"it still moves after {_ITERATIONS} steps"
-    solved = SolverResult(p[free], step.cost, status, message, count)
-    return JointFit(p, free, step.covariance, step.gain, now, parts, scatter, solved, prior.length_rad_s is not None)
+    solved = SolverResult(x=p[free], cost=step.cost, status=status, message=message, evaluations=count)
+    return JointFit(
+        p=p,
+        free=free,
+        covariance=step.covariance,
+        gain=step.gain,
+        evaluation=now,
+        parts=parts,
+        scatter=scatter,
+        solved=solved,
+        heading_fitted=prior.length_rad_s is not None,
+    )
 
 
 def _same(before: Scatter, after: Scatter) -> bool:
@@ -243,7 +247,9 @@ def _root(covariance: FloatArray) -> FloatArray:
         ) from error
 
 
-def _linear_step(now: Evaluation, parts: Covariances, scatter: Scatter, p: FloatArray, free: IntArray, prior: _Prior) -> _Step:
+def _linear_step(
+    now: Evaluation, parts: Covariances, scatter: Scatter, p: FloatArray, *, free: IntArray, prior: _Prior
+) -> _Step:
     L = _root(parts.total(scatter))
     whitened = np.linalg.solve(L, np.column_stack([now.residual, now.jacobian[:, free]]))
     prior_residual, prior_jacobian = prior.rows(p, free)
@@ -253,7 +259,13 @@ def _linear_step(now: Evaluation, parts: Covariances, scatter: Scatter, p: Float
     inverse = np.linalg.pinv(jacobian / size) / size[:, None]
     change = -inverse @ residual
     gain = inverse[:, : len(whitened)] @ np.linalg.inv(L)
-    return _Step(change, inverse @ inverse.T, gain, float(residual @ residual), float(np.sum((jacobian @ change) ** 2)))
+    return _Step(
+        change=change,
+        covariance=inverse @ inverse.T,
+        gain=gain,
+        cost=float(residual @ residual),
+        size=float(np.sum((jacobian @ change) ** 2)),
+    )
 
 
 def _walk(
@@ -261,6 +273,7 @@ def _walk(
     p: FloatArray,
     free: IntArray,
     step: _Step,
+    *,
     weights: tuple[Covariances, Scatter, _Prior],
 ) -> tuple[FloatArray, Evaluation, int]:
     """Take the step, or the half of it that first lowers the cost."""

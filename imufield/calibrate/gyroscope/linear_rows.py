@@ -25,18 +25,15 @@ from imufield.calibrate.solvers.costs import CostName
 from imufield.calibrate.solvers.registry import load_solver
 from imufield.samples import FloatArray
 
-_REACH = 5.0
-"""Bounds of the coordinates: the solution is about one unit away, and this leaves room."""
+_REACH = 5.0  # Bounds of the coordinates: the solution is about one unit away, and this leaves room.
+# Of a round, in the problem's unit: the size of the papers' costs, for which the first steps of their swarms are made.
 _COST_AT_START = 0.01
-"""Of a round, in the problem's unit: the size of the papers' costs, for which the first steps of their swarms are made."""
-_ROUNDS = 20
-"""At most; then it says that it did not converge."""
-_HALVINGS = 6
-"""Of a step that does not lower the cost: down to a sixty-fourth."""
+_ROUNDS = 20  # At most; then it says that it did not converge.
+_HALVINGS = 6  # Of a step that does not lower the cost: down to a sixty-fourth.
+# Move of a round, per root of the number of coordinates, after which what is not linear is of second order.
 _SETTLED_SIGMA = 1.0
-"""Move of a round, per root of the number of coordinates, after which what is not linear is of second order."""
+# Singular values below this share of the largest are directions that nothing shows; they stay where they are.
 _INVISIBLE = 1e-12
-"""Singular values below this share of the largest are directions that nothing shows; they stay where they are."""
 
 Linearise = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """Parameters, shape (n,), to residuals in units of sigma, shape (m,), and their derivative, shape (m, n)."""
@@ -67,7 +64,7 @@ def rows_cost(residual: FloatArray, cost_name: CostName) -> FloatArray:
     return np.asarray(squares if cost_name == "weighted" else np.sqrt(squares / (residual.shape[-1] - 1)))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RowsProblem:
     """One round: linear residuals in whitened coordinates (satisfies ``solvers.base.Problem``).
 
@@ -129,7 +126,9 @@ def rows_problem(linearise: Linearise, x: FloatArray, cost_name: CostName) -> Ro
     unit = max(float(np.linalg.norm(residual)), 1.0)
     basis = unit * (Vt[seen].T / D[seen]) / size[:, None]
     cost_unit = max(float(rows_cost(residual, cost_name)), 1.0) / _COST_AT_START
-    return RowsProblem(residual, unit * U[:, seen], x, basis, cost_name, cost_unit)
+    return RowsProblem(
+        residual=residual, by_coordinates=unit * U[:, seen], origin=x, basis=basis, cost_name=cost_name, cost_unit=cost_unit
+    )
 
 
 def search(

@@ -219,4 +219,4 @@ def cross_check_gyroscope(
     A = again.linearise(best)[1]
     J = again.instrument(best)[1]
     variance = np.einsum("ij,jk,ik->i", J, np.linalg.pinv(A.T @ A, hermitian=True), J)
-    return compare("gyroscope", attempt, GYROSCOPE_NAMES, np.sqrt(np.maximum(variance, 0.0)), methods)
+    return compare("gyroscope", attempt, GYROSCOPE_NAMES, np.sqrt(np.maximum(variance, 0.0)), methods=methods)

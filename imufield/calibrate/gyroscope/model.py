@@ -64,7 +64,7 @@ def no_table() -> TableRows:
     return TableRows(vectors, matrices, vectors, matrices)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GyroscopeData:
     """s stills and m moves, ready for fitting.
 
@@ -123,7 +123,7 @@ class GyroscopeData:
         return FIRST_HORIZONTAL + 2 * self.chains
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
     """Residuals at one ``p``: 2 m of moves, 3 s of stills, c of stops, 3 t of the turntable."""
 
@@ -176,10 +176,12 @@ def evaluate(p: FloatArray, data: GyroscopeData) -> Evaluation:
     stops, stop_rows = _stop_rows(data, turns, carry)
     table = data.table.half_difference_raw @ A.T - data.table.rate_rad_s
     jacobian = np.vstack(
-        [_move_rows(data, turns, tangent, predicted, carry, Q), _still_rows(data, Q), stop_rows, _table_rows(data)]
+        [_move_rows(data, turns, tangent, predicted, carry=carry, Q=Q), _still_rows(data, Q), stop_rows, _table_rows(data)]
     )
     residual = np.concatenate([residual_moves.ravel(), residual_stills.ravel(), stops, table.ravel()])
-    return Evaluation(residual, jacobian, turns, tangent, predicted, carry, len(up))
+    return Evaluation(
+        residual=residual, jacobian=jacobian, turns=turns, tangent=tangent, predicted=predicted, carry=carry, stills=len(up)
+    )
 
 
 def carry_azimuth(data: GyroscopeData, turns: Turns, v: float, h: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -212,7 +214,7 @@ def _tangent(up: FloatArray) -> FloatArray:
 
 
 def _move_rows(
-    data: GyroscopeData, turns: Turns, tangent: FloatArray, predicted: FloatArray, carry: FloatArray, Q: FloatArray
+    data: GyroscopeData, turns: Turns, tangent: FloatArray, predicted: FloatArray, *, carry: FloatArray, Q: FloatArray
 ) -> FloatArray:
     m = len(data.before)
     rows = np.zeros((m, 2, data.parameters))

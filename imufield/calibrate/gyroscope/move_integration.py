@@ -28,7 +28,7 @@ BIAS = slice(9, 12)
 SENSITIVITY = slice(12, 21)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CentredSlots:
     """The k slots of m moves with the gyroscope's output at rest taken off, and the specific force in SI units.
 
@@ -55,7 +55,7 @@ class CentredSlots:
     length: IntArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Turns:
     """Turns of m moves at one parameter vector.
 
@@ -93,14 +93,14 @@ def centre(moves: Moves, rest_raw: FloatArray, force_m_s2: FloatArray) -> Centre
     slots: Slots = moves.slots
     T = slots.duration_s[:, None]
     return CentredSlots(
-        slots.duration_s,
-        slots.turn - rest_raw * T,
-        slots.moment - rest_raw * T**2 / 2,
-        slots.area + cross(T * slots.turn - 2 * slots.moment, rest_raw),
-        force_m_s2 * T,
-        slots.bridge,
-        moves.first,
-        moves.length,
+        duration_s=slots.duration_s,
+        turn=slots.turn - rest_raw * T,
+        moment=slots.moment - rest_raw * T**2 / 2,
+        area=slots.area + cross(T * slots.turn - 2 * slots.moment, rest_raw),
+        velocity_m_s=force_m_s2 * T,
+        bridge=slots.bridge,
+        first=moves.first,
+        length=moves.length,
     )
 
 
@@ -153,11 +153,11 @@ def integrate(x: FloatArray, slots: CentredSlots, noise_density_raw: FloatArray)
     if slots.bridge.any():
         spread += bridged @ np.swapaxes(bridged, 1, 2) * (slots.bridge / 3)[:, None, None]
     return Turns(
-        end,
-        np.concatenate([by_inverse, -duration, -by_force], axis=2),
-        duration,
-        total(spread),
-        total((to_end @ vectors[:, :, None])[:, :, 0]),
+        quaternion=end,
+        jacobian=np.concatenate([by_inverse, -duration, -by_force], axis=2),
+        duration=duration,
+        spread=total(spread),
+        net_rad=total((to_end @ vectors[:, :, None])[:, :, 0]),
     )
 
 

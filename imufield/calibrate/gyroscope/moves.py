@@ -47,14 +47,12 @@ CELL_S = 0.1
 """The guide's cell."""
 GUARD_CELLS = 10
 """Kept between the stretched still and what looks like motion."""
-_SIGMAS = 5.0
-"""Of the cells inside the still; what is further off looks like motion."""
-_FEWEST = 5
-"""Cells inside a still that tell its scatter."""
+_SIGMAS = 5.0  # Of the cells inside the still; what is further off looks like motion.
+_FEWEST = 5  # Cells inside a still that tell its scatter.
 
 
 def stretch_stills(
-    slot_start_s: FloatArray, duration_s: FloatArray, turn: FloatArray, force: FloatArray, stills: FloatArray
+    slot_start_s: FloatArray, duration_s: FloatArray, turn: FloatArray, force: FloatArray, *, stills: FloatArray
 ) -> FloatArray:
     """Return begin and end of each still, stretched, shape (s, 2).
 
@@ -78,7 +76,7 @@ def stretch_stills(
             continue
         before = int(high[k - 1]) if k else 0
         after = int(low[k + 1]) if k + 1 < len(stills) else len(cell_s)
-        left, right = _reach(cells, int(low[k]), int(high[k]), before, after)
+        left, right = _reach(cells, int(low[k]), int(high[k]), before, after=after)
         stretched[k, 0] = min(stills[k, 0], cell_s[min(left, len(cell_s) - 1)])
         stretched[k, 1] = max(stills[k, 1], cell_s[min(right, len(cell_s) - 1)])
     return stretched
@@ -92,7 +90,7 @@ def _cells(start_s: FloatArray, duration_s: FloatArray, sums: FloatArray) -> tup
     return start_s[starts], np.add.reduceat(sums, starts) / total[:, None]
 
 
-def _reach(cells: FloatArray, low: int, high: int, before: int, after: int) -> tuple[int, int]:
+def _reach(cells: FloatArray, low: int, high: int, before: int, *, after: int) -> tuple[int, int]:
     """Return the cells at which a still can begin and end, guard included."""
     inside = cells[low:high]
     centre = inside.mean(axis=0)
@@ -115,14 +113,10 @@ LONGEST_MOVE_S = 300.0
 """The noise of a longer one says nothing any more."""
 INTERRUPTED_S = 1.0
 """A hole as long is no loss on the wire: the session was broken off and resumed, or the cable was out."""
-_LOST_INTERVALS = 1.5
-"""Between one interval, however unsteady the clock, and the two of a lost sample."""
-_PLATEAU = 4
-"""Equal values in a row at the largest or smallest output of the session that make it a saturated axis."""
-_COMPACT_AT = 1_000_000
-"""Slots before quiet stretches are joined: 83 minutes, 170 MB."""
-_SLOT_MARGIN = 1e-6
-"""Of a slot, or s: rounding may put a time just below the edge it stands on."""
+_LOST_INTERVALS = 1.5  # Between one interval, however unsteady the clock, and the two of a lost sample.
+_PLATEAU = 4  # Equal values in a row at the largest or smallest output of the session that make it a saturated axis.
+_COMPACT_AT = 1_000_000  # Slots before quiet stretches are joined: 83 minutes, 170 MB.
+_SLOT_MARGIN = 1e-6  # Of a slot, or s: rounding may put a time just below the edge it stands on.
 
 DropReason = Literal["saturated", "lost samples", "interrupted", "clock jump", "no samples", "too long", "invalid samples"]
 
@@ -137,7 +131,7 @@ class SlotFlag(IntFlag):
     INVALID = 16
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Slots:
     """Integrals over k short slots, in time order; raw rates, see the module.
 
@@ -167,18 +161,30 @@ class Slots:
         return len(self.start_s)
 
     def __getitem__(self, rows: slice | IntArray | NDArray[np.bool_]) -> Slots:
-        return Slots(*(getattr(self, field.name)[rows] for field in fields(Slots)))
+        return Slots(**{field.name: getattr(self, field.name)[rows] for field in fields(Slots)})
 
 
 def stack_slots(parts: list[Slots]) -> Slots:
     """Put slots one after the other; at least one part is needed."""
-    return parts[0] if len(parts) == 1 else Slots(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Slots)))
+    if len(parts) == 1:
+        return parts[0]
+    return Slots(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Slots)})
 
 
 def no_slots() -> Slots:
     """Return zero slots."""
     none, vectors = np.empty(0), np.empty((0, 3))
-    return Slots(none, none, vectors, vectors, vectors, vectors, none, np.empty(0, np.uint8), vectors)
+    return Slots(
+        start_s=none,
+        duration_s=none,
+        turn=vectors,
+        moment=vectors,
+        area=vectors,
+        force=vectors,
+        bridge=none,
+        flags=np.empty(0, np.uint8),
+        plateau=vectors,
+    )
 
 
 def join_slots(slots: Slots, starts: IntArray) -> Slots:
@@ -194,15 +200,15 @@ def join_slots(slots: Slots, starts: IntArray) -> Slots:
         return summed
 
     return Slots(
-        slots.start_s[starts],
-        total(slots.duration_s),
-        total(slots.turn),
-        total(moment),
-        total(area),
-        total(slots.force),
-        total(slots.bridge),
-        np.bitwise_or.reduceat(slots.flags, starts),
-        np.fmax.reduceat(slots.plateau, starts, axis=0),
+        start_s=slots.start_s[starts],
+        duration_s=total(slots.duration_s),
+        turn=total(slots.turn),
+        moment=total(moment),
+        area=total(area),
+        force=total(slots.force),
+        bridge=total(slots.bridge),
+        flags=np.bitwise_or.reduceat(slots.flags, starts),
+        plateau=np.fmax.reduceat(slots.plateau, starts, axis=0),
     )
 
 
@@ -276,7 +282,17 @@ class SlotBuilder:
         force = half * (a[:-1] + a[1:])
         # Product of the two half turns: area of a step of N_k for dt/2, then N_k+1 for dt/2.
         area, moment = half**2 * cross(N[:-1], N[1:]), half**2 * (3 * N[:-1] + N[1:]) / 2
-        single = Slots(samples.time_s[:-1], dt, turn, moment, area, force, bridge, flags, self._plateau(N))
+        single = Slots(
+            start_s=samples.time_s[:-1],
+            duration_s=dt,
+            turn=turn,
+            moment=moment,
+            area=area,
+            force=force,
+            bridge=bridge,
+            flags=flags,
+            plateau=self._plateau(N),
+        )
         self.low, self.high = np.minimum(self.low, N.min(axis=0)), np.maximum(self.high, N.max(axis=0))
         return join_slots(single, starts)
 
@@ -339,7 +355,7 @@ class DroppedMove:
     sentence: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Moves:
     """m moves between still intervals.
 
@@ -411,7 +427,7 @@ def cut_moves(
     # A clock that jumps back must not hide what lies behind the jump; the move with the jump is dropped.
     rising_s = np.maximum.accumulate(slots.start_s)
     stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
-    stills = stretch_stills(rising_s, slots.duration_s, slots.turn, slots.force, stills)
+    stills = stretch_stills(rising_s, slots.duration_s, slots.turn, slots.force, stills=stills)
     kept: list[_Cut] = []
     dropped: list[DroppedMove] = []
     for k, (before, after) in enumerate(pairwise(order)):
@@ -440,13 +456,13 @@ def _gather(slots: Slots, cuts: list[_Cut], dropped: tuple[DroppedMove, ...]) ->
     rows = [np.arange(cut.low, cut.high) for cut in cuts]
     length = np.array([len(part) for part in rows], dtype=np.int64)
     return Moves(
-        np.array([cut.before for cut in cuts], dtype=np.int64),
-        np.array([cut.after for cut in cuts], dtype=np.int64),
-        np.array([cut.begin_s for cut in cuts], dtype=np.float64),
-        np.array([cut.end_s for cut in cuts], dtype=np.float64),
-        np.cumsum(length) - length,
-        slots[np.concatenate(rows)] if rows else slots[:0],
-        dropped,
+        before=np.array([cut.before for cut in cuts], dtype=np.int64),
+        after=np.array([cut.after for cut in cuts], dtype=np.int64),
+        start_s=np.array([cut.begin_s for cut in cuts], dtype=np.float64),
+        end_s=np.array([cut.end_s for cut in cuts], dtype=np.float64),
+        first=np.cumsum(length) - length,
+        slots=slots[np.concatenate(rows)] if rows else slots[:0],
+        dropped=dropped,
     )
 
 

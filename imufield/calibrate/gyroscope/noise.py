@@ -34,13 +34,12 @@ from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, A
 from imufield.calibrate.model.rotation import skew
 from imufield.samples import FloatArray
 
+# Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.
 _DIFFERENCE = 1e-6
-"""Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them."""
-_MOST_SCATTER = 1e4
-"""Times the largest squared residual: no scatter beyond it explains anything, and the numbers stay finite."""
+_MOST_SCATTER = 1e4  # Times the largest squared residual: no scatter beyond it explains anything, and the numbers stay finite.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ForceErrors:
     """Where errors of the specific force of s stills come from.
 
@@ -85,8 +84,15 @@ def force_errors(observations: Observations, calibration: Calibration, rests: in
     tau = calibration.quality.between_position_sigma_m_s2
     within = np.nan_to_num(observations.covariance_raw)
     noise = within + np.diag((tau * parameters.scale) ** 2)
-    gain, rest = _gain(p, raw, calibration, covariance - by_gravity, noise, rests)
-    return ForceErrors(by_noise, noise, by_parameters, gain, rest + by_gravity, with_gravity)
+    gain, rest = _gain(p, raw, calibration, covariance - by_gravity, noise=noise, rests=rests)
+    return ForceErrors(
+        by_noise=by_noise,
+        noise=noise,
+        by_parameters=by_parameters,
+        gain=gain,
+        rest=rest + by_gravity,
+        with_gravity=with_gravity,
+    )
 
 
 def _difference(
@@ -117,7 +123,7 @@ def _accelerometer_covariance(calibration: Calibration) -> tuple[FloatArray, Flo
 
 
 def _gain(
-    p: FloatArray, raw: FloatArray, calibration: Calibration, covariance: FloatArray, noise: FloatArray, rests: int
+    p: FloatArray, raw: FloatArray, calibration: Calibration, covariance: FloatArray, *, noise: FloatArray, rests: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return the gain of the accelerometer fit, and what its covariance holds beyond the noise of these means."""
     derivatives = norm_derivatives(p, raw, calibration.accelerometer.quadratic_axes)
@@ -147,7 +153,7 @@ class Scatter:
         return self.drift_rad_s, self.wander_rad_s_per_root_s, self.turn_rad
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Covariances:
     """Parts of S, in the order of ``Evaluation.residual``."""
 
@@ -182,13 +188,13 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData, erro
     to_tangent = -evaluation.tangent @ skew(evaluation.predicted)
     _add_blocks(fixed, to_tangent @ evaluation.turns.spread @ np.swapaxes(to_tangent, 1, 2), 0)
     _add_blocks(fixed, A @ data.rate_covariance @ A.T, 2 * m)
-    _add_stops_and_table(fixed, evaluation, data, to_tangent, A)
+    _add_stops_and_table(fixed, evaluation, data, to_tangent, A=A)
     drift = _by_drift(evaluation, data, to_tangent)
     turn = np.zeros((rows, rows))
     turning = [*range(2 * m), *_stop_places(data)]
     turn[turning, turning] = 1.0
     walk = drift @ np.kron(random_walk(data.time_s), np.eye(3)) @ drift.T
-    return Covariances(fixed, drift @ drift.T, walk, turn, with_accelerometer)
+    return Covariances(fixed=fixed, drift=drift @ drift.T, wander=walk, turn=turn, with_accelerometer=with_accelerometer)
 
 
 def random_walk(time_s: FloatArray) -> FloatArray:
@@ -212,7 +218,7 @@ def _stop_places(data: GyroscopeData) -> list[int]:
 
 
 def _add_stops_and_table(
-    fixed: FloatArray, evaluation: Evaluation, data: GyroscopeData, to_tangent: FloatArray, A: FloatArray
+    fixed: FloatArray, evaluation: Evaluation, data: GyroscopeData, to_tangent: FloatArray, *, A: FloatArray
 ) -> None:
     """Add the noise of stops, which share the noise of their move, and of the turntable."""
     for place, k, sigma in zip(_stop_places(data), data.stops, data.stop_sigma_rad, strict=True):

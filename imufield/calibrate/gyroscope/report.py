@@ -37,12 +37,12 @@ GYROSCOPE_NAMES = (
 )
 """The 21 gyroscope parameters in the order of every vector and covariance matrix."""
 
+# Share of the angle error before that is left where a fit has gained little; a session of placed positions leaves 0.12.
 _HARDLY_BETTER = 0.8
-"""Share of the angle error before that is left where a fit has gained little; a session of placed positions leaves 0.12."""
 _WORSE = 1.1
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MoveReport:
     """Every move that was used, arrays of shape (m,)."""
 
@@ -66,7 +66,7 @@ class MoveReport:
         return _rms(self.after_deg)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GyroscopeResult:
     """The gyroscope half of a calibration."""
 
@@ -121,7 +121,7 @@ def _with_reasons(calibration: Calibration, result: GyroscopeResult) -> Calibrat
     return replace(calibration, quality=quality, unobservable=(*calibration.unobservable, *result.unobservable))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Described:
     """What a result is made of."""
 
@@ -136,7 +136,7 @@ class Described:
     earth: EarthKnowledge
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StaticNorm:
     """What a result of the static norm path is made of."""
 
@@ -168,20 +168,20 @@ def describe(what: Described) -> GyroscopeResult:
         as_parameters(values), as_parameters(sigma), _path(what), what.given.observations.units.gyroscope_rate_unit
     )
     return GyroscopeResult(
-        calibration,
-        tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
-        covariance[np.ix_(known, known)],
-        (J @ with_accelerometer)[known],
-        _move_report(what),
-        _whole_turns(what),
-        what.given.moves.dropped,
-        what.fit_g,
-        what.sight.hidden_names,
-        fitted.heading_fitted,
-        fitted.scatter.drift_rad_s,
-        _reasons(what),
-        () if fitted.solved.converged else (_unsettled(fitted.solved.message, what.given.latitude_deg),),
-        what,
+        calibration=calibration,
+        names=tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
+        covariance=covariance[np.ix_(known, known)],
+        with_accelerometer=(J @ with_accelerometer)[known],
+        moves=_move_report(what),
+        turns=_whole_turns(what),
+        dropped=what.given.moves.dropped,
+        g_sensitive=what.fit_g,
+        unobservable=what.sight.hidden_names,
+        heading_fitted=fitted.heading_fitted,
+        drift_rad_s=fitted.scatter.drift_rad_s,
+        reasons=_reasons(what),
+        cautions=() if fitted.solved.converged else (_unsettled(fitted.solved.message, what.given.latitude_deg),),
+        basis=what,
     )
 
 
@@ -189,18 +189,18 @@ def static_result(gyroscope: GyroscopeCalibration, sentences: tuple[str, ...]) -
     """Return the result of a path that sees the bias alone."""
     none = np.empty(0)
     return GyroscopeResult(
-        gyroscope,
-        GYROSCOPE_BIAS_NAMES,
-        np.diag(gyroscope.sigma.bias**2),
-        np.empty((0, 16)),
-        MoveReport(none, none, none, none, none),
-        (),
-        (),
-        False,
-        tuple(name for name in GYROSCOPE_NAMES[:9]),
-        False,
-        float("nan"),
-        sentences,
+        calibration=gyroscope,
+        names=GYROSCOPE_BIAS_NAMES,
+        covariance=np.diag(gyroscope.sigma.bias**2),
+        with_accelerometer=np.empty((0, 16)),
+        moves=MoveReport(start_s=none, end_s=none, before_deg=none, after_deg=none, sigma=none),
+        turns=(),
+        dropped=(),
+        g_sensitive=False,
+        unobservable=tuple(name for name in GYROSCOPE_NAMES[:9]),
+        heading_fitted=False,
+        drift_rad_s=float("nan"),
+        reasons=sentences,
     )
 
 
@@ -220,20 +220,22 @@ def static_norm_result(what: StaticNorm) -> GyroscopeResult:
     latitude = latitude_words(given.latitude_deg or 0.0, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)
     none = np.empty(0)
     return GyroscopeResult(
-        GyroscopeCalibration(as_parameters(values), as_parameters(sigma), path, given.observations.units.gyroscope_rate_unit),
-        tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
-        covariance[np.ix_(known, known)],
-        np.zeros((int(known.sum()), 16)),
-        MoveReport(none, none, none, none, none),
-        (),
-        given.moves.dropped,
-        False,
-        () if free else GYROSCOPE_NAMES[:9],
-        True,
-        fitted.scatter.drift_rad_s,
-        (*latitude, *(one.sentence for one in given.moves.dropped)),
-        unsettled,
-        what,
+        calibration=GyroscopeCalibration(
+            as_parameters(values), as_parameters(sigma), path, given.observations.units.gyroscope_rate_unit
+        ),
+        names=tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
+        covariance=covariance[np.ix_(known, known)],
+        with_accelerometer=np.zeros((int(known.sum()), 16)),
+        moves=MoveReport(start_s=none, end_s=none, before_deg=none, after_deg=none, sigma=none),
+        turns=(),
+        dropped=given.moves.dropped,
+        g_sensitive=False,
+        unobservable=() if free else GYROSCOPE_NAMES[:9],
+        heading_fitted=True,
+        drift_rad_s=fitted.scatter.drift_rad_s,
+        reasons=(*latitude, *(one.sentence for one in given.moves.dropped)),
+        cautions=unsettled,
+        basis=what,
     )
 
 
@@ -289,7 +291,7 @@ def _move_report(what: Described) -> MoveReport:
     if what.sight.known:
         before = np.degrees(evaluate(what.start, data).angle_error_rad(up))
     after = np.degrees(now.angle_error_rad(up))
-    return MoveReport(moves.start_s, moves.end_s, before, after, sigma)
+    return MoveReport(start_s=moves.start_s, end_s=moves.end_s, before_deg=before, after_deg=after, sigma=sigma)
 
 
 def _whole_turns(what: Described) -> tuple[WholeTurn, ...]:

@@ -22,10 +22,9 @@ WORST_SCALE = 0.05
 """Relative sigma above which an entry of K E counts as not seen: a driver's nominal scale is as good."""
 WORST_SENSITIVITY = 2e-3
 """The same for g-sensitivity, rad/s per m/s^2: 1.1 deg/s per g."""
+# Turns are taken to be as wrong as this, at least and at most: what a start off by a few per cent leaves may be either.
 _TURN_RAD = (0.002, 0.05)
-"""Turns are taken to be as wrong as this, at least and at most: what a start off by a few per cent leaves may be either."""
-_ORDER = (0, 4, 8, 9, 10, 11, 1, 2, 3, 5, 6, 7)
-"""Scales, biases, then misalignment."""
+_ORDER = (0, 4, 8, 9, 10, 11, 1, 2, 3, 5, 6, 7)  # Scales, biases, then misalignment.
 
 
 @dataclass(frozen=True, slots=True)

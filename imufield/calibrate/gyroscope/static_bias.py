@@ -34,10 +34,8 @@ GYROSCOPE_BIAS_NAMES = tuple(f"gyroscope.bias.{axis}" for axis in AXES)
 class _EarthPart:
     """What the Earth's rate adds to the mean rate of each position."""
 
-    known_rad_s: FloatArray
-    """Shape (m, 3)."""
-    variance: FloatArray
-    """Of the rest, mean over positions, shape (3,), (rad/s)^2."""
+    known_rad_s: FloatArray  # Shape (m, 3).
+    variance: FloatArray  # Of the rest, mean over positions, shape (3,), (rad/s)^2.
     words: str
 
 

@@ -34,12 +34,11 @@ SEES_EARTH = 0.1
 """Sigma of a position mean over the Earth's rate below which an instrument sees the Earth turn."""
 CONTRADICTED = 4.0
 """Sigmas between the latitude given and seen: once in 16 000 good sessions."""
+# Steps before it says that it did not converge; Gauss-Newton on a nearly linear problem, the scatters settle last.
 _ITERATIONS = 40
-"""Steps before it says that it did not converge; Gauss-Newton on a nearly linear problem, the scatters settle last."""
-_SETTLED = 1e-10
-"""Sum of squared changes in sigma at which it stops: a hundred-thousandth of a sigma."""
+_SETTLED = 1e-10  # Sum of squared changes in sigma at which it stops: a hundred-thousandth of a sigma.
+# Of the Earth's rate, 1 sigma, in each row: at the pole its two directions are one, and their covariance singular.
 _AT_POLE = 1e-4
-"""Of the Earth's rate, 1 sigma, in each row: at the pole its two directions are one, and their covariance singular."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +60,7 @@ class StaticData:
     time_s: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StaticFit:
     """``x`` holds A row by row (9), then b (3)."""
 
@@ -117,7 +116,14 @@ def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: Stati
     seen, seen_covariance, *_ = _fit(data, p, [*columns, 12])
     full = np.zeros((12, 12))
     full[np.ix_(columns, columns)] = covariance
-    return StaticFit(p[:12], full, scatter, float(seen[12]), math.sqrt(seen_covariance[-1, -1]), converged)
+    return StaticFit(
+        x=p[:12],
+        covariance=full,
+        scatter=scatter,
+        vertical_rad_s=float(seen[12]),
+        vertical_sigma_rad_s=math.sqrt(seen_covariance[-1, -1]),
+        converged=converged,
+    )
 
 
 def static_columns(free: StaticFree) -> list[int]:
@@ -173,5 +179,7 @@ def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, Float
     fixed = spread @ noise @ spread.T
     fixed += np.eye(2 * s) * (_AT_POLE * EARTH_RATE_RAD_S) ** 2
     wander = spread @ np.kron(random_walk(data.time_s), np.eye(3)) @ spread.T
-    parts = Covariances(fixed, spread @ spread.T, wander, np.zeros_like(fixed), np.zeros((2 * s, 16)))
+    parts = Covariances(
+        fixed=fixed, drift=spread @ spread.T, wander=wander, turn=np.zeros_like(fixed), with_accelerometer=np.zeros((2 * s, 16))
+    )
     return residual.ravel(), jacobian.reshape(2 * s, 13), parts

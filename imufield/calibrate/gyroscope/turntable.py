@@ -24,11 +24,10 @@ from imufield.calibrate.gyroscope.model import TableRows
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
-_SAME_RATE = 0.05
-"""Runs whose rates differ by more than this share are no pair."""
+_SAME_RATE = 0.05  # Runs whose rates differ by more than this share are no pair.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TurntableRun:
     """The mean output of one run.
 

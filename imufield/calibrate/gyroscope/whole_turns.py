@@ -25,8 +25,7 @@ from imufield.samples import AXES, FloatArray, IntArray
 LEAST_TURN_RAD = np.radians(330.0)
 MOST_TILT_RAD = np.radians(20.0)
 """A move that turned less, or came to rest further from where it began, is no attempt at a whole turn."""
-_VERTICAL = np.cos(np.radians(20.0))
-"""An axis nearer to up counts as vertical."""
+_VERTICAL = np.cos(np.radians(20.0))  # An axis nearer to up counts as vertical.
 NOT_WHOLE_SIGMAS = 5.0
 NOT_WHOLE_RAD = np.radians(0.3)
 """A turn against a stop that misses by more than both is refused."""

@@ -22,7 +22,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -44,8 +44,7 @@ from imufield.samples import FloatArray
 
 _UPPER_ENTRIES = (6, 7, 9)
 _LOWER_ENTRIES = (8, 10, 11)
-_SYMMETRIC_PASSES = 50
-"""At most: Newton takes two for misalignments up to 0.05 rad."""
+_SYMMETRIC_PASSES = 50  # At most: Newton takes two for misalignments up to 0.05 rad.
 _INTRINSIC_SIZE = 12
 
 
@@ -244,4 +243,6 @@ def intrinsic(vector: FloatArray, quadratic_axes: QuadraticAxes = "sensing") -> 
 
 def make_intrinsic(values: FloatArray, sigma: FloatArray) -> Intrinsic:
     """Put the 12 gauge-free numbers and their sigmas into their record."""
-    return Intrinsic(*np.split(values, 4), *np.split(sigma, 4))
+    return Intrinsic(
+        **dict(zip((field.name for field in fields(Intrinsic)), np.split(np.concatenate([values, sigma]), 8), strict=True))
+    )

@@ -42,12 +42,10 @@ MISALIGNMENT_ROWS = np.array([0, 0, 1, 1, 2, 2])
 MISALIGNMENT_COLUMNS = np.array([1, 2, 0, 2, 0, 1])
 """Row and column of T for the six entries of the vector: xy, xz, yx, yz, zx, zy."""
 
+# Relative change at which the iteration stops: navigation grade gets there in four or five passes.
 _CONTRACTION_TOLERANCE = 1e-14
-"""Relative change at which the iteration stops: navigation grade gets there in four or five passes."""
-_CONTRACTION_ACCEPTED = 1e-12
-"""Rounding can keep the last bits moving for ever; a real failure moves by far more."""
-_CONTRACTION_PASSES = 60
-"""A contraction by 0.6 a pass reaches the tolerance in 60; what is slower is no instrument."""
+_CONTRACTION_ACCEPTED = 1e-12  # Rounding can keep the last bits moving for ever; a real failure moves by far more.
+_CONTRACTION_PASSES = 60  # A contraction by 0.6 a pass reaches the tolerance in 60; what is slower is no instrument.
 
 
 def to_vector(parameters: AccelerometerParameters) -> FloatArray:
@@ -64,7 +62,12 @@ def from_vector(
     off_diagonal[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS] = vector[MISALIGNMENT]
     zero = np.zeros(3) if raw_zero is None else np.asarray(raw_zero, dtype=np.float64)
     return AccelerometerParameters(
-        vector[SCALE].copy(), vector[BIAS].copy(), off_diagonal, vector[QUADRATIC].copy(), zero, quadratic_axes
+        scale=vector[SCALE].copy(),
+        bias_m_s2=vector[BIAS].copy(),
+        misalignment_rad=off_diagonal,
+        quadratic=vector[QUADRATIC].copy(),
+        raw_zero=zero,
+        quadratic_axes=quadratic_axes,
     )
 
 

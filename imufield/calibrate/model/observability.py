@@ -45,12 +45,10 @@ The 24-position schemes give misalignment 1.0 and the quadratic term 0.7 or more
 0.24; edges alone, placed to 0.05 rad, give the quadratic term 0.03.
 """
 
-_FLATTEST = 0.1
-"""Thickness over spread of the outputs of positions in one plane, placed to 5 deg; 24 positions have 0.9."""
-_DEAD = 1e-3
-"""Spread of an axis over that of the widest at which it counts as dead."""
+_FLATTEST = 0.1  # Thickness over spread of the outputs of positions in one plane, placed to 5 deg; 24 positions have 0.9.
+_DEAD = 1e-3  # Spread of an axis over that of the widest at which it counts as dead.
+# Positions in a plane keep their distance to a degree or so; those of a scheme, seen along an axis, go through the middle.
 _ROUND = 0.2
-"""Positions in a plane keep their distance to a degree or so; those of a scheme, seen along an axis, go through the middle."""
 OUTPUT_SIZE = (1e-9, LARGEST_OUTPUT)
 """Spread and size of outputs: nano-units are below the step of any instrument."""
 
@@ -59,7 +57,7 @@ FACE_COSINE = float(np.cos(np.radians(15.0)))
 their placement (sight 0.2 to 0.4 for 24 positions placed to 0.1 rad), so those are not fitted from them."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Observability:
     """What m positions show."""
 
@@ -122,7 +120,7 @@ def observe(derivatives: NormDerivatives, vector: FloatArray, gravity_m_s2: floa
     hidden = tuple(ACCELEROMETER_NAMES[column] for column in gauge_free if column not in free)
     rank = len(free)
     condition = float(values[0] / values[rank - 1]) if 0 < rank <= len(values) else np.inf
-    return Observability(rank, condition, values, tuple(free), hidden)
+    return Observability(rank=rank, condition=condition, singular_values=values, free=tuple(free), unobservable=hidden)
 
 
 def _visible(scaled: FloatArray, columns: list[int]) -> list[int]:

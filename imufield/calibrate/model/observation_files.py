@@ -27,13 +27,10 @@ _SIGMA_ACCELEROMETER = tuple(f"sigma_{column}" for column in ACCELEROMETER_COLUM
 _SIGMA_GYROSCOPE = tuple(f"sigma_{column}" for column in GYROSCOPE_COLUMNS)
 _TRIADS = (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, _SIGMA_ACCELEROMETER, _SIGMA_GYROSCOPE)
 _COLUMNS = (*(column for triad in _TRIADS for column in triad), NAME, TEMPERATURE)
-_SEPARATORS = (",", ";", "\t")
-"""No name of a column has one of these: the header tells which it is."""
+_SEPARATORS = (",", ";", "\t")  # No name of a column has one of these: the header tells which it is.
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
-_SMALLEST_SIGMA = 1e-30
-"""No mean is known so well in any unit, and its square would be zero."""
-_SHOWN = 40
-"""Characters of a cell that a sentence repeats."""
+_SMALLEST_SIGMA = 1e-30  # No mean is known so well in any unit, and its square would be zero.
+_SHOWN = 40  # Characters of a cell that a sentence repeats.
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +40,7 @@ class _Table:
     path: Path
     header: tuple[str, ...]
     rows: list[list[str]]
-    lines: list[int]
-    """Line number of each row."""
+    lines: list[int]  # Line number of each row.
 
 
 def read_observations(path: str | Path, *, units: SampleUnits | None = None) -> Observations:
@@ -186,5 +182,5 @@ def _diagonal(sigma: FloatArray) -> FloatArray:
 def _guess_units(mean: FloatArray) -> SampleUnits:
     reach = float(np.median(np.ptp(mean, axis=0))) / 2 if len(mean) else 0.0
     if 8.0 < reach < 12.0:
-        return SampleUnits("m/s^2", "rad/s")
-    return SampleUnits("g" if 0.8 < reach < 1.2 else "count", "count")
+        return SampleUnits(accelerometer="m/s^2", gyroscope="rad/s")
+    return SampleUnits(accelerometer="g" if 0.8 < reach < 1.2 else "count", gyroscope="count")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from imufield.samples import FloatArray, SampleUnits
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Observations:
     """m observations.
 
@@ -47,16 +47,16 @@ class Observations:
 
     def __getitem__(self, rows: NDArray[np.bool_]) -> Observations:
         return Observations(
-            tuple(name for name, kept in zip(self.name, rows, strict=True) if kept),
-            self.mean_raw[rows],
-            self.covariance_raw[rows],
-            self.gyroscope_mean_raw[rows],
-            self.gyroscope_covariance_raw[rows],
-            self.direction[rows],
-            self.start_s[rows],
-            self.duration_s[rows],
-            self.temperature_degc[rows],
-            self.units,
+            name=tuple(name for name, kept in zip(self.name, rows, strict=True) if kept),
+            mean_raw=self.mean_raw[rows],
+            covariance_raw=self.covariance_raw[rows],
+            gyroscope_mean_raw=self.gyroscope_mean_raw[rows],
+            gyroscope_covariance_raw=self.gyroscope_covariance_raw[rows],
+            direction=self.direction[rows],
+            start_s=self.start_s[rows],
+            duration_s=self.duration_s[rows],
+            temperature_degc=self.temperature_degc[rows],
+            units=self.units,
         )
 
 

@@ -27,7 +27,7 @@ ACCELEROMETER_NAMES = (
 GRAVITY_NAME = "gravity_m_s2"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AccelerometerParameters:
     """N - raw_zero = K (T a + b) + K2 (T a)**2, or with a**2 where ``quadratic_axes`` is "body"."""
 
@@ -42,7 +42,7 @@ class AccelerometerParameters:
     quadratic_axes: QuadraticAxes = "sensing"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Intrinsic:
     """Gauge-free accelerometer parameters with 1 sigma: row lengths of K T, K b, angles between the sensing axes, K2."""
 
@@ -97,7 +97,7 @@ class PositionResult:
     used: np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SolverSummary:
     """How the solver ended."""
 
@@ -114,7 +114,7 @@ class SolverSummary:
         return self.status > 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Quality:
     """Figures by which the calibration is judged."""
 
@@ -144,7 +144,7 @@ class Quality:
         return replace(self, verdict=worst, reasons=(*self.reasons[:1], *why, *self.reasons[1:]))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Calibration:
     """The result of ``imufield solve``: parameters, uncertainty, and what they rest on."""
 

@@ -19,8 +19,7 @@ import numpy as np
 
 from imufield.samples import FloatArray, IntArray
 
-_SMALL_RAD = 1e-3
-"""Below this the series of ``Jr`` is exact to the last bit that matters (1e-13)."""
+_SMALL_RAD = 1e-3  # Below this the series of ``Jr`` is exact to the last bit that matters (1e-13).
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:

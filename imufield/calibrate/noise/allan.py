@@ -94,14 +94,10 @@ DECIMATION = 32
 """Samples that are averaged into one of the next level: five octaves."""
 CHUNK = 1 << 18
 """Rows that are measured at once: 2 MiB a column."""
-_CHUNKED_LEVELS = 2
-"""Levels that are measured in chunks; the one above keeps all its rows, one in 1024."""
-_OCTAVES_LOWEST = 8
-"""Octaves taken at the full rate, 1 to 128 samples; every level above adds five."""
-_OCTAVES_A_LEVEL = 5
-"""Of ``DECIMATION``."""
-_SMALLEST = 3
-"""At least this many averaging times in the recording: fewer say nothing."""
+_CHUNKED_LEVELS = 2  # Levels that are measured in chunks; the one above keeps all its rows, one in 1024.
+_OCTAVES_LOWEST = 8  # Octaves taken at the full rate, 1 to 128 samples; every level above adds five.
+_OCTAVES_A_LEVEL = 5  # Of ``DECIMATION``.
+_SMALLEST = 3  # At least this many averaging times in the recording: fewer say nothing.
 
 
 @dataclass(frozen=True, slots=True)

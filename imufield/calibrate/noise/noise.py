@@ -35,16 +35,13 @@ LEAST_S = 60.0
 """In less, nothing but white noise can be seen."""
 QUANTISED = 0.5
 """Scatter of samples below this many steps of the output: the steps do not average out, the true noise is hidden."""
-_IDENTIFIED_POINTS = 6
-"""Octaves that tell the five kinds of noise of ``noise_fit`` apart: one more than there are kinds."""
-_FIRST_BLOCK = 3
-"""Samples that tell the interval where nothing else does."""
+_IDENTIFIED_POINTS = 6  # Octaves that tell the five kinds of noise of ``noise_fit`` apart: one more than there are kinds.
+_FIRST_BLOCK = 3  # Samples that tell the interval where nothing else does.
 _HOURS = 3600.0
-_SPLITS_NAMED = 3
-"""Disturbances that are told one by one; the others are counted."""
+_SPLITS_NAMED = 3  # Disturbances that are told one by one; the others are counted.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AxisNoise:
     """One axis. Figures are SI where the scale is known, else raw unit.
 
@@ -95,7 +92,7 @@ class AxisNoise:
 _NOT_KNOWN = NoiseFigure(math.nan, 0.0, math.nan, False)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseResult:
     """What a recording at rest showed."""
 
@@ -317,14 +314,21 @@ def _scale(given: FloatArray | float | None, unit: str, si: str) -> FloatArray |
 def _result(best: _Stretch, units: SampleUnits, is_si: bool, splits: tuple[str, ...]) -> NoiseResult:
     allan = best.stream.finish()
     names = [f"{triad} {axis}" for triad in ("accelerometer", "gyroscope") for axis in AXES][: best.stream.columns]
-    axes = tuple(_axis(name, column, best, allan, _unit(column, units, is_si)) for column, name in enumerate(names))
+    axes = tuple(_axis(name, column, best, allan, unit=_unit(column, units, is_si)) for column, name in enumerate(names))
     sentences = tuple(f"{why}; the longest stretch without that is used" for why in splits[:_SPLITS_NAMED])
     if len(splits) > _SPLITS_NAMED:
         sentences += (f"and {len(splits) - _SPLITS_NAMED} more disturbances",)
     if best.bridged:
         sentences += (f"{best.bridged} lost samples were bridged by a straight line",)
     return NoiseResult(
-        axes, best.start_s, best.duration_s, 1 / best.interval_s, best.stream.samples, best.bridged, is_si, sentences
+        axes=axes,
+        start_s=best.start_s,
+        duration_s=best.duration_s,
+        rate_hz=1 / best.interval_s,
+        samples=best.stream.samples,
+        bridged=best.bridged,
+        is_si=is_si,
+        sentences=sentences,
     )
 
 
@@ -340,7 +344,7 @@ def _unit(column: int, units: SampleUnits, is_si: bool) -> str:
     return f"{name}/s" if increment else name
 
 
-def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, unit: str) -> AxisNoise:
+def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit: str) -> AxisNoise:
     deviation, freedom = allan.deviation[:, column], degrees_of_freedom(allan, column)
     low, high = interval_95(deviation, freedom)
     step = float(best.step[column])
@@ -352,7 +356,19 @@ def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, unit: s
         if quantised:
             limit = max(QUANTISED * step * math.sqrt(best.interval_s), model.density.high)
             model = replace(model, density=NoiseFigure(math.nan, 0.0, limit, False))
-    axis = AxisNoise(name, unit, allan.tau_s, deviation, low, high, freedom, model, sigma, step, quantised)
+    axis = AxisNoise(
+        name=name,
+        unit=unit,
+        tau_s=allan.tau_s,
+        deviation=deviation,
+        low=low,
+        high=high,
+        freedom=freedom,
+        model=model,
+        sample_sigma=sigma,
+        step=step,
+        quantised=quantised,
+    )
     return replace(axis, sentences=_sentences(axis, best.duration_s))
 
 

@@ -36,7 +36,7 @@ class MethodDifference:
     methods: tuple[str, str]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CrossCheck:
     """What several methods make of the same observations."""
 
@@ -75,6 +75,7 @@ def compare(
     attempt: Callable[[str, CostName], Attempt],
     names: Sequence[str],
     sigma: FloatArray,
+    *,
     methods: Sequence[str] = CROSS_CHECKED,
 ) -> CrossCheck:
     """Let each method try with its own cost and with the weighted one, and compare.
@@ -103,7 +104,13 @@ def compare(
             found_by[method], why = attempt(method, cost_name)
             if why:
                 open_runs.append(f"{method} did not converge ({why})")
-    return CrossCheck(what, _largest(own, names, sigma), _largest(one, names, sigma), tuple(dict.fromkeys(open_runs)), own)
+    return CrossCheck(
+        what=what,
+        own_costs=_largest(own, names, sigma),
+        one_cost=_largest(one, names, sigma),
+        not_converged=tuple(dict.fromkeys(open_runs)),
+        found=own,
+    )
 
 
 def _largest(found: Mapping[str, FloatArray], names: Sequence[str], sigma: FloatArray) -> MethodDifference:

@@ -55,7 +55,7 @@ class Problem(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SolverResult:
     """How a solver ended."""
 

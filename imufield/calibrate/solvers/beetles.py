@@ -28,7 +28,7 @@ from imufield.calibrate.solvers.population import Record, check_start, into_boun
 from imufield.samples import FloatArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BasSettings:
     """One beetle, Table 2 of [1]_; ``s`` and ``d`` are in units of the coordinates."""
 
@@ -86,7 +86,7 @@ def solve_bas(
     smelled = np.inf
     for _ in range(settings.k_max):
         u = _directions(rng, 1, len(x))
-        towards, smelled = _antennae(record, problem, x, u, d)
+        towards, smelled = _antennae(record, problem, x, u, d=d)
         x = into_bounds(problem, x - s * towards * u)[0]  # eq. 5, minimising
         record.offer(x, float(record.cost(x[None])[0]))
         s, d = _attenuate(s, d, settings)
@@ -123,12 +123,12 @@ def solve_bsas(
     s, d, invalid = settings.s, settings.d, 0
     for _ in range(settings.k_max):
         u = _directions(rng, settings.m, len(x))
-        towards, smelled = _antennae(record, problem, x, u, d)
+        towards, smelled = _antennae(record, problem, x, u, d=d)
         beetles = into_bounds(problem, x - s * towards[:, None] * u)  # eq. 7, minimising
         costs = record.cost(beetles)
         better = np.flatnonzero(costs < f)
         if len(better):
-            x, f = _next_start(beetles, costs, better, record, settings, rng)
+            x, f = _next_start(beetles, costs, better, record, settings=settings, rng=rng)
             invalid = 0
         else:
             invalid += 1
@@ -149,7 +149,7 @@ def _directions(rng: np.random.Generator, beetles: int, n: int) -> FloatArray:
     return u
 
 
-def _antennae(record: Record, problem: Problem, x: FloatArray, u: FloatArray, d: float) -> tuple[FloatArray, float]:
+def _antennae(record: Record, problem: Problem, x: FloatArray, u: FloatArray, *, d: float) -> tuple[FloatArray, float]:
     """Return which antenna has the larger cost, shape (m,): +1 right, -1 left; and the largest difference (eq. 2, 3)."""
     tips = into_bounds(problem, np.concatenate([x + d * u, x - d * u]))
     right, left = record.cost(tips).reshape(2, -1)
@@ -165,6 +165,7 @@ def _next_start(
     costs: FloatArray,
     better: np.ndarray[tuple[int], np.dtype[np.intp]],
     record: Record,
+    *,
     settings: BsasSettings,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, float]:

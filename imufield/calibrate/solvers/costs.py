@@ -35,15 +35,12 @@ from imufield.samples import FloatArray
 
 CostName = Literal["absolute", "squares", "weighted"]
 
-_PASSES = 4
-"""Passes of eq. 14 that reach 2e-15 for navigation-grade parameters."""
-_MORE_PASSES = 6
-"""Passes more that settle the wild candidates of the first rounds without the safe way."""
-_MOVING = 1e-12
-"""Relative change in the last pass above which a candidate is inverted with care."""
+_PASSES = 4  # Passes of eq. 14 that reach 2e-15 for navigation-grade parameters.
+_MORE_PASSES = 6  # Passes more that settle the wild candidates of the first rounds without the safe way.
+_MOVING = 1e-12  # Relative change in the last pass above which a candidate is inverted with care.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NormProblem:
     """The norms of m positions as a function of n coordinates (satisfies ``solvers.base.Problem``).
 

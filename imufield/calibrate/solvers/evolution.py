@@ -27,11 +27,10 @@ from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
 
 Strategy = Literal["rand", "current-to-best", "combined", "adaptive"]
-_FEWEST = 4
-"""Members a mutant is made from: three distinct ones, and its own parent."""
+_FEWEST = 4  # Members a mutant is made from: three distinct ones, and its own parent.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DeSettings:
     """Settings of section 3 of [1]_, under its names."""
 
@@ -61,7 +60,7 @@ def solve_de_rand_1(
     settings: DeSettings | None = None,
 ) -> SolverResult:
     """Minimise with DE/rand/1 (eq. 11)."""
-    return evolve(problem, "rand", rng, callback, settings or DeSettings())
+    return evolve(problem, "rand", rng, callback, settings=settings or DeSettings())
 
 
 def solve_de_current_to_best_1(
@@ -72,7 +71,7 @@ def solve_de_current_to_best_1(
     settings: DeSettings | None = None,
 ) -> SolverResult:
     """Minimise with DE/current-to-best/1 (eq. 14)."""
-    return evolve(problem, "current-to-best", rng, callback, settings or DeSettings())
+    return evolve(problem, "current-to-best", rng, callback, settings=settings or DeSettings())
 
 
 def solve_de_combined(
@@ -83,7 +82,7 @@ def solve_de_combined(
     settings: DeSettings | None = None,
 ) -> SolverResult:
     """Minimise with the weighted combination of the two (eq. 15, 16)."""
-    return evolve(problem, "combined", rng, callback, settings or DeSettings())
+    return evolve(problem, "combined", rng, callback, settings=settings or DeSettings())
 
 
 def solve_ide(
@@ -94,7 +93,7 @@ def solve_ide(
     settings: DeSettings | None = None,
 ) -> SolverResult:
     """Minimise with IDE: the combination with an adaptive mutation factor (eq. 17, 18)."""
-    return evolve(problem, "adaptive", rng, callback, settings or DeSettings())
+    return evolve(problem, "adaptive", rng, callback, settings=settings or DeSettings())
 
 
 def evolve(
@@ -102,6 +101,7 @@ def evolve(
     strategy: Strategy,
     rng: np.random.Generator | None,
     callback: Callback | None,
+    *,
     settings: DeSettings,
 ) -> SolverResult:
     """Minimise within the problem's bounds by one of the four strategies.
@@ -124,7 +124,7 @@ def evolve(
     _offer_best(record, members, costs)
     for t in range(settings.EG):
         best = members[int(np.argmin(costs))]
-        mutants = _mutants(strategy, members, best, _Weights.at(t, costs, strategy, settings), rng)
+        mutants = _mutants(strategy, members, best, _Weights.at(t, costs, strategy, settings), rng=rng)
         crossed = np.where(rng.random(members.shape) < settings.CR, mutants, members)  # eq. 12
         trials = _redraw(crossed, lower, upper, rng)
         trial_costs = record.cost(trials)
@@ -157,7 +157,7 @@ class _Weights:
 
 
 def _mutants(
-    strategy: Strategy, members: FloatArray, best: FloatArray, weights: _Weights, rng: np.random.Generator
+    strategy: Strategy, members: FloatArray, best: FloatArray, weights: _Weights, *, rng: np.random.Generator
 ) -> FloatArray:
     x, y, z = _three_distinct(len(members), rng)
     b, F = weights.b, weights.F

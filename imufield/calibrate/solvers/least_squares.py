@@ -16,8 +16,9 @@ from imufield.samples import FloatArray
 
 Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
 
+# Relative change of cost and coordinates at which it stops: a few ulp above what double precision can resolve.
 _TOLERANCE = 1e-14
-"""Relative change of cost and coordinates at which it stops: a few ulp above what double precision can resolve."""
+# By the status of ``scipy.optimize.least_squares``, whose own words are about the names of its settings.
 _ENDINGS = {
     0: "the limit of evaluations was reached",
     1: "no slope was left",
@@ -25,7 +26,6 @@ _ENDINGS = {
     3: "the parameters moved no further",
     4: "neither cost nor parameters changed any more",
 }
-"""By the status of ``scipy.optimize.least_squares``, whose own words are about the names of its settings."""
 
 
 def solve_least_squares(
@@ -78,14 +78,31 @@ def solve_least_squares(
         )
     except (ValueError, np.linalg.LinAlgError) as error:
         # A candidate outside the model's domain has NaN residuals; scipy and LAPACK refuse those.
-        return SolverResult(start, np.inf, SolverStatus.FAILED, f"least squares left the domain of the model: {error}", 0)
+        return SolverResult(
+            x=start,
+            cost=np.inf,
+            status=SolverStatus.FAILED,
+            message=f"least squares left the domain of the model: {error}",
+            evaluations=0,
+        )
     x: FloatArray = fit.x
     cost = float(np.sum(problem.residuals(x) ** 2))
     if not np.isfinite(cost):
-        return SolverResult(start, np.inf, SolverStatus.FAILED, "least squares left the domain of the model", int(fit.nfev))
+        return SolverResult(
+            x=start,
+            cost=np.inf,
+            status=SolverStatus.FAILED,
+            message="least squares left the domain of the model",
+            evaluations=int(fit.nfev),
+        )
     if callback is not None:
         callback(int(fit.nfev), x, cost)
     status = SolverStatus(min(int(fit.status), SolverStatus.CONVERGED))  # scipy tells convergence by 1 to 4
     return SolverResult(
-        x, cost, status, _ENDINGS.get(int(fit.status), str(fit.message)), int(fit.nfev) + int(fit.njev or 0), np.array([cost])
+        x=x,
+        cost=cost,
+        status=status,
+        message=_ENDINGS.get(int(fit.status), str(fit.message)),
+        evaluations=int(fit.nfev) + int(fit.njev or 0),
+        history=np.array([cost]),
     )

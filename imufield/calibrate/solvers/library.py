@@ -36,7 +36,7 @@ def solve_ga(
     """Minimise with pymoo's genetic algorithm (simulated binary crossover, polynomial mutation)."""
     settings = settings or LibrarySettings()
     algorithm = _pymoo("pymoo.algorithms.soo.nonconvex.ga").GA(pop_size=settings.population)
-    return _run(algorithm, problem, rng, callback, settings)
+    return _run(algorithm, problem, rng, callback, settings=settings)
 
 
 def solve_pso(
@@ -49,7 +49,7 @@ def solve_pso(
     """Minimise with pymoo's particle swarm (adaptive weights)."""
     settings = settings or LibrarySettings()
     algorithm = _pymoo("pymoo.algorithms.soo.nonconvex.pso").PSO(pop_size=settings.population)
-    return _run(algorithm, problem, rng, callback, settings)
+    return _run(algorithm, problem, rng, callback, settings=settings)
 
 
 def _pymoo(module: str) -> ModuleType:
@@ -66,7 +66,7 @@ def _pymoo(module: str) -> ModuleType:
 
 
 def _run(
-    algorithm: Any, problem: Problem, rng: np.random.Generator | None, callback: Callback | None, settings: LibrarySettings
+    algorithm: Any, problem: Problem, rng: np.random.Generator | None, callback: Callback | None, *, settings: LibrarySettings
 ) -> SolverResult:
     check_finite_bounds(problem)
     rng = rng or np.random.default_rng(0)

@@ -14,14 +14,11 @@ from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, Sol
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
-_RINGS = 24
-"""Distances at which a finished swarm is probed."""
-_SMALLEST_RING = 1e-12
-"""Of the largest ring, which is the first step: below that a cost in double precision says nothing."""
-_DIRECTIONS_PER_COORDINATE = 4
-"""Directions drawn for each coordinate, beside its own two."""
+_RINGS = 24  # Distances at which a finished swarm is probed.
+_SMALLEST_RING = 1e-12  # Of the largest ring, which is the first step: below that a cost in double precision says nothing.
+_DIRECTIONS_PER_COORDINATE = 4  # Directions drawn for each coordinate, beside its own two.
+# Share of the cost a probe must gain: L1 costs have edges along which a finished swarm is still 1e-4 above the minimum.
 _CLEARLY_BETTER = 0.01
-"""Share of the cost a probe must gain: L1 costs have edges along which a finished swarm is still 1e-4 above the minimum."""
 
 
 class Record:
@@ -84,7 +81,14 @@ class Record:
         return self._result(status, message)
 
     def _result(self, status: SolverStatus, message: str) -> SolverResult:
-        return SolverResult(self.best, self.best_cost, status, message, self.evaluations, np.array(self.history))
+        return SolverResult(
+            x=self.best,
+            cost=self.best_cost,
+            status=status,
+            message=message,
+            evaluations=self.evaluations,
+            history=np.array(self.history),
+        )
 
 
 def lowest_nearby(problem: Problem, x: FloatArray, reach: float | FloatArray, rng: np.random.Generator) -> SolverResult:
@@ -97,7 +101,9 @@ def lowest_nearby(problem: Problem, x: FloatArray, reach: float | FloatArray, rn
     cloud = into_bounds(problem, (x + rings[:, None, None] * directions).reshape(-1, n))
     cost = problem.cost(cloud)
     best = int(np.argmin(cost))
-    return SolverResult(cloud[best], float(cost[best]), SolverStatus.CONVERGED, "", len(cloud))
+    return SolverResult(
+        x=cloud[best], cost=float(cost[best]), status=SolverStatus.CONVERGED, message="", evaluations=len(cloud)
+    )
 
 
 def into_bounds(problem: Problem, candidates: FloatArray) -> FloatArray:

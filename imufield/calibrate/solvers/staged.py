@@ -28,8 +28,7 @@ Categories = tuple[tuple[int, ...], ...]
 
 PAPER_CATEGORIES: Categories = tuple(tuple(range(PARAMETERS))[part] for part in (SCALE, BIAS, MISALIGNMENT, QUADRATIC))
 """Steps 1 to 4: K, b, T, K2."""
-_GROUP = 3
-"""Coordinates per category where a problem does not have the paper's fifteen."""
+_GROUP = 3  # Coordinates per category where a problem does not have the paper's fifteen.
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +97,16 @@ def solve_stages(
         tell = _Tell(part, callback, sum(len(stage.history) for stage in stages))
         solved = solver(part, rng=rng, callback=tell if callback else None)
         x = part.fill(solved.x)
-        stages.append(SolverResult(x, solved.cost, solved.status, solved.message, solved.evaluations, solved.history))
+        stages.append(
+            SolverResult(
+                x=x,
+                cost=solved.cost,
+                status=solved.status,
+                message=solved.message,
+                evaluations=solved.evaluations,
+                history=solved.history,
+            )
+        )
         if solved.status is SolverStatus.STOPPED:
             break
     return tuple(stages)

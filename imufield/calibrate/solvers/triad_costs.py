@@ -26,8 +26,7 @@ import numpy as np
 
 from imufield.samples import FloatArray
 
-_OFF_DIAGONAL = np.array([1, 2, 3, 5, 6, 7])
-"""Places of T_xy, T_xz, T_yx, T_yz, T_zx, T_zy in a flattened 3 x 3 matrix."""
+_OFF_DIAGONAL = np.array([1, 2, 3, 5, 6, 7])  # Places of T_xy, T_xz, T_yx, T_yz, T_zx, T_zy in a flattened 3 x 3 matrix.
 
 
 def unit_diagonal_matrices(off_diagonal: FloatArray) -> FloatArray:
@@ -123,7 +122,7 @@ class TriadProblem(_Bounded):
         return np.asarray(jacobian / np.sqrt(len(self.raw) - 1))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TurnsProblem(_Bounded):
     """K E from J pairs of opposite turns, in the vector [K, E], shape (9,).
 

@@ -125,6 +125,7 @@ def make_view(
     session: Path,
     positions: Scheme,
     manner: Manner | None = None,
+    *,
     origin_s: Callable[[], float] = lambda: 0.0,
 ) -> Iterator[View]:
     """Yield the view asked for; "auto" is the terminal view where there is a terminal, else plain lines.
@@ -133,12 +134,12 @@ def make_view(
     """
     manner = manner or Manner()
     if name == "json" or manner.quiet:
-        with _silent_view(name, session, positions, manner, origin_s) as view:
+        with _silent_view(name, session, positions, manner, origin_s=origin_s) as view:
             yield view
         return
     from imufield.guide.view.sound import open_sound
 
-    with _silent_view(name, session, positions, manner, origin_s) as view, open_sound(speak=manner.speak) as sound:
+    with _silent_view(name, session, positions, manner, origin_s=origin_s) as view, open_sound(speak=manner.speak) as sound:
         yield _WithSound(view, sound)
 
 
@@ -161,7 +162,7 @@ class _WithSound:
 
 @contextmanager
 def _silent_view(
-    name: ViewName, session: Path, positions: Scheme, manner: Manner, origin_s: Callable[[], float]
+    name: ViewName, session: Path, positions: Scheme, manner: Manner, *, origin_s: Callable[[], float]
 ) -> Iterator[View]:
     if name == "json":
         typer.echo(json.dumps({"version": EVENT_VERSION, "event": "session", "session": str(session)}))

@@ -33,7 +33,13 @@ def export(job: Job) -> Draft:
         lines += _identity(gyroscope, options.gyroscope_id, temperature_degc)
         lines += _vector(f"{gyroscope}OFFS", stack.gyroscope_offset)
     content = text_file([*comment(job.heading()), *lines])
-    return Draft({"ardupilot.param": content}, stack.held, LACKS_ACCELEROMETER, LACKS_GYROSCOPE, notes=_notes(stack))
+    return Draft(
+        files={"ardupilot.param": content},
+        held=stack.held,
+        accelerometer_lacks=LACKS_ACCELEROMETER,
+        gyroscope_lacks=LACKS_GYROSCOPE,
+        notes=_notes(stack),
+    )
 
 
 def _notes(stack: FlightStack) -> tuple[str, ...]:

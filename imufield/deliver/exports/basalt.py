@@ -34,7 +34,7 @@ def export(job: Job) -> Draft:
         "the file has the IMU's keys only: put them into the calibration.json that has the cameras",
         "Basalt estimates the rest of the biases at run time",
     )
-    return Draft({"calibration.json": json_file({"value0": values})}, held, notes=notes)
+    return Draft(files={"calibration.json": json_file({"value0": values})}, held=held, notes=notes)
 
 
 _NOISE = {

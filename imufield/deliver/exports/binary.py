@@ -52,7 +52,7 @@ def export(job: Job) -> Draft:
     """Return the block and the header that reads it."""
     block = pack(job, whole_model(job))
     files = {"imufield_parameters.bin": block, "imufield_apply.h": apply_header().encode("ascii")}
-    return Draft(files, notes=gauge_note(job))
+    return Draft(files=files, notes=gauge_note(job))
 
 
 def pack(job: Job, model: WholeModel) -> bytes:

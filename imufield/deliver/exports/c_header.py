@@ -45,7 +45,7 @@ def export(job: Job) -> Draft:
         "",
         f"#endif /* {guard} */",
     ]
-    return Draft({f"{name}.h": text_file(lines)}, notes=gauge_note(job))
+    return Draft(files={f"{name}.h": text_file(lines)}, notes=gauge_note(job))
 
 
 def _initializer(values: FloatArray) -> str:

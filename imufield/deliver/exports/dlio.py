@@ -25,4 +25,4 @@ def export(job: Job) -> Draft:
         lines += ["      gyro:", f"        bias: [{row(si.gyroscope.offset.tolist())}]"]
     notes = ("imu/calibration is false, because DLIO takes these numbers only then; it goes on estimating the biases",)
     held = bias_only_gyroscope(job, full)
-    return Draft({"dlio.yaml": text_file(lines)}, held, gyroscope_lacks=LACKS_GYROSCOPE, notes=notes)
+    return Draft(files={"dlio.yaml": text_file(lines)}, held=held, gyroscope_lacks=LACKS_GYROSCOPE, notes=notes)

@@ -19,8 +19,8 @@ def export(job: Job) -> Draft:
     held = bias_only_gyroscope(job, full)
     note = ("imu_calib takes the gyroscope's bias from the first still samples at each start (calibrate_gyros)",)
     return Draft(
-        {"imu_calib.yaml": text_file(lines)},
-        held,
+        files={"imu_calib.yaml": text_file(lines)},
+        held=held,
         gyroscope_lacks=LACKS_GYROSCOPE,
         notes=note if full.gyroscope is not None else (),
     )

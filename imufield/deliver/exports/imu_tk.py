@@ -15,7 +15,7 @@ def export(job: Job) -> Draft:
         files["imu_tk_gyro.calib"] = _file(held.gyroscope)
     calibration = job.parameters.calibration
     note = (f"the files are for raw values in {calibration.accelerometer_raw_unit}, the unit the calibration was made in",)
-    return Draft(files, held, notes=note)
+    return Draft(files=files, held=held, notes=note)
 
 
 def _file(correction: Correction) -> bytes:

@@ -44,4 +44,4 @@ def export(job: Job) -> Draft:
     notes = ["imucal gives angular rate in deg/s"]
     if held.gyroscope is None:
         notes.append("the gyroscope is passed through unchanged in deg/s, because imucal wants numbers for it")
-    return Draft({"imucal.json": json_file(document)}, held, notes=tuple(notes))
+    return Draft(files={"imucal.json": json_file(document)}, held=held, notes=tuple(notes))

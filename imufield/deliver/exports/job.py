@@ -18,8 +18,7 @@ from imufield.deliver.parameters.numbers import to_ascii
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.samples import AXES, FloatArray
 
-_NO_TURN_RAD = 1e-9
-"""A smaller turn is rounding."""
+_NO_TURN_RAD = 1e-9  # A smaller turn is rounding.
 
 
 class Held(Protocol):
@@ -48,7 +47,7 @@ class Held(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Draft:
     """What an exporter returns."""
 

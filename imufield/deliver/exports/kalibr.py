@@ -32,7 +32,7 @@ def export(job: Job) -> Draft:
         *yaml_matrix(np.tril(si.accelerometer.error_matrix), 6),
         *_gyroscopes(si),
     ]
-    return Draft({"imu.yaml": text_file(lines)}, held, losses=bias_loss(si), notes=unknown)
+    return Draft(files={"imu.yaml": text_file(lines)}, held=held, losses=bias_loss(si), notes=unknown)
 
 
 def _gyroscopes(si: Corrections) -> list[str]:

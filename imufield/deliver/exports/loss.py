@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from imufield.deliver.parameters.file import Parameters
 
 DIRECTIONS = 500
-_NOTHING = 1e-9
-"""Relative difference that counts as none: what rounding in a text of 12 digits leaves."""
+_NOTHING = 1e-9  # Relative difference that counts as none: what rounding in a text of 12 digits leaves.
 
 
 class Difference(NamedTuple):

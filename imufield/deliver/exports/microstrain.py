@@ -14,8 +14,11 @@ from imufield.deliver.exports.text import comment, row, text_file
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray
 
-_COMMANDS_3DM, _ACCELEROMETER_BIAS, _GYROSCOPE_BIAS = 0x0C, 0x37, 0x38
-_APPLY, _SAVE = 1, 3
+_COMMANDS_3DM = 0x0C
+_ACCELEROMETER_BIAS = 0x37
+_GYROSCOPE_BIAS = 0x38
+_APPLY = 1
+_SAVE = 3
 
 
 def export(job: Job) -> Draft:
@@ -34,7 +37,7 @@ def export(job: Job) -> Draft:
     files = {"microstrain.txt": text_file(lines), "microstrain.bin": b"".join(packets)}
     note = ("set the instrument to idle before the packets; they replace the biases in it and keep single precision",)
     lacks = "scale and misalignment cannot be held"
-    return Draft(files, _bias_only(job, full), lacks, lacks, notes=note)
+    return Draft(files=files, held=_bias_only(job, full), accelerometer_lacks=lacks, gyroscope_lacks=lacks, notes=note)
 
 
 def packet(descriptor: int, function: int, bias: FloatArray | None = None) -> bytes:

@@ -48,7 +48,7 @@ def export(job: Job) -> Draft:
     for name, matrix in matrices.items():
         lines += [f"  {name}:", *yaml_matrix(triangle(matrix) if name in ("Ta", "Tw") else matrix, 4)]
     losses = bias_loss(si)
-    return Draft({"kalibr_imu_chain.yaml": text_file(lines)}, held, losses=losses, notes=unknown)
+    return Draft(files={"kalibr_imu_chain.yaml": text_file(lines)}, held=held, losses=losses, notes=unknown)
 
 
 def _held(job: Job) -> Corrections:

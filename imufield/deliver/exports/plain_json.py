@@ -16,7 +16,7 @@ VERSION = 1
 
 def export(job: Job) -> Draft:
     """Return the document."""
-    return Draft({"imufield_correction.json": json_file(document(job))}, notes=gauge_note(job))
+    return Draft(files={"imufield_correction.json": json_file(document(job))}, notes=gauge_note(job))
 
 
 def document(job: Job) -> dict[str, Any]:

@@ -11,4 +11,4 @@ from imufield.deliver.exports.whole_model import gauge_note
 def export(job: Job) -> Draft:
     """Return the document."""
     content = text_file([*comment(job.heading()), *yaml_lines(document(job))])
-    return Draft({"imufield_correction.yaml": content}, notes=gauge_note(job))
+    return Draft(files={"imufield_correction.yaml": content}, notes=gauge_note(job))

@@ -26,7 +26,7 @@ from imufield.deliver.exports.text import comment, row, rows, text_file
 from imufield.samples import FloatArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Held:
     """What imuclbt computes, in rates; the accelerometer's numbers in SI."""
 
@@ -35,8 +35,7 @@ class _Held:
     db: FloatArray
     Ka2: FloatArray
     scale: float
-    zero: FloatArray
-    """The driver's m/s^2 are (N - zero) / scale."""
+    zero: FloatArray  # The driver's m/s^2 are (N - zero) / scale.
 
     @property
     def rotation(self) -> FloatArray:
@@ -75,7 +74,7 @@ def export(job: Job) -> Draft:
         "end",
     ]
     lacks = "the quadratic term is held to first order and on body axes"
-    return Draft({"imufield_clbt.m": text_file(lines)}, held, lacks, notes=_notes(job, si))
+    return Draft(files={"imufield_clbt.m": text_file(lines)}, held=held, accelerometer_lacks=lacks, notes=_notes(job, si))
 
 
 def _held(job: Job, linear: Corrections) -> _Held:
@@ -87,7 +86,7 @@ def _held(job: Job, linear: Corrections) -> _Held:
     b = turned.bias_m_s2 + (parameters.raw_zero - zero) / turned.scale
     inverse = np.tril(np.linalg.inv(np.eye(3) + turned.misalignment_rad))
     Ka: FloatArray = inverse * ((1 + 2 * k * b) / K)
-    return _Held(linear, Ka, inverse @ (b + k * b**2), np.diag(inverse) * k / K**2, scale, zero)
+    return _Held(linear=linear, Ka=Ka, db=inverse @ (b + k * b**2), Ka2=np.diag(inverse) * k / K**2, scale=scale, zero=zero)
 
 
 def _gyroscope(si: Corrections) -> list[str]:

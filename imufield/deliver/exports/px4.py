@@ -8,8 +8,9 @@ from imufield.deliver.exports.text import comment, number, text_file
 from imufield.errors import UsageError
 
 INSTANCES = 4
-_INT32, _REAL32 = 6, 9
-"""MAV_PARAM_TYPE."""
+# MAV_PARAM_TYPE.
+_INT32 = 6
+_REAL32 = 9
 
 
 def export(job: Job) -> Draft:
@@ -34,7 +35,13 @@ def export(job: Job) -> Draft:
             0, f"CAL_ACC{instance}_ID is not in the file: PX4 applies a calibration only where it is the sensor's device ID"
         )
     content = text_file([*comment(heading), *lines])
-    return Draft({"px4.params": content}, stack.held, LACKS_ACCELEROMETER, LACKS_GYROSCOPE, notes=tuple(notes))
+    return Draft(
+        files={"px4.params": content},
+        held=stack.held,
+        accelerometer_lacks=LACKS_ACCELEROMETER,
+        gyroscope_lacks=LACKS_GYROSCOPE,
+        notes=tuple(notes),
+    )
 
 
 def _triad(prefix: str, device_id: int | None, temperature_degc: float | None) -> list[str]:

@@ -28,7 +28,7 @@ def export(job: Job) -> Draft:
         '    """Return corrected rates, shape (n, 3)."""',
         "    return np.linalg.solve(parameters.transform, (np.asarray(readings) - parameters.bias).T).T",
     ]
-    return Draft({"imufield_pyins.py": text_file(lines)}, held)
+    return Draft(files={"imufield_pyins.py": text_file(lines)}, held=held)
 
 
 def _triad(name: str, correction: Correction) -> list[str]:

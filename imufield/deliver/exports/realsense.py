@@ -21,7 +21,7 @@ def export(job: Job) -> Draft:
         "gyroscope's, so read it back and compare one corrected sample"
     )
     axes = "librealsense turns the axes of some models before it corrects: calibrate the raw stream with its correction off"
-    return Draft({"calibration.json": json_file({"imus": [imu]})}, held, notes=(order, axes))
+    return Draft(files={"calibration.json": json_file({"imus": [imu]})}, held=held, notes=(order, axes))
 
 
 def _triad(correction: Correction) -> dict[str, Any]:

@@ -57,7 +57,7 @@ TARGETS: Mapping[str, Target] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ExportOptions:
     """What only the user of the target knows. ``--set name=value`` on the command line."""
 

@@ -29,7 +29,7 @@ def export(job: Job) -> Draft:
         "these registers act on top of the factory calibration: set them to identity and zero before recording a calibration",
         "the instrument keeps single precision (relative error up to 6e-8)",
     )
-    return Draft({"vectornav.txt": content}, held, notes=notes)
+    return Draft(files={"vectornav.txt": content}, held=held, notes=notes)
 
 
 def sentence(body: str) -> str:

@@ -15,7 +15,7 @@ from imufield.errors import UsageError
 from imufield.samples import FloatArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WholeModel:
     """Everything that is needed to correct a sample; names as in ``apply.h``."""
 

@@ -38,17 +38,13 @@ STEPS = 100
 """Means the filter works on, at least: a settling slower than a hundredth of the alignment is followed."""
 LARGEST_LATITUDE_DEG = 85.0
 """Closer to a pole north has no use and longitude no measure."""
-_PASSES = 3
-"""The filter is linear about the coarse attitude; the second and third pass are linear about the result."""
-_OPEN = 10.0
-"""Sigma before anything is known, rad. The coarse attitude comes from the same data and must not count twice."""
+_PASSES = 3  # The filter is linear about the coarse attitude; the second and third pass are linear about the result.
+_OPEN = 10.0  # Sigma before anything is known, rad. The coarse attitude comes from the same data and must not count twice.
 _LEAST_FORCE_DENSITY = 1e-9
-_LEAST_RATE_DENSITY = 1e-13
-"""Noise-free simulations have none, and a filter without noise divides by zero."""
+_LEAST_RATE_DENSITY = 1e-13  # Noise-free simulations have none, and a filter without noise divides by zero.
 STEEPEST_X_DEG = 80.0
 """Beyond, the horizontal part of the body x axis is too short to have a heading."""
-_RESPONSE_STEPS = np.repeat([1e-5, 1e-12], 3)
-"""m/s^2 and rad/s: far above rounding, far below what makes the response bend."""
+_RESPONSE_STEPS = np.repeat([1e-5, 1e-12], 3)  # m/s^2 and rad/s: far above rounding, far below what makes the response bend.
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +104,7 @@ def align(means: RestMeans, latitude_deg: float, noise: NoiseDensity, heading: H
         )
     means = _thinned(means)
     attitude, covariance = _fine(means, latitude_deg, noise, heading)
-    return Alignment(attitude, covariance, _response(means, latitude_deg, noise, attitude, heading))
+    return Alignment(attitude, covariance, _response(means, latitude_deg, noise, attitude, heading=heading))
 
 
 def coarse_attitude(force: FloatArray, rate: FloatArray) -> FloatArray:
@@ -202,7 +198,7 @@ def _fine(means: RestMeans, latitude_deg: float, noise: NoiseDensity, heading: H
         if number:
             for step in reversed(steps):
                 attitude = back.T @ attitude @ step.T
-        attitude, phi, covariance = _filter(means, attitude, steps, earth, noise, learns)
+        attitude, phi, covariance = _filter(means, attitude, steps, earth, noise=noise, learns=learns)
         attitude = rotation(phi) @ attitude
     if heading is None:
         return _orthonormal(attitude), covariance
@@ -216,6 +212,7 @@ def _filter(
     attitude: FloatArray,
     steps: list[FloatArray],
     earth: FloatArray,
+    *,
     noise: NoiseDensity,
     learns: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -243,7 +240,7 @@ def _filter(
 
 
 def _response(
-    means: RestMeans, latitude_deg: float, noise: NoiseDensity, attitude: FloatArray, heading: Heading | None
+    means: RestMeans, latitude_deg: float, noise: NoiseDensity, attitude: FloatArray, *, heading: Heading | None
 ) -> FloatArray:
     """Return d phi / d instrument errors by running the filter on data with each error added."""
     response = np.zeros((3, 6))

@@ -39,7 +39,7 @@ LARGEST_HEADING_SIGMA_RAD = 0.5
 """Beyond, the forecast's equations are not linear any more and the heading is a guess."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CheckSettings:
     """How to navigate."""
 
@@ -59,7 +59,7 @@ class CheckSettings:
     seed: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NavigationResult:
     """What a recording showed."""
 
@@ -100,8 +100,7 @@ class StaticNavigation:
             )
         load_pyins()
         self.settings = settings
-        self.stopped: ImufieldError | None = None
-        """Why this recording cannot be navigated; set at once, raised by ``finish``."""
+        self.stopped: ImufieldError | None = None  # Why this recording cannot be navigated; set at once, raised by ``finish``.
         self._sets = {name: _OneSet(apply, settings) for name, apply in sets.items()}
         self._counts = np.zeros(2, dtype=np.int64)
         self._gap_s = 0.0
@@ -144,14 +143,14 @@ class StaticNavigation:
         noise = measure_noise(_longest_still(means, moving))
         found, notes = self._forecast(tested, calibration, noise)
         return NavigationResult(
-            drifts,
-            found,
-            self.settings,
-            float(drifts[next(iter(drifts))].time_s[-1]),
-            int(self._counts[0]),
-            int(self._counts[1]),
-            noise,
-            notes,
+            drifts=drifts,
+            forecast=found,
+            settings=self.settings,
+            navigated_s=float(drifts[next(iter(drifts))].time_s[-1]),
+            samples=int(self._counts[0]),
+            lost=int(self._counts[1]),
+            noise=noise,
+            notes=notes,
         )
 
     def _check_whole(self) -> None:
@@ -218,8 +217,15 @@ class StaticNavigation:
         turn_on = np.nan_to_num(instability) if settings.turn_on is None else settings.turn_on
         random = RandomErrors(noise.density, instability, turn_on)
         drift, attitudes = tested.mechanisation.drift, tested.mechanisation.attitudes
-        scene = Scene(settings.latitude_deg, settings.height_m, settings.gravity_m_s2, alignment, drift.time_s, attitudes)
-        found = forecast(calibration, scene, random, np.random.default_rng(settings.seed), settings.runs)
+        scene = Scene(
+            latitude_deg=settings.latitude_deg,
+            height_m=settings.height_m,
+            gravity_m_s2=settings.gravity_m_s2,
+            alignment=alignment,
+            time_s=drift.time_s,
+            attitudes=attitudes,
+        )
+        found = forecast(calibration, scene, random, np.random.default_rng(settings.seed), runs=settings.runs)
         if found.heading_sigma_rad > LARGEST_HEADING_SIGMA_RAD:
             sigma_deg = np.degrees(found.heading_sigma_rad)
             what = f"this gyroscope finds north to {sigma_deg:.0f} deg only, and the equations hold for small angles"

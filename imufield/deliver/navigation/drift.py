@@ -21,7 +21,7 @@ QUANTITIES = ("latitude_deg", "longitude_deg", "north_velocity_m_s", "east_veloc
 """Errors that have a sign."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Drift:
     """Errors since the end of the alignment, arrays of shape (..., n)."""
 
@@ -50,6 +50,7 @@ def make_drift(
     latitude_deg: FloatArray,
     longitude_deg: FloatArray,
     north_velocity_m_s: FloatArray,
+    *,
     east_velocity_m_s: FloatArray,
     true_latitude_deg: float,
 ) -> Drift:
@@ -57,4 +58,11 @@ def make_drift(
     # The latitude of the moment, as printed, is the true one to first order; with it errors add up linearly.
     east_deg = longitude_deg * np.cos(np.radians(true_latitude_deg))
     position_m = EARTH_RADIUS_M * np.radians(np.hypot(latitude_deg, east_deg))
-    return Drift(time_s, latitude_deg, longitude_deg, north_velocity_m_s, east_velocity_m_s, position_m / NAUTICAL_MILE_M)
+    return Drift(
+        time_s=time_s,
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        north_velocity_m_s=north_velocity_m_s,
+        east_velocity_m_s=east_velocity_m_s,
+        position_nmi=position_m / NAUTICAL_MILE_M,
+    )

@@ -38,10 +38,9 @@ SOURCES = ("accelerometer calibration", "gyroscope calibration", "white noise", 
 _STEPS = 300
 _SHORTEST_STEP_S = 1.0
 _SPACING = math.sqrt(10.0)
+# 50 s to 5000 s: faster flicker averages out in a step, slower looks like a turn-on bias.
 _TIME_CONSTANTS_S = 50.0 * _SPACING ** np.arange(5)
-"""50 s to 5000 s: faster flicker averages out in a step, slower looks like a turn-on bias."""
-_TURNED_RAD = 1e-3
-"""A turn of the body by less leaves its errors what they were."""
+_TURNED_RAD = 1e-3  # A turn of the body by less leaves its errors what they were.
 _TERMS = 12
 _EQUATOR_RADIUS_M = 6378137.0
 _ECCENTRICITY_SQUARED = 0.00669437999014
@@ -58,7 +57,7 @@ class RandomErrors:
     """Bias that is new at each power-on."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
     """Where and how the instrument stood."""
 
@@ -72,7 +71,7 @@ class Scene:
     """C_nb at these times, shape (n, 3, 3)."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Forecast:
     """Bands in which the errors lie with 95 % probability, arrays of shape (n,)."""
 
@@ -96,22 +95,33 @@ class Forecast:
 
 
 def forecast(
-    calibration: Calibration, scene: Scene, random: RandomErrors, rng: np.random.Generator, runs: int = RUNS
+    calibration: Calibration, scene: Scene, random: RandomErrors, rng: np.random.Generator, *, runs: int = RUNS
 ) -> Forecast:
     """Return the drift to be expected, and how much of it each source makes alone."""
     seed = rng.spawn(1 + len(SOURCES))
-    drift, phi = simulate(calibration, scene, random, seed[0], runs)
+    drift, phi = simulate(calibration, scene, random, seed[0], runs=runs)
     rates = _rates(drift)
     values = {name: getattr(drift, name) for name in QUANTITIES}
     low, high = ({name: np.quantile(value, q, axis=0) for name, value in values.items()} for q in (0.025, 0.975))
     alone = {
-        source: float(np.quantile(_rates(simulate(calibration, scene, random, one, runs // 4, (source,))[0]), 0.95))
+        source: float(
+            np.quantile(_rates(simulate(calibration, scene, random, one, runs=runs // 4, sources=(source,))[0]), 0.95)
+        )
         for source, one in zip(SOURCES, seed[1:], strict=True)
     }
     median, most = np.quantile(drift.position_nmi, [0.5, 0.95], axis=0)
     rate_median, rate_most = np.quantile(rates, [0.5, 0.95])
     return Forecast(
-        drift.time_s, low, high, median, most, float(rate_median), float(rate_most), runs, float(phi[:, 2].std()), alone
+        time_s=drift.time_s,
+        low=low,
+        high=high,
+        position_median_nmi=median,
+        position_95_nmi=most,
+        rate_median_nmi_per_h=float(rate_median),
+        rate_95_nmi_per_h=float(rate_most),
+        runs=runs,
+        heading_sigma_rad=float(phi[:, 2].std()),
+        sources=alone,
     )
 
 
@@ -120,6 +130,7 @@ def simulate(
     scene: Scene,
     random: RandomErrors,
     rng: np.random.Generator,
+    *,
     runs: int,
     sources: Sequence[str] = SOURCES,
 ) -> tuple[Drift, FloatArray]:
@@ -133,13 +144,13 @@ def simulate(
     step_s = float(time_s[1])
     forward, gain = transition(scene, step_s)
     x = np.zeros((runs, 7))
-    constant, evaluated = _errors(parameters, scene, attitudes[0], attitudes[0], step_s), attitudes[0]
+    constant, evaluated = _errors(parameters, scene, attitudes[0], attitudes[0], step_s=step_s), attitudes[0]
     x[:, 4:] = _aligned(scene.alignment, constant + slow.value, rng, white=white)
     phi = x[:, 4:].copy()
     states = [x]
     for before, after in pairwise(attitudes):
         if max(_angle(before, after), _angle(evaluated, before)) > _TURNED_RAD:
-            constant, evaluated = _errors(parameters, scene, before, after, step_s), before
+            constant, evaluated = _errors(parameters, scene, before, after, step_s=step_s), before
             if _angle(before, after) > _TURNED_RAD:
                 evaluated = np.zeros((3, 3))  # the turn is over after this step
         body = constant + slow.value + density / math.sqrt(step_s) * rng.standard_normal((runs, 6))
@@ -213,7 +224,7 @@ def _grid(scene: Scene) -> tuple[FloatArray, FloatArray]:
     return time_s, scene.attitudes[nearest]
 
 
-def _errors(parameters: DrawnParameters, scene: Scene, before: FloatArray, after: FloatArray, step_s: float) -> FloatArray:
+def _errors(parameters: DrawnParameters, scene: Scene, before: FloatArray, after: FloatArray, *, step_s: float) -> FloatArray:
     """Return the errors of corrected values in a step from one attitude to another, shape (m, 6)."""
     force = before.T @ np.array([0.0, 0.0, -scene.gravity_m_s2])
     rate = before.T @ earth_rate(scene.latitude_deg) + _rotation_vector(before.T @ after) / step_s
@@ -246,7 +257,9 @@ def _aligned(alignment: Alignment, errors: FloatArray, rng: np.random.Generator,
 
 def _as_drift(states: FloatArray, time_s: FloatArray, latitude_deg: float) -> Drift:
     latitude, longitude, north, east = states.transpose(2, 1, 0)[:4]
-    return make_drift(time_s, np.degrees(latitude), np.degrees(longitude), north, east, latitude_deg)
+    return make_drift(
+        time_s, np.degrees(latitude), np.degrees(longitude), north, east_velocity_m_s=east, true_latitude_deg=latitude_deg
+    )
 
 
 def _rates(drift: Drift) -> FloatArray:

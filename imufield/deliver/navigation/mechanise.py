@@ -107,7 +107,14 @@ class Mechanisation:
         rows = np.concatenate([np.zeros((1, 5)), *self._rows])
         rows[0, 1] = self._latitude_deg
         time_s = rows[:, 0]
-        return make_drift(time_s, rows[:, 1] - self._latitude_deg, rows[:, 2], rows[:, 3], rows[:, 4], self._latitude_deg)
+        return make_drift(
+            time_s,
+            rows[:, 1] - self._latitude_deg,
+            rows[:, 2],
+            rows[:, 3],
+            east_velocity_m_s=rows[:, 4],
+            true_latitude_deg=self._latitude_deg,
+        )
 
     @property
     def attitudes(self) -> FloatArray:

@@ -15,8 +15,7 @@ from imufield.calibrate.model.result import AccelerometerParameters, GyroscopePa
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray
 
-_ROWS_AT_ONCE = 4096
-"""Pieces of 96 KiB a triad, read and written: they stay in a second-level cache."""
+_ROWS_AT_ONCE = 4096  # Pieces of 96 KiB a triad, read and written: they stay in a second-level cache.
 
 
 def correct_accelerometer(parameters: AccelerometerParameters, raw: FloatArray, *, out: FloatArray | None = None) -> FloatArray:

@@ -26,12 +26,10 @@ UNITS = {
     "gyroscope": ("rad/s", "count", "pulse", "count/s", "pulse/s"),
 }
 """Raw units that samples and files of position means can have, increments divided by their interval."""
-_TYPED = 1e-6
-"""What a person types with seven digits is exact enough: it is below every uncertainty."""
-_ROUNDED = 1e-4
-"""Of a variance: what the propagation through a joint fit and the printing leave may lie this far below zero."""
+_TYPED = 1e-6  # What a person types with seven digits is exact enough: it is below every uncertainty.
+_ROUNDED = 1e-4  # Of a variance: what the propagation through a joint fit and the printing leave may lie this far below zero.
+# Factor by which an instrument's scale is off the nominal one of its unit at most: far more than any, less than g is m/s^2.
 _NEAR = 3.0
-"""Factor by which an instrument's scale is off the nominal one of its unit at most: far more than any, less than g is m/s^2."""
 
 
 def contradiction(document: Document, *, is_edited: bool = False) -> str:

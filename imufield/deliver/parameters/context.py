@@ -48,7 +48,7 @@ class SessionFacts:
     """Lowest and highest."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Noise:
     """Noise figures per axis, shape (3,), NaN where not known.
 
@@ -63,7 +63,7 @@ class Noise:
     gyroscope_bias_instability_rad_s: FloatArray = field(default_factory=_unknown)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Context:
     """Everything in a parameter file that the solver does not know."""
 

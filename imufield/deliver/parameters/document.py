@@ -208,11 +208,11 @@ def calibration_from_document(document: Document) -> Calibration:
         covariance_names=tuple(document["covariance"]["names"]),
         covariance=_array(document["covariance"]["matrix"]).reshape(len(document["covariance"]["names"]), -1),
         gravity=Gravity(
-            site["gravity_m_s2"],
-            site["gravity_sigma_m_s2"],
-            site["gravity_source"],
-            _or_none(site["latitude_deg"]),
-            _or_none(site["height_m"]),
+            gravity_m_s2=site["gravity_m_s2"],
+            sigma_m_s2=site["gravity_sigma_m_s2"],
+            source=site["gravity_source"],
+            latitude_deg=_or_none(site["latitude_deg"]),
+            height_m=_or_none(site["height_m"]),
         ),
         positions=_position_result(document["position"]),
         solver=SolverSummary(**({"seed": None} | document["solver"])),
@@ -265,7 +265,7 @@ def context_from_document(document: Document) -> Context:
     return Context(
         instrument=InstrumentFacts(**document["instrument"]),
         session=SessionFacts(session["name"], session["sha256"], session["sample_rate_hz"], (low, high)),
-        noise=None if noise is None else Noise(noise["source"], **_arrays(noise, _NOISE)),
+        noise=None if noise is None else Noise(source=noise["source"], **_arrays(noise, _NOISE)),
         created=document["created"],
         software=document["software"],
     )

@@ -60,7 +60,7 @@ class Corrected(NamedTuple):
     """Shape (n, 3), body frame; NaN where the file has no gyroscope or not its scale."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Parameters:
     """A loaded parameter file."""
 
@@ -217,7 +217,13 @@ class Parameters:
 def from_document(document: Document, *, path: Path | None = None) -> Parameters:
     """Return the parameters of a document that passed the checks of ``read_document``."""
     edited = document.get("integrity", {}).get("sha256") == EDITED
-    return Parameters(calibration_from_document(document), context_from_document(document), document, edited, path)
+    return Parameters(
+        calibration=calibration_from_document(document),
+        context=context_from_document(document),
+        document=document,
+        edited=edited,
+        path=path,
+    )
 
 
 def load(path: str | Path) -> Parameters:

@@ -25,11 +25,10 @@ from imufield.samples import AXES, FloatArray
 _ANGLES = ("xy", "xz", "yz")
 _MISALIGNMENTS = ("xy", "xz", "yx", "yz", "zx", "zy")
 _SENSITIVITIES = tuple(row + column for row in AXES for column in AXES)
-_STEP_SIGMA = 0.1
-"""Of the central differences: far above rounding, far below what bends the function."""
+_STEP_SIGMA = 0.1  # Of the central differences: far above rounding, far below what bends the function.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Number:
     """One gauge-free number of a calibration."""
 
@@ -58,10 +57,10 @@ def _accelerometer(calibration: Calibration) -> Iterator[Number]:
     common = np.abs(K) * g.sigma_m_s2 / g.gravity_m_s2
     bias, spread = found.bias_raw / K, found.bias_raw_sigma / np.abs(K)
     size = STANDARD_GRAVITY_M_S2 / K * 1e6
-    yield from _numbers("bias", AXES, "mg", bias / MILLI_G_M_S2, spread / MILLI_G_M_S2)
-    yield from _numbers("scale", AXES, f"{unit} per m/s^2", K, found.scale_sigma, common)
-    yield from _numbers("angle", _ANGLES, "mrad", found.angle_rad * 1e3, found.angle_sigma_rad * 1e3)
-    yield from _numbers("quadratic", AXES, "ug/g^2", found.quadratic * size, found.quadratic_sigma * np.abs(size))
+    yield from _numbers("bias", AXES, "mg", bias / MILLI_G_M_S2, sigmas=spread / MILLI_G_M_S2)
+    yield from _numbers("scale", AXES, f"{unit} per m/s^2", K, sigmas=found.scale_sigma, common=common)
+    yield from _numbers("angle", _ANGLES, "mrad", found.angle_rad * 1e3, sigmas=found.angle_sigma_rad * 1e3)
+    yield from _numbers("quadratic", AXES, "ug/g^2", found.quadratic * size, sigmas=found.quadratic_sigma * np.abs(size))
 
 
 def _gyroscope(calibration: Calibration) -> Iterator[Number]:
@@ -69,22 +68,24 @@ def _gyroscope(calibration: Calibration) -> Iterator[Number]:
     if gyroscope is None or not np.isfinite(gyroscope.parameters.scale).all():
         return
     rate, sigma = (values / DEG_PER_HOUR_RAD_S for values in gyroscope_bias_rad_s(gyroscope))
-    yield from _numbers("gyroscope bias", AXES, "deg/h", rate, sigma)
+    yield from _numbers("gyroscope bias", AXES, "deg/h", rate, sigmas=sigma)
     scale = gyroscope.parameters.scale
-    yield from _numbers("gyroscope scale", AXES, f"{gyroscope.raw_unit} per rad/s", scale, gyroscope.sigma.scale)
+    yield from _numbers("gyroscope scale", AXES, f"{gyroscope.raw_unit} per rad/s", scale, sigmas=gyroscope.sigma.scale)
     values, sigmas = against_accelerometer(calibration)
     size = STANDARD_GRAVITY_M_S2 / DEG_PER_HOUR_RAD_S
-    yield from _numbers("gyroscope misalignment", _MISALIGNMENTS, "mrad", values[:6] * 1e3, sigmas[:6] * 1e3)
-    yield from _numbers("g-sensitivity", _SENSITIVITIES, "deg/h/g", values[6:] * size, sigmas[6:] * size)
+    yield from _numbers("gyroscope misalignment", _MISALIGNMENTS, "mrad", values[:6] * 1e3, sigmas=sigmas[:6] * 1e3)
+    yield from _numbers("g-sensitivity", _SENSITIVITIES, "deg/h/g", values[6:] * size, sigmas=sigmas[6:] * size)
 
 
 def _numbers(
-    what: str, places: tuple[str, ...], unit: str, values: FloatArray, sigmas: FloatArray, common: FloatArray | None = None
+    what: str, places: tuple[str, ...], unit: str, values: FloatArray, *, sigmas: FloatArray, common: FloatArray | None = None
 ) -> Iterator[Number]:
     shared = np.zeros(len(values)) if common is None else common
     for place, value, sigma, part in zip(places, values, sigmas, shared, strict=True):
         if sigma > 0 and math.isfinite(value):
-            yield Number(f"{what} {place}", unit, float(value), float(sigma), min(float(part), float(sigma)))
+            yield Number(
+                name=f"{what} {place}", unit=unit, value=float(value), sigma=float(sigma), common=min(float(part), float(sigma))
+            )
 
 
 def against_accelerometer(calibration: Calibration) -> tuple[FloatArray, FloatArray]:

@@ -15,8 +15,7 @@ from imufield.deliver.parameters.write import EDITED, content_sha256
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import read_small_file
 
-_ROUNDING = 1e-9
-"""Relative: a covariance that was computed and printed is symmetric to a few units of the last digit."""
+_ROUNDING = 1e-9  # Relative: a covariance that was computed and printed is symmetric to a few units of the last digit.
 _REMEDY = "solve the session again, or take a kept parameters-<n>.toml"
 
 

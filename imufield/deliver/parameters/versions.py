@@ -16,7 +16,9 @@ from imufield.deliver.parameters.document import VERSION, Document
 from imufield.deliver.parameters.write import EDITED, content_sha256
 from imufield.errors import ParameterFileError, Reason
 
-_ZEROS, _UNKNOWN = [0.0] * 3, [math.nan] * 3
+_ZEROS = [0.0] * 3
+_UNKNOWN = [math.nan] * 3
+# What version 0, a draft with linear models only, could not say; by table.
 _NEW_IN_1: dict[tuple[str, ...], Document] = {
     ("accelerometer",): {
         "raw_zero": _ZEROS,
@@ -29,7 +31,6 @@ _NEW_IN_1: dict[tuple[str, ...], Document] = {
     ("gyroscope",): {"g_sensitivity": [_ZEROS] * 3},
     ("gyroscope", "uncertainty"): {"g_sensitivity": [_UNKNOWN] * 3},
 }
-"""What version 0, a draft with linear models only, could not say; by table."""
 
 
 def _from_0(document: Document) -> Document:

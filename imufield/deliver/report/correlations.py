@@ -9,6 +9,7 @@ import numpy as np
 from imufield.calibrate.model.result import GRAVITY_NAME, Calibration
 from imufield.samples import FloatArray
 
+# Names of the file, in the words of a drawing.
 _SHORT = (
     ("accelerometer.", "a "),
     ("gyroscope.", "g "),
@@ -18,7 +19,6 @@ _SHORT = (
     (GRAVITY_NAME, "gravity"),
     (".", " "),
 )
-"""Names of the file, in the words of a drawing."""
 
 
 @dataclass(frozen=True, slots=True)

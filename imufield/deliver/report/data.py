@@ -48,7 +48,7 @@ class Closure:
     after_deg: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Convergence:
     """Best cost over the iterations of a method, relative to its last."""
 
@@ -60,7 +60,7 @@ class Convergence:
     converged: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReportData:
     """Everything that is shown; what is not there is left out of the page."""
 
@@ -163,16 +163,16 @@ def observations_of(parameters: Parameters) -> Observations:
 
     unknown = np.full((m, 3), np.nan)
     return Observations(
-        tuple(table["name"] for table in tables),
-        column("mean_raw"),
-        np.array([np.diag(np.square(table["sigma_raw"])) for table in tables], dtype=np.float64),
-        unknown,
-        np.full((m, 3, 3), np.nan),
-        column("direction"),
-        column("start_s"),
-        column("duration_s"),
-        column("temperature_degc"),
-        SampleUnits(parameters.calibration.accelerometer_raw_unit),
+        name=tuple(table["name"] for table in tables),
+        mean_raw=column("mean_raw"),
+        covariance_raw=np.array([np.diag(np.square(table["sigma_raw"])) for table in tables], dtype=np.float64),
+        gyroscope_mean_raw=unknown,
+        gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
+        direction=column("direction"),
+        start_s=column("start_s"),
+        duration_s=column("duration_s"),
+        temperature_degc=column("temperature_degc"),
+        units=SampleUnits(accelerometer=parameters.calibration.accelerometer_raw_unit),
     )
 
 
@@ -191,12 +191,25 @@ def convergence(
         if len(history) and history[-1] > 0:
             excess = history / history[-1] - 1
             iterations = np.arange(1.0, len(history) + 1)
-            found.append(Convergence(method, iterations, excess, result.evaluations, result.converged))
+            found.append(
+                Convergence(
+                    method=method,
+                    iterations=iterations,
+                    excess=excess,
+                    evaluations=result.evaluations,
+                    converged=result.converged,
+                )
+            )
     return tuple(found)
 
 
 def closure(
-    observations: Observations, moves: Moves, parameters: Parameters, preset: GyroscopeParameters | None, nominal: float | None
+    observations: Observations,
+    moves: Moves,
+    parameters: Parameters,
+    preset: GyroscopeParameters | None,
+    *,
+    nominal: float | None,
 ) -> Closure | None:
     """Return the angle errors of the moves with the file's gyroscope and with what was in force before; None without moves.
 
@@ -206,7 +219,7 @@ def closure(
     there = np.isfinite(observations.gyroscope_mean_raw).all()
     if calibration.gyroscope is None or not parameters.gyroscope_is_complete or not len(moves) or not there:
         return None
-    data = make_data(GyroscopeInput(observations, moves, calibration))
+    data = make_data(GyroscopeInput(observations=observations, moves=moves, calibration=calibration))
     up, rest = data.up[data.after], data.rest_raw
     vertical = EARTH_RATE_RAD_S * np.sin(np.radians(calibration.gravity.latitude_deg or 0.0))
     before = preset if preset is not None and np.isfinite(preset.scale).all() else _plain(nominal, rest)

@@ -16,7 +16,7 @@ import math
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -59,7 +59,7 @@ CREATE INDEX IF NOT EXISTS by_instrument ON entry (serial_number, created);
 _COLUMNS = ("path", "size", "changed_ns", "fault", "instrument", "serial_number", "created", "verdict", "session", "raw_unit")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
     """One parameter file."""
 
@@ -267,12 +267,12 @@ def _refresh(index: sqlite3.Connection, folder: Path) -> int:
         if known.get(name) == (state.st_size, state.st_mtime_ns):
             continue
         read += 1
-        _put(index, name, state.st_size, state.st_mtime_ns, path)
+        _put(index, name, state.st_size, state.st_mtime_ns, path=path)
     index.executemany("DELETE FROM entry WHERE path = ?", [(name,) for name in set(known) - there])
     return read
 
 
-def _put(index: sqlite3.Connection, name: str, size: int, changed_ns: int, path: Path) -> None:
+def _put(index: sqlite3.Connection, name: str, size: int, changed_ns: int, *, path: Path) -> None:
     try:
         values = _values(load(path))
     except ImufieldError as error:
@@ -302,8 +302,21 @@ def _values(parameters: Parameters) -> tuple[object, ...]:
 
 def _entry(row: tuple[str, ...]) -> Entry:
     path, _, _, _, instrument, serial_number, created, verdict, session, raw_unit, gravity, numbers, edited = row
-    found = tuple(Number(*values) for values in json.loads(numbers))
-    return Entry(path, instrument, serial_number, created, verdict, session, raw_unit, float(gravity), found, bool(edited))
+    found = tuple(
+        Number(**dict(zip((column.name for column in fields(Number)), values, strict=True))) for values in json.loads(numbers)
+    )
+    return Entry(
+        path=path,
+        instrument=instrument,
+        serial_number=serial_number,
+        created=created,
+        verdict=verdict,
+        session=session,
+        raw_unit=raw_unit,
+        gravity_m_s2=float(gravity),
+        numbers=found,
+        edited=bool(edited),
+    )
 
 
 def _by_instrument(entries: list[Entry]) -> tuple[InstrumentHistory, ...]:

@@ -21,11 +21,13 @@ from imufield.earth import MILLI_G_M_S2
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
 
-INK, BLUE, ORANGE, GREY = "#111111", "#0b5394", "#b45f06", "#8a8a8a"
+INK = "#111111"
+BLUE = "#0b5394"
+ORANGE = "#b45f06"
+GREY = "#8a8a8a"
 """Dark enough on paper; blue and orange differ in lightness too."""
 WIDTH_IN = 7.0
-_TALLEST_IN = 8.5
-"""With title and caption on one sheet."""
+_TALLEST_IN = 8.5  # With title and caption on one sheet.
 _STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "imufield",
@@ -54,13 +56,10 @@ _LABELS = {
 LEAST_CORRELATION = 0.1
 """Weaker ones are not drawn: they change no sigma by more than half a per cent."""
 _LARGEST_MARKER = 260.0
-_LABEL_SIZE = 7.5
-"""Points; the smallest that is read on paper without a glass."""
-_POINTS_PER_UNIT = 82.0
-"""Of the sphere map as it is laid out: labels need no more than a rough idea of it."""
+_LABEL_SIZE = 7.5  # Points; the smallest that is read on paper without a glass.
+_POINTS_PER_UNIT = 82.0  # Of the sphere map as it is laid out: labels need no more than a rough idea of it.
 _AXIS_NAMES = (("+x", 1.2, 0.0), ("-x", -1.2, 0.0), ("+y", 0.0, 1.24), ("-y", 0.0, -1.2))
-_NAMED = 6
-"""Positions named on the sphere map, the largest residuals first."""
+_NAMED = 6  # Positions named on the sphere map, the largest residuals first.
 
 
 def load_matplotlib() -> Any:

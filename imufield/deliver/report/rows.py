@@ -18,7 +18,7 @@ from imufield.samples import AXES, FloatArray
 _PAIRS = tuple((i, j) for i in range(3) for j in range(3) if i != j)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
     """One parameter."""
 
@@ -64,7 +64,7 @@ def parameter_rows(calibration: Calibration, preset: Calibration | None) -> list
     return [*_accelerometer(calibration, preset), *_gyroscope(calibration, preset)]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Group:
     """Numbers of one kind, arrays of one length."""
 
@@ -81,7 +81,14 @@ class _Group:
         for place, value, sigma, before in zip(self.places, self.value, self.sigma, preset, strict=True):
             if math.isnan(value) or (value == 0 and (sigma == 0 or math.isnan(sigma))):
                 continue  # fixed by the gauge, or not estimated: the page says so below the table
-            yield Row(self.triad, f"{self.name} {place}", self.unit, float(value), float(sigma), float(before))
+            yield Row(
+                triad=self.triad,
+                name=f"{self.name} {place}",
+                unit=self.unit,
+                value=float(value),
+                sigma=float(sigma),
+                preset=float(before),
+            )
 
 
 def _accelerometer(calibration: Calibration, preset: Calibration | None) -> Iterator[Row]:
@@ -89,16 +96,32 @@ def _accelerometer(calibration: Calibration, preset: Calibration | None) -> Iter
     old = None if preset is None else preset.accelerometer
     triad = "Accelerometer"
     before = None if old is None else old.bias_m_s2 / MILLI_G_M_S2
-    yield from _Group(triad, "bias", "mg", AXES, p.bias_m_s2 / MILLI_G_M_S2, sigma.bias_m_s2 / MILLI_G_M_S2, before).rows()
+    yield from _Group(
+        triad=triad,
+        name="bias",
+        unit="mg",
+        places=AXES,
+        value=p.bias_m_s2 / MILLI_G_M_S2,
+        sigma=sigma.bias_m_s2 / MILLI_G_M_S2,
+        preset=before,
+    ).rows()
     before = None if old is None else old.scale
-    yield from _scale(triad, calibration.accelerometer_raw_unit, "m/s²", p.scale, sigma.scale, before).rows()
+    yield from _scale(triad, calibration.accelerometer_raw_unit, "m/s²", p.scale, sigma=sigma.scale, before=before).rows()
     before = None if old is None else old.misalignment_rad
     yield from _misalignment(triad, p.misalignment_rad, sigma.misalignment_rad, before).rows()
     if calibration.quadratic_fitted:
         # K2 / K is (m/s²) per (m/s²)²; times g it is g per g², of which a millionth is µg/g².
         size = STANDARD_GRAVITY_M_S2 / p.scale * 1e6
         before = None if old is None else old.quadratic * size
-        quadratic = _Group(triad, "quadratic", "µg/g²", AXES, p.quadratic * size, sigma.quadratic * np.abs(size), before)
+        quadratic = _Group(
+            triad=triad,
+            name="quadratic",
+            unit="µg/g²",
+            places=AXES,
+            value=p.quadratic * size,
+            sigma=sigma.quadratic * np.abs(size),
+            preset=before,
+        )
         yield from quadratic.rows()
 
 
@@ -110,7 +133,7 @@ def _gyroscope(calibration: Calibration, preset: Calibration | None) -> Iterator
     yield from _gyroscope_bias(triad, own, old).rows()
     if np.isfinite(sigma.scale).all():
         yield from _scale(
-            triad, own.raw_unit, "rad/s", p.scale, sigma.scale, None if old is None else old.parameters.scale
+            triad, own.raw_unit, "rad/s", p.scale, sigma=sigma.scale, before=None if old is None else old.parameters.scale
         ).rows()
         before = None if old is None else old.parameters.misalignment_rad
         yield from _misalignment(triad, p.misalignment_rad, sigma.misalignment_rad, before).rows()
@@ -119,30 +142,50 @@ def _gyroscope(calibration: Calibration, preset: Calibration | None) -> Iterator
         places = tuple(f"{row}{column}" for row in AXES for column in AXES)
         before = None if old is None else (old.parameters.g_sensitivity * size).ravel()
         values, spread = (p.g_sensitivity * size).ravel(), (sigma.g_sensitivity * np.abs(size)).ravel()
-        yield from _Group(triad, "g-sensitivity", "°/h/g", places, values, spread, before).rows()
+        yield from _Group(
+            triad=triad, name="g-sensitivity", unit="°/h/g", places=places, value=values, sigma=spread, preset=before
+        ).rows()
 
 
 def _gyroscope_bias(triad: str, own: GyroscopeCalibration, old: GyroscopeCalibration | None) -> _Group:
     if not np.isfinite(own.parameters.scale).all():
         before = None if old is None else old.parameters.bias
-        return _Group(triad, "bias", own.raw_unit, AXES, own.parameters.bias, own.sigma.bias, before)
+        return _Group(
+            triad=triad,
+            name="bias",
+            unit=own.raw_unit,
+            places=AXES,
+            value=own.parameters.bias,
+            sigma=own.sigma.bias,
+            preset=before,
+        )
     bias, sigma = gyroscope_bias_rad_s(own)
     slow = float(np.abs(bias).max()) < 1000 * DEG_PER_HOUR_RAD_S
     unit, size = ("°/h", DEG_PER_HOUR_RAD_S) if slow else ("°/s", 3600 * DEG_PER_HOUR_RAD_S)
     before = None if old is None else gyroscope_bias_rad_s(old)[0] / size
-    return _Group(triad, "bias", unit, AXES, bias / size, sigma / size, before)
+    return _Group(triad=triad, name="bias", unit=unit, places=AXES, value=bias / size, sigma=sigma / size, preset=before)
 
 
-def _scale(triad: str, raw_unit: str, per: str, scale: FloatArray, sigma: FloatArray, before: FloatArray | None) -> _Group:
+def _scale(triad: str, raw_unit: str, per: str, scale: FloatArray, *, sigma: FloatArray, before: FloatArray | None) -> _Group:
     nominal = nominal_scale(raw_unit)
     if nominal is None:
-        return _Group(triad, "scale", f"{raw_unit} per {per}", AXES, scale, sigma, before)
+        return _Group(
+            triad=triad, name="scale", unit=f"{raw_unit} per {per}", places=AXES, value=scale, sigma=sigma, preset=before
+        )
     old = None if before is None else (before / nominal - 1) * 1e6
-    return _Group(triad, "scale error", "ppm", AXES, (scale / nominal - 1) * 1e6, sigma / nominal * 1e6, old)
+    return _Group(
+        triad=triad,
+        name="scale error",
+        unit="ppm",
+        places=AXES,
+        value=(scale / nominal - 1) * 1e6,
+        sigma=sigma / nominal * 1e6,
+        preset=old,
+    )
 
 
 def _misalignment(triad: str, matrix: FloatArray, sigma: FloatArray, before: FloatArray | None) -> _Group:
     places = tuple(f"{AXES[i]}{AXES[j]}" for i, j in _PAIRS)
     values, spread = (np.array([one[pair] for pair in _PAIRS]) * 1e3 for one in (matrix, sigma))
     old = None if before is None else np.array([before[pair] for pair in _PAIRS]) * 1e3
-    return _Group(triad, "misalignment", "mrad", places, values, spread, old)
+    return _Group(triad=triad, name="misalignment", unit="mrad", places=places, value=values, sigma=spread, preset=old)

@@ -113,7 +113,7 @@ def _table(title: str) -> Table:
     return table
 
 
-def _row(table: Table, name: str, unit: str, values: np.ndarray, sigma: np.ndarray, *, sign: bool = True) -> None:
+def _row(table: Table, name: str, unit: str, values: np.ndarray, *, sigma: np.ndarray, sign: bool = True) -> None:
     cells = [
         with_sigma_within(_NUMBER_WIDTH, float(value), float(one), sign=sign) for value, one in zip(values, sigma, strict=True)
     ]
@@ -123,23 +123,23 @@ def _row(table: Table, name: str, unit: str, values: np.ndarray, sigma: np.ndarr
 def _accelerometer(calibration: Calibration) -> Table:
     p, sigma = calibration.accelerometer, calibration.accelerometer_sigma
     table = _table("Accelerometer")
-    _row(table, "bias", "mg", p.bias_m_s2 / MILLI_G_M_S2, sigma.bias_m_s2 / MILLI_G_M_S2)
-    _row(table, "", "m/s²", p.bias_m_s2, sigma.bias_m_s2)
-    _scale(table, p.scale, sigma.scale, calibration.accelerometer_raw_unit, "m/s²")
+    _row(table, "bias", "mg", p.bias_m_s2 / MILLI_G_M_S2, sigma=sigma.bias_m_s2 / MILLI_G_M_S2)
+    _row(table, "", "m/s²", p.bias_m_s2, sigma=sigma.bias_m_s2)
+    _scale(table, p.scale, sigma.scale, calibration.accelerometer_raw_unit, per="m/s²")
     _misalignment(table, p.misalignment_rad, sigma.misalignment_rad)
     if calibration.quadratic_fitted or np.any(p.quadratic):
         # K2 / K is (m/s²) per (m/s²)²; times g it is g per g², of which a millionth is µg/g².
         size = STANDARD_GRAVITY_M_S2 / p.scale * 1e6
-        _row(table, "quadratic", "µg/g²", p.quadratic * size, sigma.quadratic * np.abs(size))
+        _row(table, "quadratic", "µg/g²", p.quadratic * size, sigma=sigma.quadratic * np.abs(size))
     return table
 
 
-def _scale(table: Table, scale: np.ndarray, sigma: np.ndarray, raw_unit: str, per: str) -> None:
+def _scale(table: Table, scale: np.ndarray, sigma: np.ndarray, raw_unit: str, *, per: str) -> None:
     nominal = nominal_scale(raw_unit)
     if nominal is None:
-        _row(table, f"{raw_unit} per {per}", "", scale, sigma, sign=False)
+        _row(table, f"{raw_unit} per {per}", "", scale, sigma=sigma, sign=False)
     else:
-        _row(table, "scale error", "ppm", (scale / nominal - 1) * 1e6, sigma / nominal * 1e6)
+        _row(table, "scale error", "ppm", (scale / nominal - 1) * 1e6, sigma=sigma / nominal * 1e6)
 
 
 def _misalignment(table: Table, matrix: np.ndarray, sigma: np.ndarray) -> None:
@@ -163,11 +163,11 @@ def _gyroscope(gyroscope: GyroscopeCalibration) -> RenderableType:
         bias, bias_sigma = gyroscope_bias_rad_s(gyroscope)
         slow = float(np.abs(bias).max()) < 1000 * DEG_PER_HOUR_RAD_S
         unit, size = ("°/h", DEG_PER_HOUR_RAD_S) if slow else ("°/s", 3600 * DEG_PER_HOUR_RAD_S)
-        _row(table, "bias", unit, bias / size, bias_sigma / size)
+        _row(table, "bias", unit, bias / size, sigma=bias_sigma / size)
     else:
-        _row(table, "bias", gyroscope.raw_unit, p.bias, sigma.bias)
+        _row(table, "bias", gyroscope.raw_unit, p.bias, sigma=sigma.bias)
     if np.isfinite(sigma.scale).all():
-        _scale(table, p.scale, sigma.scale, gyroscope.raw_unit, "rad/s")
+        _scale(table, p.scale, sigma.scale, gyroscope.raw_unit, per="rad/s")
         _misalignment(table, p.misalignment_rad, sigma.misalignment_rad)
         if np.any(p.g_sensitivity):
             _g_sensitivity(table, gyroscope)
@@ -180,7 +180,7 @@ def _g_sensitivity(table: Table, gyroscope: GyroscopeCalibration) -> None:
     size = STANDARD_GRAVITY_M_S2 / p.scale / DEG_PER_HOUR_RAD_S
     for j, axis in enumerate(AXES):
         shown, known = p.g_sensitivity[:, j] * size, sigma.g_sensitivity[:, j] * np.abs(size)
-        _row(table, f"g-sens. of a{axis}", "°/h/g", shown, known)
+        _row(table, f"g-sens. of a{axis}", "°/h/g", shown, sigma=known)
 
 
 def _facts(calibration: Calibration) -> Table:
@@ -225,7 +225,7 @@ def _residuals(parameters: Parameters) -> Iterator[RenderableType]:
     # Residuals of nothing but rounding have no worst.
     worst = int(np.nanargmax(np.abs(residual))) if largest > 1e-3 * MICRO_G_M_S2 else -1
     cells = [
-        _residual_cell(table["name"], value / size, largest / size if worst >= 0 else 0.0, bool(is_used), i == worst)
+        _residual_cell(table["name"], value / size, largest / size if worst >= 0 else 0.0, bool(is_used), worst=i == worst)
         for i, (table, value, is_used) in enumerate(zip(tables, residual, used, strict=True))
     ]
     yield _in_columns(cells, max(len(table["name"]) for table in tables))
@@ -237,7 +237,7 @@ def _short(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
 
 
-def _residual_cell(name: str, value: float, largest: float, used: bool, worst: bool) -> tuple[str, Text, Text]:
+def _residual_cell(name: str, value: float, largest: float, used: bool, *, worst: bool) -> tuple[str, Text, Text]:
     if not used or not math.isfinite(value):
         return name, Text("not used", style="dim"), Text("")
     style = "bold yellow" if worst else ""

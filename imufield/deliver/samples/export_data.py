@@ -22,10 +22,8 @@ from imufield.errors import Reason, RecordingError
 from imufield.files import refuse_what_is_no_file
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, FloatArray, Samples, concatenate
 
-_ROWS_AT_ONCE = 8192
-"""Text made at a time: about 1 MB, however large the blocks are."""
-_ROWS_IN_A_BLOCK = 1 << 16
-"""5 MB: a good size for the pieces of a Parquet file."""
+_ROWS_AT_ONCE = 8192  # Text made at a time: about 1 MB, however large the blocks are.
+_ROWS_IN_A_BLOCK = 1 << 16  # 5 MB: a good size for the pieces of a Parquet file.
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,8 +42,7 @@ from imufield.samples import FloatArray
 RUNS = 4000
 """Four times what the rarest statement, 1 in 1000, needs."""
 _NEWTON_STEPS = 20
-_TINY = 1e-22
-"""Square of a nanogal, as in the misfit itself."""
+_TINY = 1e-22  # Square of a nanogal, as in the misfit itself.
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +115,7 @@ _SAME_GRAVITY_M_S2 = 1e-7
 _ROUNDING_M_S2 = 1e-9
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HeldOut:
     """Residuals of m positions that the parameters have not seen, arrays of shape (m,)."""
 
@@ -200,15 +199,15 @@ def check_positions(
     m = len(observations)
     freedom, misfit = max(calibration.quality.degrees_of_freedom, 1), _misfit(residual, S)
     return HeldOut(
-        observations.name,
-        _up(calibration, observations),
-        residual,
-        _residual_of(before, observations, gravity),
-        np.sqrt(np.diag(S)),
-        misfit,
-        f_limit_95(m, freedom),
-        f"{m} position{'s' if m > 1 else ''} of another session",
-        f_chance(misfit, m, freedom),
+        name=observations.name,
+        up=_up(calibration, observations),
+        residual_m_s2=residual,
+        before_m_s2=_residual_of(before, observations, gravity),
+        sigma_m_s2=np.sqrt(np.diag(S)),
+        misfit=misfit,
+        misfit_limit=f_limit_95(m, freedom),
+        how=f"{m} position{'s' if m > 1 else ''} of another session",
+        chance=f_chance(misfit, m, freedom),
     )
 
 
@@ -280,15 +279,15 @@ def cross_validate(
         misfit += _misfit(residual[held], S) * int(held.sum()) / m
     by_chance = simulated_misfits(_linearised(calibration, observations), parts)
     return HeldOut(
-        observations.name,
-        _up(calibration, observations),
-        residual,
-        _residual_of(before, observations, calibration.gravity),
-        sigma,
-        misfit,
-        float(np.quantile(by_chance, 0.95)),
-        f"{m} positions of its own session, up to {hold_out} at a time predicted by a calibration from all the others",
-        float((1 + np.count_nonzero(by_chance >= misfit)) / (1 + len(by_chance))),
+        name=observations.name,
+        up=_up(calibration, observations),
+        residual_m_s2=residual,
+        before_m_s2=_residual_of(before, observations, calibration.gravity),
+        sigma_m_s2=sigma,
+        misfit=misfit,
+        misfit_limit=float(np.quantile(by_chance, 0.95)),
+        how=f"{m} positions of its own session, up to {hold_out} at a time predicted by a calibration from all the others",
+        chance=float((1 + np.count_nonzero(by_chance >= misfit)) / (1 + len(by_chance))),
         is_own=True,
     )
 

@@ -39,10 +39,8 @@ REQUIREMENTS = {
     "nav-nmi-per-h": "largest position error over the time navigated, nautical miles an hour",
 }
 _WIDTH = 80
-_HOURS_FROM_S = 7200.0
-"""Shorter recordings are told in minutes: a sixth of them has one decimal in hours."""
-_POINTS = 600
-"""Of each curve in the file: more than a plot shows."""
+_HOURS_FROM_S = 7200.0  # Shorter recordings are told in minutes: a sixth of them has one decimal in hours.
+_POINTS = 600  # Of each curve in the file: more than a plot shows.
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +57,7 @@ class Requirement:
         return self.measured <= self.limit
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Verification:
     """Everything one run of ``verify`` found."""
 

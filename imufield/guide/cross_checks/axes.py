@@ -39,8 +39,8 @@ _MOVES_KEPT = 24
 _SCALES = 25
 _SAME_FACTOR = 0.1
 _MOVES_FOR_SCALE = 12
+# Total angle turned over the angle between the ups, as the range in which an unknown scale is searched.
 _TURNS_OF_UP = (0.5, 4.0)
-"""Total angle turned over the angle between the ups, as the range in which an unknown scale is searched."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class MoveBetweenStills:
     cell_s: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AxesCheck:
     """The answer.
 
@@ -173,8 +173,16 @@ def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
     best, given, second = (math.degrees(float(misfit[i])) for i in (order[0], identity, order[1]))
     clear = best <= GOOD_DEG and second >= MARGIN * best
     agrees = bool(order[0] == identity) if clear else None
-    words = _words(agrees, permutations[order[0]], given, best, second)
-    return AxesCheck(agrees, permutations[order[0]], given, best, second, scale, words)
+    words = _words(agrees, permutations[order[0]], given, best, second=second)
+    return AxesCheck(
+        agrees=agrees,
+        permutation=permutations[order[0]],
+        misfit_deg=given,
+        best_misfit_deg=best,
+        second_misfit_deg=second,
+        gyroscope_scale=scale,
+        words=words,
+    )
 
 
 def signed_permutations() -> FloatArray:
@@ -221,7 +229,7 @@ def _find_scale(moves: list[MoveBetweenStills], permutations: FloatArray) -> flo
     return float(finer[np.argmin([_misfit(few, best, float(scale))[0] for scale in finer])])
 
 
-def _words(agrees: bool | None, permutation: FloatArray, given: float, best: float, second: float) -> str:
+def _words(agrees: bool | None, permutation: FloatArray, given: float, best: float, *, second: float) -> str:
     if agrees:
         return f"axes agree: gyroscope and accelerometer turn together within {given:.1f} deg (any other way {second:.0f} deg)"
     if agrees is None:
@@ -260,7 +268,15 @@ def _likely_cause(ratio: float) -> str:
 
 
 def _undecided(words: str) -> AxesCheck:
-    return AxesCheck(None, np.eye(3), math.nan, math.nan, math.nan, math.nan, words)
+    return AxesCheck(
+        agrees=None,
+        permutation=np.eye(3),
+        misfit_deg=math.nan,
+        best_misfit_deg=math.nan,
+        second_misfit_deg=math.nan,
+        gyroscope_scale=math.nan,
+        words=words,
+    )
 
 
 def _unit(vector: FloatArray) -> FloatArray:

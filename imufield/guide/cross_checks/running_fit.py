@@ -31,17 +31,16 @@ DOUBT_SIGMAS = 5.0
 """A position that the others contradict by this much is doubted, where there are many."""
 DOUBT_SHARE = 1e-4
 """Of good positions so many may be doubted at one look: a session of 24 looks some hundred times, at much the same."""
+# Two-sided quantiles of Student's distribution at ``DOUBT_SHARE``, from ``_EXPECTED_FREEDOM`` degrees of freedom on.
 _FEW = (28.0, 15.54, 11.18, 9.08, 7.88, 7.12, 6.59, 6.21, 5.92, 5.69, 5.51, 5.36, 5.24, 5.13, 5.04)
-"""Two-sided quantiles of Student's distribution at ``DOUBT_SHARE``, from ``_EXPECTED_FREEDOM`` degrees of freedom on."""
 DOUBT_M_S2 = 3e-4 * STANDARD_GRAVITY_M_S2
 """And by this much: less does no harm that another hold would cure."""
 TOLD_SHARE = 0.5
 """What is known no better than to so much of the prior was assumed rather than measured."""
+# Names of the groups of a forecast, and their places among the parameters.
 _GROUPS = {"bias_ug": 1, "scale_ppm": 0, "misalignment_urad": 2, "quadratic_ug_per_g2": 3}
-"""Names of the groups of a forecast, and their places among the parameters."""
 _STEPS = 8
-_LINEAR = 9
-"""Free parameters without the quadratic term."""
+_LINEAR = 9  # Free parameters without the quadratic term.
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +59,7 @@ class Disagreement:
         return abs(self.sigmas) > self.limit_sigmas and abs(self.leave_one_out_m_s2) > DOUBT_M_S2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunningFit:
     """The fit; columns are those of ``LOWER_GAUGE_COLUMNS`` (12), rows the observations, then the priors."""
 
@@ -178,17 +177,27 @@ def running_fit(observations: list[Observation], scale: RoughScale, gravity_m_s2
     prior = _prior_sigma(scale)
     sigma = np.full(len(raw), EXPECTED_SCATTER_M_S2)
     try:
-        vector, residual, jacobian, across = _minimise(start, raw, sigma, prior, gravity_m_s2)
+        vector, residual, jacobian, across = _minimise(start, raw, sigma, prior, gravity_m_s2=gravity_m_s2)
         own = np.einsum("mi,mij,mj->m", across, within, across)
         # Weights from the first fit, the fit again, and the weights that belong to it.
         sigma = _sigma(residual, jacobian, own, prior)
-        vector, residual, jacobian, _ = _minimise(start, raw, sigma, prior, gravity_m_s2)
+        vector, residual, jacobian, _ = _minimise(start, raw, sigma, prior, gravity_m_s2=gravity_m_s2)
         sigma = _sigma(residual, jacobian, own, prior)
         seen = observe(norm_derivatives(vector, raw), vector, gravity_m_s2, quadratic=True)
     except (CalibrationError, np.linalg.LinAlgError):
         return None
     names = tuple(one.name for one in observations)
-    return RunningFit(names, vector, scale, residual, sigma, jacobian, prior, seen.rank, seen.condition)
+    return RunningFit(
+        names=names,
+        vector=vector,
+        scale=scale,
+        residual_m_s2=residual,
+        sigma_m_s2=sigma,
+        jacobian=jacobian,
+        prior_sigma=prior,
+        rank=seen.rank,
+        condition=seen.condition,
+    )
 
 
 def _sigma(residual: FloatArray, jacobian: FloatArray, own: FloatArray, prior: FloatArray) -> FloatArray:
@@ -208,7 +217,7 @@ def _prior_sigma(scale: RoughScale) -> FloatArray:
 
 
 def _minimise(
-    start: FloatArray, raw: FloatArray, sigma: FloatArray, prior: FloatArray, gravity_m_s2: float
+    start: FloatArray, raw: FloatArray, sigma: FloatArray, prior: FloatArray, *, gravity_m_s2: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return vector (15,), residuals (m,), Jacobian (m, 12) and d norm / d raw (m, 3): Gauss-Newton with priors."""
     columns = list(LOWER_GAUGE_COLUMNS)

@@ -58,15 +58,15 @@ class DeadAxis:
         self._told = True
         axis = AXES[int(dead[0])]
         return Refusal(
-            RefusalCode.INVALID,
-            f"accelerometer axis {axis} is dead: it stayed at {self._low[dead[0]] + 0.0:g} (raw) on {self._sides} sides and in "
-            "the turns between",
-            "check the instrument, its range, and which column or field the driver or protocol takes for this axis; nothing "
-            "can be calibrated without it",
-            0.0,
-            float(np.delete(floor.sigma[:3], dead).min()),
-            "raw unit",
-            axis,
+            reason=RefusalCode.INVALID,
+            words=f"accelerometer axis {axis} is dead: it stayed at {self._low[dead[0]] + 0.0:g} (raw) on {self._sides} sides and "
+            "in the turns between",
+            remedy="check the instrument, its range, and which column or field the driver or protocol takes for this axis; "
+            "nothing can be calibrated without it",
+            measured=0.0,
+            limit=float(np.delete(floor.sigma[:3], dead).min()),
+            unit="raw unit",
+            axis=axis,
         )
 
 
@@ -90,8 +90,8 @@ class SidesCheck:
     def __init__(self) -> None:
         self._sides: list[_Side] = []
         self._left = True
+        # Arrangements of the axes that agree with all sides shown as asked; once it is only one, the axes are right.
         self._could_be = signed_permutations()
-        """Arrangements of the axes that agree with all sides shown as asked; once it is only one, the axes are right."""
 
     def follow(self, direction: FloatArray) -> None:
         """Take where up is while the unit moves: a side counts again only after it was left."""
@@ -127,12 +127,12 @@ class SidesCheck:
         if len(self._could_be) == 1:
             angle_deg = _angle_deg(last[-1].asked, last[-1].shown)
             return Refusal(
-                RefusalCode.OTHER_SIDE,
-                f"the unit is on another side than asked: {seen} is up, {asked} up is asked for",
-                f"bring it to {asked} up, or to any other pending position",
-                angle_deg,
-                NEAR_DEG,
-                "deg",
+                reason=RefusalCode.OTHER_SIDE,
+                words=f"the unit is on another side than asked: {seen} is up, {asked} up is asked for",
+                remedy=f"bring it to {asked} up, or to any other pending position",
+                measured=angle_deg,
+                limit=NEAR_DEG,
+                unit="deg",
             )
         return _refusal(f"{ENOUGH_TIMES} times {asked} up was asked for and the accelerometer saw {seen} up", ENOUGH_TIMES)
 
@@ -161,13 +161,13 @@ class SidesCheck:
 
 def _refusal(words: str, limit: int) -> Refusal:
     return Refusal(
-        RefusalCode.AXES,
-        words,
-        "if you showed what was asked for, axes or signs in the driver or protocol are wrong: quit and correct them; if you go "
-        "your own way, go on",
-        float(limit),
-        float(limit),
-        "sides",
+        reason=RefusalCode.AXES,
+        words=words,
+        remedy="if you showed what was asked for, axes or signs in the driver or protocol are wrong: quit and correct them; "
+        "if you go your own way, go on",
+        measured=float(limit),
+        limit=float(limit),
+        unit="sides",
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import AXES, FloatArray, Status
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CheckLimits:
     """Limits of the checks."""
 
@@ -47,7 +47,7 @@ class CheckLimits:
     """Of a hold in the hand, rms of each axis: what the frame of the gyroscope corrects to 5 ug and 15 ug."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Refusal:
     """Why a hold does not count."""
 
@@ -61,11 +61,10 @@ class Refusal:
 
     def event(self, now_s: float, position: str | None) -> Rejected:
         """Return the event that says it."""
-        rest = (self.reason, self.words, self.remedy, self.measured, self.limit, self.unit, self.axis)
-        return Rejected(now_s, position, *rest)
+        return Rejected(time_s=now_s, position=position, **{field.name: getattr(self, field.name) for field in fields(self)})
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HoldUnderTest:
     """What the checks look at: the trimmed cells of a hold and the standards they are held against."""
 
@@ -102,13 +101,13 @@ def explain_flags(cells: Cells, usable_share: float, limit: float) -> Refusal:
         peak = np.fmax(np.abs(cells.low), np.abs(cells.high))[:, axis : axis + 3]
         name = AXES[int(np.argmax(np.nan_to_num(np.nanmax(peak, axis=0))))] if np.isfinite(peak).any() else None
         return Refusal(
-            RefusalCode.SATURATED,
-            f"the {triad} is at the end of its range{f' on axis {name}' if name else ''} in {share}",
-            "choose a larger range, or check the range setting of the driver, then hold again",
-            percent,
-            limit_percent,
-            "%",
-            name,
+            reason=RefusalCode.SATURATED,
+            words=f"the {triad} is at the end of its range{f' on axis {name}' if name else ''} in {share}",
+            remedy="choose a larger range, or check the range setting of the driver, then hold again",
+            measured=percent,
+            limit=limit_percent,
+            unit="%",
+            axis=name,
         )
     for flag, reason, found, remedy in (
         (Status.START_UP, RefusalCode.START_UP, "the instrument is still starting up", "leave it alone until it is ready"),
@@ -118,14 +117,21 @@ def explain_flags(cells: Cells, usable_share: float, limit: float) -> Refusal:
     ):
         if flags & flag:
             again = "" if reason is RefusalCode.START_UP else ", then hold again"
-            return Refusal(reason, f"{found} in {share}", f"{remedy}{again}", percent, limit_percent, "%")
+            return Refusal(
+                reason=reason,
+                words=f"{found} in {share}",
+                remedy=f"{remedy}{again}",
+                measured=percent,
+                limit=limit_percent,
+                unit="%",
+            )
     return Refusal(
-        RefusalCode.SAMPLE_LOSS,
-        f"lost or not finite: {share}",
-        "check cable, baud rate and load of the computer, then hold again",
-        percent,
-        limit_percent,
-        "%",
+        reason=RefusalCode.SAMPLE_LOSS,
+        words=f"lost or not finite: {share}",
+        remedy="check cable, baud rate and load of the computer, then hold again",
+        measured=percent,
+        limit=limit_percent,
+        unit="%",
     )
 
 
@@ -146,14 +152,14 @@ def _check_stuck(hold: HoldUnderTest) -> Refusal | None:
     axis = int(stuck[0])
     reading, noise = hold.cells.high[0, axis], hold.floor.sigma[axis]
     return Refusal(
-        RefusalCode.STUCK,
-        f"accelerometer axis {AXES[axis]} stays at {reading:g} (raw) although its noise is {noise:.3g}: "
+        reason=RefusalCode.STUCK,
+        words=f"accelerometer axis {AXES[axis]} stays at {reading:g} (raw) although its noise is {noise:.3g}: "
         "at the end of its range, or broken",
-        "choose a larger range, or check the instrument, then hold again",
-        0.0,
-        float(noise),
-        "raw unit",
-        AXES[axis],
+        remedy="choose a larger range, or check the instrument, then hold again",
+        measured=0.0,
+        limit=float(noise),
+        unit="raw unit",
+        axis=AXES[axis],
     )
 
 
@@ -164,12 +170,12 @@ def _check_gravity(hold: HoldUnderTest) -> Refusal | None:
     if abs(norm - STANDARD_GRAVITY_M_S2) <= limit:
         return None
     return Refusal(
-        RefusalCode.GRAVITY,
-        f"at rest the accelerometer shows {norm:.2f} m/s^2, further than {limit:.2f} m/s^2 from gravity",
-        "check the unit, range and scale settings of the driver",
-        norm,
-        limit,
-        "m/s^2",
+        reason=RefusalCode.GRAVITY,
+        words=f"at rest the accelerometer shows {norm:.2f} m/s^2, further than {limit:.2f} m/s^2 from gravity",
+        remedy="check the unit, range and scale settings of the driver",
+        measured=norm,
+        limit=limit,
+        unit="m/s^2",
     )
 
 
@@ -180,12 +186,12 @@ def _check_knocks(hold: HoldUnderTest) -> Refusal | None:
     if share <= allowed:
         return None
     return Refusal(
-        RefusalCode.KNOCKED,
-        f"knocks or vibration in {100 * share:.0f} % of the hold (limit {100 * allowed:.0f} %)",
-        "keep hands and machines off the table, and hold again",
-        100 * share,
-        100 * allowed,
-        "%",
+        reason=RefusalCode.KNOCKED,
+        words=f"knocks or vibration in {100 * share:.0f} % of the hold (limit {100 * allowed:.0f} %)",
+        remedy="keep hands and machines off the table, and hold again",
+        measured=100 * share,
+        limit=100 * allowed,
+        unit="%",
     )
 
 
@@ -201,13 +207,13 @@ def _check_shift(hold: HoldUnderTest) -> Refusal | None:
     after_s = float(hold.cells.start_s[row] - hold.cells.start_s[0])
     axis = AXES[int(np.argmax(np.abs(step)))]
     return Refusal(
-        RefusalCode.KNOCKED,
-        f"it was pushed by {turn:.2f} deg after {after_s:.1f} s of the hold (limit {limit:.2f} deg, axis {axis})",
-        "leave it: it is measured again",
-        turn,
-        limit,
-        "deg",
-        axis,
+        reason=RefusalCode.KNOCKED,
+        words=f"it was pushed by {turn:.2f} deg after {after_s:.1f} s of the hold (limit {limit:.2f} deg, axis {axis})",
+        remedy="leave it: it is measured again",
+        measured=turn,
+        limit=limit,
+        unit="deg",
+        axis=axis,
     )
 
 
@@ -227,12 +233,12 @@ def _check_jolt(hold: HoldUnderTest) -> Refusal | None:
     if held is None or held.jolt_m_s2 <= limit:
         return None
     return Refusal(
-        RefusalCode.KNOCKED,
-        f"it was bumped after {held.jolt_after_s:.1f} s: a jolt of {held.jolt_m_s2:.2f} m/s^2 (limit {limit:.2f} m/s^2)",
-        "go on holding: it is measured again",
-        held.jolt_m_s2,
-        limit,
-        "m/s^2",
+        reason=RefusalCode.KNOCKED,
+        words=f"it was bumped after {held.jolt_after_s:.1f} s: a jolt of {held.jolt_m_s2:.2f} m/s^2 (limit {limit:.2f} m/s^2)",
+        remedy="go on holding: it is measured again",
+        measured=held.jolt_m_s2,
+        limit=limit,
+        unit="m/s^2",
     )
 
 
@@ -241,12 +247,12 @@ def _check_tremor(hold: HoldUnderTest) -> Refusal | None:
     if held is None or held.tremor_deg <= hold.settings.tremor_deg:
         return None
     return Refusal(
-        RefusalCode.TREMBLING,
-        f"the hand trembles by {held.tremor_deg:.2f} deg rms (limit {hold.settings.tremor_deg:g} deg)",
-        "rest the arm on something, or lean the unit against a support; it is measured again",
-        held.tremor_deg,
-        hold.settings.tremor_deg,
-        "deg",
+        reason=RefusalCode.TREMBLING,
+        words=f"the hand trembles by {held.tremor_deg:.2f} deg rms (limit {hold.settings.tremor_deg:g} deg)",
+        remedy="rest the arm on something, or lean the unit against a support; it is measured again",
+        measured=held.tremor_deg,
+        limit=hold.settings.tremor_deg,
+        unit="deg",
     )
 
 
@@ -255,12 +261,12 @@ def _check_sway(hold: HoldUnderTest) -> Refusal | None:
     if held is None or held.sway_deg <= hold.settings.sway_deg:
         return None
     return Refusal(
-        RefusalCode.SWAYING,
-        f"the hand sways by {held.sway_deg:.1f} deg rms (limit {hold.settings.sway_deg:g} deg)",
-        "rest the elbows on the table, or lean the unit against a support; it is measured again",
-        held.sway_deg,
-        hold.settings.sway_deg,
-        "deg",
+        reason=RefusalCode.SWAYING,
+        words=f"the hand sways by {held.sway_deg:.1f} deg rms (limit {hold.settings.sway_deg:g} deg)",
+        remedy="rest the elbows on the table, or lean the unit against a support; it is measured again",
+        measured=held.sway_deg,
+        limit=hold.settings.sway_deg,
+        unit="deg",
     )
 
 
@@ -295,27 +301,29 @@ def _check_drift(hold: HoldUnderTest) -> Refusal | None:
     change, sigma = change_over(along)
     limit = max(hold.settings.drift_m_s2, 4 * sigma)
     if abs(change) > limit:
-        return _drift_refusal(f"the reading drifts by {1e3 * abs(change):.1f} mm/s^2", abs(change), limit, "m/s^2", mean)
+        return _drift_refusal(
+            f"the reading drifts by {1e3 * abs(change):.1f} mm/s^2", abs(change), limit, "m/s^2", direction=mean
+        )
     changes = np.array([change_over(column) for column in force.T])
     sideways = changes[:, 0] - mean * (mean @ changes[:, 0]) / norm**2
     turn = math.degrees(float(np.linalg.norm(sideways)) / norm)
     limit = max(hold.settings.tilt_deg, 4 * math.degrees(float(changes[:, 1].max()) / norm))
     if turn > limit:
-        return _drift_refusal(f"the unit tilts by {turn:.2f} deg", turn, limit, "deg", sideways)
+        return _drift_refusal(f"the unit tilts by {turn:.2f} deg", turn, limit, "deg", direction=sideways)
     return None
 
 
-def _drift_refusal(found: str, measured: float, limit: float, unit: str, direction: FloatArray) -> Refusal:
+def _drift_refusal(found: str, measured: float, limit: float, unit: str, *, direction: FloatArray) -> Refusal:
     shown = f"{1e3 * limit:.1f} mm/s^2" if unit == "m/s^2" else f"{limit:.2f} deg"
     axis = AXES[int(np.argmax(np.abs(direction)))]
     return Refusal(
-        RefusalCode.DRIFTING,
-        f"{found} over the hold (limit {shown}, axis {axis})",
-        "leave it: it is measured again; if this repeats, use a firmer support or let the unit warm up",
-        measured,
-        limit,
-        unit,
-        axis,
+        reason=RefusalCode.DRIFTING,
+        words=f"{found} over the hold (limit {shown}, axis {axis})",
+        remedy="leave it: it is measured again; if this repeats, use a firmer support or let the unit warm up",
+        measured=measured,
+        limit=limit,
+        unit=unit,
+        axis=axis,
     )
 
 

@@ -41,20 +41,18 @@ TREMOR_S = 0.25
 EDGE_S = 0.4
 _CYCLES = (2, 3, 4, 5)
 _PASSES = 2
+# What turning changed in the mean is known to this share: scale of the gyroscope before calibration, filters of both.
 _GAIN_SIGMA = 0.01
-"""What turning changed in the mean is known to this share: scale of the gyroscope before calibration, filters of both."""
 _FEWEST = 20
-_POINTS = 8
-"""Of an interpolation: with six, a sample lost at 100 Hz is known to 1 % of a tremor at 12 Hz, with eight to 0.2 %."""
-_REGULAR = 0.2
-"""Share of the sample interval: stamps that come closer do not tell where samples are missing."""
+_POINTS = 8  # Of an interpolation: with six, a sample lost at 100 Hz is known to 1 % of a tremor at 12 Hz, with eight to 0.2 %.
+_REGULAR = 0.2  # Share of the sample interval: stamps that come closer do not tell where samples are missing.
 BRIDGED_S = 0.04
 """Samples are bridged over holes up to this long; half a period of tremor at 12 Hz."""
 JOLT_S = 0.01
 """Spacing of the second difference that tells a bump: it passes 30 Hz eight times better than the tremor at 10 Hz."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HeldMean:
     """What a hold in the hand showed.
 
@@ -87,19 +85,16 @@ class HeldMean:
     """From the begin of the hold to the largest one."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _Steps:
     """Means over whole numbers of samples, ``STEP_S`` at most; rates in rad/s, forces raw less mid-scale."""
 
     time_s: FloatArray
     force: FloatArray
     rate: FloatArray
-    edge_s: FloatArray
-    """Begin of each step and end of the last, shape (n + 1,)."""
-    turned: FloatArray
-    """Integral of the rate up to each edge, rad, shape (n + 1, 3)."""
-    keep: FloatArray
-    """Share by which the step counts: 0 where it is knocked, shape (n,)."""
+    edge_s: FloatArray  # Begin of each step and end of the last, shape (n + 1,).
+    turned: FloatArray  # Integral of the rate up to each edge, rad, shape (n + 1, 3).
+    keep: FloatArray  # Share by which the step counts: 0 where it is knocked, shape (n,).
 
 
 def held_mean(
@@ -137,15 +132,18 @@ def held_mean(
     gyroscope_scale = scale.gyroscope or math.nan
     # Heading is not seen by gravity: the net turn about the vertical stays in the mean rate, as large as the sway.
     turn_sigma = gyroscope_scale * math.sqrt(2) * max(sway_rad, 1e-6) / float(np.ptp(steps.time_s))
+    jolt, usual_jolt, jolt_after_s = _jolt(steps.time_s, turned / (scale.accelerometer or math.nan))
     return HeldMean(
-        mean + scale.raw_zero,
-        spread,
-        rest * gyroscope_scale,
-        np.eye(3) * turn_sigma**2,
-        math.degrees(tremor_rad),
-        math.degrees(sway_rad),
-        delay,
-        *_jolt(steps.time_s, turned / (scale.accelerometer or math.nan)),
+        force_raw=mean + scale.raw_zero,
+        covariance_raw=spread,
+        gyroscope_raw=rest * gyroscope_scale,
+        gyroscope_covariance_raw=np.eye(3) * turn_sigma**2,
+        tremor_deg=math.degrees(tremor_rad),
+        sway_deg=math.degrees(sway_rad),
+        delay=delay,
+        jolt_m_s2=jolt,
+        usual_jolt_m_s2=usual_jolt,
+        jolt_after_s=jolt_after_s,
     )
 
 
@@ -186,12 +184,12 @@ def _average(samples: Samples, scale: RoughScale, knocks_s: FloatArray) -> _Step
     away = np.maximum(knocks_s[:, 0] - STEP_S - mean_s[:, None], mean_s[:, None] - knocks_s[:, 1] - STEP_S)
     keep = np.sin(np.pi / 2 * np.clip(away / EDGE_S, 0.0, 1.0)) ** 2
     return _Steps(
-        mean_s,
-        _sharpened(mean_s, np.add.reduceat(force, first, axis=0) / count, spread),
-        np.add.reduceat(rate, first, axis=0) / count,
-        edge_s[at_edges],
-        turned[at_edges],
-        keep.min(axis=1, initial=1.0),
+        time_s=mean_s,
+        force=_sharpened(mean_s, np.add.reduceat(force, first, axis=0) / count, spread),
+        rate=np.add.reduceat(rate, first, axis=0) / count,
+        edge_s=edge_s[at_edges],
+        turned=turned[at_edges],
+        keep=keep.min(axis=1, initial=1.0),
     )
 
 

@@ -24,8 +24,7 @@ USUAL_S = 10.0
 USUAL_SIGMA_M_S2 = 10e-6 * STANDARD_GRAVITY_M_S2
 """Good enough where no target is given: below what most instruments repeat from hold to hold."""
 _FEWEST_DIFFERENCES = 50
-_STILL_FALLING = 0.85
-"""White noise falls by 0.71 when the time doubles; above this the minimum is near."""
+_STILL_FALLING = 0.85  # White noise falls by 0.71 when the time doubles; above this the minimum is near.
 
 
 @dataclass(frozen=True, slots=True)

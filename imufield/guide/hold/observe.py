@@ -33,15 +33,14 @@ from imufield.samples import FloatArray, SampleUnits
 
 SETTLE_S = 1.0
 """Within this time of both ends, everything outside the outermost cell that stands out is cut off."""
+# The median of the length of a 3-D Gaussian vector is 1.54 sigma; 5.4 sigma are exceeded once in a million cells.
 _CHANGE_OVER_MEDIAN = 3.5
-"""The median of the length of a 3-D Gaussian vector is 1.54 sigma; 5.4 sigma are exceeded once in a million cells."""
-_LEAST_RATIO = 0.1
-"""Nothing below this share of the detector's limit stands out: a perfectly quiet output has a median of 0."""
+_LEAST_RATIO = 0.1  # Nothing below this share of the detector's limit stands out: a perfectly quiet output has a median of 0.
 UNKNOWN_RESOLUTION = 1e-6
 """Of the reading: resolution assumed where the output never changed."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Observation:
     """What one hold showed; raw rates, see ``Observations``."""
 
@@ -175,7 +174,7 @@ def knocks_of(cells: Cells, limits: Limits) -> FloatArray:
 
 
 def observe(
-    cells: Cells, limits: Limits, name: str, direction: FloatArray | None = None, held: HeldMean | None = None
+    cells: Cells, limits: Limits, name: str, direction: FloatArray | None = None, *, held: HeldMean | None = None
 ) -> Observation:
     """Return the observation of a trimmed stretch; cells with a knock are left out."""
     out = knocked(cells, limits)

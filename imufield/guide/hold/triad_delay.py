@@ -34,14 +34,11 @@ USUAL_S = 0.002
 LARGEST_S = 0.01
 """A larger one is no delay between triads."""
 BAND_HZ = (5.0, 20.0)
-_NYQUIST_SHARE = 0.8
-"""Of half the rate: next to it tremor and its mirror image mix."""
+_NYQUIST_SHARE = 0.8  # Of half the rate: next to it tremor and its mirror image mix.
+# Lines under a Hann taper are not independent: there are this many times fewer, its equivalent noise bandwidth [1]_.
 _HANN_NEIGHBOURS = 1.5
-"""Lines under a Hann taper are not independent: there are this many times fewer, its equivalent noise bandwidth [1]_."""
-_FEWEST_LINES = 6
-"""Four independent ones, as many as there are unknowns."""
-_ITERATIONS = 6
-"""A delay of 2 ms stands to 0.3 us after three."""
+_FEWEST_LINES = 6  # Four independent ones, as many as there are unknowns.
+_ITERATIONS = 6  # A delay of 2 ms stands to 0.3 us after three.
 
 _Complex = NDArray[np.complex128]
 
@@ -58,14 +55,10 @@ class TriadDelay:
 class _Lines:
     """Fourier lines in the band of tremor, one row each."""
 
-    omega: FloatArray
-    """Angular frequency, rad/s, shape (m, 1)."""
-    force: _Complex
-    """Shape (m, 3)."""
-    gravity: _Complex
-    """What gravity moves by, were there no delay, shape (m, 3)."""
-    arm: _Complex
-    """The same for an arm of one unit of length along each axis, shape (3, m, 3)."""
+    omega: FloatArray  # Angular frequency, rad/s, shape (m, 1).
+    force: _Complex  # Shape (m, 3).
+    gravity: _Complex  # What gravity moves by, were there no delay, shape (m, 3).
+    arm: _Complex  # The same for an arm of one unit of length along each axis, shape (3, m, 3).
 
 
 def triad_delay(time_s: FloatArray, force: FloatArray, rate: FloatArray, weight: FloatArray) -> TriadDelay:

@@ -59,6 +59,7 @@ from imufield.samples import FloatArray
 CLEARLY_MORE = 1.5
 """A position is proposed before its turn where its gain is so many times larger: the order that drift cannot imitate is worth
 more than a little gain."""
+# Refusals that pass if the unit is left where it is.
 _PASSING = (
     RefusalCode.DRIFTING,
     RefusalCode.KNOCKED,
@@ -68,7 +69,6 @@ _PASSING = (
     RefusalCode.SWAYING,
     RefusalCode.WARMING_UP,
 )
-"""Refusals that pass if the unit is left where it is."""
 
 
 class GuideActions:
@@ -87,30 +87,23 @@ class GuideActions:
         self.settings = settings
         self.weighing = Weighing(detector, settings)
         self.warmth = Warmth(detector.settings.cell_s)
-        self.go_cold = False
-        """The operator said to go on although the temperature changes."""
+        self.go_cold = False  # The operator said to go on although the temperature changes.
         self.fit: RunningFit | None = None
         self.doubts = Doubts()
         self.turns = TurnLeader(settings, detector.settings.cell_s)
         self._advised: set[str] = set()
         self._sides = SidesCheck()
         self.events: list[Event] = []
-        self.announced = False
-        """Whether the noise floor was said."""
-        self.now_s = math.nan
-        """Sample clock at the end of the cell in hand."""
+        self.announced = False  # Whether the noise floor was said.
+        self.now_s = math.nan  # Sample clock at the end of the cell in hand.
         self.judgement: Judgement | None = None
-        self.position: int | None = None
-        """Where the hold under way belongs."""
-        self.rested: int | None = None
-        """Position accepted last, as long as the unit may still lie there."""
+        self.position: int | None = None  # Where the hold under way belongs.
+        self.rested: int | None = None  # Position accepted last, as long as the unit may still lie there.
         self._rest_direction: FloatArray | None = None
         self._moved_cells = 0
         self._moved_deg = 0.0
-        self._was_unseen = False
-        """Samples are missing since the last position: it may have been moved without being seen."""
-        self._let_go = 0
-        """Holds in a row that ended by motion."""
+        self._was_unseen = False  # Samples are missing since the last position: it may have been moved without being seen.
+        self._let_go = 0  # Holds in a row that ended by motion.
         self._refusal: Refusal | None = None
         self._hold: HoldUnderTest | None = None
         self._linger_direction: FloatArray | None = None
@@ -181,7 +174,17 @@ class GuideActions:
         position = self.plan.position(index)
         accepted, planned = len(self.plan.accepted), len(self.plan.scheme)
         why = self._why(index)
-        self.events.append(Move(self.now_s, position.name, vector(position.direction), position.words, why, accepted, planned))
+        self.events.append(
+            Move(
+                time_s=self.now_s,
+                position=position.name,
+                direction=vector(position.direction),
+                words=position.words,
+                why=why,
+                accepted=accepted,
+                planned=planned,
+            )
+        )
 
     def _why(self, index: int) -> str:
         if index == self.plan.revisiting:
@@ -215,7 +218,16 @@ class GuideActions:
         goal = self.plan.position(target)
         name = self.plan.position(nearest.index).name
         off_target = angle_deg(goal.direction, direction)
-        self.events.append(Turning(self.now_s, vector(direction), name, nearest.angle_deg, goal.name, off_target))
+        self.events.append(
+            Turning(
+                time_s=self.now_s,
+                direction=vector(direction),
+                position=name,
+                angle_deg=nearest.angle_deg,
+                target=goal.name,
+                target_angle_deg=off_target,
+            )
+        )
 
     def _note_lingering(self, judgement: Judgement, direction: FloatArray) -> None:
         """Say what moves when somebody waits for the guide: the direction stays, the unit is not still."""
@@ -294,7 +306,7 @@ class GuideActions:
         if index is None or hold is None:
             return None
         position = self._current()
-        observation = observe(hold.cells, hold.limits, position.name, position.direction, hold.held)
+        observation = observe(hold.cells, hold.limits, position.name, position.direction, held=hold.held)
         revisit = index == self.plan.revisiting
         replaces = self.plan.accept(index, observation)
         self.weighing.learn(hold)
@@ -364,7 +376,7 @@ class GuideActions:
         if first is None or self.plan.revisited is None:
             return
         before = self.plan.accepted[first]
-        self.events.append(drift_advice(self.now_s, before, self.plan.revisited, self.detector.scale, self.fit))
+        self.events.append(drift_advice(self.now_s, before, self.plan.revisited, self.detector.scale, fit=self.fit))
 
     def _advise_scale(self) -> None:
         """Say at the end what the common scale is against the earlier one, or the nominal one where that was not said."""

@@ -22,8 +22,7 @@ class Doubts:
     """What the running fit doubts, and what was said of it."""
 
     def __init__(self) -> None:
-        self.now: list[Disagreement] = []
-        """The worst first."""
+        self.now: list[Disagreement] = []  # The worst first.
         self._told: set[str] = set()
         self._asked: set[str] = set()
 
@@ -65,14 +64,15 @@ def doubtful_advice(now_s: float, found: Disagreement) -> Advice:
     """Return the advice to look at a position again."""
     value = abs(found.leave_one_out_m_s2) / MILLI_G_M_S2
     return Advice(
-        now_s,
-        Topic.DOUBTFUL,
-        found.name,
-        f"position {found.name} disagrees with the others by {value:.2g} mg, {abs(found.sigmas):.0f} sigma: moved or bumped",
-        "r retakes it now; otherwise it is asked for again at the end, if it disagrees then",
-        abs(found.leave_one_out_m_s2),
-        abs(found.leave_one_out_m_s2 / found.sigmas) * found.limit_sigmas,
-        "m/s^2",
+        time_s=now_s,
+        topic=Topic.DOUBTFUL,
+        position=found.name,
+        words=f"position {found.name} disagrees with the others by {value:.2g} mg, {abs(found.sigmas):.0f} sigma: "
+        "moved or bumped",
+        remedy="r retakes it now; otherwise it is asked for again at the end, if it disagrees then",
+        measured=abs(found.leave_one_out_m_s2),
+        limit=abs(found.leave_one_out_m_s2 / found.sigmas) * found.limit_sigmas,
+        unit="m/s^2",
     )
 
 
@@ -80,14 +80,14 @@ def settled_advice(now_s: float, found: Disagreement) -> Advice:
     """Return the withdrawal of a doubt."""
     value = abs(found.leave_one_out_m_s2) / MILLI_G_M_S2
     return Advice(
-        now_s,
-        Topic.SETTLED,
-        found.name,
-        f"position {found.name} no longer disagrees with the others ({value:.2g} mg, {abs(found.sigmas):.1f} sigma)",
-        "the doubt is withdrawn",
-        abs(found.leave_one_out_m_s2),
-        abs(found.leave_one_out_m_s2 / found.sigmas) * found.limit_sigmas if found.sigmas else 0.0,
-        "m/s^2",
+        time_s=now_s,
+        topic=Topic.SETTLED,
+        position=found.name,
+        words=f"position {found.name} no longer disagrees with the others ({value:.2g} mg, {abs(found.sigmas):.1f} sigma)",
+        remedy="the doubt is withdrawn",
+        measured=abs(found.leave_one_out_m_s2),
+        limit=abs(found.leave_one_out_m_s2 / found.sigmas) * found.limit_sigmas if found.sigmas else 0.0,
+        unit="m/s^2",
     )
 
 
@@ -103,14 +103,14 @@ def target_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Adv
     said = ", ".join(f"{key.split('_')[0]} {forecast[key]:.3g} {unit[key]} (wanted {value:g})" for key, value in asked.items())
     key, value = next(iter(asked.items()))
     return Advice(
-        now_s,
-        Topic.TARGET_MET,
-        None,
-        f"the target is met: {said}",
-        "f, pressed twice, finishes now; going on makes it better still",
-        forecast[key],
-        value,
-        unit[key],
+        time_s=now_s,
+        topic=Topic.TARGET_MET,
+        position=None,
+        words=f"the target is met: {said}",
+        remedy="f, pressed twice, finishes now; going on makes it better still",
+        measured=forecast[key],
+        limit=value,
+        unit=unit[key],
     )
 
 
@@ -120,14 +120,14 @@ def scheme_advice(now_s: float, fit: RunningFit, plan: Plan) -> Advice | None:
     if not known or not plan.scheme.name.startswith("paper") or fit.quadratic_sigmas() < MATTERS_SIGMAS:
         return None
     return Advice(
-        now_s,
-        Topic.SCHEME,
-        None,
-        f"the quadratic terms matter here ({fit.quadratic_sigmas():.1f} sigma)",
-        "next time use --positions corners24, which knows them and the biases a quarter better",
-        fit.quadratic_sigmas(),
-        MATTERS_SIGMAS,
-        "sigma",
+        time_s=now_s,
+        topic=Topic.SCHEME,
+        position=None,
+        words=f"the quadratic terms matter here ({fit.quadratic_sigmas():.1f} sigma)",
+        remedy="next time use --positions corners24, which knows them and the biases a quarter better",
+        measured=fit.quadratic_sigmas(),
+        limit=MATTERS_SIGMAS,
+        unit="sigma",
     )
 
 
@@ -141,14 +141,14 @@ def scale_advice(now_s: float, fit: RunningFit) -> Advice | None:
     if abs(share) < max(SCALE_SHARE, 4 * sigma):
         return None
     return Advice(
-        now_s,
-        Topic.SCALE,
-        None,
-        f"the common scale is {100 * share:+.1f} % off the instrument's nominal one (limit {100 * SCALE_SHARE:g} %)",
-        "check range and unit settings, latitude and gravity: the residual cannot show this",
-        abs(share),
-        SCALE_SHARE,
-        "1",
+        time_s=now_s,
+        topic=Topic.SCALE,
+        position=None,
+        words=f"the common scale is {100 * share:+.1f} % off the instrument's nominal one (limit {100 * SCALE_SHARE:g} %)",
+        remedy="check range and unit settings, latitude and gravity: the residual cannot show this",
+        measured=abs(share),
+        limit=SCALE_SHARE,
+        unit="1",
     )
 
 
@@ -174,18 +174,18 @@ def final_scale_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -
     else:
         remedy = "a wrong latitude (0.5 % from equator to pole) shows only against an earlier calibration: capture --preset"
     return Advice(
-        now_s,
-        Topic.SCALE,
-        None,
-        f"the common scale is {1e6 * change:+.0f} ppm off {whose} (limit {1e6 * limit:.0f} ppm)",
-        remedy,
-        abs(change),
-        limit,
-        "1",
+        time_s=now_s,
+        topic=Topic.SCALE,
+        position=None,
+        words=f"the common scale is {1e6 * change:+.0f} ppm off {whose} (limit {1e6 * limit:.0f} ppm)",
+        remedy=remedy,
+        measured=abs(change),
+        limit=limit,
+        unit="1",
     )
 
 
-def drift_advice(now_s: float, before: Observation, after: Observation, scale: RoughScale, fit: RunningFit | None) -> Advice:
+def drift_advice(now_s: float, before: Observation, after: Observation, scale: RoughScale, *, fit: RunningFit | None) -> Advice:
     """Return what the first position says when it is shown again at the end."""
     norms = [float(np.linalg.norm(scale.specific_force(one.mean_raw))) for one in (before, after)]
     directions = [scale.specific_force(one.mean_raw) / norm for one, norm in zip((before, after), norms, strict=True)]
@@ -196,13 +196,13 @@ def drift_advice(now_s: float, before: Observation, after: Observation, scale: R
     minutes = (after.start_s - before.start_s) / 60
     drifted = abs(change) > DRIFT_SIGMAS * sigma
     return Advice(
-        now_s,
-        Topic.DRIFT,
-        before.name,
-        f"{before.name} again after {minutes:.0f} min: {change / MILLI_G_M_S2:+.2f} mg, "
+        time_s=now_s,
+        topic=Topic.DRIFT,
+        position=before.name,
+        words=f"{before.name} again after {minutes:.0f} min: {change / MILLI_G_M_S2:+.2f} mg, "
         + ("it has drifted" if drifted else f"no drift beyond {DRIFT_SIGMAS * sigma / MILLI_G_M_S2:.1f} mg"),
-        "let the unit warm up longer and measure again" if drifted else "nothing to do",
-        abs(change),
-        DRIFT_SIGMAS * sigma,
-        "m/s^2",
+        remedy="let the unit warm up longer and measure again" if drifted else "nothing to do",
+        measured=abs(change),
+        limit=DRIFT_SIGMAS * sigma,
+        unit="m/s^2",
     )

@@ -32,13 +32,11 @@ from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
 from imufield.samples import Samples, SampleUnits
 
-_BAD_IN_A_ROW = 3
-"""Cells without usable samples before anybody is told."""
-_IN_VAIN = 5
-"""Lengths of a noise floor waited for before settings are doubted."""
+_BAD_IN_A_ROW = 3  # Cells without usable samples before anybody is told.
+_IN_VAIN = 5  # Lengths of a noise floor waited for before settings are doubted.
 ACTIONS = ("retake", "skip", "undo", "pause", "finish", "go_on", "reopen")
+# What the operator says that is an input of the table and nothing else.
 _INPUTS = {"pause": Input.PAUSE, "finish": Input.FINISH, "reopen": Input.RESUMED}
-"""What the operator says that is an input of the table and nothing else."""
 RATE_CELLS = 50
 RATE_SHARE = 0.05
 """Change of the sample rate over five seconds that is told: oscillators differ by 0.01 %."""
@@ -46,7 +44,7 @@ JUMP_S = 2.0
 """A gap in the sample clock that is told: a suspended computer, an instrument that began anew."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
     """What a live view shows beside the events."""
 
@@ -95,8 +93,7 @@ class Guide:
         self.plan = Plan(scheme, self.settings.tolerance_deg)
         self.units = units
         self.state = State.LEARNING
-        self.time_s = math.nan
-        """Sample clock of the latest sample."""
+        self.time_s = math.nan  # Sample clock of the latest sample.
         longest_s = max(self.settings.stillness.longest_s, self.settings.wish.longest_s + 10)
         stillness = replace(self.settings.stillness, longest_s=longest_s, hand=True)
         self.detector = StillnessDetector(scale or RoughScale.of_units(units), stillness)
@@ -105,8 +102,7 @@ class Guide:
         self._marks: list[tuple[int, str, str | None]] = []
         self._moves = MoveLog(stillness.cell_s)
         self._dead_axis = DeadAxis()
-        self._axes_asked = 0
-        """Positions at the last look at the axes; all, once the moves have told."""
+        self._axes_asked = 0  # Positions at the last look at the axes; all, once the moves have told.
         self._axes_told: set[tuple[RefusalCode, bool]] = set()
         self._slot: int | None = None
         self._counts: deque[int] = deque(maxlen=RATE_CELLS)

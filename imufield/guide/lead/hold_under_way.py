@@ -85,10 +85,8 @@ class Weighing:
         self._detector = detector
         self._settings = settings
         self.history = RawHistory(detector.settings.longest_s + HISTORY_MARGIN_S)
-        self.first_judged_s = math.nan
-        """Samples from before this time are not kept."""
-        self.fraction = 0.0
-        """How much of the hold under way is done."""
+        self.first_judged_s = math.nan  # Samples from before this time are not kept.
+        self.fraction = 0.0  # How much of the hold under way is done.
         self._allan = AllanMinimum(detector.settings.cell_s)
 
     @property
@@ -175,4 +173,6 @@ class Weighing:
         detector, floor = self._detector, self._detector.floor
         if floor is None:
             return None
-        return HoldUnderTest(cells, floor, detector.limits, detector.scale, self._settings.checks, held)
+        return HoldUnderTest(
+            cells=cells, floor=floor, limits=detector.limits, scale=detector.scale, settings=self._settings.checks, held=held
+        )

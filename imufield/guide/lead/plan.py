@@ -40,14 +40,11 @@ class Plan:
         self.tolerance_deg = min(tolerance_deg + RECOGNITION_MARGIN_DEG, scheme.separation_deg() / 2)
         self.skipped: set[int] = set()
         self.wanted_again: set[int] = set()
-        self.withdrawn: list[Observation] = []
-        """Replaced or undone; kept, not used."""
-        self.first: int | None = None
-        """Asked for before all others: where the unit lies when the session begins."""
-        self.preferred: int | None = None
-        """Asked for next instead of the proposed order: where a hold helps most."""
+        self.withdrawn: list[Observation] = []  # Replaced or undone; kept, not used.
+        self.first: int | None = None  # Asked for before all others: where the unit lies when the session begins.
+        self.preferred: int | None = None  # Asked for next instead of the proposed order: where a hold helps most.
+        # Asked for once more at the end, as a check for drift; what is measured there replaces nothing.
         self.revisiting: int | None = None
-        """Asked for once more at the end, as a check for drift; what is measured there replaces nothing."""
         self.revisited: Observation | None = None
         self._accepted: dict[int, Observation] = {}
         self._directions = scheme.directions()

@@ -21,10 +21,8 @@ from imufield.guide.stillness.noise_floor import NoiseFloor, is_even, why_not_qu
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import AXES, FloatArray
 
-_IN_A_ROW = 2
-"""Holds that end by motion before anybody is told what to do otherwise."""
-_NAMED_AT_ONCE = 4
-"""Positions named in a sentence: what the screen has room for."""
+_IN_A_ROW = 2  # Holds that end by motion before anybody is told what to do otherwise.
+_NAMED_AT_ONCE = 4  # Positions named in a sentence: what the screen has room for.
 
 
 def vector(values: FloatArray) -> Vector:
@@ -53,15 +51,15 @@ def floor_event(now_s: float, floor: NoiseFloor, detector: StillnessDetector) ->
     gyroscope = f"gyroscope {quantity(rate, rate_unit)}" if floor.has_gyroscope else "no gyroscope"
     learned = "; the scale is not known, so the norm of this still is taken as g" if scale.learned else ""
     return NoiseFloorMeasured(
-        now_s,
-        force,
-        force_unit,
-        rate,
-        rate_unit,
-        limit,
-        floor.samples_per_cell / detector.settings.cell_s,
-        scale.learned,
-        f"noise floor: accelerometer {quantity(force, force_unit)} rms per axis, {gyroscope}; "
+        time_s=now_s,
+        accelerometer_sigma=force,
+        accelerometer_unit=force_unit,
+        gyroscope_sigma=rate,
+        gyroscope_unit=rate_unit,
+        vibration_limit=limit,
+        rate_hz=floor.samples_per_cell / detector.settings.cell_s,
+        scale_learned=scale.learned,
+        words=f"noise floor: accelerometer {quantity(force, force_unit)} rms per axis, {gyroscope}; "
         f"still means below {quantity(limit, force_unit)}{learned}",
     )
 
@@ -76,17 +74,17 @@ def accepted_event(
     held = observation.held
     row = None if fit is None or observation.name not in fit.names else fit.names.index(observation.name)
     return Accepted(
-        now_s,
-        observation.name,
-        vector(direction),
-        angle_deg(observation.direction, direction),
-        observation.start_s,
-        observation.duration_s,
-        sigma,
-        observation.temperature_degc,
-        len(plan.accepted),
-        len(plan.scheme),
-        replaces,
+        time_s=now_s,
+        position=observation.name,
+        direction=vector(direction),
+        angle_deg=angle_deg(observation.direction, direction),
+        start_s=observation.start_s,
+        duration_s=observation.duration_s,
+        sigma_m_s2=sigma,
+        temperature_degc=observation.temperature_degc,
+        accepted=len(plan.accepted),
+        planned=len(plan.scheme),
+        replaces=replaces,
         residual_m_s2=None if fit is None or row is None else float(fit.residual_m_s2[row]),
         forecast=None if fit is None else fit.forecast(),
         leave_one_out_m_s2=None if fit is None or row is None else fit.disagreements()[row].leave_one_out_m_s2,
@@ -103,12 +101,12 @@ def warming_refusal(slope_degc_min: float, limit_degc_min: float) -> Refusal | N
     if abs(slope_degc_min) <= limit_degc_min:
         return None
     return Refusal(
-        RefusalCode.WARMING_UP,
-        f"the temperature changes by {slope_degc_min:+.1f} degC per minute (limit {limit_degc_min:g})",
-        "leave it on and wait: it is measured as soon as it is warm; press g to go on cold",
-        abs(slope_degc_min),
-        limit_degc_min,
-        "degC/min",
+        reason=RefusalCode.WARMING_UP,
+        words=f"the temperature changes by {slope_degc_min:+.1f} degC per minute (limit {limit_degc_min:g})",
+        remedy="leave it on and wait: it is measured as soon as it is warm; press g to go on cold",
+        measured=abs(slope_degc_min),
+        limit=limit_degc_min,
+        unit="degC/min",
     )
 
 
@@ -118,17 +116,17 @@ def moved_refusal(activity: Activity, leave_factor: float, held_of_s: tuple[floa
     limit = leave_factor * activity.limit
     what = {"vibration": "shook", "change": "moved"}[activity.kind]
     return Refusal(
-        RefusalCode.MOVED,
-        f"it {what} after {held_s:.1f} of {hold_s:g} s: {activity.triad} {activity.axis} "
+        reason=RefusalCode.MOVED,
+        words=f"it {what} after {held_s:.1f} of {hold_s:g} s: {activity.triad} {activity.axis} "
         f"{quantity(activity.measured, activity.unit)} (limit {quantity(limit, activity.unit)})",
-        "hold again; only this hold is repeated"
+        remedy="hold again; only this hold is repeated"
         if times < _IN_A_ROW
         else f"{times} times in a row it was let go or lifted too early: keep it as it is until the two tones, or until the "
         "screen says accepted",
-        activity.measured,
-        limit,
-        activity.unit,
-        activity.axis,
+        measured=activity.measured,
+        limit=limit,
+        unit=activity.unit,
+        axis=activity.axis,
     )
 
 
@@ -142,13 +140,13 @@ def motion_words(activity: Activity) -> str:
 def not_still_refusal(activity: Activity) -> Refusal:
     """Return what keeps a unit from being still that somebody holds in place."""
     return Refusal(
-        RefusalCode.NOT_STILL,
-        f"not still yet: it {motion_words(activity)} (limit {quantity(activity.limit, activity.unit)})",
-        "put it on a firm support or lean it on one, hands off",
-        activity.measured,
-        activity.limit,
-        activity.unit,
-        activity.axis,
+        reason=RefusalCode.NOT_STILL,
+        words=f"not still yet: it {motion_words(activity)} (limit {quantity(activity.limit, activity.unit)})",
+        remedy="put it on a firm support or lean it on one, hands off",
+        measured=activity.measured,
+        limit=activity.limit,
+        unit=activity.unit,
+        axis=activity.axis,
     )
 
 
@@ -158,19 +156,21 @@ def place_refusal(plan: Plan, nearest: Found, pending: Found | None) -> Refusal:
     if nearest.angle_deg <= limit:
         name = plan.position(nearest.index).name
         found, remedy = f"{name} is already done", _what_is_left(plan.missing())
-        return Refusal(RefusalCode.ALREADY_DONE, found, remedy, nearest.angle_deg, limit, "deg")
+        return Refusal(
+            reason=RefusalCode.ALREADY_DONE, words=found, remedy=remedy, measured=nearest.angle_deg, limit=limit, unit="deg"
+        )
     closest = pending or nearest
     name = plan.position(closest.index).name
     # The picture shows what is proposed; the words must not ask for another side.
     target = plan.proposed()
     wanted = plan.position(closest.index if target is None else target)
     return Refusal(
-        RefusalCode.NOT_NEAR,
-        f"not near any pending position: nearest is {name} at {closest.angle_deg:.0f} deg (limit {limit:.0f} deg)",
-        f"bring it to {wanted.name}: {wanted.words}",
-        closest.angle_deg,
-        limit,
-        "deg",
+        reason=RefusalCode.NOT_NEAR,
+        words=f"not near any pending position: nearest is {name} at {closest.angle_deg:.0f} deg (limit {limit:.0f} deg)",
+        remedy=f"bring it to {wanted.name}: {wanted.words}",
+        measured=closest.angle_deg,
+        limit=limit,
+        unit="deg",
     )
 
 
@@ -191,7 +191,14 @@ def not_quiet_refusal(cells: Cells, scale: RoughScale, floor_s: float, *, in_vai
     waiting = f"waiting for {floor_s:g} s without motion to measure the noise floor"
     if found is None:
         remedy, whole_s = "check cable, baud rate and load of the computer", float((cells.end_s - cells.start_s).sum())
-        return Refusal(RefusalCode.NOT_QUIET, f"{waiting}: samples are missing", remedy, whole_s, floor_s, "s")
+        return Refusal(
+            reason=RefusalCode.NOT_QUIET,
+            words=f"{waiting}: samples are missing",
+            remedy=remedy,
+            measured=whole_s,
+            limit=floor_s,
+            unit="s",
+        )
     triad, axis = ("accelerometer", "gyroscope")[found.column // 3], AXES[found.column % 3]
     factor, unit = ((scale.accelerometer, "m/s^2"), (scale.gyroscope, "rad/s"))[found.column // 3]
     measured, limit = (value / (factor or 1.0) for value in (found.measured, found.limit))
@@ -204,26 +211,26 @@ def not_quiet_refusal(cells: Cells, scale: RoughScale, floor_s: float, *, in_vai
             "(--set or the protocol)"
         )
     return Refusal(
-        RefusalCode.NOT_QUIET,
-        f"{waiting}: {what}, {triad} {axis} {'' if found.shakes else 'strays by '}{quantity(measured, unit)} "
+        reason=RefusalCode.NOT_QUIET,
+        words=f"{waiting}: {what}, {triad} {axis} {'' if found.shakes else 'strays by '}{quantity(measured, unit)} "
         f"(limit {quantity(limit, unit)})",
-        remedy,
-        measured,
-        limit,
-        unit,
-        axis,
+        remedy=remedy,
+        measured=measured,
+        limit=limit,
+        unit=unit,
+        axis=axis,
     )
 
 
 def axes_refusal(axes: AxesCheck) -> Refusal:
     """Return the warning that gyroscope and accelerometer do not belong together."""
     return Refusal(
-        RefusalCode.SCALE if axes.turns_ratio != 1.0 else RefusalCode.AXES,
-        axes.words,
-        "the accelerometer positions stay valid; nothing of the gyroscope will be until this is corrected",
-        axes.misfit_deg,
-        GOOD_DEG,
-        "deg",
+        reason=RefusalCode.SCALE if axes.turns_ratio != 1.0 else RefusalCode.AXES,
+        words=axes.words,
+        remedy="the accelerometer positions stay valid; nothing of the gyroscope will be until this is corrected",
+        measured=axes.misfit_deg,
+        limit=GOOD_DEG,
+        unit="deg",
     )
 
 
@@ -231,22 +238,22 @@ def clock_refusal(gap_s: float, limit_s: float) -> Refusal:
     """Return the word on a sample clock that jumped."""
     way = f"forward by {gap_s:.1f} s" if gap_s > 0 else f"back by {-gap_s:.1f} s"
     return Refusal(
-        RefusalCode.CLOCK_JUMP,
-        f"the sample clock jumped {way} (limit {limit_s:g} s): the computer was suspended, or the instrument began anew",
-        "nothing measured is lost; a hold that was under way begins anew",
-        abs(gap_s),
-        limit_s,
-        "s",
+        reason=RefusalCode.CLOCK_JUMP,
+        words=f"the sample clock jumped {way} (limit {limit_s:g} s): the computer was suspended, or the instrument began anew",
+        remedy="nothing measured is lost; a hold that was under way begins anew",
+        measured=abs(gap_s),
+        limit=limit_s,
+        unit="s",
     )
 
 
 def rate_refusal(share: float, limit: float, usual_hz: float) -> Refusal:
     """Return the word on a sample rate that is not what it was."""
     return Refusal(
-        RefusalCode.RATE,
-        f"the sample rate has changed by {100 * share:+.0f} % from {usual_hz:.0f} Hz (limit {100 * limit:g} %)",
-        "check the load of the computer, the baud rate and the instrument's settings",
-        abs(share) * usual_hz,
-        limit * usual_hz,
-        "Hz",
+        reason=RefusalCode.RATE,
+        words=f"the sample rate has changed by {100 * share:+.0f} % from {usual_hz:.0f} Hz (limit {100 * limit:g} %)",
+        remedy="check the load of the computer, the baud rate and the instrument's settings",
+        measured=abs(share) * usual_hz,
+        limit=limit * usual_hz,
+        unit="Hz",
     )

@@ -11,7 +11,7 @@ from imufield.guide.lead.plan import TOLERANCE_DEG
 from imufield.guide.stillness.limits import StillnessSettings
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GuideSettings:
     """Settings of a guided session."""
 

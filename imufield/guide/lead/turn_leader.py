@@ -28,8 +28,7 @@ class TurnLeader:
     def __init__(self, settings: GuideSettings, cell_s: float) -> None:
         self.left = plan_turns(settings.rotations, settings.turns_each_way)
         self.planned = len(self.left)
-        self.rests: list[Observation] = []
-        """The stills before, between and after the turns; they belong to no position."""
+        self.rests: list[Observation] = []  # The stills before, between and after the turns; they belong to no position.
         self._cell_s = cell_s
         self._follower = TurnFollower(cell_s)
         self._moved = False
@@ -64,7 +63,17 @@ class TurnLeader:
             return []
         turn = self.left[0]
         done = self.planned - len(self.left)
-        return [Turn(now_s, AXES[turn.axis], turn.sense, turn.about, turn.words, done, self.planned)]
+        return [
+            Turn(
+                time_s=now_s,
+                axis=AXES[turn.axis],
+                sense=turn.sense,
+                about=turn.about,
+                words=turn.words,
+                done=done,
+                planned=self.planned,
+            )
+        ]
 
     def begin(self, judgement: Judgement, scale: RoughScale) -> None:
         """Follow a move from the end of a still stretch."""
@@ -108,14 +117,14 @@ class TurnLeader:
     def turned(self, now_s: float, made: MadeTurn) -> Turned:
         """Return what to say of a turn that was made."""
         return Turned(
-            now_s,
-            AXES[made.wanted.axis],
-            made.turns,
-            made.wanted.about,
-            made.start_s,
-            made.end_s,
-            made.turned_deg,
-            made.tilt_deg,
-            self.planned - len(self.left),
-            self.planned,
+            time_s=now_s,
+            axis=AXES[made.wanted.axis],
+            turns=made.turns,
+            about=made.wanted.about,
+            start_s=made.start_s,
+            end_s=made.end_s,
+            angle_deg=made.turned_deg,
+            tilt_deg=made.tilt_deg,
+            done=self.planned - len(self.left),
+            planned=self.planned,
         )

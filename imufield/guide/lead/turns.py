@@ -19,7 +19,8 @@ from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import AXES, FloatArray
 
-HORIZONTAL, VERTICAL = "horizontal", "vertical"
+HORIZONTAL = "horizontal"
+VERTICAL = "vertical"
 NOT_A_TURN_DEG = 180.0
 """A move that turned by less is the way to another side."""
 WHOLE_DEG = 45.0
@@ -49,7 +50,7 @@ class WantedTurn:
         return f"{name} {up}: turn it on the table against a stop, one whole turn ({way}), back to the stop"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MadeTurn:
     """A move that was whole turns."""
 
@@ -123,7 +124,14 @@ class TurnFollower:
             return _not_whole(AXES[axis], float(angle[axis]), tilt, aside)
         if not fitting:
             return None
-        return MadeTurn(fitting[0], turns, self._start_s, self._end_s, float(angle[axis]), tilt)
+        return MadeTurn(
+            wanted=fitting[0],
+            turns=turns,
+            start_s=self._start_s,
+            end_s=self._end_s,
+            turned_deg=float(angle[axis]),
+            tilt_deg=tilt,
+        )
 
 
 def _not_whole(axis: str, angle: float, tilt: float, aside: float) -> Refusal:
@@ -135,11 +143,11 @@ def _not_whole(axis: str, angle: float, tilt: float, aside: float) -> Refusal:
         measured, limit = abs(abs(angle) - 360.0 * max(round(abs(angle) / 360.0), 1)), WHOLE_DEG
         found = f"it turned by {angle:.0f} deg, {measured:.0f} deg from whole turns"
     return Refusal(
-        RefusalCode.NOT_WHOLE,
-        f"no whole turn about {axis}: {found} (limit {limit:g} deg)",
-        "begin on a side, turn by a whole turn about one axis, and end on the same side",
-        measured,
-        limit,
-        "deg",
-        axis,
+        reason=RefusalCode.NOT_WHOLE,
+        words=f"no whole turn about {axis}: {found} (limit {limit:g} deg)",
+        remedy="begin on a side, turn by a whole turn about one axis, and end on the same side",
+        measured=measured,
+        limit=limit,
+        unit="deg",
+        axis=axis,
     )

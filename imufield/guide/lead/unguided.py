@@ -23,7 +23,7 @@ SHORTEST_S = 1.0
 """A still interval shorter than this, guard bands off, is a pause in a motion."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StillIntervals:
     """What a recording gave."""
 
@@ -90,7 +90,13 @@ class StillIntervalFinder:
             )
         scale = self.detector.scale
         axes = check_axes(self._moves.moves(scale), scale.gyroscope)
-        return StillIntervals(gather(self._found, self.units), tuple(self._refused), self.detector.floor, scale, axes)
+        return StillIntervals(
+            observations=gather(self._found, self.units),
+            refused=tuple(self._refused),
+            noise_floor=self.detector.floor,
+            scale=scale,
+            axes=axes,
+        )
 
     def _take_ended(self, cells: Cells | None) -> None:
         for judgement in () if cells is None else self.detector.judge(cells):
@@ -104,7 +110,9 @@ class StillIntervalFinder:
         cells = cells[trim_stretch(cells, detector.limits, detector.settings)]
         if floor is None or len(cells) < detector.settings.cells(self._shortest_s):
             return
-        refusal = examine(HoldUnderTest(cells, floor, detector.limits, detector.scale, self._checks))
+        refusal = examine(
+            HoldUnderTest(cells=cells, floor=floor, limits=detector.limits, scale=detector.scale, settings=self._checks)
+        )
         if refusal is not None:
             self._refused.append((float(cells.start_s[0]), refusal))
             return

@@ -22,11 +22,10 @@ from imufield.samples import UNUSABLE, FloatArray, IntArray, Samples, concatenat
 CELL_S = 0.1
 """Ten cells a second: short against a turn (0.5 s and more), long against the tremor of a hand (8 to 12 Hz)."""
 
-_SLOT_MARGIN = 1e-6
-"""Of a slot: times such as 0.3 s, a hair below their slot in binary, belong to the slot they mean."""
+_SLOT_MARGIN = 1e-6  # Of a slot: times such as 0.3 s, a hair below their slot in binary, belong to the slot they mean.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Cells:
     """Statistics of m finished cells; all arrays have m rows, in the order of arrival.
 
@@ -72,7 +71,7 @@ class Cells:
         return len(self.slot)
 
     def __getitem__(self, rows: slice | IntArray) -> Cells:
-        return Cells(*(getattr(self, name)[rows] for name in _FIELDS))
+        return Cells(**{name: getattr(self, name)[rows] for name in _FIELDS})
 
 
 _FIELDS = tuple(field.name for field in fields(Cells))
@@ -82,7 +81,7 @@ def join_cells(parts: Sequence[Cells]) -> Cells:
     """Join cells in order; at least one part is needed."""
     if len(parts) == 1:
         return parts[0]
-    return Cells(*(np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS))
+    return Cells(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS})
 
 
 class CellBuilder:

@@ -71,14 +71,11 @@ class StillnessDetector:
     def __init__(self, scale: RoughScale, settings: StillnessSettings | None = None) -> None:
         self.settings = settings or StillnessSettings()
         self.scale = scale
-        self.floor: NoiseFloor | None = None
-        """None until a quiet stretch was seen."""
+        self.floor: NoiseFloor | None = None  # None until a quiet stretch was seen.
         self._table = Tracker(self.settings)
         self._hand = Tracker(hand_settings(self.settings)) if self.settings.hand and scale.gyroscope else None
-        self.in_hand = False
-        """Whether ``phase`` and ``stretch`` are those of a unit in the hand."""
-        self.bias: list[float] = []
-        """Gyroscope at rest, raw rate, from the last still stretch; empty without a gyroscope."""
+        self.in_hand = False  # Whether ``phase`` and ``stretch`` are those of a unit in the hand.
+        self.bias: list[float] = []  # Gyroscope at rest, raw rate, from the last still stretch; empty without a gyroscope.
         self._builder = CellBuilder(self.settings.cell_s)
         self._waiting: list[Cells] = []
         self._slot: int | None = None
@@ -203,7 +200,7 @@ class StillnessDetector:
                 where = (gap in (1, 2), self.bias)
                 row = start + offset
                 found = [
-                    tracker.follow(cells, row, ratio[offset], mean, where)
+                    tracker.follow(cells, row, ratio[offset], mean, where=where)
                     for tracker, ratio in zip(self._trackers(), vibration, strict=True)
                 ]
                 yield self._choose(*found)

@@ -27,20 +27,17 @@ FEWEST = 30
 """Of a shorter stretch too few cells are left in the middle, less than one swing of the arm, to set a standard."""
 FEWEST_OF_SWAY = 20
 """Cells that show the sway in any case: between turns seen far into both ends of a short stretch there may be none at all."""
+# Cells of a hold for each that the fit may add to those in which a turn is seen: a short one hides how slow its sway is.
 _SHOWN = 15
-"""Cells of a hold for each that the fit may add to those in which a turn is seen: a short one hides how slow its sway is."""
-_FADES = 5
-"""Cells beside those in which a turn is seen that may hold more of it."""
+_FADES = 5  # Cells beside those in which a turn is seen that may hold more of it.
 DEPARTS = 2.8
 """Times the rms. Sway stays below but for rare swings; a turn is above until less of it is left than of the sway."""
 DEPARTS_BESIDE = 2.2
 """The same for a cell beside the turn, or at the very edge of the stretch, where a turn begins for certain."""
 CALM = 5
 """More cells than these below the limit, and what comes farther inside is the arm's own."""
-_SLOW = 10
-"""Cells of one swing of the arm: over n cells its rms is known only to a share of sqrt(10 / n), or so."""
-_LEAST_SHARE = 0.04
-"""Of the hand's limit: the least rms, for a unit that does not move at all."""
+_SLOW = 10  # Cells of one swing of the arm: over n cells its rms is known only to a share of sqrt(10 / n), or so.
+_LEAST_SHARE = 0.04  # Of the hand's limit: the least rms, for a unit that does not move at all.
 
 
 def hand_edges(cells: Cells, change_limit: FloatArray) -> slice:

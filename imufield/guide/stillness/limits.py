@@ -13,7 +13,7 @@ from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import AXES, FloatArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StillnessSettings:
     """Settings of the detector; the defaults need no tuning for any recording known to us."""
 
@@ -77,7 +77,7 @@ class Limits:
     """Largest change ratio of the gyroscope against its last known bias; g-sensitivity and temperature are in it."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Activity:
     """The largest of the ratios of a cell, with what it was measured on."""
 
@@ -158,5 +158,15 @@ def largest_activity(vibration: FloatArray, change: FloatArray, limits: Limits, 
             finite = limit[axes][np.isfinite(limit[axes])]
             in_unit = float(np.sqrt((finite**2).mean())) / (factor or 1.0) if len(finite) else math.inf
             axis = AXES[int(np.argmax(parts))]
-            found.append(Activity(ratio, kind, triad, axis, ratio * in_unit, in_unit, unit if factor else "raw unit"))
+            found.append(
+                Activity(
+                    ratio=ratio,
+                    kind=kind,
+                    triad=triad,
+                    axis=axis,
+                    measured=ratio * in_unit,
+                    limit=in_unit,
+                    unit=unit if factor else "raw unit",
+                )
+            )
     return max(found, key=lambda activity: activity.ratio)

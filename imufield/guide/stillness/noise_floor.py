@@ -19,22 +19,18 @@ from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 
+# Largest variance of a cell over the window's median; 30 cells of 10 samples of white noise stay below 2.3.
 _NOISIEST_CELL = 3.0
-"""Largest variance of a cell over the window's median; 30 cells of 10 samples of white noise stay below 2.3."""
-_NOISIEST_CELL_FEW = 12.0
-"""The same for cells of few samples, whose variances scatter much more."""
+_NOISIEST_CELL_FEW = 12.0  # The same for cells of few samples, whose variances scatter much more.
 FEW_SAMPLES = 8
 """In a cell: with fewer its mean is nearly as noisy as a sample, and its variance is known badly."""
-_TOO_FEW_FOR_VARIANCE = 4
-"""In a cell: with fewer the scatter comes from the differences between cells."""
-_STRAY_SIGMAS = 1.5
-"""Of the noise of single samples: with 10 samples a cell that is 4.7 sigma of a cell mean."""
+_TOO_FEW_FOR_VARIANCE = 4  # In a cell: with fewer the scatter comes from the differences between cells.
+_STRAY_SIGMAS = 1.5  # Of the noise of single samples: with 10 samples a cell that is 4.7 sigma of a cell mean.
 _STRAY_SIGMAS_OF_MEAN = 4.7
+# Variance of the cell means over half their squared successive difference: 1 for noise (30 cells of three axes stay below 1.5),
+# 5 for a sway of 1 Hz in cells of 0.1 s.
 _WHITE = 2.0
-"""Variance of the cell means over half their squared successive difference: 1 for noise (30 cells of three axes stay below
-1.5), 5 for a sway of 1 Hz in cells of 0.1 s."""
-_QUIETER = 0.5
-"""A later stretch replaces the floor when its variances are below this share of it."""
+_QUIETER = 0.5  # A later stretch replaces the floor when its variances are below this share of it.
 
 MAX_FLOOR_M_S2 = 0.35
 MAX_FLOOR_RAD_S = 0.035
@@ -45,7 +41,7 @@ STRAY_RAD_S = 0.01
 """Absolute straying of a cell mean always allowed: below what a hand can do in 3 s."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseFloor:
     """What a quiet stretch showed; arrays hold accelerometer x, y, z, gyroscope x, y, z in raw rates, NaN where absent.
 

@@ -29,8 +29,7 @@ class Stretch:
         self._longest = longest
         self._parts: list[tuple[Cells, int, int]] = []
         self.mean: list[float] = []
-        self.judged = 0
-        """Cells that belong to the stretch, kept or not."""
+        self.judged = 0  # Cells that belong to the stretch, kept or not.
 
     def add(self, cells: Cells, row: int, mean: list[float]) -> None:
         """Append one cell and follow the running mean: of all cells at first, of the last 50 or so later."""
@@ -124,7 +123,9 @@ class Tracker:
         self.stretch = Stretch(self.settings.cells(self.settings.longest_s))
         self.phase = Phase.MOVING
 
-    def follow(self, cells: Cells, row: int, vibration: float, mean: list[float], where: tuple[bool, list[float]]) -> Judgement:
+    def follow(
+        self, cells: Cells, row: int, vibration: float, mean: list[float], *, where: tuple[bool, list[float]]
+    ) -> Judgement:
         """Judge one cell; ``where`` says whether it follows the one before, and the gyroscope's bias."""
         unbroken, bias = where
         activity = max(vibration, self._change_ratio(mean))
@@ -135,7 +136,7 @@ class Tracker:
                 return Judgement(Phase.STILL, activity, cells, row, reference, limits=limits)
             ended = self.stretch
             self._passed.clear()
-            self._begin(cells, row, vibration, mean, bias)
+            self._begin(cells, row, vibration, mean, bias=bias)
             return Judgement(self.phase, activity, cells, row, reference, ended=ended, limits=limits)
         if not unbroken:
             self._passed.clear()
@@ -147,7 +148,7 @@ class Tracker:
             if began:
                 self._reach_back()
             return Judgement(self.phase, activity, cells, row, reference, began=began, limits=limits)
-        self._begin(cells, row, vibration, mean, bias)
+        self._begin(cells, row, vibration, mean, bias=bias)
         return Judgement(self.phase, activity, cells, row, reference, limits=limits)
 
     def _reach_back(self) -> None:
@@ -166,7 +167,7 @@ class Tracker:
     def _would_stay(self, cell: _Passed) -> bool:
         return max(cell.vibration, self._change_ratio(cell.mean)) <= self.settings.leave_factor
 
-    def _begin(self, cells: Cells, row: int, vibration: float, mean: list[float], bias: list[float]) -> None:
+    def _begin(self, cells: Cells, row: int, vibration: float, mean: list[float], *, bias: list[float]) -> None:
         """Begin a candidate with this cell if it could be the first of a stretch."""
         self._drop()
         if vibration <= 1 and self._offset_ratio(mean, bias) <= 1:

@@ -26,21 +26,15 @@ from imufield.samples import FloatArray
 
 REACH = 40
 """Cells from the edge inwards in which a turn is looked for; the slowest fades into the sway over half of these."""
-_LENGTHS = (5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0, 56.0)
-"""Of whole turns, in cells; half a second to more than five."""
-_STEP = 0.5
-"""Cells between the moments tried."""
-_LEAST_GAIN = 10.0
-"""Log-likelihood below which there is no turn to be seen: sway alone makes 5 now and then."""
+_LENGTHS = (5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0, 56.0)  # Of whole turns, in cells; half a second to more than five.
+_STEP = 0.5  # Cells between the moments tried.
+_LEAST_GAIN = 10.0  # Log-likelihood below which there is no turn to be seen: sway alone makes 5 now and then.
+# Of the sway's variance: white noise beside it, since a few seconds do not show a covariance to the last digit. Where three
+# seconds show it, the moments found scatter by a twentieth less for it; to longer holds it makes no difference.
 _WHITE = 0.03
-"""Of the sway's variance: white noise beside it, since a few seconds do not show a covariance to the last digit. Where three
-seconds show it, the moments found scatter by a twentieth less for it; to longer holds it makes no difference."""
-_FASTER = 2.2
-"""Times the sway's rms: from here on a cell is clearly of the turn."""
-_UNLIKE = 0.25
-"""Share of the rate of such cells that no smooth turn explains: the wobble of real ones."""
-_HIDDEN = 0.3
-"""Times the rms angle of the sway: a turn that has made no more than this has not begun."""
+_FASTER = 2.2  # Times the sway's rms: from here on a cell is clearly of the turn.
+_UNLIKE = 0.25  # Share of the rate of such cells that no smooth turn explains: the wobble of real ones.
+_HIDDEN = 0.3  # Times the rms angle of the sway: a turn that has made no more than this has not begun.
 _SHARES = np.linspace(0, 1, 201)
 
 
@@ -56,11 +50,9 @@ class Sway(NamedTuple):
 class _Turns(NamedTuple):
     """Turns that may lie at the end of k cells, n of them: as if made by an angle of 1."""
 
-    begin: FloatArray
-    """Cells from the first, shape (n,)."""
+    begin: FloatArray  # Cells from the first, shape (n,).
     length: FloatArray
-    rate: FloatArray
-    """In each cell, shape (k, n)."""
+    rate: FloatArray  # In each cell, shape (k, n).
 
 
 def minimum_jerk(share: FloatArray) -> FloatArray:

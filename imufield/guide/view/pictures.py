@@ -53,10 +53,10 @@ def big_lines(text: str, width: int) -> list[str]:
 
 HALF_SIZE = (1.0, 0.72, 0.42)
 """Of the box along body x, y, z: the three sides are told apart by their lengths."""
-_PITCH, _YAW = math.radians(24.0), math.radians(33.0)
+_PITCH = math.radians(24.0)
+_YAW = math.radians(33.0)
 _BRAILLE = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
-_REACH = 1.42
-"""Screen units from the middle to the edge: half the diagonal of the box and room for the cable."""
+_REACH = 1.42  # Screen units from the middle to the edge: half the diagonal of the box and room for the cable.
 CABLE_LENGTH = 0.55
 
 

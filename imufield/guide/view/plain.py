@@ -50,8 +50,7 @@ class JsonLinesView:
 
 
 NOT_TOLD = "not known yet"
-_LARGE = 999.5
-"""Three digits of the smaller unit end here."""
+_LARGE = 999.5  # Three digits of the smaller unit end here.
 _KNOWN_UNITS = {"bias_ug": ("ug", 1e3, "mg"), "scale_ppm": ("ppm", 1e4, "%"), "misalignment_urad": ("urad", 1e3, "mrad")}
 
 

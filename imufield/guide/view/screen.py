@@ -44,26 +44,27 @@ from imufield.guide.view.pictures import big_lines, draw_box, turn_shortest
 from imufield.guide.view.plain import NOT_TOLD, known_words, words
 from imufield.samples import FloatArray
 
-WIDTH, HEIGHT = 80, 24
+WIDTH = 80
+HEIGHT = 24
 MAP_WIDTH = 34
 LEFT_WIDTH = WIDTH - MAP_WIDTH
 PANEL_HEIGHT = 18
-PICTURE_WIDTH, PICTURE_HEIGHT = 20, 8
+PICTURE_WIDTH = 20
+PICTURE_HEIGHT = 8
 BAR_WIDTH = 16
 MAP_ROWS = 12
 MESSAGES = 4
 _BAR_ROWS = 4
-_KEPT = 20
-"""Messages that a large window shows."""
+_KEPT = 20  # Messages that a large window shows.
 READ_S = 4.0
 """A refusal stays on the screen for this long although the unit moves on."""
+# Words and style for a refusal that is nobody's mistake.
 _REFUSED = {
     RefusalCode.ALREADY_DONE: ("DONE BEFORE", "bold green"),
     RefusalCode.OTHER_SIDE: ("OTHER SIDE", "bold yellow"),
     RefusalCode.START_UP: ("WAIT", "bold yellow"),
     RefusalCode.WARMING_UP: ("WAIT", "bold yellow"),
 }
-"""Words and style for a refusal that is nobody's mistake."""
 _WAITS = (RefusalCode.START_UP, RefusalCode.WARMING_UP, RefusalCode.NOT_QUIET)
 _REFUSED_BIG = {
     RefusalCode.ALREADY_DONE: "TURN",
@@ -85,7 +86,7 @@ class LinkState:
     """Face of the unit where the cable leaves, "-x"; None where nobody said."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class Screen:
     """What the events have said so far, as far as it is shown."""
 
@@ -103,8 +104,7 @@ class Screen:
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
     """Of the box as it is drawn; its heading is kept from frame to frame."""
     messages: deque[str] = field(default_factory=lambda: deque(maxlen=_KEPT))
-    _waits: set[str] = field(default_factory=set)
-    """Messages that no longer hold once a hold begins."""
+    _waits: set[str] = field(default_factory=set)  # Messages that no longer hold once a hold begins.
 
     def follow(self, events: list[Event]) -> None:
         """Take the events in order."""

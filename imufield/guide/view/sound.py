@@ -46,8 +46,7 @@ from imufield.samples import AXES
 RATE_HZ = 22050
 PLAYERS = ("pw-play", "paplay", "aplay", "afplay")
 SPEAKERS = ("spd-say", "espeak-ng", "espeak", "say")
-_LONGEST_S = 10.0
-"""A program that takes longer is ended: a sound that hangs must not keep a process."""
+_LONGEST_S = 10.0  # A program that takes longer is ended: a sound that hangs must not keep a process.
 
 
 class Cue(Enum):

@@ -94,8 +94,7 @@ class TerminalView:
 
     def __init__(self, scheme: Scheme, console: Console | None = None, *, big: bool = False, cable: str | None = None) -> None:
         self._cable = cable
-        self.big = big
-        """Big letters instead of pictures."""
+        self.big = big  # Big letters instead of pictures.
         self._scheme = scheme
         self._screen = Screen()
         self._live = Live(

@@ -138,7 +138,7 @@ class CanEmulator(EmulatorCore):
         on_progress: Callable[[], None] | None = None,
     ) -> None:
         self.injector = CanFaultInjector(faults or CanFaults(), seed)
-        super().__init__(source, settings, self.injector, 0.0, on_progress)
+        super().__init__(source, settings, self.injector, 0.0, on_progress=on_progress)
         self.encoder = CanEncoder(protocol)
         self.frames_sent = 0
         self._messages = {

@@ -30,10 +30,8 @@ SLICE_S = 0.008
 MAXIMUM_SPEED = 1000.0
 LINGER_S = 0.5
 """The port outlives the last sample by this."""
-_ROUNDING = 1e-6
-"""Of a sample number at another rate."""
-_LARGEST_BLOCK_S = 1.0
-"""Instrument's time made at once after a delay; keeps stop() prompt when the machine cannot keep up."""
+_ROUNDING = 1e-6  # Of a sample number at another rate.
+_LARGEST_BLOCK_S = 1.0  # Instrument's time made at once after a delay; keeps stop() prompt when the machine cannot keep up.
 
 
 class SampleSource(Protocol):
@@ -123,6 +121,7 @@ class EmulatorCore(ABC):
         settings: EmulatorSettings | None,
         chances: Chances,
         start_up_s: float,
+        *,
         on_progress: Callable[[], None] | None,
     ) -> None:
         self.source = source
@@ -130,8 +129,7 @@ class EmulatorCore(ABC):
         if not 0 < self.settings.speed <= MAXIMUM_SPEED:
             raise UsageError(f"speed {self.settings.speed:g} is outside 0 to {MAXIMUM_SPEED:g}; 1 is real time")
         self.samples_sent = 0
-        self.failure: BaseException | None = None
-        """What ended the thread, if it did not end by itself."""
+        self.failure: BaseException | None = None  # What ended the thread, if it did not end by itself.
         self._chances = chances
         asked_s = chances.common.start_up_s
         self._start_up_s = start_up_s if asked_s is None else asked_s

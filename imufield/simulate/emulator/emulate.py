@@ -58,7 +58,7 @@ _OWN_FORM = WireForm("", 0.0, {}, ())
 _STIM300_RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Emulation:
     """What to emulate."""
 
@@ -91,7 +91,7 @@ class Emulation:
     """Of the same instrument: on each its noise, drift, operator and faults are others."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WireChoice:
     """How an instrument is run on its wire."""
 
@@ -125,9 +125,23 @@ def choose_wire(options: Emulation) -> WireChoice:
     base = load({})
     given = dict(options.settings)
     if base.can is not None:
-        return WireChoice(load(given), options.rate_hz or DEFAULT_RATE_HZ, None, baud, given, driver)
+        return WireChoice(
+            protocol=load(given),
+            rate_hz=options.rate_hz or DEFAULT_RATE_HZ,
+            form=None,
+            baud=baud,
+            settings=given,
+            driver=driver,
+        )
     if options.device in OWN_RATE_HZ:
-        return WireChoice(load(given), options.rate_hz or OWN_RATE_HZ[options.device], _OWN_FORM, baud, given, driver)
+        return WireChoice(
+            protocol=load(given),
+            rate_hz=options.rate_hz or OWN_RATE_HZ[options.device],
+            form=_OWN_FORM,
+            baud=baud,
+            settings=given,
+            driver=driver,
+        )
     form = choose_form(base, options.form, options.settings)
     settings: dict[str, object] = {**form.settings, **options.settings}
     defaults = {name: setting.value for name, setting in base.settings.items()}
@@ -145,7 +159,7 @@ def choose_wire(options: Emulation) -> WireChoice:
         for name, value in settings.items()
         if str(defaults.get(name)) != str(value) and (name != "rate_hz" or by_increment or counts_by_rate)
     }
-    return WireChoice(protocol, rate_hz, form, baud, told, driver)
+    return WireChoice(protocol=protocol, rate_hz=rate_hz, form=form, baud=baud, settings=told, driver=driver)
 
 
 def make_virtual_imu(options: Emulation, rate_hz: float | None = None) -> VirtualImu:
@@ -303,7 +317,7 @@ def make_device(options: Emulation, wire: WireChoice) -> Device:
         form = wire.form or _OWN_FORM
         script = SCRIPTS.get(options.device)
         answering = None if script is None else script(wire.rate_hz, form)
-        return ProtocolDevice(wire.protocol, form, wire.rate_hz, wire.baud, answering)
+        return ProtocolDevice(wire.protocol, form, wire.rate_hz, wire.baud, script=answering)
     chosen: dict[str, Any] = {name: wire.protocol.settings[name].value for name in options.settings}
     if options.device == "text":
         if "columns" in chosen:

@@ -17,11 +17,10 @@ from imufield.simulate.wire.encode import Bytes
 
 GARBAGE_BYTES = (1, 64)
 """Length of a burst of garbage."""
-_ERROR_BURST = 16
-"""Error frames before a node leaves the bus: each adds 8 to its error counter, which gives up at 256."""
+_ERROR_BURST = 16  # Error frames before a node leaves the bus: each adds 8 to its error counter, which gives up at 256.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WireFaults:
     """Faults of any wire; rates are per second of the instrument's time."""
 
@@ -48,7 +47,7 @@ class WireFaults:
                 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Faults(WireFaults):
     """Faults of a serial line: chances of bytes and frames."""
 
@@ -61,7 +60,7 @@ class Faults(WireFaults):
     garbage_per_s: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CanFaults(WireFaults):
     """Faults of a CAN bus, whose controllers let no damaged frame through."""
 

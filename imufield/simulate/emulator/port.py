@@ -41,8 +41,7 @@ class PseudoTerminal:
         self._master = -1
         self._waiting = b""
         self.bytes_dropped = 0
-        self.device = ""
-        """Path of the port at present."""
+        self.device = ""  # Path of the port at present.
         self.open()
 
     @property

@@ -63,7 +63,7 @@ class Emulator(EmulatorCore):
         on_progress: Callable[[], None] | None = None,
     ) -> None:
         self.injector = FaultInjector(faults or Faults(), seed)
-        super().__init__(source, settings, self.injector, device.start_up_s, on_progress)
+        super().__init__(source, settings, self.injector, device.start_up_s, on_progress=on_progress)
         self.device = device
         self._rate_hz = device.rate_hz
         self._pty = PseudoTerminal(self.settings.link)

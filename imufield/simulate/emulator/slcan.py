@@ -10,9 +10,9 @@ from __future__ import annotations
 from imufield.acquire.protocol.can_frames import ERROR, EXTENDED, FD, ID_MASK, REMOTE, Frame
 from imufield.simulate.emulator.port import BUFFER_BYTES, PseudoTerminal
 
-_END, _BELL = b"\r", b"\a"
-_LONGEST_LINE = 200
-"""A CAN FD frame of 64 bytes has 138 characters."""
+_END = b"\r"
+_BELL = b"\a"
+_LONGEST_LINE = 200  # A CAN FD frame of 64 bytes has 138 characters.
 _FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 
@@ -21,11 +21,9 @@ class SlcanDevice:
 
     def __init__(self, port: PseudoTerminal | None = None) -> None:
         self.port = port or PseudoTerminal()
-        self.is_open = False
-        """Whether the host has opened the channel."""
+        self.is_open = False  # Whether the host has opened the channel.
         self.bit_rate_code = ""
-        self.frames_dropped = 0
-        """Frames that came while the channel was closed, or the host did not read."""
+        self.frames_dropped = 0  # Frames that came while the channel was closed, or the host did not read.
         self._line = b""
 
     def send(self, frames: list[Frame]) -> None:

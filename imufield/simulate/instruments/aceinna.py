@@ -22,8 +22,8 @@ class AceinnaInstrument(ScriptedInstrument):
         super().__init__(rate_hz)
         self.dmu = form.frames[0].key in _DMU_KEYS
         dividers = {_DMU_HZ / divider: divider for divider in _DIVIDERS if divider}
+        # Packet rate of an OpenIMU, packet rate divider of a DMU; 0: quiet.
         self.setting = dividers[nearest(dividers, rate_hz)] if self.dmu else int(nearest(_RATES_HZ[1:], rate_hz))
-        """Packet rate of an OpenIMU, packet rate divider of a DMU; 0: quiet."""
 
     def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
         begin = heard.find(b"UU")

@@ -5,9 +5,11 @@ from __future__ import annotations
 from imufield.simulate.instruments.scripted import ScriptedInstrument
 from imufield.simulate.wire.wire_forms import WireForm
 
-_UNKNOWN_COMMAND, _BAD_VALUE = 0x01, 0x03
+_UNKNOWN_COMMAND = 0x01
+_BAD_VALUE = 0x03
 _SAVE = 3
-_APPLY, _READ = 1, 2
+_APPLY = 1
+_READ = 2
 _GPS_TIME = 0x12
 
 
@@ -20,8 +22,7 @@ class MicroStrainInstrument(ScriptedInstrument):
         self.legacy = _GPS_TIME in sent
         self.base_hz = 1000 if self.legacy else 500
         decimation = max(round(self.base_hz / rate_hz), 1)
-        self.format = [(one, decimation) for one in sent]
-        """Descriptor and decimation of each field."""
+        self.format = [(one, decimation) for one in sent]  # Descriptor and decimation of each field.
 
     def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
         begin = heard.find(b"\x75\x65")

@@ -19,7 +19,8 @@ from imufield.simulate.wire.wire_forms import WireForm
 
 COUNTS_OF_A_CONVERTER = 32768.0
 """From the middle of a 16-bit converter to its end."""
-CONVERTER_RANGE_M_S2, CONVERTER_RANGE_RAD_S = 4 * STANDARD_GRAVITY_M_S2, math.radians(500.0)
+CONVERTER_RANGE_M_S2 = 4 * STANDARD_GRAVITY_M_S2
+CONVERTER_RANGE_RAD_S = math.radians(500.0)
 """What the end of the converter stands for where a protocol says neither scale nor range."""
 
 
@@ -52,6 +53,7 @@ class ProtocolDevice:
         form: WireForm,
         rate_hz: float,
         baud: int = 115200,
+        *,
         script: ScriptedInstrument | None = None,
     ) -> None:
         self.protocol = protocol

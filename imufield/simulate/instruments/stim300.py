@@ -25,15 +25,15 @@ from imufield.simulate.wire.encode import (
 )
 
 COMMAND_END = b"\r"
-_LONGEST_COMMAND = 256
-"""Bytes kept while waiting for the end of a command; those of a STIM300 have at most some 60."""
+_LONGEST_COMMAND = 256  # Bytes kept while waiting for the end of a command; those of a STIM300 have at most some 60.
 _START_UP_S = 0.281
 _START_UP_RATE_RAD_S = np.radians(480.0)
 _RATE_CODES = {125: 0, 250: 1, 500: 2, 1000: 3, 2000: 4}
 _BAUD_CODES = {374400: 0, 460800: 1, 921600: 2, 1843200: 3}
 _RANGE_CODES = {10: 0, 2: 2, 5: 3, 30: 4, 80: 6}
 _OUTPUT_CODES = {"rate": 0, "increment": 1, "average": 2}
-_UTILITY_ERROR, _UTILITY_VALUE_ERROR = 1, 5
+_UTILITY_ERROR = 1
+_UTILITY_VALUE_ERROR = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ class TextDevice:
         self._offset += by
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Stim300Identity:
     """Who the emulated unit is."""
 
@@ -169,8 +169,7 @@ class Stim300Device:
         self.identity = identity or Stim300Identity()
         self.baud = baud
         self._encoder = Stim300Encoder(self.format)
-        self.memory_writes: list[bytes] = []
-        """Commands that would have changed memory that outlives the power."""
+        self.memory_writes: list[bytes] = []  # Commands that would have changed memory that outlives the power.
         self._found = self.format
         self._mode = "normal"
         self._heard = b""

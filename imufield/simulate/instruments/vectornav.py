@@ -20,8 +20,7 @@ class VectorNavInstrument(ScriptedInstrument):
     def __init__(self, rate_hz: float, form: WireForm) -> None:
         super().__init__(rate_hz)
         masks = form.frames[0].masks
-        self.writable = 75 if masks else 7
-        """The register of the rate; the others stay as they are."""
+        self.writable = 75 if masks else 7  # The register of the rate; the others stay as they are.
         words = "".join(f",{masks[at + 1]:02X}{masks[at]:02X}" for at in range(1, len(masks) - 1, 2))
         output = f"1,{max(round(_IMU_HZ / rate_hz), 1)},{masks[:1].hex().upper()}{words}"
         self.registers = {

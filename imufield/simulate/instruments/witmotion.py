@@ -7,7 +7,10 @@ import struct
 from imufield.simulate.instruments.scripted import ScriptedInstrument, nearest
 from imufield.simulate.wire.wire_forms import WireForm
 
-_SAVE, _RATE, _READ, _KEY = 0x00, 0x03, 0x27, 0x69
+_SAVE = 0x00
+_RATE = 0x03
+_READ = 0x27
+_KEY = 0x69
 _OPEN = 0xB588
 _RATES_HZ = {1: 0.2, 2: 0.5, 3: 1.0, 4: 2.0, 5: 5.0, 6: 10.0, 7: 20.0, 8: 50.0, 9: 100.0, 0x0A: 125.0, 0x0B: 200.0}
 

@@ -25,7 +25,7 @@ REFERENCE_TEMPERATURE_DEGC = 25.0
 """The parameters of an instrument hold at this temperature."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TriadGrade:
     """Typical figures of a triad; SI is m/s^2 for accelerometers and rad/s for gyroscopes."""
 
@@ -51,7 +51,7 @@ class TriadGrade:
     """One step of the output; 0 for none."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Grade:
     """Typical figures of an IMU."""
 
@@ -78,33 +78,33 @@ class Grade:
 
 
 NAVIGATION = Grade(
-    "navigation",
+    name="navigation",
     # Quartz flexure accelerometer (class of Honeywell QA-2000): 70 to 100 ug noise in 10 Hz to 500 Hz, a few ug of
     # instability; before calibration 1 mg, 200 ppm and 0.2 mrad remain of the assembly.
-    TriadGrade(
-        5 * MICRO_G_M_S2,
-        3 * MICRO_G_M_S2,
-        0.02 * MICRO_G_M_S2,
-        1000 * MICRO_G_M_S2,
-        200.0,
-        2e-4,
-        5 * MICRO_G_M_S2,
-        5.0,
-        25 * STANDARD_GRAVITY_M_S2,
-        1e-7,
+    accelerometer=TriadGrade(
+        noise_density=5 * MICRO_G_M_S2,
+        bias_instability=3 * MICRO_G_M_S2,
+        random_walk=0.02 * MICRO_G_M_S2,
+        bias=1000 * MICRO_G_M_S2,
+        scale_ppm=200.0,
+        misalignment_rad=2e-4,
+        bias_per_degc=5 * MICRO_G_M_S2,
+        scale_ppm_per_degc=5.0,
+        range_si=25 * STANDARD_GRAVITY_M_S2,
+        lsb_si=1e-7,
     ),
     # Ring laser gyroscope: random walk 0.002 deg/sqrt(h), 0.003 deg/h.
-    TriadGrade(
-        0.002 * DEG_PER_ROOT_HOUR,
-        0.003 * DEG_PER_HOUR,
-        1e-6 * DEG_PER_HOUR,
-        0.02 * DEG_PER_HOUR,
-        10.0,
-        5e-5,
-        0.0005 * DEG_PER_HOUR,
-        0.1,
-        450 * DEG,
-        1e-9,
+    gyroscope=TriadGrade(
+        noise_density=0.002 * DEG_PER_ROOT_HOUR,
+        bias_instability=0.003 * DEG_PER_HOUR,
+        random_walk=1e-6 * DEG_PER_HOUR,
+        bias=0.02 * DEG_PER_HOUR,
+        scale_ppm=10.0,
+        misalignment_rad=5e-5,
+        bias_per_degc=0.0005 * DEG_PER_HOUR,
+        scale_ppm_per_degc=0.1,
+        range_si=450 * DEG,
+        lsb_si=1e-9,
     ),
     quadratic_g_per_g2=15e-6,  # same class: 10 to 20 ug/g^2
     g_sensitivity=0.0005 * DEG_PER_HOUR / STANDARD_GRAVITY_M_S2,
@@ -114,32 +114,32 @@ NAVIGATION = Grade(
     warm_up_s=1200.0,
 )
 TACTICAL = Grade(
-    "tactical",
+    name="tactical",
     # After the STIM300 datasheet, 10 g range: 0.07 m/s/sqrt(h), 50 ug, 2^-19 g per step; bias 0.75 mg from year to year.
-    TriadGrade(
-        0.07 / 60,
-        50 * MICRO_G_M_S2,
-        1 * MICRO_G_M_S2,
-        750 * MICRO_G_M_S2,
-        200.0,
-        1e-3,
-        20 * MICRO_G_M_S2,
-        10.0,
-        10 * STANDARD_GRAVITY_M_S2,
-        STANDARD_GRAVITY_M_S2 / 2**19,
+    accelerometer=TriadGrade(
+        noise_density=0.07 / 60,
+        bias_instability=50 * MICRO_G_M_S2,
+        random_walk=1 * MICRO_G_M_S2,
+        bias=750 * MICRO_G_M_S2,
+        scale_ppm=200.0,
+        misalignment_rad=1e-3,
+        bias_per_degc=20 * MICRO_G_M_S2,
+        scale_ppm_per_degc=10.0,
+        range_si=10 * STANDARD_GRAVITY_M_S2,
+        lsb_si=STANDARD_GRAVITY_M_S2 / 2**19,
     ),
     # Same datasheet: 0.15 deg/sqrt(h), 0.3 deg/h, 400 deg/s, 2^-14 deg/s per step; bias some 10 deg/h after temperature.
-    TriadGrade(
-        0.15 * DEG_PER_ROOT_HOUR,
-        0.3 * DEG_PER_HOUR,
-        0.005 * DEG_PER_HOUR,
-        10 * DEG_PER_HOUR,
-        500.0,
-        1e-3,
-        0.5 * DEG_PER_HOUR,
-        10.0,
-        400 * DEG,
-        DEG / 2**14,
+    gyroscope=TriadGrade(
+        noise_density=0.15 * DEG_PER_ROOT_HOUR,
+        bias_instability=0.3 * DEG_PER_HOUR,
+        random_walk=0.005 * DEG_PER_HOUR,
+        bias=10 * DEG_PER_HOUR,
+        scale_ppm=500.0,
+        misalignment_rad=1e-3,
+        bias_per_degc=0.5 * DEG_PER_HOUR,
+        scale_ppm_per_degc=10.0,
+        range_si=400 * DEG,
+        lsb_si=DEG / 2**14,
     ),
     quadratic_g_per_g2=50e-6,  # 100 ppm of non-linearity over the range, mostly quadratic at small input
     g_sensitivity=1.0 * DEG_PER_HOUR / STANDARD_GRAVITY_M_S2,
@@ -149,32 +149,32 @@ TACTICAL = Grade(
     warm_up_s=600.0,
 )
 INDUSTRIAL = Grade(
-    "industrial",
+    name="industrial",
     # Better MEMS modules (class of Xsens MTi-100, ADIS16495): 60 ug/sqrt(Hz), 15 ug, left uncalibrated.
-    TriadGrade(
-        60 * MICRO_G_M_S2,
-        15 * MICRO_G_M_S2,
-        2 * MICRO_G_M_S2,
-        3000 * MICRO_G_M_S2,
-        1000.0,
-        3e-3,
-        100 * MICRO_G_M_S2,
-        50.0,
-        8 * STANDARD_GRAVITY_M_S2,
-        STANDARD_GRAVITY_M_S2 / 2**18,
+    accelerometer=TriadGrade(
+        noise_density=60 * MICRO_G_M_S2,
+        bias_instability=15 * MICRO_G_M_S2,
+        random_walk=2 * MICRO_G_M_S2,
+        bias=3000 * MICRO_G_M_S2,
+        scale_ppm=1000.0,
+        misalignment_rad=3e-3,
+        bias_per_degc=100 * MICRO_G_M_S2,
+        scale_ppm_per_degc=50.0,
+        range_si=8 * STANDARD_GRAVITY_M_S2,
+        lsb_si=STANDARD_GRAVITY_M_S2 / 2**18,
     ),
     # Same class: 0.01 deg/s/sqrt(Hz), 10 deg/h, 0.2 deg/s of bias.
-    TriadGrade(
-        0.01 * DEG,
-        10 * DEG_PER_HOUR,
-        0.05 * DEG_PER_HOUR,
-        0.2 * DEG,
-        1000.0,
-        3e-3,
-        0.002 * DEG,
-        50.0,
-        450 * DEG,
-        DEG / 2**14,
+    gyroscope=TriadGrade(
+        noise_density=0.01 * DEG,
+        bias_instability=10 * DEG_PER_HOUR,
+        random_walk=0.05 * DEG_PER_HOUR,
+        bias=0.2 * DEG,
+        scale_ppm=1000.0,
+        misalignment_rad=3e-3,
+        bias_per_degc=0.002 * DEG,
+        scale_ppm_per_degc=50.0,
+        range_si=450 * DEG,
+        lsb_si=DEG / 2**14,
     ),
     quadratic_g_per_g2=100e-6,
     g_sensitivity=0.003 * DEG / STANDARD_GRAVITY_M_S2,
@@ -184,32 +184,32 @@ INDUSTRIAL = Grade(
     warm_up_s=400.0,
 )
 MEMS = Grade(
-    "mems",
+    name="mems",
     # Consumer chips (class of ICM-20948, MPU-9250): 230 to 300 ug/sqrt(Hz), tens of mg of offset, 16 bit over 4 g.
-    TriadGrade(
-        250 * MICRO_G_M_S2,
-        40 * MICRO_G_M_S2,
-        5 * MICRO_G_M_S2,
-        30000 * MICRO_G_M_S2,
-        8000.0,
-        6e-3,
-        500 * MICRO_G_M_S2,
-        200.0,
-        4 * STANDARD_GRAVITY_M_S2,
-        STANDARD_GRAVITY_M_S2 / 8192,
+    accelerometer=TriadGrade(
+        noise_density=250 * MICRO_G_M_S2,
+        bias_instability=40 * MICRO_G_M_S2,
+        random_walk=5 * MICRO_G_M_S2,
+        bias=30000 * MICRO_G_M_S2,
+        scale_ppm=8000.0,
+        misalignment_rad=6e-3,
+        bias_per_degc=500 * MICRO_G_M_S2,
+        scale_ppm_per_degc=200.0,
+        range_si=4 * STANDARD_GRAVITY_M_S2,
+        lsb_si=STANDARD_GRAVITY_M_S2 / 8192,
     ),
     # Same class: 0.015 deg/s/sqrt(Hz), about 10 to 20 deg/h, a few deg/s of offset, 16 bit over 500 deg/s.
-    TriadGrade(
-        0.015 * DEG,
-        15 * DEG_PER_HOUR,
-        0.2 * DEG_PER_HOUR,
-        2 * DEG,
-        8000.0,
-        6e-3,
-        0.03 * DEG,
-        200.0,
-        500 * DEG,
-        DEG / 65.536,
+    gyroscope=TriadGrade(
+        noise_density=0.015 * DEG,
+        bias_instability=15 * DEG_PER_HOUR,
+        random_walk=0.2 * DEG_PER_HOUR,
+        bias=2 * DEG,
+        scale_ppm=8000.0,
+        misalignment_rad=6e-3,
+        bias_per_degc=0.03 * DEG,
+        scale_ppm_per_degc=200.0,
+        range_si=500 * DEG,
+        lsb_si=DEG / 65.536,
     ),
     quadratic_g_per_g2=500e-6,
     g_sensitivity=0.01 * DEG / STANDARD_GRAVITY_M_S2,
@@ -221,7 +221,7 @@ MEMS = Grade(
 GRADES = {grade.name: grade for grade in (NAVIGATION, TACTICAL, INDUSTRIAL, MEMS)}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TrueInstrument:
     """One IMU: its true parameters at the reference temperature, and the figures of its grade for the noise."""
 
@@ -260,10 +260,10 @@ def draw_truth(grade: Grade, rng: np.random.Generator) -> TrueInstrument:
     a, g = grade.accelerometer, grade.gyroscope
     accelerometer_scale = grade.accelerometer_scale * (1 + 1e-6 * a.scale_ppm * rng.standard_normal(3))
     accelerometer = AccelerometerParameters(
-        accelerometer_scale,
-        a.bias * rng.standard_normal(3),
-        _draw_off_diagonals(a.misalignment_rad, rng),
-        accelerometer_scale * (grade.quadratic_g_per_g2 / STANDARD_GRAVITY_M_S2) * rng.standard_normal(3),
+        scale=accelerometer_scale,
+        bias_m_s2=a.bias * rng.standard_normal(3),
+        misalignment_rad=_draw_off_diagonals(a.misalignment_rad, rng),
+        quadratic=accelerometer_scale * (grade.quadratic_g_per_g2 / STANDARD_GRAVITY_M_S2) * rng.standard_normal(3),
     )
     gyroscope_scale = grade.gyroscope_scale * (1 + 1e-6 * g.scale_ppm * rng.standard_normal(3))
     gyroscope = GyroscopeParameters(
@@ -273,15 +273,15 @@ def draw_truth(grade: Grade, rng: np.random.Generator) -> TrueInstrument:
         gyroscope_scale[:, np.newaxis] * grade.g_sensitivity * rng.standard_normal((3, 3)),
     )
     return TrueInstrument(
-        grade,
-        accelerometer,
-        gyroscope,
-        a.bias_per_degc * rng.standard_normal(3),
-        1e-6 * a.scale_ppm_per_degc * rng.standard_normal(3),
-        g.bias_per_degc * rng.standard_normal(3),
-        1e-6 * g.scale_ppm_per_degc * rng.standard_normal(3),
-        grade.clock_error_ppm * float(rng.standard_normal()),
-        grade.triad_delay_s * float(rng.random()),
+        grade=grade,
+        accelerometer=accelerometer,
+        gyroscope=gyroscope,
+        accelerometer_bias_per_degc=a.bias_per_degc * rng.standard_normal(3),
+        accelerometer_scale_per_degc=1e-6 * a.scale_ppm_per_degc * rng.standard_normal(3),
+        gyroscope_bias_per_degc=g.bias_per_degc * rng.standard_normal(3),
+        gyroscope_scale_per_degc=1e-6 * g.scale_ppm_per_degc * rng.standard_normal(3),
+        clock_error_ppm=grade.clock_error_ppm * float(rng.standard_normal()),
+        triad_delay_s=grade.triad_delay_s * float(rng.random()),
     )
 
 
@@ -289,13 +289,15 @@ def perfect_instrument(grade: Grade) -> TrueInstrument:
     """Return an instrument without parameter errors; the noise is the grade's."""
     zero, none = np.zeros(3), np.zeros((3, 3))
     return TrueInstrument(
-        grade,
-        AccelerometerParameters(np.full(3, grade.accelerometer_scale), zero, none),
-        GyroscopeParameters(np.full(3, grade.gyroscope_scale), none, zero, none),
-        zero,
-        zero,
-        zero,
-        zero,
+        grade=grade,
+        accelerometer=AccelerometerParameters(
+            scale=np.full(3, grade.accelerometer_scale), bias_m_s2=zero, misalignment_rad=none
+        ),
+        gyroscope=GyroscopeParameters(np.full(3, grade.gyroscope_scale), none, zero, none),
+        accelerometer_bias_per_degc=zero,
+        accelerometer_scale_per_degc=zero,
+        gyroscope_bias_per_degc=zero,
+        gyroscope_scale_per_degc=zero,
     )
 
 

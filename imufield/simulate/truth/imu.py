@@ -24,11 +24,10 @@ from imufield.simulate.truth.motion import TrueMotion
 
 MAXIMUM_TRIAD_DELAY_S = 0.01
 """Bound of the history that is kept; group delays of real instruments stay below 2 ms."""
-_ROUNDING = 1e-6
-"""Of a sample number at another rate."""
+_ROUNDING = 1e-6  # Of a sample number at another rate.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ImuSettings:
     """How the instrument is run."""
 
@@ -136,7 +135,15 @@ class Imu:
         status = np.zeros(n, dtype=np.uint32)
         raw = self._digitise(output, status)
         temperature = warm_degc + REFERENCE_TEMPERATURE_DEGC
-        samples = Samples(time_s, raw[:, :3], raw[:, 3:], temperature, index.astype(np.int64), status, self._units)
+        samples = Samples(
+            time_s=time_s,
+            accelerometer=raw[:, :3],
+            gyroscope=raw[:, 3:],
+            temperature_degc=temperature,
+            counter=index.astype(np.int64),
+            status=status,
+            units=self._units,
+        )
         return self._lose(samples, index)
 
     def _temperature(self, time_s: FloatArray) -> FloatArray:
@@ -204,10 +211,10 @@ class Imu:
             values = output[:, columns] - centre
             if self.settings.saturate:
                 values = _saturate(values, triad.range_si * abs(scale), flag, status)
-            raw[:, columns] = self._quantise(values, triad, abs(scale), increment, columns) + centre
+            raw[:, columns] = self._quantise(values, triad, abs(scale), increment, columns=columns) + centre
         return raw
 
-    def _quantise(self, values: FloatArray, triad: TriadGrade, scale: float, increment: bool, columns: slice) -> FloatArray:
+    def _quantise(self, values: FloatArray, triad: TriadGrade, scale: float, increment: bool, *, columns: slice) -> FloatArray:
         step = triad.lsb_si * scale if self.settings.quantise else 0.0
         if not increment:
             return values if step == 0 else step * np.rint(values / step)

@@ -112,7 +112,7 @@ def shortest_turn(from_direction: ArrayLike, to_direction: ArrayLike) -> FloatAr
     return sideways
 
 
-def sample_motion(path: Path, first: int, count: int, interval_s: float, site: Site) -> TrueMotion:
+def sample_motion(path: Path, first: int, count: int, interval_s: float, *, site: Site) -> TrueMotion:
     """Return what an ideal IMU feels at samples ``first`` to ``first + count - 1``.
 
     The result depends on the sample numbers only, not on how a session is cut into calls.

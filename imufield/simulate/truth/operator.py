@@ -33,7 +33,7 @@ StillKind = Literal["placed", "held"]
 BumpKind = Literal["knock", "shift"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class OperatorSettings:
     """Habits of the operator. Ranges are drawn from uniformly."""
 
@@ -80,7 +80,7 @@ class OperatorSettings:
     """Whole turns after the last position, about each axis, both ways: over the edges, or upright on the table."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StillInterval:
     """A stretch in which the unit is still (placed) or as still as a hand is (held), true time.
 
@@ -110,8 +110,8 @@ class TrueMove:
 class _Visit:
     position: int
     direction: FloatArray
+    # Instead of a visit: a whole turn where the unit lies, rotation vector in the body frame.
     spin_rad: FloatArray | None = None
-    """Instead of a visit: a whole turn where the unit lies, rotation vector in the body frame."""
 
 
 class Operator:
@@ -196,7 +196,7 @@ class Operator:
         # Two samples more than asked: differences reach over the end of the block.
         self._generated_s = max(self._generated_s, (first + count + 2) * interval_s)
         self.plan(self._generated_s)
-        return sample_motion(self, first, count, interval_s, self.site)
+        return sample_motion(self, first, count, interval_s, site=self.site)
 
     def attitude(self, time_s: FloatArray) -> FloatArray:
         """Return ``quaternion_nb`` at rising true times, shape (n, 4)."""
@@ -225,7 +225,7 @@ class Operator:
     def _draw_hand(self) -> Hand:
         settings = self.settings
         rng = np.random.default_rng([self._seed, 201])
-        return draw_hand(rng, settings.tremor_rad, settings.sway_rad, settings.sway_m, settings.tremor_band_hz)
+        return draw_hand(rng, settings.tremor_rad, settings.sway_rad, settings.sway_m, tremor_band_hz=settings.tremor_band_hz)
 
     def _lie_down(self) -> None:
         """Begin: the unit lies on the table, the first position up."""
@@ -238,7 +238,11 @@ class Operator:
             end_s, position = end_s + self.settings.hold_s, self._agenda.pop(0).position
         # The first differences reach to before time zero.
         self._pieces.append(_rest(-1.0, end_s, quaternion))
-        self._stills.append(StillInterval(0.0, end_s, up_direction(quaternion), position, "placed", False))
+        self._stills.append(
+            StillInterval(
+                start_s=0.0, end_s=end_s, direction=up_direction(quaternion), position=position, kind="placed", bumped=False
+            )
+        )
 
     def _stay_for_ever(self) -> None:
         last = self._pieces[-1]
@@ -265,13 +269,13 @@ class Operator:
         end_s = last.end_s + rng.uniform(*SPIN_S)
         self._pieces.append(
             Piece(
-                last.end_s,
-                end_s,
-                last.final_quaternion,
-                np.zeros(3) if spin_rad is None else spin_rad,
-                0.3 * self.settings.wobble_rad * rng.standard_normal(3),
-                rng.uniform(0.7, 2.0),
-                rng.uniform(*self.settings.lift_m),
+                start_s=last.end_s,
+                end_s=end_s,
+                quaternion_nb=last.final_quaternion,
+                turn_rad=np.zeros(3) if spin_rad is None else spin_rad,
+                wobble_rad=0.3 * self.settings.wobble_rad * rng.standard_normal(3),
+                wobble_hz=rng.uniform(0.7, 2.0),
+                lift_m=rng.uniform(*self.settings.lift_m),
             )
         )
         self._moves.append(TrueMove(last.end_s, end_s, "turn"))
@@ -309,15 +313,15 @@ class Operator:
         held = settings.style == "held"
         self._pieces.append(
             Piece(
-                last.end_s,
-                end_s,
-                start,
-                turn,
-                settings.wobble_rad * rng.standard_normal(3),
-                rng.uniform(0.7, 2.0),
-                rng.uniform(*settings.lift_m),
-                (*(0.05 * rng.standard_normal(2)), 0.0),
-                self._hand,
+                start_s=last.end_s,
+                end_s=end_s,
+                quaternion_nb=start,
+                turn_rad=turn,
+                wobble_rad=settings.wobble_rad * rng.standard_normal(3),
+                wobble_hz=rng.uniform(0.7, 2.0),
+                lift_m=rng.uniform(*settings.lift_m),
+                travel_m=(*(0.05 * rng.standard_normal(2)), 0.0),
+                hand=self._hand,
                 hand_at_start=last.hand is not None,
                 hand_at_end=held,
             )
@@ -336,7 +340,13 @@ class Operator:
     def _draw_shock(self, start_s: float, peak_m_s2: float, rng: np.random.Generator) -> Shock:
         acceleration = peak_m_s2 * rng.uniform(0.3, 1.0) * _random_direction(rng)
         rotation = 1e-4 * peak_m_s2 * rng.uniform(0.3, 1.0) * _random_direction(rng)
-        return Shock(start_s, acceleration, rotation, rng.uniform(15.0, 40.0), rng.uniform(0.01, 0.03))
+        return Shock(
+            start_s=start_s,
+            acceleration=acceleration,
+            rotation_rad=rotation,
+            frequency_hz=rng.uniform(15.0, 40.0),
+            decay_s=rng.uniform(0.01, 0.03),
+        )
 
     def _hold(self, visit: _Visit, rng: np.random.Generator) -> None:
         settings = self.settings
@@ -359,7 +369,16 @@ class Operator:
         end_s = start_s + duration_s
         hand = self._hand if held else None
         self._pieces.append(replace(_rest(start_s, end_s, quaternion), hand=hand, hand_at_start=True, hand_at_end=True))
-        self._stills.append(StillInterval(start_s, end_s, up_direction(quaternion), position, self.settings.style, bumped))
+        self._stills.append(
+            StillInterval(
+                start_s=start_s,
+                end_s=end_s,
+                direction=up_direction(quaternion),
+                position=position,
+                kind=self.settings.style,
+                bumped=bumped,
+            )
+        )
 
     def _bump(self, rng: np.random.Generator) -> None:
         last = self._pieces[-1]
@@ -402,7 +421,7 @@ def _spins(kind: str | None) -> list[_Visit]:
 
 
 def _rest(start_s: float, end_s: float, quaternion_nb: FloatArray) -> Piece:
-    return Piece(start_s, end_s, quaternion_nb, np.zeros(3), np.zeros(3))
+    return Piece(start_s=start_s, end_s=end_s, quaternion_nb=quaternion_nb, turn_rad=np.zeros(3), wobble_rad=np.zeros(3))
 
 
 def _random_direction(rng: np.random.Generator) -> FloatArray:

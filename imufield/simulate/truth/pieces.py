@@ -23,11 +23,10 @@ from imufield.samples import FloatArray
 
 RING_DECAYS = 12.0
 """A ring-down is cut after so many decay times, where 2e-4 of its peak is left."""
-_HAND_FADE = 0.25
-"""Share of a turn in which the hand takes hold of the unit, or lets go."""
+_HAND_FADE = 0.25  # Share of a turn in which the hand takes hold of the unit, or lets go.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Shock:
     """Ring-down after a knock: ``amplitude (t/d) exp(1 - t/d) sin(2 pi f t)``."""
 
@@ -52,7 +51,7 @@ class Shock:
         return np.where(ratio < RING_DECAYS, ringing, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Hand:
     """Tremor and sway of a hand: sums of sines of fixed phase.
 
@@ -78,7 +77,7 @@ class Hand:
 
 
 def draw_hand(
-    rng: np.random.Generator, tremor_rad: float, sway_rad: float, sway_m: float, tremor_band_hz: tuple[float, float]
+    rng: np.random.Generator, tremor_rad: float, sway_rad: float, sway_m: float, *, tremor_band_hz: tuple[float, float]
 ) -> Hand:
     """Draw a hand whose tremor and sway have the given RMS on each axis.
 
@@ -90,10 +89,17 @@ def draw_hand(
     rotation = np.concatenate([np.full((6, 3), tremor_rad * math.sqrt(2 / 6)), _falling(sway_hz, sway_rad)])
     hz = np.concatenate([tremor_hz, sway_hz])
     phase = rng.uniform(0, 2 * math.pi, (16, 3))
-    return Hand(rotation, hz, phase[:11], _falling(shift_hz, sway_m), shift_hz, phase[11:])
+    return Hand(
+        rotation_rad=rotation,
+        rotation_hz=hz,
+        rotation_phase=phase[:11],
+        shift_m=_falling(shift_hz, sway_m),
+        shift_hz=shift_hz,
+        shift_phase=phase[11:],
+    )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Piece:
     """Motion from ``start_s`` to ``end_s``; ``end_s`` may be infinite while the operator waits."""
 

@@ -54,8 +54,7 @@ class CanEncoder:
         self._address = source_address
         # The order in which frames win the bus; sorted() keeps the forms of one multiplexed message as they are.
         self._kinds = sorted(self._rule.kinds, key=lambda kind: self._rule.dbc.identifier(kind.message.name))
-        self.counter_offset = 0
-        """Added to the counter: jumps of a faulty unit."""
+        self.counter_offset = 0  # Added to the counter: jumps of a faulty unit.
 
     def encode(self, samples: Samples) -> list[EncodedFrame]:
         """Return the frames of a block in the order of the bus; a frame's time is that of its sample and a little more."""

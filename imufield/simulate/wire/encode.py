@@ -39,6 +39,7 @@ INCLINOMETER_RANGE_G = 1.7
 Auxiliary = Literal["none", "aux", "pps"]
 OutputUnit = Literal["rate", "increment", "average"]
 
+# (accelerometer, inclinometer, temperatures) -> id without AUX or PPS; with AUX it is 8 more.
 _PLAIN_IDS = {
     (False, False, False): 0x90,
     (True, False, False): 0x91,
@@ -49,15 +50,17 @@ _PLAIN_IDS = {
     (False, True, True): 0xA6,
     (True, True, True): 0xA7,
 }
-"""(accelerometer, inclinometer, temperatures) -> id without AUX or PPS; with AUX it is 8 more."""
 _PPS_IDS = {plain: 0xF0 + number for number, plain in enumerate((0x90, 0x91, 0x92, 0x93, 0x94, 0xA5, 0xA6, 0xA7))}
 
-_STATUS_INTEGRITY, _STATUS_START_UP, _STATUS_OVERLOAD, _STATUS_CHANNEL = 0x80, 0x40, 0x10, 0x08
+_STATUS_INTEGRITY = 0x80
+_STATUS_START_UP = 0x40
+_STATUS_OVERLOAD = 0x10
+_STATUS_CHANNEL = 0x08
 _INT24 = (-(2**23), 2**23 - 1)
 _INT16 = (-(2**15), 2**15 - 1)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Stim300Format:
     """What a STIM300 is configured to send."""
 
@@ -84,7 +87,7 @@ class Stim300Format:
         return round(INTERNAL_RATE_HZ / self.rate_hz)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Stim300Raw:
     """Integers of n datagrams as they go on the wire; None where the datagram has no such cluster.
 
@@ -188,8 +191,7 @@ class Stim300Encoder:
                 accelerometer_range_g=settings.accelerometer_range_g,
             )
         self.format = settings
-        self.counter_offset = 0
-        """Added to the counter: where it stood at the first sample, and jumps of a faulty unit."""
+        self.counter_offset = 0  # Added to the counter: where it stood at the first sample, and jumps of a faulty unit.
 
     def encode(self, samples: Samples) -> Bytes:
         """Return the datagrams of a block, shape (n, length)."""
@@ -200,15 +202,15 @@ class Stim300Encoder:
         acceleration = self._accelerometer(samples) if use.accelerometer else None
         inclinometer = self._inclinometer(acceleration_g) if use.inclinometer else None
         raw = Stim300Raw(
-            samples.counter * use.counter_step + self.counter_offset,
-            use.latency_us,
-            self._gyroscope(samples),
-            gyroscope_status(samples),
-            acceleration,
-            accelerometer_status(samples, use.accelerometer_range_g),
-            inclinometer,
-            _start_up(samples),
-            temperature,
+            counter=samples.counter * use.counter_step + self.counter_offset,
+            latency_us=use.latency_us,
+            gyroscope=self._gyroscope(samples),
+            gyroscope_status=gyroscope_status(samples),
+            accelerometer=acceleration,
+            accelerometer_status=accelerometer_status(samples, use.accelerometer_range_g),
+            inclinometer=inclinometer,
+            inclinometer_status=_start_up(samples),
+            gyroscope_temperature=temperature,
             accelerometer_temperature=temperature if use.accelerometer else None,
             inclinometer_temperature=temperature if use.inclinometer else None,
             auxiliary=None if use.auxiliary == "none" else np.zeros(count, dtype=np.int64),
@@ -281,7 +283,7 @@ TEXT_COLUMNS = ("time", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS)
 """What a line of text holds unless told otherwise; ``counter`` and ``temperature`` may be added."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TextFormat:
     """Lines of numbers as home-made systems print them.
 

@@ -22,8 +22,7 @@ from imufield.simulate.wire.wire_forms import WireFrame
 Bytes = NDArray[np.uint8]
 Numbers = FloatArray | IntArray
 _ANY_SIZE = 1 << 16
-_WHOLE_TURN = 1 << 53
-"""Wrap of stamps of 64 bits: 104 days of ns, and every number below is exact."""
+_WHOLE_TURN = 1 << 53  # Wrap of stamps of 64 bits: 104 days of ns, and every number below is exact.
 
 
 class WireClock:
@@ -99,8 +98,8 @@ class FrameEncoder:
         self._constant = {name: value for name, value in frame.values.items() if name in self._fields}
         self.has_counter = protocol.clock.counter_field in self._fields
         self.length = len(self._template)
+        # Place of the last byte of the checksum; of the last byte but for the end where there is none.
         self.checksum_at = self.length - len(self._form.end) - 1
-        """Place of the last byte of the checksum; of the last byte but for the end where there is none."""
 
     def encode(self, samples: Samples) -> Bytes:
         """Return the frames of a block, shape (n, length)."""

@@ -19,7 +19,7 @@ from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS
 DEFAULT_RATE_HZ = 100.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WireFrame:
     """One frame of each sample."""
 
@@ -56,7 +56,7 @@ def wire_forms(protocol: Protocol) -> tuple[WireForm, ...]:
         If the table is not understood, with line and key.
     """
     source = Source(f"protocol {protocol.name}", protocol.text)
-    top = Table(source.parse(), (), source)
+    top = Table(values=source.parse(), path=(), source=source)
     found = tuple(_read_form(each) for each in top.tables("emulate"))
     return found or (WireForm("default", protocol.clock.rate_hz or DEFAULT_RATE_HZ, {}, (_first_frame(protocol),)),)
 
@@ -113,7 +113,7 @@ def _first_frame(protocol: Protocol) -> WireFrame:
     for form in protocol.frame.forms if protocol.frame else ():
         for key, layout in form.layouts.items():
             if not layout.is_message and any(one.name in wanted for one in layout.fields):
-                return WireFrame(form.sync, key)
+                return WireFrame(start=form.sync, key=key)
     triads = {*ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS}
     rule = protocol.lines
     for sentence in rule.sentences if rule else ():
@@ -138,12 +138,12 @@ def _read_form(table: Table) -> WireForm:
 def _read_frame(table: Table) -> WireFrame:
     values: dict[str, Any] = table.table("values").values
     frame = WireFrame(
-        table.hexadecimal("start"),
-        int(table.text("key", "0x0"), 16),
-        tuple(int(str(each), 16) for each in table.items("fields", [])),
-        table.hexadecimal("masks"),
-        values,
-        table.text("line", ""),
+        start=table.hexadecimal("start"),
+        key=int(table.text("key", "0x0"), 16),
+        fields=tuple(int(str(each), 16) for each in table.items("fields", [])),
+        masks=table.hexadecimal("masks"),
+        values=values,
+        line=table.text("line", ""),
     )
     table.finish()
     return frame

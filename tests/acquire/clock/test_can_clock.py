@@ -36,11 +36,11 @@ def run(
     values = np.zeros((n, 7))
     values[:, 0] = np.arange(n)
     whole = CanBlock(
-        values,
-        np.zeros(n, dtype=np.uint32),
-        np.full(n, NO_COUNTER) if counter is None else counter,
-        np.empty(0) if ticks is None else ticks,
-        stamp_s,
+        values=values,
+        status=np.zeros(n, dtype=np.uint32),
+        counter=np.full(n, NO_COUNTER) if counter is None else counter,
+        ticks=np.empty(0) if ticks is None else ticks,
+        stamp_s=stamp_s,
     )
     parts = [clock.push(whole[at : at + block]) for at in range(0, n, block)]
     samples = concatenate([part for part in (*parts, clock.flush()) if part is not None])

@@ -18,12 +18,15 @@ def timed(first_s: float, arrival_s: float, *, fault: bool = False) -> TimedBloc
     n = 40
     nothing = np.zeros(n)
     block = RawBlock(
-        np.zeros((n, 3)), np.zeros((n, 3)), nothing, nothing.astype(int), np.empty(0), np.zeros(n, dtype=np.uint32),
-        nothing.astype(int), nothing, nothing.astype(int),
+        accelerometer=np.zeros((n, 3)), gyroscope=np.zeros((n, 3)), temperature_degc=nothing, counter=nothing.astype(int),
+        ticks=np.empty(0), status=np.zeros(n, dtype=np.uint32),
+        lost_before=nothing.astype(int), skipped_before=nothing, stream_end=nothing.astype(int),
     )  # fmt: skip
     faults = np.zeros(n, dtype=np.bool_)
     faults[7] = fault
-    return TimedBlock(block, first_s + np.arange(n) / 2000, np.zeros(n, dtype=np.uint32), faults, arrival_s)
+    return TimedBlock(
+        block=block, time_s=first_s + np.arange(n) / 2000, flags=np.zeros(n, dtype=np.uint32), fault=faults, arrival_s=arrival_s
+    )
 
 
 @pytest.fixture

@@ -11,22 +11,22 @@ from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.samples import NO_COUNTER, Samples, SampleUnits, Status, concatenate
 
-COUNTER = ClockRule("counter", 256, 2000.0, (1, 2, 4, 8, 16))
+COUNTER = ClockRule(counter_field="counter", counter_modulus=256, counter_ticks_per_s=2000.0, counter_steps=(1, 2, 4, 8, 16))
 GAP = np.uint32(Status.AFTER_GAP | Status.GAP_ESTIMATED)
 
 
 def block(counter: np.ndarray | None = None, ticks: np.ndarray | None = None, n: int = 0) -> RawBlock:
     n = len(counter) if counter is not None else len(ticks) if ticks is not None else n
     return RawBlock(
-        np.zeros((n, 3)),
-        np.zeros((n, 3)),
-        np.zeros(n),
-        np.full(n, NO_COUNTER) if counter is None else counter,
-        np.empty(0) if ticks is None else ticks,
-        np.zeros(n, dtype=np.uint32),
-        np.zeros(n, dtype=np.int64),
-        np.zeros(n),
-        np.arange(1, n + 1),
+        accelerometer=np.zeros((n, 3)),
+        gyroscope=np.zeros((n, 3)),
+        temperature_degc=np.zeros(n),
+        counter=np.full(n, NO_COUNTER) if counter is None else counter,
+        ticks=np.empty(0) if ticks is None else ticks,
+        status=np.zeros(n, dtype=np.uint32),
+        lost_before=np.zeros(n, dtype=np.int64),
+        skipped_before=np.zeros(n),
+        stream_end=np.arange(1, n + 1),
     )
 
 
@@ -127,7 +127,7 @@ def test_the_true_rate_is_measured() -> None:
     true_hz = 962.4
     arrival_s = 5 + numbers / true_hz + np.random.default_rng(0).exponential(0.004, len(numbers))
     _, statistics = run(
-        ClockRule("counter", 128, 1000.0, (1,)),
+        ClockRule(counter_field="counter", counter_modulus=128, counter_ticks_per_s=1000.0, counter_steps=(1,)),
         [(block(numbers[at : at + 20] % 128), float(arrival_s[at + 19])) for at in range(0, len(numbers), 20)],
     )
     assert statistics.nominal_rate_hz == 1000
@@ -167,7 +167,16 @@ def test_gaps_in_time_stamps_are_counted() -> None:
 
 def test_a_counter_counts_what_a_time_stamp_dates() -> None:
     numbers = np.array([i for i in range(100) if i != 40])
-    rule = ClockRule("counter", 65536, 0.0, (1,), "time", 0, 1.0, 100.0)
+    rule = ClockRule(
+        counter_field="counter",
+        counter_modulus=65536,
+        counter_ticks_per_s=0.0,
+        counter_steps=(1,),
+        time_field="time",
+        time_modulus=0,
+        time_ticks_per_s=1.0,
+        rate_hz=100.0,
+    )
     both = block(numbers + 65500, numbers * 0.5)
     both.counter[:] %= 65536
     samples, statistics = run(rule, [(both, 0.0)])

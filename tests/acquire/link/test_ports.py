@@ -18,8 +18,8 @@ def test_usb_adapters_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
     monkeypatch.setattr(list_ports, "comports", lambda: found)
     assert serial_ports() == [
-        SerialPort("/dev/ttyUSB1", "FT232R", 0x0403, 0x6001, "A1"),
-        SerialPort("/dev/ttyS0", ""),
+        SerialPort(device="/dev/ttyUSB1", description="FT232R", vendor_id=0x0403, product_id=0x6001, serial_number="A1"),
+        SerialPort(device="/dev/ttyS0", description=""),
     ]
 
 

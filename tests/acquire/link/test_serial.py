@@ -224,7 +224,9 @@ def test_what_cannot_be_opened_says_why(port: str, kind: type[ImufieldError], re
 
 
 def test_a_missing_port_names_those_that_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link_errors, "serial_ports", lambda: [SerialPort(f"/dev/ttyUSB{i}", "") for i in range(8)])
+    monkeypatch.setattr(
+        link_errors, "serial_ports", lambda: [SerialPort(device=f"/dev/ttyUSB{i}", description="") for i in range(8)]
+    )
     with pytest.raises(LinkError, match=r"this machine has /dev/ttyUSB0, .*/dev/ttyUSB5, \.\.\.;"):
         open_link("/dev/ttyUSB99", baud=115200)
     monkeypatch.setattr(link_errors, "serial_ports", list)

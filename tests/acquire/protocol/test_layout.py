@@ -21,7 +21,7 @@ RNG = np.random.default_rng(6)
 def test_integers(kind: str, code: str, big_endian: bool) -> None:
     size = struct.calcsize("<" + code)
     rows = RNG.integers(0, 256, (20, 3 * size + 5), dtype=np.uint8)
-    field = Field("f", kind, 5, 3, 3 * size, big_endian)
+    field = Field(name="f", type=kind, at=5, count=3, size=3 * size, big_endian=big_endian)
     wanted = [struct.unpack_from((">" if big_endian else "<") + "3" + code, row.tobytes(), 5) for row in rows]
     assert field.raw(rows).tolist() == [list(row) for row in wanted]
 
@@ -31,14 +31,16 @@ def test_integers(kind: str, code: str, big_endian: bool) -> None:
 @pytest.mark.parametrize(("at", "length"), [(0, 9), (0, 12), (2, 11), (3, 20)])
 def test_three_byte_integers_also_at_both_ends(kind: str, big_endian: bool, at: int, length: int) -> None:
     rows = RNG.integers(0, 256, (20, length + 3), dtype=np.uint8)[:, 3:]
-    field = Field("f", kind, at, 3, 9, big_endian)
+    field = Field(name="f", type=kind, at=at, count=3, size=9, big_endian=big_endian)
     order: Literal["big", "little"] = "big" if big_endian else "little"
     wanted = [
         [int.from_bytes(row[at + 3 * i : at + 3 * i + 3].tobytes(), order, signed=kind == "i24") for i in range(3)]
         for row in rows
     ]
     assert field.raw(rows).tolist() == wanted
-    assert Field("f", kind, at, 1, 3, big_endian).raw(rows).tolist() == [row[0] for row in wanted]
+    assert Field(name="f", type=kind, at=at, count=1, size=3, big_endian=big_endian).raw(rows).tolist() == [
+        row[0] for row in wanted
+    ]
 
 
 @pytest.mark.parametrize("big_endian", [True, False])
@@ -49,7 +51,7 @@ def test_floats_and_scaling(big_endian: bool) -> None:
         row = np.frombuffer(
             b"\x93" + values.astype(f"{order}f{kind[1:]}".replace("f32", "f4").replace("f64", "f8")).tobytes(), np.uint8
         )
-        field = Field("f", kind, 1, 3, len(row) - 1, big_endian, factor=2.0, offset=1.0)
+        field = Field(name="f", type=kind, at=1, count=3, size=len(row) - 1, big_endian=big_endian, factor=2.0, offset=1.0)
         np.testing.assert_allclose(field.values(row.reshape(1, -1)), values * 2 + 1, rtol=1e-6)
 
 
@@ -57,11 +59,11 @@ def test_text_and_bits_are_described() -> None:
     layout = Layout(
         "info",
         (
-            Field("name", "ascii", 0, size=4),
-            Field("number", "bcd", 4, size=2),
-            Field("rest", "bytes", 6, size=2),
-            Field("flags", "u8", 8, size=1, bits=(Bits("low", 0, 2, ("a", "b")), Bits("high", 7, 1))),
-            Field("temperature", "i16", 9, size=2, factor=1 / 256, unit="degC"),
+            Field(name="name", type="ascii", at=0, size=4),
+            Field(name="number", type="bcd", at=4, size=2),
+            Field(name="rest", type="bytes", at=6, size=2),
+            Field(name="flags", type="u8", at=8, size=1, bits=(Bits("low", 0, 2, ("a", "b")), Bits("high", 7, 1))),
+            Field(name="temperature", type="i16", at=9, size=2, factor=1 / 256, unit="degC"),
         ),
         11,
     )

@@ -71,14 +71,20 @@ def made(numbers: IntArray, *, counter: bool) -> RawBlock:
     n = len(numbers)
     nothing = np.zeros(n)
     return RawBlock(
-        np.zeros((n, 3)), np.zeros((n, 3)), nothing, numbers % WRAP if counter else np.full(n, NO_COUNTER), np.empty(0),
-        np.zeros(n, dtype=np.uint32), nothing.astype(int), nothing, np.arange(1, n + 1),
+        accelerometer=np.zeros((n, 3)), gyroscope=np.zeros((n, 3)), temperature_degc=nothing,
+        counter=numbers % WRAP if counter else np.full(n, NO_COUNTER), ticks=np.empty(0),
+        status=np.zeros(n, dtype=np.uint32),
+        lost_before=nothing.astype(int), skipped_before=nothing, stream_end=np.arange(1, n + 1),
     )  # fmt: skip
 
 
 def run(reads: list[tuple[RawBlock, float]], *, counter: bool = True) -> tuple[Samples, DecoderStatistics]:
     statistics = DecoderStatistics()
-    rule = ClockRule("counter", WRAP, RATE_HZ, (1,)) if counter else ClockRule(rate_hz=RATE_HZ)
+    rule = (
+        ClockRule(counter_field="counter", counter_modulus=WRAP, counter_ticks_per_s=RATE_HZ, counter_steps=(1,))
+        if counter
+        else ClockRule(rate_hz=RATE_HZ)
+    )
     clock = SampleClock(rule, SampleUnits(), statistics)
     done = [clock.push(block, Arrivals(np.array([len(block)]), np.array([at_s]))) for block, at_s in reads]
     samples = concatenate([part for part in (*done, clock.flush()) if part is not None])

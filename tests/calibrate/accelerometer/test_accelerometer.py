@@ -29,7 +29,7 @@ from imufield.earth import Gravity, choose_gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
 
-EXACT = Gravity(GRAVITY, 1e-9, "typed")
+EXACT = Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=1e-9, source="typed")
 MG = 9.80665e-3
 
 
@@ -100,7 +100,7 @@ def test_gauge_defaults_and_fixed_entries_have_sigma_zero() -> None:
 
 def test_joint_covariance_holds_what_was_fitted_and_gravity() -> None:
     rng = np.random.default_rng(5)
-    gravity = Gravity(GRAVITY, 5e-4, "normal")
+    gravity = Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=5e-4, source="normal")
     calibration = calibrate_accelerometer(campaign(random_parameters(rng), rng), gravity, model="linear")
     assert len(calibration.covariance_names) == 13
     assert calibration.covariance_names[-1] == "gravity_m_s2"
@@ -200,7 +200,7 @@ def test_wrong_gravity_cannot_be_seen_and_moves_the_scale_only() -> None:
     rng = np.random.default_rng(10)
     observations = campaign(random_parameters(rng), rng)
     right = calibrate_accelerometer(observations, EXACT, model="linear")
-    wrong = calibrate_accelerometer(observations, Gravity(1.62, 1e-3, "typed"), model="linear")
+    wrong = calibrate_accelerometer(observations, Gravity(gravity_m_s2=1.62, sigma_m_s2=1e-3, source="typed"), model="linear")
     assert wrong.accelerometer.scale / right.accelerometer.scale == pytest.approx(np.full(3, GRAVITY / 1.62), rel=1e-9)
     assert wrong.quality.residual_rms_m_s2 / 1.62 == pytest.approx(right.quality.residual_rms_m_s2 / GRAVITY, rel=1e-6)
     assert any("residual cannot check gravity" in reason for reason in wrong.quality.reasons)
@@ -376,7 +376,11 @@ def test_real_xsens_session_gives_the_reference(shared_folder: Path, weighted: b
     if not weighted:
         observations.covariance_raw[:] = np.nan
     calibration = calibrate_accelerometer(
-        observations, Gravity(9.81744, 1e-5, "typed"), gauge="lower", model="linear", raw_zero=32768
+        observations,
+        Gravity(gravity_m_s2=9.81744, sigma_m_s2=1e-5, source="typed"),
+        gauge="lower",
+        model="linear",
+        raw_zero=32768,
     )
     found = calibration.accelerometer
     assert 36 <= len(observations) <= 46
@@ -402,7 +406,9 @@ def test_real_mpu9150_sessions_give_the_reference(
 ) -> None:
     acc = load_columns(shared_folder / "data" / "mikoff" / f"{name}.log.gz")[:, :3]
     observations = still_means(acc, noise=2 * 0.0955, shortest=60)
-    calibration = calibrate_accelerometer(observations, Gravity(9.81, 1e-5, "typed"), gauge="lower", model="linear")
+    calibration = calibrate_accelerometer(
+        observations, Gravity(gravity_m_s2=9.81, sigma_m_s2=1e-5, source="typed"), gauge="lower", model="linear"
+    )
     found = calibration.accelerometer
     assert found.scale == pytest.approx(scale, abs=6e-4)
     assert found.misalignment_rad[(1, 2, 2), (0, 0, 1)] == pytest.approx(misalignment, abs=7e-4)

@@ -15,7 +15,7 @@ from imufield.calibrate.solvers.registry import METHODS
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 
-KNOWN_GRAVITY = Gravity(GRAVITY, 0.018, "assumed")
+KNOWN_GRAVITY = Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=0.018, source="assumed")
 
 
 def measured(seed: int, quadratic: float = 0.0) -> tuple[Observations, AccelerometerParameters]:

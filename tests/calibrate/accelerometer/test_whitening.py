@@ -35,11 +35,11 @@ def test_no_coordinate_contains_a_turn_of_the_frame(raw: FloatArray) -> None:
 
 
 def test_the_linear_model_has_nine_coordinates(raw: FloatArray) -> None:
-    assert observable_basis(BSAS_TRUTH, raw, G, "sensing", tuple(range(12))).shape == (15, 9)
+    assert observable_basis(BSAS_TRUTH, raw, G, "sensing", free=tuple(range(12))).shape == (15, 9)
 
 
 def test_scale_and_bias_alone_need_no_gauge(raw: FloatArray) -> None:
-    basis = observable_basis(BSAS_TRUTH, raw, G, "sensing", tuple(range(6)))
+    basis = observable_basis(BSAS_TRUTH, raw, G, "sensing", free=tuple(range(6)))
     assert basis.shape == (15, 6)
     assert np.all(basis[6:] == 0)
 

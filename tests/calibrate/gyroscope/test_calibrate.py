@@ -194,7 +194,12 @@ def test_turntable_rates_join_the_fit(session: Session, result: GyroscopeResult)
     M = truth.scale[:, None] * (np.eye(3) + truth.misalignment_rad)
     noise, rng = 1e-6, np.random.default_rng(8)
     runs = [
-        TurntableRun(axis, w, M @ axis * w + truth.bias + noise * rng.standard_normal(3), noise**2 * np.eye(3))
+        TurntableRun(
+            axis=axis,
+            rate_rad_s=w,
+            mean_raw=M @ axis * w + truth.bias + noise * rng.standard_normal(3),
+            covariance_raw=noise**2 * np.eye(3),
+        )
         for axis in np.eye(3)
         for w in np.radians([10.0, -10.0, 30.0, -30.0])
     ]
@@ -218,7 +223,11 @@ def test_positions_about_one_axis_leave_the_rest_at_the_preset() -> None:
     assert np.isnan(result.calibration.sigma.scale[0])
     assert result.calibration.parameters.scale[0] == pytest.approx(full.truth.scale[0], rel=1e-3)
     assert any("cannot show" in reason for reason in result.reasons)
-    counts = replace(given, preset=None, observations=replace(given.observations, units=SampleUnits("count", "count")))
+    counts = replace(
+        given,
+        preset=None,
+        observations=replace(given.observations, units=SampleUnits(accelerometer="count", gyroscope="count")),
+    )
     with pytest.raises(CalibrationError, match="give a preset"):
         calibrate_gyroscope(counts)
     assert len(keep) == 25
@@ -227,7 +236,7 @@ def test_positions_about_one_axis_leave_the_rest_at_the_preset() -> None:
 def simulate_ring(directions: FloatArray) -> GyroscopeInput:
     """Positions about z alone, of the same instrument; its accelerometer cannot be calibrated from them."""
     observations, moves = record(5, directions)
-    return GyroscopeInput(observations, moves, calibration=None, latitude_deg=45.0)  # type: ignore[arg-type]
+    return GyroscopeInput(observations=observations, moves=moves, calibration=None, latitude_deg=45.0)  # type: ignore[arg-type]
 
 
 def test_wrong_unit_and_handedness_are_refused(session: Session) -> None:
@@ -290,15 +299,19 @@ def test_static_norm_for_an_instrument_that_sees_the_earth() -> None:
 
 def real_session(samples: Samples, zero: float, gravity: float) -> GyroscopeInput:
     found = find_still_intervals([samples], scale=RoughScale.of_units(samples.units, np.full(3, zero))).observations
-    calibration = calibrate_accelerometer(found, Gravity(gravity, 1e-5, "typed"), raw_zero=zero, model="linear")
-    return GyroscopeInput(found, collect_moves([samples], found.start_s, found.duration_s), calibration)
+    calibration = calibrate_accelerometer(
+        found, Gravity(gravity_m_s2=gravity, sigma_m_s2=1e-5, source="typed"), raw_zero=zero, model="linear"
+    )
+    return GyroscopeInput(
+        observations=found, moves=collect_moves([samples], found.start_s, found.duration_s), calibration=calibration
+    )
 
 
 @pytest.fixture(scope="module")
 def xsens(shared_folder: Path) -> Samples:
     a = np.loadtxt(shared_folder / "data" / "imu_tk" / "xsens_acc.mat.gz")
     g = np.loadtxt(shared_folder / "data" / "imu_tk" / "xsens_gyro.mat.gz")
-    return make_samples(a[:, 0], a[:, 1:], g[:, 1:], units=SampleUnits("count", "count"))
+    return make_samples(a[:, 0], a[:, 1:], g[:, 1:], units=SampleUnits(accelerometer="count", gyroscope="count"))
 
 
 def test_xsens_on_the_reference_model(xsens: Samples) -> None:
@@ -359,6 +372,8 @@ def test_a_fit_that_does_not_end_makes_the_whole_usable_at_most(monkeypatch: pyt
 )
 def test_little_gained_by_a_fit_is_said(before_deg: float, after_deg: float, said: str) -> None:
     time_s = np.arange(6.0)
-    report = MoveReport(time_s, time_s, np.full(6, before_deg), np.full(6, after_deg), np.ones(6))
+    report = MoveReport(
+        start_s=time_s, end_s=time_s, before_deg=np.full(6, before_deg), after_deg=np.full(6, after_deg), sigma=np.ones(6)
+    )
     assert gain_words(report).startswith(f": {said}" if said else "")
     assert bool(gain_words(report)) == bool(said)

@@ -120,10 +120,10 @@ def test_turntable_rates_are_searched_in_the_vector_form(session: Session) -> No
     KE = truth.scale[:, None] * (np.eye(3) + truth.misalignment_rad)
     runs = [
         TurntableRun(
-            axis,
-            way * float(np.radians(speed)),
-            KE @ (way * np.radians(speed) * axis) + truth.bias + 1e-6 * truth.scale * rng.standard_normal(3),
-            np.diag((1e-6 * truth.scale) ** 2),
+            axis=axis,
+            rate_rad_s=way * float(np.radians(speed)),
+            mean_raw=KE @ (way * np.radians(speed) * axis) + truth.bias + 1e-6 * truth.scale * rng.standard_normal(3),
+            covariance_raw=np.diag((1e-6 * truth.scale) ** 2),
         )
         for axis in np.eye(3)
         for speed in (10.0, 20.0, 30.0)

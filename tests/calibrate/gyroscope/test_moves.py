@@ -34,7 +34,7 @@ def session(change: Callable[[Samples], Samples] | None = None) -> Samples:
     raw = rates(time_s) @ np.linalg.inv(A).T + REST
     noise = np.random.default_rng(0).standard_normal((len(time_s), 3))
     force = np.array([0.1, 0.2, 9.8]) + 0.001 * noise
-    samples = make_samples(time_s, force, raw + 0.5 * noise, units=SampleUnits("m/s^2", "count"))
+    samples = make_samples(time_s, force, raw + 0.5 * noise, units=SampleUnits(accelerometer="m/s^2", gyroscope="count"))
     return samples if change is None else change(samples)
 
 
@@ -81,7 +81,7 @@ def test_joined_slots_turn_alike() -> None:
     )
     joined = join_slots(moves.slots, starts)
     first = np.searchsorted(starts, moves.first)
-    merged = Moves(moves.before, moves.after, moves.start_s, moves.end_s, first, joined)
+    merged = Moves(before=moves.before, after=moves.after, start_s=moves.start_s, end_s=moves.end_s, first=first, slots=joined)
     for k in range(2):
         assert between(turn_of(moves, k), turn_of(merged, k)) < 2e-5
 
@@ -107,7 +107,9 @@ def test_a_scale_is_found_from_nothing() -> None:
     for k, rate in enumerate(w):
         up[k] = multiply(multiply(q * [1, -1, -1, -1], np.array([0, 0, 0, 9.8])), q)[1:]
         q = multiply(q, exponential(rate / RATE_HZ))
-    samples = make_samples(time_s, up, w @ np.linalg.inv(A).T + REST, units=SampleUnits("m/s^2", "count"))
+    samples = make_samples(
+        time_s, up, w @ np.linalg.inv(A).T + REST, units=SampleUnits(accelerometer="m/s^2", gyroscope="count")
+    )
     moves = collect_moves([samples], START_S, DURATION_S)
     slots = centre(moves, REST, moves.slots.force / moves.slots.duration_s[:, None])
     assert rough_inverse(slots) == pytest.approx(A, abs=0.05 * 2e-4)
@@ -180,7 +182,7 @@ def test_no_still_after_or_none_at_all() -> None:
 
 
 def test_long_recordings_are_kept_in_less() -> None:
-    units = SampleUnits("m/s^2", "count")
+    units = SampleUnits(accelerometer="m/s^2", gyroscope="count")
     small, large = MoveCollector(units), MoveCollector(units)
     large._builder._compact_at = 1200
     samples = session()

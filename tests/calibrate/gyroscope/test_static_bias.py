@@ -73,7 +73,9 @@ def test_without_a_gyroscope_it_is_refused() -> None:
 
 def test_bias_joins_the_covariance_before_gravity() -> None:
     rng = np.random.default_rng(1)
-    calibration = calibrate_accelerometer(campaign(random_parameters(rng), rng), Gravity(GRAVITY, 1e-4, "typed"))
+    calibration = calibrate_accelerometer(
+        campaign(random_parameters(rng), rng), Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=1e-4, source="typed")
+    )
     gyroscope = static_bias(observe(paper24(), gyroscope=still_gyroscope(rng, 45.0, noise=1.0)), SCALE)
     joined = with_gyroscope(calibration, gyroscope)
     assert joined.covariance_names[-4:] == ("gyroscope.bias.x", "gyroscope.bias.y", "gyroscope.bias.z", "gravity_m_s2")

@@ -19,7 +19,14 @@ BIAS = np.array([0.01, -0.02, 0.005])
 def runs(axes: FloatArray) -> list[TurntableRun]:
     """Runs both ways, with bias and a centripetal g-sensitivity that is the same both ways."""
     return [
-        TurntableRun(axis, way * w, M @ axis * way * w + BIAS + 1e-3 * w**2, 1e-14 * np.eye(3), 1e-7, 1e-5)
+        TurntableRun(
+            axis=axis,
+            rate_rad_s=way * w,
+            mean_raw=M @ axis * way * w + BIAS + 1e-3 * w**2,
+            covariance_raw=1e-14 * np.eye(3),
+            rate_sigma_rad_s=1e-7,
+            axis_sigma_rad=1e-5,
+        )
         for axis in axes
         for w in np.radians((10.0, 20.0, 30.0))
         for way in (1.0, -1.0)

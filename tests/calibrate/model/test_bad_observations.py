@@ -13,7 +13,7 @@ from imufield.guide.positions import scheme
 from imufield.samples import FloatArray, SampleUnits
 
 GRAVITY = 9.81
-EXACT = Gravity(GRAVITY, 1e-9, "typed")
+EXACT = Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=1e-9, source="typed")
 
 
 def sent(directions: FloatArray) -> FloatArray:
@@ -32,7 +32,16 @@ def means(raw: FloatArray) -> Observations:
     names = tuple(f"p{k + 1:02d}" for k in range(m))
     nothing = np.full(m, np.nan)
     return Observations(
-        names, raw, unknown, np.full((m, 3), np.nan), unknown, np.full((m, 3), np.nan), nothing, nothing, nothing, SampleUnits()
+        name=names,
+        mean_raw=raw,
+        covariance_raw=unknown,
+        gyroscope_mean_raw=np.full((m, 3), np.nan),
+        gyroscope_covariance_raw=unknown,
+        direction=np.full((m, 3), np.nan),
+        start_s=nothing,
+        duration_s=nothing,
+        temperature_degc=nothing,
+        units=SampleUnits(),
     )
 
 

@@ -33,7 +33,12 @@ def parameters(request: pytest.FixtureRequest) -> AccelerometerParameters:
 
 def test_vector_has_the_order_of_the_names() -> None:
     misalignment = np.array([[0, 7, 8], [9, 0, 10], [11, 12, 0]], dtype=float)
-    parameters = AccelerometerParameters(np.array([1.0, 2, 3]), np.array([4.0, 5, 6]), misalignment, np.array([13.0, 14, 15]))
+    parameters = AccelerometerParameters(
+        scale=np.array([1.0, 2, 3]),
+        bias_m_s2=np.array([4.0, 5, 6]),
+        misalignment_rad=misalignment,
+        quadratic=np.array([13.0, 14, 15]),
+    )
     assert to_vector(parameters).tolist() == list(range(1, 16))
     assert ACCELEROMETER_NAMES[6:12] == tuple(
         f"accelerometer.misalignment_rad.{p}" for p in ("xy", "xz", "yx", "yz", "zx", "zy")
@@ -49,7 +54,9 @@ def test_predict_is_the_measurement_equation(parameters: AccelerometerParameters
 
 def test_one_axis_by_hand() -> None:
     # K = 100, b = 0.5, K2 = 2 at s = 3: 100 * 3.5 + 2 * 9
-    one = AccelerometerParameters(np.full(3, 100.0), np.full(3, 0.5), np.zeros((3, 3)), np.full(3, 2.0))
+    one = AccelerometerParameters(
+        scale=np.full(3, 100.0), bias_m_s2=np.full(3, 0.5), misalignment_rad=np.zeros((3, 3)), quadratic=np.full(3, 2.0)
+    )
     assert predict(one, np.full((1, 3), 3.0)).tolist() == [[368.0] * 3]
 
 
@@ -60,7 +67,10 @@ def test_recover_undoes_predict(parameters: AccelerometerParameters) -> None:
 
 def test_negative_scale_takes_the_root_near_the_linear_one() -> None:
     reversed_axis = AccelerometerParameters(
-        np.array([-400.0, 400, 400]), np.full(3, 0.2), np.zeros((3, 3)), np.array([0.05, -0.05, 0.0])
+        scale=np.array([-400.0, 400, 400]),
+        bias_m_s2=np.full(3, 0.2),
+        misalignment_rad=np.zeros((3, 3)),
+        quadratic=np.array([0.05, -0.05, 0.0]),
     )
     a = GRAVITY * paper24()
     assert recover(reversed_axis, outputs(reversed_axis, a)) == pytest.approx(a, abs=1e-12)
@@ -74,14 +84,22 @@ def test_recover_of_navigation_grade_on_body_axes_is_exact() -> None:
 
 
 def test_no_real_root_is_a_typed_error() -> None:
-    bent = AccelerometerParameters(np.full(3, 100.0), np.zeros(3), np.zeros((3, 3)), np.array([0.0, -10.0, 0.0]))
+    bent = AccelerometerParameters(
+        scale=np.full(3, 100.0), bias_m_s2=np.zeros(3), misalignment_rad=np.zeros((3, 3)), quadratic=np.array([0.0, -10.0, 0.0])
+    )
     with pytest.raises(CalibrationError, match=r"output 5000 of axis y \(row 1\) is beyond the turning point") as caught:
         recover(bent, np.array([[0.0, 0.0, 0.0], [0.0, 5000.0, 0.0]]))
     assert caught.value.reason is Reason.BOUNDS
 
 
 def test_no_contraction_is_a_typed_error() -> None:
-    wild = AccelerometerParameters(np.full(3, 100.0), np.zeros(3), np.zeros((3, 3)), np.full(3, 30.0), quadratic_axes="body")
+    wild = AccelerometerParameters(
+        scale=np.full(3, 100.0),
+        bias_m_s2=np.zeros(3),
+        misalignment_rad=np.zeros((3, 3)),
+        quadratic=np.full(3, 30.0),
+        quadratic_axes="body",
+    )
     with pytest.raises(CalibrationError, match="does not converge") as caught:
         recover(wild, np.full((1, 3), 2000.0))
     assert caught.value.reason is Reason.NOT_CONVERGED

@@ -59,7 +59,7 @@ def test_unit_is_seen_in_the_size_or_given(tmp_path: Path, one_g: float, unit: s
     rows = "".join(f"{x * one_g},{y * one_g},{z * one_g}\n" for x, y, z in [*np.eye(3), *-np.eye(3)])
     path = write(tmp_path, "ax,ay,az\n" + rows)
     assert read_observations(path).units.accelerometer == unit
-    assert read_observations(path, units=SampleUnits("pulse", "pulse")).units.accelerometer == "pulse"
+    assert read_observations(path, units=SampleUnits(accelerometer="pulse", gyroscope="pulse")).units.accelerometer == "pulse"
 
 
 @pytest.mark.parametrize(

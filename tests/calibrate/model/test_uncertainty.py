@@ -32,11 +32,15 @@ def test_leave_one_out_and_jackknife_against_refits() -> None:
     raw = observations.mean_raw
     start = closed_form_start(raw, GRAVITY, np.ones(3))
     basis = column_basis(start, LINEAR, GRAVITY)
-    whole = fit(FitData(raw, None, GRAVITY, "sensing"), start, basis)
+    whole = fit(FitData(raw=raw, covariance_raw=None, gravity_m_s2=GRAVITY, quadratic_axes="sensing"), start, basis)
     spread = influence(whole.residual_m_s2, whole.jacobian)
     shifts = np.empty((24, 9))
     for k in range(24):
-        part = fit(FitData(np.delete(raw, k, axis=0), None, GRAVITY, "sensing"), start, basis)
+        part = fit(
+            FitData(raw=np.delete(raw, k, axis=0), covariance_raw=None, gravity_m_s2=GRAVITY, quadratic_axes="sensing"),
+            start,
+            basis,
+        )
         left_out = np.linalg.norm(recover(from_vector(part.vector), raw[k : k + 1])) - GRAVITY
         assert spread.leave_one_out[k] == pytest.approx(left_out, rel=5e-3, abs=1e-7)
         shifts[k] = np.linalg.lstsq(basis, part.vector - whole.vector, rcond=None)[0]
@@ -80,7 +84,12 @@ def test_scatter_between_positions_is_found() -> None:
         rng = np.random.default_rng(seed)
         observations = campaign(random_parameters(rng), rng, between_m_s2=2e-3)
         start = closed_form_start(observations.mean_raw, GRAVITY, np.ones(3))
-        data = FitData(observations.mean_raw, observations.covariance_raw, GRAVITY, "sensing")
+        data = FitData(
+            raw=observations.mean_raw,
+            covariance_raw=observations.covariance_raw,
+            gravity_m_s2=GRAVITY,
+            quadratic_axes="sensing",
+        )
         taus.append(fit(data, start, column_basis(start, LINEAR, GRAVITY)).tau_m_s2)
     assert np.mean(taus) == pytest.approx(2e-3, rel=0.1)
 

@@ -172,7 +172,7 @@ def test_an_accelerometer_alone() -> None:
 
 
 def test_raw_units_need_a_scale() -> None:
-    units = SampleUnits("count", "count")
+    units = SampleUnits(accelerometer="count", gyroscope="count")
     blocks = [make_samples(b.time_s, 100 * b.accelerometer, 5000 * b.gyroscope, units=units) for b in standstill(0.1)]
     raw, scaled = measure_noise(blocks), measure_noise(blocks, 100.0, np.full(3, 5000.0))
     assert raw.axes[0].unit == "count"

@@ -22,7 +22,15 @@ STEP = np.concatenate([np.full(3, 1e-2), np.full(3, 1e-3), np.full(6, 1e-4), np.
 def population(axes: QuadraticAxes, cost: CostName) -> NormProblem:
     raw = bsas_outputs(np.random.default_rng(1), 1e-5)
     sigma = np.linspace(1e-5, 2e-5, len(raw))
-    return NormProblem(raw, BSAS_GRAVITY_M_S2, sigma, BSAS_TRUTH, np.diag(STEP), axes, cost)
+    return NormProblem(
+        raw=raw,
+        gravity_m_s2=BSAS_GRAVITY_M_S2,
+        sigma_m_s2=sigma,
+        origin=BSAS_TRUTH,
+        basis=np.diag(STEP),
+        quadratic_axes=axes,
+        cost_name=cost,
+    )
 
 
 def plain_cost(problem: NormProblem, z: FloatArray) -> FloatArray:
@@ -51,7 +59,9 @@ def test_costs_equal_their_formulas(axes: QuadraticAxes, cost: CostName) -> None
 def test_costs_by_hand(cost: CostName, expected: float) -> None:
     unit = np.concatenate([np.ones(3), np.zeros(12)])
     raw = np.array([[9.0, 0, 0], [0, 11.0, 0], [0, 0, 10.0]])
-    problem = NormProblem(raw, 10.0, np.array([1.0, 2.0, 1.0]), unit, np.eye(15), cost_name=cost)
+    problem = NormProblem(
+        raw=raw, gravity_m_s2=10.0, sigma_m_s2=np.array([1.0, 2.0, 1.0]), origin=unit, basis=np.eye(15), cost_name=cost
+    )
     assert problem.cost(np.zeros((1, 15)))[0] == pytest.approx(expected)
 
 
@@ -60,7 +70,9 @@ def make_problem() -> NormProblem:
     observations = campaign(random_parameters(rng), rng)
     origin = to_vector(random_parameters(rng))
     basis = column_basis(origin, LOWER_GAUGE_COLUMNS, GRAVITY)
-    return NormProblem(observations.mean_raw, GRAVITY, np.full(24, 1e-3), origin, basis, reach=0.5)
+    return NormProblem(
+        raw=observations.mean_raw, gravity_m_s2=GRAVITY, sigma_m_s2=np.full(24, 1e-3), origin=origin, basis=basis, reach=0.5
+    )
 
 
 def test_cost_of_a_population_is_the_sum_of_squared_residuals() -> None:
@@ -91,7 +103,13 @@ def test_a_candidate_outside_the_model_costs_infinity() -> None:
     rng = np.random.default_rng(4)
     origin = to_vector(random_parameters(rng))
     basis = column_basis(origin, LOWER_GAUGE_COLUMNS, GRAVITY)
-    problem = NormProblem(outputs(random_parameters(rng), GRAVITY * paper24()), GRAVITY, np.ones(24), origin, basis)
+    problem = NormProblem(
+        raw=outputs(random_parameters(rng), GRAVITY * paper24()),
+        gravity_m_s2=GRAVITY,
+        sigma_m_s2=np.ones(24),
+        origin=origin,
+        basis=basis,
+    )
     bent = np.zeros((2, 12))
     bent[1, 9] = -100.0
     cost = problem.cost(bent)

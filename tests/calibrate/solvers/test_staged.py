@@ -16,7 +16,15 @@ from imufield.study.instruments import BSAS_AXES, BSAS_GRAVITY_M_S2, BSAS_TRUTH,
 
 
 def staged_problem(preset: FloatArray, raw: FloatArray) -> NormProblem:
-    return NormProblem(raw, BSAS_GRAVITY_M_S2, np.ones(len(raw)), preset, np.eye(15), BSAS_AXES, "absolute")
+    return NormProblem(
+        raw=raw,
+        gravity_m_s2=BSAS_GRAVITY_M_S2,
+        sigma_m_s2=np.ones(len(raw)),
+        origin=preset,
+        basis=np.eye(15),
+        quadratic_axes=BSAS_AXES,
+        cost_name="absolute",
+    )
 
 
 def test_categories_are_the_four_steps_of_the_paper() -> None:
@@ -58,7 +66,9 @@ def test_stages_follow_one_another_for_any_solver() -> None:
 
     def count(problem: Problem, *, rng: np.random.Generator | None = None, callback: Callback | None = None) -> SolverResult:
         calls.append(len(problem.start))
-        return SolverResult(problem.start, 1.0, SolverStatus.CONVERGED, "", 1, np.ones(1))
+        return SolverResult(
+            x=problem.start, cost=1.0, status=SolverStatus.CONVERGED, message="", evaluations=1, history=np.ones(1)
+        )
 
     raw = bsas_outputs(np.random.default_rng(0))
     stages = solve_stages(

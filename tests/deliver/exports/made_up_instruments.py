@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 
 from imufield.calibrate.model.gauge import change_gauge
@@ -52,14 +54,14 @@ def made_up(
     rng = np.random.default_rng(seed)
     K = np.array(sign) * scale[0] * (1 + rng.normal(scale=1e-2, size=3))
     accelerometer = AccelerometerParameters(
-        K,
-        rng.normal(scale=0.05, size=3),
-        off_diagonal(rng, angle_rad),
-        quadratic * scale[0] * rng.normal(size=3),
-        np.full(3, raw_zero),
-        axes,
+        scale=K,
+        bias_m_s2=rng.normal(scale=0.05, size=3),
+        misalignment_rad=off_diagonal(rng, angle_rad),
+        quadratic=quadratic * scale[0] * rng.normal(size=3),
+        raw_zero=np.full(3, raw_zero),
+        quadratic_axes=axes,
     )
-    preset = to_vector(AccelerometerParameters(K, np.zeros(3), off_diagonal(rng, angle_rad)))
+    preset = to_vector(AccelerometerParameters(scale=K, bias_m_s2=np.zeros(3), misalignment_rad=off_diagonal(rng, angle_rad)))
     if axes == "sensing":
         vector = change_gauge(to_vector(accelerometer), gauge, preset).vector
         accelerometer = from_vector(vector, accelerometer.raw_zero, axes)
@@ -92,7 +94,7 @@ def loaded(
         start_s=np.arange(POSITIONS, dtype=np.float64),
         duration_s=np.ones(POSITIONS),
         temperature_degc=np.full(POSITIONS, 30.0),
-        units=SampleUnits(*units),
+        units=SampleUnits(accelerometer=units[0], gyroscope=units[1]),
     )
     zeros = np.zeros(POSITIONS)
     calibration = Calibration(
@@ -101,20 +103,36 @@ def loaded(
         accelerometer_raw_unit=units[0],
         equation="N - raw_zero = K (T a + b) + K2 (T a)^2",
         gauge=gauge,
-        intrinsic=Intrinsic(*[nothing] * 8),
+        intrinsic=Intrinsic(**{field.name: nothing for field in fields(Intrinsic)}),
         covariance_names=("gravity_m_s2",),
         covariance=np.array([[1e-6]]),
-        gravity=Gravity(GRAVITY, 5e-4, "normal", 48.1, 520.0),
+        gravity=Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=5e-4, source="normal", latitude_deg=48.1, height_m=520.0),
         positions=PositionResult(zeros, zeros, zeros, np.ones(POSITIONS, dtype=np.bool_)),
-        solver=SolverSummary("least squares", 1, "converged", 1.0, 9),
-        quality=Quality(0.0, 0.0, 0.0, 0.0, 12, 2.18, 12, 12, 40.0, "good", ()),
+        solver=SolverSummary(method="least squares", status=1, message="converged", cost=1.0, evaluations=9),
+        quality=Quality(
+            residual_rms_m_s2=0.0,
+            residual_max_m_s2=0.0,
+            leave_one_out_rms_m_s2=0.0,
+            between_position_sigma_m_s2=0.0,
+            degrees_of_freedom=12,
+            student_factor_95=2.18,
+            rank=12,
+            parameters_fitted=12,
+            condition=40.0,
+            verdict="good",
+            reasons=(),
+        ),
         quadratic_fitted=bool(np.any(accelerometer.quadratic)),
         gyroscope=None if gyroscope is None else GyroscopeCalibration(gyroscope, gyroscope, "made up", units[1]),
     )
     known = Context(
         instrument=InstrumentFacts("stim300", "STIM300", "N25581", "3.1"),
         session=SessionFacts("2025-03-01-stim300", 64 * "a", 1999.987, (30.9, 33.4)),
-        noise=Noise("still at the start", np.full(3, 7e-4), np.full(3, 4e-5)),
+        noise=Noise(
+            source="still at the start",
+            accelerometer_density_m_s2_per_sqrt_hz=np.full(3, 7e-4),
+            gyroscope_density_rad_s_per_sqrt_hz=np.full(3, 4e-5),
+        ),
         created="2025-03-01T10:55:00Z",
         software="imufield 0.1.0",
     )

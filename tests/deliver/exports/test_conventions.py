@@ -58,7 +58,12 @@ def test_rotation_vector_of_a_known_turn() -> None:
 @pytest.mark.parametrize("axes", ["sensing", "body"])
 def test_linearised_is_the_least_squares_line_over_all_directions(axes: str) -> None:
     """Against a regression on 200000 random directions, and the rest against the closed figure 0.298 K2 / K g^2."""
-    p = AccelerometerParameters(np.array([2.0, -1.0, 1.5]), RNG.normal(size=3), np.zeros((3, 3)), np.array([1e-3, 2e-3, -3e-3]))
+    p = AccelerometerParameters(
+        scale=np.array([2.0, -1.0, 1.5]),
+        bias_m_s2=RNG.normal(size=3),
+        misalignment_rad=np.zeros((3, 3)),
+        quadratic=np.array([1e-3, 2e-3, -3e-3]),
+    )
     p = replace(p, quadratic_axes=axes, misalignment_rad=np.array([[0, 0.01, 0], [0, 0, 0.02], [0.03, 0, 0]]))  # type: ignore[arg-type]
     up = np.random.default_rng(4).normal(size=(200000, 3))
     force = 9.8 * up / np.linalg.norm(up, axis=1, keepdims=True)
@@ -72,7 +77,9 @@ def test_linearised_is_the_least_squares_line_over_all_directions(axes: str) -> 
 
 @pytest.mark.parametrize("frame", ["file", "lower", "upper", "symmetric", "sensor"])
 def test_frames_are_rotations(frame: str) -> None:
-    p = AccelerometerParameters(np.ones(3), np.zeros(3), np.array([[0, 0.01, 0], [0, 0, 0.02], [0.03, 0, 0]]))
+    p = AccelerometerParameters(
+        scale=np.ones(3), bias_m_s2=np.zeros(3), misalignment_rad=np.array([[0, 0.01, 0], [0, 0, 0.02], [0.03, 0, 0]])
+    )
     R = rotation_to(p, frame)  # type: ignore[arg-type]
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
     assert np.linalg.det(R) == pytest.approx(1)

@@ -307,7 +307,11 @@ def test_refit_over_all_directions_is_better_than_a_fit_to_the_positions() -> No
         raw = predict(p, 9.8071 * up / np.linalg.norm(up, axis=1, keepdims=True))
         origin = to_vector(p)
         origin[6:] = 0.0
-        diagonal = fit(FitData(raw, None, 9.8071, "sensing"), origin, column_basis(origin, tuple(range(6)), 9.8071)).vector
+        diagonal = fit(
+            FitData(raw=raw, covariance_raw=None, gravity_m_s2=9.8071, quadratic_axes="sensing"),
+            origin,
+            column_basis(origin, tuple(range(6)), 9.8071),
+        ).vector
         output = predict(p, everywhere)
         fitted = output / diagonal[:3] - diagonal[3:6]
         refitted, _ = px4(dict(export_parameters(parameters, "px4").files), output, output)

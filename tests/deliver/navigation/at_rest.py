@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -77,24 +79,36 @@ def as_sent(samples: Samples) -> Corrected:
 def perfect(force_sigma: float = 0.0, rate_sigma: float = 0.0) -> Calibration:
     """A calibration of a perfect instrument with an uncertain bias of both triads."""
     zero, none = np.zeros(3), np.zeros((3, 3))
-    accelerometer = AccelerometerParameters(np.ones(3), zero, none)
+    accelerometer = AccelerometerParameters(scale=np.ones(3), bias_m_s2=zero, misalignment_rad=none)
     gyroscope = GyroscopeParameters(np.ones(3), none, zero, none)
     names = tuple(f"{name}.{axis}" for name in ("accelerometer.bias_m_s2", "gyroscope.bias") for axis in "xyz")
     return Calibration(
-        accelerometer,
-        AccelerometerParameters(zero, np.full(3, force_sigma), none),
-        "m/s^2",
-        "N = a",
-        "lower",
-        Intrinsic(*(zero for _ in range(8))),
-        names,
-        np.diag(np.repeat([force_sigma, rate_sigma], 3) ** 2),
-        Gravity(GRAVITY_M_S2, 1e-5, "typed", LATITUDE_DEG, 0.0),
-        PositionResult(zero[:0], zero[:0], zero[:0], np.empty(0, dtype=np.bool_)),
-        SolverSummary("none", 1, "by hand", 0.0, 0),
-        Quality(0, 0, 0, 0, 12, 2.18, 9, 9, 1.0, "good", ()),
-        False,
-        GyroscopeCalibration(gyroscope, gyroscope, "by hand"),
+        accelerometer=accelerometer,
+        accelerometer_sigma=AccelerometerParameters(scale=zero, bias_m_s2=np.full(3, force_sigma), misalignment_rad=none),
+        accelerometer_raw_unit="m/s^2",
+        equation="N = a",
+        gauge="lower",
+        intrinsic=Intrinsic(**{field.name: zero for field in fields(Intrinsic)}),
+        covariance_names=names,
+        covariance=np.diag(np.repeat([force_sigma, rate_sigma], 3) ** 2),
+        gravity=Gravity(gravity_m_s2=GRAVITY_M_S2, sigma_m_s2=1e-5, source="typed", latitude_deg=LATITUDE_DEG, height_m=0.0),
+        positions=PositionResult(zero[:0], zero[:0], zero[:0], np.empty(0, dtype=np.bool_)),
+        solver=SolverSummary(method="none", status=1, message="by hand", cost=0.0, evaluations=0),
+        quality=Quality(
+            residual_rms_m_s2=0,
+            residual_max_m_s2=0,
+            leave_one_out_rms_m_s2=0,
+            between_position_sigma_m_s2=0,
+            degrees_of_freedom=12,
+            student_factor_95=2.18,
+            rank=9,
+            parameters_fitted=9,
+            condition=1.0,
+            verdict="good",
+            reasons=(),
+        ),
+        quadratic_fitted=False,
+        gyroscope=GyroscopeCalibration(gyroscope, gyroscope, "by hand"),
     )
 
 

@@ -15,7 +15,7 @@ from imufield.deliver.navigation.check import CheckSettings, NavigationResult, S
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import Samples, Status, concatenate
 
-SETTINGS = CheckSettings(LATITUDE_DEG, gravity_m_s2=GRAVITY_M_S2, align_s=300.0, runs=200)
+SETTINGS = CheckSettings(latitude_deg=LATITUDE_DEG, gravity_m_s2=GRAVITY_M_S2, align_s=300.0, runs=200)
 
 
 def check(

@@ -27,7 +27,14 @@ def scene(
     time_s = np.arange(0, hours * HOUR_S + 1)
     known = Alignment(attitude, np.zeros((3, 3)), np.zeros((3, 6)))
     every = np.broadcast_to(attitude, (len(time_s), 3, 3)) if attitudes is None else attitudes(time_s)
-    return Scene(LATITUDE_DEG, 0.0, GRAVITY_M_S2, alignment or known, time_s, every)
+    return Scene(
+        latitude_deg=LATITUDE_DEG,
+        height_m=0.0,
+        gravity_m_s2=GRAVITY_M_S2,
+        alignment=alignment or known,
+        time_s=time_s,
+        attitudes=every,
+    )
 
 
 ERRORS = {
@@ -73,7 +80,7 @@ def test_transition_is_the_limit_of_small_steps() -> None:
 def test_gyroscope_bias_of_a_hundredth_makes_what_is_known_of_it() -> None:
     # docs/maths.md: 0.01 deg/h make about 3.6 nmi in 5 h; in one horizontal axis, aligned with it, less or more.
     drift, _ = simulate(
-        perfect(rate_sigma=0.01 * DEG_PER_HOUR), scene(random_attitude(1), 5.0), NOTHING, np.random.default_rng(0), 400
+        perfect(rate_sigma=0.01 * DEG_PER_HOUR), scene(random_attitude(1), 5.0), NOTHING, np.random.default_rng(0), runs=400
     )
     assert 2.0 < np.sqrt(np.mean(drift.position_nmi.max(axis=1) ** 2)) < 5.0
 
@@ -85,14 +92,14 @@ def test_alignment_takes_off_what_it_caused() -> None:
     tilt[2] = tilt[0] * earth_rate(LATITUDE_DEG)[2] / earth_rate(LATITUDE_DEG)[0]
     aligned = Alignment(attitude, np.zeros((3, 3)), tilt)
     rng = np.random.default_rng(1)
-    own = simulate(perfect(100 * MICRO_G), scene(attitude, 5.0, aligned), NOTHING, rng, 200)[0]
-    true = simulate(perfect(100 * MICRO_G), scene(attitude, 5.0), NOTHING, rng, 200)[0]
+    own = simulate(perfect(100 * MICRO_G), scene(attitude, 5.0, aligned), NOTHING, rng, runs=200)[0]
+    true = simulate(perfect(100 * MICRO_G), scene(attitude, 5.0), NOTHING, rng, runs=200)[0]
 
     def over(time_s: FloatArray) -> FloatArray:
         turned = attitude @ rotation(np.array([np.pi, 0, 0]))
         return np.where((time_s < 60)[:, None, None], attitude, turned)
 
-    turned = simulate(perfect(100 * MICRO_G), scene(attitude, 5.0, aligned, over), NOTHING, rng, 200)[0]
+    turned = simulate(perfect(100 * MICRO_G), scene(attitude, 5.0, aligned, over), NOTHING, rng, runs=200)[0]
     sizes = [np.sqrt(np.mean(one.position_nmi.max(axis=1) ** 2)) for one in (own, true, turned)]
     assert sizes[0] < 0.75 * sizes[1] < 0.75 * sizes[2]
 
@@ -105,8 +112,8 @@ def test_scale_error_of_the_gyroscope_counts_in_a_turn() -> None:
     def over(time_s: FloatArray) -> FloatArray:
         return np.where((time_s < 60)[:, None, None], attitude, attitude @ rotation(np.array([np.pi, 0, 0])))
 
-    still = simulate(calibration, scene(attitude, 1.0), NOTHING, np.random.default_rng(2), 200)[0]
-    turned = simulate(calibration, scene(attitude, 1.0, attitudes=over), NOTHING, np.random.default_rng(2), 200)[0]
+    still = simulate(calibration, scene(attitude, 1.0), NOTHING, np.random.default_rng(2), runs=200)[0]
+    turned = simulate(calibration, scene(attitude, 1.0, attitudes=over), NOTHING, np.random.default_rng(2), runs=200)[0]
     # 100 ppm of half a turn tilt by 0.314 mrad about x, north: east velocity oscillates by g phi / w = R w phi.
     tilt = 1e-4 * np.pi
     assert np.sqrt(np.mean(turned.east_velocity_m_s**2, axis=0)).max() == pytest.approx(tilt * np.sqrt(9.8 * 6.38e6), rel=0.15)
@@ -121,7 +128,7 @@ def test_bands_hold_as_many_as_they_say_and_sources_are_told_apart() -> None:
     )
     calibration, place = perfect(50 * MICRO_G, 0.005 * DEG_PER_HOUR), scene(random_attitude(3), 2.0)
     found = forecast(calibration, place, random, np.random.default_rng(0), runs=600)
-    drift, _ = simulate(calibration, place, random, np.random.default_rng(99), 600)
+    drift, _ = simulate(calibration, place, random, np.random.default_rng(99), runs=600)
     rates = drift.position_nmi.max(axis=1) / 2.0
     assert np.mean(rates <= found.rate_95_nmi_per_h) == pytest.approx(0.95, abs=0.03)
     inside = (drift.latitude_deg >= found.low["latitude_deg"]) & (drift.latitude_deg <= found.high["latitude_deg"])

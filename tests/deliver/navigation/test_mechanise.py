@@ -75,7 +75,14 @@ def test_exact_data_stay_where_they_are() -> None:
 
 
 def test_position_error_is_equation_23() -> None:
-    drift = make_drift(np.array([0.0, 3600.0]), np.array([0, 0.03]), np.array([0, 0.08]), np.zeros(2), np.zeros(2), 60.0)
+    drift = make_drift(
+        np.array([0.0, 3600.0]),
+        np.array([0, 0.03]),
+        np.array([0, 0.08]),
+        np.zeros(2),
+        east_velocity_m_s=np.zeros(2),
+        true_latitude_deg=60.0,
+    )
     # 0.03 deg north and 0.08 deg x cos 60 = 0.04 deg east make 0.05 deg.
     assert drift.position_nmi[-1] == pytest.approx(np.radians(0.05) * 6371000 / NAUTICAL_MILE_M, rel=1e-12)
     assert drift.rate_nmi_per_h == pytest.approx(drift.position_nmi[-1])

@@ -103,13 +103,15 @@ def test_samples_and_arrays_give_the_same(made: Parameters) -> None:
 
 def test_increments_are_divided_by_their_interval(made: Parameters) -> None:
     accelerometer = raw_accelerometer(made.calibration.accelerometer, FORCE)
-    units = SampleUnits("m/s", "count", accelerometer_is_increment=True, interval_s=0.005)  # gyroscope: rates
+    units = SampleUnits(
+        accelerometer="m/s", gyroscope="count", accelerometer_is_increment=True, interval_s=0.005
+    )  # gyroscope: rates
     samples = make_samples(np.arange(50) / 200, accelerometer * 0.005, 0 * RATE, units=units)
     np.testing.assert_allclose(made.apply(samples).specific_force_m_s2, FORCE, atol=1e-10)
 
 
 def test_other_units_and_shapes_are_refused(made: Parameters) -> None:
-    samples = make_samples(np.arange(50) / 200, FORCE, RATE, units=SampleUnits("g", "count"))
+    samples = make_samples(np.arange(50) / 200, FORCE, RATE, units=SampleUnits(accelerometer="g", gyroscope="count"))
     with pytest.raises(ParameterFileError, match=r"for accelerometer values in m/s\^2, these samples are in g") as caught:
         made.apply(samples)
     assert caught.value.reason is Reason.UNITS
@@ -158,7 +160,9 @@ def test_six_columns_of_any_length_and_shape_equal_three_and_three(
 
 
 def test_six_columns_of_a_linear_model_are_one_map() -> None:
-    accelerometer = AccelerometerParameters(np.array([1.01, 0.98, -1.0]), np.array([0.1, -0.2, 0.3]), 2e-3 * (1 - np.eye(3)))
+    accelerometer = AccelerometerParameters(
+        scale=np.array([1.01, 0.98, -1.0]), bias_m_s2=np.array([0.1, -0.2, 0.3]), misalignment_rad=2e-3 * (1 - np.eye(3))
+    )
     raw = RNG.uniform(-20, 20, (5000, 6))
     raw[3, 1], raw[4, 5], raw[5, 4] = np.nan, np.nan, np.inf
     force = correct_accelerometer(accelerometer, raw[:, :3])

@@ -36,7 +36,7 @@ def browse(page: Path, *options: str) -> str:
 
 @pytest.mark.parametrize(("name", "sheets"), [("report", None), ("record", 1)])
 def test_pages_open_without_a_message_and_print(tmp_path: Path, name: str, sheets: int | None) -> None:
-    data = ReportData(load(EXAMPLE))
+    data = ReportData(parameters=load(EXAMPLE))
     page = tmp_path / f"{name}.html"
     page.write_text(render_report(data) if name == "report" else render_record(data), encoding="utf-8")
     printed = tmp_path / "page.pdf"
@@ -50,7 +50,7 @@ def test_pages_open_without_a_message_and_print(tmp_path: Path, name: str, sheet
 @pytest.mark.parametrize("width", [390, 1366])
 def test_nothing_is_wider_than_the_window(tmp_path: Path, width: int) -> None:
     """A script beside the page measures it; the page itself holds none."""
-    text = render_report(ReportData(load(EXAMPLE)))
+    text = render_report(ReportData(parameters=load(EXAMPLE)))
     script = "<script>document.title = document.documentElement.scrollWidth + ' of ' + window.innerWidth</script></body>"
     page = tmp_path / "report.html"
     page.write_text(text.replace("</body>", script), encoding="utf-8")

@@ -68,16 +68,18 @@ def loaded(calibration: Calibration, observations: Observations, context: Contex
 def data(loaded: Parameters) -> ReportData:
     time_s = np.arange(0, 400, 0.5)
     moves = np.arange(10.0, 300.0, 14.0)
-    curve = Convergence("bsas", np.arange(1.0, 50.0), np.logspace(1, -8, 49), 1000, True)
+    curve = Convergence(
+        method="bsas", iterations=np.arange(1.0, 50.0), excess=np.logspace(1, -8, 49), evaluations=1000, converged=True
+    )
     return ReportData(
-        loaded,
-        loaded,
-        Trace(time_s, np.full(len(time_s), 1e-3), np.full(len(time_s), np.nan)),
-        Closure(moves, np.full(len(moves), 0.2), np.full(len(moves), 0.02)),
-        (curve, replace(curve, method="ide")),
-        None,
-        (("Parameter file", "parameters.toml"),),
-        "A. Person",
+        parameters=loaded,
+        preset=loaded,
+        trace=Trace(time_s, np.full(len(time_s), 1e-3), np.full(len(time_s), np.nan)),
+        closure=Closure(moves, np.full(len(moves), 0.2), np.full(len(moves), 0.02)),
+        convergence=(curve, replace(curve, method="ide")),
+        verification=None,
+        provenance=(("Parameter file", "parameters.toml"),),
+        operator="A. Person",
     )
 
 
@@ -118,7 +120,7 @@ def test_page_says_who_when_where_and_how_good(data: ReportData) -> None:
 
 def test_names_cannot_break_out_of_the_page(data: ReportData, calibration: Calibration, observations: Observations) -> None:
     evil = '<script>alert("x")</script>&'
-    context = Context(InstrumentFacts("d", evil, evil))
+    context = Context(instrument=InstrumentFacts("d", evil, evil))
     named = replace(observations, name=tuple(f"{evil}{k}" for k in range(len(observations))))
     parameters = from_document(to_document(calibration, named, context))
     text = render_report(replace(data, parameters=parameters, operator=evil))
@@ -128,7 +130,7 @@ def test_names_cannot_break_out_of_the_page(data: ReportData, calibration: Calib
 
 
 def test_least_of_all_is_still_a_page(loaded: Parameters) -> None:
-    page = Page(render_report(ReportData(loaded)))
+    page = Page(render_report(ReportData(parameters=loaded)))
     words = " ".join(page.text)
     assert "Stillness" not in words
     assert "preset" not in words.split("Parameters")[1][:200]
@@ -232,9 +234,9 @@ def test_missing_package_is_named(data: ReportData, monkeypatch: pytest.MonkeyPa
 
 
 def test_rows_show_value_interval_preset_and_change() -> None:
-    row = Row("Accelerometer", "bias x", "mg", 1.2345, 0.021, 1.3)
+    row = Row(triad="Accelerometer", name="bias x", unit="mg", value=1.2345, sigma=0.021, preset=1.3)
     assert (row.shown, row.expanded(2.18), row.preset_shown, row.change) == ("+1.234 ± 0.021", "0.046", "+1.300", "-3.1")
-    fixed = Row("Accelerometer", "bias x", "mg", 1.2345, 0.0, float("nan"))
+    fixed = Row(triad="Accelerometer", name="bias x", unit="mg", value=1.2345, sigma=0.0, preset=float("nan"))
     assert (fixed.expanded(2.0), fixed.preset_shown, fixed.change) == ("", "", "")
 
 

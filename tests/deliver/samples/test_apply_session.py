@@ -46,7 +46,9 @@ def test_writes_what_apply_gives(loaded: Parameters, tmp_path: Path) -> None:
 
 
 def test_increments_become_rates(loaded: Parameters, tmp_path: Path) -> None:
-    units = SampleUnits("m/s", "rad", accelerometer_is_increment=True, gyroscope_is_increment=True, interval_s=0.01)
+    units = SampleUnits(
+        accelerometer="m/s", gyroscope="rad", accelerometer_is_increment=True, gyroscope_is_increment=True, interval_s=0.01
+    )
     rates = block()
     increments = replace(rates, accelerometer=rates.accelerometer * 0.01, gyroscope=rates.gyroscope * 0.01, units=units)
     for name, samples in (("a", rates), ("b", increments)):
@@ -59,8 +61,8 @@ def test_increments_become_rates(loaded: Parameters, tmp_path: Path) -> None:
     ("serial_number", "units", "reason"),
     [
         ("N1", SampleUnits(), Reason.FOREIGN),
-        ("", SampleUnits("g"), Reason.UNITS),
-        ("", SampleUnits("count", "count"), Reason.UNITS),
+        ("", SampleUnits(accelerometer="g"), Reason.UNITS),
+        ("", SampleUnits(accelerometer="count", gyroscope="count"), Reason.UNITS),
     ],
 )
 def test_another_instrument_or_unit_is_refused_and_the_old_file_stays(

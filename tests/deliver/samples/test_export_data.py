@@ -182,7 +182,7 @@ def test_what_is_not_usable_does_not_become_good_by_ros(tmp_path: Path) -> None:
 
 
 def test_what_ros_cannot_hold(tmp_path: Path) -> None:
-    counts = dataclasses.replace(block(10), units=SampleUnits("count", "count"))
+    counts = dataclasses.replace(block(10), units=SampleUnits(accelerometer="count", gyroscope="count"))
     with pytest.raises(UsageError, match="ROS knows m/s"):
         export_samples([counts], tmp_path / "out.mcap", "ros2")
     early = dataclasses.replace(block(10), time_s=np.arange(-5.0, 5.0))

@@ -17,11 +17,11 @@ from imufield.errors import CalibrationError, UsageError
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray, SampleUnits
 
-GRAVITY = Gravity(9.81, 5e-4, "normal", 48.0, 300.0)
+GRAVITY = Gravity(gravity_m_s2=9.81, sigma_m_s2=5e-4, source="normal", latitude_deg=48.0, height_m=300.0)
 TRUTH = AccelerometerParameters(
-    np.array([1.001, 0.9985, 1.0007]),
-    np.array([0.02, -0.03, 0.01]),
-    np.array([[0, 0, 0], [1e-3, 0, 0], [-2e-3, 5e-4, 0]]),
+    scale=np.array([1.001, 0.9985, 1.0007]),
+    bias_m_s2=np.array([0.02, -0.03, 0.01]),
+    misalignment_rad=np.array([[0, 0, 0], [1e-3, 0, 0], [-2e-3, 5e-4, 0]]),
 )
 SIGMA = 1e-3
 
@@ -34,16 +34,16 @@ def observe(seed: int, positions: str = "paper24", truth: AccelerometerParameter
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     unknown: FloatArray = np.full((m, 3), np.nan)
     return Observations(
-        tuple(f"p{k}" for k in range(m)),
-        predict(truth, g * up) + SIGMA * rng.normal(size=up.shape),
-        np.broadcast_to(np.eye(3) * SIGMA**2, (m, 3, 3)),
-        unknown,
-        np.full((m, 3, 3), np.nan),
-        up,
-        np.arange(m, dtype=np.float64),
-        np.ones(m),
-        np.full(m, 25.0),
-        SampleUnits(),
+        name=tuple(f"p{k}" for k in range(m)),
+        mean_raw=predict(truth, g * up) + SIGMA * rng.normal(size=up.shape),
+        covariance_raw=np.broadcast_to(np.eye(3) * SIGMA**2, (m, 3, 3)),
+        gyroscope_mean_raw=unknown,
+        gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
+        direction=up,
+        start_s=np.arange(m, dtype=np.float64),
+        duration_s=np.ones(m),
+        temperature_degc=np.full(m, 25.0),
+        units=SampleUnits(),
     )
 
 

@@ -44,15 +44,35 @@ def held_out() -> HeldOut:
     residual = 40 * MICRO_G * np.array([1.0, -1.0, 1.0])
     sigma = np.full(3, 45 * MICRO_G)
     up = np.eye(3)
-    return HeldOut(("+x", "+y", "+z"), up, residual, np.full(3, np.nan), sigma, 0.8, 3.0, "3 positions of another session")
+    return HeldOut(
+        name=("+x", "+y", "+z"),
+        up=up,
+        residual_m_s2=residual,
+        before_m_s2=np.full(3, np.nan),
+        sigma_m_s2=sigma,
+        misfit=0.8,
+        misfit_limit=3.0,
+        how="3 positions of another session",
+    )
 
 
 @pytest.fixture
 def navigation() -> NavigationResult:
     time_s = np.linspace(0, 3600, 3601)
-    drift = make_drift(time_s, time_s * 1e-6, np.zeros(3601), np.zeros(3601), np.zeros(3601), 45.0)
+    drift = make_drift(
+        time_s, time_s * 1e-6, np.zeros(3601), np.zeros(3601), east_velocity_m_s=np.zeros(3601), true_latitude_deg=45.0
+    )
     noise = RestNoise(np.ones(6), np.full(6, np.nan))
-    return NavigationResult({"after": drift}, None, CheckSettings(45.0), 3600.0, 3601, 0, noise, ("no forecast: why",))
+    return NavigationResult(
+        drifts={"after": drift},
+        forecast=None,
+        settings=CheckSettings(latitude_deg=45.0),
+        navigated_s=3600.0,
+        samples=3601,
+        lost=0,
+        noise=noise,
+        notes=("no forecast: why",),
+    )
 
 
 def test_requirements_are_read() -> None:
@@ -77,7 +97,9 @@ def test_what_was_not_measured_is_not_met(held_out: HeldOut) -> None:
 
 def test_text_has_the_verdict_last(loaded: Parameters, held_out: HeldOut, navigation: NavigationResult) -> None:
     requirements = judge({"residual-ug": 30.0}, held_out, navigation)
-    text = verification_text(Verification(loaded, "s", held_out, navigation, requirements))
+    text = verification_text(
+        Verification(parameters=loaded, session="s", held_out=held_out, navigation=navigation, requirements=requirements)
+    )
     assert text.endswith("Requirement residual-ug <= 30: 40, NOT MET\nVerdict: FAIL\n")
     assert "as forecast (misfit 0.80" in text
     assert "drift after: 0.216 nmi/h" in text
@@ -89,9 +111,9 @@ def test_file_keeps_the_other_check_of_the_same_parameters(
 ) -> None:
     path = verification_path(tmp_path / "parameters.toml")
     assert path.name == "parameters.verification.json"
-    first = to_document(Verification(loaded, "positions", held_out))
+    first = to_document(Verification(parameters=loaded, session="positions", held_out=held_out))
     write_verification(path, first)
-    write_verification(path, to_document(Verification(loaded, "rest", None, navigation)))
+    write_verification(path, to_document(Verification(parameters=loaded, session="rest", held_out=None, navigation=navigation)))
     document = read_verification(path, first["parameters_sha256"])
     assert document is not None
     assert document["positions"]["session"] == "positions"
@@ -103,7 +125,15 @@ def test_file_keeps_the_other_check_of_the_same_parameters(
 
 def test_a_verdict_that_was_edited_is_none(tmp_path: Path, loaded: Parameters, held_out: HeldOut) -> None:
     path = verification_path(tmp_path / "parameters.toml")
-    document = to_document(Verification(loaded, "s", held_out, None, (Requirement("residual-ug", 5.0, 9.0),)))
+    document = to_document(
+        Verification(
+            parameters=loaded,
+            session="s",
+            held_out=held_out,
+            navigation=None,
+            requirements=(Requirement("residual-ug", 5.0, 9.0),),
+        )
+    )
     sha256 = document["parameters_sha256"]
     assert verification_note(path, sha256) == ""
     write_verification(path, document)
@@ -122,5 +152,5 @@ def test_what_is_no_verification_is_left_alone(tmp_path: Path, text: str) -> Non
 
 def test_document_is_json(loaded: Parameters, held_out: HeldOut, tmp_path: Path) -> None:
     path = tmp_path / "x.json"
-    write_verification(path, to_document(Verification(loaded, "s", held_out)))
+    write_verification(path, to_document(Verification(parameters=loaded, session="s", held_out=held_out)))
     json.loads(path.read_text(), parse_constant=pytest.fail)

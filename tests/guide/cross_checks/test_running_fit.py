@@ -26,7 +26,19 @@ def observations(grade: str, seed: int, bump: float = 0.0, scatter: float = 2e-4
         mean = predict(instrument.accelerometer, G * placed) + rng.normal(0, scatter, 3)
         if i == BUMPED:
             mean = mean * (1 + bump)
-        found.append(Observation(f"p{i}", placed, mean, np.eye(3) * scatter**2, np.zeros(3), np.eye(3), 0.0, 10.0, 20.0))
+        found.append(
+            Observation(
+                name=f"p{i}",
+                direction=placed,
+                mean_raw=mean,
+                covariance_raw=np.eye(3) * scatter**2,
+                gyroscope_mean_raw=np.zeros(3),
+                gyroscope_covariance_raw=np.eye(3),
+                start_s=0.0,
+                duration_s=10.0,
+                temperature_degc=20.0,
+            )
+        )
     return found
 
 

@@ -163,7 +163,13 @@ def test_a_bump_is_a_jolt_and_is_refused(frequency_hz: float) -> None:
     """Cut out, it would leave a hole through which the sway comes in; so the hold is measured again."""
     samples, _ = hold(2, tremor_rad=math.radians(0.05), sway_rad=math.radians(0.5))
     begin_s = float(samples.time_s[0]) + 4.0
-    shock = Shock(begin_s, np.array([3.0, 0.0, 0.0]), np.zeros(3), frequency_hz, 0.02)
+    shock = Shock(
+        start_s=begin_s,
+        acceleration=np.array([3.0, 0.0, 0.0]),
+        rotation_rad=np.zeros(3),
+        frequency_hz=frequency_hz,
+        decay_s=0.02,
+    )
     bumped = replace(samples, accelerometer=samples.accelerometer + shock.shape(samples.time_s)[:, None] * shock.acceleration)
     found = held_mean(bumped, SI, QUIET)
     assert found is not None
@@ -171,7 +177,7 @@ def test_a_bump_is_a_jolt_and_is_refused(frequency_hz: float) -> None:
     cells = join_cells(list(cells_of([bumped])))
     floor = measure_floor(cells)
     limits = noise_limits(floor, SI, StillnessSettings())
-    refusal = examine(HoldUnderTest(cells, floor, limits, SI, CheckLimits(), found))
+    refusal = examine(HoldUnderTest(cells=cells, floor=floor, limits=limits, scale=SI, settings=CheckLimits(), held=found))
     assert refusal is not None
     assert refusal.reason is RefusalCode.KNOCKED
     assert refusal.measured > refusal.limit > 0

@@ -307,7 +307,7 @@ def test_an_axis_at_its_end_without_a_flag_is_refused(make_path: Any) -> None:
 
 
 def test_counts_without_a_scale_learn_it_and_say_so(make_path: Any) -> None:
-    units = SampleUnits("count", "count")
+    units = SampleUnits(accelerometer="count", gyroscope="count")
     samples = faces_session(make_path).samples(0.008, 0.005, units=units, scale=(8192.0, 4780.0))
     guide, events = run(samples)
     assert events[0].scale_learned
@@ -414,15 +414,17 @@ def test_a_session_does_not_wait(make_path: Any) -> None:
 
 def test_increment_outputs_work_like_rates(make_path: Any) -> None:
     rates = faces_session(make_path).samples()
-    units = SampleUnits("m/s", "rad", accelerometer_is_increment=True, gyroscope_is_increment=True, interval_s=0.01)
+    units = SampleUnits(
+        accelerometer="m/s", gyroscope="rad", accelerometer_is_increment=True, gyroscope_is_increment=True, interval_s=0.01
+    )
     increments = Samples(
-        rates.time_s,
-        rates.accelerometer * 0.01,
-        rates.gyroscope * 0.01,
-        rates.temperature_degc,
-        rates.counter,
-        rates.status,
-        units,
+        time_s=rates.time_s,
+        accelerometer=rates.accelerometer * 0.01,
+        gyroscope=rates.gyroscope * 0.01,
+        temperature_degc=rates.temperature_degc,
+        counter=rates.counter,
+        status=rates.status,
+        units=units,
     )
     guide, _ = run(increments)
     assert guide.done

@@ -10,7 +10,17 @@ from imufield.guide.positions import scheme
 
 def observation(name: str, start_s: Any = 0.0) -> Any:
     nothing = np.full(3, np.nan)
-    return Observation(name, nothing, nothing, np.eye(3), nothing, np.eye(3), start_s, 10.0, 20.0)
+    return Observation(
+        name=name,
+        direction=nothing,
+        mean_raw=nothing,
+        covariance_raw=np.eye(3),
+        gyroscope_mean_raw=nothing,
+        gyroscope_covariance_raw=np.eye(3),
+        start_s=start_s,
+        duration_s=10.0,
+        temperature_degc=20.0,
+    )
 
 
 @pytest.fixture

@@ -39,7 +39,7 @@ def fit_norms(mean_raw: Any, raw_zero: Any, start: Any, gravity: Any) -> Any:
 def xsens(shared_folder: Any) -> Any:
     force = load(shared_folder / "data" / "imu_tk" / "xsens_acc.mat.gz")
     turning = load(shared_folder / "data" / "imu_tk" / "xsens_gyro.mat.gz")
-    return make_samples(force[:, 0], force[:, 1:], turning[:, 1:], units=SampleUnits("count", "count"))
+    return make_samples(force[:, 0], force[:, 1:], turning[:, 1:], units=SampleUnits(accelerometer="count", gyroscope="count"))
 
 
 def test_xsens_session(xsens: Any) -> None:

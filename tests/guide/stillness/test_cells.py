@@ -93,14 +93,16 @@ def test_tiny_variance_on_a_large_mean_survives() -> None:
 def test_smallest_step_bounds_the_resolution() -> None:
     rng = np.random.default_rng(0)
     values = np.round(rng.normal(500, 0.8, (2000, 3))) * 4.0
-    samples = make_samples(np.arange(2000) / 200, values, units=SampleUnits("count", "count"))
+    samples = make_samples(np.arange(2000) / 200, values, units=SampleUnits(accelerometer="count", gyroscope="count"))
     cells = join_cells(list(cells_of([samples])))
     assert cells.step[:, :3].min() == 4.0
     assert np.isinf(cells.step[:, 3:]).all()
 
 
 def test_increments_become_rates() -> None:
-    units = SampleUnits("m/s", "rad", accelerometer_is_increment=True, gyroscope_is_increment=True, interval_s=0.005)
+    units = SampleUnits(
+        accelerometer="m/s", gyroscope="rad", accelerometer_is_increment=True, gyroscope_is_increment=True, interval_s=0.005
+    )
     samples = make_samples(np.arange(40) / 200, np.full((40, 3), 0.049), np.full((40, 3), 0.001), units=units)
     cells = join_cells(list(cells_of([samples])))
     np.testing.assert_allclose(cells.mean, np.repeat([[9.8, 9.8, 9.8, 0.2, 0.2, 0.2]], 2, axis=0))

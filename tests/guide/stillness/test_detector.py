@@ -91,7 +91,7 @@ def test_judgements_do_not_depend_on_the_cuts(make_path: Any, cut_blocks: Any) -
 
 def test_unknown_counts_are_judged_like_si(make_path: Any) -> None:
     path = session(make_path, 100, 5)
-    units = SampleUnits("count", "count")
+    units = SampleUnits(accelerometer="count", gyroscope="count")
     samples = path.samples(0.008, 0.005, units=units, scale=(414.0, 4780.0), raw_zero=32768.0, step=1.0)
     found, detector = stretches(samples, RoughScale(raw_zero=np.full(3, 32768.0)))
     assert len(found) == len(path.still)

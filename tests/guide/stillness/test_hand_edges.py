@@ -25,13 +25,13 @@ def cells_with(rate_rad_s: np.ndarray[Any, Any]) -> Cells:
     template = Imu(perfect_instrument(INDUSTRIAL), 1, ImuSettings(rate_hz=10.0))
     still = template.feed(Operator([], 1).block(0, n, 0.1))
     samples = Samples(
-        still.time_s,
-        np.tile([0.0, 0.0, 9.8], (n, 1)),
-        gyroscope,
-        still.temperature_degc,
-        still.counter,
-        still.status,
-        still.units,
+        time_s=still.time_s,
+        accelerometer=np.tile([0.0, 0.0, 9.8], (n, 1)),
+        gyroscope=gyroscope,
+        temperature_degc=still.temperature_degc,
+        counter=still.counter,
+        status=still.status,
+        units=still.units,
     )
     return join_cells(list(cells_of([samples])))
 

@@ -28,11 +28,22 @@ UP = (0.7, -0.7, 0.0)
 
 
 def rejected(reason: RefusalCode, words: str = "from the wire; $(reboot)") -> Rejected:
-    return Rejected(1.0, "+x", reason, words, "x", 1.0, 1.0, "deg")
+    return Rejected(time_s=1.0, position="+x", reason=reason, words=words, remedy="x", measured=1.0, limit=1.0, unit="deg")
 
 
 def accepted() -> Accepted:
-    return Accepted(1.0, "+x", UP, 1.0, 0.0, 10.0, 1e-3, 20.0, 1, 6)
+    return Accepted(
+        time_s=1.0,
+        position="+x",
+        direction=UP,
+        angle_deg=1.0,
+        start_s=0.0,
+        duration_s=10.0,
+        sigma_m_s2=1e-3,
+        temperature_degc=20.0,
+        accepted=1,
+        planned=6,
+    )
 
 
 @pytest.mark.parametrize(
@@ -45,9 +56,19 @@ def accepted() -> Accepted:
         (rejected(RefusalCode.NOT_QUIET), None, None),
         (LinkLost(1.0, 1, 6), Cue.LOST, "no link"),
         (Done(1.0, 6, 6, (), "words"), Cue.DONE, "done"),
-        (Move(1.0, "z+315", UP, "words", "why", 0, 6), None, "next: plus x and minus y up"),
-        (Turning(1.0, UP, "+x", 1.0, "+x", 1.0), None, None),
-        (Advice(1.0, Topic.DOUBTFUL, "+x", "w", "r", 1.0, 1.0, "m/s^2"), Cue.REFUSED, None),
+        (
+            Move(time_s=1.0, position="z+315", direction=UP, words="words", why="why", accepted=0, planned=6),
+            None,
+            "next: plus x and minus y up",
+        ),
+        (Turning(time_s=1.0, direction=UP, position="+x", angle_deg=1.0, target="+x", target_angle_deg=1.0), None, None),
+        (
+            Advice(
+                time_s=1.0, topic=Topic.DOUBTFUL, position="+x", words="w", remedy="r", measured=1.0, limit=1.0, unit="m/s^2"
+            ),
+            Cue.REFUSED,
+            None,
+        ),
     ],
 )
 def test_what_is_heard(event: Event, cue: Cue | None, said: str | None) -> None:
@@ -160,4 +181,7 @@ def test_a_bell_that_goes_nowhere_is_silent(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.mark.parametrize(("sense", "way"), [(1, "plus"), (-1, "minus")])
 def test_turns_are_spoken(sense: int, way: str) -> None:
-    assert spoken(Turn(1.0, "y", sense, "horizontal", "words", 0, 6)) == f"roll about y, {way}"
+    assert (
+        spoken(Turn(time_s=1.0, axis="y", sense=sense, about="horizontal", words="words", done=0, planned=6))
+        == f"roll about y, {way}"
+    )

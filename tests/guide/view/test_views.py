@@ -143,15 +143,30 @@ def test_a_refusal_stays_long_enough_to_be_read(session: Any) -> None:
     screen = Screen()
     refusal = next(event for some, _ in session() for event in some if isinstance(event, Rejected))
     screen.follow([refusal])
-    turning = Turning(refusal.time_s + 1, (0.0, 0.0, 1.0), "+z", 1.0, "+z", 1.0)
+    turning = Turning(
+        time_s=refusal.time_s + 1, direction=(0.0, 0.0, 1.0), position="+z", angle_deg=1.0, target="+z", target_angle_deg=1.0
+    )
     screen.follow([turning])
     assert screen.refused is refusal
-    screen.follow([Turning(refusal.time_s + 5, (0.0, 0.0, 1.0), "+z", 1.0, "+z", 1.0)])
+    screen.follow(
+        [
+            Turning(
+                time_s=refusal.time_s + 5,
+                direction=(0.0, 0.0, 1.0),
+                position="+z",
+                angle_deg=1.0,
+                target="+z",
+                target_angle_deg=1.0,
+            )
+        ]
+    )
     assert screen.refused is None
 
 
 def refused(reason: RefusalCode, words: str, remedy: str, time_s: float = 7.0) -> Rejected:
-    return Rejected(time_s, "", reason, words, remedy, 1.0, 0.0, "deg", None)
+    return Rejected(
+        time_s=time_s, position="", reason=reason, words=words, remedy=remedy, measured=1.0, limit=0.0, unit="deg", axis=None
+    )
 
 
 def test_what_is_nobodys_mistake_is_not_called_refused(session: Any) -> None:

@@ -54,7 +54,7 @@ class _Taped(ProtocolDevice):
 
 @pytest.mark.parametrize("form", CHANNELS)
 def test_both_decoders_agree_on_every_value(form: str) -> None:
-    choice = choose_wire(Emulation("microstrain_mip", form=form))
+    choice = choose_wire(Emulation(device="microstrain_mip", form=form))
     assert choice.form is not None
     device = _Taped(choice.protocol, choice.form, choice.rate_hz)
     count = round(2.0 * choice.rate_hz)

@@ -194,7 +194,7 @@ def test_a_users_own_file_is_emulated(tmp_path: Path) -> None:
     path = tmp_path / "my_imu.toml"
     blocks = re.findall(r"^```toml\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
     path.write_text(next(block for block in blocks if 'name = "my_imu"' in block), encoding="utf-8")
-    options = Emulation(str(path))
+    options = Emulation(device=str(path))
     choice = choose_wire(options)
     sent = random_samples(choice.protocol, choice.rate_hz, 0, 300)
     got, _ = decode(choice.protocol, make_device(options, choice), sent)
@@ -244,7 +244,7 @@ def test_a_count_of_unknown_size_is_that_of_a_converter(tmp_path: Path) -> None:
     blocks = re.findall(r"^```toml\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
     path = tmp_path / "my_logger.toml"
     path.write_text(next(block for block in blocks if 'name = "my_logger"' in block), encoding="utf-8")
-    options = Emulation(str(path))
+    options = Emulation(device=str(path))
     choice = choose_wire(options)
     source: SampleSource = _AtRest()
     sent = InProtocolUnits(source, (1.0, 1.0), choice.protocol, choice.rate_hz).next_block(5)
@@ -265,7 +265,7 @@ TEXTS = [
 def test_lines_without_a_table_come_back(settings: dict[str, str], tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(load_protocol("text").text, encoding="utf-8")
-    options = Emulation(str(path), settings=settings)
+    options = Emulation(device=str(path), settings=settings)
     choice = choose_wire(options)
     sent = random_samples(choice.protocol, choice.rate_hz, 0, 300)
     got, decoder = decode(choice.protocol, make_device(options, choice), sent)

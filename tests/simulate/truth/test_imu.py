@@ -185,7 +185,7 @@ def test_clock_error_changes_the_true_interval_not_the_stamps() -> None:
 
 
 def test_increments_lose_nothing_to_quantisation() -> None:
-    units = SampleUnits("pulse", "pulse", accelerometer_is_increment=True, gyroscope_is_increment=True)
+    units = SampleUnits(accelerometer="pulse", gyroscope="pulse", accelerometer_is_increment=True, gyroscope_is_increment=True)
     fine = replace(TACTICAL.accelerometer, lsb_si=0.5)
     grade = replace(TACTICAL, units=units, accelerometer=fine, accelerometer_scale=2.0)
     imu = Imu(perfect_instrument(grade), 1, replace(QUIET, quantise=True))

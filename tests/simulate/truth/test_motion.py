@@ -77,7 +77,7 @@ def test_spinning_on_a_turntable() -> None:
     """Rate, gravity and centripetal acceleration of a case that can be written down."""
     rate, radius = 2.0, 0.1
     site = Site(latitude_deg=90.0, gravity_m_s2=9.83)
-    motion = sample_motion(Spinning(rate, radius), 0, 400, 1 / 500, site)
+    motion = sample_motion(Spinning(rate, radius), 0, 400, 1 / 500, site=site)
     # At the pole the Earth turns about "up"; z of the body points down.
     np.testing.assert_allclose(motion.angular_rate, np.tile([0, 0, rate - EARTH_RATE_RAD_S], (400, 1)), atol=1e-12)
     np.testing.assert_allclose(motion.specific_force, np.tile([-(rate**2) * radius, 0, -9.83], (400, 1)), atol=1e-7)
@@ -85,8 +85,8 @@ def test_spinning_on_a_turntable() -> None:
 
 def test_resting_unit_feels_gravity_up_and_the_earth() -> None:
     site = Site(latitude_deg=30.0, gravity_m_s2=9.79)
-    motion = sample_motion(Resting(0.0, 0.1), 5, 10, 0.01, site)
-    general = sample_motion(Spinning(0.0, 0.1), 5, 10, 0.01, site)
+    motion = sample_motion(Resting(0.0, 0.1), 5, 10, 0.01, site=site)
+    general = sample_motion(Spinning(0.0, 0.1), 5, 10, 0.01, site=site)
     np.testing.assert_allclose(motion.specific_force, np.tile([0, 0, -9.79], (10, 1)))
     np.testing.assert_allclose(motion.angular_rate[0], EARTH_RATE_RAD_S * np.array([math.sqrt(0.75), 0, -0.5]), rtol=1e-12)
     np.testing.assert_allclose(general.specific_force, motion.specific_force, atol=1e-9)

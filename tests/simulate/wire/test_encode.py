@@ -177,7 +177,7 @@ def test_text_lines() -> None:
     samples = block(1, accelerometer=np.array([[1.0, -2.5, 3e-4]]), gyroscope=np.array([[np.nan, 0.0, 1.0]]))
     lines = encode_text(samples, TextFormat(decimals=3))
     assert lines == [b"0.000000,1.000,-2.500,0.000,,0.000,1.000\r\n"]
-    settings = TextFormat(("counter", "az", "temperature"), " ", "$IMU ", "\n", 0)
+    settings = TextFormat(columns=("counter", "az", "temperature"), separator=" ", prefix="$IMU ", line_end="\n", decimals=0)
     assert encode_text(block(2, accelerometer=np.full((2, 3), 1234.0)), settings) == [
         b"$IMU 0 1234 25.00\n",
         b"$IMU 1 1234 25.00\n",
@@ -196,7 +196,17 @@ def test_text_column_must_be_known() -> None:
 def test_decoder_reads_back_what_was_encoded(temperature: bool, auxiliary: Auxiliary, output: OutputUnit, range_g: int) -> None:
     rng = np.random.default_rng(range_g)
     sent = block(300, accelerometer=4 * rng.standard_normal((300, 3)), gyroscope=rng.standard_normal((300, 3)))
-    settings = Stim300Format(500.0, True, True, temperature, auxiliary, True, range_g, output, output)
+    settings = Stim300Format(
+        rate_hz=500.0,
+        accelerometer=True,
+        inclinometer=True,
+        temperature=temperature,
+        auxiliary=auxiliary,
+        crlf=True,
+        accelerometer_range_g=range_g,
+        gyroscope_output=output,
+        accelerometer_output=output,
+    )
     names = {"accelerometer_range_g": range_g, "accelerometer_output": output, "gyroscope_output": output, "rate_hz": 500}
     got = Decoder(load_protocol("stim300", names)).feed(Stim300Encoder(settings).encode(sent).tobytes(), 0.0)
     # One step of the wire, as a rate; increments have 8 times finer steps in m/s, 128 times finer ones in degrees.
