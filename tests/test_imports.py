@@ -1,83 +1,68 @@
-"""Imports point down only (CONTRIBUTING.md has the picture)."""
+"""Imports point down only, and never in a circle (CONTRIBUTING.md has the picture, .ci/house.py the order of rooms)."""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+import importlib.util
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 PROJECT = Path(__file__).resolve().parent.parent
-BASE = {"samples", "earth", "errors", "files", "__init__"}
-MEASURE = BASE | {"acquire"}
-USE = MEASURE | {"calibrate"}
-MAY_IMPORT = {
-    **dict.fromkeys(BASE, BASE),
-    # The package itself hands out `load`, on first use.
-    "__init__": {"deliver"},
-    "acquire": MEASURE,
-    "drivers": MEASURE | {"drivers"},
-    "calibrate": USE,
-    "guide": USE | {"guide"},
-    "deliver": USE | {"deliver"},
-    "study": USE | {"guide", "deliver", "simulate", "study"},
-    "simulate": USE | {"guide", "deliver", "simulate"},
-    "commands": USE | {"guide", "deliver", "simulate", "study", "commands"},
-    "testing": USE | {"guide", "deliver", "simulate", "commands"},
-    "cli": BASE | {"commands", "cli"},
-    "__main__": {"cli"},
-}
-FILES = sorted([*(PROJECT / "imufield").rglob("*.py"), *(PROJECT / "drivers").rglob("*.py")])
 
 
-def module_of(path: Path) -> list[str]:
-    parts = list(path.relative_to(PROJECT).with_suffix("").parts)
-    return parts if parts[0] == "imufield" else ["imufield", *parts]
+@pytest.fixture(scope="module")
+def house() -> ModuleType:
+    """Return the program that measures the house."""
+    spec = importlib.util.spec_from_file_location("house", PROJECT / ".ci" / "house.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    # Its dataclass looks up the module it stands in.
+    sys.modules["house"] = module
+    spec.loader.exec_module(module)
+    return module
 
 
-def room_of(module: list[str]) -> str:
-    return module[1] if len(module) > 1 else "__init__"
+def test_imports_point_down(house: ModuleType) -> None:
+    assert house.arrows_up(house.modules()) == []
 
 
-def imported(tree: ast.AST, module: list[str]) -> Iterator[list[str]]:
-    """Yield every module of imufield that the code imports, at its top or later."""
-    for node in ast.walk(tree):
-        names: list[list[str]] = []
-        if isinstance(node, ast.Import):
-            names = [alias.name.split(".") for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            above = module[: len(module) - node.level] if node.level else []
-            origin = [*above, *(node.module.split(".") if node.module else [])]
-            # `from imufield import samples` names a room, `from imufield import __version__` does not.
-            names = [[*origin, alias.name] for alias in node.names] if len(origin) == 1 else [origin]
-        yield from (name for name in names if name[0] in ("imufield", "drivers", "protocols"))
+def test_no_import_goes_in_a_circle(house: ModuleType) -> None:
+    assert house.circles(house.graph(house.modules())) == []
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(PROJECT).as_posix())
-def test_imports_point_down(path: Path) -> None:
-    module = module_of(path)
-    room = room_of(module)
-    assert room in MAY_IMPORT, f"{room} is a new room: give it a place in MAY_IMPORT and in CONTRIBUTING.md"
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for name in imported(tree, module):
-        assert name[0] == "imufield", f"import imufield.{name[0]}, not {name[0]}: the second copy has other classes"
-        wanted = room_of(name)
-        if wanted in ("__version__", "__init__"):
-            continue
-        assert wanted in MAY_IMPORT[room], f"{room} must not import {'.'.join(name)}"
+def test_every_folder_says_in_a_line_what_lives_there(house: ModuleType) -> None:
+    for module in house.modules():
+        if module.path.name == "__init__.py":
+            first = (ast.get_docstring(module.tree) or "").partition("\n")[0]
+            assert len(first) > 20, module.path
 
 
-def test_the_core_names_no_driver() -> None:
-    drivers = {path.stem for path in (PROJECT / "drivers").glob("*.py")} - {"__init__"}
-    for path in (PROJECT / "imufield").rglob("*.py"):
-        for name in imported(ast.parse(path.read_text(encoding="utf-8")), module_of(path)):
-            assert name[1:2] != ["drivers"] or name[-1] not in drivers, f"{path.name} imports the driver {name[-1]}"
+def test_the_check_of_arrows_bites(house: ModuleType) -> None:
+    def module(name: str, source: str) -> object:
+        path = PROJECT / "imufield" / (name.replace(".", "/") + ".py")
+        return house.Module(path, name, source, ast.parse(source))
+
+    low = module("acquire.link.serial", "def f():\n    from imufield.guide.lead.guide import Guide\n")
+    high = module("guide.lead.guide", "from imufield.acquire.link import serial\n")
+    assert house.arrows_up([low, high]) == ["acquire.link.serial (acquire/link) -> guide.lead.guide (guide/lead)"]
+    assert house.circles(house.graph([low, high])) == [["acquire.link.serial", "guide.lead.guide"]]
 
 
-def test_every_command_starts_fast() -> None:
+def test_drivers_are_imported_under_their_installed_name(house: ModuleType) -> None:
+    for module in house.modules():
+        for node in ast.walk(module.tree):
+            origin = node.module if isinstance(node, ast.ImportFrom) else None
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [origin or ""]
+            assert not any(name.split(".")[0] in ("drivers", "protocols") for name in names), f"{module.path}: a second copy"
+
+
+def test_every_command_starts_fast(house: ModuleType) -> None:
     """The command line imports its commands when they run, so that `imufield --help` comes at once."""
-    for path in (PROJECT / "imufield" / "cli").glob("*.py"):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        top = ast.Module([node for node in tree.body if isinstance(node, (ast.Import, ast.ImportFrom))], [])
-        assert not [name for name in imported(top, module_of(path)) if room_of(name) == "commands"], path.name
+    for module in house.modules():
+        if module.room == "cli":
+            top = [node for node in module.tree.body if isinstance(node, ast.ImportFrom)]
+            assert not [node for node in top if (node.module or "").startswith("imufield.commands")], module.path.name

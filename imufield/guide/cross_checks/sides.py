@@ -59,8 +59,8 @@ class DeadAxis:
         axis = AXES[int(dead[0])]
         return Refusal(
             reason=RefusalCode.INVALID,
-            words=f"accelerometer axis {axis} is dead: it stayed at {self._low[dead[0]] + 0.0:g} (raw) on {self._sides} sides and "
-            "in the turns between",
+            words=f"accelerometer axis {axis} is dead: it stayed at {self._low[dead[0]] + 0.0:g} (raw) on {self._sides} sides "
+            "and in the turns between",
             remedy="check the instrument, its range, and which column or field the driver or protocol takes for this axis; "
             "nothing can be calibrated without it",
             measured=0.0,
