@@ -133,8 +133,6 @@ class CanRule:
     source_address: int
     """Only J1939 frames from here; ``ANY_ADDRESS``: from where the first comes."""
     bit_rate: int | None
-    counter_modulus: int = 0
-    counter_steps: tuple[int, ...] = (1,)
 
     @property
     def has_accelerometer(self) -> bool:
@@ -204,8 +202,6 @@ def read_can(top: Table) -> CanParts:
         messages=tuple(_in_file(can, "messages", dbc.message, str(name)) for name in can.items("messages", [])),
         source_address=can.integer("source_address", 0, ANY_ADDRESS, ANY_ADDRESS),
         bit_rate=can.integer("bit_rate", 1, 20_000_000) if can.has("bit_rate") else None,
-        counter_modulus=mapped.counter_modulus,
-        counter_steps=tuple(step for step in clock.items("counter_steps", [1]) if isinstance(step, int) and step > 0) or (1,),
     )
     for table in (can, assembly, clock, mapped.table):
         table.finish()
@@ -386,6 +382,7 @@ def _read_clock(table: Table, mapped: _Mapping) -> ClockRule:
         raise table.error("rate_hz", "rates must be positive")
     return ClockRule(
         counter_modulus=mapped.counter_modulus,
+        counter_steps=tuple(step for step in table.items("counter_steps", [1]) if isinstance(step, int) and step > 0) or (1,),
         time_modulus=mapped.time_modulus,
         time_ticks_per_s=ticks_per_s,
         rate_hz=rate_hz,

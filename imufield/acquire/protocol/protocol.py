@@ -92,9 +92,13 @@ class Protocol:
     status: str = VERIFIED
     """Or ``DOCUMENT_ONLY``: never tried on bytes of a real instrument."""
 
+    def quantity(self, part: str) -> Quantity:
+        """Return the rule of "accelerometer", "gyroscope" or "temperature"."""
+        return self.samples.quantity(part)
+
     def factor(self, part: str, field: Field) -> float:
         """Return what a value of one field is multiplied by: fields of one part may come in different units."""
-        quantity: Quantity = getattr(self.samples, part)
+        quantity = self.quantity(part)
         if quantity.unit is not None or not field.unit:
             return self.factors[part]
         return TO_SI[field.unit][1] * quantity.scale
@@ -292,7 +296,7 @@ def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
 
 def _unit_of(top: Table, part: str, frame: FrameRule | None, samples: SampleRule) -> tuple[str, float]:
     """Return what unit a part of the sample has and the factor to it."""
-    quantity: Quantity = getattr(samples, part)
+    quantity = samples.quantity(part)
     written = quantity.unit
     fields = {field.name: field for field in reversed(frame.all_fields())} if frame else {}
     units = list(dict.fromkeys(fields[name].unit for name in quantity.fields if name in fields))
@@ -356,7 +360,7 @@ def _check_fields(top: Table, frame: FrameRule | None, samples: SampleRule, cloc
     known = {field.name for field in frame.all_fields()}
     table = top.table("samples")
     for part in _MEANING:
-        for name in getattr(samples, part).fields:
+        for name in samples.quantity(part).fields:
             if name not in known:
                 raise table.error(part, f"no frame has a field {name!r}{near(name, known)}")
     for name in [rule.field for rule in samples.flags] + [name for name, _ in samples.instrument_status]:

@@ -99,6 +99,10 @@ class SampleRule:
     instrument_status: tuple[tuple[str, int], ...]
     """Fields and by how many bits they are shifted inside the upper 16 bits of the status."""
 
+    def quantity(self, part: str) -> Quantity:
+        """Return the rule of "accelerometer", "gyroscope" or "temperature"."""
+        return {"accelerometer": self.accelerometer, "gyroscope": self.gyroscope, "temperature": self.temperature}[part]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockRule:
