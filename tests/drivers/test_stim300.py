@@ -39,7 +39,7 @@ def messages(crc: Callable[[bytes], bytes]) -> list[dict[str, Any]]:
     stream = crc(b"\xb1" + part + b"K") + crc(b"\xb5N\x25\x58\x18\x46\x02\x00\x20" + bytes(7)) + crc(configuration)
     decoder = Decoder(load_protocol("stim300"))
     decoder.feed(stream)
-    return decoder.messages()
+    return [dict(message) for message in decoder.messages()]
 
 
 def test_identity(messages: list[dict[str, Any]]) -> None:

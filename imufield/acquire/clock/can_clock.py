@@ -23,14 +23,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imufield.acquire.clock.can_period import LEARN_S, LEARN_SAMPLES, learned_from, sample_period_s
-from imufield.acquire.clock.stamp_clock import StampClock, StepRule
-from imufield.acquire.decode.can_source import CanBlock, join_blocks
+from imufield.acquire.clock.clock import Arrivals, samples_of
+from imufield.acquire.decode.assembly import RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status
@@ -71,19 +69,15 @@ class CanClock:
     ----------
     rule : ClockRule
     units : SampleUnits
-    counter_steps : tuple of int
-        Steps a counter may make from one sample to the next.
     statistics : DecoderStatistics
+        Counts of samples and losses are kept there.
     """
 
-    def __init__(
-        self, rule: ClockRule, units: SampleUnits, counter_steps: tuple[int, ...], statistics: DecoderStatistics
-    ) -> None:
+    def __init__(self, rule: ClockRule, units: SampleUnits, statistics: DecoderStatistics) -> None:
         self._rule = rule
         self._units = units
-        self._allowed_steps = counter_steps
         self._statistics = statistics
-        self._held: list[CanBlock] = []
+        self._pending: list[RawBlock] = []
         self._phase: _Phase | None = None
         self._tried = LEARN_SAMPLES  # From so many samples no period could be learned yet.
         self._offset_s = 0.0
@@ -91,24 +85,16 @@ class CanClock:
         self._last_stamp_s: float | None = None
         self._last_counter: int | None = None
         self._counter_step = 1
-        self._device: _DeviceTime | None = None
         self._begin: tuple[float, float] | None = None
 
-    def push(self, block: CanBlock, arrivals: object = None) -> Samples | None:  # noqa: ARG002  frames have their own stamps
+    def push(self, block: RawBlock, arrivals: Arrivals) -> Samples | None:  # noqa: ARG002  frames have their own stamps
         """Return the samples whose time is settled now, None if there are none."""
-        if len(block) == 0:
-            return None
-        if len(block.ticks):
-            self._device = self._device or _DeviceTime(self._rule, self._statistics)
-            return self._device.push(block, self._units)
-        self._held.append(replace(block, stamp_s=self._continuous(block.stamp_s)))
+        self._pending.append(replace(block, stamp_s=self._continuous(block.stamp_s)))
         return self._release(last=False)
 
     def flush(self) -> Samples | None:
-        """Return what is held back; nothing will follow."""
-        if self._device is not None:
-            return self._device.flush(self._units)
-        return self._release(last=True) if self._held else None
+        """Return what is kept back; nothing will follow."""
+        return self._release(last=True) if self._pending else None
 
     def _continuous(self, stamp_s: FloatArray) -> FloatArray:
         """Take out jumps of the clock that made the stamps."""
@@ -127,8 +113,8 @@ class CanClock:
         return stamp_s + self._offset_s if self._offset_s else stamp_s
 
     def _release(self, *, last: bool) -> Samples | None:
-        block = join_blocks(self._held)
-        self._held = [block]
+        block = join(self._pending)
+        self._pending = [block]
         if self._phase is None:
             samples, self._tried = learned_from(block.stamp_s, self._tried)
             if not last and not samples:
@@ -141,16 +127,16 @@ class CanClock:
         if ready <= 0:
             return None
         done = self._time(block, ready, phase)
-        self._held = [block[ready:]] if ready < len(block) else []
+        self._pending = [block[ready:]] if ready < len(block) else []
         return done
 
-    def _learn(self, block: CanBlock) -> _Phase:
+    def _learn(self, block: RawBlock) -> _Phase:
         """Learn the period, and the usual step of a counter."""
         known = block.counter >= 0
         if np.count_nonzero(known) > len(known) / 2 and self._rule.counter_modulus:
             steps = np.diff(block.counter)[known[1:] & known[:-1]] % self._rule.counter_modulus
-            seen = [int(np.count_nonzero(steps == step)) for step in self._allowed_steps]
-            self._counter_step = self._allowed_steps[int(np.argmax(seen))]
+            seen = [int(np.count_nonzero(steps == step)) for step in self._rule.counter_steps]
+            self._counter_step = self._rule.counter_steps[int(np.argmax(seen))]
             first = int(np.argmax(known))
             self._last_counter = int(block.counter[first]) - (first + 1) * self._counter_step
         steps = self._steps(block.counter, remember=False)
@@ -192,7 +178,7 @@ class CanClock:
         back = steps > modulus / self._counter_step / 2
         return np.where(back, 1.0, np.rint(steps))
 
-    def _time(self, block: CanBlock, ready: int, phase: _Phase) -> Samples:
+    def _time(self, block: RawBlock, ready: int, phase: _Phase) -> Samples:
         """Give the first ``ready`` samples of the held block their time."""
         number, steps = self._numbers(block, ready, phase)
         lag_s = block.stamp_s - number * phase.period_s
@@ -219,7 +205,7 @@ class CanClock:
             self._phase = None
         return samples
 
-    def _numbers(self, block: CanBlock, ready: int, phase: _Phase) -> tuple[FloatArray, FloatArray | None]:
+    def _numbers(self, block: RawBlock, ready: int, phase: _Phase) -> tuple[FloatArray, FloatArray | None]:
         """Return the numbers of all samples held, and the steps of the first ``ready`` where there is a counter."""
         if self._last_counter is None:
             return np.arange(phase.number + 1, phase.number + len(block) + 0.5), None
@@ -227,7 +213,7 @@ class CanClock:
         # What stays held is counted again in the next call.
         return number, self._steps(block.counter[:ready])
 
-    def _samples(self, block: CanBlock, time_s: FloatArray, steps: FloatArray | None, estimated: IntArray | None) -> Samples:
+    def _samples(self, block: RawBlock, time_s: FloatArray, steps: FloatArray | None, estimated: IntArray | None) -> Samples:
         flags = np.full(len(block), np.uint32(Status.TIME_ESTIMATED), dtype=np.uint32)
         statistics = self._statistics
         statistics.samples += len(block)
@@ -241,7 +227,7 @@ class CanClock:
             statistics.losses_estimated += int(estimated.sum())
             gaps = gaps | (estimated > 0)
         statistics.gaps += int(np.count_nonzero(gaps))
-        return _make(block, time_s, flags, self._units)
+        return samples_of(block, time_s, flags, self._units)
 
     def _measure(self, phase: _Phase, first: float, first_s: float) -> None:
         """Write the rate into the statistics: learned, and measured since the first sample."""
@@ -309,75 +295,3 @@ def _forward(time_s: FloatArray, phase: _Phase) -> FloatArray:
     kept: FloatArray = np.asarray(np.maximum.accumulate(np.maximum(time_s - ramp, phase.last_time_s)) + ramp, dtype=np.float64)
     phase.last_time_s = float(kept[-1])
     return kept
-
-
-class _DeviceTime:
-    """Time from the instrument's own time stamps."""
-
-    def __init__(self, rule: ClockRule, statistics: DecoderStatistics) -> None:
-        self._rule = rule
-        self._statistics = statistics
-        self._stamps = StampClock(rule)
-        self._steps = StepRule()
-        self._early: list[CanBlock] = []
-        self._started = False
-
-    def push(self, block: CanBlock, units: SampleUnits) -> Samples | None:
-        if self._started:
-            return self._time(block, units)
-        self._early.append(block)
-        return self._start(units) if sum(map(len, self._early)) > LEARN_SAMPLES else None
-
-    def flush(self, units: SampleUnits) -> Samples | None:
-        return self._start(units) if self._early else None
-
-    def _start(self, units: SampleUnits) -> Samples:
-        block, self._early, self._started = join_blocks(self._early), [], True
-        known = block.ticks[np.isfinite(block.ticks)]
-        known = known if len(known) else np.zeros(1)
-        self._last = float(known[0])
-        self._steps.learn(self._stamps.start(self._whole(known[: LEARN_SAMPLES + 1])))
-        return self._time(block, units, first=True)
-
-    def _time(self, block: CanBlock, units: SampleUnits, *, first: bool = False) -> Samples:
-        step_s = self._steps.step or 1.0
-        ticks = self._filled(block.ticks, step_s * self._rule.time_ticks_per_s)
-        stamped = self._stamps.time(ticks, step_s)
-        found = self._steps.examine(stamped.step_s[1:] if first else stamped.step_s)
-        lost = np.concatenate([[0], found.lost]) if first else found.lost
-        flags = np.where(lost > 0, np.uint32(Status.AFTER_GAP), np.uint32(0))
-        flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
-        statistics = self._statistics
-        statistics.samples += len(block)
-        statistics.samples_lost += int(lost.sum())
-        statistics.gaps += int(np.count_nonzero(flags))
-        statistics.clock_resets += int(np.count_nonzero(stamped.reset))
-        statistics.nominal_rate_hz = 1 / self._steps.step if self._steps.step else None
-        return _make(block, stamped.time_s, flags.astype(np.uint32), units)
-
-    def _filled(self, ticks: FloatArray, step: float) -> NDArray[Any]:
-        """Put a regular step where the message with the time was lost."""
-        known = np.isfinite(ticks)
-        if not known.all():
-            places = np.maximum.accumulate(np.where(known, np.arange(len(ticks)), -1))
-            before = np.where(places >= 0, ticks[np.maximum(places, 0)], self._last)
-            ticks = np.where(known, ticks, before + (np.arange(len(ticks)) - places) * step)
-        if self._rule.time_modulus:
-            ticks %= self._rule.time_modulus
-        self._last = float(ticks[-1])
-        return self._whole(ticks)
-
-    def _whole(self, ticks: FloatArray) -> NDArray[Any]:
-        return np.rint(ticks).astype(np.int64) if self._rule.time_modulus else ticks
-
-
-def _make(block: CanBlock, time_s: FloatArray, flags: NDArray[np.uint32], units: SampleUnits) -> Samples:
-    return Samples(
-        time_s=time_s,
-        accelerometer=block.values[:, 0:3],
-        gyroscope=block.values[:, 3:6],
-        temperature_degc=block.values[:, 6],
-        counter=block.counter,
-        status=block.status | flags,
-        units=units,
-    )

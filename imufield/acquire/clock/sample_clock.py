@@ -14,14 +14,14 @@ Time never runs backwards. A time stamp that does (the instrument restarted, or 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.acquire.clock.clock import Arrivals, samples_of
 from imufield.acquire.clock.loss_watch import LossWatch, TimedBlock
-from imufield.acquire.clock.stamp_clock import LEARN_FROM, NO_TICKS, StampClock, StepRule
-from imufield.acquire.decode.assembly import RawBlock, join
+from imufield.acquire.clock.stamp_clock import LEARN_FROM, StampClock, StepRule
+from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, join
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.errors import ProtocolError, Reason
@@ -33,25 +33,6 @@ _MEASURE_RATE_S = 0.5  # Host time over which the rate is first measured where t
 # Part by which the stated rate of increments may differ from the learned one: coarse time stamps learn badly.
 _LARGEST_RATE_ERROR = 0.25
 _SLEW = 0.1  # Largest part by which steps are stretched to follow the host clock.
-
-
-@dataclass(frozen=True, slots=True)
-class Arrivals:
-    """When the bytes of a stream came."""
-
-    ends: IntArray
-    """Offset in the stream just behind each read, ascending. Shape (k,)."""
-    arrival_s: FloatArray
-    """Host time when its last byte arrived, s; NaN where not known. Shape (k,)."""
-
-    def reads_of(self, block: RawBlock) -> list[tuple[int, float]]:
-        """Return (rows up to its end, arrival) of each read that completed a sample of this block."""
-        if len(self.ends) == 1:
-            return [(len(block), float(self.arrival_s[0]))] if len(block) else []
-        until = np.searchsorted(block.stream_end, self.ends, side="right")
-        until[-1] = len(block)
-        with_rows = np.flatnonzero(np.diff(until, prepend=0))
-        return list(zip(until[with_rows].tolist(), self.arrival_s[with_rows].tolist(), strict=True))
 
 
 class SampleClock:
@@ -293,15 +274,7 @@ class SampleClock:
         flags = np.concatenate([each.flags for each in done]) if len(done) > 1 else done[0].flags
         self._statistics.samples += len(block)
         self._measure()
-        return Samples(
-            time_s=time_s,
-            accelerometer=block.accelerometer,
-            gyroscope=block.gyroscope,
-            temperature_degc=block.temperature_degc,
-            counter=block.counter,
-            status=block.status | flags,
-            units=self._units,
-        )
+        return samples_of(block, time_s, flags, self._units)
 
     def _follow_host(self, timed: TimedBlock) -> FloatArray:
         """Bend even steps towards the line of earliest arrivals; device time is left as it is."""

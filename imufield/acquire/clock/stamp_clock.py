@@ -1,6 +1,8 @@
-"""Time stamps of the instrument, unwrapped and kept from running backwards.
+"""Time by the instrument's own time stamps, and what in the steps of a stamp or a counter is a gap.
 
-From one sample to the next: what step of the counter or the time stamp is regular, and what is a gap.
+``StampClock`` unwraps time stamps and keeps them from running backwards. ``StepRule`` tells which step from one sample to the
+next is regular, and where samples are missing. ``DeviceClock`` is made of the two: the clock of a bus whose instrument sends
+the time.
 
 The regular step is learned from the first samples and learned anew when the stream settles on another (somebody changed
 the output rate), always at a fixed place in the sequence of samples, so that it does not matter how reads cut it.
@@ -10,18 +12,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.acquire.clock.clock import Arrivals, samples_of
+from imufield.acquire.decode.assembly import NO_TICKS, RawBlock, Ticks, join
+from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule
-from imufield.samples import FloatArray, IntArray
+from imufield.samples import FloatArray, IntArray, Samples, SampleUnits, Status
 
 LEARN_FROM = 8
 """Steps from which the regular one is learned."""
 _RELEARN_AFTER = 16  # Equal irregular steps in a row: at 2000 Hz 8 ms, and no pattern of losses is that regular.
 _SHORTEST_S = 1e-6  # No instrument sends a million samples per second; steps below are rounding.
+_Number = TypeVar("_Number", bound=np.number)
 _TOLERANCE = 0.25  # Time stamps may jitter by this part of a step and still count as equal.
 
 
@@ -116,9 +122,6 @@ class StepRule:
         return any(abs(value - step) <= self._jitter for step in self._allowed) if self._allowed else value > _SHORTEST_S
 
 
-NO_TICKS = np.iinfo(np.int64).min
-"""Time stamp of a sample that has none, where others have whole numbers; NaN where others have fractions."""
-
 _LARGEST_TIME_S = 1e11  # 3000 years; in an unchecked stream anything further from zero, infinity and NaN are garbage.
 # A time stamp further ahead than this is a clock being set, e.g. by GNSS, not an hour without samples.
 _LONGEST_PAUSE_S = 3600.0
@@ -156,14 +159,14 @@ class StampClock:
         self._raw_s = 0.0
         self._time_s = 0.0
 
-    def start(self, stamps: NDArray[Any]) -> FloatArray:
+    def start(self, stamps: Ticks) -> FloatArray:
         """Begin with the first of the first n time stamps; return the n - 1 steps between them, s."""
         stamps = self._without_garbage(stamps)
         self._last = max(stamps[0].item(), -_LARGEST_TIME_S * self._ticks_per_s)
         self._time_s = self._raw_s = self._last / self._ticks_per_s
         return np.diff(stamps) / self._ticks_per_s
 
-    def time(self, stamps: NDArray[Any], regular_s: float) -> Stamped:
+    def time(self, stamps: Ticks, regular_s: float) -> Stamped:
         """Return the time of the next n samples.
 
         Parameters
@@ -174,7 +177,7 @@ class StampClock:
             Step to assume where the instrument's clock was set anew, s.
         """
         stamps = self._unwrap(self._without_garbage(stamps))
-        raw_s: FloatArray = stamps / self._ticks_per_s
+        raw_s: FloatArray = np.divide(stamps, self._ticks_per_s, dtype=np.float64)
         step_s = _steps(raw_s, self._raw_s)
         reset = (step_s < 0) | (step_s > self._longest_pause_s)
         offset_s = np.full(len(stamps), self._offset_s)
@@ -187,7 +190,7 @@ class StampClock:
         self._raw_s, self._offset_s, self._time_s = float(raw_s[-1]), float(offset_s[-1]), float(time_s[-1])
         return Stamped(time_s, step_s, reset)
 
-    def _without_garbage(self, stamps: NDArray[Any]) -> NDArray[Any]:
+    def _without_garbage(self, stamps: Ticks) -> Ticks:
         """Replace what is no time by the stamp before: such a sample has no time of its own."""
         is_whole = stamps.dtype.kind == "i"
         good = stamps != NO_TICKS if is_whole else np.abs(stamps) < _LARGEST_TIME_S * self._ticks_per_s
@@ -197,20 +200,92 @@ class StampClock:
             stamps = stamps[place][1:]
         return stamps
 
-    def _unwrap(self, stamps: NDArray[Any]) -> NDArray[Any]:
+    def _unwrap(self, stamps: Ticks) -> Ticks:
         """Add a wrap wherever a stamp is more than half a wrap behind the one before."""
         before, self._last = self._last, stamps[-1].item()
         if not self._modulus:
             return stamps
         wraps = self._wraps + np.cumsum(_steps(stamps, before) < -(self._modulus // 2))
         self._wraps = int(wraps[-1])
-        unwrapped: NDArray[Any] = stamps + wraps * self._modulus
+        unwrapped: Ticks = stamps + wraps * self._modulus
         return unwrapped
 
 
-def _steps(values: NDArray[Any], before: float) -> NDArray[Any]:
+def _steps(values: NDArray[_Number], before: float) -> NDArray[_Number]:
     """Return how far each value is from the one before it; as ``np.diff(values, prepend=before)``, many times faster."""
     steps = np.empty_like(values)
     steps[0] = values[0] - before
     np.subtract(values[1:], values[:-1], out=steps[1:])
     return steps
+
+
+class DeviceClock:
+    """Gives the samples of a bus their time, by time stamps of the instrument in one of the messages.
+
+    Parameters
+    ----------
+    rule : ClockRule
+    units : SampleUnits
+    statistics : DecoderStatistics
+        Counts of samples and losses are kept there.
+    """
+
+    def __init__(self, rule: ClockRule, units: SampleUnits, statistics: DecoderStatistics) -> None:
+        self._rule = rule
+        self._units = units
+        self._statistics = statistics
+        self._stamps = StampClock(rule)
+        self._steps = StepRule()
+        self._early: list[RawBlock] = []
+        self._started = False
+        self._last = 0.0
+
+    def push(self, block: RawBlock, arrivals: Arrivals) -> Samples | None:  # noqa: ARG002  the instrument tells the time
+        """Return the samples whose time is settled now, None if there are none."""
+        if self._started:
+            return self._time(block)
+        self._early.append(block)
+        return self._start() if sum(map(len, self._early)) > LEARN_FROM else None
+
+    def flush(self) -> Samples | None:
+        """Return what is kept back; nothing will follow."""
+        return self._start() if self._early else None
+
+    def _start(self) -> Samples:
+        """Learn the regular step from the first stamps, then time their samples like all others."""
+        block, self._early, self._started = join(self._early), [], True
+        known = block.ticks[np.isfinite(block.ticks)]
+        known = known if len(known) else np.zeros(1)
+        self._last = float(known[0])
+        self._steps.learn(self._stamps.start(self._whole(known[: LEARN_FROM + 1])))
+        return self._time(block)
+
+    def _time(self, block: RawBlock) -> Samples:
+        step_s = self._steps.step or 1.0
+        stamped = self._stamps.time(self._filled(block.ticks, step_s * self._rule.time_ticks_per_s), step_s)
+        lost = self._steps.examine(stamped.step_s).lost
+        flags = np.where(lost > 0, np.uint32(Status.AFTER_GAP), np.uint32(0))
+        flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
+        statistics = self._statistics
+        statistics.samples += len(block)
+        statistics.samples_lost += int(lost.sum())
+        statistics.gaps += int(np.count_nonzero(flags))
+        statistics.clock_resets += int(np.count_nonzero(stamped.reset))
+        statistics.nominal_rate_hz = 1 / self._steps.step if self._steps.step else None
+        return samples_of(block, stamped.time_s, flags, self._units)
+
+    def _filled(self, ticks: Ticks, step: float) -> Ticks:
+        """Put a regular step where the message with the time was lost."""
+        known = np.isfinite(ticks)
+        if not known.all():
+            places = np.maximum.accumulate(np.where(known, np.arange(len(ticks)), -1))
+            before = np.where(places >= 0, ticks[np.maximum(places, 0)], self._last)
+            ticks = np.where(known, ticks, before + (np.arange(len(ticks)) - places) * step)
+        if self._rule.time_modulus:
+            ticks = ticks % self._rule.time_modulus
+        self._last = float(ticks[-1])
+        return self._whole(ticks)
+
+    def _whole(self, ticks: Ticks) -> Ticks:
+        # Stamps that wrap are whole numbers, and are unwrapped without rounding as such.
+        return np.rint(ticks).astype(np.int64) if self._rule.time_modulus else ticks

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imufield.acquire.decode.assembly import NO_FRAME, frame_table
 from imufield.acquire.protocol.can_protocol import AssemblyRule
 from imufield.samples import FloatArray, IntArray
 
-NO_FRAME = -1
 _LEARN_FRAMES = 24  # Frames of sample kinds from which the order is learned; 0.12 s of two messages at 100 Hz.
 # The same, and the longest time, where the kinds come at different rates: a kind with every tenth sample comes eight times.
 _LEARN_UNEVEN_FRAMES = 96
@@ -175,13 +175,12 @@ class Assembler:
             # The same frame twice in a row, at once: sent again, or doubled on the way.
             again = again[frames.is_repeated(again) & (time_s[again] - time_s[again - 1] <= self._doubled_s)]
             starts = np.setdiff1d(starts, again, assume_unique=True)
-        rows = np.full((len(starts), self._kinds), NO_FRAME)
-        used = len(starts)
-        if used:
-            rows[:, self._start] = starts
-        for other in range(self._kinds):
-            if other != self._start and used:
-                rows[:, other] = self._first_behind(np.flatnonzero(kind == other), starts, time_s)
+        # A frame belongs to the last start before it, unless it came too late for that.
+        sample = np.searchsorted(starts, np.arange(len(frames)), side="right") - 1
+        places = np.flatnonzero(sample >= 0)
+        # Last to first, so that the first of several stays.
+        places = places[time_s[places] - time_s[starts[sample[places]]] <= self._limit_s][::-1]
+        rows = frame_table(kind[places], sample[places], places, shape=(len(starts), self._kinds))
         settled = len(starts) if last else self._settled(rows, frames)
         keep_from = int(starts[settled]) if settled < len(starts) else len(frames)
         taken = int(np.count_nonzero(rows[:settled] != NO_FRAME))
@@ -201,18 +200,6 @@ class Assembler:
         ):
             return None
         return np.arange(n).reshape(-1, self._kinds)[:, np.argsort(cycle)]
-
-    def _first_behind(self, places: IntArray, starts: IntArray, time_s: FloatArray) -> IntArray:
-        """Return for each start the first of ``places`` before the next start and within the limit."""
-        found = np.full(len(starts), NO_FRAME)
-        sample = np.searchsorted(starts, places) - 1
-        behind = sample >= 0
-        places, sample = places[behind], sample[behind]
-        near = time_s[places] - time_s[starts[sample]] <= self._limit_s
-        places, sample = places[near], sample[near]
-        # Written backwards, so that the first of several stays.
-        found[sample[::-1]] = places[::-1]
-        return found
 
     def _settled(self, rows: IntArray, frames: SampleFrames) -> int:
         """Return how many samples nothing can be added to: all but the last, and that too if it is complete or too old."""

@@ -1,79 +1,40 @@
-"""CAN frames to samples without a time: the part of the decoder that knows a bus.
+"""Frames of a CAN bus to samples without a time: the source behind every CAN protocol.
 
 A block of packed frames is sorted by kind, grouped into samples, and read kind by kind with NumPy. Frames of samples that are
-not settled yet are put back and read again in front of the next block.
+not settled yet are put back and read again in front of the next block. Values are written to their place in the sample as
+they are read, not joined afterwards as those of serial frames are: on a bus every sample takes several frames.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.decode.can_assembly import NO_FRAME, Assembler, SampleFrames
+from imufield.acquire.decode.assembly import NO_FRAME, Keep, RawBlock, instrument_bits
+from imufield.acquire.decode.can_assembly import Assembler, SampleFrames
 from imufield.acquire.decode.statistics import LEFT_OUT, DecoderStatistics
 from imufield.acquire.protocol.can_dbc import CanSignal
 from imufield.acquire.protocol.can_frames import ERROR, REMOTE, CanFrames, Unpacker
 from imufield.acquire.protocol.can_protocol import (
     ANY_ADDRESS,
     TEMPERATURE,
-    CanFlag,
     CanKind,
     CanRule,
     Column,
     with_source_address,
 )
-from imufield.samples import INSTRUMENT_STATUS_SHIFT, NO_COUNTER, FloatArray, IntArray, Status
+from imufield.acquire.protocol.layout import Numbers
+from imufield.acquire.protocol.samples_and_clock import FlagRule
+from imufield.samples import NO_COUNTER, FloatArray, IntArray, Status
 
+_Flag = tuple[CanSignal, FlagRule]
 _NO_KIND = -1
 _SHORT = -2
 _VALUES = TEMPERATURE + 1
 _ACCELEROMETER = slice(0, 3)
 _GYROSCOPE = slice(3, 6)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CanBlock:
-    """n samples that have no time yet."""
-
-    values: FloatArray
-    """Accelerometer x, y, z, gyroscope x, y, z, temperature; NaN where not available. Shape (n, 7)."""
-    status: NDArray[np.uint32]
-    counter: IntArray
-    """As sent; ``NO_COUNTER`` where there is none."""
-    ticks: FloatArray
-    """Time stamp of the instrument as sent; NaN where there is none. Shape (n,), or (0,) where the protocol has none."""
-    stamp_s: FloatArray
-    """Time stamp of the frame the sample begins with. Shape (n,)."""
-
-    def __len__(self) -> int:
-        return len(self.status)
-
-    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> CanBlock:
-        ticks = self.ticks[rows] if len(self.ticks) else self.ticks
-        return CanBlock(
-            values=self.values[rows],
-            status=self.status[rows],
-            counter=self.counter[rows],
-            ticks=ticks,
-            stamp_s=self.stamp_s[rows],
-        )
-
-
-def join_blocks(blocks: list[CanBlock]) -> CanBlock:
-    """Join at least one block."""
-    if len(blocks) == 1:
-        return blocks[0]
-    return CanBlock(
-        values=np.concatenate([block.values for block in blocks]),
-        status=np.concatenate([block.status for block in blocks]),
-        counter=np.concatenate([block.counter for block in blocks]),
-        ticks=np.concatenate([block.ticks for block in blocks]),
-        stamp_s=np.concatenate([block.stamp_s for block in blocks]),
-    )
 
 
 class CanSource:
@@ -84,10 +45,10 @@ class CanSource:
     rule : CanRule
     statistics : DecoderStatistics
     keep : callable
-        Given every message that is no sample.
+        Is given every message that is no sample.
     """
 
-    def __init__(self, rule: CanRule, statistics: DecoderStatistics, keep: Callable[[dict[str, Any]], None]) -> None:
+    def __init__(self, rule: CanRule, statistics: DecoderStatistics, keep: Keep) -> None:
         self._rule = rule
         self._statistics = statistics
         self._keep = keep
@@ -105,15 +66,15 @@ class CanSource:
         self._bytes_needed = max(reader.bytes_needed for reader in self._kinds)
         self._assembler = Assembler(rule.assembly, [rule.dbc.identifier(kind.message.name) for kind in rule.kinds])
 
-    def feed(self, data: bytes) -> CanBlock | None:
+    def feed(self, data: bytes) -> RawBlock | None:
         """Return the samples that are settled, None if there are none."""
         return self._read(self._unpacker.feed(data), last=False)
 
-    def finish(self) -> CanBlock | None:
-        """Return what was held back; nothing will follow."""
+    def finish(self) -> RawBlock | None:
+        """Return what was kept back; nothing will follow."""
         return self._read(self._unpacker.feed(b"", last=True), last=True)
 
-    def _read(self, frames: CanFrames, *, last: bool) -> CanBlock | None:
+    def _read(self, frames: CanFrames, *, last: bool) -> RawBlock | None:
         new_from, self._put_back = self._put_back, 0
         kind = self._kinds_of(frames)
         self._count(frames, kind, new_from)
@@ -239,7 +200,7 @@ class CanSource:
                     group[mine] = reader.kind.group.raw(reader.data(frames, places[mine])).astype(np.int64)
         return SampleFrames(own, frames.time_s if whole else frames.time_s[places], is_repeated, group)
 
-    def _values(self, frames: CanFrames, rows: IntArray, is_complete: bool) -> CanBlock:
+    def _values(self, frames: CanFrames, rows: IntArray, is_complete: bool) -> RawBlock | None:
         """Read the frames of n samples; ``rows`` has one column per kind."""
         n = len(rows)
         values = np.full((_VALUES, n), np.nan)
@@ -258,13 +219,20 @@ class CanSource:
                 reader.read(reader.data(frames, which[there]), into, there)
         if has_gaps:
             self._flag_gaps(values, status)
-        block = CanBlock(
-            values=values.T, status=status, counter=counter, ticks=ticks, stamp_s=frames.time_s[rows[:, self._assembler.start]]
+        block = RawBlock(
+            accelerometer=values[_ACCELEROMETER].T,
+            gyroscope=values[_GYROSCOPE].T,
+            temperature_degc=values[TEMPERATURE],
+            status=status,
+            counter=counter,
+            ticks=ticks,
+            stamp_s=frames.time_s[rows[:, self._assembler.start]],
         )
         if is_complete:
             return block
         # What carries neither acceleration nor rate is no sample.
-        return block[np.asarray((rows[:, self._inertial] >= 0).any(axis=1))]
+        block = block[np.asarray((rows[:, self._inertial] >= 0).any(axis=1))]
+        return block if len(block) else None
 
     def _read_slower(self, frames: CanFrames, number: int, samples_each: int, which: IntArray, *, into: Rows) -> bool:
         """Read the frames of a kind that comes with some samples only; between them its values stand, and are flagged so."""
@@ -349,8 +317,7 @@ class _KindReader:
         for flag in self._flags:
             status[rows] |= _flagged(flag, data)
         for signal, shift in kind.status:
-            upper = signal.raw(data).astype(np.int64) << (INSTRUMENT_STATUS_SHIFT + shift)
-            status[rows] |= (upper & 0xFFFF0000).astype(np.uint32)
+            status[rows] |= instrument_bits(signal.raw(data).astype(np.int64), shift)
         if values_only:
             return has_gaps
         if kind.counter is not None:
@@ -379,23 +346,22 @@ def _read_column(column: Column, data: NDArray[np.uint8], into: Rows, rows: slic
     return is_suspect
 
 
-def _may_be_code(signal: CanSignal, raw: NDArray[Any]) -> bool:
+def _may_be_code(signal: CanSignal, raw: Numbers) -> bool:
     return bool(raw.max() >= min(code.low for code in signal.codes))
 
 
-def _flag_tables(flags: list[CanFlag]) -> tuple[list[tuple[int, NDArray[np.uint32]]], list[CanFlag]]:
+def _flag_tables(flags: list[_Flag]) -> tuple[list[tuple[int, NDArray[np.uint32]]], list[_Flag]]:
     """Return tables of 256 flags for the bytes that hold whole signals, and the flags that need more than a byte."""
-    small = [flag for flag in flags if flag.signal.bytes_needed == flag.signal.first_byte + 1]
+    small = [(signal, rule) for signal, rule in flags if signal.bytes_needed == signal.first_byte + 1]
     tables = []
-    for at in sorted({flag.signal.first_byte for flag in small}):
+    for at in sorted({signal.first_byte for signal, _ in small}):
         every = np.zeros((256, at + 1), dtype=np.uint8)
         every[:, at] = np.arange(256)
-        here = [_flagged(flag, every) for flag in small if flag.signal.first_byte == at]
+        here = [_flagged(flag, every) for flag in small if flag[0].first_byte == at]
         tables.append((at, np.bitwise_or.reduce(here)))
     return tables, [flag for flag in flags if flag not in small]
 
 
-def _flagged(flag: CanFlag, data: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    raw = flag.signal.raw(data).astype(np.int64)
-    hit = np.isin(raw, flag.values) if flag.values else (raw & flag.mask) != 0
-    return np.where(hit ^ flag.when_clear, np.uint32(flag.flag), np.uint32(0))
+def _flagged(flag: _Flag, data: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    signal, rule = flag
+    return rule.bits(signal.raw(data).astype(np.int64))

@@ -13,21 +13,18 @@ not a sample.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import reduce
 from operator import xor
-from typing import Any
 
 import numpy as np
 
-from imufield.acquire.decode.assembly import RawBlock
+from imufield.acquire.decode.assembly import Keep, RawBlock
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.samples_and_clock import Sentence, TextRule
 from imufield.errors import ProtocolError
 from imufield.samples import NO_COUNTER, FloatArray, IntArray
 
-Keep = Callable[[dict[str, Any]], None]
 LARGEST_NUMBER = 1e17
 """Above any counter (2**53) and any time stamp in ns of a century ago; larger numbers, infinity and NaN are garbage."""
 

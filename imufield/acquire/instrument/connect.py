@@ -14,6 +14,7 @@ from typing import Any
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver, Wire
+from imufield.acquire.instrument.exchange import Message
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import (
     SEARCH_S,
@@ -237,15 +238,13 @@ def _candidates(options: ConnectOptions, say: Say | None = None) -> list[Candida
 
 def ask_identity(
     link: ReopenableLink, chunks: list[Chunk], driver: type[Driver], decoder: Decoder, *, clock: HostClock
-) -> list[dict[str, Any]]:
+) -> list[Message]:
     """Return the instrument's messages: those heard, or the answers to commands that change nothing in it."""
     instrument = Instrument(driver, clock, set(decoder.statistics.by_kind))
     return _ask(instrument, link, chunks, decoder.messages())
 
 
-def _ask(
-    instrument: Instrument, link: ReopenableLink, chunks: list[Chunk], heard: list[dict[str, Any]]
-) -> list[dict[str, Any]]:
+def _ask(instrument: Instrument, link: ReopenableLink, chunks: list[Chunk], heard: list[Message]) -> list[Message]:
     if instrument.driver.read_settings(heard) or instrument.driver.identity(heard):
         return heard
     answers = instrument.identify(link)
@@ -334,7 +333,7 @@ def _woken(found: Search, clock: HostClock, say: Say) -> Instrument | None:
 
 
 def with_settings(
-    driver: type[Driver] | None, protocol: Protocol, messages: list[dict[str, Any]], rate_hz: float | None = None
+    driver: type[Driver] | None, protocol: Protocol, messages: list[Message], rate_hz: float | None = None
 ) -> Protocol:
     """Return the protocol with what the instrument told of its settings, and the rate that was set where it must be said."""
     by_increment = protocol.units.accelerometer_is_increment or protocol.units.gyroscope_is_increment

@@ -17,6 +17,7 @@ import numpy as np
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Driver
+from imufield.acquire.instrument.exchange import Message
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import ProtocolError
@@ -147,7 +148,7 @@ class Ear:
         self._checked_bits = checked_bits(candidate.protocol)
         self._norms: list[float] = []
         self._arrivals: list[tuple[float, int]] = []
-        self._messages: list[dict[str, Any]] = []
+        self._messages: list[Message] = []
         self._accelerations = 0
         self._fault = ""
         # Bad frames and skipped bytes before the end of the listening cut a frame.
@@ -192,7 +193,7 @@ class Ear:
         except ProtocolError as second:
             self._fault = second.message
 
-    def messages(self) -> list[dict[str, Any]]:
+    def messages(self) -> list[Message]:
         """Return the messages heard that are no samples."""
         self._messages += self.decoder.messages()
         return self._messages

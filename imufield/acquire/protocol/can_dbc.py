@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import cantools
 import numpy as np
@@ -18,6 +18,7 @@ from cantools.database import Database, Message, Signal
 from numpy.typing import NDArray
 
 from imufield.acquire.protocol.can_frames import EXTENDED, ID_MASK
+from imufield.acquire.protocol.layout import MessageValue, Numbers
 from imufield.acquire.protocol.toml import near
 from imufield.errors import ProtocolError, Reason
 from imufield.samples import FloatArray
@@ -85,7 +86,7 @@ class CanSignal:
         kind = "f" if self.is_float else "i" if self.is_signed else "u"
         return f"{'>' if self.big_endian else '<'}{kind}{self.length // 8}"
 
-    def raw(self, rows: Rows) -> NDArray[Any]:
+    def raw(self, rows: Rows) -> Numbers:
         """Return the numbers as sent, shape (n,).
 
         Parameters
@@ -137,7 +138,7 @@ class CanSignal:
         scaled[self.gaps(raw)[0]] = np.nan
         return scaled
 
-    def scale(self, raw: NDArray[Any], factor: float, out: FloatArray | None = None) -> FloatArray:
+    def scale(self, raw: Numbers, factor: float, out: FloatArray | None = None) -> FloatArray:
         """Return raw numbers times ``factor``, written into ``out`` where given. Shape (n,)."""
         scaled: FloatArray
         if not self.is_float:
@@ -148,7 +149,7 @@ class CanSignal:
             scaled = np.multiply(raw, factor, out=out, dtype=np.float64)
         return scaled
 
-    def gaps(self, raw: NDArray[Any]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def gaps(self, raw: Numbers) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return where there is no value, and where that is because of a fault. Shape (n,) each."""
         missing = ~np.isfinite(raw) if self.is_float else np.zeros(len(raw), dtype=np.bool_)
         fault = np.zeros(len(raw), dtype=np.bool_)
@@ -158,6 +159,10 @@ class CanSignal:
             if code.is_error:
                 fault |= hit
         return missing, fault
+
+
+Selectors = tuple[tuple[CanSignal, tuple[int, ...]], ...]
+"""Multiplexer signals and the values they must have."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,11 +175,11 @@ class CanMessage:
     mask: int
     """Bits of an identifier that must agree."""
     is_j1939: bool
-    selectors: tuple[tuple[CanSignal, tuple[int, ...]], ...] = ()
+    selectors: Selectors = ()
     """Multiplexer signals and the values they must have."""
 
     @classmethod
-    def of(cls, message: Message, selectors: tuple[tuple[CanSignal, tuple[int, ...]], ...], is_j1939: bool) -> Self:
+    def of(cls, message: Message, selectors: Selectors, is_j1939: bool) -> Self:
         """Return a message of cantools."""
         number = message.frame_id
         if not is_j1939:
@@ -254,7 +259,7 @@ class DbcFile:
         """Return every signal of the file."""
         return [self._compile(message, signal) for message in self._database.messages for signal in message.signals]
 
-    def describe(self, name: str, data: bytes) -> dict[str, Any]:
+    def describe(self, name: str, data: bytes) -> dict[str, MessageValue]:
         """Return one frame of message ``name`` as plain values: numbers in their units, choices by their names."""
         try:
             decoded = self._database.get_message_by_name(name).decode(data, allow_truncated=True)
@@ -322,7 +327,7 @@ def compile_signal(signal: Signal, is_j1939: bool = False) -> CanSignal:
     )
 
 
-def _selectors(message: Message, signal: Signal) -> tuple[tuple[CanSignal, tuple[int, ...]], ...]:
+def _selectors(message: Message, signal: Signal) -> Selectors:
     """Return the multiplexers above a signal, outermost last."""
     found = []
     while signal.multiplexer_signal and signal.multiplexer_ids is not None:

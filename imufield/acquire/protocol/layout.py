@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
@@ -15,6 +15,10 @@ from numpy.typing import NDArray
 from imufield.samples import FloatArray
 
 Rows = NDArray[np.uint8]
+Numbers = NDArray[np.number]
+"""As sent, of whatever type the field has."""
+MessageValue = str | int | float | list[int] | list[float] | None
+"""Value of a field in a message, for people and programs."""
 
 NUMBER_BYTES = {
     "u8": 1,
@@ -78,7 +82,7 @@ class Field:
         """One more than the largest value of an unsigned type; 0 for others."""
         return 1 << 8 * NUMBER_BYTES[self.type] if self.type[0] == "u" else 0
 
-    def raw(self, rows: Rows) -> NDArray[Any]:
+    def raw(self, rows: Rows) -> Numbers:
         """Return the numbers as sent, shape (n,) or (n, count). Integers of 24 bits come as 32."""
         if NUMBER_BYTES[self.type] == 3:
             values = self._raw24(rows)
@@ -102,15 +106,15 @@ class Field:
             return part.decode("ascii", "replace").strip("\x00 ")
         return part.hex()
 
-    def _raw48(self, rows: Rows) -> NDArray[Any]:
+    def _raw48(self, rows: Rows) -> Numbers:
         # Xsens sends the 32 bits of the fraction first, the 16 bits of the whole number behind them.
         parts = np.ascontiguousarray(rows[:, self.at : self.at + self.size])
         words = parts.view(f"{'>' if self.big_endian else '<'}u2").reshape(len(rows), self.count, 3).astype(np.int64)
         whole = words[:, :, 2].astype(np.int16).astype(np.int64)
-        values: NDArray[Any] = whole << 32 | words[:, :, 0] << 16 | words[:, :, 1]
+        values: Numbers = whole << 32 | words[:, :, 0] << 16 | words[:, :, 1]
         return values
 
-    def _raw24(self, rows: Rows) -> NDArray[Any]:
+    def _raw24(self, rows: Rows) -> Numbers:
         # Four bytes are read, of which one belongs to the neighbour and is shifted out: several times faster than
         # putting three single bytes together. Where there is no neighbour the row gets one more byte.
         start = self.at if self.big_endian else self.at - 1
@@ -137,13 +141,17 @@ class Layout:
         """Return the field of that name, None where this kind of frame has none."""
         return next((field for field in self.fields if field.name == name), None)
 
-    def describe(self, row: bytes) -> dict[str, Any]:
+    def fields_of(self, names: Iterable[str]) -> list[Field]:
+        """Return those fields of these names that this kind of frame has."""
+        return [field for name in names if (field := self.field(name)) is not None]
+
+    def describe(self, row: bytes) -> dict[str, MessageValue]:
         """Return one frame as plain values: numbers raw, bits by their names, text as text; for people and programs.
 
         Numbers that the protocol scales come a second time in their unit, under the name with the unit appended.
         """
         rows = np.frombuffer(row, dtype=np.uint8).reshape(1, -1)
-        found: dict[str, Any] = {}
+        found: dict[str, MessageValue] = {}
         for field in self.fields:
             if field.type in TEXT_TYPES:
                 found[field.name] = field.text(row)

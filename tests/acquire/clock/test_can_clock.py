@@ -9,7 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from imufield.acquire.clock.can_clock import CanClock
-from imufield.acquire.decode.can_source import CanBlock
+from imufield.acquire.clock.clock import Arrivals
+from imufield.acquire.clock.stamp_clock import DeviceClock
+from imufield.acquire.decode.assembly import RawBlock
 from imufield.acquire.decode.statistics import DecoderStatistics, remarks
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import load_protocol
@@ -18,6 +20,8 @@ from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUn
 from imufield.simulate.wire.can_encode import CanEncoder
 from tests.acquire.plain_frames import pack_frames
 from tests.simulate.accounting import random_samples
+
+NEVER = Arrivals(np.array([0]), np.array([np.nan]))
 
 
 def run(
@@ -32,17 +36,20 @@ def run(
 ) -> tuple[Samples, DecoderStatistics]:
     n = len(stamp_s)
     statistics = DecoderStatistics()
-    clock = CanClock(rule or ClockRule(counter_modulus=modulus), SampleUnits(), steps, statistics)
+    rule = rule or ClockRule(counter_modulus=modulus, counter_steps=steps)
+    clock = (CanClock if ticks is None else DeviceClock)(rule, SampleUnits(), statistics)
     values = np.zeros((n, 7))
     values[:, 0] = np.arange(n)
-    whole = CanBlock(
-        values=values,
+    whole = RawBlock(
+        accelerometer=values[:, :3],
+        gyroscope=values[:, 3:6],
+        temperature_degc=values[:, 6],
         status=np.zeros(n, dtype=np.uint32),
         counter=np.full(n, NO_COUNTER) if counter is None else counter,
         ticks=np.empty(0) if ticks is None else ticks,
         stamp_s=stamp_s,
     )
-    parts = [clock.push(whole[at : at + block]) for at in range(0, n, block)]
+    parts = [clock.push(whole[at : at + block], NEVER) for at in range(0, n, block)]
     samples = concatenate([part for part in (*parts, clock.flush()) if part is not None])
     assert samples.accelerometer[:, 0].tolist() == list(range(n)), "every sample comes out once, in order"
     return samples, statistics

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imufield.acquire.clock.sample_clock import Arrivals, SampleClock
+from imufield.acquire.clock.clock import Arrivals
+from imufield.acquire.clock.sample_clock import SampleClock
 from imufield.acquire.decode.assembly import RawBlock
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.protocol.samples_and_clock import ClockRule

@@ -8,7 +8,8 @@ import random
 import numpy as np
 import pytest
 
-from imufield.acquire.decode.can_assembly import NO_FRAME, Assembler, SampleFrames
+from imufield.acquire.decode.assembly import NO_FRAME
+from imufield.acquire.decode.can_assembly import Assembler, SampleFrames
 from imufield.acquire.protocol.can_protocol import AssemblyRule
 
 PERIOD_S = 0.01

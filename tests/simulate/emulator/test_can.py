@@ -13,6 +13,7 @@ import can
 import numpy as np
 import pytest
 
+from imufield.acquire.decode.assembly import Message
 from imufield.acquire.instrument.can_map import OpenedCan, open_can
 from imufield.acquire.protocol.can_frames import ERROR, unpack_frames
 from imufield.acquire.protocol.protocol import load_protocol
@@ -134,7 +135,7 @@ def test_identity_is_answered(channel: str) -> None:
     opened = open_can(channel, driver="aceinna_can")
     with CanEmulator(load_protocol("j1939_imu"), Ramp(), channel, EmulatorSettings(duration_s=100.0)):
         opened.link.write(driver.identity_commands[0])
-        messages: list[dict[str, object]] = []
+        messages: list[Message] = []
         end_s = time.monotonic() + 60
         while not messages and time.monotonic() < end_s:
             chunk = opened.link.read()
