@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import Command, Message
 from imufield.acquire.protocol.checksum import make_checksum
 
 _CRC = make_checksum("CRC-8/SMBUS", start=0xFF)

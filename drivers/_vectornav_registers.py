@@ -8,10 +8,9 @@ refuses. XX is the XOR of what stands between dollar and star. What is written l
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from imufield.acquire.driver import Ability, Driver, Evidence
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import Ability, Command, Driver, Evidence, Message
 from imufield.acquire.protocol.checksum import make_checksum
 
 BINARY_OUTPUTS = (75, 76, 77)
@@ -38,7 +37,7 @@ class VectorNav(Driver):
         return [read(_MODEL), read(_SERIAL), read(_FIRMWARE)]
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:
         """Return model, serial number and firmware as far as the registers were read."""
         held = list(messages)
         names = {"model": _MODEL, "serial_number": _SERIAL, "firmware": _FIRMWARE}

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar
+from collections.abc import Iterable
+from typing import ClassVar
 
-from imufield.acquire.driver import Driver, Evidence, Wire
+from imufield.acquire.driver import Driver, Evidence, Message, Wire
 from imufield.acquire.protocol.can_frames import EXTENDED, pack_frame
 
 HOST_ADDRESS = 0xF9
@@ -47,7 +47,7 @@ class AceinnaCan(Driver):
     manual: ClassVar[str] = "Aceinna MTLT305D DBC rev. 19.1.51, OpenIMU300RI firmware and python-mtlt (open source)"
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:
         """Return the firmware's version, which is all that one frame tells."""
         for message in messages:
             if message["kind"] == "SoftwareVersion" and "VersionMajor" in message:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from imufield.acquire.driver import Ability, Driver, Evidence, choose_divisor, choose_rate
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import Ability, Command, Driver, Evidence, Message, choose_divisor, choose_rate
 from imufield.acquire.protocol.checksum import make_checksum
 
 _CRC = make_checksum("CRC-16/SPI-FUJITSU")
@@ -95,7 +94,7 @@ class AceinnaSerial(Driver):
         ]
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:
         """Return model, serial number and version; an OpenIMU says the first two in one text, the number last."""
         found: dict[str, str] = {}
         for message in messages:

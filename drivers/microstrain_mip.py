@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from imufield.acquire.driver import Ability, Driver, Evidence, choose_divisor
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import Ability, Command, Driver, Evidence, Message, choose_divisor
 from imufield.acquire.protocol.checksum import make_checksum
 
 _SUMS = make_checksum("FLETCHER-16/MOD-256")
@@ -103,7 +102,7 @@ class MicroStrainMip(Driver):
         return [command("idle", BASE, _IDLE)]
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:
         """Return model name and number, serial number and firmware of the device information."""
         for message in messages:
             if "model_name" in message:

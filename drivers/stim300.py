@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from imufield.acquire.driver import Ability, Driver, Evidence, choose_rate
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import Ability, Command, Driver, Evidence, Message, choose_rate
 
 from ._stim300_utility import enter_utility_mode, utility
 
@@ -91,7 +90,7 @@ class Stim300(Driver):
         return [enter_utility_mode()]
 
     @classmethod
-    def read_settings(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, object]:
+    def read_settings(cls, messages: Iterable[Message]) -> dict[str, object]:
         """Return range, output units and rate from the newest configuration datagram."""
         found: dict[str, object] = {}
         for message in messages:
@@ -108,7 +107,7 @@ class Stim300(Driver):
         return found
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:
         """Return model (the part number), serial number and firmware, as far as the messages tell them."""
         found: dict[str, str] = {}
         for message in messages:

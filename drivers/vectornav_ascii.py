@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from typing import ClassVar
 
-from imufield.acquire.driver import Evidence, choose_rate
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import Command, Evidence, Message, choose_rate
 
 from ._vectornav_registers import VectorNav, read, values_of, write
 

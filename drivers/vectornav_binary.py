@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import ClassVar
 
-from imufield.acquire.driver import Evidence, choose_divisor
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import Command, Evidence, Message, choose_divisor
 
 from ._vectornav_registers import BINARY_OUTPUTS, VectorNav, read, values_of, write
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from imufield.acquire.driver import Ability, Driver, Evidence, choose_rate
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import Ability, Command, Driver, Evidence, Message, choose_rate
 
 _RATE = 0x03
 _VERSION = 0x2E
@@ -91,7 +90,7 @@ class WitMotion(Driver):
         return _set_code(state[0]["registers"][0])
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:
         """Return serial number and version as far as registers hold any."""
         words = {
             message["asked"]: message["registers"] for message in messages if "registers" in message and "asked" in message

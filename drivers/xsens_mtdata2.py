@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
-from imufield.acquire.driver import Ability, Driver, Evidence
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import Ability, Command, Driver, Evidence, Message
 from imufield.acquire.protocol.checksum import make_checksum
 
 _SUM = make_checksum("SUM-8/NEGATED")
@@ -72,7 +71,7 @@ class XsensMtData2(Driver):
         return [request("GoToConfig", GO_TO_CONFIG, "go_to_config_done")]
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:
         """Return product code, device id and firmware."""
         found: dict[str, str] = {}
         for message in messages:

@@ -78,6 +78,12 @@ class BusAddress:
     options: dict[str, Any] = field(default_factory=dict)
 
     @property
+    def bit_rate(self) -> int | None:
+        """The bit rate that the address gives, None without."""
+        rate = self.options.get("bitrate")
+        return int(rate) if isinstance(rate, int | float) else None
+
+    @property
     def takes_bit_rate(self) -> bool:
         """Whether the bit rate is set on opening, and the address does not give it."""
         return self.interface not in _NO_BIT_RATE and "bitrate" not in self.options
