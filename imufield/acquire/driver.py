@@ -54,6 +54,14 @@ def any_message(message: Message) -> bool:  # noqa: ARG001  every message will d
     return True
 
 
+BY_DOCUMENT: Mapping[Ability, Evidence] = {
+    "identify": "document only",
+    "start and stop": "document only",
+    "rate": "document only",
+}
+"""Abilities of an instrument all of whose commands are written from its manual alone."""
+
+
 class Driver:
     """Base of all drivers. A driver file ends with ``DRIVER = <its class>``.
 
