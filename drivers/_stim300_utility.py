@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import Command, Message
 from imufield.acquire.protocol.checksum import make_checksum
 
 _CRC = make_checksum("CRC-8/SMBUS", start=0xFF)
@@ -33,6 +33,7 @@ def _refusal(answer: Message) -> str:
 
 def _answer(name: str) -> Callable[[bytes], Message | None]:
     def read(heard: bytes) -> Message | None:
+        # What stands behind the last CR is a line that has not ended.
         for line in heard.split(b"\r")[:-1]:
             body, comma, crc = line[line.rfind(b"#") :].rpartition(b",")
             if body.startswith(f"#{name}".encode()) and crc == str(_CRC.of(body + comma)).encode():

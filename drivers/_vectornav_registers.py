@@ -7,15 +7,13 @@ refuses. XX is the XOR of what stands between dollar and star. What is written l
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Collection, Iterable, Sequence
 
-from imufield.acquire.driver import Ability, Driver, Evidence
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import BY_DOCUMENT, Command, Driver, Message
 from imufield.acquire.protocol.checksum import make_checksum
 
-BINARY_OUTPUTS = (75, 76, 77)
-_MODEL = 1
+BINARY_OUTPUTS = (75, 76, 77)  # Each configures one of the three messages that can be sent at once.
+MODEL = 1
 _SERIAL = 3
 _FIRMWARE = 4
 _XOR = make_checksum("XOR-8")
@@ -24,25 +22,21 @@ _XOR = make_checksum("XOR-8")
 class VectorNav(Driver):
     """What the forms of VectorNav's output have in common."""
 
-    default_baud: ClassVar[int] = 115200
-    bauds: ClassVar[tuple[int, ...]] = (115200, 921600, 460800, 230400, 128000, 57600, 38400, 19200, 9600)
-    abilities: ClassVar[Mapping[Ability, Evidence]] = {
-        "identify": "document only",
-        "start and stop": "document only",
-        "rate": "document only",
-    }
+    default_baud = 115200
+    bauds = (115200, 921600, 460800, 230400, 128000, 57600, 38400, 19200, 9600)
+    abilities = BY_DOCUMENT
 
     @classmethod
     def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
         """Return the questions for model, serial number and firmware."""
-        return [read(_MODEL), read(_SERIAL), read(_FIRMWARE)]
+        return [read(MODEL), read(_SERIAL), read(_FIRMWARE)]
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:
         """Return model, serial number and firmware as far as the registers were read."""
-        held = list(messages)
-        names = {"model": _MODEL, "serial_number": _SERIAL, "firmware": _FIRMWARE}
-        return {name: values[0] for name, number in names.items() if (values := values_of(held, number))}
+        answers = list(messages)
+        names = {"model": MODEL, "serial_number": _SERIAL, "firmware": _FIRMWARE}
+        return {name: values[0] for name, number in names.items() if (values := values_of(answers, number))}
 
     @classmethod
     def start_orders(cls, state: Sequence[Message]) -> Sequence[Command]:
@@ -67,15 +61,17 @@ def write(number: int, *values: object) -> Command:
 
 def pause(name: str, *, paused: bool) -> Command:
     """Return the order to stop asynchronous output or to go on with it; the registers stay as they are."""
+    # The way back is sent even where something before it failed: a unit must not stay paused.
     return _command(name, f"VNASY,{int(not paused)}", "VNASY", int(not paused), is_last=not paused)
 
 
 def values_of(messages: Iterable[Message], number: int) -> list[str]:
     """Return the values of a register by the newest answer that has it."""
+    # The answer to an order repeats what was set, so it is newer than that to the question before.
     found: list[str] = []
     for message in messages:
         if message["kind"] in ("VNRRG", "VNWRG") and _is_about(message, number):
-            found = message["text"].split(",")[2:]
+            found = message["text"].split(",")[2:]  # Behind name and number.
     return found
 
 

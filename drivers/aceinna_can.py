@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar
+from collections.abc import Iterable
 
-from imufield.acquire.driver import Driver, Evidence, Wire
+from imufield.acquire.driver import Driver, Message
 from imufield.acquire.protocol.can_frames import EXTENDED, pack_frame
 
 HOST_ADDRESS = 0xF9
@@ -14,6 +13,13 @@ EVERYBODY = 0xFF
 _REQUEST_PGN = 0xEA00
 _VERSION_PGN = 0xFEDA
 _PRIORITY = 6
+
+
+def request(pgn: int, destination: int = EVERYBODY, source: int = HOST_ADDRESS) -> bytes:
+    """Return the request for a message, as a packed frame."""
+    identifier = EXTENDED | _PRIORITY << 26 | (_REQUEST_PGN | destination) << 8 | source
+    # J1939-21: the number of the message goes out least significant byte first.
+    return pack_frame(identifier, pgn.to_bytes(3, "little"))
 
 
 class AceinnaCan(Driver):
@@ -37,17 +43,19 @@ class AceinnaCan(Driver):
     Layout and scale were checked against a recording of an MTLT305D; which word is which axis is not: turn it by hand.
     """
 
-    name: ClassVar[str] = "aceinna_can"
-    title: ClassVar[str] = "Aceinna MTLT305, MTLT335, OpenIMU300RI (J1939)"
-    protocol: ClassVar[str] = "j1939_imu"
-    wire: ClassVar[Wire] = "can"
-    default_baud: ClassVar[int] = 250_000
-    bauds: ClassVar[tuple[int, ...]] = (250_000, 500_000, 125_000, 1_000_000)
-    status: ClassVar[Evidence] = "verified on real bytes"
-    manual: ClassVar[str] = "Aceinna MTLT305D DBC rev. 19.1.51, OpenIMU300RI firmware and python-mtlt (open source)"
+    name = "aceinna_can"
+    title = "Aceinna MTLT305, MTLT335, OpenIMU300RI (J1939)"
+    protocol = "j1939_imu"
+    wire = "can"
+    default_baud = 250_000
+    bauds = (250_000, 500_000, 125_000, 1_000_000)
+    status = "verified on real bytes"
+    manual = "Aceinna MTLT305D DBC rev. 19.1.51, OpenIMU300RI firmware and python-mtlt (open source)"
+    # The save command (PGN 65361) is not here on purpose: nothing is ever written to the instrument's memory.
+    identity_commands = (request(_VERSION_PGN),)
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:
         """Return the firmware's version, which is all that one frame tells."""
         for message in messages:
             if message["kind"] == "SoftwareVersion" and "VersionMajor" in message:
@@ -56,15 +64,4 @@ class AceinnaCan(Driver):
         return {}
 
 
-def request(pgn: int, destination: int = EVERYBODY, source: int = HOST_ADDRESS) -> bytes:
-    """Return the request for a message, as a packed frame. The number goes out least significant byte first."""
-    return _command(_REQUEST_PGN | destination, pgn.to_bytes(3, "little"), source)
-
-
-def _command(pgn: int, data: bytes, source: int) -> bytes:
-    return pack_frame(EXTENDED | _PRIORITY << 26 | pgn << 8 | source, data)
-
-
-# The save command (PGN 65361) is not here on purpose: nothing is ever written to the instrument's memory.
-AceinnaCan.identity_commands = (request(_VERSION_PGN),)
 DRIVER = AceinnaCan

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Collection, Iterable, Sequence
 
-from imufield.acquire.driver import Ability, Driver, Evidence, choose_divisor, choose_rate
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import BY_DOCUMENT, Command, Driver, Message, choose_divisor, choose_rate
 from imufield.acquire.protocol.checksum import make_checksum
 
 _CRC = make_checksum("CRC-16/SPI-FUJITSU")
 _DMU_KINDS = frozenset({"0x5330", "0x5331"})  # Packets S0 and S1; only these instruments know the commands in capitals.
 _RATES_HZ = (200, 100, 50, 20, 10, 5, 2)
-_PACKET_RATE = 4
-_PACKET_RATE_DIVIDER = 1
+_PACKET_RATE = 4  # Parameter of an OpenIMU, in Hz.
+_PACKET_RATE_DIVIDER = 1  # Field of a DMU; it divides the rate below.
 _DMU_HZ = 100
-_QUIET = 0
-_DELIVERED_HZ = 100
+_QUIET = 0  # Rate and divider alike: nothing is sent by itself.
+_DELIVERED_HZ = 100  # Of an OpenIMU that was quiet when it was found.
 
 
 class AceinnaSerial(Driver):
@@ -36,18 +34,14 @@ class AceinnaSerial(Driver):
     z1, s1 and S1 were checked on recordings; S0 comes from the manual alone. S1 numbers no packets: its counter is a time.
     """
 
-    name: ClassVar[str] = "aceinna_serial"
-    title: ClassVar[str] = "Aceinna OpenIMU, DMU38x, IMU38x (serial)"
-    protocol: ClassVar[str] = "aceinna_serial"
-    default_baud: ClassVar[int] = 115200
-    bauds: ClassVar[tuple[int, ...]] = (115200, 57600, 38400, 230400, 460800)
-    status: ClassVar[Evidence] = "verified on real bytes"
-    manual: ClassVar[str] = "OpenIMU serial messaging, openimu.readthedocs.io; Aceinna DMU38x user manual: packets S0, S1"
-    abilities: ClassVar[Mapping[Ability, Evidence]] = {
-        "identify": "document only",
-        "start and stop": "document only",
-        "rate": "document only",
-    }
+    name = "aceinna_serial"
+    title = "Aceinna OpenIMU, DMU38x, IMU38x (serial)"
+    protocol = "aceinna_serial"
+    default_baud = 115200
+    bauds = (115200, 57600, 38400, 230400, 460800)
+    status = "verified on real bytes"
+    manual = "OpenIMU serial messaging, openimu.readthedocs.io; Aceinna DMU38x user manual: packets S0, S1"
+    abilities = BY_DOCUMENT
 
     @classmethod
     def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
@@ -59,6 +53,7 @@ class AceinnaSerial(Driver):
     @classmethod
     def state_questions(cls, heard: Collection[str]) -> Sequence[Command]:
         """Return the question for the packet rate, of both families while nothing was heard: each refuses the other's."""
+        # GF and SF name how many fields follow, here one.
         dmu = packet("rate", "GF", struct.pack(">BH", 1, _PACKET_RATE_DIVIDER), "field")
         openimu = packet("rate", "gP", struct.pack("<I", _PACKET_RATE), "parameter")
         return [dmu] if _DMU_KINDS.intersection(heard) else [openimu] if heard else [openimu, dmu]
@@ -95,11 +90,12 @@ class AceinnaSerial(Driver):
         ]
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:
         """Return model, serial number and version; an OpenIMU says the first two in one text, the number last."""
         found: dict[str, str] = {}
         for message in messages:
             if message["kind"] == "ping" and message["text"].strip("\0 "):
+                # Part numbers come before the serial number, with or without "SN:" in front.
                 words = message["text"].strip("\0 ").split()
                 numbers = [word.removeprefix("SN:") for word in words if word.removeprefix("SN:").isdigit()]
                 found["model"] = " ".join(word for word in words if word.removeprefix("SN:") not in numbers)

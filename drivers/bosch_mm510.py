@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-from imufield.acquire.driver import Driver, Evidence, Wire
+from imufield.acquire.driver import Driver
 
 
 class BoschMm510(Driver):
@@ -25,14 +23,14 @@ class BoschMm510(Driver):
     an instrument.
     """
 
-    name: ClassVar[str] = "bosch_mm510"
-    title: ClassVar[str] = "Bosch MM5.10 (CAN)"
-    protocol: ClassVar[str] = "bosch_mm510"
-    wire: ClassVar[Wire] = "can"
-    default_baud: ClassVar[int] = 1_000_000
-    bauds: ClassVar[tuple[int, ...]] = (1_000_000, 500_000)
-    status: ClassVar[Evidence] = "document only"
-    manual: ClassVar[str] = "public DBC text of an ABS M4 network, nodes ABS and DRS_MM5_10"
+    name = "bosch_mm510"
+    title = "Bosch MM5.10 (CAN)"
+    protocol = "bosch_mm510"
+    wire = "can"
+    default_baud = 1_000_000
+    bauds = (1_000_000, 500_000)
+    status = "document only"
+    manual = "public DBC text of an ABS M4 network, nodes ABS and DRS_MM5_10"
 
 
 DRIVER = BoschMm510

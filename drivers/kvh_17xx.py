@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-from imufield.acquire.driver import Driver, Evidence
+from imufield.acquire.driver import Driver
 
 
 class Kvh17xx(Driver):
@@ -26,13 +24,13 @@ class Kvh17xx(Driver):
     Format A was checked on two frames, never on a stream; B and C come from the manual.
     """
 
-    name: ClassVar[str] = "kvh_17xx"
-    title: ClassVar[str] = "KVH 1725, 1750, 1775, DSP-1760"
-    protocol: ClassVar[str] = "kvh_17xx"
-    default_baud: ClassVar[int] = 921600
-    bauds: ClassVar[tuple[int, ...]] = (921600, 460800, 230400, 115200, 4147200, 1843200, 57600, 38400, 19200, 9600)
-    status: ClassVar[Evidence] = "document only"
-    manual: ClassVar[str] = "KVH 56-0298, 1775 IMU Technical Manual: message formats A, B, C"
+    name = "kvh_17xx"
+    title = "KVH 1725, 1750, 1775, DSP-1760"
+    protocol = "kvh_17xx"
+    default_baud = 921600
+    bauds = (921600, 460800, 230400, 115200, 4147200, 1843200, 57600, 38400, 19200, 9600)
+    status = "document only"
+    manual = "KVH 56-0298, 1775 IMU Technical Manual: message formats A, B, C"
 
 
 DRIVER = Kvh17xx

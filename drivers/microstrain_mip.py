@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from imufield.acquire.driver import Ability, Driver, Evidence, choose_divisor
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import Ability, Command, Driver, Evidence, Message, choose_divisor
 from imufield.acquire.protocol.checksum import make_checksum
 
 _SUMS = make_checksum("FLETCHER-16/MOD-256")
+# Descriptor sets of commands.
 BASE = 0x01
 SETTINGS = 0x0C
+# What a command of settings does with them; saving them (3) is not here on purpose.
 _APPLY = 1
 _READ = 2
-_IMU_SET = 0x80
+_IMU_SET = 0x80  # Descriptor set of inertial data, which newer commands name.
+# Commands by their descriptors: base, settings of the GX5 generation, settings of newer ones.
 _IDLE = 0x02
 _DEVICE_INFORMATION = 0x03
 _RESUME = 0x06
@@ -43,13 +45,13 @@ class MicroStrainMip(Driver):
     Acceleration is in g, delta velocity in g s. A packet of set 0x80 without acceleration and rate is no sample.
     """
 
-    name: ClassVar[str] = "microstrain_mip"
-    title: ClassVar[str] = "MicroStrain 3DM series (MIP)"
-    protocol: ClassVar[str] = "microstrain_mip"
-    default_baud: ClassVar[int] = 115200
-    bauds: ClassVar[tuple[int, ...]] = (115200, 921600, 460800, 230400, 57600, 19200, 9600)
-    status: ClassVar[Evidence] = "verified on real bytes"
-    manual: ClassVar[str] = "LORD MicroStrain, 3DM-GX5-25 Data Communications Protocol manual: MIP packets, IMU data set"
+    name = "microstrain_mip"
+    title = "MicroStrain 3DM series (MIP)"
+    protocol = "microstrain_mip"
+    default_baud = 115200
+    bauds = (115200, 921600, 460800, 230400, 57600, 19200, 9600)
+    status = "verified on real bytes"
+    manual = "LORD MicroStrain, 3DM-GX5-25 Data Communications Protocol manual: MIP packets, IMU data set"
     abilities: ClassVar[Mapping[Ability, Evidence]] = {
         "identify": "document only",
         "start and stop": "verified on real bytes",
@@ -84,6 +86,7 @@ class MicroStrainMip(Driver):
         """Return the format with another decimation for every field that goes with the acceleration."""
         base_hz, _, fields = _format(state)
         wanted = choose_divisor(cls.title, rate_hz, base_hz)
+        # Fields with another decimation, as of a magnetometer, are no part of the samples.
         old = next((decimation for number, decimation in fields if number in _INERTIAL), 0)
         return _set_format(state, [(number, wanted if decimation == old else decimation) for number, decimation in fields])
 
@@ -103,7 +106,7 @@ class MicroStrainMip(Driver):
         return [command("idle", BASE, _IDLE)]
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:
         """Return model name and number, serial number and firmware of the device information."""
         for message in messages:
             if "model_name" in message:
@@ -115,6 +118,7 @@ class MicroStrainMip(Driver):
 
 def command(name: str, descriptor_set: int, number: int, data: bytes = b"", *, is_last: bool = False) -> Command:
     """Return a packet with one command, answered by the acknowledgement of it."""
+    # Payload and field have the same length: there is one field, and it counts its own two bytes.
     body = bytes([0x75, 0x65, descriptor_set, len(data) + 2, len(data) + 2, number]) + data
     kind = "base" if descriptor_set == BASE else "settings"
     return Command(
@@ -128,6 +132,7 @@ def command(name: str, descriptor_set: int, number: int, data: bytes = b"", *, i
 
 def _format(state: Sequence[Message]) -> tuple[int, int, list[tuple[int, int]]]:
     """Return base rate, the command that holds the format, and its fields as (descriptor, decimation)."""
+    # A unit answers the commands of its generation and refuses the others.
     base_hz, holder, fields = 0, 0, b""
     for answer in state:
         if not answer.get("error") and not fields:

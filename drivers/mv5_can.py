@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
-from imufield.acquire.driver import Driver, Evidence, Wire
+from imufield.acquire.driver import Driver
 
 
 class Mv5Can(Driver):
@@ -14,14 +14,14 @@ class Mv5Can(Driver):
     Words are taken in SAE order: lateral, longitudinal, vertical; pitch, roll, yaw.
     """
 
-    name: ClassVar[str] = "mv5_can"
-    title: ClassVar[str] = "MicroStrain MV5-AR (J1939)"
-    protocol: ClassVar[str] = "j1939_imu"
-    wire: ClassVar[Wire] = "can"
-    default_baud: ClassVar[int] = 250_000
-    bauds: ClassVar[tuple[int, ...]] = (250_000, 500_000)
-    status: ClassVar[Evidence] = "document only"
-    manual: ClassVar[str] = "SAE J1939-71 PGN 61481, 61482, 61485; signal names of an open-source MV5 driver"
+    name = "mv5_can"
+    title = "MicroStrain MV5-AR (J1939)"
+    protocol = "j1939_imu"
+    wire = "can"
+    default_baud = 250_000
+    bauds = (250_000, 500_000)
+    status = "document only"
+    manual = "SAE J1939-71 PGN 61481, 61482, 61485; signal names of an open-source MV5 driver"
     settings: ClassVar[Mapping[str, object]] = {"axes": "sae"}
 
 

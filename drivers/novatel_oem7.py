@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-from imufield.acquire.driver import Driver, Evidence
+from imufield.acquire.driver import Driver
 
 
 class NovAtelOem7(Driver):
@@ -24,13 +22,13 @@ class NovAtelOem7(Driver):
     Values are increments over one sample of the IMU; RAWIMU does not say which IMU, so give it: ``--set imu=hg4930``.
     """
 
-    name: ClassVar[str] = "novatel_oem7"
-    title: ClassVar[str] = "NovAtel OEM7 SPAN, binary IMU logs"
-    protocol: ClassVar[str] = "novatel_oem7"
-    default_baud: ClassVar[int] = 115200
-    bauds: ClassVar[tuple[int, ...]] = (115200, 9600, 57600, 230400, 460800, 921600)
-    status: ClassVar[Evidence] = "verified on real bytes"
-    manual: ClassVar[str] = "NovAtel OEM7 Commands and Logs Reference Manual: message formats, RAWIMU, RAWIMUX"
+    name = "novatel_oem7"
+    title = "NovAtel OEM7 SPAN, binary IMU logs"
+    protocol = "novatel_oem7"
+    default_baud = 115200
+    bauds = (115200, 9600, 57600, 230400, 460800, 921600)
+    status = "verified on real bytes"
+    manual = "NovAtel OEM7 Commands and Logs Reference Manual: message formats, RAWIMU, RAWIMUX"
 
 
 DRIVER = NovAtelOem7

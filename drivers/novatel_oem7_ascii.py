@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-from imufield.acquire.driver import Driver, Evidence
+from imufield.acquire.driver import Driver
 
 
 class NovAtelOem7Ascii(Driver):
@@ -15,13 +13,13 @@ class NovAtelOem7Ascii(Driver):
     increments in units of the IMU, which one has to give: ``--set imu=hg4930``.
     """
 
-    name: ClassVar[str] = "novatel_oem7_ascii"
-    title: ClassVar[str] = "NovAtel OEM7 SPAN, ASCII IMU logs"
-    protocol: ClassVar[str] = "novatel_oem7_ascii"
-    default_baud: ClassVar[int] = 115200
-    bauds: ClassVar[tuple[int, ...]] = (115200, 9600, 57600, 230400, 460800, 921600)
-    status: ClassVar[Evidence] = "verified on real bytes"
-    manual: ClassVar[str] = "NovAtel OEM7 Commands and Logs Reference Manual: ASCII messages, RAWIMU, RAWIMUX"
+    name = "novatel_oem7_ascii"
+    title = "NovAtel OEM7 SPAN, ASCII IMU logs"
+    protocol = "novatel_oem7_ascii"
+    default_baud = 115200
+    bauds = (115200, 9600, 57600, 230400, 460800, 921600)
+    status = "verified on real bytes"
+    manual = "NovAtel OEM7 Commands and Logs Reference Manual: ASCII messages, RAWIMU, RAWIMUX"
 
 
 DRIVER = NovAtelOem7Ascii

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-from imufield.acquire.driver import Driver, Evidence, Wire
+from imufield.acquire.driver import Driver
 
 
 class RacelogicCan(Driver):
@@ -25,14 +23,14 @@ class RacelogicCan(Driver):
     on an instrument.
     """
 
-    name: ClassVar[str] = "racelogic_can"
-    title: ClassVar[str] = "Racelogic IMU03, IMU04 (CAN)"
-    protocol: ClassVar[str] = "racelogic_can"
-    wire: ClassVar[Wire] = "can"
-    default_baud: ClassVar[int] = 500_000
-    bauds: ClassVar[tuple[int, ...]] = (500_000, 1_000_000, 250_000)
-    status: ClassVar[Evidence] = "document only"
-    manual: ClassVar[str] = "Racelogic support pages, CAN output of IMU04"
+    name = "racelogic_can"
+    title = "Racelogic IMU03, IMU04 (CAN)"
+    protocol = "racelogic_can"
+    wire = "can"
+    default_baud = 500_000
+    bauds = (500_000, 1_000_000, 250_000)
+    status = "document only"
+    manual = "Racelogic support pages, CAN output of IMU04"
 
 
 DRIVER = RacelogicCan

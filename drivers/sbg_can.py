@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-from imufield.acquire.driver import Driver, Evidence, Wire
+from imufield.acquire.driver import Driver
 
 
 class SbgCan(Driver):
@@ -21,14 +19,14 @@ class SbgCan(Driver):
     The time is the instrument's own, so losses are counted exactly. Never tried on an instrument.
     """
 
-    name: ClassVar[str] = "sbg_can"
-    title: ClassVar[str] = "SBG Systems (CAN)"
-    protocol: ClassVar[str] = "sbg_can"
-    wire: ClassVar[Wire] = "can"
-    default_baud: ClassVar[int] = 500_000
-    bauds: ClassVar[tuple[int, ...]] = (500_000, 1_000_000, 250_000, 125_000)
-    status: ClassVar[Evidence] = "document only"
-    manual: ClassVar[str] = "SBG Systems sbgECom, can/sbgCan.dbc and doc/canProtocol.md"
+    name = "sbg_can"
+    title = "SBG Systems (CAN)"
+    protocol = "sbg_can"
+    wire = "can"
+    default_baud = 500_000
+    bauds = (500_000, 1_000_000, 250_000, 125_000)
+    status = "document only"
+    manual = "SBG Systems sbgECom, can/sbgCan.dbc and doc/canProtocol.md"
 
 
 DRIVER = SbgCan

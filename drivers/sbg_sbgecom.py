@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-from imufield.acquire.driver import Driver, Evidence
+from imufield.acquire.driver import Driver
 
 
 class SbgEcom(Driver):
@@ -26,13 +24,13 @@ class SbgEcom(Driver):
     IMU_SHORT is taken, or IMU_DATA with ``--set log=imu_data``. Never tried on bytes of an instrument.
     """
 
-    name: ClassVar[str] = "sbg_sbgecom"
-    title: ClassVar[str] = "SBG Systems (sbgECom)"
-    protocol: ClassVar[str] = "sbg_sbgecom"
-    default_baud: ClassVar[int] = 115200
-    bauds: ClassVar[tuple[int, ...]] = (115200, 921600, 460800, 230400, 57600, 38400, 19200, 9600)
-    status: ClassVar[Evidence] = "document only"
-    manual: ClassVar[str] = "SBG Systems sbgECom library (MIT): binary protocol, logs IMU_DATA and IMU_SHORT"
+    name = "sbg_sbgecom"
+    title = "SBG Systems (sbgECom)"
+    protocol = "sbg_sbgecom"
+    default_baud = 115200
+    bauds = (115200, 921600, 460800, 230400, 57600, 38400, 19200, 9600)
+    status = "document only"
+    manual = "SBG Systems sbgECom library (MIT): binary protocol, logs IMU_DATA and IMU_SHORT"
 
 
 DRIVER = SbgEcom

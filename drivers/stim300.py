@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Collection, Iterable, Sequence
 
-from imufield.acquire.driver import Ability, Driver, Evidence, choose_rate
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import BY_DOCUMENT, Command, Driver, Message, choose_rate
 
 from ._stim300_utility import enter_utility_mode, utility
 
+# Rates by their codes in the utility-mode command ``sm``.
 _RATE_CODES = {125: 0, 250: 1, 500: 2, 1000: 3, 2000: 4}
-_RANGES_G = (2, 5, 10, 30, 80)
 _OUTPUTS = ("rate", "average", "increment")
+# Values of the configuration datagram that the datasheet knows; a rate of 0 is an external trigger.
+_KNOWN_SETTINGS = {
+    "accelerometer_range_g": (2, 5, 10, 30, 80),
+    "accelerometer_output": _OUTPUTS,
+    "gyroscope_output": _OUTPUTS,
+    "rate_hz": (0, *_RATE_CODES),
+}
 
 
 class Stim300(Driver):
@@ -45,19 +50,15 @@ class Stim300(Driver):
     datasheet alone.
     """
 
-    name: ClassVar[str] = "stim300"
-    title: ClassVar[str] = "Sensonor STIM300"
-    protocol: ClassVar[str] = "stim300"
-    default_baud: ClassVar[int] = 921600
-    bauds: ClassVar[tuple[int, ...]] = (921600, 460800, 1843200, 374400)
-    answers_replace_samples: ClassVar[bool] = True
-    status: ClassVar[Evidence] = "verified on real bytes"
-    manual: ClassVar[str] = "Sensonor TS1524 rev. 31, STIM300 Inertia Measurement Unit: datagrams, commands, status byte"
-    abilities: ClassVar[Mapping[Ability, Evidence]] = {
-        "identify": "document only",
-        "start and stop": "document only",
-        "rate": "document only",
-    }
+    name = "stim300"
+    title = "Sensonor STIM300"
+    protocol = "stim300"
+    default_baud = 921600
+    bauds = (921600, 460800, 1843200, 374400)
+    answers_replace_samples = True
+    status = "verified on real bytes"
+    manual = "Sensonor TS1524 rev. 31, STIM300 Inertia Measurement Unit: datagrams, commands, status byte"
+    abilities = BY_DOCUMENT
 
     @classmethod
     def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
@@ -72,7 +73,7 @@ class Stim300(Driver):
     @classmethod
     def rate_hz(cls, state: Sequence[Message]) -> float | None:
         """Return the rate by the configuration datagram; None with an external trigger."""
-        return next((one["rate_hz"] for one in state if one.get("rate_hz")), None)
+        return next((answer["rate_hz"] for answer in state if answer.get("rate_hz")), None)
 
     @classmethod
     def rate_orders(cls, rate_hz: float, state: Sequence[Message]) -> Sequence[Command]:
@@ -91,24 +92,16 @@ class Stim300(Driver):
         return [enter_utility_mode()]
 
     @classmethod
-    def read_settings(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, object]:
+    def read_settings(cls, messages: Iterable[Message]) -> dict[str, object]:
         """Return range, output units and rate from the newest configuration datagram."""
         found: dict[str, object] = {}
         for message in messages:
-            if message["kind"] != "configuration":
-                continue
-            for name, allowed in (
-                ("accelerometer_range_g", _RANGES_G),
-                ("accelerometer_output", _OUTPUTS),
-                ("gyroscope_output", _OUTPUTS),
-                ("rate_hz", (0, 125, 250, 500, 1000, 2000)),
-            ):
-                if message.get(name) in allowed:
-                    found[name] = message[name]
+            if message["kind"] == "configuration":
+                found |= {name: message[name] for name, known in _KNOWN_SETTINGS.items() if message.get(name) in known}
         return found
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:
         """Return model (the part number), serial number and firmware, as far as the messages tell them."""
         found: dict[str, str] = {}
         for message in messages:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
-from imufield.acquire.driver import Driver, Evidence, Wire
+from imufield.acquire.driver import Driver
 
 
 class TarsCan(Driver):
@@ -15,14 +15,14 @@ class TarsCan(Driver):
     a public recording (9.77 m/s^2 in the third word at rest); the order of the axes is an assumption.
     """
 
-    name: ClassVar[str] = "tars_can"
-    title: ClassVar[str] = "Honeywell TARS (J1939)"
-    protocol: ClassVar[str] = "j1939_imu"
-    wire: ClassVar[Wire] = "can"
-    default_baud: ClassVar[int] = 250_000
-    bauds: ClassVar[tuple[int, ...]] = (250_000, 500_000)
-    status: ClassVar[Evidence] = "verified on real bytes"
-    manual: ClassVar[str] = "SAE J1939-71 PGN 61481, 61482, 61485; frames of a public logger"
+    name = "tars_can"
+    title = "Honeywell TARS (J1939)"
+    protocol = "j1939_imu"
+    wire = "can"
+    default_baud = 250_000
+    bauds = (250_000, 500_000)
+    status = "verified on real bytes"
+    manual = "SAE J1939-71 PGN 61481, 61482, 61485; frames of a public logger"
     settings: ClassVar[Mapping[str, object]] = {"axes": "sae"}
 
 

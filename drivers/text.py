@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-from imufield.acquire.driver import Driver, Evidence
+from imufield.acquire.driver import Driver
 
 
 class Text(Driver):
@@ -18,13 +16,13 @@ class Text(Driver):
         --set increments=true --set rate_hz=100
     """
 
-    name: ClassVar[str] = "text"
-    title: ClassVar[str] = "any instrument that prints lines of numbers"
-    protocol: ClassVar[str] = "text"
-    default_baud: ClassVar[int] = 115200
-    bauds: ClassVar[tuple[int, ...]] = (115200, 9600, 57600, 230400, 460800, 921600, 38400, 19200)
-    status: ClassVar[Evidence] = "verified on real bytes"
-    manual: ClassVar[str] = "imufield, docs/protocols.md: lines of numbers; NMEA 0183 for the optional checksum"
+    name = "text"
+    title = "any instrument that prints lines of numbers"
+    protocol = "text"
+    default_baud = 115200
+    bauds = (115200, 9600, 57600, 230400, 460800, 921600, 38400, 19200)
+    status = "verified on real bytes"
+    manual = "imufield, docs/protocols.md: lines of numbers; NMEA 0183 for the optional checksum"
 
 
 DRIVER = Text

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import ClassVar
 
-from imufield.acquire.driver import Evidence, choose_rate
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import Command, Message, choose_rate
 
 from ._vectornav_registers import VectorNav, read, values_of, write
 
+# Values of the register; the sensor refuses others.
 _RATES_HZ = (1, 2, 4, 5, 10, 20, 25, 40, 50, 100, 200)
-_FREQUENCY = 7
+_FREQUENCY = 7  # Register of the asynchronous data output frequency.
 
 
 class VectorNavAscii(VectorNav):
@@ -22,11 +21,11 @@ class VectorNavAscii(VectorNav):
     resolution of 0.001 m/s^2 only, which is too coarse for noise: prefer the binary output.
     """
 
-    name: ClassVar[str] = "vectornav_ascii"
-    title: ClassVar[str] = "VectorNav VN-100/200/300, ASCII"
-    protocol: ClassVar[str] = "vectornav_ascii"
-    status: ClassVar[Evidence] = "verified on real bytes"
-    manual: ClassVar[str] = "VectorNav UM001, VN-100 User Manual rev. 2.22: asynchronous ASCII output, protocol control"
+    name = "vectornav_ascii"
+    title = "VectorNav VN-100/200/300, ASCII"
+    protocol = "vectornav_ascii"
+    status = "verified on real bytes"
+    manual = "VectorNav UM001, VN-100 User Manual rev. 2.22: asynchronous ASCII output, protocol control"
 
     @classmethod
     def state_questions(cls, heard: Collection[str]) -> Sequence[Command]:

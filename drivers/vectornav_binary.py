@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import ClassVar
 
-from imufield.acquire.driver import Evidence, choose_divisor
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import Command, Message, choose_divisor
 
-from ._vectornav_registers import BINARY_OUTPUTS, VectorNav, read, values_of, write
+from ._vectornav_registers import BINARY_OUTPUTS, MODEL, VectorNav, read, values_of, write
 
+# Binary outputs divide the inner rate of the sensor, which its model tells.
 _IMU_HZ = 400
 _IMU_HZ_VN100 = 800
 
@@ -33,18 +33,19 @@ class VectorNavBinary(VectorNav):
     about -9.8 m/s^2 there.
     """
 
-    name: ClassVar[str] = "vectornav_binary"
-    title: ClassVar[str] = "VectorNav VN-100/200/300, binary"
-    protocol: ClassVar[str] = "vectornav_binary"
-    status: ClassVar[Evidence] = "verified on real bytes"
-    manual: ClassVar[str] = "VectorNav UM001, VN-100 User Manual rev. 2.22: binary output messages"
-    answers: ClassVar[str] = "vectornav_ascii"
+    name = "vectornav_binary"
+    title = "VectorNav VN-100/200/300, binary"
+    protocol = "vectornav_binary"
+    status = "verified on real bytes"
+    manual = "VectorNav UM001, VN-100 User Manual rev. 2.22: binary output messages"
+    # Registers are answered in text, whatever the samples are sent in.
+    answers = "vectornav_ascii"
     variants: ClassVar[tuple[Mapping[str, object], ...]] = ({"source": "compensated"},)
 
     @classmethod
     def state_questions(cls, heard: Collection[str]) -> Sequence[Command]:
         """Return the questions for the model, which has the inner rate, and for the three binary outputs."""
-        return [read(1), *(read(number) for number in BINARY_OUTPUTS)]
+        return [read(MODEL), *(read(number) for number in BINARY_OUTPUTS)]
 
     @classmethod
     def rate_hz(cls, state: Sequence[Message]) -> float | None:
@@ -64,7 +65,7 @@ class VectorNavBinary(VectorNav):
 
 
 def _imu_hz(state: Sequence[Message]) -> int:
-    model = values_of(state, 1) or [""]
+    model = values_of(state, MODEL) or [""]
     return _IMU_HZ_VN100 if model[0].startswith("VN-100") else _IMU_HZ
 
 

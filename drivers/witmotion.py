@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from imufield.acquire.driver import Ability, Driver, Evidence, choose_rate
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import BY_DOCUMENT, Command, Driver, Message, choose_rate
 
+# Registers; reading one answers with it and the three behind it.
 _RATE = 0x03
 _VERSION = 0x2E
 _SERIAL = 0x7F
 _SERIAL_END = 0x83
 _READ = 0x27
+# Settings are taken for some seconds after the key was written.
 _KEY = 0x69
 _UNLOCK = 0xB588
+# Codes of the rate register besides the rates themselves.
 _ONCE = 0x0C
 _NEVER = 0x0D
 _AS_DELIVERED = 0x06
@@ -40,19 +42,15 @@ class WitMotion(Driver):
     of memory cards (``--set form=card``, 28 bytes) have no checksum: damage in them goes unseen.
     """
 
-    name: ClassVar[str] = "witmotion"
-    title: ClassVar[str] = "WitMotion WT901, HWT90x"
-    protocol: ClassVar[str] = "witmotion"
-    default_baud: ClassVar[int] = 9600
-    bauds: ClassVar[tuple[int, ...]] = (9600, 115200, 230400, 460800, 921600, 57600, 38400, 19200, 4800)
-    status: ClassVar[Evidence] = "verified on real bytes"
-    manual: ClassVar[str] = "WITMOTION WitStandardProtocol_JY901: standard protocol and register map"
+    name = "witmotion"
+    title = "WitMotion WT901, HWT90x"
+    protocol = "witmotion"
+    default_baud = 9600
+    bauds = (9600, 115200, 230400, 460800, 921600, 57600, 38400, 19200, 4800)
+    status = "verified on real bytes"
+    manual = "WITMOTION WitStandardProtocol_JY901: standard protocol and register map"
     variants: ClassVar[tuple[Mapping[str, object], ...]] = ({"form": "bluetooth"},)
-    abilities: ClassVar[Mapping[Ability, Evidence]] = {
-        "identify": "document only",
-        "start and stop": "document only",
-        "rate": "document only",
-    }
+    abilities = BY_DOCUMENT
 
     @classmethod
     def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
@@ -91,18 +89,20 @@ class WitMotion(Driver):
         return _set_code(state[0]["registers"][0])
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:
         """Return serial number and version as far as registers hold any."""
-        words = {
-            message["asked"]: message["registers"] for message in messages if "registers" in message and "asked" in message
-        }
+        # An answer holds four registers; which ones, only the question says.
+        words = dict.fromkeys(("version", "serial", "serial end"), (0, 0, 0, 0))
+        words |= {message["asked"]: message["registers"] for message in messages if {"asked", "registers"} <= message.keys()}
         found: dict[str, str] = {}
-        if any(words.get("version", ())[:2]):
-            low, high = words["version"][:2]
+        low, high, *_ = words["version"]
+        if low or high:
             found["firmware"] = str(high << 16 | low)
-        serial = struct.pack("<6H", *(*words.get("serial", (0,) * 4), *words.get("serial end", (0,) * 4)[:2]))
+        serial = struct.pack("<6H", *words["serial"], *words["serial end"][:2])
         text = serial.strip(b"\0 ").decode("ascii", "replace")
-        return {**found, **({"serial_number": text} if text.isalnum() else {})}
+        if text.isalnum():
+            found["serial_number"] = text
+        return found
 
 
 def _set_code(code: int) -> Sequence[Command]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-from imufield.acquire.driver import Driver, Evidence, Wire
+from imufield.acquire.driver import Driver
 
 
 class XsensCan(Driver):
@@ -27,14 +25,14 @@ class XsensCan(Driver):
     Never tried on an instrument; that numbers are big-endian is what every public description assumes.
     """
 
-    name: ClassVar[str] = "xsens_can"
-    title: ClassVar[str] = "Xsens MTi-600 series (CAN)"
-    protocol: ClassVar[str] = "xsens_can"
-    wire: ClassVar[Wire] = "can"
-    default_baud: ClassVar[int] = 250_000
-    bauds: ClassVar[tuple[int, ...]] = (250_000, 500_000, 1_000_000, 125_000)
-    status: ClassVar[Evidence] = "document only"
-    manual: ClassVar[str] = "Xsens MT1604P rev. A (2019), by public descriptions"
+    name = "xsens_can"
+    title = "Xsens MTi-600 series (CAN)"
+    protocol = "xsens_can"
+    wire = "can"
+    default_baud = 250_000
+    bauds = (250_000, 500_000, 1_000_000, 125_000)
+    status = "document only"
+    manual = "Xsens MT1604P rev. A (2019), by public descriptions"
 
 
 DRIVER = XsensCan

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from imufield.acquire.driver import Ability, Driver, Evidence
-from imufield.acquire.instrument.exchange import Command, Message
+from imufield.acquire.driver import Ability, Command, Driver, Evidence, Message
 from imufield.acquire.protocol.checksum import make_checksum
 
 _SUM = make_checksum("SUM-8/NEGATED")
+# Message identifiers; each answer has the next one.
 REQUEST_DEVICE_ID = 0x00
 GO_TO_MEASUREMENT = 0x10
 REQUEST_FIRMWARE = 0x12
@@ -37,18 +37,18 @@ class XsensMtData2(Driver):
     Messages with GNSS data alone come in between, with an older time; they are no samples.
     """
 
-    name: ClassVar[str] = "xsens_mtdata2"
-    title: ClassVar[str] = "Xsens MTi"
-    protocol: ClassVar[str] = "xsens_mtdata2"
-    default_baud: ClassVar[int] = 115200
-    bauds: ClassVar[tuple[int, ...]] = (115200, 921600, 460800, 230400, 2000000, 57600)
-    status: ClassVar[Evidence] = "verified on real bytes"
-    manual: ClassVar[str] = "Xsens MT0101P, MT Low Level Communication Protocol Documentation: Xbus messages, MTData2"
+    name = "xsens_mtdata2"
+    title = "Xsens MTi"
+    protocol = "xsens_mtdata2"
+    default_baud = 115200
+    bauds = (115200, 921600, 460800, 230400, 2000000, 57600)
+    status = "verified on real bytes"
+    manual = "Xsens MT0101P, MT Low Level Communication Protocol Documentation: Xbus messages, MTData2"
     abilities: ClassVar[Mapping[Ability, Evidence]] = {
         "identify": "verified on real bytes",
         "start and stop": "verified on real bytes",
     }
-    no_rate: ClassVar[str] = "an MTi keeps its rate in memory that outlives the power, which imufield never writes"
+    no_rate = "an MTi keeps its rate in memory that outlives the power, which imufield never writes"
 
     @classmethod
     def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
@@ -72,7 +72,7 @@ class XsensMtData2(Driver):
         return [request("GoToConfig", GO_TO_CONFIG, "go_to_config_done")]
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:
         """Return product code, device id and firmware."""
         found: dict[str, str] = {}
         for message in messages:
@@ -89,12 +89,12 @@ def request(name: str, message_id: int, answer: str, data: bytes = b"", *, is_la
     """Return a message to the instrument, answered by a message called ``answer`` or by an error."""
     body = bytes([0xFF, message_id, len(data)]) + data
     return Command(
-        name=name, data=b"\xfa" + body + bytes([_SUM.of(body)]), answer=_is(answer, "error"), refusal=_refusal, is_last=is_last
+        name=name,
+        data=b"\xfa" + body + bytes([_SUM.of(body)]),
+        answer=lambda message: message["kind"] in (answer, "error"),
+        refusal=_refusal,
+        is_last=is_last,
     )
-
-
-def _is(*kinds: str) -> Any:
-    return lambda message: message["kind"] in kinds
 
 
 def _refusal(answer: Message) -> str:

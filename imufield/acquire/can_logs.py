@@ -1,5 +1,25 @@
 """Logs of CAN buses: the address that programs of others import."""
 
-from imufield.acquire.formats.can_logs import begins_as_can_log, import_log, is_can_log, read_log, replay_frames, replay_to_bus
+from imufield.acquire.formats.can_logs import (
+    CHUNK_FRAMES,
+    CHUNK_S,
+    SUFFIXES,
+    begins_as_can_log,
+    import_log,
+    is_can_log,
+    read_log,
+    replay_frames,
+    replay_to_bus,
+)
 
-__all__ = ["begins_as_can_log", "import_log", "is_can_log", "read_log", "replay_frames", "replay_to_bus"]
+__all__ = [
+    "CHUNK_FRAMES",
+    "CHUNK_S",
+    "SUFFIXES",
+    "begins_as_can_log",
+    "import_log",
+    "is_can_log",
+    "read_log",
+    "replay_frames",
+    "replay_to_bus",
+]

@@ -2,16 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, ClassVar, Literal
 
-from imufield.acquire.instrument.exchange import Command, Message, any_message
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.errors import UsageError
 
 Evidence = Literal["verified on real bytes", "document only"]
 Wire = Literal["serial", "can"]
 Ability = Literal["identify", "start and stop", "rate"]
+# What a frame without samples holds is written in its protocol: numbers, texts or lists, by the name of the field.
+Message = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """Something to send, and how its answer is known.
+
+    Attributes
+    ----------
+    name : str
+        What it is for; stands under ``asked`` in the answer.
+    data : bytes
+    answer : callable or None
+        Tells whether a message answers it; None: nothing does, and nothing is waited for.
+    refusal : callable
+        What an answer says against it, empty for consent.
+    is_last : bool
+        It ends what the commands before it began, and is sent even where one of those failed.
+    read : callable or None
+        Finds the answer in the bytes since sending, where it is no message of the protocol; None: not there yet.
+    """
+
+    name: str
+    data: bytes
+    answer: Callable[[Message], bool] | None = None
+    refusal: Callable[[Message], str] = lambda _: ""
+    _: KW_ONLY
+    is_last: bool = False
+    read: Callable[[bytes], Message | None] | None = None
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether the instrument says something to it."""
+        return self.answer is not None or self.read is not None
+
+
+def any_message(message: Message) -> bool:  # noqa: ARG001  every message will do
+    """Take whatever comes for an answer."""
+    return True
+
+
+BY_DOCUMENT: Mapping[Ability, Evidence] = {
+    "identify": "document only",
+    "start and stop": "document only",
+    "rate": "document only",
+}
+"""Abilities of an instrument all of whose commands are written from its manual alone."""
 
 
 class Driver:
@@ -53,9 +101,7 @@ class Driver:
     """Why its rate cannot be set, where it cannot."""
 
     @classmethod
-    def load_protocol(
-        cls, given: Mapping[str, object] | None = None, *, messages: Iterable[Mapping[str, Any]] = ()
-    ) -> Protocol:
+    def load_protocol(cls, given: Mapping[str, object] | None = None, *, messages: Iterable[Message] = ()) -> Protocol:
         """Return the protocol with this instrument's settings, those its messages tell, and those given.
 
         Raises
@@ -67,12 +113,12 @@ class Driver:
         return load_protocol(cls.protocol, given, read=read)
 
     @classmethod
-    def read_settings(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, object]:  # noqa: ARG003  for drivers to use
+    def read_settings(cls, messages: Iterable[Message]) -> dict[str, object]:  # noqa: ARG003  for drivers to use
         """Return the settings that messages of the instrument tell."""
         return {}
 
     @classmethod
-    def identity(cls, messages: Iterable[Mapping[str, Any]]) -> dict[str, str]:  # noqa: ARG003  for drivers to use
+    def identity(cls, messages: Iterable[Message]) -> dict[str, str]:  # noqa: ARG003  for drivers to use
         """Return what messages of the instrument tell of ``model``, ``serial_number`` and ``firmware``."""
         return {}
 

@@ -73,8 +73,8 @@ def probe(
 
     Example: imufield probe --bus socketcan:can0
     """
-    from imufield.acquire.instrument.connect import host_clock
     from imufield.commands.probe import run_probe, run_probe_bus
+    from imufield.commands.terminal.connection import host_clock
 
     options = connect_options(
         context=context, port=port, bus=bus, driver=None, baud=baud, protocol=None, dbc=None, mapping=None, settings=None
@@ -132,8 +132,8 @@ def capture(
 
     Example: imufield capture --port /dev/ttyUSB0 --latitude 48.1 --height 520
     """
-    from imufield.acquire.instrument.connect import host_clock
     from imufield.commands.capture import CaptureOptions, run_capture
+    from imufield.commands.terminal.connection import host_clock
     from imufield.commands.terminal.views import Manner, parse_side
 
     options = CaptureOptions(
@@ -192,8 +192,8 @@ def record(
 
     Example: imufield record --bus socketcan:can0 --driver aceinna_can
     """
-    from imufield.acquire.instrument.connect import host_clock
     from imufield.commands.record import RecordOptions, run_record
+    from imufield.commands.terminal.connection import host_clock
 
     connect = connect_options(
         context=context,
@@ -246,9 +246,9 @@ def import_files(
 
     Example: imufield import drive.blf --driver aceinna_can
     """
-    from imufield.acquire.instrument.connect import parse_mapping
     from imufield.commands.configuration import parse_settings
     from imufield.commands.import_files import ImportOptions, run_import
+    from imufield.commands.terminal.connection import parse_mapping
 
     options = ImportOptions(
         files=files,

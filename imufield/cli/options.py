@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import typer
 
 if TYPE_CHECKING:
-    from imufield.acquire.instrument.connect import ConnectOptions
+    from imufield.commands.terminal.connection import ConnectOptions
     from imufield.pipeline.site import SiteOptions
 
 
@@ -131,8 +131,8 @@ def connect_options(
     UsageError
         Both were typed, or an option is not of the form NAME=VALUE.
     """
-    from imufield.acquire.instrument.connect import ConnectOptions, parse_mapping
     from imufield.commands.configuration import parse_settings
+    from imufield.commands.terminal.connection import ConnectOptions, parse_mapping
     from imufield.errors import UsageError
 
     if port is not None and bus is not None:

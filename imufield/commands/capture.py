@@ -23,6 +23,7 @@ from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import DEFAULT_ROOT, Session
 from imufield.commands.resume import check_instrument, check_plan, connect_as_before, find_unfinished, site_as_before
 from imufield.commands.solve import FEWEST_POSITIONS
+from imufield.commands.terminal.connection import say_assumed
 from imufield.commands.terminal.output import before_recording, say
 from imufield.commands.terminal.questions import ask
 from imufield.commands.terminal.views import LinkState, LiveStatus, Manner, View, ViewName, make_view
@@ -114,7 +115,8 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
         if not (site.is_known or interactive or options.view == "json"):
             say(_GRAVITY_UNKNOWN, err=True)
         site.gravity()
-        connected = connect(options.connect if earlier is None else connect_as_before(options.connect, earlier), clock)
+        how = options.connect if earlier is None else connect_as_before(options.connect, earlier)
+        connected = connect(how, clock, say_assumed)
     with ExitStack() as stack:
         stack.callback(connected.close)
         session = earlier or new_session(options, connected, site)

@@ -12,7 +12,7 @@ import typer
 
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import Search, bauds_to_try, has_no_baud, nothing_recognised, search, serial_candidates
-from imufield.acquire.instrument.recognise import Candidate, Ear, Finding
+from imufield.acquire.instrument.recognise import Candidate, Finding, Listener
 from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.ports import serial_ports
 from imufield.commands.terminal.output import say
@@ -137,53 +137,53 @@ def probe_port(
     candidates = candidates or serial_candidates()
     bauds = bauds_to_try(candidates, port, baud)
     try:
-        found = search(port, candidates, bauds, clock)
+        result = search(port, candidates, bauds, clock)
     except ImufieldError as error:
         return Probed(port=port, error=error)
     try:
-        others = _others(found)
-        if found.found is None:
-            return Probed(port=port, others=others, error=nothing_recognised(port, found))
-        rate = None if has_no_baud(port) and baud is None else found.last.baud
-        identity = _identity(found, found.found, clock, ask=ask)
+        others, listener = _others(result), result.recognised
+        if listener is None:
+            return Probed(port=port, others=others, error=nothing_recognised(port, result))
+        rate = None if has_no_baud(port) and baud is None else result.last.baud
+        identity = _identity(result, listener, clock, ask=ask)
         return Probed(
             port=port,
-            found=found.found.finding(),
+            found=listener.finding(),
             baud=rate,
-            command=_command(port, found.found, rate),
+            command=_command(port, listener, rate),
             identity=identity,
             others=others,
         )
     finally:
-        found.link.close()
+        result.link.close()
 
 
-def _identity(found: Search, ear: Ear, clock: HostClock, *, ask: bool) -> dict[str, str]:
+def _identity(result: Search, listener: Listener, clock: HostClock, *, ask: bool) -> dict[str, str]:
     """Return what the instrument said of itself without being asked, or (``ask``) when asked."""
-    driver = ear.candidate.driver
+    driver = listener.candidate.driver
     if driver is None:
         return {}
-    identity = driver.identity(ear.messages())
+    identity = driver.identity(listener.messages())
     if identity or not ask or "identify" not in driver.abilities:
         return identity
     try:
-        return driver.identity(Instrument(driver, clock, set(ear.decoder.statistics.by_kind)).identify(found.link))
+        return driver.identity(Instrument(driver, clock, set(listener.decoder.statistics.by_kind)).identify(result.link))
     except LinkError:
         return {}
 
 
-def _others(found: Search) -> list[Finding]:
+def _others(result: Search) -> list[Finding]:
     # Another form of the instrument that was found is the same instrument.
-    name = None if found.found is None else found.found.candidate.name
-    ears = [ear for hearing in found.hearings for ear in hearing.ears if ear.candidate.name != name]
-    findings = sorted((ear.finding() for ear in ears), key=lambda one: (one.frames, one.share), reverse=True)
+    name = None if result.recognised is None else result.recognised.candidate.name
+    listeners = [each for hearing in result.hearings for each in hearing.listeners if each.candidate.name != name]
+    findings = sorted((each.finding() for each in listeners), key=lambda one: (one.frames, one.share), reverse=True)
     return [one for one in findings if one.frames][:_OTHERS_NAMED]
 
 
-def _command(port: str, ear: Ear, baud: int | None) -> str:
-    words = ["imufield", "capture", "--port", port, "--driver", ear.candidate.name]
+def _command(port: str, listener: Listener, baud: int | None) -> str:
+    words = ["imufield", "capture", "--port", port, "--driver", listener.candidate.name]
     words += [] if baud is None else ["--baud", str(baud)]
-    for name, value in ear.candidate.variant.items():
+    for name, value in listener.candidate.variant.items():
         words += ["--set", f"{name}={value}"]
     return shlex.join(words)
 

@@ -18,6 +18,7 @@ from imufield.acquire.link.reconnect import PatientLink
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import DEFAULT_ROOT, Session
+from imufield.commands.terminal.connection import say_assumed
 from imufield.commands.terminal.output import say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import LinkError, RecordingError
@@ -49,7 +50,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
     """
     clock = clock or SystemClock()
     options.site.gravity()
-    connected = connect(options.connect, clock)
+    connected = connect(options.connect, clock, say_assumed)
     with ExitStack() as stack:
         stack.callback(connected.close)
         session = _new_session(options, connected)

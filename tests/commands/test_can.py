@@ -389,10 +389,10 @@ class Uneven:
 
 def test_frames_that_come_in_bursts_are_understood_however_uneven() -> None:
     host = Uneven()
-    (description,) = connect_can.can_descriptions(ConnectOptions(driver="aceinna_can"))
-    ear = connect_can._Ear(description, Decoder(description.protocol))
-    connect_can._listen(host, [ear], host)  # type: ignore[arg-type]
-    assert ear.samples >= FEWEST_SAMPLES
+    (candidate,) = connect_can.bus_candidates(ConnectOptions(driver="aceinna_can"))
+    listener = connect_can.BusListener(candidate, Decoder(candidate.protocol))
+    connect_can._listen(host, [listener], host)  # type: ignore[arg-type]
+    assert listener.samples >= FEWEST_SAMPLES
 
 
 def test_a_typed_bus_goes_before_a_port_by_default(

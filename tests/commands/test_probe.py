@@ -15,6 +15,7 @@ import pytest
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.instrument.connect import ConnectOptions, ask_identity, check_capacity, connect
+from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import SILENT_S, SILENT_TRY_S, search, serial_candidates
 from imufield.acquire.link.host_clock import ScaledClock, SystemClock
 from imufield.acquire.link.serial import Chunk, Link, open_link
@@ -135,8 +136,8 @@ def test_several_bit_rates_are_tried_on_a_port_that_stays_open() -> None:
         try:
             # A WitMotion alone is sought at the first of these; a pseudo-terminal would hand on anything.
             assert [one.baud for one in found.hearings][-1] == 115200
-            assert found.found is not None
-            assert found.found.candidate.name == "xsens_mtdata2"
+            assert found.recognised is not None
+            assert found.recognised.candidate.name == "xsens_mtdata2"
             assert found.link.settings.baud == 115200
         finally:
             found.link.close()
@@ -315,11 +316,11 @@ def test_a_rate_that_was_not_taken_is_an_error_and_all_is_as_before() -> None:
         assert instrument.streaming
 
 
-def test_what_cannot_be_put_back_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_put_back_is_said() -> None:
     with emulated("witmotion", 50) as there:
-        found, _ = connected(there.port, rate_hz=100)
+        found, said = connected(there.port, rate_hz=100)
     found.close()
-    assert "not put back" in capsys.readouterr().err
+    assert "not put back" in said[-1]
 
 
 def test_a_protocol_file_knows_no_commands() -> None:
@@ -331,11 +332,11 @@ def test_a_rate_that_the_wire_cannot_carry() -> None:
     with emulated("xsens_mtdata2") as there:
         found = search(there.port, serial_candidates(), [115200], SystemClock())
         found.link.close()
-    assert found.found is not None
-    check_capacity(found.found, 100, 115200)
+    assert found.recognised is not None
+    check_capacity(found.recognised, 100, 115200)
     # 61 bytes of 10 bits and a tenth to spare: 115200 bit/s carry 172 a second, the cut first frame aside.
     with pytest.raises(UsageError, match=r"1[67]\d such samples"):
-        check_capacity(found.found, 200, 115200)
+        check_capacity(found.recognised, 200, 115200)
 
 
 def test_what_is_given_but_not_there_is_named() -> None:
@@ -370,7 +371,8 @@ def test_samples_that_gave_way_to_answers_are_not_lost_on_the_link(deaf: bool) -
             # Behind what it says when it is switched on; the slow clock leaves a busy machine time for the answers.
             listening.messages()
             first = chunks[0]
-            messages = ask_identity(link, chunks, driver, listening, clock=SystemClock() if deaf else ScaledClock(0.05))
+            instrument = Instrument(driver, SystemClock() if deaf else ScaledClock(0.05), set(listening.statistics.by_kind))
+            messages = ask_identity(instrument, link, chunks, listening.messages())
             assert bool(messages) is not deaf
             assert not deaf or first in chunks, "nothing gave way where nothing was answered"
             counting = Decoder(driver.load_protocol())

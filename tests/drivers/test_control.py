@@ -13,8 +13,8 @@ import pytest
 from never_sent import FORBIDDEN
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.driver import Driver
-from imufield.acquire.instrument.exchange import TRIES, Command
+from imufield.acquire.driver import Command, Driver
+from imufield.acquire.instrument.exchange import TRIES
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.link.host_clock import SystemClock
 from imufield.acquire.link.serial import SerialLink, open_link
@@ -241,7 +241,7 @@ def test_stop_and_start(case: Case) -> None:
 
 def test_found_silent_left_silent(case: Case) -> None:
     with bench(case) as found:
-        for order in found.here.driver.stop_orders(found.here._state(found.link)):
+        for order in found.here.driver.stop_orders(found.here._read_state(found.link)):
             found.there.device.hear(order.data)
         # Of a silent instrument no frames were heard that tell the family.
         found.here.heard = set()
@@ -287,7 +287,7 @@ def commands_of(case: Case) -> Iterator[Command]:
         yield from driver.identity_questions(heard)
         yield from driver.state_questions(heard)
     with bench(case) as found:
-        state = found.here._state(found.link)
+        state = found.here._read_state(found.link)
     yield from driver.stop_orders(state)
     yield from driver.start_orders(state)
     if case.rate_hz is not None:

@@ -1,15 +1,19 @@
-"""Program that reads a file of arrays in a process of its own: ``python -P array_file_reader.py KIND FILE``.
+"""Program that reads a file of another program in a process of its own: ``python -P array_file_reader.py KIND FILE``.
 
-The libraries that read them are written in C and believe what a file says of its sizes and types: a damaged MATLAB file kills
-SciPy's reader, and a few hundred bytes of HDF5, Parquet or packed NumPy unpack to gigabytes. Here that is the end of this
-process and not of the one that asked. What is read goes to standard output: a line of JSON with the names and what the file
-states, or with what is wrong, and then each array in NumPy's format. This file imports nothing of imufield, so that it runs
-wherever NumPy and SciPy are found.
+The libraries that read such files are written in C and believe what a file says of its sizes and types: a damaged MATLAB file
+kills SciPy's reader, a few hundred bytes of HDF5, Parquet or packed NumPy unpack to gigabytes, and a damaged MF4 log exhausts
+the stack. Here that is the end of this process and not of the one that asked.
+
+Of arrays, standard output gets a line of JSON with the names and what the file states, or with what is wrong, and then each
+array in NumPy's format; of an MF4 log it gets the frames as candump writes them. This file imports nothing of imufield, so
+that it runs wherever the libraries are found.
 """
 
 from __future__ import annotations
 
+import gzip
 import json
+import logging
 import mmap
 import struct
 import sys
@@ -21,12 +25,16 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
-from typing import IO, Any
+from typing import IO, Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-Arrays = dict[str, NDArray[Any]]
+# The type of the numbers is known when the file is read.
+Array = NDArray[Any]
+Arrays = dict[str, Array]
+Content = tuple[Arrays, Mapping[str, object]]
+"""Arrays by name, and what the file states besides."""
 
 MEMORY_LIMIT_BYTES = 1 << 30
 """For the libraries and small files: pyarrow maps 0.2 GB as it loads, and the pages and copies of a small file take a few
@@ -45,10 +53,12 @@ RuntimeError, the others come out of the parsing of sizes, names and (NumPy) a h
 NUMBERS = "iufb"
 """Kinds of data in NumPy that are numbers: whole, without sign, floating, truth values."""
 DATES = "M"
+TOO_LARGE = 3
+"""Exit code where an MF4 log asks for more memory than a sound one of its size."""
 _OWN = "imufield_"  # What our own exports state of their numbers begins with this.
 
 
-def read_mat(path: Path) -> tuple[Arrays, Mapping[Any, Any]]:
+def read_mat(path: Path) -> Content:
     """Return the arrays of a MATLAB file of version 4 to 7."""
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
@@ -59,7 +69,7 @@ def read_mat(path: Path) -> tuple[Arrays, Mapping[Any, Any]]:
         raise ValueError(str(error)) from error
 
 
-def _of_structure(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
+def _of_structure(content: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, Array]]:
     """Yield the arrays of a MATLAB file, those in structures by their dotted names."""
     for name, value in content.items():
         if name.startswith("__"):
@@ -70,27 +80,28 @@ def _of_structure(content: Mapping[str, Any], prefix: str = "") -> Iterator[tupl
             yield from _of_structure(value, f"{prefix}{name}.")
 
 
-def read_hdf5(path: Path) -> tuple[Arrays, Mapping[Any, Any]]:
+def read_hdf5(path: Path) -> Content:
     """Return the datasets and records of an HDF5 file and its attributes."""
     import h5py
 
+    arrays: Arrays = {}
     with h5py.File(path, "r") as file:
-        arrays: Arrays = {}
-        file.visititems(lambda name, item: _add_dataset(arrays, name, item))
+        names: list[str] = []
+        # Links to outside are not followed.
+        file.visit(names.append)
+        for name in names:
+            item = file[name]
+            # "#refs#" is where MATLAB keeps what has no name; a group has no shape.
+            if name.startswith("#") or not hasattr(item, "shape") or item.size == 0:
+                continue
+            if item.dtype.names:
+                arrays |= {f"{name}.{part}": item[part] for part in item.dtype.names}
+            elif item.dtype.kind in NUMBERS:
+                arrays[name.replace("/", ".")] = item[()]
         return arrays, {name: value for name, value in file.attrs.items() if name.startswith(_OWN)}
 
 
-def _add_dataset(arrays: Arrays, name: str, item: Any) -> None:
-    # "#refs#" is where MATLAB keeps what has no name; links to outside are not followed by visititems.
-    if not hasattr(item, "shape") or name.startswith("#") or item.size == 0:
-        return
-    if item.dtype.names:
-        arrays.update({f"{name}.{part}": item[part] for part in item.dtype.names})
-    elif item.dtype.kind in NUMBERS:
-        arrays[name.replace("/", ".")] = item[()]
-
-
-def read_parquet(path: Path) -> tuple[Arrays, Mapping[Any, Any]]:
+def read_parquet(path: Path) -> Content:
     """Return the columns of a Parquet file and what its writer says of it."""
     import pyarrow.parquet as parquet
 
@@ -100,7 +111,7 @@ def read_parquet(path: Path) -> tuple[Arrays, Mapping[Any, Any]]:
     return {name: table.column(name).to_numpy() for name in table.column_names}, stated
 
 
-def read_numpy(path: Path) -> tuple[Arrays, Mapping[Any, Any]]:
+def read_numpy(path: Path) -> Content:
     """Return what is in a .npy or .npz file."""
     # Opened here: NumPy leaves a damaged archive open.
     with path.open("rb") as file:
@@ -109,19 +120,13 @@ def read_numpy(path: Path) -> tuple[Arrays, Mapping[Any, Any]]:
         return ({name: content[name] for name in names} if names else {"": content}), {}
 
 
-READERS: dict[str, Callable[[Path], tuple[Arrays, Mapping[Any, Any]]]] = {
+READERS: dict[str, Callable[[Path], Content]] = {
     "mat": read_mat,
     "hdf5": read_hdf5,
     "parquet": read_parquet,
     "numpy": read_numpy,
 }
 """By the name of the kind on the command line."""
-
-
-def set_limits(size: int) -> None:
-    """Keep this process to the time and memory that a sound file of this size may need, where the system can."""
-    limit_memory(size)
-    _limit("RLIMIT_CPU", LONGEST_S + 60 * size // 100_000_000)
 
 
 def memory_limit_bytes(size: int) -> int:
@@ -131,7 +136,11 @@ def memory_limit_bytes(size: int) -> int:
 
 def limit_memory(size: int) -> None:
     """Keep this process to the memory that a sound file of this size may need, where the system can."""
-    _limit("RLIMIT_AS", _present_bytes() + memory_limit_bytes(size))
+    present_bytes = 0
+    # The address space that this process has taken already, where the system says.
+    with suppress(OSError, ValueError):
+        present_bytes = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * mmap.PAGESIZE
+    _limit("RLIMIT_AS", present_bytes + memory_limit_bytes(size))
     # A reader that dies on purpose leaves no image of its memory beside the user's files.
     _limit("RLIMIT_CORE", 0)
 
@@ -146,50 +155,59 @@ def _limit(name: str, most: int) -> None:
             resource.setrlimit(getattr(resource, name), (most, hard))
 
 
-def _present_bytes() -> int:
-    """Return the address space that this process has taken already, 0 where the system does not say."""
-    with suppress(OSError, ValueError):
-        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * mmap.PAGESIZE
-    return 0
-
-
-def main(kind: str, path: Path) -> None:
+def write_arrays(kind: str, path: Path) -> None:
     """Read, and write names and arrays, or what is wrong."""
     warnings.simplefilter("ignore")
     output = sys.stdout.buffer
+    arrays: Arrays = {}
     try:
-        set_limits(path.stat().st_size)
+        size = path.stat().st_size
+        limit_memory(size)
+        _limit("RLIMIT_CPU", LONGEST_S + 60 * size // 100_000_000)
         arrays, stated = READERS[kind](path)
+        numbers = [name for name, array in arrays.items() if array.dtype.kind in NUMBERS + DATES]
+        head = {
+            "names": numbers,
+            "others": [name for name in arrays if name not in numbers],
+            "stated": {name: str(value) for name, value in stated.items() if name.startswith(_OWN)},
+        }
     except ImportError as error:
-        _write_line(output, {"missing": _first_line(error)})
-        return
+        numbers, head = [], {"missing": first_line(error)}
     except MemoryError:
-        _write_line(output, {"error": "its numbers need more memory than those of a sound file of its size"})
-        return
+        numbers, head = [], {"error": "its numbers need more memory than those of a sound file of its size"}
     except DAMAGE as error:
-        _write_line(output, {"error": _first_line(error)})
-        return
-    numbers = [name for name, array in arrays.items() if array.dtype.kind in NUMBERS + DATES]
-    head = {
-        "names": numbers,
-        "others": [name for name in arrays if name not in numbers],
-        "stated": {str(name): str(value) for name, value in stated.items() if str(name).startswith(_OWN)},
-    }
-    _write_line(output, head)
+        numbers, head = [], {"error": first_line(error)}
+    output.write(json.dumps(head).encode() + b"\n")
     # NumPy would seek in what it takes for a file.
-    pipe: Any = SimpleNamespace(write=output.write)
+    pipe = cast("IO[bytes]", SimpleNamespace(write=output.write))
     for name in numbers:
         np.lib.format.write_array(pipe, arrays[name], allow_pickle=False)
     output.flush()
 
 
-def _write_line(output: IO[bytes], content: Mapping[str, Any]) -> None:
-    output.write(json.dumps(content).encode() + b"\n")
-
-
-def _first_line(error: BaseException) -> str:
+def first_line(error: BaseException) -> str:
+    """Return what an error says, in a line; its kind where it says nothing."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
+def write_frames(path: Path) -> None:
+    """Write the frames of an MF4 log as text; what goes wrong is told by the exit code."""
+    import can
+
+    # The package logs tracebacks besides.
+    logging.disable()
+    limit_memory(path.stat().st_size)
+    opener = cast("Callable[..., BinaryIO]", gzip.open if path.suffix == ".gz" else open)
+    with opener(path, "rb") as file, can.CanutilsLogWriter(sys.stdout) as writer:
+        for message in can.MF4Reader(file):
+            writer(message)
+
+
 if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]))
+    if sys.argv[1] == "mf4":
+        try:
+            write_frames(Path(sys.argv[2]))
+        except MemoryError:
+            sys.exit(TOO_LARGE)
+    else:
+        write_arrays(sys.argv[1], Path(sys.argv[2]))

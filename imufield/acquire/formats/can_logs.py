@@ -12,15 +12,17 @@ import subprocess
 import sys
 import time
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from io import TextIOWrapper
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, cast
 
 import can
 from can.io.blf import BLFParseError
 
-from imufield.acquire.formats.array_file_reader import memory_limit_bytes
-from imufield.acquire.formats.mf4_reader import TOO_LARGE
+from imufield.acquire.formats import array_file_reader
 from imufield.acquire.formats.table_arrays import missing_package
 from imufield.acquire.formats.tables import ChunkWriter
 from imufield.acquire.link.can import make_message, open_bus, pack_message, parse_bus
@@ -33,41 +35,35 @@ from imufield.errors import LinkError, Reason, RecordingError, UsageError
 CHUNK_S = 0.05
 """Frames of this much time make a chunk, as they do when a bus is recorded live."""
 CHUNK_FRAMES = 2048
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """A kind of log: what reads it, and what it begins with."""
+
+    reader: Callable[..., Iterable[can.Message]]
+    head: bytes
+    is_binary: bool = False
+
+
 _TABLE = ".csv"
-_READERS: Mapping[str, Callable[..., Iterable[can.Message]]] = {
-    ".log": can.CanutilsLogReader,
-    ".asc": can.ASCReader,
-    ".blf": can.BLFReader,
-    ".trc": can.TRCReader,
-    ".mf4": can.CanutilsLogReader,
-    _TABLE: can.CSVReader,
+_KINDS = {
+    ".log": _Kind(can.CanutilsLogReader, rb"\s*\(\d+\.\d+\)\s"),
+    # ASC counts from its start unless told otherwise; the date in its head makes it a time of day.
+    ".asc": _Kind(partial(can.ASCReader, relative_timestamp=False), rb"(?i)\s*(date|base)\s"),
+    ".blf": _Kind(can.BLFReader, rb"LOGG", is_binary=True),
+    ".trc": _Kind(can.TRCReader, rb"\s*;"),
+    # A process of its own makes candump's text of it.
+    ".mf4": _Kind(can.CanutilsLogReader, rb"MDF"),
+    _TABLE: _Kind(can.CSVReader, rb"timestamp,arbitration_id,"),
 }
-SUFFIXES = tuple(suffix for suffix in _READERS if suffix != _TABLE)
+SUFFIXES = tuple(suffix for suffix in _KINDS if suffix != _TABLE)
 """Logs this module reads, packed with gzip too; besides, tables of python-can."""
-_BINARY = (".blf",)
 _HEAD_BYTES = 256
-# What logs begin with.
-_HEADS = {
-    ".log": rb"\s*\(\d+\.\d+\)\s",
-    ".asc": rb"(?i)\s*(date|base)\s",
-    ".blf": rb"LOGG",
-    ".trc": rb"\s*;",
-    ".mf4": rb"MDF",
-    _TABLE: rb"timestamp,arbitration_id,",
-}
 # What python-can's readers raise in files that are cut short or of another kind.
 _DAMAGE = (
-    ValueError,
-    IndexError,
-    KeyError,
-    EOFError,
-    OSError,
-    AttributeError,
-    TypeError,
-    struct.error,
-    zlib.error,
-    can.CanError,
-    BLFParseError,
+    *(ValueError, IndexError, KeyError, EOFError, OSError, AttributeError, TypeError),
+    *(struct.error, zlib.error, can.CanError, BLFParseError),
 )
 _EPOCH_S = 1e8  # Time stamps below 1973 count from the start of the log, not from 1970.
 
@@ -80,15 +76,20 @@ def is_can_log(path: str | Path) -> bool:
 def begins_as_can_log(path: str | Path) -> bool:
     """Tell by name and first lines whether a file is a log of a CAN bus: others' logs and grids have the same suffixes."""
     suffixes = Path(path).suffixes[-2:]
-    if not any(suffix in _HEADS for suffix in suffixes):
+    heads = [kind.head for suffix, kind in _KINDS.items() if suffix in suffixes]
+    if not heads:
         return False
-    opener: Callable[..., IO[Any]] = gzip.open if suffixes[-1] == ".gz" else open
     try:
-        with opener(path, "rb") as file:
-            head = file.read(_HEAD_BYTES)
+        with _opened(Path(path)) as file:
+            begin = file.read(_HEAD_BYTES)
     except (OSError, EOFError, zlib.error):
         return False
-    return any(re.match(pattern, head) for suffix, pattern in _HEADS.items() if suffix in suffixes)
+    return any(re.match(head, begin) for head in heads)
+
+
+def _opened(path: Path) -> IO[bytes]:
+    """Open a file that may be packed."""
+    return cast("IO[bytes]", gzip.open(path)) if path.suffix == ".gz" else path.open("rb")
 
 
 def read_log(path: str | Path, *, channel: str | None = None, losses: list[str] | None = None) -> Iterator[Chunk]:
@@ -137,10 +138,10 @@ def _chunk(pieces: list[bytes], last_s: float) -> Chunk:
 
 
 def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iterator[can.Message]:
+    """Yield the frames of one bus, raise or note what is lost behind them."""
     if not path.is_file():
         raise RecordingError(f"{path} is not there or no file: check the name", Reason.NOT_A_RECORDING, path=str(path))
-    count = 0
-    lost = ""
+    count, lost = 0, ""
     try:
         with contextlib.closing(_Reader(path)) as reader:
             for message in _of_channel(reader, path, channel):
@@ -154,30 +155,37 @@ def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iter
     except _DAMAGE as error:
         if not count:
             what = "from its first line on, so it may be of another kind than its name says"
-            raise _unreadable(path, f"cannot be read {what}: {error}; repair it or cut it there", 0) from error
+            raise RecordingError(
+                f"{path} cannot be read {what}: {error}; repair it or cut it there",
+                Reason.DAMAGED,
+                path=str(path),
+                frames=0,
+            ) from error
         lost = f"is damaged behind frame {count} ({error or type(error).__name__})"
     if count == 0:
         where = "" if channel is None else f" of channel {channel}"
         raise RecordingError(f"{path} holds no frame{where}: check the file", Reason.NOT_A_RECORDING, path=str(path))
     if lost and losses is None:
-        raise _unreadable(path, f"{lost}: fetch it again, or cut it there", count)
+        what = f"{path} {lost}: fetch it again, or cut it there"
+        raise RecordingError(what, Reason.DAMAGED, path=str(path), frames=count)
     if lost and losses is not None:
         losses.append(f"{path} {lost}: what follows is lost")
 
 
 def _of_channel(reader: Iterable[can.Message], path: Path, channel: str | None) -> Iterator[can.Message]:
     """Yield the messages of one bus; refuse a log of several where none is chosen."""
-    first: Any = None
+    first = None
     for message in reader:
         if channel is None and first is not None and message.channel != first:
-            raise _two_buses(path, first, message.channel)
+            raise UsageError(
+                f"{path} holds more than one bus, {first} and {message.channel} at least: choose one with --channel, e.g. "
+                f"--channel {first}",
+                path=str(path),
+                channels=(str(first), str(message.channel)),
+            )
         first = message.channel
-        if channel is None or str(message.channel) == channel:
+        if channel is None or str(first) == channel:
             yield message
-
-
-def _unreadable(path: Path, what: str, count: int) -> RecordingError:
-    return RecordingError(f"{path} {what}", Reason.DAMAGED, path=str(path), frames=count)
 
 
 class _Reader:
@@ -185,20 +193,17 @@ class _Reader:
 
     def __init__(self, path: Path) -> None:
         suffixes = path.suffixes[-2:]
-        kind = next((suffix for suffix in reversed(suffixes) if suffix in _HEADS), "")
-        if not kind:
-            raise UsageError(f"{path} has none of the suffixes {', '.join(_HEADS)}: rename it", path=str(path))
-        opener: Callable[..., IO[Any]] = gzip.open if suffixes[-1] == ".gz" else open
+        suffix = next((suffix for suffix in reversed(suffixes) if suffix in _KINDS), "")
+        if not suffix:
+            raise UsageError(f"{path} has none of the suffixes {', '.join(_KINDS)}: rename it", path=str(path))
+        kind = _KINDS[suffix]
         self._path = path
-        self._process = _start_mf4(path) if kind == ".mf4" else None
-        mode: dict[str, Any] = {"mode": "rb"} if kind in _BINARY else {"mode": "rt", "encoding": "utf-8", "errors": "replace"}
-        self._size = None if suffixes[-1] == ".gz" else path.stat().st_size
-        output = None if self._process is None else self._process.stdout
-        self._file: IO[Any] = opener(path, **mode) if output is None else output
-        # ASC counts from its start unless told otherwise; the date in its head makes it a time of day.
-        options = {"relative_timestamp": False} if kind == ".asc" else {}
+        self._size = None if path.suffix == ".gz" else path.stat().st_size
+        self._process = _start_mf4(path) if suffix == ".mf4" else None
+        content = _opened(path) if self._process is None else cast("IO[bytes]", self._process.stdout)
+        self._file = content if kind.is_binary else TextIOWrapper(content, encoding="utf-8", errors="replace")
         try:
-            self._reader = _READERS[kind](self._file, **options)
+            self._reader = kind.reader(self._file)
         except BaseException:
             self._file.close()
             raise
@@ -213,8 +218,15 @@ class _Reader:
         nothing does where the logger was never stopped.
         """
         ended = 0 if self._process is None else self._process.wait()
-        if ended == TOO_LARGE:
-            raise _too_large(self._path, count)
+        if ended == array_file_reader.TOO_LARGE:
+            limit = array_file_reader.memory_limit_bytes(self._path.stat().st_size) >> 20
+            raise RecordingError(
+                f"{self._path} asks for more than {limit} MiB of memory behind frame {count}, the limit for a file of its "
+                "size: it is damaged; or save it as BLF, ASC or in several files",
+                Reason.DAMAGED,
+                path=str(self._path),
+                frames=count,
+            )
         if ended:
             return f"is damaged behind frame {count}"
         reader = self._reader
@@ -234,33 +246,14 @@ class _Reader:
             self._process.wait()
 
 
-def _start_mf4(path: Path) -> subprocess.Popen[str]:
-    """Begin to read MF4 in a process of its own, ``mf4_reader``, which writes what candump would have."""
+def _start_mf4(path: Path) -> subprocess.Popen[bytes]:
+    """Begin to read MF4 in a process of its own, which writes what candump would have."""
     if importlib.util.find_spec("asammdf") is None:
         raise missing_package(f"{path} is MF4, which", "asammdf", "mf4")
     # -P: what stands in the present folder is nothing to import.
-    command = [sys.executable, "-P", str(Path(__file__).with_name("mf4_reader.py")), str(path)]
+    command = [sys.executable, "-P", array_file_reader.__file__, "mf4", str(path)]
     quiet = subprocess.DEVNULL
-    return subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, text=True)  # noqa: S603  (our own)
-
-
-def _too_large(path: Path, count: int) -> RecordingError:
-    limit = memory_limit_bytes(path.stat().st_size) >> 20
-    return RecordingError(
-        f"{path} asks for more than {limit} MiB of memory behind frame {count}, the limit for a file of its size: "
-        "it is damaged; or save it as BLF, ASC or in several files",
-        Reason.DAMAGED,
-        path=str(path),
-        frames=count,
-    )
-
-
-def _two_buses(path: Path, first: object, second: object) -> UsageError:
-    return UsageError(
-        f"{path} holds more than one bus, {first} and {second} at least: choose one with --channel, e.g. --channel {first}",
-        path=str(path),
-        channels=(str(first), str(second)),
-    )
+    return subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet)  # noqa: S603  (our own)
 
 
 def replay_to_bus(
@@ -340,8 +333,8 @@ def replay_frames(
 class _Pacer:
     """Waits until a frame is due."""
 
-    _SHORTEST_S = 0.001
-    _LONGEST_S = 5.0
+    _SHORTEST_S = 0.001  # Below what a system sleeps reliably.
+    _LONGEST_S = 5.0  # Parts have clocks of their own: a jump of the stamps beyond this begins anew.
 
     def __init__(self, pace: float | None) -> None:
         if pace is not None and not pace > 0:
@@ -352,10 +345,8 @@ class _Pacer:
     def wait(self, frame: Frame) -> None:
         if self._pace is None:
             return
-        due_s = frame.time_s / self._pace
-        now_s = time.monotonic()
+        due_s, now_s = frame.time_s / self._pace, time.monotonic()
         ahead_s = None if self._offset_s is None else due_s + self._offset_s - now_s
-        # Parts have clocks of their own: a jump of the stamps starts anew.
         if ahead_s is None or abs(ahead_s) > self._LONGEST_S:
             self._offset_s, ahead_s = now_s - due_s, 0.0
         if ahead_s >= self._SHORTEST_S:

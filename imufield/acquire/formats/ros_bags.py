@@ -8,15 +8,21 @@ from __future__ import annotations
 import sqlite3
 import struct
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from imufield.acquire.formats.array_file_reader import first_line
 from imufield.acquire.formats.table_arrays import ArrayTable, missing_package
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import SAMPLE_COLUMNS, FloatArray, Status
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+    from rosbags.interfaces import Connection
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 _MAGIC = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\0")
@@ -74,26 +80,31 @@ def read_bag(path: Path, topic: str | None = None) -> ArrayTable:
         *(OverflowError, MemoryError, struct.error, zlib.error, sqlite3.Error),
     )
     batches: list[FloatArray] = []
-    said: tuple[str, ...] = ()
+    said: list[str] = []
     try:
         with rosbags.highlevel.AnyReader([path], default_typestore=store) as reader:
-            connections = _connections(path, reader.connections, topic)
-            _collect(reader, connections, batches)
+            _collect(reader, _connections(path, reader.connections, topic), batches)
     except (RecordingError, UsageError):
         raise
     except failures as error:
+        cause = first_line(error)
         if not batches:
-            raise _damaged(path, error) from error
+            raise RecordingError(
+                f"{path} is damaged or no recording of ROS ({cause}): fetch it again, or `ros2 bag reindex` it",
+                Reason.DAMAGED,
+                path=str(path),
+            ) from error
         count = sum(map(len, batches))
-        said = (f"{path.name} is damaged behind message {count} ({_cause(error)}): what follows is lost.",)
+        said.append(f"{path.name} is damaged behind message {count} ({cause}): what follows is lost.")
     if not batches:
         raise RecordingError(f"{path} holds no message on the topic: check the recording", Reason.BAD_DATA, path=str(path))
     return _table(path, np.concatenate(batches), said)
 
 
-def _connections(path: Path, connections: list[Any], topic: str | None) -> list[Any]:
-    found = [one for one in connections if one.msgtype == IMU_TYPE and (topic is None or one.topic == topic)]
-    topics = sorted({one.topic for one in found})
+def _connections(path: Path, connections: Sequence[Connection], topic: str | None) -> list[Connection]:
+    """Return the connections of the one topic that is read."""
+    chosen = [each for each in connections if each.msgtype == IMU_TYPE and (topic is None or each.topic == topic)]
+    topics = sorted({each.topic for each in chosen})
     if len(topics) > 1:
         raise UsageError(
             f"{path} holds several topics of {IMU_TYPE}: choose one with --topic, e.g. --topic {topics[0]}; there are "
@@ -101,18 +112,28 @@ def _connections(path: Path, connections: list[Any], topic: str | None) -> list[
             path=str(path),
         )
     if not topics:
-        there = ", ".join(sorted({f"{one.topic} ({one.msgtype})" for one in connections})) or "nothing"
+        there = ", ".join(sorted({f"{each.topic} ({each.msgtype})" for each in connections})) or "nothing"
         what = IMU_TYPE if topic is None else f"{IMU_TYPE} on {topic}"
         raise RecordingError(f"{path} holds no {what}, but {there}: record or choose another", Reason.BAD_DATA, path=str(path))
-    return found
+    return chosen
 
 
-def _collect(reader: Any, connections: list[Any], batches: list[FloatArray]) -> None:
+def _collect(reader: AnyReader, connections: list[Connection], batches: list[FloatArray]) -> None:
     """Append arrays of shape (k, 9): stamp in s and ns, specific force, rate, status."""
     rows: list[tuple[float, ...]] = []
     try:
         for connection, bag_ns, raw in reader.messages(connections):
-            rows.append(_row(reader.deserialize(raw, connection.msgtype), bag_ns))
+            # Its class is made from the definition in the file.
+            message: Any = reader.deserialize(raw, connection.msgtype)
+            stamp, force, rate = message.header.stamp, message.linear_acceleration, message.angular_velocity
+            second, nanosecond = stamp.sec, stamp.nanosec
+            if not (second or nanosecond):
+                # Nobody stamped it; the recorder did.
+                second, nanosecond = divmod(bag_ns, NANOSECONDS)
+            no_force = message.linear_acceleration_covariance[0] == -1
+            no_rate = message.angular_velocity_covariance[0] == -1
+            status = no_force * int(Status.ACCELEROMETER_INVALID) | no_rate * int(Status.GYROSCOPE_INVALID)
+            rows.append((second, nanosecond, force.x, force.y, force.z, rate.x, rate.y, rate.z, status))
             if len(rows) == _BATCH:
                 batches.append(np.array(rows))
                 rows = []
@@ -122,21 +143,10 @@ def _collect(reader: Any, connections: list[Any], batches: list[FloatArray]) -> 
             batches.append(np.array(rows))
 
 
-def _row(message: Any, bag_ns: int) -> tuple[float, ...]:
-    stamp, force, rate = message.header.stamp, message.linear_acceleration, message.angular_velocity
-    second, nanosecond = stamp.sec, stamp.nanosec
-    if not (second or nanosecond):
-        # Nobody stamped it; the recorder did.
-        second, nanosecond = divmod(bag_ns, NANOSECONDS)
-    no_force, no_rate = message.linear_acceleration_covariance[0] == -1, message.angular_velocity_covariance[0] == -1
-    status = no_force * int(Status.ACCELEROMETER_INVALID) | no_rate * int(Status.GYROSCOPE_INVALID)
-    return (second, nanosecond, force.x, force.y, force.z, rate.x, rate.y, rate.z, status)
-
-
-def _table(path: Path, rows: FloatArray, said: tuple[str, ...]) -> ArrayTable:
+def _table(path: Path, rows: FloatArray, said: list[str]) -> ArrayTable:
     from_s = rows[0, 0] if rows[0, 0] > _EPOCH_S else 0.0
     if from_s:
-        said += (f"{path.name}: time counts from {from_s:.0f} s since 1970.",)
+        said.append(f"{path.name}: time counts from {from_s:.0f} s since 1970.")
     n = len(rows)
     values = np.full((n, len(SAMPLE_COLUMNS)), np.nan)
     values[:, 0] = rows[:, 0] - from_s + rows[:, 1] / NANOSECONDS
@@ -151,19 +161,4 @@ def _table(path: Path, rows: FloatArray, said: tuple[str, ...]) -> ArrayTable:
     # The flags are those of values: of gaps a recording of ROS says nothing.
     settings: dict[str, str | float] = {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s", "status": "true"}
     units = ("s", *[""] * (len(SAMPLE_COLUMNS) - 1))
-    return ArrayTable(
-        path=path, header=SAMPLE_COLUMNS, values=values, units=units, settings=settings, raw_zero=None, assumptions=said
-    )
-
-
-def _cause(error: BaseException) -> str:
-    text = str(error).strip()
-    return text.splitlines()[0] if text else type(error).__name__
-
-
-def _damaged(path: Path, error: BaseException) -> RecordingError:
-    return RecordingError(
-        f"{path} is damaged or no recording of ROS ({_cause(error)}): fetch it again, or `ros2 bag reindex` it",
-        Reason.DAMAGED,
-        path=str(path),
-    )
+    return ArrayTable(path=path, header=SAMPLE_COLUMNS, values=values, units=units, settings=settings, assumptions=tuple(said))

@@ -16,12 +16,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import IO, Any, cast
+from typing import IO, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imufield.acquire.formats import array_file_reader
+from imufield.acquire.formats.array_file_reader import Array, Arrays
 from imufield.acquire.formats.table_columns import named_column
 from imufield.errors import Reason, RecordingError, UsageError, shortened
 from imufield.samples import AXES, FloatArray
@@ -74,21 +74,6 @@ class ArrayTable:
         return row + 1, f"row {row + 1}"
 
 
-def array_reader(path: Path) -> Callable[[Path], ArrayTable] | None:
-    """Return what reads a file of arrays, None for files of another kind or none."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(_MAGIC_BYTES)
-    except OSError:
-        return None
-    for magic, kind in _KINDS.items():
-        if head.startswith(magic):
-            return partial(read_arrays, kind)
-    # Version 4 of MATLAB's format begins with a number below 5000 that tells the type of its first variable.
-    is_version_4 = path.suffix.lower() == ".mat" and len(head) > 4 and int.from_bytes(head[:4], "little") < _MATLAB_4_TYPES
-    return partial(read_arrays, _MATLAB) if is_version_4 else None
-
-
 @dataclass(frozen=True, slots=True)
 class _Kind:
     """A kind of file of arrays."""
@@ -112,6 +97,21 @@ _KINDS = {
 }
 
 
+def array_reader(path: Path) -> Callable[[Path], ArrayTable] | None:
+    """Return what reads a file of arrays, None for files of another kind or none."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_MAGIC_BYTES)
+    except OSError:
+        return None
+    kind = next((kind for magic, kind in _KINDS.items() if head.startswith(magic)), None)
+    # Version 4 of MATLAB's format begins with a number below 5000 that tells the type of its first variable.
+    is_version_4 = path.suffix.lower() == ".mat" and len(head) > 4 and int.from_bytes(head[:4], "little") < _MATLAB_4_TYPES
+    if kind is None and is_version_4:
+        kind = _MATLAB
+    return None if kind is None else partial(read_arrays, kind)
+
+
 def read_arrays(kind: _Kind, path: Path) -> ArrayTable:
     """Read a file of arrays in a process of its own, ``array_file_reader``.
 
@@ -127,17 +127,34 @@ def read_arrays(kind: _Kind, path: Path) -> ArrayTable:
     quiet, environment = subprocess.DEVNULL, {**os.environ, **_QUIET}
     try:
         with subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, env=environment) as process:  # noqa: S603  (our own)
-            return _table(path, *_handed_over(process))
+            arrays, stated = _handed_over(process)
+        return _table(path, arrays, stated)
     except ImportError as error:
         raise missing_package(f"{kind.words} {path}", kind.package, kind.extra, str(error)) from error
+    except (RecordingError, UsageError):
+        raise
     except array_file_reader.DAMAGE as error:
-        raise _damaged(path, kind.words, error) from error
+        if isinstance(error, OSError) and error.strerror:
+            what = f"{path} cannot be read ({error.strerror}): check the name and its permissions"
+            raise RecordingError(what, Reason.BAD_DATA) from error
+        cause = array_file_reader.first_line(error)
+        raise RecordingError(
+            f"{path} is a damaged {kind.words} ({cause}): fetch or save it again",
+            Reason.DAMAGED,
+            path=str(path),
+            cause=cause,
+        ) from error
 
 
-def _handed_over(reader: subprocess.Popen[bytes]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    """Return the arrays that ``array_file_reader`` sends and what the file states; a ValueError says why there are none.
+def _handed_over(reader: subprocess.Popen[bytes]) -> tuple[Arrays, dict[str, str]]:
+    """Return the arrays that ``array_file_reader`` sends and what the file states.
 
-    An ImportError says that it could not import what reads the file.
+    Raises
+    ------
+    ValueError
+        Why there are none.
+    ImportError
+        It could not import what reads the file.
     """
     output = cast("IO[bytes]", reader.stdout)
     head = json.loads(output.readline() or "{}")
@@ -146,8 +163,8 @@ def _handed_over(reader: subprocess.Popen[bytes]) -> tuple[dict[str, NDArray[Any
     if "names" not in head:
         raise ValueError(head.get("error", f"its reader broke down with {reader.wait()}"))
     # NumPy would seek in what it takes for a file.
-    pipe: Any = SimpleNamespace(read=output.read)
-    arrays = {name: np.lib.format.read_array(pipe, allow_pickle=False) for name in head["names"]}
+    pipe = cast("IO[bytes]", SimpleNamespace(read=output.read))
+    arrays: Arrays = {name: np.lib.format.read_array(pipe, allow_pickle=False) for name in head["names"]}
     # What is no numbers stays behind; its name is said.
     return arrays | dict.fromkeys(head["others"], np.empty(0, "U1")), head["stated"]
 
@@ -165,34 +182,45 @@ def missing_package(what: str, package: str, extra: str, cause: str = "") -> Usa
     )
 
 
-def _table(path: Path, arrays: Mapping[str, NDArray[Any]], stated: Mapping[str, str]) -> ArrayTable:
+def _table(path: Path, arrays: Arrays, stated: Mapping[str, str]) -> ArrayTable:
     """Put arrays beside each other: those with as many rows as the longest."""
     upright = {
-        name: _upright(array)
+        name: matrix
         for name, array in arrays.items()
         if array.dtype.kind in array_file_reader.NUMBERS + array_file_reader.DATES
+        and (matrix := _upright(array)).ndim == 2
+        and 0 < matrix.shape[1] <= _MOST_COLUMNS
     }
-    upright = {name: array for name, array in upright.items() if array.ndim == 2 and 0 < array.shape[1] <= _MOST_COLUMNS}
     rows = max((len(array) for array in upright.values()), default=0)
     used = {name: array for name, array in upright.items() if len(array) == rows}
     if rows < 2:
         raise RecordingError(f"{path} holds no columns of numbers: check that it is the right file", Reason.BAD_DATA)
+    said: list[str] = []
     left_out = sorted(name for name in arrays if name not in used)
-    said: tuple[str, ...] = ()
     if left_out:
-        said = (f"{path.name}: ignored {', '.join(map(shortened, left_out))}, which have not {rows} rows of numbers.",)
-    columns, times = zip(*(_as_numbers(array) for array in used.values()), strict=True)
+        said.append(f"{path.name}: ignored {', '.join(map(shortened, left_out))}, which have not {rows} rows of numbers.")
+    columns: list[FloatArray] = []
+    names: list[str] = []
+    units: list[str] = []
+    for name, array in zip(_without_group(list(used)), used.values(), strict=True):
+        is_date = array.dtype.kind == array_file_reader.DATES
+        columns.append((array - array[0]) / np.timedelta64(1, "s") if is_date else array.astype(np.float64))
+        names += _names(name, array.shape[1])
+        units += ["s" if is_date else ""] * array.shape[1]
+    if any(units):
+        said.append(f"{path.name}: dates count in seconds from the first row.")
     values = np.hstack(columns)
-    if any(times):
-        said += (f"{path.name}: dates count in seconds from the first row.",)
     if len(used) == 1 and values.shape[1] > 1:
-        return ArrayTable(path=path, header=None, values=values, assumptions=said)
-    short = _without_group(list(used))
-    names = tuple(one for name, array in zip(short, used.values(), strict=True) for one in _names(name, array.shape[1]))
-    units = tuple("s" if is_date else "" for array, is_date in zip(columns, times, strict=True) for _ in range(array.shape[1]))
+        return ArrayTable(path=path, header=None, values=values, assumptions=tuple(said))
     settings, raw_zero = _stated(stated)
     return ArrayTable(
-        path=path, header=names, values=values, units=units, settings=settings, raw_zero=raw_zero, assumptions=said
+        path=path,
+        header=tuple(names),
+        values=values,
+        units=tuple(units),
+        settings=settings,
+        raw_zero=raw_zero,
+        assumptions=tuple(said),
     )
 
 
@@ -204,7 +232,8 @@ def _without_group(names: list[str]) -> list[str]:
     return [".".join(each[shared:]) for each in parts]
 
 
-def _upright(array: NDArray[Any]) -> NDArray[Any]:
+def _upright(array: Array) -> Array:
+    """Return a matrix whose rows are samples."""
     array = np.squeeze(array)
     if array.ndim == 1:
         return array[:, None]
@@ -212,26 +241,19 @@ def _upright(array: NDArray[Any]) -> NDArray[Any]:
     return array.T if on_its_side else array
 
 
-def _as_numbers(array: NDArray[Any]) -> tuple[FloatArray, bool]:
-    """Return numbers, and whether they were dates."""
-    if array.dtype.kind == array_file_reader.DATES:
-        return (array - array[0]) / np.timedelta64(1, "s"), True
-    return array.astype(np.float64), False
-
-
 def _names(name: str, width: int) -> list[str]:
+    """Return a name for each column; axes stand before the unit: ``acc_mps2`` gives ``acc_x_mps2``."""
     if width == 1:
         return [name]
     if width != len(AXES):
         return [f"{name}_{number + 1}" for number in range(width)]
-    return [_axis_name(name, axis) for axis in AXES]
-
-
-def _axis_name(name: str, axis: str) -> str:
-    """Put an axis into the name of a triad, before its unit where it has one: ``acc_mps2`` gives ``acc_x_mps2``."""
     parts = re.split(r"[_ ./]+", name)
-    tried = ["_".join([*parts[:place], axis, *parts[place:]]) for place in range(len(parts), 0, -1)]
-    return next((one for one in tried if named_column(one, 0) is not None), tried[0])
+    found = []
+    for axis in AXES:
+        tried = ["_".join([*parts[:place], axis, *parts[place:]]) for place in range(len(parts), 0, -1)]
+        # Where none of them is understood, the axis stands at the end.
+        found.append(next((text for text in tried if named_column(text, 0) is not None), tried[0]))
+    return found
 
 
 def _stated(stated: Mapping[str, str]) -> tuple[dict[str, str | float], tuple[float, float, float] | None]:
@@ -242,18 +264,6 @@ def _stated(stated: Mapping[str, str]) -> tuple[dict[str, str | float], tuple[fl
         f"{part}_unit": stated[f"imufield_{part}_unit"] for part in ("accelerometer", "gyroscope")
     }
     if stated.get("imufield_increments") == "true":
-        settings["increments"] = "true"
-        settings["rate_hz"] = float(stated["imufield_rate_hz"])
-    zero = [float(part) for part in stated.get("imufield_raw_zero", "0,0,0").split(",")]
-    return settings, (zero[0], zero[1], zero[2])
-
-
-def _damaged(path: Path, kind: str, error: BaseException) -> RecordingError | UsageError:
-    if isinstance(error, RecordingError | UsageError):
-        return error
-    if isinstance(error, OSError) and error.strerror:
-        return RecordingError(f"{path} cannot be read ({error.strerror}): check the name and its permissions", Reason.BAD_DATA)
-    cause = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-    return RecordingError(
-        f"{path} is a damaged {kind} ({cause}): fetch or save it again", Reason.DAMAGED, path=str(path), cause=cause
-    )
+        settings |= {"increments": "true", "rate_hz": float(stated["imufield_rate_hz"])}
+    x, y, z = map(float, stated.get("imufield_raw_zero", "0,0,0").split(",")[:3])
+    return settings, (x, y, z)

@@ -1,7 +1,4 @@
-"""What the numbers of a table are checked for, each fault by its line.
-
-Several files of one recording onto one time: the time of the first.
-"""
+"""Checks of the numbers of tables, which name the line of a fault, and the joining of several files of one recording."""
 
 from __future__ import annotations
 
@@ -19,6 +16,8 @@ from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArra
 _GAP_STEPS = 1.5  # Between two samples further apart than this, in median steps, nothing is interpolated.
 
 Fields = Mapping[str, FloatArray]
+Source = TextTable | ArrayTable
+"""A file whose columns are known."""
 
 
 def join_by_time(paths: Sequence[Path], files: Sequence[Fields]) -> tuple[dict[str, FloatArray], list[str]]:
@@ -102,10 +101,6 @@ def join_by_row(
     return joined, [f"no time column: time counts from 0 at {rate_hz:g} Hz."]
 
 
-Source = TextTable | ArrayTable
-"""A file whose columns are known."""
-
-
 def is_empty(column: FloatArray) -> bool:
     """Tell whether a column is there by name only: our own export writes empty cells for what is not available."""
     return bool(np.isnan(column[0]) and np.isnan(column).all())
@@ -124,6 +119,12 @@ def check_whole_triads(path: Path, fields: Mapping[str, FloatArray], kept: Mappi
             )
 
 
+def _fault(source: Source, row: int, what: str, behind: str) -> RecordingError:
+    """Return the error that a row is wrong, with its line."""
+    line, where = source.where(row)
+    return RecordingError(f"{source.path} {what} in {where}{behind}", Reason.BAD_DATA, path=str(source.path), line=line)
+
+
 # The flag of a gap, by column.
 _MAY_LACK = dict.fromkeys(ACCELEROMETER_COLUMNS, Status.ACCELEROMETER_INVALID) | dict.fromkeys(
     GYROSCOPE_COLUMNS, Status.GYROSCOPE_INVALID
@@ -137,13 +138,7 @@ def check_finite(source: Source, name: str, column: FloatArray, status: FloatArr
         wrong &= (status.astype(np.int64) & int(_MAY_LACK[name])) == 0
     if wrong.any():
         row = int(np.argmax(wrong))
-        line, where = source.where(first_row + row)
-        raise RecordingError(
-            f"{source.path} has {column[row]} for {name} in {where}: remove the line or fill the gap.",
-            Reason.BAD_DATA,
-            path=str(source.path),
-            line=line,
-        )
+        raise _fault(source, first_row + row, f"has {column[row]} for {name}", ": remove the line or fill the gap.")
 
 
 _LIMITS = {STATUS: (0, 2**32 - 1), COUNTER: (-(2**63), 2**63 - 1)}  # Of what is kept in whole numbers.
@@ -161,14 +156,8 @@ def check_whole_numbers(source: Source, kept: Mapping[str, FloatArray], first_ro
             is_sound |= np.isnan(column)
         if not is_sound.all():
             row = int(np.argmin(is_sound))
-            line, where = source.where(first_row + row)
-            raise RecordingError(
-                f"{source.path} has {column[row]:g} for {name} in {where}, no whole number from {low} to {high}: "
-                "correct or remove the line.",
-                Reason.BAD_DATA,
-                path=str(source.path),
-                line=line,
-            )
+            behind = f", no whole number from {low} to {high}: correct or remove the line."
+            raise _fault(source, first_row + row, f"has {column[row]:g} for {name}", behind)
 
 
 def check_no_step_back(source: Source, time: FloatArray | None, first_row: int, *, is_guess: bool) -> None:
@@ -176,16 +165,14 @@ def check_no_step_back(source: Source, time: FloatArray | None, first_row: int, 
     if time is None or not (steps_back := np.diff(time) < 0.0).any():
         return
     row = int(np.argmax(steps_back)) + 1
-    line, where = source.where(first_row + row)
-    wrong = f"steps back in time from {time[row - 1]:.9g} to {time[row]:.9g} in {where}"
-    sentence = f"{source.path} {wrong}: sort the file or cut it there."
+    what, behind = f"steps back in time from {time[row - 1]:.9g} to {time[row]:.9g}", ": sort the file or cut it there."
     if is_guess:
-        sentence = (
-            f"{source.path} has no header, and its first column, taken for time, {wrong}: say with --columns what its "
-            f"{source.width} columns are, e.g. --columns {','.join(FIELDS[: source.width])} (`-` skips one), or, if it is the "
-            "time, sort the file or cut it there."
+        what = f"has no header, and its first column, taken for time, {what}"
+        behind = (
+            f": say with --columns what its {source.width} columns are, e.g. --columns {','.join(FIELDS[: source.width])} "
+            "(`-` skips one), or, if it is the time, sort the file or cut it there."
         )
-    raise RecordingError(sentence, Reason.BAD_DATA, path=str(source.path), line=line)
+    raise _fault(source, first_row + row, what, behind)
 
 
 def check_values(paths: Sequence[Path], fields: Collection[str]) -> None:

@@ -79,10 +79,27 @@ class TableColumn:
 
 @dataclass(frozen=True, slots=True)
 class Meaning:
-    """The used columns of one file, and what was assumed about them, in sentences."""
+    """The used columns of one file, and what was assumed about them, in sentences.
+
+    Attributes
+    ----------
+    columns : tuple of TableColumn
+    units : dict
+        The stated unit of each quantity, where there is one.
+    assumptions : tuple of str
+    is_guess : bool
+        Nothing but the number of columns tells what they are.
+    """
 
     columns: tuple[TableColumn, ...]
+    units: dict[str, str]
     assumptions: tuple[str, ...] = ()
+    is_guess: bool = False
+
+    @property
+    def places(self) -> list[int]:
+        """Where the columns stand in the file."""
+        return [column.index for column in self.columns]
 
 
 def quantity_of(field: str) -> str:
@@ -181,11 +198,9 @@ def columns_by_header(path: Path, header: Sequence[str], units: Sequence[str] | 
     if set(SAMPLE_COLUMNS) <= set(header):
         for name in (STATUS, COUNTER):
             named[header.index(name)] = TableColumn(header.index(name), name)
-    found = [column for column in named if column is not None]
-    ignored = [name for name, column in zip(header, named, strict=True) if column is None and name]
-    return _checked(
-        path, found, (f"{path.name}: ignored the columns {', '.join(map(shortened, ignored))}.",) if ignored else ()
-    )
+    ignored = ", ".join(shortened(name) for name, column in zip(header, named, strict=True) if column is None and name)
+    said = (f"{path.name}: ignored the columns {ignored}.",) if ignored else ()
+    return _checked(path, [column for column in named if column is not None], said)
 
 
 def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning:
@@ -212,7 +227,7 @@ def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning
             width=width,
         )
     said = f"{path.name}: no header, its {width} columns are taken as {', '.join(fields)}."
-    return Meaning(tuple(TableColumn(index, field) for index, field in enumerate(fields)), (said,))
+    return Meaning(tuple(TableColumn(index, field) for index, field in enumerate(fields)), {}, (said,), is_guess=True)
 
 
 def _checked(path: Path, found: Sequence[TableColumn], assumptions: tuple[str, ...]) -> Meaning:
@@ -236,4 +251,12 @@ def _checked(path: Path, found: Sequence[TableColumn], assumptions: tuple[str, .
             f"no column of {path} is known as accelerometer or gyroscope: name them with --columns {','.join(FIELDS)}.",
             path=str(path),
         )
-    return Meaning(tuple(found), assumptions)
+    units: dict[str, str] = {}
+    for column in found:
+        before = units.setdefault(column.quantity, column.unit) if column.unit is not None else None
+        if before != column.unit:
+            raise UsageError(
+                f"{path} gives {column.quantity} in {before} and in {column.unit}: bring all its axes to one unit.",
+                path=str(path),
+            )
+    return Meaning(tuple(found), units, assumptions)

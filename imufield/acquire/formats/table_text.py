@@ -1,7 +1,7 @@
 """Numbers from text: CSV or columns separated by blanks, packed by gzip or not, with or without a header.
 
-A file is read in blocks of whole lines, each of which NumPy's C parser turns into numbers (4 million a second); the lines are
-looked at one by one only to say which of them is wrong.
+A file is read in blocks of whole lines, each of which NumPy's C parser turns into numbers (4 million a second); single lines
+are examined only to name the one that is wrong.
 """
 
 from __future__ import annotations
@@ -90,27 +90,18 @@ class TextTable:
             raise _bad(self.path, "holds no rows of numbers", "check that it is the right file")
         return found[0] if len(found) == 1 else np.concatenate(found)
 
-    def line_of_row(self, row: int) -> tuple[int, str]:
-        """Return line number and text of a row, for messages."""
-        line, left = 0, row
+    def where(self, row: int) -> tuple[int, str]:
+        """Return the line of a row, and words for it, for messages."""
+        line = 0
         for block in _line_blocks(self.path):
-            for text in block.decode("latin-1").split("\n")[: block.count(b"\n") + (not block.endswith(b"\n"))]:
+            for text in block.decode("latin-1").removesuffix("\n").split("\n"):
                 line += 1
                 if line <= self.lines_before or not _is_row(text):
                     continue
-                if left == 0:
-                    return line, text.strip()
-                left -= 1
-        raise IndexError(f"{self.path} has no row {row}")
-
-    def where(self, row: int) -> tuple[int, str]:
-        """Return the line of a row, and words for it, for messages."""
-        line, content = self.line_of_row(row)
-        return line, f'line {line}, "{content[:60]}"'
-
-    def split(self, line: str) -> list[str]:
-        """Return the cells of one line."""
-        return _split(line, self.delimiter)
+                if row == 0:
+                    return line, f'line {line}, "{text.strip()[:60]}"'
+                row -= 1
+        raise IndexError(f"{self.path} has no such row")
 
     def _clean(self, block: bytes) -> str:
         """Bring what C parsers do not know into a form they do: quotes, decimal commas, empty cells."""
@@ -118,9 +109,17 @@ class TextTable:
             block = block.replace(b'"', b"")
         if self.decimal_comma:
             block = block.replace(b",", b".")
-        if self.delimiter is not None:
-            block = _fill_empty_cells(block.replace(b"\r\n", b"\n"), self.delimiter.encode())
-        return block.decode("latin-1")
+        if self.delimiter is None:
+            return block.decode("latin-1")
+        mark = self.delimiter.encode()
+        block = block.replace(b"\r\n", b"\n")
+        # One pass fills every second of several empty cells in a row.
+        while mark * 2 in block:
+            block = block.replace(mark * 2, mark + b"nan" + mark)
+        block = block.replace(mark + b"\n", mark + b"nan\n").replace(b"\n" + mark, b"\nnan" + mark)
+        if block.startswith(mark):
+            block = b"nan" + block
+        return (block + b"nan" if block.endswith(mark) else block).decode("latin-1")
 
     def _parse(self, rows: list[str], columns: Sequence[int], lines_before: int) -> FloatArray:
         use = None if list(columns) == list(range(self.width)) else tuple(columns)
@@ -141,15 +140,15 @@ class TextTable:
             text = row.split("#")[0].strip()
             if not text:
                 continue
-            cells = self.split(text)
+            cells = _split(text, self.delimiter)
             if len(cells) != self.width:
                 what = f"has {len(cells)} instead of {self.width} columns in line {number}, {_shown(text)}"
                 return _bad(self.path, what, _CORRECT, number)
             wrong = next((cells[column] for column in columns if not _is_number(cells[column])), None)
             if wrong is not None:
-                return _bad(
-                    self.path, f"has {_shown(wrong)} where a number should stand in line {number}", _remedy(wrong), number
-                )
+                # A date is the usual one.
+                remedy = "in text a time is a number, so write seconds" if _DATE.match(wrong) else _CORRECT
+                return _bad(self.path, f"has {_shown(wrong)} where a number should stand in line {number}", remedy, number)
         return _bad(self.path, f"has a row that cannot be read behind line {lines_before}", _CORRECT, lines_before)
 
 
@@ -162,10 +161,13 @@ def open_table(path: str | Path) -> TextTable:
         The file cannot be read, is not text, or holds no numbers.
     """
     path = Path(path)
-    head = _head_lines(path)
+    head = next(read_pieces(path, HEAD_BYTES), b"")
+    if b"\0" in head:
+        raise _bad(path, "is not text", "give CSV or columns of numbers, or `--protocol` for the bytes of an instrument")
     marked: list[str] = []
     names: list[list[str]] = []
-    for number, line in enumerate(head):
+    lines = head.removeprefix(b"\xef\xbb\xbf").decode("utf-8", errors="replace").split("\n")
+    for number, line in enumerate(lines):
         text = line.strip()
         mark = next((mark for mark in _COMMENT_MARKS if text.startswith(mark)), None)
         if mark is not None:
@@ -234,24 +236,6 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _fill_empty_cells(block: bytes, delimiter: bytes) -> bytes:
-    """Write ``nan`` into empty cells, which the C parser refuses."""
-    twice = delimiter * 2
-    while twice in block:
-        block = block.replace(twice, delimiter + b"nan" + delimiter)
-    block = block.replace(delimiter + b"\n", delimiter + b"nan\n").replace(b"\n" + delimiter, b"\nnan" + delimiter)
-    if block.startswith(delimiter):
-        block = b"nan" + block
-    return block + b"nan" if block.endswith(delimiter) else block
-
-
-def _head_lines(path: Path) -> list[str]:
-    head = next(read_pieces(path, HEAD_BYTES), b"")
-    if b"\0" in head:
-        raise _bad(path, "is not text", "give CSV or columns of numbers, or `--protocol` for the bytes of an instrument")
-    return head.removeprefix(b"\xef\xbb\xbf").decode("utf-8", errors="replace").split("\n")
-
-
 def _line_blocks(path: Path) -> Iterator[bytes]:
     """Yield blocks of whole lines; the last one may lack its line end."""
     rest = b""
@@ -295,10 +279,6 @@ def read_pieces(path: Path, size: int) -> Iterator[bytes]:
 
 def _shown(text: str) -> str:
     return f'"{shortened(text)}"'
-
-
-def _remedy(cell: str) -> str:
-    return "in text a time is a number, so write seconds" if _DATE.match(cell) else _CORRECT
 
 
 def _bad(path: Path, what: str, remedy: str, line: int | None = None) -> RecordingError:

@@ -1,8 +1,8 @@
-"""Tables of other programs -> rows of samples -> a recording.
+"""Read tables of other programs as rows of samples, and write rows into a recording.
 
 CSV and whitespace text, files of arrays, recordings of ROS; one file or several joined by time. The numbers stay as they are
-(only units that protocol ``rows_f64`` does not know are converted); a mid-scale is kept beside them, not taken off. Whatever
-the files do not say themselves is assumed aloud: ``ImportedTable.assumptions`` are sentences for the user.
+(only units that protocol ``rows_f64`` does not know are converted); a mid-scale is kept beside them and not subtracted.
+Whatever the files do not state is assumed aloud: ``ImportedTable.assumptions`` are sentences for the user.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ LATEST_NS = 2**63 - 1
 """What a recording's time stamps hold: 292 years. Times beyond are kept in the rows themselves."""
 _ROWS_A_CHUNK = 4096  # 256 KiB: few messages, and well below what one damaged byte may cost.
 _ROWS_TO_GUESS_BY = 1 << 18  # 20 MiB of numbers; at 2000 Hz two minutes, in which nobody's unit looks like another's.
-_COLUMN = {name: place for place, name in enumerate(FIELDS)}
+_TRIADS = {"accelerometer": ACCELEROMETER_COLUMNS, "gyroscope": GYROSCOPE_COLUMNS}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,8 +163,18 @@ def read_tables(
     """
     if not paths:
         raise UsageError("no file to import: name at least one.")
-    names = _columns_of_files(columns, len(paths))
-    files = [_read_file(Path(path), names[i], i, len(paths), topic=topic) for i, path in enumerate(paths)]
+    parts = [None] if columns is None else columns.split(";")
+    if len(parts) == 1:
+        parts *= len(paths)
+    if len(parts) != len(paths):
+        raise UsageError(
+            f"--columns describes {len(parts)} files, {len(paths)} are given: part the files by `;`.", columns=columns
+        )
+    files = []
+    for number, (path, names) in enumerate(zip(paths, parts, strict=True)):
+        source = _open(Path(path), topic)
+        meaning = _meaning(source, names, number, len(paths))
+        files.append(_file_of(source, meaning, source.read(meaning.places)))
     check_values([file.path for file in files], {name for file in files for name in file.fields})
     return _table(files, rate_hz, zero, settings)
 
@@ -187,18 +197,20 @@ def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[
     pieces = _pieces(source, meaning)
     values = next(pieces)
     late = _late(source, meaning, values)
-    file = _file_of(source, meaning, values, known=late.keys(), is_guess=source.header is None)
-    check_values([file.path], file.fields.keys() | late.keys())
-    decided, head = _decided(file, rate_hz), _table([file], rate_hz, settings=_late_units(late, file.units))
-    decided |= {name: head.settings[name] for name in ("accelerometer_unit", "gyroscope_unit")}
-    decided = {name: unit for name, unit in decided.items() if name.removesuffix("_unit") not in file.units}
-    yield head
+    file = _file_of(source, meaning, values, known=late.keys())
     known = file.fields.keys() | late.keys()
+    check_values([file.path], known)
+    head = _table([file], rate_hz, settings=_late_units(late, file.units))
+    # What the first piece decided holds for all, even where another would be guessed from a later one.
+    decided = {f"{quantity}_unit": head.settings[f"{quantity}_unit"] for quantity in _TRIADS if quantity not in file.units}
+    if TIME in file.fields and TIME not in file.units:
+        scale, _ = choose_time_scale(file.path, file.fields[TIME], None, rate_hz)
+        decided[TIME_UNIT] = next(name for name, value in TIME_SCALE.items() if value == scale)
+    yield head
     done, last = len(values), values[-1:]
     for values in pieces:
         # The row before stands in front, so that what must not change between two rows is seen here, too.
-        rows = np.concatenate([last, values])
-        file = _file_of(source, meaning, rows, done - 1, known=known, is_guess=source.header is None)
+        file = _file_of(source, meaning, np.concatenate([last, values]), done - 1, known=known)
         table = _table([file], rate_hz, settings=decided)
         if rate_hz is not None and TIME not in file.fields:
             table.rows[:, 0] = (done - 1 + np.arange(len(table.rows))) / rate_hz
@@ -208,14 +220,13 @@ def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[
 
 def _pieces(source: TextTable, meaning: Meaning) -> Iterator[FloatArray]:
     """Yield the rows of a text: enough to guess units by, then block by block."""
-    columns = [column.index for column in meaning.columns]
-    blocks = source.blocks(columns)
+    blocks = source.blocks(meaning.places)
     head: list[FloatArray] = []
     for block in blocks:
         head.append(block)
         if sum(map(len, head)) >= _ROWS_TO_GUESS_BY:
             break
-    yield np.concatenate(head) if head else source.read(columns)
+    yield np.concatenate(head) if head else source.read(meaning.places)
     yield from blocks
 
 
@@ -232,26 +243,18 @@ def _late(source: TextTable, meaning: Meaning, head: FloatArray) -> dict[str, Fl
             if sum(map(len, found)) >= _ROWS_TO_GUESS_BY:
                 break
         numbers = np.concatenate(found) if found else np.empty((0, len(columns)))
-        late |= {one.field: numbers[:, place] for place, one in enumerate(columns) if np.isfinite(numbers[:, place]).any()}
+        late |= {column.field: each for column, each in zip(columns, numbers.T, strict=True) if np.isfinite(each).any()}
     return late
 
 
 def _late_units(late: Mapping[str, FloatArray], stated: Mapping[str, str]) -> dict[str, str]:
     """Return the units of triads that begin behind the head, as settings, where no header states them."""
     units: dict[str, str] = {}
-    for quantity, names in (("accelerometer", ACCELEROMETER_COLUMNS), ("gyroscope", GYROSCOPE_COLUMNS)):
+    for quantity, names in _TRIADS.items():
         if quantity not in stated and late.keys() >= set(names):
             values = np.column_stack([late[name] for name in names])
             units[f"{quantity}_unit"], _, _ = choose_unit(quantity, values, stated, {}, has_zero=False)
     return units
-
-
-def _decided(file: _File, rate_hz: float | None) -> dict[str, str | float]:
-    """Return the unit of time, as a setting for the pieces that follow."""
-    if TIME not in file.fields:
-        return {}
-    scale, _ = choose_time_scale(file.path, file.fields[TIME], file.units.get(TIME), rate_hz)
-    return {TIME_UNIT: next(name for name, value in TIME_SCALE.items() if value == scale)}
 
 
 def _table(
@@ -263,16 +266,17 @@ def _table(
     """Join files and bring them to known units."""
     known = {name: value for file in files for name, value in file.settings.items()}
     given = {**known, **(settings or {})}
-    said = [sentence for file in files for sentence in file.assumptions]
     joined, units, joining = _join(files, rate_hz, given_time_unit(settings or {}))
-    said += joining
-    rows = _rows(joined)
+    said = [*(sentence for file in files for sentence in file.assumptions), *joining]
+    rows = np.full((len(joined[TIME]), len(FIELDS)), np.nan)
+    for place, name in enumerate(FIELDS):
+        if name in joined:
+            rows[:, place] = joined[name]
     found = dict(known)
-    for quantity in ("accelerometer", "gyroscope"):
-        place = 1 if quantity == "accelerometer" else 4
-        unit, factor, sentence = choose_unit(quantity, rows[:, place : place + 3], units, given, has_zero=zero is not None)
+    for quantity, columns in (("accelerometer", slice(1, 4)), ("gyroscope", slice(4, 7))):
+        unit, factor, sentence = choose_unit(quantity, rows[:, columns], units, given, has_zero=zero is not None)
         if factor != 1.0:
-            rows[:, place : place + 3] *= factor
+            rows[:, columns] *= factor
         found[f"{quantity}_unit"] = unit
         said += [sentence] if sentence else []
     if rate_hz is not None:
@@ -312,18 +316,15 @@ def write_rows(
     for start in range(0, len(table), _ROWS_A_CHUNK):
         here = slice(start, start + _ROWS_A_CHUNK)
         part = table[here]
+        content: NDArray[np.float64] | NDArray[np.void] = part.astype("<f8")
+        if status is not None:
+            flagged: NDArray[np.void] = np.empty(len(part), dtype=_FLAGGED_ROW if counter is None else _COUNTED_ROW)
+            flagged["numbers"], flagged["status"] = part, status[here]
+            if counter is not None:
+                flagged["counter"] = counter[here]
+            content = flagged
         last_s = float(part[-1, 0])
-        counted = None if counter is None else counter[here]
-        content = part.astype("<f8") if status is None else _flagged(part, status[here], counted)
         recorder.write_chunk(Chunk(content.tobytes(), last_s, min(max(0, round((last_s - start_s) * 1e9)), LATEST_NS)))
-
-
-def _flagged(rows: FloatArray, status: NDArray[np.uint32], counter: IntArray | None) -> NDArray[np.void]:
-    flagged = np.empty(len(rows), dtype=_FLAGGED_ROW if counter is None else _COUNTED_ROW)
-    flagged["numbers"], flagged["status"] = rows, status
-    if counter is not None:
-        flagged["counter"] = counter
-    return flagged
 
 
 def rows_of(samples: Samples) -> FloatArray:
@@ -348,69 +349,12 @@ def _parse_zero(zero: str | float | Sequence[float] | None) -> tuple[float, floa
     return (numbers[0], numbers[1], numbers[2])
 
 
-def _columns_of_files(columns: str | None, files: int) -> list[str | None]:
-    if columns is None:
-        return [None] * files
-    parts: list[str | None] = list(columns.split(";"))
-    if len(parts) == 1:
-        return parts * files
-    if len(parts) != files:
-        raise UsageError(f"--columns describes {len(parts)} files, {files} are given: part the files by `;`.", columns=columns)
-    return parts
-
-
 def _open(path: Path, topic: str | None) -> Source:
     """Open a file by what it starts with; raises as ``read_tables``."""
     if is_bag(path):
         return read_bag(path, topic)
     read_arrays = array_reader(path)
     return open_table(path) if read_arrays is None else read_arrays(path)
-
-
-def _read_file(path: Path, columns: str | None, number: int, files: int, *, topic: str | None) -> _File:
-    source = _open(path, topic)
-    meaning = _meaning(source, columns, number, files)
-    values = source.read([column.index for column in meaning.columns])
-    return _file_of(source, meaning, values, is_guess=columns is None and source.header is None)
-
-
-def _file_of(
-    source: Source,
-    meaning: Meaning,
-    values: FloatArray,
-    first_row: int = 0,
-    *,
-    known: Collection[str] = (),
-    is_guess: bool,
-) -> _File:
-    """Return the columns of rows that were read, the first of which is row ``first_row`` of the file, checked.
-
-    Columns that are ``known`` have numbers in other rows of the file, if not in these.
-    """
-    path = source.path
-    if len(values) < 2:
-        raise RecordingError(f"{path}: 1 row is no recording: check the file.", Reason.BAD_DATA, path=str(path))
-    fields = {column.field: values[:, place] for place, column in enumerate(meaning.columns)}
-    units = _units(path, meaning)
-    kept = {name: column for name, column in fields.items() if name == COUNTER or name in known or not is_empty(column)}
-    if not kept.keys() - {COUNTER}:
-        raise RecordingError(f"{path} has no number in any of its columns: check the file.", Reason.BAD_DATA, path=str(path))
-    check_whole_triads(path, fields, kept)
-    check_whole_numbers(source, kept, first_row)
-    for name, column in kept.items():
-        if name not in (TEMPERATURE, COUNTER, STATUS):
-            check_finite(source, name, column, kept.get(STATUS), first_row=first_row)
-    check_no_step_back(source, kept.get(TIME), first_row, is_guess=is_guess)
-    if isinstance(source, TextTable):
-        return _File(path=path, fields=kept, units=units, assumptions=meaning.assumptions)
-    return _File(
-        path=path,
-        fields=kept,
-        units=units,
-        assumptions=(*source.assumptions, *meaning.assumptions),
-        settings=source.settings,
-        raw_zero=source.raw_zero,
-    )
 
 
 def _meaning(source: Source, columns: str | None, number: int, files: int) -> Meaning:
@@ -421,51 +365,53 @@ def _meaning(source: Source, columns: str | None, number: int, files: int) -> Me
     return columns_by_count(source.path, source.width, number, files)
 
 
-def _units(path: Path, meaning: Meaning) -> dict[str, str]:
-    """Return the stated unit of each quantity; the columns of one triad must agree."""
-    units: dict[str, str] = {}
-    for column in meaning.columns:
-        if column.unit is None:
-            continue
-        before = units.setdefault(column.quantity, column.unit)
-        if before != column.unit:
-            raise UsageError(
-                f"{path} gives {column.quantity} in {before} and in {column.unit}: bring all its axes to one unit.",
-                path=str(path),
-            )
-    return units
+def _file_of(source: Source, meaning: Meaning, values: FloatArray, first_row: int = 0, *, known: Collection[str] = ()) -> _File:
+    """Return the columns of rows that were read, the first of which is row ``first_row`` of the file, checked.
+
+    Columns that are ``known`` have numbers in other rows of the file, if not in these.
+    """
+    path = source.path
+    if len(values) < 2:
+        raise RecordingError(f"{path}: 1 row is no recording: check the file.", Reason.BAD_DATA, path=str(path))
+    fields = {column.field: values[:, place] for place, column in enumerate(meaning.columns)}
+    kept = {name: column for name, column in fields.items() if name == COUNTER or name in known or not is_empty(column)}
+    if not kept.keys() - {COUNTER}:
+        raise RecordingError(f"{path} has no number in any of its columns: check the file.", Reason.BAD_DATA, path=str(path))
+    check_whole_triads(path, fields, kept)
+    check_whole_numbers(source, kept, first_row)
+    for name, column in kept.items():
+        if name not in (TEMPERATURE, COUNTER, STATUS):
+            check_finite(source, name, column, kept.get(STATUS), first_row=first_row)
+    check_no_step_back(source, kept.get(TIME), first_row, is_guess=meaning.is_guess)
+    file = _File(path=path, fields=kept, units=meaning.units, assumptions=meaning.assumptions)
+    if isinstance(source, TextTable):
+        return file
+    said = (*source.assumptions, *meaning.assumptions)
+    return replace(file, assumptions=said, settings=source.settings, raw_zero=source.raw_zero)
 
 
 def _join(
     files: Sequence[_File], rate_hz: float | None, time_unit: str | None = None
 ) -> tuple[dict[str, FloatArray], dict[str, str], list[str]]:
-    """Bring the columns of all files onto one time in seconds."""
+    """Bring the columns of all files onto one time in seconds; return them, their units and sentences."""
     units: dict[str, str] = {}
-    for number, file in enumerate(files):
-        doubled = sorted(field for field in file.fields for other in files[:number] if field in other.fields and field != TIME)
+    timed: list[dict[str, FloatArray]] = []
+    said: list[str] = []
+    for file in files:
+        doubled = sorted(field for field in file.fields for other in timed if field in other and field != TIME)
         if doubled:
             raise UsageError(f"{file.path} holds {', '.join(doubled)} again: give each quantity once.", path=str(file.path))
-        units |= {quantity: unit for quantity, unit in file.units.items() if quantity not in units}
-    timed, said = [], []
-    for file in files:
-        time = file.fields.get(TIME)
-        if time is None:
-            timed.append(file.fields)
-            continue
-        scale, sentence = choose_time_scale(file.path, time, time_unit or file.units.get(TIME), rate_hz)
-        said += [sentence] if sentence else []
-        timed.append({**file.fields, TIME: time * scale if scale != 1.0 else time})
+        units = file.units | units
+        timed.append(dict(file.fields))
+    for file, fields in zip(files, timed, strict=True):
+        if TIME in fields:
+            scale, sentence = choose_time_scale(file.path, fields[TIME], time_unit or file.units.get(TIME), rate_hz)
+            said += [sentence] if sentence else []
+            if scale != 1.0:
+                fields[TIME] = fields[TIME] * scale
     names = [file.path for file in files]
     if all(TIME in fields for fields in timed):
         joined, joining = join_by_time(names, timed)
     else:
         joined, joining = join_by_row(names, timed, rate_hz)
     return joined, units, said + joining
-
-
-def _rows(fields: Mapping[str, FloatArray]) -> FloatArray:
-    rows = np.full((len(fields[TIME]), len(FIELDS)), np.nan)
-    for name, column in fields.items():
-        if name not in (STATUS, COUNTER):
-            rows[:, _COLUMN[name]] = column
-    return rows

@@ -1,6 +1,7 @@
-"""A user's DBC file and the signals he names, written as a protocol: ``--dbc FILE --map accelerometer.x=SIGNAL ...``.
+"""What reads a CAN bus: a driver, a protocol, or a user's DBC file with the names of its signals.
 
-Also the one call that opens a bus with everything a capture needs.
+``--dbc FILE --map accelerometer.x=SIGNAL ...`` is written as the text of a protocol. ``open_can`` is the one call for programs
+of others that opens a bus with everything to decode it.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.driver import Driver
+from imufield.acquire.instrument.recognise import Candidate
 from imufield.acquire.link.can import CanLink, open_can_link
 from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.protocol.can_protocol import dbc_table
@@ -24,16 +25,16 @@ from imufield.samples import AXES
 
 _TRIADS = ("accelerometer", "gyroscope")
 _MAP_TEXTS = ("accelerometer.unit", "gyroscope.unit", "temperature", "temperature.unit", "counter", "time")
-_ASSEMBLY_TEXTS = ("starts_with",)
 _ASSEMBLY_LISTS = ("needs", "counters")
-_NUMBERS = {"limit_s": "assembly", "time.ticks_per_s": "clock"}
 _IDENTIFIERS = ("auto", "exact", "j1939")
+_TRIAD_KEYS = {triad: [f"{triad}.{axis}" for axis in AXES] for triad in _TRIADS}
 KEYS = (
-    *(f"{triad}.{axis}" for triad in _TRIADS for axis in AXES),
+    *(key for keys in _TRIAD_KEYS.values() for key in keys),
     *_MAP_TEXTS,
-    *_ASSEMBLY_TEXTS,
+    "starts_with",
     *_ASSEMBLY_LISTS,
-    *_NUMBERS,
+    "limit_s",
+    "time.ticks_per_s",
     "identifiers",
 )
 """What ``--map`` takes."""
@@ -93,6 +94,14 @@ def protocol_text(name: str, dbc: str, mapping: Mapping[str, str]) -> str:
     if identifiers not in _IDENTIFIERS:
         raise UsageError(f"--map identifiers={identifiers} is not one of {', '.join(_IDENTIFIERS)}", identifiers=identifiers)
     word = re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_") or "dbc"
+    triads = []
+    for triad, keys in _TRIAD_KEYS.items():
+        missing = [key for key in keys if key not in mapping]
+        if 0 < len(missing) < len(keys):
+            raise UsageError(f"--map has no {' and no '.join(missing)}: a triad needs all three axes", missing=missing)
+        if not missing:
+            triads.append(f"{triad} = [{', '.join(_quoted(mapping[key]) for key in keys)}]")
+    lists = {key: [part.strip() for part in mapping[key].split(",")] for key in _ASSEMBLY_LISTS if key in mapping}
     lines = [
         'format = "imufield-protocol"',
         "version = 1",
@@ -105,44 +114,26 @@ def protocol_text(name: str, dbc: str, mapping: Mapping[str, str]) -> str:
         f"\n[can]\ndbc = {_quoted(dbc)}\nidentifiers = {_quoted(identifiers)}",
         'source_address = { setting = "source_address" }',
         "\n[map]",
-        *_triad_lines(mapping),
+        *triads,
         *(f"{key.replace('.', '_')} = {_quoted(mapping[key])}" for key in _MAP_TEXTS if key in mapping),
         "\n[assembly]",
-        *(f"{key} = {_quoted(mapping[key])}" for key in _ASSEMBLY_TEXTS if key in mapping),
-        *(f"{key} = [{_list(mapping[key])}]" for key in _ASSEMBLY_LISTS if key in mapping),
-        *_number_lines(mapping, "assembly"),
+        *([f"starts_with = {_quoted(mapping['starts_with'])}"] if "starts_with" in mapping else []),
+        *(f"{key} = [{', '.join(_quoted(part) for part in parts if part)}]" for key, parts in lists.items()),
+        *_number_line(mapping, "limit_s"),
         '\n[clock]\nrate_hz = { setting = "rate_hz" }',
-        *_number_lines(mapping, "clock"),
+        *_number_line(mapping, "time.ticks_per_s"),
     ]
     return "\n".join(lines)
 
 
-def _triad_lines(mapping: Mapping[str, str]) -> list[str]:
-    lines = []
-    for triad in _TRIADS:
-        given = [mapping.get(f"{triad}.{axis}") for axis in AXES]
-        missing = [f"{triad}.{axis}" for axis, name in zip(AXES, given, strict=True) if name is None]
-        if 0 < len(missing) < len(AXES):
-            raise UsageError(f"--map has no {' and no '.join(missing)}: a triad needs all three axes", missing=missing)
-        if not missing:
-            lines.append(f"{triad} = [{', '.join(_quoted(name or '') for name in given)}]")
-    return lines
-
-
-def _number_lines(mapping: Mapping[str, str], table: str) -> list[str]:
-    lines = []
-    for key, where in _NUMBERS.items():
-        if where != table or key not in mapping:
-            continue
-        try:
-            lines.append(f"{key.replace('.', '_')} = {float(mapping[key])!r}")
-        except ValueError:
-            raise UsageError(f"--map {key}={mapping[key]} is no number", map=key) from None
-    return lines
-
-
-def _list(text: str) -> str:
-    return ", ".join(_quoted(part.strip()) for part in text.split(",") if part.strip())
+def _number_line(mapping: Mapping[str, str], key: str) -> list[str]:
+    """Return the line of a number, none where it is not given."""
+    if key not in mapping:
+        return []
+    try:
+        return [f"{key.replace('.', '_')} = {float(mapping[key])!r}"]
+    except ValueError:
+        raise UsageError(f"--map {key}={mapping[key]} is no number", map=key) from None
 
 
 def _quoted(text: str) -> str:
@@ -150,27 +141,17 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-@dataclass(frozen=True, slots=True)
-class CanDescription:
-    """What understands a bus."""
-
-    name: str
-    """Of the driver, or of the protocol where there is none."""
-    protocol: Protocol
-    driver: type[Driver] | None
-    bit_rate: int | None
-    """The usual one; None where it is not known."""
-
-
-def describe_can(
+def bus_candidate(
     *,
     driver: str | None = None,
     protocol: str | Path | Protocol | None = None,
     dbc: str | Path | None = None,
     mapping: Mapping[str, str] | None = None,
     settings: Mapping[str, object] | None = None,
-) -> CanDescription:
-    """Find what understands a bus: one of a driver, a protocol, or a DBC file with its mapping.
+) -> Candidate:
+    """Return the way to read a bus by one of a driver, a protocol, or a DBC file with its mapping.
+
+    Its ``bauds`` are the usual bit rate, or nothing where that is not known.
 
     Raises
     ------
@@ -179,7 +160,7 @@ def describe_can(
     ProtocolError
         It cannot be understood, or is not of a CAN bus.
     """
-    if sum(one is not None for one in (driver, protocol, dbc)) != 1:
+    if sum(way is not None for way in (driver, protocol, dbc)) != 1:
         raise UsageError("a CAN bus needs exactly one of --driver, --protocol and --dbc")
     known = None if driver is None else load_driver(driver)
     if known is not None:
@@ -191,7 +172,9 @@ def describe_can(
     name = driver or found.name
     if found.can is None:
         raise ProtocolError(f"{name} is no protocol of a CAN bus; give its --port instead of a --bus", Reason.BAD_PROTOCOL)
-    return CanDescription(name, found, known, known.default_baud if known else found.can.bit_rate)
+    bit_rate = known.default_baud if known else found.can.bit_rate
+    title = known.title if known else found.title
+    return Candidate(name=name, title=title, protocol=found, bauds=(bit_rate,) if bit_rate else (), driver=known)
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,10 +219,10 @@ def open_can(
     Raises
     ------
     UsageError, ProtocolError
-        As ``describe_can``.
+        As ``bus_candidate``.
     LinkError
         The bus cannot be opened.
     """
-    found = describe_can(driver=driver, protocol=protocol, dbc=dbc, mapping=mapping, settings=settings)
-    link = open_can_link(bus, bit_rate=bit_rate or found.bit_rate, clock=clock)
+    found = bus_candidate(driver=driver, protocol=protocol, dbc=dbc, mapping=mapping, settings=settings)
+    link = open_can_link(bus, bit_rate=bit_rate or next(iter(found.bauds), None), clock=clock)
     return OpenedCan(link, found.protocol, Decoder(found.protocol), found.name)

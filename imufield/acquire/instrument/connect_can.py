@@ -1,4 +1,4 @@
-"""Open a CAN bus and make sure that an instrument speaks there: what ``connect`` does where ``--bus`` is given.
+"""Open a CAN bus and make sure that an instrument sends there: what ``connect`` does where ``--bus`` is given.
 
 Nothing is tried on a bus: an adapter with the wrong bit rate disturbs everyone on it, so a rate that the bus does not have
 by itself must be known. Frames have no checksum of their own, and products share messages: where several drivers understand
@@ -14,13 +14,14 @@ from dataclasses import dataclass
 
 from imufield.acquire.decode.statistics import LEFT_OUT
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.driver import Driver
-from imufield.acquire.instrument.can_map import CanDescription, describe_can
-from imufield.acquire.instrument.connect import Connected, ConnectOptions, ask_identity, assumed, untried, with_settings
+from imufield.acquire.driver import Driver, Message
+from imufield.acquire.instrument.can_map import bus_candidate
+from imufield.acquire.instrument.connected import Connected, ConnectOptions, ask_identity, assumed, untried, with_settings
+from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import LISTEN_S, Say, usable
-from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES
+from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, Candidate
 from imufield.acquire.link.background import BackgroundLink
-from imufield.acquire.link.can import BusAddress, CanLink, open_can_link, parse_bus
+from imufield.acquire.link.can import CanLink, open_can_link, parse_bus
 from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.can_frames import ERROR, unpack_frames
@@ -31,18 +32,15 @@ _IDENTIFIERS_NAMED = 8  # More identifiers than this do not help a reader of an 
 
 
 @dataclass(frozen=True, slots=True)
-class _Ear:
+class BusListener:
     """A way to read the bus, and what it has understood so far."""
 
-    description: CanDescription
+    candidate: Candidate
     decoder: Decoder
 
     @property
-    def driver(self) -> type[Driver] | None:
-        return self.description.driver
-
-    @property
     def samples(self) -> int:
+        """Samples of the instrument."""
         return self.decoder.statistics.samples
 
     @property
@@ -72,9 +70,33 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
     ProtocolError
         DBC file or protocol cannot be understood.
     """
-    link, chunks, found = _heard(options, clock, say)
+    if options.rate_hz is not None:
+        raise UsageError("--rate-hz is for instruments on a serial port; leave it out on a CAN bus")
+    link, chunks, listener = _recognised(options, clock, say)
+    candidate = listener.candidate
+    driver, protocol, identity = candidate.driver, candidate.protocol, {}
     try:
-        return _connected(link, chunks, found, options, clock=clock, say=say)
+        if driver is not None:
+            instrument = Instrument(driver, clock, set(listener.decoder.statistics.by_kind))
+            messages = ask_identity(instrument, link, chunks, listener.decoder.messages())
+            identity = driver.identity(messages)
+            protocol = with_settings(driver, protocol, messages)
+        if driver is not None and options.driver is None:
+            say(f"driver {candidate.name} (recognised by {listener.frames} frames with identifiers of {protocol.title})")
+        for sentence in (*untried(driver), *assumed(protocol)):
+            say(sentence)
+        model = identity.pop("model", "") or candidate.name
+        return Connected(
+            link=BackgroundLink(link),
+            protocol=protocol,
+            driver=candidate.name,
+            model=model,
+            baud=link.address.bit_rate or link.bit_rate,
+            chunks=chunks,
+            identity=identity,
+            wire="can",
+            say=say,
+        )
     except BaseException:
         link.close()
         raise
@@ -82,7 +104,7 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusFinding:
-    """What speaks on a bus: driver, its title, frames it knows, samples made of them, and what it said of itself."""
+    """What sends on a bus: driver, its title, frames it knows, samples made of them, and what it said of itself."""
 
     name: str
     title: str
@@ -93,171 +115,120 @@ class BusFinding:
 
 def probe_bus(options: ConnectOptions, clock: HostClock, say: Say, *, ask: bool) -> BusFinding:
     """Listen on a bus, send nothing unless ``ask``, and leave it; raises as ``connect_bus``."""
-    link, chunks, found = _heard(options, clock, say)
+    link, chunks, listener = _recognised(options, clock, say)
+    candidate, identity = listener.candidate, {}
     try:
-        driver, messages = found.driver, found.decoder.messages()
-        if driver is not None and ask:
-            messages = ask_identity(link, chunks, driver, found.decoder, clock=clock)
-        identity = {} if driver is None else driver.identity(messages)
+        messages: list[Message] = [*listener.decoder.messages()]
+        if candidate.driver is not None:
+            if ask:
+                instrument = Instrument(candidate.driver, clock, set(listener.decoder.statistics.by_kind))
+                messages = ask_identity(instrument, link, chunks, messages)
+            identity = candidate.driver.identity(messages)
     finally:
         link.close()
     return BusFinding(
-        name=found.description.name,
-        title=found.description.protocol.title,
-        frames=found.frames,
-        samples=found.samples,
+        name=candidate.name,
+        title=candidate.protocol.title,
+        frames=listener.frames,
+        samples=listener.samples,
         identity=identity,
     )
 
 
-def _heard(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[CanLink, list[Chunk], _Ear]:
-    """Return the open bus, what came, and who understood it; raises as ``connect_bus``."""
-    # What python-can has to say of drivers that are not installed is said in one sentence by the error of the bus.
+def _recognised(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[CanLink, list[Chunk], BusListener]:
+    """Return the open bus, what arrived, and who understood it; raises as ``connect_bus``."""
+    # python-can logs every driver that is not installed; the error of the bus has it in one sentence.
     logging.getLogger("can").setLevel(logging.CRITICAL)
-    address = parse_bus(options.bus or "")
-    descriptions = can_descriptions(options, say)
-    bit_rate = _bit_rate(options, address, descriptions, say)
-    link = open_can_link(options.bus or "", bit_rate=bit_rate, clock=clock)
-    ears = [_Ear(one, Decoder(one.protocol)) for one in descriptions]
+    bus = options.bus or ""
+    address = parse_bus(bus)
+    candidates = bus_candidates(options, say)
+    bit_rate = options.baud
+    if not address.takes_bit_rate:
+        if bit_rate not in (None, address.bit_rate):
+            say(f"bit rate {bit_rate} is not used: {bus} has one of its own")
+        bit_rate = None
+    elif bit_rate is None:
+        known = {candidate.bauds[:1] for candidate in candidates}
+        if len(known) != 1 or known == {()}:
+            raise UsageError(
+                f"at which bit rate is {bus}? give it with --baud, e.g. --baud 250000 (J1939): trying disturbs a bus", bus=bus
+            )
+        bit_rate = candidates[0].bauds[0]
+        say(f"bit rate {bit_rate} (assumed)")
+    link = open_can_link(bus, bit_rate=bit_rate, clock=clock)
+    listeners = [BusListener(candidate, Decoder(candidate.protocol)) for candidate in candidates]
     try:
-        chunks = _listen(link, ears, clock)
-        found = _best(link.name, ears)
-        if found is None:
-            raise _nothing_understood(link.name, chunks, ears)
+        chunks = _listen(link, listeners, clock)
+        return link, chunks, _best(bus, chunks, listeners)
     except BaseException:
         link.close()
         raise
-    return link, chunks, found
 
 
-def can_descriptions(options: ConnectOptions, say: Say | None = None) -> list[CanDescription]:
-    """Return what the bus may be understood by; raises as ``connect_bus``."""
+def bus_candidates(options: ConnectOptions, say: Say | None = None) -> list[Candidate]:
+    """Return the ways to read the bus: the one that was given, else every CAN driver; raises as ``connect_bus``."""
     if options.protocol is not None and options.dbc is not None:
         raise UsageError("--protocol and --dbc contradict each other; give one of them")
     if options.mapping and options.dbc is None:
         raise UsageError("--map names signals of a DBC file; give the file with --dbc")
-    from_file = options.protocol is not None or options.dbc is not None
-    if options.protocol_text is not None and not from_file and options.driver is None:
+    if options.protocol is not None or options.dbc is not None:
+        # A file that is named goes before a driver, which may be a default.
+        return [bus_candidate(protocol=options.protocol, dbc=options.dbc, mapping=options.mapping, settings=options.settings)]
+    if options.driver is not None:
+        return [bus_candidate(driver=options.driver, settings=options.settings)]
+    if options.protocol_text is not None:
         protocol = parse_protocol(options.protocol_text, options.settings, label="protocol of the session")
-        return [describe_can(protocol=protocol)]
-    if from_file or options.driver is not None:
-        return [
-            describe_can(
-                # A file that is named goes before a driver, which may be a default.
-                driver=None if from_file else options.driver,
-                protocol=options.protocol,
-                dbc=options.dbc,
-                mapping=options.mapping,
-                settings=options.settings,
-            )
-        ]
-    return _all_drivers(options, say)
+        return [bus_candidate(protocol=protocol)]
 
-
-def _all_drivers(options: ConnectOptions, say: Say | None) -> list[CanDescription]:
-    """Return every CAN instrument there is a driver for."""
-
-    def describe(driver: type[Driver]) -> list[CanDescription]:
+    def candidates(driver: type[Driver]) -> list[Candidate]:
         known = driver.load_protocol().settings
         settings = {key: value for key, value in options.settings.items() if key in known}
-        return [describe_can(driver=driver.name, settings=settings)]
+        return [bus_candidate(driver=driver.name, settings=settings)]
 
-    return usable("can", describe, say)
-
-
-def _bit_rate(options: ConnectOptions, address: BusAddress, descriptions: list[CanDescription], say: Say) -> int | None:
-    """Return the bit rate to set; None where the bus has its own."""
-    if not address.takes_bit_rate:
-        if options.baud not in (None, address.options.get("bitrate")):
-            say(f"bit rate {options.baud} is not used: {options.bus} has one of its own")
-        return None
-    if options.baud is not None:
-        return options.baud
-    known = {one.bit_rate for one in descriptions}
-    if len(known) == 1 and (rate := known.pop()) is not None:
-        say(f"bit rate {rate} (assumed)")
-        return rate
-    raise UsageError(
-        f"at which bit rate is {options.bus}? give it with --baud, e.g. --baud 250000 (J1939): trying disturbs a bus",
-        bus=options.bus,
-    )
+    return usable("can", candidates, say)
 
 
-def _listen(link: CanLink, ears: list[_Ear], clock: HostClock) -> list[Chunk]:
-    """Read until one ear is certain, or the patience is over."""
+def _listen(link: CanLink, listeners: list[BusListener], clock: HostClock) -> list[Chunk]:
+    """Read until one listener is certain, or the patience is over."""
     chunks: list[Chunk] = []
     end_s = clock.monotonic_s() + patience_s(clock, LISTEN_S)
-    while clock.monotonic_s() < end_s and not any(ear.samples >= CERTAIN_SAMPLES for ear in ears):
+    while clock.monotonic_s() < end_s:
         chunk = link.read()
         if chunk is None:
             continue
         chunks.append(chunk)
-        for ear in ears:
-            ear.decoder.feed(chunk.data, chunk.monotonic_s)
-    if not any(ear.samples >= CERTAIN_SAMPLES for ear in ears):
-        # A decoder holds samples back while stamps are too uneven to tell their rate: they are understood all the same.
-        for ear in ears:
-            ear.decoder.flush()
+        for listener in listeners:
+            listener.decoder.feed(chunk.data, chunk.monotonic_s)
+        if any(listener.samples >= CERTAIN_SAMPLES for listener in listeners):
+            return chunks
+    # A decoder keeps samples back while stamps are too uneven to tell their rate: they are understood all the same.
+    for listener in listeners:
+        listener.decoder.flush()
     return chunks
 
 
-def _best(bus: str, ears: list[_Ear]) -> _Ear | None:
-    """Return the ear that understood the most frames.
-
-    Raises
-    ------
-    UsageError
-        If several understood the same.
-    """
-    good = [ear for ear in ears if ear.samples >= FEWEST_SAMPLES]
-    most = max((ear.frames for ear in good), default=0)
-    best = [ear for ear in good if ear.frames == most]
+def _best(bus: str, chunks: Iterable[Chunk], listeners: list[BusListener]) -> BusListener:
+    """Return the listener that understood the most frames; an error where none did, or several the same."""
+    good = [listener for listener in listeners if listener.samples >= FEWEST_SAMPLES]
+    if not good:
+        raise _nothing_understood(bus, chunks, listeners)
+    most = max(listener.frames for listener in good)
+    best = [listener for listener in good if listener.frames == most]
     if len(best) > 1:
-        names = "; ".join(f"{ear.description.name}, {_title(ear)}" for ear in best)
+        # The titles are those of the drivers: instruments that send the same messages share a protocol.
+        names = "; ".join(f"{listener.candidate.name}, {listener.candidate.title}" for listener in best)
         raise UsageError(
             f"{bus} carries messages that several instruments send, with their axes in different order; say with --driver "
             f"which it is: {names}",
             bus=bus,
         )
-    return best[0] if best else None
+    return best[0]
 
 
-def _title(ear: _Ear) -> str:
-    """Return which instrument it would be; instruments that send the same messages share a protocol."""
-    return ear.description.protocol.title if ear.driver is None else ear.driver.title
-
-
-def _connected(
-    link: CanLink, chunks: list[Chunk], found: _Ear, options: ConnectOptions, *, clock: HostClock, say: Say
-) -> Connected:
-    protocol, identity = found.description.protocol, {}
-    if found.driver is not None:
-        messages = ask_identity(link, chunks, found.driver, found.decoder, clock=clock)
-        identity = found.driver.identity(messages)
-        protocol = with_settings(found.driver, protocol, messages)
-    name = found.description.name
-    if found.driver is not None and options.driver is None:
-        say(f"driver {name} (recognised by {found.frames} frames with identifiers of {protocol.title})")
-    for sentence in (*untried(found.driver), *assumed(protocol)):
-        say(sentence)
-    model = identity.pop("model", "") or name
-    bit_rate = link.address.options.get("bitrate", link.bit_rate)
-    return Connected(
-        link=BackgroundLink(link),
-        protocol=protocol,
-        driver=name,
-        model=model,
-        baud=bit_rate,
-        chunks=chunks,
-        identity=identity,
-        wire="can",
-    )
-
-
-def _nothing_understood(bus: str, chunks: Iterable[Chunk], ears: list[_Ear]) -> LinkError:
+def _nothing_understood(bus: str, chunks: Iterable[Chunk], listeners: list[BusListener]) -> LinkError:
     frames = [frame for chunk in chunks for frame in unpack_frames(chunk.data)]
     identifiers = Counter(frame.text.partition("#")[0] for frame in frames if not frame.can_id & ERROR)
-    names = ", ".join(ear.description.name for ear in ears)
+    names = ", ".join(listener.candidate.name for listener in listeners)
     if not frames:
         return LinkTimeoutError(
             f"{bus} is silent: no frame within {LISTEN_S:g} s; check power, wiring, the two 120 ohm ends, the bit rate, and "
@@ -274,10 +245,10 @@ def _nothing_understood(bus: str, chunks: Iterable[Chunk], ears: list[_Ear]) -> 
             bus=bus,
             error_frames=len(frames),
         )
-    known = max(ears, key=lambda ear: ear.frames)
+    known = max(listeners, key=lambda listener: listener.frames)
     if known.frames >= len(frames) / 2:
         return LinkError(
-            f"{bus} carries frames of {known.description.name}, but {known.frames} of them could be joined in time to "
+            f"{bus} carries frames of {known.candidate.name}, but {known.frames} of them could be joined in time to "
             f"{known.samples} samples only, and {FEWEST_SAMPLES} are needed: check that the instrument sends all its messages, "
             "and play a recording at its own pace",
             Reason.NO_FRAMES,
@@ -287,8 +258,9 @@ def _nothing_understood(bus: str, chunks: Iterable[Chunk], ears: list[_Ear]) -> 
     heard = ", ".join(f"{text} x {count}" for text, count in identifiers.most_common(_IDENTIFIERS_NAMED))
     more = f" and {len(identifiers) - _IDENTIFIERS_NAMED} others" if len(identifiers) > _IDENTIFIERS_NAMED else ""
     return LinkError(
-        f"{bus} carries frames, but not of {names}: the identifiers {heard}{more} made {max(ear.samples for ear in ears)} "
-        f"samples and {FEWEST_SAMPLES} are needed; give the right --driver, or --dbc with --map",
+        f"{bus} carries frames, but not of {names}: the identifiers {heard}{more} made "
+        f"{max(each.samples for each in listeners)} samples and {FEWEST_SAMPLES} are "
+        f"needed; give the right --driver, or --dbc with --map",
         Reason.NO_FRAMES,
         bus=bus,
         frames=len(frames),

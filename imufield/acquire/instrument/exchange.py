@@ -1,4 +1,4 @@
-"""Questions and orders to an instrument, and their answers out of the stream it keeps sending.
+"""Commands to an instrument, and their answers out of the stream it keeps sending.
 
 An instrument answers between its samples or in place of some, so an answer is looked for in everything that arrives. Waiting
 ends by the clock of the host: a cable whose sending half is not connected costs a second, not the session.
@@ -6,59 +6,22 @@ ends by the clock of the host: a cable whose sending half is not connected costs
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import KW_ONLY, dataclass
-from typing import Any
+from collections.abc import Iterable
 
 from imufield.acquire.decoder import Decoder
+from imufield.acquire.driver import Command, Message, any_message
 from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.serial import Chunk, Link
 from imufield.errors import LinkError, LinkTimeoutError, Reason
 
-Message = Mapping[str, Any]
+# Drivers of others import the first three from here.
+__all__ = ["ANSWER_S", "TRIES", "Command", "Exchange", "Message", "any_message"]
+
 ANSWER_S = 0.5
 """Wait for an answer: instruments answer within some 50 ms, at 9600 bit/s after up to 100 ms of samples on their way."""
 TRIES = 2
 """A command is sent again once: its first bytes may have met the end of a sleep or a busy instrument."""
 _LONGEST_ANSWER = 1 << 16  # Bytes kept while a text answer is looked for: 0.5 s at 1.3 Mbit/s.
-
-
-@dataclass(frozen=True, slots=True)
-class Command:
-    """Something to send, and how its answer is known.
-
-    Attributes
-    ----------
-    name : str
-        What it is for; stands under ``asked`` in the answer.
-    data : bytes
-    answer : callable or None
-        Tells whether a message answers it; None: nothing does, and nothing is waited for.
-    refusal : callable
-        What an answer says against it, empty for consent.
-    is_last : bool
-        It ends what the commands before it began, and is sent even where one of those failed.
-    read : callable or None
-        Finds the answer in the bytes since sending, where it is no message of the protocol; None: not there yet.
-    """
-
-    name: str
-    data: bytes
-    answer: Callable[[Message], bool] | None = None
-    refusal: Callable[[Message], str] = lambda _: ""
-    _: KW_ONLY
-    is_last: bool = False
-    read: Callable[[bytes], Message | None] | None = None
-
-    @property
-    def is_answered(self) -> bool:
-        """Whether the instrument says something to it."""
-        return self.answer is not None or self.read is not None
-
-
-def any_message(message: Message) -> bool:  # noqa: ARG001  every message will do
-    """Take whatever comes for an answer."""
-    return True
 
 
 class Exchange:
@@ -84,9 +47,9 @@ class Exchange:
         self._clock = clock
         self.chunks: list[Chunk] = []
 
-    def gather(self, commands: Iterable[Command]) -> list[dict[str, Any]]:
+    def gather(self, commands: Iterable[Command]) -> list[Message]:
         """Return the answers there are; where the first command is not answered only the last ones are sent besides."""
-        answers: list[dict[str, Any]] = []
+        answers: list[Message] = []
         is_deaf = False
         for command in commands:
             if is_deaf:
@@ -100,7 +63,7 @@ class Exchange:
             is_deaf = command.is_answered and not answers
         return answers
 
-    def order(self, commands: Iterable[Command]) -> list[dict[str, Any]]:
+    def order(self, commands: Iterable[Command]) -> list[Message]:
         """Send commands that must succeed; return their answers.
 
         Raises
@@ -110,7 +73,7 @@ class Exchange:
         LinkError
             One was refused (``REFUSED``), or the link is gone.
         """
-        answers: list[dict[str, Any]] = []
+        answers: list[Message] = []
         failure: LinkError | None = None
         for command in commands:
             if failure is not None and not command.is_last:
@@ -123,7 +86,7 @@ class Exchange:
             raise failure
         return answers
 
-    def _failure(self, command: Command, answer: dict[str, Any] | None) -> LinkError | None:
+    def _failure(self, command: Command, answer: Message | None) -> LinkError | None:
         name = self._link.name
         if answer is None and command.is_answered:
             return LinkTimeoutError(
@@ -143,32 +106,28 @@ class Exchange:
             command=command.name,
         )
 
-    def _ask(self, command: Command) -> dict[str, Any] | None:
+    def _ask(self, command: Command) -> Message | None:
+        # What came before the command does not answer it.
         self._decoder.messages()
         for _ in range(TRIES if command.is_answered else 1):
             self._link.write(command.data)
-            answer = self._await(command) if command.is_answered else None
-            if answer is not None:
-                return {**answer, "asked": command.name}
+            received = b""
+            end_s = self._clock.monotonic_s() + patience_s(self._clock, ANSWER_S)
+            while command.is_answered and self._clock.monotonic_s() < end_s:
+                chunk = self._link.read()
+                if chunk is None:
+                    continue
+                self.chunks.append(chunk)
+                self._decoder.feed(chunk.data, chunk.monotonic_s)
+                received = (received + chunk.data)[-_LONGEST_ANSWER:]
+                answer = self._answer(command, received)
+                if answer is not None:
+                    return {**answer, "asked": command.name}
         return None
 
-    def _await(self, command: Command) -> Message | None:
-        heard = b""
-        end_s = self._clock.monotonic_s() + patience_s(self._clock, ANSWER_S)
-        while self._clock.monotonic_s() < end_s:
-            chunk = self._link.read()
-            if chunk is None:
-                continue
-            self.chunks.append(chunk)
-            self._decoder.feed(chunk.data, chunk.monotonic_s)
-            heard = (heard + chunk.data)[-_LONGEST_ANSWER:]
-            answer = self._answer(command, heard)
-            if answer is not None:
-                return answer
-        return None
-
-    def _answer(self, command: Command, heard: bytes) -> Message | None:
+    def _answer(self, command: Command, received: bytes) -> Message | None:
+        """Find the answer in the bytes or the messages since the command was sent."""
         if command.read is not None:
-            return command.read(heard)
-        found = (message for message in self._decoder.messages() if command.answer is not None and command.answer(message))
-        return next(found, None)
+            return command.read(received)
+        messages = self._decoder.messages()
+        return next((message for message in messages if command.answer is not None and command.answer(message)), None)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import Any
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.driver import Driver
-from imufield.acquire.instrument.exchange import Command, Exchange
+from imufield.acquire.driver import Command, Driver, Message
+from imufield.acquire.instrument.exchange import Exchange
 from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.serial import Chunk, Link
 from imufield.acquire.protocol.protocol import load_protocol
@@ -30,7 +29,7 @@ class Instrument:
     ----------
     chunks : list of Chunk
         What arrived during the last command, to be recorded.
-    state : list of dict
+    state : list of Message
         Newest answers to the questions about what can be changed.
     interrupted : bool
         Whether that interrupted the stream of samples, or took the place of some: what came before does not go on behind it.
@@ -40,17 +39,15 @@ class Instrument:
         self.driver = driver
         self.heard = heard
         self.chunks: list[Chunk] = []
-        self.state: list[dict[str, Any]] = []
+        self.state: list[Message] = []
         self.interrupted = False
         self._clock = clock
         self._undo: list[Sequence[Command]] = []
         self._rate_before_hz: float | None = None
 
-    def identify(self, link: Link) -> list[dict[str, Any]]:
+    def identify(self, link: Link) -> list[Message]:
         """Return what the instrument answers to questions about itself; nothing where it is not connected that way."""
-        questions = self.driver.identity_questions(self.heard)
-        exchange = self._exchange(link, questions)
-        return self._finished(exchange, exchange.gather(questions))
+        return self._play(link, self.driver.identity_questions(self.heard))
 
     def start(self, link: Link) -> None:
         """Make a silent instrument send; ``restore`` silences it again.
@@ -62,27 +59,29 @@ class Instrument:
         LinkError
             No answer, or a refusal.
         """
-        self._check("start and stop")
-        state = self._state(link)
-        self._switch(link, self.driver.start_orders(state), self.driver.stop_orders(state))
+        self._switch(link, on=True)
 
     def stop(self, link: Link) -> None:
         """Silence it; ``restore`` makes it send again. Raises as ``start`` does."""
-        self._check("start and stop")
-        state = self._state(link)
-        self._switch(link, self.driver.stop_orders(state), self.driver.start_orders(state))
+        self._switch(link, on=False)
 
-    def _switch(self, link: Link, orders: Sequence[Command], back: Sequence[Command]) -> None:
-        if not orders or not back:
+    def _switch(self, link: Link, *, on: bool) -> None:
+        if "start and stop" not in self.driver.abilities:
+            raise UsageError(
+                f"{self.driver.title} cannot be told to start and stop by imufield; do it with its maker's program"
+            )
+        state = self._read_state(link)
+        start, stop = self.driver.start_orders(state), self.driver.stop_orders(state)
+        if not start or not stop:
             raise LinkTimeoutError(
                 f"{self.driver.title} on {link.name} does not tell what it sends, so it could not be put back; check that the "
                 "wire to the instrument is connected",
                 Reason.SILENCE,
                 port=link.name,
             )
-        self._undo.append(back)
-        exchange = self._exchange(link, orders)
-        self._finished(exchange, exchange.order(orders))
+        # Noted first: an order that fails half way is undone, too.
+        self._undo.append(stop if on else start)
+        self._play(link, start if on else stop, is_order=True)
 
     def set_rate(self, link: Link, rate_hz: float) -> float:
         """Set the output rate; return what it was. ``restore`` brings that back.
@@ -95,8 +94,9 @@ class Instrument:
             No answer, a refusal, or another rate than the one asked for.
         """
         if "rate" not in self.driver.abilities:
+            # Raises with the reason that the driver gives.
             self.driver.rate_orders(rate_hz, ())
-        state = self._state(link)
+        state = self._read_state(link)
         before_hz = self.driver.rate_hz(state)
         if before_hz is None:
             raise LinkError(
@@ -110,14 +110,14 @@ class Instrument:
             return before_hz
         self._undo.append(self.driver.restore_orders(state))
         self._rate_before_hz = before_hz
-        self._exchange(link, orders).order(orders)
+        self._play(link, orders, is_order=True)
         self._check_rate(link, rate_hz)
         self.interrupted = True
         return before_hz
 
     def _check_rate(self, link: Link, rate_hz: float) -> None:
         """Read the rate back: not every instrument answers an order."""
-        now_hz = self.driver.rate_hz(self._state(link))
+        now_hz = self.driver.rate_hz(self._read_state(link))
         if now_hz is None or abs(now_hz - rate_hz) > _SAME * rate_hz:
             raise LinkError(
                 f"{self.driver.title} on {link.name} was set to {rate_hz:g} Hz and says it is at "
@@ -144,7 +144,7 @@ class Instrument:
         failure: LinkError | None = None
         for orders in reversed(undo):
             try:
-                self._exchange(link, orders).order(orders)
+                self._play(link, orders, is_order=True)
             except LinkError as error:
                 failure = failure or error
         before_hz, self._rate_before_hz = self._rate_before_hz, None
@@ -153,22 +153,17 @@ class Instrument:
         if before_hz is not None:
             self._check_rate(link, before_hz)
 
-    def _state(self, link: Link) -> list[dict[str, Any]]:
-        questions = self.driver.state_questions(self.heard)
-        exchange = self._exchange(link, questions)
-        self.state = self._finished(exchange, exchange.gather(questions))
+    def _read_state(self, link: Link) -> list[Message]:
+        self.state = self._play(link, self.driver.state_questions(self.heard))
         return self.state
 
-    def _exchange(self, link: Link, commands: Sequence[Command]) -> Exchange:
+    def _play(self, link: Link, commands: Sequence[Command], *, is_order: bool = False) -> list[Message]:
+        """Send commands and return their answers; orders must succeed, questions need not."""
+        decoder = Decoder(load_protocol(self.driver.answers or self.driver.protocol))
+        exchange = Exchange(link, decoder, self._clock)
         self.interrupted = any(command.is_last for command in commands)
-        return Exchange(link, Decoder(load_protocol(self.driver.answers or self.driver.protocol)), self._clock)
-
-    def _finished(self, exchange: Exchange, answers: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        answers = exchange.order(commands) if is_order else exchange.gather(commands)
         self.chunks = exchange.chunks
         # Samples that gave way to answers are not lost on the link: what counts begins behind the last answer.
         self.interrupted |= bool(answers) and self.driver.answers_replace_samples
         return answers
-
-    def _check(self, ability: str) -> None:
-        if ability not in self.driver.abilities:
-            raise UsageError(f"{self.driver.title} cannot be told to {ability} by imufield; do it with its maker's program")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain, zip_longest
 from pathlib import Path
-from typing import TypeVar
 
 from imufield.acquire.driver import Driver, Wire
-from imufield.acquire.instrument.recognise import FEWEST_SAMPLES, Candidate, Ear, best
+from imufield.acquire.instrument.recognise import FEWEST_SAMPLES, Candidate, Listener, best
 from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.serial import Chunk, SerialLink, open_link
 from imufield.acquire.protocol.protocol import load_protocol
@@ -16,7 +16,6 @@ from imufield.acquire.registry import driver_names, load_driver
 from imufield.errors import LinkError, LinkTimeoutError, ProtocolError, Reason, SettingError
 
 Say = Callable[[str], None]
-Described = TypeVar("Described")
 
 LISTEN_S = 5.0
 """Longest silence or noise before giving up at the one baud rate that is possible: instruments start within 1 s to 5 s."""
@@ -38,7 +37,7 @@ class Hearing:
 
     baud: int
     chunks: list[Chunk]
-    ears: list[Ear]
+    listeners: list[Listener]
 
     @property
     def byte_count(self) -> int:
@@ -52,7 +51,7 @@ class Search:
 
     link: SerialLink
     hearings: list[Hearing]
-    found: Ear | None
+    recognised: Listener | None = None
 
     @property
     def last(self) -> Hearing:
@@ -62,20 +61,16 @@ class Search:
 
 def serial_candidates(settings: Mapping[str, str] | None = None, *, say: Say | None = None) -> list[Candidate]:
     """Return every way to read a serial port that the drivers know; ``settings`` go to those that have them."""
-
-    def candidates(driver: type[Driver]) -> list[Candidate]:
-        return list(driver_candidates(driver, settings or {}, only_known=True, variants=True))
-
-    return usable("serial", candidates, say)
+    return usable("serial", lambda driver: driver_candidates(driver, settings or {}, only_known=True, variants=True), say)
 
 
-def usable(wire: Wire, describe: Callable[[type[Driver]], list[Described]], say: Say | None = None) -> list[Described]:
-    """Return what the drivers of a wire give; one that cannot be used is passed over, and ``say`` told in one sentence."""
-    found: list[Described] = []
+def usable(wire: Wire, ways: Callable[[type[Driver]], Iterable[Candidate]], say: Say | None = None) -> list[Candidate]:
+    """Return the ways to read a wire by every driver; ``say`` is told in a sentence of each that cannot be used."""
+    found: list[Candidate] = []
     for name in driver_names():
         try:
             driver = load_driver(name)
-            found += describe(driver) if driver.wire == wire else []
+            found += ways(driver) if driver.wire == wire else ()
         except SettingError:
             raise
         except ProtocolError as error:
@@ -104,9 +99,8 @@ def bauds_to_try(candidates: list[Candidate], port: str, baud: int | None) -> li
         return [baud]
     if has_no_baud(port):
         return [candidates[0].bauds[0]]
-    longest = max(len(one.bauds) for one in candidates)
-    in_order = [one.bauds[rank] for rank in range(longest) for one in candidates if rank < len(one.bauds)]
-    return list(dict.fromkeys(in_order))
+    in_order = chain.from_iterable(zip_longest(*(candidate.bauds for candidate in candidates)))
+    return [baud for baud in dict.fromkeys(in_order) if baud is not None]
 
 
 def has_no_baud(port: str) -> bool:
@@ -131,44 +125,41 @@ def search(port: str, candidates: list[Candidate], bauds: list[int], clock: Host
     LinkError
         The port cannot be opened, is gone, or takes none of the baud rates.
     """
-    link = open_link(port, baud=_first_baud(port, bauds), clock=clock)
-    found = Search(link, [], None)
+    # A baud rate that an adapter does not know may only show when it is set: 115200 is known to all.
+    first = bauds[0] if len(bauds) == 1 or has_no_baud(port) else 115200
+    link = open_link(port, baud=first, clock=clock)
+    result = Search(link, [])
     try:
         end_s = clock.monotonic_s() + patience_s(clock, SEARCH_S)
         for baud in bauds:
-            if not _set_baud(link, baud, bauds):
+            if len(bauds) > 1 and not _is_set(link, baud):
                 continue
-            ears = [Ear(one, is_given=is_given) for one in candidates if len(bauds) == 1 or baud in one.bauds]
-            hearing = Hearing(baud, [], ears)
-            found.hearings.append(hearing)
-            _listen(link, hearing, clock, _limits_s(found, bauds), end_s=end_s)
-            found.found = best(ears)
-            if found.found is not None or clock.monotonic_s() >= end_s:
+            listeners = [
+                Listener(candidate, is_given=is_given) for candidate in candidates if len(bauds) == 1 or baud in candidate.bauds
+            ]
+            is_silent = bool(result.hearings) and not any(hearing.byte_count for hearing in result.hearings)
+            quiet_s = LISTEN_S if len(bauds) == 1 else SILENT_TRY_S if is_silent else TRY_S
+            result.hearings.append(Hearing(baud, [], listeners))
+            _listen(result, clock, quiet_s, end_s=end_s)
+            if result.recognised is not None or clock.monotonic_s() >= end_s:
                 break
     except BaseException:
         link.close()
         raise
-    return found
+    return result
 
 
-def listen_again(found: Search, clock: HostClock) -> None:
+def listen_again(result: Search, clock: HostClock) -> None:
     """Listen once more at the last baud rate, to an instrument that was told to send in between."""
-    before = found.last
-    hearing = Hearing(before.baud, [], [Ear(ear.candidate, is_given=True) for ear in before.ears])
-    found.hearings.append(hearing)
-    _listen(found.link, hearing, clock, (LISTEN_S, LISTEN_S), end_s=clock.monotonic_s() + patience_s(clock, LISTEN_S))
-    found.found = best(hearing.ears)
+    before = result.last
+    result.hearings.append(
+        Hearing(before.baud, [], [Listener(listener.candidate, is_given=True) for listener in before.listeners])
+    )
+    _listen(result, clock, LISTEN_S, end_s=clock.monotonic_s() + patience_s(clock, LISTEN_S))
 
 
-def _first_baud(port: str, bauds: list[int]) -> int:
-    # A baud rate that an adapter does not know may only show when it is set: 115200 is known to all.
-    return bauds[0] if len(bauds) == 1 or has_no_baud(port) else 115200
-
-
-def _set_baud(link: SerialLink, baud: int, bauds: list[int]) -> bool:
-    """Go to a baud rate; return whether the adapter knows it, where there are others to try."""
-    if len(bauds) == 1:
-        return True
+def _is_set(link: SerialLink, baud: int) -> bool:
+    """Go to a baud rate; return whether the adapter knows it."""
     try:
         link.set_baud(baud)
     except LinkError as error:
@@ -178,41 +169,37 @@ def _set_baud(link: SerialLink, baud: int, bauds: list[int]) -> bool:
     return True
 
 
-def _limits_s(so_far: Search, bauds: list[int]) -> tuple[float, float]:
-    """Return how long to listen without and with frames."""
-    if len(bauds) == 1:
-        return LISTEN_S, LISTEN_S
-    if len(so_far.hearings) > 1 and not any(one.byte_count for one in so_far.hearings):
-        return SILENT_TRY_S, PROMISING_S
-    return TRY_S, PROMISING_S
-
-
-def _listen(link: SerialLink, hearing: Hearing, clock: HostClock, limits_s: tuple[float, float], *, end_s: float) -> None:
-    """Read until one candidate is certain, or the patience is over."""
+def _listen(result: Search, clock: HostClock, quiet_s: float, *, end_s: float) -> None:
+    """Read until one candidate is certain, or the patience is over: ``quiet_s`` without a frame, longer with some."""
+    hearing = result.last
     begin_s, real = clock.monotonic_s(), patience_s(clock, 1.0)
-    while not any(ear.is_certain for ear in hearing.ears):
+    while not any(listener.is_certain for listener in hearing.listeners):
         elapsed_s = (clock.monotonic_s() - begin_s) / real
-        quiet, promising = limits_s
-        if hearing.byte_count == 0 and quiet == TRY_S:
-            quiet = SILENT_S
-        limit_s = promising if any(ear.is_promising for ear in hearing.ears) else quiet
+        if any(listener.is_promising for listener in hearing.listeners):
+            limit_s = max(quiet_s, PROMISING_S)
+        elif hearing.byte_count == 0 and quiet_s == TRY_S:
+            limit_s = SILENT_S
+        else:
+            limit_s = quiet_s
+        # The end of the whole search cuts all but the one baud rate that is possible, and none shorter than a try.
         if elapsed_s >= limit_s or (elapsed_s >= TRY_S and clock.monotonic_s() >= end_s and limit_s != LISTEN_S):
             break
-        chunk = link.read()
+        chunk = result.link.read()
         if chunk is not None:
             hearing.chunks.append(chunk)
-            for ear in hearing.ears:
-                ear.feed(chunk)
-    for ear in hearing.ears:
-        ear.close()
+            for listener in hearing.listeners:
+                listener.feed(chunk)
+    for listener in hearing.listeners:
+        listener.close()
+    result.recognised = best(hearing.listeners)
 
 
-def nothing_recognised(port: str, found: Search) -> LinkError:
-    """Return the error that says what was heard instead."""
-    bauds = ", ".join(str(one.baud) for one in found.hearings)
-    total = sum(one.byte_count for one in found.hearings)
+def nothing_recognised(port: str, result: Search) -> LinkError:
+    """Return the error that says what arrived instead."""
+    bauds = ", ".join(str(hearing.baud) for hearing in result.hearings)
+    total = sum(hearing.byte_count for hearing in result.hearings)
     if total == 0:
-        waited_s = LISTEN_S if len(found.hearings) == 1 else SILENT_S
+        waited_s = LISTEN_S if len(result.hearings) == 1 else SILENT_S
         return LinkTimeoutError(
             f"{port} is silent: no byte within {waited_s:g} s at {bauds} bit/s; check power, cable, RX/TX and that the "
             "instrument is set to send by itself",
@@ -220,9 +207,9 @@ def nothing_recognised(port: str, found: Search) -> LinkError:
             port=port,
             waited_s=waited_s,
         )
-    ears = [ear for one in found.hearings for ear in one.ears]
-    finding = max(ears, key=lambda ear: (ear.decoder.statistics.frames, ear.accelerations)).finding()
-    names = ", ".join(dict.fromkeys(ear.candidate.name for ear in ears))
+    listeners = [listener for hearing in result.hearings for listener in hearing.listeners]
+    finding = max(listeners, key=lambda listener: (listener.decoder.statistics.frames, listener.accelerations)).finding()
+    names = ", ".join(dict.fromkeys(listener.candidate.name for listener in listeners))
     hint = f"; closest is {finding.name}: {finding.reason}" if finding.frames else ""
     return LinkError(
         f"{port} sends, but not {names}: {total} bytes at {bauds} bit/s made {finding.samples} samples and {FEWEST_SAMPLES} "

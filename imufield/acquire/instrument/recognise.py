@@ -1,4 +1,4 @@
-"""Which instrument is heard: every way to read the wire gets the same bytes, and each is judged by what it made of them.
+"""Recognise an instrument by what it sends: every way to read the wire gets the same bytes and is judged by its frames.
 
 What a frame must show by itself (fixed bytes and checksum) decides how much evidence is needed. With 24 bits and more, five
 frames of noise would take 2^120 tries, and a handful of frames is proof. With less, or none (lines of numbers, frames without
@@ -11,13 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.driver import Driver
-from imufield.acquire.instrument.exchange import Message
+from imufield.acquire.driver import Driver, Message
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import ProtocolError
@@ -113,7 +111,7 @@ class Finding:
         checked = self.frames + self.frames_bad_checksum
         return self.frames / checked if checked else None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain values."""
         return {**asdict(self), "checksum_ratio": self.checksum_ratio}
 
@@ -127,14 +125,19 @@ class Finding:
         return ", ".join(parts)
 
 
-class Ear:
-    """Listens for one candidate.
+class Listener:
+    """Decodes what arrives as one candidate would send it, and counts what is understood.
 
     Parameters
     ----------
     candidate : Candidate
     is_given : bool
         The user said what it is: then plausibility is not asked for.
+
+    Attributes
+    ----------
+    accelerations : int
+        Samples that have an acceleration.
     """
 
     def __init__(self, candidate: Candidate, *, is_given: bool = False) -> None:
@@ -145,11 +148,11 @@ class Ear:
     def _begin(self, candidate: Candidate) -> None:
         self.candidate = candidate
         self.decoder = Decoder(candidate.protocol)
+        self.accelerations = 0
         self._checked_bits = checked_bits(candidate.protocol)
         self._norms: list[float] = []
         self._arrivals: list[tuple[float, int]] = []
         self._messages: list[Message] = []
-        self._accelerations = 0
         self._fault = ""
         # Bad frames and skipped bytes before the end of the listening cut a frame.
         self._before_end: tuple[int, int] | None = None
@@ -157,51 +160,39 @@ class Ear:
     def feed(self, chunk: Chunk) -> None:
         """Take the bytes of one read."""
         self._chunks.append(chunk)
-        if not self._fault:
-            try:
-                self._feed(chunk)
-            except ProtocolError as error:
-                self._begin_anew(error)
+        self._decode([chunk])
 
     def close(self) -> None:
-        """Count what was held back; nothing will follow."""
+        """Count the samples that the decoder kept back; nothing will follow."""
         counts = self.decoder.statistics
         self._before_end = (counts.frames_bad_checksum, counts.bytes_skipped)
-        if not self._fault:
-            try:
-                self._take(self.decoder.flush())
-            except ProtocolError as error:
-                self._begin_anew(error)
+        self._decode([], is_last=True)
 
-    def _feed(self, chunk: Chunk) -> None:
-        self._take(self.decoder.feed(chunk.data, chunk.monotonic_s))
-        self._arrivals.append((chunk.monotonic_s, self.decoder.statistics.frames))
-
-    def _begin_anew(self, error: ProtocolError) -> None:
-        """Listen again with the rate that increments turned out to need; where that is known already, give up."""
-        rate_hz, setting = error.values.get("rate_hz"), self.candidate.protocol.settings.get("rate_hz")
-        driver = self.candidate.driver
-        if rate_hz is None or driver is None or setting is None or setting.origin == "given":
-            self._fault = error.message
+    def _decode(self, chunks: Iterable[Chunk], *, is_last: bool = False) -> None:
+        if self._fault:
             return
-        variant = {**self.candidate.variant, "rate_hz": float(f"{rate_hz:.4g}")}
-        given = {name: one.value for name, one in self.candidate.protocol.settings.items() if one.origin == "given"}
-        self._begin(replace(self.candidate, protocol=driver.load_protocol({**given, **variant}), variant=variant))
         try:
-            for chunk in self._chunks:
-                self._feed(chunk)
-        except ProtocolError as second:
-            self._fault = second.message
+            for chunk in chunks:
+                self._count(self.decoder.feed(chunk.data, chunk.monotonic_s))
+                self._arrivals.append((chunk.monotonic_s, self.decoder.statistics.frames))
+            if is_last:
+                self._count(self.decoder.flush())
+        except ProtocolError as error:
+            # Increments may turn out to need a rate, which the error has: listen again with it, unless it is known already.
+            candidate, rate_hz = self.candidate, error.values.get("rate_hz")
+            setting = candidate.protocol.settings.get("rate_hz")
+            if rate_hz is None or candidate.driver is None or setting is None or setting.origin == "given":
+                self._fault = error.message
+                return
+            given = {name: known.value for name, known in candidate.protocol.settings.items() if known.origin == "given"}
+            variant = {**candidate.variant, "rate_hz": float(f"{rate_hz:.4g}")}
+            self._begin(replace(candidate, protocol=candidate.driver.load_protocol({**given, **variant}), variant=variant))
+            self._decode(self._chunks)
 
     def messages(self) -> list[Message]:
-        """Return the messages heard that are no samples."""
+        """Return the messages that arrived and are no samples."""
         self._messages += self.decoder.messages()
         return self._messages
-
-    @property
-    def accelerations(self) -> int:
-        """Samples that have an acceleration."""
-        return self._accelerations
 
     @property
     def is_promising(self) -> bool:
@@ -241,9 +232,9 @@ class Ear:
         heard_s = self._arrivals[-1][0] - self._arrivals[0][0] if self._arrivals else 0.0
         return (self._is_given or heard_s >= RATE_S) and self.finding().found
 
-    def _take(self, samples: Samples) -> None:
+    def _count(self, samples: Samples) -> None:
         finite = np.isfinite(samples.accelerometer).all(axis=1)
-        self._accelerations += int(finite.sum())
+        self.accelerations += int(finite.sum())
         units = samples.units
         scale = units.interval_s if units.accelerometer_is_increment else 1.0
         if units.accelerometer in ("m/s^2", "m/s") and scale and len(self._norms) < _NORMS_KEPT:
@@ -293,12 +284,10 @@ class Ear:
         return rate_hz, bool(departure <= max(_STEADY_FRAMES / max(each, 1e-9), _STEADY_SHARE * (frames[-1] - frames[0])))
 
 
-def best(ears: Iterable[Ear]) -> Ear | None:
-    """Return the ear whose candidate is the instrument, None where none is: strong frames first, then the most understood."""
-    found = [(ear, ear.finding()) for ear in ears]
-    good = [(ear, finding) for ear, finding in found if finding.found]
-    ranked = max(good, key=lambda one: (one[1].is_strong, one[0].accelerations, one[1].share), default=None)
-    return None if ranked is None else ranked[0]
+def best(listeners: Iterable[Listener]) -> Listener | None:
+    """Return the listener whose candidate is the instrument: strong frames first, then the most understood; None without."""
+    found = [(listener, finding) for listener in listeners if (finding := listener.finding()).found]
+    return max(found, key=lambda pair: (pair[1].is_strong, pair[0].accelerations, pair[1].share), default=(None, None))[0]
 
 
 def checked_bits(protocol: Protocol) -> int:

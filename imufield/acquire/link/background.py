@@ -104,9 +104,8 @@ class BackgroundLink:
             self._put(error)
 
     def _put(self, item: Chunk | Exception) -> None:
+        # Nobody takes chunks any more when the thread is to end.
         while not self._stopping.is_set():
-            try:
+            with suppress(queue.Full):
                 self._arrived.put(item, timeout=WAIT_S)
-            except queue.Full:
-                continue
-            return
+                return

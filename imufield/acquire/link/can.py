@@ -62,6 +62,10 @@ _GROUP_AND_PORT = re.compile(r"((?:\d+\.){3}\d+):(\d+)")
 _ERRNO = re.compile(r"\[Errno (\d+)\]|\((\d+),")
 
 
+# Handed to python-can, whose drivers know what they take.
+BusOptions = dict[str, Any]
+
+
 @dataclass(frozen=True, slots=True)
 class BusAddress:
     """A bus, as typed.
@@ -75,7 +79,13 @@ class BusAddress:
 
     interface: str
     channel: str
-    options: dict[str, Any] = field(default_factory=dict)
+    options: BusOptions = field(default_factory=dict)
+
+    @property
+    def bit_rate(self) -> int | None:
+        """The bit rate that the address gives, None without."""
+        rate = self.options.get("bitrate")
+        return int(rate) if isinstance(rate, int | float) else None
 
     @property
     def takes_bit_rate(self) -> bool:
@@ -92,7 +102,7 @@ def parse_bus(text: str) -> BusAddress:
         If it is not of this form, or python-can has no such interface.
     """
     place, _, tail = text.partition("?")
-    interface, colon, channel = place.partition(":")
+    interface, _, channel = place.partition(":")
     known = sorted(can.interfaces.VALID_INTERFACES)
     if interface not in known:
         raise UsageError(
@@ -100,28 +110,26 @@ def parse_bus(text: str) -> BusAddress:
             f"interfaces are {', '.join(known)}",
             bus=text,
         )
-    if not colon or not channel:
-        raise UsageError(
-            f"{text!r} names no channel: write {interface}:CHANNEL, e.g. {interface}:{_example(interface)}", bus=text
-        )
-    options = dict(_option(text, part) for part in tail.split("&") if part)
+    if not channel:
+        example = {"socketcan": "can0", "slcan": "/dev/ttyACM0", "pcan": "PCAN_USBBUS1"}.get(interface, "0")
+        raise UsageError(f"{text!r} names no channel: write {interface}:CHANNEL, e.g. {interface}:{example}", bus=text)
+    options: BusOptions = {}
+    for part in filter(None, tail.split("&")):
+        name, equals, value = part.partition("=")
+        if not (name.isidentifier() and equals):
+            raise UsageError(f"option {part!r} of {text!r} is not of the form NAME=VALUE, e.g. bitrate=250000", bus=text)
+        options[name] = _typed(value)
     if interface == "udp_multicast" and (found := _GROUP_AND_PORT.fullmatch(channel)):
         channel, options["port"] = found.group(1), int(found.group(2))
     return BusAddress(interface, channel, options)
 
 
-def _example(interface: str) -> str:
-    return {"socketcan": "can0", "slcan": "/dev/ttyACM0", "pcan": "PCAN_USBBUS1"}.get(interface, "0")
-
-
-def _option(text: str, part: str) -> tuple[str, Any]:
-    name, equals, value = part.partition("=")
-    if not (name.isidentifier() and equals):
-        raise UsageError(f"option {part!r} of {text!r} is not of the form NAME=VALUE, e.g. bitrate=250000", bus=text)
+def _typed(value: str) -> float | str:
+    """Return a number or a truth value where a text is one."""
     for convert in (int, float):
         with contextlib.suppress(ValueError):
-            return name, convert(value)
-    return name, {"true": True, "false": False}.get(value.lower(), value)
+            return convert(value)
+    return {"true": True, "false": False}.get(value.lower(), value)
 
 
 def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
@@ -155,39 +163,31 @@ def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
         ) from error
     except _OPEN_FAILURES as error:
         raise _cannot_open(address, error) from error
-    _enlarge_buffer(bus)
-    return bus
-
-
-def _enlarge_buffer(bus: can.BusABC) -> None:
-    found = getattr(bus, "socket", None)
-    if isinstance(found, socket.socket):
+    channel = getattr(bus, "socket", None)
+    if isinstance(channel, socket.socket):
+        # A system that refuses the larger buffer still has its usual one.
         with contextlib.suppress(OSError):
-            found.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+            channel.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+    return bus
 
 
 def _cannot_open(address: BusAddress, error: BaseException) -> LinkError:
     name, number = f"{address.interface}:{address.channel}", _errno(error)
     cause = str(error).splitlines()[0] if str(error) else type(error).__name__
+    what, reason = f"cannot be opened: {cause}; check adapter, channel and options", Reason.DISCONNECTED
     if number in (errno.ENODEV, errno.ENOENT, errno.ENXIO):
         hint = f"`ip link show {address.channel}`" if address.interface == "socketcan" else "the plug and the name"
-        return LinkError(f"{name} is not there ({cause}): check {hint}", Reason.PORT_NOT_FOUND, bus=name)
-    if number in (errno.EACCES, errno.EPERM):
-        return LinkError(f"{name} may not be opened by this user ({cause}): get the permission", Reason.NO_PERMISSION, bus=name)
-    if number == errno.EBUSY:
-        return LinkError(f"{name} is in use by another program: close that", Reason.PORT_BUSY, bus=name)
-    if number == errno.EAFNOSUPPORT:
-        return LinkError(
-            f"{name} cannot be opened: this system has no CAN network interfaces ({cause}); use another interface, or a kernel "
-            "with SocketCAN",
-            Reason.PORT_NOT_FOUND,
-            bus=name,
-        )
-    if number == errno.ENETDOWN:
-        return LinkError(
-            f"{name} is down: `ip link set {address.channel} up type can bitrate ...`", Reason.DISCONNECTED, bus=name
-        )
-    return LinkError(f"{name} cannot be opened: {cause}; check adapter, channel and options", Reason.DISCONNECTED, bus=name)
+        what, reason = f"is not there ({cause}): check {hint}", Reason.PORT_NOT_FOUND
+    elif number in (errno.EACCES, errno.EPERM):
+        what, reason = f"may not be opened by this user ({cause}): get the permission", Reason.NO_PERMISSION
+    elif number == errno.EBUSY:
+        what, reason = "is in use by another program: close that", Reason.PORT_BUSY
+    elif number == errno.EAFNOSUPPORT:
+        what = f"cannot be opened: this system has no CAN network interfaces ({cause}); use another interface, or a kernel "
+        what, reason = f"{what}with SocketCAN", Reason.PORT_NOT_FOUND
+    elif number == errno.ENETDOWN:
+        what = f"is down: `ip link set {address.channel} up type can bitrate ...`"
+    return LinkError(f"{name} {what}", reason, bus=name)
 
 
 def _errno(error: BaseException) -> int | None:
@@ -248,30 +248,24 @@ class CanLink:
                 Reason.DISCONNECTED,
                 bus=self.name,
             )
+        messages: list[can.Message] = []
         try:
-            messages = self._messages(bus)
+            first = bus.recv(WAIT_S)
+            if first is not None:
+                messages.append(first)
+                self._clock.sleep(COLLECT_S)
+                while len(messages) < MOST_FRAMES and (message := bus.recv(0)) is not None:
+                    messages.append(message)
         except _READ_FAILURES as error:
-            self._in_a_row += 1
             self.faults += 1
-            if self._in_a_row > _FAULTS_BORNE:
-                raise self._gone(error) from error
-            return None
+            # What came before still counts; the next read meets the error again.
+            if not messages:
+                self._in_a_row += 1
+                if self._in_a_row > _FAULTS_BORNE:
+                    raise self._gone(error) from error
+                return None
         self._in_a_row = 0
         return self._chunk(messages) if messages else None
-
-    def _messages(self, bus: can.BusABC) -> list[can.Message]:
-        first = bus.recv(WAIT_S)
-        if first is None:
-            return []
-        messages = [first]
-        self._clock.sleep(COLLECT_S)
-        try:
-            while len(messages) < MOST_FRAMES and (message := bus.recv(0)) is not None:
-                messages.append(message)
-        except _READ_FAILURES:
-            # What came before still counts; the next read meets the error again.
-            self.faults += 1
-        return messages
 
     def _chunk(self, messages: list[can.Message]) -> Chunk:
         # In this order: what stops us between the two makes stamps late, as everything does, and none early.
@@ -283,6 +277,7 @@ class CanLink:
             if abs(wall_s - time_s) < _HOST_CLOCK_S:
                 time_s = arrival_s - (wall_s - time_s) * self._speed
             elif time_s == 0.0:
+                # The driver gives no stamp.
                 time_s = arrival_s
             else:
                 flags = ADAPTER_TIME

@@ -9,17 +9,18 @@ from __future__ import annotations
 import errno
 import os
 import re
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
 from imufield.acquire.link.ports import serial_ports
 from imufield.errors import ImufieldError, LinkError, Reason, UsageError
 
-try:
+# A port that is no terminal; Windows has none.
+_TERMINAL_ERRORS: tuple[type[Exception], ...] = ()
+with suppress(ImportError):
     import termios
-except ImportError:  # Windows
-    _TERMINAL_ERRORS: tuple[type[Exception], ...] = ()
-else:
+
     _TERMINAL_ERRORS = (termios.error,)
 
 OPEN_FAILURES: tuple[type[Exception], ...] = (OSError, ValueError, *_TERMINAL_ERRORS)
@@ -33,50 +34,43 @@ _PORTS_NAMED = 6  # More ports than this do not help a reader of an error messag
 
 def open_error(port: str, baud: int, error: Exception) -> ImufieldError:
     """Turn what pyserial raised into the error a user can act on."""
+    scheme, is_address, rest = port.partition("://")
     if isinstance(error, ValueError):
-        return _bad_value(port, baud, error)
-    if _has_no_host(port):
-        return UsageError(
-            f"{port} names no host and port; give both, as in {port.partition('://')[0]}://192.168.1.5:4001.", port=port
-        )
-    if "://" in port and "spy:" not in port:
-        return LinkError(
-            f"{port} cannot be opened ({_cause(error)}): check address, port number and that the other end listens.",
-            Reason.PORT_NOT_FOUND,
-            port=port,
-        )
+        return _bad_value(port, baud, str(error))
+    host, _, host_port = rest.partition("/")[0].rpartition(":")
+    # An address of a network that names no place there: pyserial then fails with a text of Python's own.
+    if scheme.lower() in ("socket", "rfc2217") and not (host and host_port.isdecimal()):
+        return UsageError(f"{port} names no host and port; give both, as in {scheme}://192.168.1.5:4001.", port=port)
+    if is_address and "spy:" not in port:
+        what = f"cannot be opened ({_cause(error)}): check address, port number and that the other end listens"
+        return LinkError(f"{port} {what}.", Reason.PORT_NOT_FOUND, port=port)
     number = _errno(error)
-    if number in _BUSY:
-        return LinkError(f"{port} is in use by {_holder(port)}: close it and try again.", Reason.PORT_BUSY, port=port)
     if number == errno.EACCES:
         return _no_permission(port)
-    if number in _NOT_A_TERMINAL:
-        return LinkError(f"{port} is not a serial port; {_there_are()}.", Reason.PORT_NOT_FOUND, port=port)
     if number == errno.EINVAL:
         return baud_refused(port, baud)
     reason = Reason.PORT_NOT_FOUND if number in _ABSENT else Reason.DISCONNECTED
-    what = "does not exist" if number == errno.ENOENT else f"cannot be opened ({_cause(error)})"
-    return LinkError(f"{port} {what}; {_there_are()}.", reason, port=port)
+    if number in _BUSY:
+        what, reason = f"is in use by {_holder(port)}: close it and try again", Reason.PORT_BUSY
+    elif number in _NOT_A_TERMINAL:
+        what, reason = f"is not a serial port; {_there_are()}", Reason.PORT_NOT_FOUND
+    elif number == errno.ENOENT:
+        what = f"does not exist; {_there_are()}"
+    else:
+        what = f"cannot be opened ({_cause(error)}); {_there_are()}"
+    return LinkError(f"{port} {what}.", reason, port=port)
 
 
-def _has_no_host(port: str) -> bool:
-    """Tell whether an address of a network names no place there: pyserial then fails with a text of Python's own."""
-    scheme, _, rest = port.partition("://")
-    host, _, number = rest.partition("/")[0].rpartition(":")
-    return scheme.lower() in ("socket", "rfc2217") and not (host and number.isdecimal())
-
-
-def _bad_value(port: str, baud: int, error: ValueError) -> ImufieldError:
-    text = str(error)
-    if "baud" in text:
+def _bad_value(port: str, baud: int, cause: str) -> ImufieldError:
+    if "baud" in cause:
         return baud_refused(port, baud)
-    if "not known" in text:
-        return UsageError(
-            f"{port} is no kind of address that can be opened: use a device such as /dev/ttyUSB0 or COM5, socket://host:port, "
-            "rfc2217://host:port or loop://.",
-            port=port,
+    what = f"cannot be opened: {cause}"
+    if "not known" in cause:
+        what = (
+            "is no kind of address that can be opened: use a device such as /dev/ttyUSB0 or COM5, socket://host:port, "
+            "rfc2217://host:port or loop://"
         )
-    return UsageError(f"{port} cannot be opened: {text}.", port=port)
+    return UsageError(f"{port} {what}.", port=port)
 
 
 def baud_refused(port: str, baud: int) -> LinkError:
@@ -141,23 +135,18 @@ def _holder(port: str) -> str:
     try:
         target = Path(port).stat().st_rdev
         for process in Path("/proc").iterdir():
-            if process.name.isdigit() and int(process.name) != os.getpid() and _has_open(process, target):
+            if process.name.isdigit() and int(process.name) != os.getpid() and target in _open_devices(process):
                 return f"{(process / 'comm').read_text().strip()} (process {process.name})"
     except OSError:
         pass
     return "another program"
 
 
-def _has_open(process: Path, device: int) -> bool:
-    try:
-        return any(_device_of(entry) == device for entry in (process / "fd").iterdir())
-    except OSError:
-        return False
-
-
-def _device_of(entry: Path) -> int | None:
-    try:
-        status = entry.stat()
-    except OSError:
-        return None
-    return status.st_rdev or None
+def _open_devices(process: Path) -> Iterator[int]:
+    """Yield the devices that a process has open, as far as this user may see them."""
+    with suppress(OSError):
+        for entry in (process / "fd").iterdir():
+            # It may be closed meanwhile.
+            with suppress(OSError):
+                if device := entry.stat().st_rdev:
+                    yield device

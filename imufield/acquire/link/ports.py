@@ -40,7 +40,8 @@ def serial_ports() -> list[SerialPort]:
     found = [
         SerialPort(
             device=port.device,
-            description=_description(port.description),
+            # pyserial writes "n/a" where the system says nothing.
+            description="" if port.description in (None, "n/a") else port.description,
             vendor_id=port.vid,
             product_id=port.pid,
             serial_number=port.serial_number,
@@ -68,8 +69,3 @@ def can_channels(network: Path = _NETWORK) -> list[CanChannel]:
                     is_up = int((folder / "flags").read_text(encoding="ascii"), 16) & 1
                     found.append(CanChannel(f"socketcan:{folder.name}", "up" if is_up else "down"))
     return found
-
-
-def _description(text: str | None) -> str:
-    # pyserial writes "n/a" where the system says nothing.
-    return "" if text is None or text == "n/a" else text

@@ -34,16 +34,12 @@ class PatientLink:
         LinkError
             The port is there again and cannot be used: waiting would not help.
         """
-        if self.lost is not None:
-            self._try_again()
-            return None
-        try:
-            return self._link.read()
-        except LinkError as error:
-            self.lost, self._next_try_s = error, self._clock.monotonic_s()
-            return None
-
-    def _try_again(self) -> None:
+        if self.lost is None:
+            try:
+                return self._link.read()
+            except LinkError as error:
+                self.lost, self._next_try_s = error, self._clock.monotonic_s()
+                return None
         now_s = self._clock.monotonic_s()
         if now_s < self._next_try_s:
             self._clock.sleep(_WAIT_S)
@@ -51,3 +47,4 @@ class PatientLink:
             self.lost = None
         else:
             self._next_try_s = now_s + RECONNECT_EVERY_S
+        return None

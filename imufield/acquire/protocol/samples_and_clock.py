@@ -243,8 +243,6 @@ def read_flag(table: Table, source: str) -> FlagRule:
             flag=names[table.choice("flag", names)],
             when_clear=table.choice("when", ("set", "clear"), "set") == "clear",
             values=tuple(int(value) for value in values if isinstance(value, int | float | str)),
-            if may_have_values
-            else (),
         )
         if bool(rule.values) == bool(rule.mask):
             raise table.error("values", "a flag needs either values or a mask")

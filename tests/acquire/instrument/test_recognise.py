@@ -9,22 +9,22 @@ from streams import INSTRUMENTS, OTHERS, RECORDED, chunks, flipped, others, reco
 
 from imufield.acquire.driver import Driver
 from imufield.acquire.instrument.listen import serial_candidates
-from imufield.acquire.instrument.recognise import Ear, best, checked_bits
+from imufield.acquire.instrument.recognise import Listener, best, checked_bits
 from imufield.acquire.registry import driver_names, load_driver
 
 CONDITIONS = ("clean", "flipped bits", "starting inside a frame", "everything late")
 
 
-def ears_of(data: bytes, bytes_per_s: float, *, stop: bool = True) -> list[Ear]:
-    ears = [Ear(one) for one in serial_candidates()]
+def listeners_of(data: bytes, bytes_per_s: float, *, stop: bool = True) -> list[Listener]:
+    listeners = [Listener(one) for one in serial_candidates()]
     for chunk in chunks(data, bytes_per_s):
-        for ear in ears:
-            ear.feed(chunk)
-        if stop and any(ear.is_certain for ear in ears):
+        for listener in listeners:
+            listener.feed(chunk)
+        if stop and any(listener.is_certain for listener in listeners):
             break
-    for ear in ears:
-        ear.close()
-    return ears
+    for listener in listeners:
+        listener.close()
+    return listeners
 
 
 def under(condition: str, data: bytes) -> bytes:
@@ -39,14 +39,14 @@ def under(condition: str, data: bytes) -> bytes:
 @pytest.mark.parametrize("name", INSTRUMENTS)
 def test_every_instrument_is_recognised_and_no_other(name: str, condition: str) -> None:
     data, bytes_per_s = stream(name)
-    ears = ears_of(under(condition, data), bytes_per_s, stop=condition != "everything late")
-    found = best(ears)
-    assert found is not None, [(ear.candidate.name, ear.finding().reason) for ear in ears if ear.finding().frames]
+    listeners = listeners_of(under(condition, data), bytes_per_s, stop=condition != "everything late")
+    found = best(listeners)
+    assert found is not None, [(each.candidate.name, each.finding().reason) for each in listeners if each.finding().frames]
     assert found.candidate.name == INSTRUMENTS[name][0]
     # Increments need the rate, and the stream itself has it.
     variants: dict[str, dict[str, object]] = {"witmotion bluetooth": {"form": "bluetooth"}, "novatel ascii": {"rate_hz": 100.0}}
     assert found.candidate.variant == variants.get(name, {})
-    assert {ear.candidate.name for ear in ears if ear.finding().found} == {INSTRUMENTS[name][0]}
+    assert {listener.candidate.name for listener in listeners if listener.finding().found} == {INSTRUMENTS[name][0]}
     finding = found.finding()
     # Without a clock of its own and with samples missing, an estimate from a second of arrivals.
     assert finding.rate_hz == pytest.approx(INSTRUMENTS[name][1], rel=0.2)
@@ -57,45 +57,45 @@ def test_every_instrument_is_recognised_and_no_other(name: str, condition: str) 
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_what_is_no_instrument_is_none(name: str) -> None:
-    ears = ears_of(*others(name))
-    assert best(ears) is None
-    assert all(ear.finding().reason for ear in ears)
+    listeners = listeners_of(*others(name))
+    assert best(listeners) is None
+    assert all(listener.finding().reason for listener in listeners)
 
 
 @pytest.mark.parametrize("name", RECORDED)
 @pytest.mark.parametrize("condition", CONDITIONS[:3])
 def test_recordings_of_real_instruments_are_recognised(name: str, condition: str, shared_folder: Path) -> None:
-    ears = ears_of(under(condition, recording(shared_folder, name)), 8000)
-    found = best(ears)
+    listeners = listeners_of(under(condition, recording(shared_folder, name)), 8000)
+    found = best(listeners)
     assert found is not None
     assert found.candidate.name == RECORDED[name]
-    assert {ear.candidate.name for ear in ears if ear.finding().found} == {RECORDED[name]}
+    assert {listener.candidate.name for listener in listeners if listener.finding().found} == {RECORDED[name]}
 
 
 def test_recordings_before_and_behind_noise(shared_folder: Path) -> None:
     data = recording(shared_folder, "aceinna z1")
     noise, _ = others("noise")
-    found = best(ears_of(noise[:3000] + data, 8000))
+    found = best(listeners_of(noise[:3000] + data, 8000))
     assert found is not None
     assert found.candidate.name == "aceinna_serial"
 
 
 def test_frames_without_samples_are_named_but_are_no_finding(shared_folder: Path) -> None:
     data = (shared_folder / "captures" / "novatel_oem7" / "oem7_ins1_inspvas_corrimus.bin").read_bytes()
-    ears = ears_of(data, 8000)
-    assert best(ears) is None
-    reasons = {ear.candidate.name: ear.finding().reason for ear in ears}
+    listeners = listeners_of(data, 8000)
+    assert best(listeners) is None
+    reasons = {listener.candidate.name: listener.finding().reason for listener in listeners}
     assert "none of them holds acceleration or rate" in reasons["novatel_oem7"]
 
 
 def test_lines_in_g_are_doubted_unless_the_user_says_so() -> None:
     data = b"".join(f"{n / 50:.3f},0.01,0.02,0.998,0.1,0.2,0.3\n".encode() for n in range(150))
-    ears = ears_of(data, len(data) / 3)
-    assert best(ears) is None
-    doubt = next(ear.finding().reason for ear in ears if ear.candidate.name == "text")
+    listeners = listeners_of(data, len(data) / 3)
+    assert best(listeners) is None
+    doubt = next(listener.finding().reason for listener in listeners if listener.candidate.name == "text")
     assert "not gravity" in doubt
     text = next(one for one in serial_candidates() if one.name == "text")
-    given = Ear(text, is_given=True)
+    given = Listener(text, is_given=True)
     for chunk in chunks(data, len(data) / 3):
         given.feed(chunk)
     assert given.finding().found
@@ -103,7 +103,7 @@ def test_lines_in_g_are_doubted_unless_the_user_says_so() -> None:
 
 def test_lines_that_come_in_bursts_are_doubted() -> None:
     data, bytes_per_s = stream("lines")
-    text = Ear(next(one for one in serial_candidates() if one.name == "text"))
+    text = Listener(next(one for one in serial_candidates() if one.name == "text"))
     for number, chunk in enumerate(chunks(data, bytes_per_s)):
         late = 0.0 if number < 100 else 20.0
         text.feed(type(chunk)(chunk.data, chunk.monotonic_s + late, 0))

@@ -1,0 +1,157 @@
+"""The connection to an instrument: what a command asks for, and what it gets once the instrument is understood.
+
+``connect`` and ``connect_can`` build it. Nothing is printed here: a sentence for the person goes to a callback.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from imufield.acquire.driver import Driver, Message, Wire
+from imufield.acquire.instrument.instrument import Instrument
+from imufield.acquire.instrument.listen import Say
+from imufield.acquire.link.background import BackgroundLink, ReopenableLink
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.protocol.protocol import Protocol
+from imufield.errors import LinkError
+
+# Settings that change every number, so that an assumed value must be seen.
+_WORTH_SAYING = ("accelerometer_range_g", "columns", "accelerometer_unit", "gyroscope_unit")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConnectOptions:
+    """Options of the commands that open a port."""
+
+    port: str | None = None
+    driver: str | None = None
+    baud: int | None = None
+    protocol: Path | None = None
+    settings: Mapping[str, str] = field(default_factory=dict)
+    protocol_text: str | None = None
+    """A protocol that a session holds, where neither driver nor file is given."""
+    bus: str | None = None
+    """A CAN bus instead of a port, ``INTERFACE:CHANNEL``; ``baud`` is its bit rate then."""
+    dbc: Path | None = None
+    mapping: Mapping[str, str] = field(default_factory=dict)
+    """Which signal of ``dbc`` is which axis, as ``parse_map`` returns it."""
+    rate_hz: float | None = None
+    """Output rate to set; None leaves it."""
+
+
+def _silence(_: str) -> None:
+    """Tell nobody."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Connected:
+    """An open link with an instrument that was understood; it is read in the background from now on."""
+
+    link: BackgroundLink
+    protocol: Protocol
+    driver: str
+    model: str
+    baud: int | None
+    """Bit rate; None on a bus where it is set elsewhere."""
+    chunks: list[Chunk]
+    """What arrived while listening; the first of the recording."""
+    identity: dict[str, str]
+    wire: Wire = "serial"
+    instrument: Instrument | None = None
+    """Takes commands; None on a bus and without a driver."""
+    rate_hz: float | None = None
+    """Output rate that was asked for."""
+    rate_before_hz: float | None = None
+    """What it was before."""
+    say: Say = _silence
+    """Told where the instrument could not be put back as it was."""
+
+    def close(self) -> None:
+        """Leave the instrument as it was found, and give the link back."""
+        try:
+            if self.instrument is not None and self.instrument.is_changed:
+                # What waits to be read came before the commands and answers none of them.
+                self.link.drain()
+                self.instrument.restore(self.link)
+        except LinkError as error:
+            self.say(f"the instrument was not put back as it was: {error.message}; switching it off and on does it")
+        finally:
+            self.link.close()
+
+    def session_tables(self) -> dict[str, dict[str, object]]:
+        """Return the tables of ``session.toml`` that describe instrument, link and protocol."""
+        protocol, units, nominal = self.protocol, self.protocol.units, self.protocol.nominal
+        if self.wire == "can":
+            link: dict[str, object] = {"bus": self.link.name, "bit_rate": self.baud}
+        else:
+            rates = {"rate_hz": self.rate_hz, "rate_before_hz": self.rate_before_hz}
+            link = {"port": self.link.name, "baud": self.baud, **rates}
+        return {
+            "instrument": {"driver": self.driver, "model": self.model, **self.identity},
+            # TOML has no value for nothing.
+            "link": {name: value for name, value in link.items() if value is not None},
+            "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
+            "settings": {
+                name: {"value": setting.value, "origin": setting.origin} for name, setting in protocol.settings.items()
+            },
+            "units": {
+                "accelerometer": units.accelerometer,
+                "gyroscope": units.gyroscope,
+                "accelerometer_is_increment": units.accelerometer_is_increment,
+                "gyroscope_is_increment": units.gyroscope_is_increment,
+                "interval_s": units.interval_s,
+            },
+            "nominal": {"raw_zero": nominal.raw_zero, "rate_hz": nominal.rate_hz},
+        }
+
+
+def ask_identity(
+    instrument: Instrument, link: ReopenableLink, chunks: list[Chunk], messages: Sequence[Message]
+) -> list[Message]:
+    """Return the instrument's messages: those received, or the answers to commands that change nothing in it."""
+    if instrument.driver.read_settings(messages) or instrument.driver.identity(messages):
+        return [*messages]
+    answers = instrument.identify(link)
+    keep(instrument, chunks)
+    return [*messages, *answers]
+
+
+def keep(instrument: Instrument, chunks: list[Chunk]) -> None:
+    """Add what arrived during a command; where that interrupted the stream, what came before is no part of it any more."""
+    if instrument.interrupted:
+        chunks.clear()
+    else:
+        chunks += instrument.chunks
+
+
+def with_settings(
+    driver: type[Driver] | None, protocol: Protocol, messages: Sequence[Message], rate_hz: float | None = None
+) -> Protocol:
+    """Return the protocol with what the instrument told of its settings, and the rate that was set.
+
+    The rate goes into protocols of increments only: others take it from the stream.
+    """
+    by_increment = protocol.units.accelerometer_is_increment or protocol.units.gyroscope_is_increment
+    set_rate: dict[str, object] = {} if rate_hz is None or not by_increment else {"rate_hz": rate_hz}
+    if driver is None or not (set_rate or driver.read_settings(messages)):
+        return protocol
+    given = {name: setting.value for name, setting in protocol.settings.items() if setting.origin == "given"}
+    return driver.load_protocol({**given, **set_rate}, messages=messages)
+
+
+def untried(driver: type[Driver] | None) -> list[str]:
+    """Return a sentence where the format of an instrument was never tried on bytes of a real one."""
+    if driver is None or driver.status == "verified on real bytes":
+        return []
+    return [f"experimental: {driver.title} was written from documents and never tried on a real one; check scale and axes"]
+
+
+def assumed(protocol: Protocol) -> list[str]:
+    """Return a sentence for each setting that was assumed and changes every number."""
+    return [
+        f"{name} = {setting.value} (assumed: the wire does not tell; change with --set {name}=...)"
+        for name, setting in protocol.settings.items()
+        if setting.origin == "assumed" and name in _WORTH_SAYING
+    ]

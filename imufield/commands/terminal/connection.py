@@ -1,0 +1,22 @@
+"""Opening an instrument from the command line: its options, the clock to read it with, and what a person is told meanwhile."""
+
+from __future__ import annotations
+
+from imufield.acquire.instrument.connect import ConnectOptions, parse_mapping
+from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
+from imufield.commands.terminal.output import say
+
+__all__ = ["ConnectOptions", "host_clock", "parse_mapping", "say_assumed"]
+
+
+def say_assumed(sentence: str) -> None:
+    """Tell what was found or assumed while connecting, beside the result of the command."""
+    say(sentence, err=True, indent=2)
+
+
+def host_clock(speed: float) -> HostClock:
+    """Return the clock to read an instrument with that runs ``speed`` times faster than real time, as emulated ones may."""
+    if speed == 1.0:
+        return SystemClock()
+    say(f"the clock of the host runs {speed:g} times fast: only an emulated instrument can be read like this", err=True)
+    return ScaledClock(speed)
