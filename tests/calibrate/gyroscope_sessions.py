@@ -9,9 +9,10 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gyroscope.calibrate import GyroscopeInput
-from imufield.calibrate.gyroscope.model import GyroscopeData, TableRows, evaluate
+from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, no_slots
+from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
+from imufield.calibrate.gyroscope.turntable import TableRows
 from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.observations import Observations
@@ -242,5 +243,5 @@ def turns_problem(table: TableRows, reach: float = 0.05, form: Literal["norm", "
     half = np.concatenate([reach * np.abs(K), np.full(6, reach)])
     middle = np.concatenate([K, np.zeros(6)])
     return TurnsProblem(
-        lower=2 * table.half_difference_raw, upper=table.rate_rad_s, difference=middle - half, rate=middle + half, form=form
+        difference=2 * table.half_difference_raw, rate=table.rate_rad_s, lower=middle - half, upper=middle + half, form=form
     )

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.model import TableRows
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
@@ -50,6 +49,36 @@ class TurntableRun:
     covariance_raw: FloatArray
     rate_sigma_rad_s: float = 0.0
     axis_sigma_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class TableRows:
+    """t pairs of turntable rates, ready for fitting.
+
+    Attributes
+    ----------
+    half_difference_raw : ndarray, shape (t, 3)
+        (N+ - N-) / 2.
+    covariance_raw : ndarray, shape (t, 3, 3)
+    rate_rad_s : ndarray, shape (t, 3)
+        Body rate in the positive run.
+    rate_covariance : ndarray, shape (t, 3, 3)
+        Of that rate, (rad/s)^2: speed of the table and direction of its axis.
+    """
+
+    half_difference_raw: FloatArray
+    covariance_raw: FloatArray
+    rate_rad_s: FloatArray
+    rate_covariance: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.rate_rad_s)
+
+
+def no_table() -> TableRows:
+    """Return zero pairs."""
+    vectors, matrices = np.empty((0, 3)), np.empty((0, 3, 3))
+    return TableRows(vectors, matrices, vectors, matrices)
 
 
 def pair_runs(runs: Sequence[TurntableRun]) -> TableRows:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.gyroscope.model import Evaluation, GyroscopeData
+from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData
 from imufield.calibrate.model.rotation import from_matrix, logarithm
 from imufield.errors import UsageError
 from imufield.samples import AXES, FloatArray, IntArray

@@ -26,8 +26,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.model import Evaluation, GyroscopeData
 from imufield.calibrate.gyroscope.move_integration import INVERSE, SENSITIVITY
+from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData
 from imufield.calibrate.model.models import norm_derivatives, recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration

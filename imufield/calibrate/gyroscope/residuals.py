@@ -27,41 +27,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY, CentredSlots, Turns, integrate
+from imufield.calibrate.gyroscope.turntable import TableRows, no_table
 from imufield.calibrate.model.rotation import cross, from_matrix, logarithm, matrix, rotation_matrix, skew
 from imufield.samples import FloatArray, IntArray
 
 VERTICAL = PARAMETERS
 FIRST_HORIZONTAL = PARAMETERS + 1
-
-
-@dataclass(frozen=True, slots=True)
-class TableRows:
-    """t pairs of turntable rates, ready for fitting.
-
-    Attributes
-    ----------
-    half_difference_raw : ndarray, shape (t, 3)
-        (N+ - N-) / 2.
-    covariance_raw : ndarray, shape (t, 3, 3)
-    rate_rad_s : ndarray, shape (t, 3)
-        Body rate in the positive run.
-    rate_covariance : ndarray, shape (t, 3, 3)
-        Of that rate, (rad/s)^2: speed of the table and direction of its axis.
-    """
-
-    half_difference_raw: FloatArray
-    covariance_raw: FloatArray
-    rate_rad_s: FloatArray
-    rate_covariance: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.rate_rad_s)
-
-
-def no_table() -> TableRows:
-    """Return zero pairs."""
-    vectors, matrices = np.empty((0, 3)), np.empty((0, 3, 3))
-    return TableRows(vectors, matrices, vectors, matrices)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
