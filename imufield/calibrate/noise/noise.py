@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from imufield.calibrate.model.uncertainty import deviation_limits_95
 from imufield.calibrate.noise.allan import (
     BRIDGED_S,
     AllanDeviation,
@@ -19,7 +20,6 @@ from imufield.calibrate.noise.allan import (
     EvenGrid,
     EvenRows,
     degrees_of_freedom,
-    interval_95,
 )
 from imufield.calibrate.noise.noise_fit import NoiseFigure, NoiseModel, identify
 from imufield.errors import CalibrationError, Reason, RecordingError
@@ -346,7 +346,7 @@ def _unit(column: int, units: SampleUnits, is_si: bool) -> str:
 
 def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit: str) -> AxisNoise:
     deviation, freedom = allan.deviation[:, column], degrees_of_freedom(allan, column)
-    low, high = interval_95(deviation, freedom)
+    low, high = deviation_limits_95(deviation, freedom)
     step = float(best.step[column])
     sigma = math.sqrt(best.squares[column] / max(2 * (best.stream.samples - 1), 1))
     quantised = math.isfinite(step) and sigma < QUANTISED * step
