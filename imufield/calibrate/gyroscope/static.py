@@ -46,15 +46,6 @@ GYROSCOPE_BIAS_NAMES = tuple(f"gyroscope.bias.{axis}" for axis in AXES)
 """Names of the static gyroscope parameters in the joint covariance, raw unit."""
 
 
-@dataclass(frozen=True, slots=True)
-class _EarthPart:
-    """What the Earth's rate adds to the mean rate of each position."""
-
-    known_rad_s: FloatArray  # Shape (m, 3).
-    variance: FloatArray  # Of the rest, mean over positions, shape (3,), (rad/s)^2.
-    words: str
-
-
 def static_bias(
     observations: Observations,
     scale: FloatArray | float | None,
@@ -88,48 +79,44 @@ def static_bias(
     CalibrationError
         If fewer than two positions have a gyroscope mean.
     """
-    there = np.isfinite(observations.gyroscope_mean_raw).all(axis=1)
-    if there.sum() < 2:
+    measured = np.isfinite(observations.gyroscope_mean_raw).all(axis=1)
+    m = int(measured.sum())
+    if m < 2:
         raise CalibrationError(
-            f"{int(there.sum())} positions have a gyroscope mean and a static bias needs 2; record the gyroscope as well",
+            f"{m} positions have a gyroscope mean and a static bias needs 2; record the gyroscope as well",
             Reason.TOO_FEW,
-            positions=int(there.sum()),
+            positions=m,
         )
     K = np.full(3, np.nan if scale is None else scale, dtype=np.float64)
     misalignment = np.zeros((3, 3)) if misalignment_rad is None else misalignment_rad
-    earth = _earth_part(observations.direction if up is None else up, latitude_deg)
+    if up is None:
+        up = observations.direction
+    earth_known = np.zeros_like(up)
+    earth_variance = np.full(3, EARTH_RATE_RAD_S**2 / 3)
+    if latitude_deg is None:
+        words = "Earth rate in the sigma, because the latitude is not known"
+    elif not np.isfinite(up).all():
+        words = "Earth rate in the sigma, because the attitude is not known"
+    else:
+        unit = up / np.linalg.norm(up, axis=1)[:, None]
+        latitude = math.radians(latitude_deg)
+        earth_known = EARTH_RATE_RAD_S * math.sin(latitude) * unit
+        # The horizontal part at an unknown heading, mean over positions.
+        earth_variance = (EARTH_RATE_RAD_S * math.cos(latitude)) ** 2 * np.mean((1 - unit**2) / 2, axis=0)
+        words = "vertical Earth rate taken off, horizontal part (heading unknown) in the sigma"
+    if scale is None:
+        words = "Earth rate not accounted for, because the scale is not known"
     gain = np.nan_to_num(K)
-    known = gain * (earth.known_rad_s @ (np.eye(3) + misalignment).T)
-    bias, variance = _mean_with_scatter((observations.gyroscope_mean_raw - known)[there])
-    sigma = np.sqrt(variance + gain**2 * earth.variance)
+    values = (observations.gyroscope_mean_raw - gain * (earth_known @ (np.eye(3) + misalignment).T))[measured]
+    # The scatter between positions contains g-sensitivity and drift.
+    sigma = np.sqrt(values.var(axis=0, ddof=1) / m + gain**2 * earth_variance)
     not_estimated = np.full((3, 3), np.nan)
-    words = earth.words if scale is not None else "Earth rate not accounted for, because the scale is not known"
     return GyroscopeCalibration(
-        GyroscopeParameters(K, misalignment, bias, np.zeros((3, 3))),
+        GyroscopeParameters(K, misalignment, values.mean(axis=0), np.zeros((3, 3))),
         GyroscopeParameters(np.full(3, np.nan), not_estimated, sigma, not_estimated),
-        f"static bias from {int(there.sum())} positions, {words}; scale and misalignment as given, not calibrated",
+        f"static bias from {m} positions, {words}; scale and misalignment as given, not calibrated",
         observations.units.gyroscope_rate_unit,
     )
-
-
-def _mean_with_scatter(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean over positions and its variance from their scatter (g-sensitivity and drift included)."""
-    m = len(values)
-    return values.mean(axis=0), values.var(axis=0, ddof=1) / m
-
-
-def _earth_part(up: FloatArray, latitude_deg: float | None) -> _EarthPart:
-    known = np.zeros_like(up)
-    anywhere = np.full(3, EARTH_RATE_RAD_S**2 / 3)
-    if latitude_deg is None:
-        return _EarthPart(known, anywhere, "Earth rate in the sigma, because the latitude is not known")
-    if not np.isfinite(up).all():
-        return _EarthPart(known, anywhere, "Earth rate in the sigma, because the attitude is not known")
-    unit = up / np.linalg.norm(up, axis=1)[:, None]
-    latitude = math.radians(latitude_deg)
-    known = EARTH_RATE_RAD_S * math.sin(latitude) * unit
-    variance = (EARTH_RATE_RAD_S * math.cos(latitude)) ** 2 * np.mean((1 - unit**2) / 2, axis=0)
-    return _EarthPart(known, variance, "vertical Earth rate taken off, horizontal part (heading unknown) in the sigma")
 
 
 StaticFree = Literal["bias", "all"]
@@ -216,15 +203,16 @@ def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: Stati
     columns = static_columns(free)
     start = static_start(data, A, latitude_deg)
     p, covariance, scatter, converged = _fit(data, start, columns)
-    seen, seen_covariance, *_ = _fit(data, p, [*columns, 12])
+    # Once more with the latitude left free.
+    free_p, free_covariance, *_ = _fit(data, p, [*columns, 12])
     full = np.zeros((12, 12))
     full[np.ix_(columns, columns)] = covariance
     return StaticFit(
         x=p[:12],
         covariance=full,
         scatter=scatter,
-        vertical_rad_s=float(seen[12]),
-        vertical_sigma_rad_s=math.sqrt(seen_covariance[-1, -1]),
+        vertical_rad_s=float(free_p[12]),
+        vertical_sigma_rad_s=math.sqrt(free_covariance[-1, -1]),
         converged=converged,
     )
 
@@ -268,11 +256,13 @@ def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, Float
     w = data.rate_raw @ A.T - b
     norm = np.linalg.norm(w, axis=1)
     B = np.stack([w / norm[:, None], data.up], axis=1)
+    # [1]_ eq. 7, and the specific force times the Earth's rate over g.
     residual = np.stack([norm - EARTH_RATE_RAD_S, np.sum(w * data.up, axis=1) - v], axis=1)
     jacobian = np.zeros((s, 2, 13))
     jacobian[:, :, :9] = (B[:, :, :, None] * data.rate_raw[:, None, None, :]).reshape(s, 2, 9)
     jacobian[:, :, 9:12] = -B
     jacobian[:, 1, 12] = -1.0
+    # Norm and invariant share the noise of their still: B C B^T, block by block.
     spread = np.zeros((2 * s, 3 * s))
     for k in range(s):
         spread[2 * k : 2 * k + 2, 3 * k : 3 * k + 3] = B[k]
