@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gyroscope.calibrate import GyroscopeInput, calibrate_gyroscope, make_data
+from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.gyroscope.input import GyroscopeInput, make_data
 from imufield.calibrate.gyroscope.move_integration import rough_inverse
 from imufield.calibrate.gyroscope.moves import MoveCollector
 from imufield.calibrate.gyroscope.report import GYROSCOPE_NAMES
-from imufield.calibrate.gyroscope.static_norm import StaticData, StaticFree, fit_static, seen_latitude_deg
+from imufield.calibrate.gyroscope.static import StaticData, StaticFree, fit_static, seen_latitude_deg
 from imufield.calibrate.gyroscope.turntable import TurntableRun, pair_runs
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.model.result import GyroscopeParameters

@@ -7,7 +7,7 @@ instrument sent them (``SampleUnits`` says in what unit, and whether a value is 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntFlag
 
 import numpy as np
@@ -127,15 +127,7 @@ class Samples:
         return len(self.time_s)
 
     def __getitem__(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Samples:
-        return Samples(
-            time_s=self.time_s[rows],
-            accelerometer=self.accelerometer[rows],
-            gyroscope=self.gyroscope[rows],
-            temperature_degc=self.temperature_degc[rows],
-            counter=self.counter[rows],
-            status=self.status[rows],
-            units=self.units,
-        )
+        return Samples(units=self.units, **{name: getattr(self, name)[rows] for name in _ARRAYS})
 
     @property
     def usable(self) -> NDArray[np.bool_]:
@@ -150,6 +142,9 @@ class Samples:
     def gyroscope_rate(self) -> FloatArray:
         """Gyroscope as rates: raw unit, per second for increments. Shape (n, 3)."""
         return _as_rate(self.gyroscope, self.units.gyroscope_is_increment, self.units.interval_s)
+
+
+_ARRAYS = tuple(field.name for field in fields(Samples) if field.name != "units")
 
 
 def _as_rate(values: FloatArray, is_increment: bool, interval_s: float | None) -> FloatArray:
@@ -204,12 +199,4 @@ def concatenate(blocks: Iterable[Samples]) -> Samples:
         raise ValueError("`blocks` have different units")
     if len(parts) == 1:
         return parts[0]
-    return Samples(
-        time_s=np.concatenate([part.time_s for part in parts]),
-        accelerometer=np.concatenate([part.accelerometer for part in parts]),
-        gyroscope=np.concatenate([part.gyroscope for part in parts]),
-        temperature_degc=np.concatenate([part.temperature_degc for part in parts]),
-        counter=np.concatenate([part.counter for part in parts]),
-        status=np.concatenate([part.status for part in parts]),
-        units=units,
-    )
+    return Samples(units=units, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS})

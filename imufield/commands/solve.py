@@ -17,7 +17,7 @@ import typer
 
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
-from imufield.calibrate.gyroscope.calibrate import GyroscopeModel
+from imufield.calibrate.gyroscope.model_choice import GyroscopeModel
 from imufield.calibrate.model.observation_files import read_observations
 from imufield.calibrate.model.observations import Observations, count_repeats_once
 from imufield.calibrate.model.result import Gauge, ModelChoice

@@ -10,8 +10,10 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
 from imufield.calibrate.accelerometer.methods import cross_check, solve_with
-from imufield.calibrate.gyroscope.calibrate import FEWEST_STILLS, GyroscopeInput, GyroscopeModel, calibrate_gyroscope
+from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.gyroscope.input import FEWEST_STILLS, GyroscopeInput
 from imufield.calibrate.gyroscope.methods import cross_check_gyroscope, solve_gyroscope_with
+from imufield.calibrate.gyroscope.model_choice import GyroscopeModel
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, no_slots
 from imufield.calibrate.gyroscope.report import GyroscopeResult
 from imufield.calibrate.gyroscope.whole_turns import Stop, stops_at

@@ -9,9 +9,10 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gyroscope.calibrate import GyroscopeInput
-from imufield.calibrate.gyroscope.model import GyroscopeData, TableRows, evaluate
+from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, no_slots
+from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
+from imufield.calibrate.gyroscope.turntable import TableRows
 from imufield.calibrate.model.gauge import change_gauge, turn_gyroscope
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.observations import Observations

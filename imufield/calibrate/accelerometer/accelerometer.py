@@ -1,30 +1,30 @@
 """Calibrate an accelerometer from the outputs of still positions: the one call behind ``imufield solve``.
 
 Steps: check the observations; start in closed form; ask what the positions can show; fit in the lower gauge, without and with
-the quadratic term; choose the model; turn into the wanted gauge; work out uncertainties; judge.
+the quadratic term (``fit``); choose the model (``model_choice``); turn into the wanted gauge; propagate the covariance; judge
+(``quality``).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from imufield.calibrate.accelerometer.fit import Fit, FitData, fit
+from imufield.calibrate.accelerometer.fit import Fit, FitData, fit, summarise
 from imufield.calibrate.accelerometer.model_choice import Chosen, choose_model, find_origin
 from imufield.calibrate.accelerometer.quality import Evidence, common_scale_ratio, judge, refuse_saturation
 from imufield.calibrate.accelerometer.start import (
     FEWEST_FOR_MISALIGNMENT,
     FEWEST_FOR_QUADRATIC,
     FEWEST_FOR_SCALE_AND_BIAS,
-    Signs,
     find_signs,
 )
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, make_intrinsic
 from imufield.calibrate.model.models import PARAMETERS, SCALE, from_vector, norm_derivatives, to_vector
 from imufield.calibrate.model.observability import (
     LOWER_GAUGE_COLUMNS,
-    Observability,
     observe,
     parameter_scale,
     require_outputs,
@@ -41,8 +41,6 @@ from imufield.calibrate.model.result import (
     ModelChoice,
     PositionResult,
     QuadraticAxes,
-    Quality,
-    SolverSummary,
 )
 from imufield.calibrate.model.uncertainty import (
     Influence,
@@ -63,25 +61,6 @@ EQUATIONS = {
 }
 # A number that takes more than this share (in scaled coordinates) of a parameter that was not fitted has no sigma.
 _MIXED = 0.1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Solution:
-    """Everything known after the fit, in the wanted gauge."""
-
-    observations: Observations
-    gravity: Gravity
-    data: FitData
-    chosen: Chosen
-    seen: Observability  # Of the positions, at the start.
-    fit: Fit
-    to_gauge: FloatArray  # d parameters in the wanted gauge / d parameters in the lower gauge, shape (15, 15).
-    spread: Influence
-
-    @property
-    def scale(self) -> FloatArray:
-        """Step of each parameter that weighs as 1 m/s^2, shape (15,)."""
-        return parameter_scale(self.fit.vector, self.data.gravity_m_s2)
 
 
 def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keyword)
@@ -129,33 +108,79 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     UsageError
         If the gauge is "preset" and there is no preset.
     """
-    zero = _raw_zero(raw_zero, preset)
+    zero = np.full(3, 0.0 if raw_zero is None else raw_zero, dtype=np.float64)
+    if raw_zero is None and preset is not None:
+        zero = preset.raw_zero
     data = _checked_data(observations, gravity, zero, quadratic_axes, loss=loss)
     before = None if preset is None else _checked_preset(preset)
     signs = find_signs(data.raw, observations.direction, None if before is None else before[SCALE])
-    origin, seen = find_origin(data, signs.sign, before, model)
-    chosen = choose_model(data, origin, seen, model)
+    origin, observability = find_origin(data, signs.sign, before, model)
+    chosen = choose_model(data, origin, observability, model)
     refuse_saturation(observations.mean_raw, chosen.fit.residual_m_s2)
     wanted: Gauge = gauge or ("lower" if preset is None else "preset")
     fitted, to_gauge = _in_gauge(data, chosen, wanted, before)
     spread = influence(fitted.residual_m_s2 / fitted.sigma_m_s2, fitted.jacobian / fitted.sigma_m_s2[:, None])
-    solution = _Solution(
+    covariance, factors = _joint_covariance(fitted, spread, data, gravity, doubt=to_gauge @ chosen.doubt)
+
+    scale = parameter_scale(fitted.vector, gravity.gravity_m_s2)
+    left_out = [k for k in LOWER_GAUGE_COLUMNS if k not in chosen.free]
+    by_left_out = to_gauge[:, left_out] * scale[left_out]
+    is_known = _is_known(by_left_out, scale)
+    sigma = np.where(is_known, np.sqrt(np.diag(covariance)[:PARAMETERS]), np.nan)
+    # A quadratic term that is left out on purpose is not among what the positions do not show.
+    unobservable = tuple(
+        name
+        for name, shown in zip(ACCELEROMETER_NAMES, is_known, strict=True)
+        if not shown and ("quadratic" not in name or name in observability.unobservable)
+    )
+    derivatives = norm_derivatives(chosen.fit.vector, data.raw, quadratic_axes)
+    evidence = Evidence(
         observations=observations,
         gravity=gravity,
         data=data,
         chosen=chosen,
-        seen=seen,
-        fit=fitted,
-        to_gauge=to_gauge,
+        fitted=fitted,
         spread=spread,
+        factors=factors,
+        observability=observe(derivatives, chosen.fit.vector, gravity.gravity_m_s2, quadratic=chosen.quadratic),
+        unobservable=unobservable,
+        sign_source=signs.source,
+        scale_ratio=None if before is None else common_scale_ratio(fitted.vector[SCALE], before[SCALE]),
+        sigma=sigma,
     )
-    return _calibration(solution, signs, before, wanted, zero=zero, seed=seed)
+    quality = judge(evidence)
+    keep = np.append(np.isfinite(sigma), True)
+    return Calibration(
+        accelerometer=from_vector(fitted.vector, zero, quadratic_axes),
+        accelerometer_sigma=from_vector(sigma, None, quadratic_axes),
+        accelerometer_raw_unit=observations.units.accelerometer_rate_unit,
+        equation=EQUATIONS[quadratic_axes],
+        gauge=wanted,
+        intrinsic=_intrinsic(fitted.vector, data, covariance, by_left_out),
+        covariance_names=tuple(name for name, kept in zip((*ACCELEROMETER_NAMES, GRAVITY_NAME), keep, strict=True) if kept),
+        covariance=covariance[np.ix_(keep, keep)],
+        gravity=gravity,
+        positions=PositionResult(
+            fitted.residual_m_s2, evidence.leave_one_out_m_s2, spread.leverage, np.ones(len(observations), dtype=np.bool_)
+        ),
+        solver=summarise(fitted.solved, "least squares", seed),
+        quality=quality,
+        quadratic_fitted=chosen.quadratic,
+        unobservable=unobservable,
+    )
 
 
-def _raw_zero(raw_zero: FloatArray | float | None, preset: AccelerometerParameters | None) -> FloatArray:
-    if raw_zero is None:
-        return np.zeros(3) if preset is None else preset.raw_zero
-    return np.full(3, raw_zero, dtype=np.float64)
+def _is_known(by_left_out: FloatArray, size: FloatArray) -> NDArray[np.bool_]:
+    """Return which numbers have a sigma: those that do not hang on parameters which were not fitted."""
+    return np.asarray(~np.any(np.abs(by_left_out) / size[:, None] > _MIXED, axis=1))
+
+
+def _intrinsic(vector: FloatArray, data: FitData, covariance: FloatArray, by_left_out: FloatArray) -> Intrinsic:
+    numbers, J = intrinsic(vector, data.quadratic_axes)
+    variance = np.sum((J @ covariance[:PARAMETERS, :PARAMETERS]) * J, axis=1)
+    K, g = np.abs(vector[SCALE]), data.gravity_m_s2
+    known = _is_known(J @ by_left_out, np.concatenate([K / g, K, np.full(3, 1 / g), K / g**2]))
+    return make_intrinsic(numbers, np.where(known, np.sqrt(np.maximum(variance, 0.0)), np.nan))
 
 
 def _checked_data(
@@ -212,125 +237,22 @@ def _in_gauge(data: FitData, chosen: Chosen, gauge: Gauge, before: FloatArray | 
     return replace(chosen.fit, vector=change.vector, basis=basis), change.jacobian
 
 
-def _calibration(
-    solution: _Solution, signs: Signs, before: FloatArray | None, gauge: Gauge, *, zero: FloatArray, seed: int
-) -> Calibration:
-    fitted, axes = solution.fit, solution.data.quadratic_axes
-    covariance, factors = _joint_covariance(solution)
-    known = _known(solution, np.eye(PARAMETERS), solution.scale)
-    sigma = np.where(known, np.sqrt(np.diag(covariance)[:PARAMETERS]), np.nan)
-    positions = _positions(solution)
-    unobservable = _unobservable(solution, known)
-    quality = _quality(solution, positions, signs, before, unobservable=unobservable, sigma=sigma, factors=factors)
-    keep = np.append(np.isfinite(sigma), True)
-    return Calibration(
-        accelerometer=from_vector(fitted.vector, zero, axes),
-        accelerometer_sigma=from_vector(sigma, None, axes),
-        accelerometer_raw_unit=solution.observations.units.accelerometer_rate_unit,
-        equation=EQUATIONS[axes],
-        gauge=gauge,
-        intrinsic=_intrinsic(solution, covariance),
-        covariance_names=tuple(name for name, kept in zip((*ACCELEROMETER_NAMES, GRAVITY_NAME), keep, strict=True) if kept),
-        covariance=covariance[np.ix_(keep, keep)],
-        gravity=solution.gravity,
-        positions=positions,
-        solver=_summary(fitted, seed),
-        quality=quality,
-        quadratic_fitted=solution.chosen.quadratic,
-        unobservable=unobservable,
-    )
+def _joint_covariance(
+    fitted: Fit, spread: Influence, data: FitData, gravity: Gravity, *, doubt: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance of 15 parameters and gravity, and the factors by which coordinates were raised.
 
-
-def _summary(fitted: Fit, seed: int) -> SolverSummary:
-    solved = fitted.solved
-    return SolverSummary(
-        method="least squares",
-        status=int(solved.status),
-        message=solved.message,
-        cost=solved.cost,
-        evaluations=solved.evaluations,
-        seed=seed,
-    )
-
-
-def _positions(solution: _Solution) -> PositionResult:
-    fitted, spread = solution.fit, solution.spread
-    used = np.ones(len(solution.observations), dtype=np.bool_)
-    return PositionResult(fitted.residual_m_s2, spread.leave_one_out * fitted.sigma_m_s2, spread.leverage, used)
-
-
-def _joint_covariance(solution: _Solution) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance of 15 parameters and gravity, and the factors by which coordinates were raised."""
-    fitted, spread = solution.fit, solution.spread
+    ``doubt`` is the root of what a rejected quadratic term adds, in columns.
+    """
     factors = np.ones(fitted.basis.shape[1])
     covariance = spread.covariance
     if fitted.degrees_of_freedom > 0:
         factors = single_position_factors(spread, single_positions(spread))
         covariance = covariance * np.outer(factors, factors)
-    elif solution.data.covariance_raw is None:
+    elif data.covariance_raw is None:
         covariance = np.full_like(covariance, np.nan)  # nothing says how sure anything is
-    doubt = solution.to_gauge @ solution.chosen.doubt
-    t = np.append(gravity_sensitivity(fitted.vector, solution.gravity.gravity_m_s2), 1.0)
-    joint = np.outer(t, t) * solution.gravity.sigma_m_s2**2
+    # Gravity is a common scale: its sigma moves all parameters together.
+    t = np.append(gravity_sensitivity(fitted.vector, gravity.gravity_m_s2), 1.0)
+    joint = np.outer(t, t) * gravity.sigma_m_s2**2
     joint[:PARAMETERS, :PARAMETERS] += fitted.basis @ covariance @ fitted.basis.T + doubt @ doubt.T
     return joint, factors
-
-
-def _known(solution: _Solution, derivative: FloatArray, scale: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Return which numbers, of given derivative by the parameters and scale, do not hang on parameters not fitted."""
-    hidden = [k for k in LOWER_GAUGE_COLUMNS if k not in solution.chosen.free]
-    mixed = np.abs(derivative @ solution.to_gauge[:, hidden]) * solution.scale[hidden] / scale[:, None]
-    known: np.ndarray[tuple[int], np.dtype[np.bool_]] = ~np.any(mixed > _MIXED, axis=1)
-    return known
-
-
-def _intrinsic(solution: _Solution, covariance: FloatArray) -> Intrinsic:
-    vector, g = solution.fit.vector, solution.gravity.gravity_m_s2
-    values, J = intrinsic(vector, solution.data.quadratic_axes)
-    variance = np.sum((J @ covariance[:PARAMETERS, :PARAMETERS]) * J, axis=1)
-    K = np.abs(vector[SCALE])
-    scale = np.concatenate([K / g, K, np.full(3, 1 / g), K / g**2])
-    return make_intrinsic(values, np.where(_known(solution, J, scale), np.sqrt(np.maximum(variance, 0.0)), np.nan))
-
-
-def _unobservable(solution: _Solution, known: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> tuple[str, ...]:
-    """Name what has no sigma because the positions do not show it; a quadratic term left out on purpose is not among it."""
-    return tuple(
-        name
-        for name, is_known in zip(ACCELEROMETER_NAMES, known, strict=True)
-        if not is_known and ("quadratic" not in name or name in solution.seen.unobservable)
-    )
-
-
-def _quality(
-    solution: _Solution,
-    positions: PositionResult,
-    signs: Signs,
-    before: FloatArray | None,
-    *,
-    unobservable: tuple[str, ...],
-    sigma: FloatArray,
-    factors: FloatArray,
-) -> Quality:
-    lower, data = solution.chosen.fit.vector, solution.data
-    derivatives = norm_derivatives(lower, data.raw, data.quadratic_axes)
-    return judge(
-        Evidence(
-            name=solution.observations.name,
-            gravity=solution.gravity,
-            fitted=solution.fit,
-            free=solution.chosen.free,
-            spread=solution.spread,
-            singles=single_positions(solution.spread),
-            factors=factors,
-            positions=positions,
-            seen=observe(derivatives, lower, data.gravity_m_s2, quadratic=solution.chosen.quadratic),
-            unobservable=unobservable,
-            sign_source=signs.source,
-            model_sentence=solution.chosen.sentence,
-            covariance_known=data.covariance_raw is not None,
-            scale_ratio=None if before is None else common_scale_ratio(solution.fit.vector[SCALE], before[SCALE]),
-            sigma=sigma,
-            temperature_degc=solution.observations.temperature_degc,
-        )
-    )

@@ -8,7 +8,7 @@ import numpy as np
 
 from imufield.calibrate.model.models import norm_derivatives
 from imufield.calibrate.model.observability import parameter_scale
-from imufield.calibrate.model.result import QuadraticAxes
+from imufield.calibrate.model.result import QuadraticAxes, SolverSummary
 from imufield.calibrate.model.uncertainty import between_position_sigma, within_variance
 from imufield.calibrate.solvers.base import SolverResult
 from imufield.calibrate.solvers.costs import NormProblem
@@ -56,15 +56,29 @@ class Fit:
 
     @property
     def effective_degrees_of_freedom(self) -> float:
-        """Degrees of freedom of the sigmas; there must be residuals to spare.
+        """Degrees of freedom of the sigmas; 0 where no residual is to spare.
 
         Only tau is estimated from the few residuals; the noise within a hold is known from thousands of samples. Welch and
         Satterthwaite's rule for such a sum, with tau^2 one standard error of a variance larger: a zero from few residuals
         does not show that there is none.
         """
+        if self.degrees_of_freedom < 1:
+            return 0.0
         found = np.mean(self.tau_m_s2**2 / self.sigma_m_s2**2)
         share = min(1.0, float(found) + np.sqrt(2 / self.degrees_of_freedom))
         return float(self.degrees_of_freedom / share**2)
+
+
+def summarise(solved: SolverResult, method: str, seed: int | None) -> SolverSummary:
+    """Return what a calibration tells of its solver."""
+    return SolverSummary(
+        method=method,
+        status=int(solved.status),
+        message=solved.message,
+        cost=solved.cost,
+        evaluations=solved.evaluations,
+        seed=seed,
+    )
 
 
 def column_basis(vector: FloatArray, free: tuple[int, ...], gravity_m_s2: float) -> FloatArray:
@@ -100,7 +114,8 @@ def fit(data: FitData, origin: FloatArray, basis: FloatArray) -> Fit:
         before, current = current, _evaluate(data, problem, solved)
         if abs(current.tau_m_s2 - before.tau_m_s2) <= _SETTLED * before.tau_m_s2:
             break
-    return replace(current, solved=replace(solved, evaluations=evaluations, cost=_chi_squared(current)))
+    chi_squared = float(np.sum((current.residual_m_s2 / current.sigma_m_s2) ** 2))
+    return replace(current, solved=replace(solved, evaluations=evaluations, cost=chi_squared))
 
 
 def _evaluate(data: FitData, problem: NormProblem, solved: SolverResult) -> Fit:
@@ -124,7 +139,3 @@ def _evaluate(data: FitData, problem: NormProblem, solved: SolverResult) -> Fit:
         tau_m_s2=tau,
         solved=solved,
     )
-
-
-def _chi_squared(fitted: Fit) -> float:
-    return float(np.sum((fitted.residual_m_s2 / fitted.sigma_m_s2) ** 2))

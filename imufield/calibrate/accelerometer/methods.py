@@ -14,16 +14,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imufield.calibrate.accelerometer.fit import FitData
+from imufield.calibrate.accelerometer.fit import FitData, summarise
 from imufield.calibrate.accelerometer.model_choice import find_origin
 from imufield.calibrate.accelerometer.whitening import whitened_problem
 from imufield.calibrate.model.gauge import change_gauge, intrinsic, make_intrinsic
-from imufield.calibrate.model.models import MISALIGNMENT, PARAMETERS, QUADRATIC, SCALE, from_vector, norm_derivatives, to_vector
+from imufield.calibrate.model.models import (
+    BIAS,
+    MISALIGNMENT,
+    PARAMETERS,
+    QUADRATIC,
+    SCALE,
+    from_vector,
+    norm_derivatives,
+    to_vector,
+)
 from imufield.calibrate.model.observations import Observations
-from imufield.calibrate.model.result import AccelerometerParameters, Calibration, Quality, SolverSummary
+from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.calibrate.model.uncertainty import known_covariance, within_variance
 from imufield.calibrate.solvers.agreement import CROSS_CHECKED, LEAST_SQUARES, Attempt, CrossCheck, compare
-from imufield.calibrate.solvers.base import Callback, SolverResult
+from imufield.calibrate.solvers.base import Callback
 from imufield.calibrate.solvers.costs import CostName, NormProblem
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.registry import find_method, load_solver
@@ -48,10 +57,6 @@ class Restart:
     preset: FloatArray | None
     free: tuple[int, ...]
     """Parameters that may move."""
-
-    def with_cost(self, cost_name: CostName) -> NormProblem:
-        """Return the problem with another cost."""
-        return replace(self.problem, cost_name=cost_name)
 
     def in_gauge(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return parameters that were found, and the basis of the coordinates, in the calibration's gauge."""
@@ -84,50 +89,43 @@ def restart(observations: Observations, calibration: Calibration, preset: Accele
     CalibrationError
         If the preset is in another unit, or the positions do not show what is to be fitted.
     """
-    used = calibration.accelerometer
-    vector = to_vector(used)
+    used, fits_quadratic = calibration.accelerometer, calibration.quadratic_fitted
+    vector, before = to_vector(used), None if preset is None else to_vector(preset)
     gravity = calibration.gravity.gravity_m_s2
     raw = observations.mean_raw - used.raw_zero
-    before = None if preset is None else to_vector(preset)
     data = FitData(raw=raw, covariance_raw=None, gravity_m_s2=gravity, quadratic_axes=used.quadratic_axes)
-    origin, seen = find_origin(data, np.sign(used.scale), before, "auto" if calibration.quadratic_fitted else "linear")
-    free = tuple(k for k in seen.free if k < QUADRATIC.start or calibration.quadratic_fitted)
-    start = _start(raw, gravity, origin, before, vector=vector, quadratic=calibration.quadratic_fitted)
+    origin, observability = find_origin(data, np.sign(used.scale), before, "auto" if fits_quadratic else "linear")
+    free = tuple(k for k in observability.free if k < QUADRATIC.start or fits_quadratic)
     if sum(MISALIGNMENT.start <= k < MISALIGNMENT.stop for k in free) == 3:
         # All misalignments move, less the three turns of the frame: the start's frame is kept.
         free = tuple(sorted({*free, *range(MISALIGNMENT.start, MISALIGNMENT.stop)}))
-    sigma = _position_sigma(observations, calibration, raw, vector)
-    problem = whitened_problem(
-        start, raw, gravity, quadratic_axes=used.quadratic_axes, cost_name="weighted", sigma_m_s2=sigma, free=free
-    )
-    return Restart(calibration=calibration, problem=problem, vector=vector, preset=before, free=free)
-
-
-def _start(
-    raw: FloatArray, gravity: float, origin: FloatArray, before: FloatArray | None, *, vector: FloatArray, quadratic: bool
-) -> FloatArray:
-    """Return the preset, or scale and bias from the extremes of the outputs."""
     if before is not None:
         start = before.copy()
     else:
+        # Scale and bias from the extremes of the outputs.
         start = origin.copy()
         half, middle = np.ptp(raw, axis=0) / 2, (raw.max(axis=0) + raw.min(axis=0)) / 2
         start[SCALE] = np.sign(vector[SCALE]) * half / gravity
-        start[3:6] = middle / start[SCALE]
+        start[BIAS] = middle / start[SCALE]
         start[MISALIGNMENT] = 0.0
-    if not quadratic:
+    if not fits_quadratic:
         start[QUADRATIC] = vector[QUADRATIC]
-    return start
-
-
-def _position_sigma(observations: Observations, calibration: Calibration, raw: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return s_i of every position in m/s^2, as the calibration weighted them, shape (m,)."""
+    # s_i of every position, as the calibration weighted them.
     within = np.zeros(len(raw))
     if known_covariance(observations.covariance_raw):
-        gradient = norm_derivatives(vector, raw, calibration.accelerometer.quadratic_axes).raw_gradient
+        gradient = norm_derivatives(vector, raw, used.quadratic_axes).raw_gradient
         within = within_variance(gradient, observations.covariance_raw)
     sigma = np.sqrt(within + calibration.quality.between_position_sigma_m_s2**2)
-    return np.where(sigma > 0, sigma, 1.0)
+    problem = whitened_problem(
+        start,
+        raw,
+        gravity,
+        quadratic_axes=used.quadratic_axes,
+        cost_name="weighted",
+        sigma_m_s2=np.where(sigma > 0, sigma, 1.0),
+        free=free,
+    )
+    return Restart(calibration=calibration, problem=problem, vector=vector, preset=before, free=free)
 
 
 def solve_with(
@@ -178,63 +176,37 @@ def solve_with(
     found = load_solver(method)(problem, rng=rng, callback=callback)
     vector, basis = again.in_gauge(problem.vector(found.x))
     if polish and found.converged:
-        found, vector = _polished(again, found, vector, basis)
-    return _replaced(
-        again,
-        vector,
-        SolverSummary(
-            method=method,
-            status=int(found.status),
-            message=found.message,
-            cost=found.cost,
-            evaluations=found.evaluations,
-            seed=seed,
-        ),
+        problem = replace(again.problem, origin=vector, basis=basis)
+        found = solve_least_squares(problem).as_polish_of(found)
+        vector = problem.vector(found.x)
+    axes, old = problem.quadratic_axes, calibration.intrinsic
+    residual = norm_derivatives(vector, problem.raw, axes).norm - calibration.gravity.gravity_m_s2
+    quality = replace(
+        calibration.quality,
+        residual_rms_m_s2=float(np.sqrt(np.mean(residual**2))),
+        residual_max_m_s2=float(np.abs(residual).max()),
     )
-
-
-def problem_for(again: Restart, method: str) -> NormProblem:
-    """Return the problem with the cost, and for the staged form the coordinates, that the method's paper uses."""
-    problem = again.with_cost(find_method(method).cost_name)
-    if method != "bsas-staged":
-        return problem
-    # The paper's own coordinates: the parameters themselves, in their own units.
-    return replace(problem, basis=np.eye(PARAMETERS)[:, list(again.free)], reach=np.inf)
-
-
-def _polished(again: Restart, found: SolverResult, vector: FloatArray, basis: FloatArray) -> tuple[SolverResult, FloatArray]:
-    problem = replace(again.with_cost("weighted"), origin=vector, basis=basis)
-    solved = solve_least_squares(problem)
-    message = f"{found.message}; polished by least squares: {solved.message}"
-    evaluations = found.evaluations + solved.evaluations
-    return replace(solved, message=message, evaluations=evaluations), problem.vector(solved.x)
-
-
-def _replaced(again: Restart, vector: FloatArray, summary: SolverSummary) -> Calibration:
-    calibration, axes = again.calibration, again.problem.quadratic_axes
-    residual = norm_derivatives(vector, again.problem.raw, axes).norm - calibration.gravity.gravity_m_s2
-    old = calibration.intrinsic
+    if not found.converged:
+        sentence = f"the method {method} did not converge, do not use these parameters: {found.message}"
+        quality = quality.lowered("poor", sentence)
     sigma = np.concatenate([old.scale_sigma, old.bias_raw_sigma, old.angle_sigma_rad, old.quadratic_sigma])
     return replace(
         calibration,
         accelerometer=from_vector(vector, calibration.accelerometer.raw_zero, axes),
         intrinsic=make_intrinsic(intrinsic(vector, axes)[0], sigma),
         positions=replace(calibration.positions, residual_m_s2=residual),
-        solver=summary,
-        quality=_quality(calibration.quality, residual, summary),
+        solver=summarise(found, method, seed),
+        quality=quality,
     )
 
 
-def _quality(quality: Quality, residual: FloatArray, summary: SolverSummary) -> Quality:
-    figures = replace(
-        quality,
-        residual_rms_m_s2=float(np.sqrt(np.mean(residual**2))),
-        residual_max_m_s2=float(np.abs(residual).max()),
-    )
-    if summary.converged:
-        return figures
-    sentence = f"the method {summary.method} did not converge, do not use these parameters: {summary.message}"
-    return figures.lowered("poor", sentence)
+def problem_for(again: Restart, method: str) -> NormProblem:
+    """Return the problem with the cost, and for the staged form the coordinates, that the method's paper uses."""
+    problem = replace(again.problem, cost_name=find_method(method).cost_name)
+    if method != "bsas-staged":
+        return problem
+    # The paper's own coordinates: the parameters themselves, in their own units.
+    return replace(problem, basis=np.eye(PARAMETERS)[:, list(again.free)], reach=np.inf)
 
 
 def cross_check(
@@ -266,17 +238,12 @@ def cross_check(
     again = restart(observations, calibration, preset)
 
     def attempt(method: str, cost_name: CostName) -> Attempt:
-        problem = _relative(again, cost_name, method)
+        problem = replace(problem_for(again, method), cost_name=cost_name)
+        if method != LEAST_SQUARES:
+            # Relative to their median: a swarm's costs should be near those of its paper, in m/s^2.
+            problem = replace(problem, sigma_m_s2=problem.sigma_m_s2 / np.median(problem.sigma_m_s2))
         found = load_solver(method)(problem, rng=rng)
         numbers = intrinsic(again.in_gauge(problem.vector(found.x))[0], problem.quadratic_axes)[0]
         return numbers, "" if found.converged else found.message
 
     return compare("accelerometer", attempt, GAUGE_FREE_NAMES, again.gauge_free_sigma(), methods=methods)
-
-
-def _relative(again: Restart, cost_name: CostName, method: str) -> NormProblem:
-    """Return the problem with weights relative to their median: a swarm's costs should be near those of its paper, in m/s^2."""
-    problem = replace(problem_for(again, method), cost_name=cost_name)
-    if method == LEAST_SQUARES:
-        return problem
-    return replace(problem, sigma_m_s2=problem.sigma_m_s2 / np.median(problem.sigma_m_s2))

@@ -21,7 +21,7 @@ from imufield.calibrate.model.gauge import change_gauge
 from imufield.calibrate.model.models import MISALIGNMENT, PARAMETERS, QUADRATIC, NormDerivatives, norm_derivatives
 from imufield.calibrate.model.observability import Observability, observe, require_scale_and_bias
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, ModelChoice
-from imufield.calibrate.model.uncertainty import f_limit_95, influence, student_factor_95, told_apart
+from imufield.calibrate.model.uncertainty import f_limit_95, influence, student_factor, told_apart
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
@@ -151,7 +151,7 @@ def _decide(data: FitData, origin: FloatArray, seen: Observability, quadratic: F
     F = float(change @ np.linalg.solve(covariance, change)) / len(entries)
     t = float(np.max(np.abs(change) / np.sqrt(np.diag(covariance))))
     freedom = quadratic.degrees_of_freedom
-    F_limit, t_limit = f_limit_95(len(entries), freedom), student_factor_95(freedom, of=len(entries))
+    F_limit, t_limit = f_limit_95(len(entries), freedom), student_factor(freedom, of=len(entries))
     (F_shown, F_most), (t_shown, t_most) = told_apart(F, F_limit), told_apart(t, t_limit)
     figures = f"F = {F_shown}, 95 % limit {F_most}; largest {t_shown} sigma, limit {t_most}"
     if F_limit < F or t_limit < t:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.model import FIRST_HORIZONTAL, VERTICAL, Evaluation, GyroscopeData, evaluate
+from imufield.calibrate.gyroscope.covariance import Covariances, ForceErrors, Scatter, covariances, next_scatter
 from imufield.calibrate.gyroscope.move_integration import PARAMETERS
-from imufield.calibrate.gyroscope.noise import Covariances, ForceErrors, Scatter, covariances, next_scatter
+from imufield.calibrate.gyroscope.residuals import FIRST_HORIZONTAL, VERTICAL, Evaluation, GyroscopeData, evaluate
 from imufield.calibrate.solvers.base import SolverResult, SolverStatus
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError, Reason
@@ -91,19 +91,16 @@ class _Prior:
         jacobian[range(len(known)), known] = 1 / self.sigma[known]
         residual = (p[known] - self.mean[known]) / self.sigma[known]
         if self.length_rad_s is not None:
-            extra_residual, extra_jacobian = self._length_rows(p)
-            residual, jacobian = np.append(residual, extra_residual), np.vstack([jacobian, extra_jacobian])
+            h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
+            size = np.maximum(np.linalg.norm(h, axis=1), 1e-30)
+            sigma = _LENGTH_SIGMA * EARTH_RATE_RAD_S
+            rows = np.zeros((len(h), len(p)))
+            for k in range(len(h)):
+                column = FIRST_HORIZONTAL + 2 * k
+                rows[k, column : column + 2] = h[k] / size[k] / sigma
+            residual = np.append(residual, (size - self.length_rad_s) / sigma)
+            jacobian = np.vstack([jacobian, rows])
         return residual, jacobian[:, free]
-
-    def _length_rows(self, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
-        size = np.maximum(np.linalg.norm(h, axis=1), 1e-30)
-        sigma = _LENGTH_SIGMA * EARTH_RATE_RAD_S
-        jacobian = np.zeros((len(h), len(p)))
-        for k in range(len(h)):
-            column = FIRST_HORIZONTAL + 2 * k
-            jacobian[k, column : column + 2] = h[k] / size[k] / sigma
-        return (size - (self.length_rad_s or 0.0)) / sigma, jacobian
 
 
 def make_prior(data: GyroscopeData, earth: EarthKnowledge, *, heading: bool) -> _Prior:
@@ -144,24 +141,15 @@ def fit_jointly(
     nuisance = [] if earth.vertical_sigma_rad_s == 0 else [VERTICAL]
     columns = np.array([*free, *nuisance, *range(FIRST_HORIZONTAL, data.parameters)], dtype=np.int64)
     fitted = _gauss_newton(data, errors, p, columns, prior=make_prior(data, earth, heading=False), scatter=scatter)
-    if earth.horizontal_rad_s and _heading_seen(fitted, earth.horizontal_rad_s):
-        p = _at_length(fitted.p, earth.horizontal_rad_s)
+    # One azimuth serves each chain of moves; once every chain knows it, the known length is kept strictly.
+    places = np.flatnonzero(fitted.free >= FIRST_HORIZONTAL)
+    spread = np.sqrt(np.diag(fitted.covariance)[places].reshape(-1, 2).sum(axis=1))
+    if earth.horizontal_rad_s and np.all(spread < HEADING_SEEN * earth.horizontal_rad_s):
+        p = fitted.p.copy()
+        h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
+        h *= earth.horizontal_rad_s / np.linalg.norm(h, axis=1)[:, None]
         fitted = _gauss_newton(data, errors, p, columns, prior=make_prior(data, earth, heading=True), scatter=fitted.scatter)
     return fitted
-
-
-def _heading_seen(fitted: JointFit, horizontal_rad_s: float) -> bool:
-    """Whether every chain knows its azimuth."""
-    places = np.flatnonzero(fitted.free >= FIRST_HORIZONTAL)
-    variance = np.diag(fitted.covariance)[places].reshape(-1, 2).sum(axis=1)
-    return bool(np.all(np.sqrt(variance) < HEADING_SEEN * horizontal_rad_s))
-
-
-def _at_length(p: FloatArray, horizontal_rad_s: float) -> FloatArray:
-    result = p.copy()
-    h = result[FIRST_HORIZONTAL:].reshape(-1, 2)
-    h *= horizontal_rad_s / np.linalg.norm(h, axis=1)[:, None]
-    return result
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,11 +178,24 @@ def _gauss_newton(
     parts = covariances(now, p[:PARAMETERS], data, errors)
     for _ in range(_ITERATIONS):
         step = _linear_step(now, parts, scatter, p, free=free, prior=prior)
-        p, now, tried = _walk(data, p, free, step, weights=(parts, scatter, prior))
-        count += tried
+        # Take the step, or the half of it that first lowers the cost.
+        L, share = _root(parts.total(scatter)), 1.0
+        for tried in range(1, _HALVINGS + 1):
+            trial = p.copy()
+            trial[free] += step.change * share
+            now = evaluate(trial, data)
+            prior_residual, _ = prior.rows(trial, free)
+            cost = float(np.sum(np.linalg.solve(L, now.residual) ** 2) + prior_residual @ prior_residual)
+            count += 1
+            if cost <= step.cost * (1 + 1e-9) + 1e-9 or tried == _HALVINGS:
+                break
+            share /= 2
+        p = trial
         parts = covariances(now, p[:PARAMETERS], data, errors)
         before, scatter = scatter, next_scatter(scatter, now.residual, now.jacobian[:, free], parts)
-        if step.size < _SETTLED * len(free) and _same(before, scatter):
+        pairs = zip(before.sizes, scatter.sizes, strict=True)
+        same_scatter = all(abs(old - new) <= _SCATTER_SETTLED * max(old, 1e-9) for old, new in pairs)
+        if step.size < _SETTLED * len(free) and same_scatter:
             status = SolverStatus.CONVERGED
             break
     step = _linear_step(now, parts, scatter, p, free=free, prior=prior)
@@ -212,10 +213,6 @@ def _gauss_newton(
         solved=solved,
         heading_fitted=prior.length_rad_s is not None,
     )
-
-
-def _same(before: Scatter, after: Scatter) -> bool:
-    return all(abs(old - new) <= _SCATTER_SETTLED * max(old, 1e-9) for old, new in zip(before.sizes, after.sizes, strict=True))
 
 
 def first_scatter(evaluation: Evaluation) -> Scatter:
@@ -266,26 +263,3 @@ def _linear_step(
         cost=float(residual @ residual),
         size=float(np.sum((jacobian @ change) ** 2)),
     )
-
-
-def _walk(
-    data: GyroscopeData,
-    p: FloatArray,
-    free: IntArray,
-    step: _Step,
-    *,
-    weights: tuple[Covariances, Scatter, _Prior],
-) -> tuple[FloatArray, Evaluation, int]:
-    """Take the step, or the half of it that first lowers the cost."""
-    parts, scatter, prior = weights
-    L = _root(parts.total(scatter))
-    share, tried = 1.0, 0
-    while True:
-        trial, tried = p.copy(), tried + 1
-        trial[free] += step.change * share
-        now = evaluate(trial, data)
-        prior_residual, _ = prior.rows(trial, free)
-        cost = float(np.sum(np.linalg.solve(L, now.residual) ** 2) + prior_residual @ prior_residual)
-        if cost <= step.cost * (1 + 1e-9) + 1e-9 or tried == _HALVINGS:
-            return trial, now, tried
-        share /= 2

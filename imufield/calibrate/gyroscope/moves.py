@@ -19,15 +19,13 @@ Between two samples the output is taken as the first sample's value for half of 
 for samples that are the mean turn over their own interval, or increments, the product of their turns is then exact. Where
 samples were lost, the straight line between their neighbours bridges up to 30 ms; longer losses drop the move.
 
+Where a still ends: an observation stops counting after a while, and guard bands are cut off. For a move every second at rest
+adds a second of noise and nothing else, so the stills are stretched: cells of 0.1 s before and after are compared with those
+inside, and belong to the still as long as both triads stay within a few of its standard deviations.
+
 References
 ----------
 .. [1] J. E. Bortz, "A new mathematical formulation for strapdown inertial navigation", IEEE Trans. AES-7(1), 1971.
-
-Where a still really ends: an observation need not hold all of it.
-
-An observation stops counting after a while, and guard bands are cut off. For a move every second at rest is a second of noise
-for nothing, so the stills are stretched: cells of 0.1 s before and after are compared with the cells inside, and belong to the
-still as long as both triads stay within a few of its standard deviations.
 """
 
 from __future__ import annotations
@@ -35,7 +33,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from enum import IntFlag
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +65,12 @@ def stretch_stills(
     """
     if not len(slot_start_s):
         return stills
-    cell_s, cells = _cells(slot_start_s, duration_s, np.concatenate([turn, force], axis=1))
+    # Cells: where each begins, and its mean outputs, shape (m, 6).
+    number: IntArray = np.floor(slot_start_s / CELL_S + 1e-6).astype(np.int64)
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(number)) + 1))
+    total = np.maximum(np.add.reduceat(duration_s, starts), 1e-9)
+    cell_s = slot_start_s[starts]
+    cells = np.add.reduceat(np.concatenate([turn, force], axis=1), starts) / total[:, None]
     low = np.searchsorted(cell_s, stills[:, 0])
     high = np.searchsorted(cell_s, stills[:, 1] - CELL_S)
     stretched = stills.copy()
@@ -82,20 +85,11 @@ def stretch_stills(
     return stretched
 
 
-def _cells(start_s: FloatArray, duration_s: FloatArray, sums: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the start of each cell, shape (m,), and its mean outputs, shape (m, 6)."""
-    number: IntArray = np.floor(start_s / CELL_S + 1e-6).astype(np.int64)
-    starts = np.concatenate(([0], np.flatnonzero(np.diff(number)) + 1))
-    total = np.maximum(np.add.reduceat(duration_s, starts), 1e-9)
-    return start_s[starts], np.add.reduceat(sums, starts) / total[:, None]
-
-
 def _reach(cells: FloatArray, low: int, high: int, before: int, *, after: int) -> tuple[int, int]:
     """Return the cells at which a still can begin and end, guard included."""
     inside = cells[low:high]
-    centre = inside.mean(axis=0)
     allowed = _SIGMAS * inside.std(axis=0)
-    calm = np.all(np.abs(cells[before:after] - centre) <= allowed, axis=1)
+    calm = np.all(np.abs(cells[before:after] - inside.mean(axis=0)) <= allowed, axis=1)
     later, earlier = calm[high - before :], calm[: low - before][::-1]
     forward = len(later) if later.all() else int(np.argmin(later))
     backward = len(earlier) if earlier.all() else int(np.argmin(earlier))
@@ -161,30 +155,24 @@ class Slots:
         return len(self.start_s)
 
     def __getitem__(self, rows: slice | IntArray | NDArray[np.bool_]) -> Slots:
-        return Slots(**{field.name: getattr(self, field.name)[rows] for field in fields(Slots)})
+        return Slots(**{name: getattr(self, name)[rows] for name in _SLOT_FIELDS})
+
+
+_SLOT_FIELDS = tuple(field.name for field in fields(Slots))
 
 
 def stack_slots(parts: list[Slots]) -> Slots:
     """Put slots one after the other; at least one part is needed."""
     if len(parts) == 1:
         return parts[0]
-    return Slots(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Slots)})
+    return Slots(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in _SLOT_FIELDS})
 
 
 def no_slots() -> Slots:
     """Return zero slots."""
-    none, vectors = np.empty(0), np.empty((0, 3))
-    return Slots(
-        start_s=none,
-        duration_s=none,
-        turn=vectors,
-        moment=vectors,
-        area=vectors,
-        force=vectors,
-        bridge=none,
-        flags=np.empty(0, np.uint8),
-        plateau=vectors,
-    )
+    shapes = dict.fromkeys(("turn", "moment", "area", "force", "plateau"), (0, 3))
+    arrays = {name: np.empty(shapes.get(name, 0)) for name in _SLOT_FIELDS if name != "flags"}
+    return Slots(flags=np.empty(0, np.uint8), **arrays)
 
 
 def join_slots(slots: Slots, starts: IntArray) -> Slots:
@@ -195,18 +183,11 @@ def join_slots(slots: Slots, starts: IntArray) -> Slots:
     moment = slots.moment + before * slots.duration_s[:, None]
     area = slots.area + cross(before, slots.turn)
 
-    def total(values: FloatArray) -> FloatArray:
-        summed: FloatArray = np.add.reduceat(values, starts, axis=0)
-        return summed
-
+    sums = {"duration_s": slots.duration_s, "turn": slots.turn, "moment": moment, "area": area, "force": slots.force}
     return Slots(
         start_s=slots.start_s[starts],
-        duration_s=total(slots.duration_s),
-        turn=total(slots.turn),
-        moment=total(moment),
-        area=total(area),
-        force=total(slots.force),
-        bridge=total(slots.bridge),
+        **{name: np.add.reduceat(values, starts, axis=0) for name, values in sums.items()},
+        bridge=np.add.reduceat(slots.bridge, starts, axis=0),
         flags=np.bitwise_or.reduceat(slots.flags, starts),
         plateau=np.fmax.reduceat(slots.plateau, starts, axis=0),
     )
@@ -246,7 +227,15 @@ class SlotBuilder:
         if self.interval_s is None:
             self._pending = samples
             return
-        self._take(samples)
+        slot = self._slot_of(samples.time_s[:-1])
+        changes = np.flatnonzero(np.diff(slot)) + 1
+        cut = int(changes[-1]) if len(changes) else 0  # the last slot may go on in the next block
+        if cut:
+            self._parts.append(self._measure(samples[: cut + 1], slot[:cut]))
+            self._count += len(self._parts[-1])
+            if self._count > self._compact_at:
+                self._compact()
+        self._pending = samples[cut:]
 
     def finish(self) -> Slots:
         """Return all slots so far, the unfinished one included."""
@@ -259,17 +248,6 @@ class SlotBuilder:
         slot: IntArray = np.floor(time_s / self.slot_s + _SLOT_MARGIN).astype(np.int64)
         return slot
 
-    def _take(self, samples: Samples) -> None:
-        slot = self._slot_of(samples.time_s[:-1])
-        changes = np.flatnonzero(np.diff(slot)) + 1
-        cut = int(changes[-1]) if len(changes) else 0
-        if cut:
-            self._parts.append(self._measure(samples[: cut + 1], slot[:cut]))
-            self._count += len(self._parts[-1])
-            if self._count > self._compact_at:
-                self._compact()
-        self._pending = samples[cut:]
-
     def _measure(self, samples: Samples, slot: IntArray) -> Slots:
         """Return the slots of n intervals between n + 1 samples."""
         starts = np.concatenate(([0], np.flatnonzero(np.diff(slot)) + 1))
@@ -278,7 +256,11 @@ class SlotBuilder:
         dt = np.where(flags & np.uint8(SlotFlag.CLOCK_JUMP), 0.0, dt)
         half = 0.5 * dt[:, None]
         turn = half * (N[:-1] + N[1:])
-        flags |= _sample_flags(samples.status)
+        # An interval has the flags of both of its samples.
+        saturated = (samples.status & np.uint32(Status.GYROSCOPE_SATURATED)) != 0
+        invalid = (samples.status & np.uint32(Status.GYROSCOPE_INVALID | Status.INSTRUMENT_FAULT)) != 0
+        either = saturated * np.uint8(SlotFlag.SATURATED) + invalid * np.uint8(SlotFlag.INVALID)
+        flags |= (either[:-1] | either[1:]).astype(np.uint8)
         force = half * (a[:-1] + a[1:])
         # Product of the two half turns: area of a step of N_k for dt/2, then N_k+1 for dt/2.
         area, moment = half**2 * cross(N[:-1], N[1:]), half**2 * (3 * N[:-1] + N[1:]) / 2
@@ -334,15 +316,6 @@ class SlotBuilder:
         joined = join_slots(slots, np.flatnonzero(keep))
         self._parts, self._count = [joined], len(joined)
         self._compact_at = max(_COMPACT_AT, 2 * self._count)
-
-
-def _sample_flags(status: NDArray[np.uint32]) -> NDArray[np.uint8]:
-    """Return the slot flags of intervals from the status of their two samples."""
-    saturated = (status & np.uint32(Status.GYROSCOPE_SATURATED)) != 0
-    invalid = (status & np.uint32(Status.GYROSCOPE_INVALID | Status.INSTRUMENT_FAULT)) != 0
-    flags = saturated * np.uint8(SlotFlag.SATURATED) + invalid * np.uint8(SlotFlag.INVALID)
-    either: NDArray[np.uint8] = (flags[:-1] | flags[1:]).astype(np.uint8)
-    return either
 
 
 @dataclass(frozen=True, slots=True)
@@ -422,7 +395,7 @@ def cut_moves(
     """Cut slots at still intervals; ``limits`` are the smallest and largest output of the session."""
     if not np.isfinite(start_s).all():
         # Means that somebody else averaged have no time: nothing is known of what lies between them.
-        return _gather(slots, [], ())
+        return _gather(slots, [], [])
     order = np.argsort(start_s, kind="stable")
     # A clock that jumps back must not hide what lies behind the jump; the move with the jump is dropped.
     rising_s = np.maximum.accumulate(slots.start_s)
@@ -435,34 +408,27 @@ def cut_moves(
         low, high = (int(row) for row in np.searchsorted(rising_s, [begin - _SLOT_MARGIN, end - _SLOT_MARGIN]))
         fault = _fault(slots[low:high], begin, end, limits)
         if fault is None:
-            kept.append(_Cut(int(before), int(after), begin, end, low, high))
+            kept.append((int(before), int(after), begin, end, np.arange(low, high)))
         else:
             dropped.append(DroppedMove(begin, end, *fault))
-    return _gather(slots, kept, tuple(dropped))
+    return _gather(slots, kept, dropped)
 
 
-class _Cut(NamedTuple):
-    """One move: stills at its ends, times, rows of slots."""
-
-    before: int
-    after: int
-    begin_s: float
-    end_s: float
-    low: int
-    high: int
+_Cut = tuple[int, int, float, float, IntArray]
+"""A move: stills before and after, begin and end in s, rows of its slots."""
 
 
-def _gather(slots: Slots, cuts: list[_Cut], dropped: tuple[DroppedMove, ...]) -> Moves:
-    rows = [np.arange(cut.low, cut.high) for cut in cuts]
+def _gather(slots: Slots, cuts: list[_Cut], dropped: list[DroppedMove]) -> Moves:
+    before, after, begin_s, end_s, rows = zip(*cuts, strict=True) if cuts else ([],) * 5
     length = np.array([len(part) for part in rows], dtype=np.int64)
     return Moves(
-        before=np.array([cut.before for cut in cuts], dtype=np.int64),
-        after=np.array([cut.after for cut in cuts], dtype=np.int64),
-        start_s=np.array([cut.begin_s for cut in cuts], dtype=np.float64),
-        end_s=np.array([cut.end_s for cut in cuts], dtype=np.float64),
+        before=np.array(before, dtype=np.int64),
+        after=np.array(after, dtype=np.int64),
+        start_s=np.array(begin_s, dtype=np.float64),
+        end_s=np.array(end_s, dtype=np.float64),
         first=np.cumsum(length) - length,
-        slots=slots[np.concatenate(rows)] if rows else slots[:0],
-        dropped=dropped,
+        slots=slots[np.concatenate(rows)] if cuts else slots[:0],
+        dropped=tuple(dropped),
     )
 
 
@@ -475,32 +441,28 @@ def _fault(
         return "too long", f"{where} lasts more than {LONGEST_MOVE_S:g} s and is left out; put the unit down in between"
     if not len(slots):
         return "no samples", f"{where} has no samples and is left out"
-    seen = int(np.bitwise_or.reduce(slots.flags))
+    flags = int(np.bitwise_or.reduce(slots.flags))
     covered = float(slots.duration_s.sum())
-    if seen & SlotFlag.CLOCK_JUMP:
+    if flags & SlotFlag.CLOCK_JUMP:
         return "clock jump", f"the sample clock jumps back in {where}, which is left out"
     hole_s = float(slots.duration_s[(slots.flags & np.uint8(SlotFlag.LOST)) != 0].sum())
-    if seen & SlotFlag.LOST or covered < end - begin - BRIDGED_S - SLOT_S * QUIET_SLOTS:
+    if flags & SlotFlag.LOST or covered < end - begin - BRIDGED_S - SLOT_S * QUIET_SLOTS:
         missing = max(hole_s, end - begin - covered)
         if missing >= INTERRUPTED_S:
             return "interrupted", f"the recording was interrupted for {missing:.1f} s in {where}, which is left out"
         return "lost samples", (
             f"{where} lost samples for {missing:.3f} s (at most {BRIDGED_S} s are bridged) and is left out; repeat it"
         )
-    if seen & SlotFlag.SATURATED or _at_limit(slots, limits):
+    # An output that repeats itself at the end of its range is saturated too.
+    stuck = False
+    if limits is not None:
+        low, high = limits
+        stuck = bool(np.any(((slots.plateau == high) | (slots.plateau == low)) & (high > low)))
+    if flags & SlotFlag.SATURATED or stuck:
         return (
             "saturated",
             f"the gyroscope is saturated in {where}, which is left out; turn more slowly, or choose a larger range",
         )
-    if seen & SlotFlag.INVALID:
+    if flags & SlotFlag.INVALID:
         return "invalid samples", f"the gyroscope is flagged invalid in {where}, which is left out; repeat it"
     return None
-
-
-def _at_limit(slots: Slots, limits: tuple[FloatArray, FloatArray] | None) -> bool:
-    """Whether an output repeats itself at the end of its range."""
-    if limits is None:
-        return False
-    low, high = limits
-    stuck = (slots.plateau == high) | (slots.plateau == low)
-    return bool(np.any(stuck & (high > low)))

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from imufield.calibrate.gyroscope.fit import EarthKnowledge, JointFit
-from imufield.calibrate.gyroscope.model import GyroscopeData, evaluate
+from imufield.calibrate.gyroscope.fit import EarthKnowledge
+from imufield.calibrate.gyroscope.input import GyroscopeInput
+from imufield.calibrate.gyroscope.model_choice import ChosenModel
 from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY
-from imufield.calibrate.gyroscope.moves import DroppedMove
-from imufield.calibrate.gyroscope.sight import Sight
-from imufield.calibrate.gyroscope.static_bias import GYROSCOPE_BIAS_NAMES, with_gyroscope
-from imufield.calibrate.gyroscope.static_norm import StaticData, StaticFit, latitude_words
+from imufield.calibrate.gyroscope.observability import Observability
+from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
+from imufield.calibrate.gyroscope.static import GYROSCOPE_BIAS_NAMES, StaticData, StaticFit, latitude_words
 from imufield.calibrate.gyroscope.whole_turns import WholeTurn, find_whole_turns
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.model.result import (
@@ -26,9 +26,6 @@ from imufield.calibrate.model.result import (
 from imufield.calibrate.model.uncertainty import bounded_cross_covariance
 from imufield.samples import AXES, FloatArray
 
-if TYPE_CHECKING:
-    from imufield.calibrate.gyroscope.calibrate import GyroscopeInput
-
 GYROSCOPE_NAMES = (
     *(f"gyroscope.scale.{axis}" for axis in AXES),
     *(f"gyroscope.misalignment_rad.{pair}" for pair in ("xy", "xz", "yx", "yz", "zx", "zy")),
@@ -40,19 +37,20 @@ GYROSCOPE_NAMES = (
 # Share of the angle error before that is left where a fit has gained little; a session of placed positions leaves 0.12.
 _HARDLY_BETTER = 0.8
 _WORSE = 1.1
+_SUSPICIOUS_SIGMAS = 4.5  # A residual has two components; one good move in 25 000 is further off.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MoveReport:
     """Every move that was used, arrays of shape (m,)."""
 
-    start_s: FloatArray
-    end_s: FloatArray
-    before_deg: FloatArray
+    start_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    end_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    before_deg: FloatArray = field(default_factory=lambda: np.empty(0))
     """Angle between the measured and the integrated direction of gravity, with the parameters in force before, if any."""
-    after_deg: FloatArray
+    after_deg: FloatArray = field(default_factory=lambda: np.empty(0))
     """The same with the new parameters."""
-    sigma: FloatArray
+    sigma: FloatArray = field(default_factory=lambda: np.empty(0))
     """Length of the residual over its own sigma; 1.4 is typical, 4 is suspicious."""
 
     @property
@@ -76,69 +74,63 @@ class GyroscopeResult:
     covariance: FloatArray
     with_accelerometer: FloatArray
     """Covariance of ``names`` with the 15 accelerometer parameters and gravity, shape (n, 16)."""
-    moves: MoveReport
-    turns: tuple[WholeTurn, ...]
-    dropped: tuple[DroppedMove, ...]
-    g_sensitive: bool
+    moves: MoveReport = field(default_factory=MoveReport)
+    turns: tuple[WholeTurn, ...] = ()
+    g_sensitive: bool = False
     unobservable: tuple[str, ...]
-    heading_fitted: bool
-    drift_rad_s: float
+    heading_fitted: bool = False
+    drift_rad_s: float = float("nan")
     """Scatter of the bias from still to still, beyond noise."""
     reasons: tuple[str, ...]
     """Sentences: every warning, and what the result rests on."""
     cautions: tuple[str, ...] = ()
     """Sentences that make the verdict on the whole no better than usable."""
-    basis: Described | StaticNorm | None = None
+    basis: JointSolution | StaticSolution | None = None
     """What it was fitted to, for other methods; None for a static bias."""
 
     def join(self, calibration: Calibration) -> Calibration:
         """Return the calibration with this gyroscope and one covariance matrix for all."""
-        if not len(self.with_accelerometer):
-            return _with_reasons(with_gyroscope(calibration, self.calibration), self)
         old = calibration.covariance_names
-        keep = [k for k, name in enumerate(old) if name in ACCELEROMETER_NAMES]
-        last = [k for k, name in enumerate(old) if name == GRAVITY_NAME]
-        names = (*(old[k] for k in keep), *self.names, *(old[k] for k in last))
-        places = [ACCELEROMETER_NAMES.index(old[k]) for k in keep]
-        a, n = len(keep), len(self.names)
+        accelerometer = [k for k, name in enumerate(old) if name in ACCELEROMETER_NAMES]
+        gravity = [k for k, name in enumerate(old) if name == GRAVITY_NAME]
+        names = (*(old[k] for k in accelerometer), *self.names, *(old[k] for k in gravity))
+        # The gyroscope stands between the accelerometer and gravity; `outer` are the places of those two.
+        a, n = len(accelerometer), len(self.names)
+        outer = [*range(a), *range(a + n, len(names))]
+        theirs = calibration.covariance[np.ix_([*accelerometer, *gravity], [*accelerometer, *gravity])]
+        columns = [*(ACCELEROMETER_NAMES.index(old[k]) for k in accelerometer), *([15] if gravity else [])]
+        cross = bounded_cross_covariance(self.with_accelerometer[:, columns], self.covariance, theirs)
         covariance = np.zeros((len(names), len(names)))
         covariance[a : a + n, a : a + n] = self.covariance
-        outer = [*range(a), *range(a + n, len(names))]
-        covariance[np.ix_(outer, outer)] = calibration.covariance[np.ix_([*keep, *last], [*keep, *last])]
-        theirs = covariance[np.ix_(outer, outer)]
-        cross = bounded_cross_covariance(
-            self.with_accelerometer[:, [*places, *([15] if last else [])]], self.covariance, theirs
-        )
+        covariance[np.ix_(outer, outer)] = theirs
         covariance[a : a + n, outer], covariance[np.ix_(outer, range(a, a + n))] = cross, cross.T
-        joined = replace(calibration, gyroscope=self.calibration, covariance_names=names, covariance=covariance)
-        return _with_reasons(joined, self)
-
-
-def _with_reasons(calibration: Calibration, result: GyroscopeResult) -> Calibration:
-    quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *result.reasons))
-    if result.cautions:
-        quality = quality.lowered("usable", *result.cautions)
-    return replace(calibration, quality=quality, unobservable=(*calibration.unobservable, *result.unobservable))
+        quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *self.reasons))
+        return replace(
+            calibration,
+            gyroscope=self.calibration,
+            covariance_names=names,
+            covariance=covariance,
+            quality=quality.lowered("usable", *self.cautions) if self.cautions else quality,
+            unobservable=(*calibration.unobservable, *self.unobservable),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Described:
-    """What a result is made of."""
+class JointSolution:
+    """Input, data and fit of moves, stills, stops and turntable rates together."""
 
     given: GyroscopeInput
     data: GyroscopeData
-    fit: JointFit
+    chosen: ChosenModel
     start: FloatArray
-    sight: Sight
-    fit_g: bool
-    doubt: FloatArray
-    words: tuple[str, ...]
+    observability: Observability
     earth: EarthKnowledge
+    warnings: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StaticNorm:
-    """What a result of the static norm path is made of."""
+class StaticSolution:
+    """Input, data and fit of the static norm path."""
 
     given: GyroscopeInput
     data: StaticData
@@ -149,94 +141,90 @@ class StaticNorm:
     rest_raw: FloatArray
 
 
-def describe(what: Described) -> GyroscopeResult:
+def joint_result(solution: JointSolution) -> GyroscopeResult:
     """Return the result of a joint fit."""
-    fitted = what.fit
-    values, J = forward(fitted.p[:PARAMETERS], what.data.rest_raw)
+    chosen, fitted, observability = solution.chosen, solution.chosen.fit, solution.observability
+    # The covariance of the fit in all 21 parameters; what a rejected g-sensitivity may hide adds d d^T.
     own = np.zeros((PARAMETERS, PARAMETERS))
     places = np.flatnonzero(fitted.free < PARAMETERS)
     columns = fitted.free[places]
     own[np.ix_(columns, columns)] = fitted.covariance[np.ix_(places, places)]
-    own += np.outer(what.doubt[:PARAMETERS], what.doubt[:PARAMETERS])
+    own += np.outer(chosen.hidden_change[:PARAMETERS], chosen.hidden_change[:PARAMETERS])
+    # An error of the accelerometer moves the residuals, and the fit follows with -gain.
     with_accelerometer = np.zeros((PARAMETERS, 16))
     with_accelerometer[columns] = -fitted.gain[places] @ fitted.parts.with_accelerometer
-    covariance = J @ own @ J.T
-    known = np.array([name not in what.sight.hidden_names for name in GYROSCOPE_NAMES])
-    known[12:] &= what.fit_g
-    sigma = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
-    calibration = GyroscopeCalibration(
-        as_parameters(values), as_parameters(sigma), _path(what), what.given.observations.units.gyroscope_rate_unit
-    )
+    known = np.array([name not in observability.hidden_names for name in GYROSCOPE_NAMES])
+    known[12:] &= chosen.g_sensitive
+    before = evaluate(solution.start, solution.data) if observability.known else None
+    turns = find_whole_turns(fitted.evaluation, solution.data, before)
+    moves = _move_report(solution)
+    calibration, covariance, J = _calibration(fitted.p[:PARAMETERS], own, known, solution, path=_path(solution, turns))
     return GyroscopeResult(
         calibration=calibration,
         names=tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
-        covariance=covariance[np.ix_(known, known)],
+        covariance=covariance,
         with_accelerometer=(J @ with_accelerometer)[known],
-        moves=_move_report(what),
-        turns=_whole_turns(what),
-        dropped=what.given.moves.dropped,
-        g_sensitive=what.fit_g,
-        unobservable=what.sight.hidden_names,
+        moves=moves,
+        turns=turns,
+        g_sensitive=chosen.g_sensitive,
+        unobservable=observability.hidden_names,
         heading_fitted=fitted.heading_fitted,
         drift_rad_s=fitted.scatter.drift_rad_s,
-        reasons=_reasons(what),
-        cautions=() if fitted.solved.converged else (_unsettled(fitted.solved.message, what.given.latitude_deg),),
-        basis=what,
+        reasons=_reasons(solution, moves, turns),
+        cautions=() if fitted.solved.converged else (_unsettled(fitted.solved.message, solution.given.latitude_deg),),
+        basis=solution,
     )
 
 
-def static_result(gyroscope: GyroscopeCalibration, sentences: tuple[str, ...]) -> GyroscopeResult:
+def static_bias_result(gyroscope: GyroscopeCalibration, sentences: tuple[str, ...]) -> GyroscopeResult:
     """Return the result of a path that sees the bias alone."""
-    none = np.empty(0)
     return GyroscopeResult(
         calibration=gyroscope,
         names=GYROSCOPE_BIAS_NAMES,
         covariance=np.diag(gyroscope.sigma.bias**2),
-        with_accelerometer=np.empty((0, 16)),
-        moves=MoveReport(start_s=none, end_s=none, before_deg=none, after_deg=none, sigma=none),
-        turns=(),
-        dropped=(),
-        g_sensitive=False,
-        unobservable=tuple(name for name in GYROSCOPE_NAMES[:9]),
-        heading_fitted=False,
-        drift_rad_s=float("nan"),
+        with_accelerometer=np.zeros((len(GYROSCOPE_BIAS_NAMES), 16)),
+        unobservable=GYROSCOPE_NAMES[:9],
         reasons=sentences,
     )
 
 
-def static_norm_result(what: StaticNorm) -> GyroscopeResult:
+def static_norm_result(solution: StaticSolution) -> GyroscopeResult:
     """Return the result of the static norm path."""
-    given, fitted = what.given, what.fitted
-    values, J = forward(np.concatenate([fitted.x, np.zeros(9)]), what.rest_raw)
+    given, fitted = solution.given, solution.fitted
     own = np.zeros((PARAMETERS, PARAMETERS))
     own[:12, :12] = fitted.covariance
-    covariance = J @ own @ J.T
-    free = given.static_free == "all"
-    known = np.array([name in GYROSCOPE_BIAS_NAMES or (free and k < 9) for k, name in enumerate(GYROSCOPE_NAMES)])
-    sigma = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
-    seen = "scale, misalignment and bias" if free else "bias; scale and misalignment as given, not calibrated"
-    path = f"static norm of the Earth rate at {len(given.observations)} still positions, any heading: {seen}"
-    unsettled = () if fitted.converged else (_unsettled("it still moves after the last step", given.latitude_deg),)
+    everything = given.static_free == "all"
+    known = np.array([name in GYROSCOPE_BIAS_NAMES or (everything and k < 9) for k, name in enumerate(GYROSCOPE_NAMES)])
+    fitted_words = "scale, misalignment and bias" if everything else "bias; scale and misalignment as given, not calibrated"
+    path = f"static norm of the Earth rate at {len(given.observations)} still positions, any heading: {fitted_words}"
+    calibration, covariance, _ = _calibration(np.concatenate([fitted.x, np.zeros(9)]), own, known, solution, path=path)
     latitude = latitude_words(given.latitude_deg or 0.0, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)
-    none = np.empty(0)
+    unsettled = () if fitted.converged else (_unsettled("it still moves after the last step", given.latitude_deg),)
     return GyroscopeResult(
-        calibration=GyroscopeCalibration(
-            as_parameters(values), as_parameters(sigma), path, given.observations.units.gyroscope_rate_unit
-        ),
+        calibration=calibration,
         names=tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
-        covariance=covariance[np.ix_(known, known)],
+        covariance=covariance,
         with_accelerometer=np.zeros((int(known.sum()), 16)),
-        moves=MoveReport(start_s=none, end_s=none, before_deg=none, after_deg=none, sigma=none),
-        turns=(),
-        dropped=given.moves.dropped,
-        g_sensitive=False,
-        unobservable=() if free else GYROSCOPE_NAMES[:9],
+        unobservable=() if everything else GYROSCOPE_NAMES[:9],
         heading_fitted=True,
         drift_rad_s=fitted.scatter.drift_rad_s,
-        reasons=(*latitude, *(one.sentence for one in given.moves.dropped)),
+        reasons=(*latitude, *(move.sentence for move in given.moves.dropped)),
         cautions=unsettled,
-        basis=what,
+        basis=solution,
     )
+
+
+def _calibration(
+    x: FloatArray, own: FloatArray, known: NDArray[np.bool_], solution: JointSolution | StaticSolution, *, path: str
+) -> tuple[GyroscopeCalibration, FloatArray, FloatArray]:
+    """Return parameters and sigma at ``x`` of covariance ``own``, the covariance of the known ones, and d parameters / d x."""
+    rest_raw = solution.data.rest_raw if isinstance(solution, JointSolution) else solution.rest_raw
+    values, J = forward(x, rest_raw)
+    covariance = J @ own @ J.T
+    sigma = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
+    unit = solution.given.observations.units.gyroscope_rate_unit
+    calibration = GyroscopeCalibration(as_parameters(values), as_parameters(sigma), path, unit)
+    return calibration, covariance[np.ix_(known, known)], J
 
 
 def _unsettled(how: str, latitude_deg: float | None) -> str:
@@ -279,8 +267,8 @@ def as_parameters(vector: FloatArray) -> GyroscopeParameters:
     return GyroscopeParameters(vector[:3].copy(), misalignment, vector[9:12].copy(), vector[12:].reshape(3, 3).copy())
 
 
-def _move_report(what: Described) -> MoveReport:
-    data, fitted, moves = what.data, what.fit, what.given.moves
+def _move_report(solution: JointSolution) -> MoveReport:
+    data, fitted, moves = solution.data, solution.chosen.fit, solution.given.moves
     up = data.up[data.after]
     now, m = fitted.evaluation, len(moves)
     S = fitted.parts.total(fitted.scatter)
@@ -288,61 +276,51 @@ def _move_report(what: Described) -> MoveReport:
     residual = now.residual[: 2 * m].reshape(m, 2)
     sigma = np.sqrt(np.einsum("mi,mij,mj->m", residual, np.linalg.inv(blocks), residual))
     before = np.full(m, np.nan)
-    if what.sight.known:
-        before = np.degrees(evaluate(what.start, data).angle_error_rad(up))
+    if solution.observability.known:
+        before = np.degrees(evaluate(solution.start, data).angle_error_rad(up))
     after = np.degrees(now.angle_error_rad(up))
     return MoveReport(start_s=moves.start_s, end_s=moves.end_s, before_deg=before, after_deg=after, sigma=sigma)
 
 
-def _whole_turns(what: Described) -> tuple[WholeTurn, ...]:
-    before = evaluate(what.start, what.data) if what.sight.known else None
-    return find_whole_turns(what.fit.evaluation, what.data, before)
-
-
-def _path(what: Described) -> str:
-    data = what.data
+def _path(solution: JointSolution, turns: tuple[WholeTurn, ...]) -> str:
+    data, fitted = solution.data, solution.chosen.fit
     parts = [f"{len(data.before)} moves between {len(data.force)} still positions against gravity"] if len(data.before) else []
-    rolled = sum(turn.about == "horizontal" for turn in find_whole_turns(what.fit.evaluation, data))
+    rolled = sum(turn.about == "horizontal" for turn in turns)
     if rolled:
         parts.append(f"{rolled} of them whole turns closed by gravity")
     if len(data.stops):
         parts.append(f"{len(data.stops)} whole turns about the vertical against a stop")
     if len(data.table):
         parts.append(f"{len(data.table)} pairs of turntable rates")
-    parts.append(_earth_words(what))
-    parts.append("g-sensitivity fitted" if what.fit_g else "no g-sensitivity")
+    if fitted.heading_fitted:
+        parts.append("Earth rate seen: one azimuth fitted for each unbroken chain of moves")
+    elif solution.earth.vertical_sigma_rad_s > 0:
+        parts.append("Earth rate in the sigma, because the latitude is not known")
+    else:
+        parts.append("vertical Earth rate taken off, horizontal part with unknown azimuth in the sigma")
+    parts.append("g-sensitivity fitted" if solution.chosen.g_sensitive else "no g-sensitivity")
     return "; ".join(parts)
 
 
-def _earth_words(what: Described) -> str:
-    if what.fit.heading_fitted:
-        return "Earth rate seen: one azimuth fitted for each unbroken chain of moves"
-    if what.earth.vertical_sigma_rad_s > 0:
-        return "Earth rate in the sigma, because the latitude is not known"
-    return "vertical Earth rate taken off, horizontal part with unknown azimuth in the sigma"
-
-
-def _reasons(what: Described) -> tuple[str, ...]:
-    sentences = list(what.words)
-    report = _move_report(what)
-    if len(report.after_deg):
-        before = f"{report.rms_before_deg:.3f} deg RMS before, " if np.isfinite(report.rms_before_deg) else ""
+def _reasons(solution: JointSolution, moves: MoveReport, turns: tuple[WholeTurn, ...]) -> tuple[str, ...]:
+    sentences = [solution.chosen.sentence, *solution.warnings]
+    if len(moves.after_deg):
+        before = f"{moves.rms_before_deg:.3f} deg RMS before, " if np.isfinite(moves.rms_before_deg) else ""
         sentences.append(
-            f"gyroscope: angle error of {len(report.after_deg)} moves {before}{report.rms_after_deg:.3f} deg RMS after"
-            + gain_words(report)
+            f"gyroscope: angle error of {len(moves.after_deg)} moves {before}{moves.rms_after_deg:.3f} deg RMS after"
+            + gain_words(moves)
         )
-    if what.sight.hidden:
-        names = ", ".join(what.sight.hidden_names)
+    if solution.observability.hidden:
+        names = ", ".join(solution.observability.hidden_names)
         sentences.append(f"these moves cannot show {names}; left at the preset's value")
-    if what.data.chains > 1:
-        sentences.append(f"the moves form {what.data.chains} separate chains, each with an azimuth of its own")
-    sentences += [dropped.sentence for dropped in what.given.moves.dropped]
-    sentences += [turn.sentence for turn in _whole_turns(what)]
-    suspicious = np.flatnonzero(report.sigma > 4.5)
+    if solution.data.chains > 1:
+        sentences.append(f"the moves form {solution.data.chains} separate chains, each with an azimuth of its own")
+    sentences += [move.sentence for move in solution.given.moves.dropped]
+    sentences += [turn.sentence for turn in turns]
     sentences += [
-        f"the move at {report.start_s[k]:.1f} s does not fit the others ({report.after_deg[k]:.2f} deg, {report.sigma[k]:.1f} "
+        f"the move at {moves.start_s[k]:.1f} s does not fit the others ({moves.after_deg[k]:.2f} deg, {moves.sigma[k]:.1f} "
         "sigma): repeat it"
-        for k in suspicious
+        for k in np.flatnonzero(moves.sigma > _SUSPICIOUS_SIGMAS)
     ]
     return tuple(sentences)
 

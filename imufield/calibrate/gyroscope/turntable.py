@@ -20,10 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.model import TableRows
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
+_SAME_AXIS = 1 - 1e-3  # Cosine of 2.6 deg.
 _SAME_RATE = 0.05  # Runs whose rates differ by more than this share are no pair.
 
 
@@ -52,6 +52,36 @@ class TurntableRun:
     axis_sigma_rad: float = 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class TableRows:
+    """t pairs of turntable rates, ready for fitting.
+
+    Attributes
+    ----------
+    half_difference_raw : ndarray, shape (t, 3)
+        (N+ - N-) / 2.
+    covariance_raw : ndarray, shape (t, 3, 3)
+    rate_rad_s : ndarray, shape (t, 3)
+        Body rate in the positive run.
+    rate_covariance : ndarray, shape (t, 3, 3)
+        Of that rate, (rad/s)^2: speed of the table and direction of its axis.
+    """
+
+    half_difference_raw: FloatArray
+    covariance_raw: FloatArray
+    rate_rad_s: FloatArray
+    rate_covariance: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.rate_rad_s)
+
+
+def no_table() -> TableRows:
+    """Return zero pairs."""
+    vectors, matrices = np.empty((0, 3)), np.empty((0, 3, 3))
+    return TableRows(vectors, matrices, vectors, matrices)
+
+
 def pair_runs(runs: Sequence[TurntableRun]) -> TableRows:
     """Join runs into pairs of opposite rates about the same axis.
 
@@ -64,7 +94,12 @@ def pair_runs(runs: Sequence[TurntableRun]) -> TableRows:
     pairs: list[tuple[TurntableRun, TurntableRun]] = []
     while left:
         run = left.pop(0)
-        partner = next((other for other in left if _opposite(run, other)), None)
+        partner = None
+        for other in left:
+            same_axis = float(run.axis @ other.axis) > _SAME_AXIS
+            if same_axis and abs(run.rate_rad_s + other.rate_rad_s) <= _SAME_RATE * abs(run.rate_rad_s):
+                partner = other
+                break
         if partner is None:
             raise CalibrationError(
                 f"the turntable run at {np.degrees(run.rate_rad_s):+.1f} deg/s about {np.round(run.axis, 2).tolist()} has no "
@@ -74,21 +109,13 @@ def pair_runs(runs: Sequence[TurntableRun]) -> TableRows:
             )
         left.remove(partner)
         pairs.append((run, partner) if run.rate_rad_s > 0 else (partner, run))
-    return _rows(pairs)
-
-
-def _opposite(run: TurntableRun, other: TurntableRun) -> bool:
-    same_axis = float(run.axis @ other.axis) > 1 - 1e-3
-    return same_axis and abs(run.rate_rad_s + other.rate_rad_s) <= _SAME_RATE * abs(run.rate_rad_s)
-
-
-def _rows(pairs: list[tuple[TurntableRun, TurntableRun]]) -> TableRows:
     t = len(pairs)
     half, rate = np.zeros((t, 3)), np.zeros((t, 3))
     raw_covariance, covariance = np.zeros((t, 3, 3)), np.zeros((t, 3, 3))
     for k, (plus, minus) in enumerate(pairs):
         w = (plus.rate_rad_s - minus.rate_rad_s) / 2
         u = plus.axis / np.linalg.norm(plus.axis)
+        # (N+ - N-) / 2 = K E w, [1]_ eq. 25
         half[k], rate[k] = (plus.mean_raw - minus.mean_raw) / 2, w * u
         raw_covariance[k] = (plus.covariance_raw + minus.covariance_raw) / 4
         along, across = plus.rate_sigma_rad_s**2 / 2, (w * plus.axis_sigma_rad) ** 2

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.gyroscope.model import Evaluation, GyroscopeData
+from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData
 from imufield.calibrate.model.rotation import from_matrix, logarithm
 from imufield.errors import UsageError
 from imufield.samples import AXES, FloatArray, IntArray
@@ -113,37 +113,25 @@ def find_whole_turns(evaluation: Evaluation, data: GyroscopeData, before: Evalua
     error_before = None if before is None else before.angle_error_rad(data.up[data.after])
     missed_before = None if before is None else closures(before, data)
     tilt = np.arccos(np.clip(np.sum(data.up[data.before] * data.up[data.after], axis=1), -1, 1))
-    found = []
+    turns = []
     for k in np.flatnonzero((net > LEAST_TURN_RAD) & (tilt < MOST_TILT_RAD)):
         axis = evaluation.turns.net_rad[k] / net[k]
         body = int(np.argmax(np.abs(axis)))
         count = round(net[k] / (2 * np.pi)) * int(np.sign(axis[body]))
         upright = abs(float(axis @ data.up[data.after[k]])) > _VERTICAL
+        # An upright turn closes at its stop, a rolled one in the direction of gravity.
         off = float(missed[k]) if upright else float(tilt[k])
         closure = float(missed[k]) if upright else float(error[k])
         earlier = missed_before if upright else error_before
         closure_before = float("nan") if earlier is None else float(earlier[k])
-        found.append(
-            WholeTurn(
-                count,
-                AXES[body],
-                "vertical" if upright else "horizontal",
-                _sentence(count, AXES[body], upright, np.degrees([closure, closure_before, off])),
+        degrees = np.degrees([closure, closure_before, off])
+        before_words = f" ({degrees[1]:.3f} deg with the parameters before)" if np.isfinite(degrees[1]) else ""
+        sentence = f"{count:+d} turn{'s' if abs(count) > 1 else ''} about {AXES[body]}, "
+        if upright:
+            sentence += f"about the vertical: misses its start by {degrees[0]:+.3f} deg{before_words}"
+        else:
+            sentence += (
+                f"rolled: closes to {degrees[0]:.3f} deg{before_words}, came to rest {degrees[2]:.1f} deg from where it began"
             )
-        )
-    return tuple(found)
-
-
-def _sentence(count: int, axis: str, upright: bool, degrees: FloatArray) -> str:
-    """Return how well a turn closed, ``upright`` or rolled.
-
-    ``degrees``: by how much the integrated turn misses what was measured, the direction of gravity (rolled) or the stop
-    (upright); the same with the parameters in force before, NaN where there were none; and the angle between the directions of
-    gravity before and after.
-    """
-    closure_deg, before_deg, off_deg = degrees
-    before = f" ({before_deg:.3f} deg with the parameters before)" if np.isfinite(before_deg) else ""
-    name = f"{count:+d} turn{'s' if abs(count) > 1 else ''} about {axis}"
-    if upright:
-        return f"{name}, about the vertical: misses its start by {closure_deg:+.3f} deg{before}"
-    return f"{name}, rolled: closes to {closure_deg:.3f} deg{before}, came to rest {off_deg:.1f} deg from where it began"
+        turns.append(WholeTurn(count, AXES[body], "vertical" if upright else "horizontal", sentence))
+    return tuple(turns)

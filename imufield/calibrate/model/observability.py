@@ -10,8 +10,9 @@ the same when
 analytically; a threshold on singular values cannot do it, because a large ``K2`` on body axes lifts them over any.
 
 What is left is judged in scaled coordinates, where a unit step of each parameter weighs as 1 m/s^2 at 1 g. There the part of a
-column of the Jacobian that the columns before it do not explain has a length: ``sight``. A position put halfway between two
-faces gives about 0.5 of sight to the misalignment of those two axes; sigma of a parameter is at least s_i / sight.
+column of the Jacobian that the columns before it do not explain has a length ("sight" in messages). A position put halfway
+between two faces gives a length of about 0.5 to the misalignment of those two axes; sigma of a parameter is at least s_i over
+its length.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ from imufield.samples import AXES, LARGEST_OUTPUT, FloatArray
 LOWER_GAUGE_COLUMNS = (0, 1, 2, 3, 4, 5, 8, 10, 11, 12, 13, 14)
 """The parameters that stay free where T is lower triangular: K, b, T_yx, T_zx, T_zy, K2."""
 
-WEAKEST_SIGHT = 0.15
-"""A parameter with less sight than this counts as unobservable.
+WEAKEST_COLUMN = 0.15
+"""A parameter whose column has less than this length of its own counts as unobservable.
 
 The 24-position schemes give misalignment 1.0 and the quadratic term 0.7 or more, a hand-held session that shows one axis once
 0.24; edges alone, placed to 0.05 rad, give the quadratic term 0.03.
@@ -54,7 +55,7 @@ OUTPUT_SIZE = (1e-9, LARGEST_OUTPUT)
 
 FACE_COSINE = float(np.cos(np.radians(15.0)))
 """Nearer than 15 deg to an axis a position is a face. Faces alone show misalignment and quadratic term only by accident of
-their placement (sight 0.2 to 0.4 for 24 positions placed to 0.1 rad), so those are not fitted from them."""
+their placement (a length of 0.2 to 0.4 for 24 positions placed to 0.1 rad), so those are not fitted from them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,26 +117,30 @@ def observe(derivatives: NormDerivatives, vector: FloatArray, gravity_m_s2: floa
     complement = np.linalg.qr(turns, mode="complete")[0][:, 3:]
     values = np.asarray(np.linalg.svd(scaled @ complement, compute_uv=False), dtype=np.float64)
     faces_only = bool(np.all(np.abs(derivatives.a).max(axis=1) > FACE_COSINE * derivatives.norm))
-    free = _visible(scaled, gauge_free[:6] if faces_only else gauge_free)
+    sought = gauge_free[:6] if faces_only else gauge_free
+    lengths = unexplained_lengths(scaled[:, sought], WEAKEST_COLUMN)
+    free = [column for column, length in zip(sought, lengths, strict=True) if length > WEAKEST_COLUMN]
     hidden = tuple(ACCELEROMETER_NAMES[column] for column in gauge_free if column not in free)
     rank = len(free)
     condition = float(values[0] / values[rank - 1]) if 0 < rank <= len(values) else np.inf
     return Observability(rank=rank, condition=condition, singular_values=values, free=tuple(free), unobservable=hidden)
 
 
-def _visible(scaled: FloatArray, columns: list[int]) -> list[int]:
-    """Return the columns that show something the ones before them do not (Gram-Schmidt in order of importance)."""
-    seen: list[int] = []
-    basis = np.zeros((len(scaled), 0))
-    for column in columns:
-        rest = scaled[:, column]
+def unexplained_lengths(columns: FloatArray, least: float = 0.0) -> list[float]:
+    """Return the length of the part of each column that the columns before it do not explain (Gram-Schmidt), shape (m, n).
+
+    A column that is not longer than ``least`` explains nothing of those after it.
+    """
+    lengths: list[float] = []
+    basis = np.zeros((len(columns), 0))
+    for column in columns.T:
+        rest = column
         for _ in range(2):  # the second pass takes away what rounding left
             rest = rest - basis @ (basis.T @ rest)
-        length = float(np.linalg.norm(rest))
-        if length > WEAKEST_SIGHT and len(seen) < len(scaled):
-            seen.append(column)
-            basis = np.column_stack([basis, rest / length])
-    return seen
+        lengths.append(float(np.linalg.norm(rest)))
+        if lengths[-1] > least:
+            basis = np.column_stack([basis, rest / lengths[-1]])
+    return lengths
 
 
 def require_scale_and_bias(seen: Observability) -> None:
@@ -150,7 +155,7 @@ def require_scale_and_bias(seen: Observability) -> None:
     if missing:
         axes = " and ".join(missing)
         raise CalibrationError(
-            f"these positions cannot tell scale from bias of axis {axes} (less than {WEAKEST_SIGHT} of sight is left); "
+            f"these positions cannot tell scale from bias of axis {axes} (less than {WEAKEST_COLUMN} of sight is left); "
             f"add positions with {', '.join(f'+{axis} up and -{axis} up' for axis in missing)}",
             Reason.UNOBSERVABLE,
             axes=tuple(missing),

@@ -46,24 +46,16 @@ class Observations:
         return len(self.name)
 
     def __getitem__(self, rows: NDArray[np.bool_]) -> Observations:
-        return Observations(
-            name=tuple(name for name, kept in zip(self.name, rows, strict=True) if kept),
-            mean_raw=self.mean_raw[rows],
-            covariance_raw=self.covariance_raw[rows],
-            gyroscope_mean_raw=self.gyroscope_mean_raw[rows],
-            gyroscope_covariance_raw=self.gyroscope_covariance_raw[rows],
-            direction=self.direction[rows],
-            start_s=self.start_s[rows],
-            duration_s=self.duration_s[rows],
-            temperature_degc=self.temperature_degc[rows],
-            units=self.units,
-        )
+        name = tuple(name for name, kept in zip(self.name, rows, strict=True) if kept)
+        return Observations(name=name, units=self.units, **{array: getattr(self, array)[rows] for array in _ARRAYS})
+
+
+_ARRAYS = tuple(field.name for field in fields(Observations) if field.name not in ("name", "units"))
 
 
 def join_observations(first: Observations, second: Observations) -> Observations:
     """Return the rows of both, of the same units."""
-    arrays = [field.name for field in fields(Observations) if field.name not in ("name", "units")]
-    joined = {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in arrays}
+    joined = {array: np.concatenate([getattr(first, array), getattr(second, array)]) for array in _ARRAYS}
     return Observations(name=(*first.name, *second.name), units=first.units, **joined)
 
 

@@ -30,6 +30,9 @@ CARRYING_SHARE = 0.35
 """A position with this leverage that gives this share of a parameter's variance carries it: in the schemes with 24 positions
 they reach 0.76 and 0.33, in a real hand-held session that shows one direction once 0.88 and 0.42."""
 
+NORMAL_FACTOR_95 = 1.959964
+"""``student_factor`` for infinitely many degrees of freedom."""
+
 _NO_VARIANCE = 1e-12  # Of a correlation matrix: a direction with less is one that the gauge fixes, and rounding.
 _NEWTON_STEPS = 100  # At most; each comes nearer, from below.
 
@@ -181,14 +184,24 @@ def gravity_sensitivity(vector: FloatArray, gravity_m_s2: float) -> FloatArray:
     return sensitivity
 
 
-def student_factor_95(degrees_of_freedom: float, of: int = 1) -> float:
-    """Return the factor of a two-sided 95 % interval for the largest of some values (Bonferroni).
+def student_factor(degrees_of_freedom: float, of: int = 1, chance: float = 0.05) -> float:
+    """Return the factor from sigma to the limit that the largest of some values passes with a chance, 95 % by default.
 
-    It is 1.96 for one value and infinitely many degrees of freedom; NaN without any.
+    Two-sided, by Student's distribution, Bonferroni for ``of`` values. It is 1.96 for one value and infinitely many degrees of
+    freedom; NaN without any.
     """
     from scipy.special import stdtrit  # the module is slow to load, and only a finished fit needs it
 
-    return float(stdtrit(degrees_of_freedom, 1 - 0.025 / of)) if degrees_of_freedom > 0 else float("nan")
+    return float(stdtrit(degrees_of_freedom, 1 - chance / (2 * of))) if degrees_of_freedom > 0 else float("nan")
+
+
+def deviation_limits_95(sigma: FloatArray, freedom: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the 95 % limits of estimated standard deviations: chi squared with their degrees of freedom."""
+    from scipy.special import chdtri  # slow to load, as above
+
+    low = sigma * np.sqrt(freedom / chdtri(freedom, 0.025))
+    high = sigma * np.sqrt(freedom / chdtri(freedom, 0.975))
+    return np.asarray(low), np.asarray(high)
 
 
 def f_chance(value: float, numerator: int, denominator: int) -> float:

@@ -289,12 +289,3 @@ def degrees_of_freedom(deviation: AllanDeviation, column: int) -> FloatArray:
         for alpha, m in zip(power, deviation.factor, strict=True)
     ]
     return np.maximum(np.array(freedom, dtype=np.float64), 1.0)
-
-
-def interval_95(sigma: FloatArray, freedom: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the 95 % limits of a deviation: chi squared with its degrees of freedom."""
-    from scipy.special import chdtri  # slow to load
-
-    low = sigma * np.sqrt(freedom / chdtri(freedom, 0.025))
-    high = sigma * np.sqrt(freedom / chdtri(freedom, 0.975))
-    return np.asarray(low), np.asarray(high)

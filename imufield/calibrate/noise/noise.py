@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from imufield.calibrate.model.uncertainty import deviation_limits_95
 from imufield.calibrate.noise.allan import (
     BRIDGED_S,
     AllanDeviation,
@@ -19,7 +20,6 @@ from imufield.calibrate.noise.allan import (
     EvenGrid,
     EvenRows,
     degrees_of_freedom,
-    interval_95,
 )
 from imufield.calibrate.noise.noise_fit import NoiseFigure, NoiseModel, identify
 from imufield.errors import CalibrationError, Reason, RecordingError
@@ -118,14 +118,12 @@ class NoiseResult:
         return tuple(axis for axis in self.axes if axis.name.startswith(name))
 
     def values(self, triad: str, figure: str) -> FloatArray:
-        """Return "density", "instability" or "walk" of a triad, shape (3,); NaN where it was not seen."""
-        found = [getattr(axis, figure).value for axis in self.triad(triad)]
-        return np.array(found) if found else np.full(3, np.nan)
+        """Return "density", "instability" or "walk" of a triad, shape (3,); NaN where it was not observed."""
+        return np.array([getattr(axis, figure).value for axis in self.triad(triad)] or [np.nan] * 3)
 
     def upper_limits(self, triad: str, figure: str) -> FloatArray:
         """Return the upper 95 % limits, shape (3,)."""
-        found = [getattr(axis, figure).high for axis in self.triad(triad)]
-        return np.array(found) if found else np.full(3, np.nan)
+        return np.array([getattr(axis, figure).high for axis in self.triad(triad)] or [np.nan] * 3)
 
 
 class NoiseStream:
@@ -145,9 +143,9 @@ class NoiseStream:
         gyroscope_scale: FloatArray | float | None = None,
     ) -> None:
         self._units = units
-        known = (_scale(accelerometer_scale, units.accelerometer, "m/s"), _scale(gyroscope_scale, units.gyroscope, "rad"))
-        self.is_si = all(scale is not None for scale in known)
-        self._scale = np.concatenate([np.ones(3) if scale is None else scale for scale in known])
+        given = ((accelerometer_scale, units.accelerometer, "m/s"), (gyroscope_scale, units.gyroscope, "rad"))
+        self.is_si = all(scale is not None or unit.startswith(si) for scale, unit, si in given)
+        self._scale = np.concatenate([np.broadcast_to(1.0 if scale is None else scale, 3) for scale, _, _ in given])
         self._grid: EvenGrid | None = None
         self._columns = 6
         self._best: _Stretch | None = None
@@ -191,10 +189,36 @@ class NoiseStream:
                 Reason.TOO_FEW,
                 longest_s=longest,
             )
-        return _result(best, self._units, self.is_si, tuple(self._splits))
+        allan = best.stream.finish()
+        triads = ("accelerometer", "gyroscope")[: best.stream.columns // 3]
+        units = self._units
+        outputs = {
+            "accelerometer": ("m/s^2", units.accelerometer, units.accelerometer_is_increment),
+            "gyroscope": ("rad/s", units.gyroscope, units.gyroscope_is_increment),
+        }
+        axes: list[AxisNoise] = []
+        for triad in triads:
+            si, raw, is_increment = outputs[triad]
+            unit = si if self.is_si else f"{raw}/s" if is_increment else raw
+            axes += [_axis(f"{triad} {axis}", len(axes) + k, best, allan, unit=unit) for k, axis in enumerate(AXES)]
+        sentences = [f"{why}; the longest stretch without that is used" for why in self._splits[:_SPLITS_NAMED]]
+        if len(self._splits) > _SPLITS_NAMED:
+            sentences.append(f"and {len(self._splits) - _SPLITS_NAMED} more disturbances")
+        if best.bridged:
+            sentences.append(f"{best.bridged} lost samples were bridged by a straight line")
+        return NoiseResult(
+            axes=tuple(axes),
+            start_s=best.start_s,
+            duration_s=best.duration_s,
+            rate_hz=1 / best.interval_s,
+            samples=best.stream.samples,
+            bridged=best.bridged,
+            is_si=self.is_si,
+            sentences=tuple(sentences),
+        )
 
     def _take(self, run: EvenRows, interval_s: float) -> None:
-        """Take even rows: whole seconds are judged and go on, the rest waits."""
+        """Take even rows: whole seconds go into the stretch, which ends where the unit was moved; the rest waits."""
         if run.broken:
             self._end_run()
             self._splits.append(f"samples are missing for more than {BRIDGED_S:g} s before {run.start_s:.1f} s")
@@ -206,17 +230,10 @@ class NoiseStream:
             return
         joined = np.concatenate(self._waiting)
         whole = len(joined) // second * second
-        self._judge(joined[:whole].reshape(-1, second, self._columns), interval_s)
-        if self._now is not None:
-            self._now.bridged += run.bridged
-        self._waiting = [joined[whole:]]
-        self._waiting_s += whole * interval_s
-
-    def _judge(self, seconds: FloatArray, interval_s: float) -> None:
-        """Feed seconds, shape (n, rows, c), and cut where the unit was moved."""
+        seconds = joined[:whole].reshape(-1, second, self._columns)
         begin = 0
         for k, mean in enumerate(seconds[:, :, :3].mean(axis=1)):
-            at_s = self._waiting_s + k * seconds.shape[1] * interval_s
+            at_s = self._waiting_s + k * second * interval_s
             if self._now is not None and self._now.is_moved(mean):
                 self._now.feed(seconds[begin:k].reshape(-1, self._columns))
                 self._splits.append(f"the unit was moved at {at_s:.0f} s")
@@ -227,6 +244,9 @@ class NoiseStream:
             self._now.follow(mean)
         if self._now is not None:
             self._now.feed(seconds[begin:].reshape(-1, self._columns))
+            self._now.bridged += run.bridged
+        self._waiting = [joined[whole:]]
+        self._waiting_s += whole * interval_s
 
     def _end_run(self) -> None:
         """End the stretch; the second that was not full is given up."""
@@ -305,48 +325,9 @@ def measure_noise(
     return stream.finish()
 
 
-def _scale(given: FloatArray | float | None, unit: str, si: str) -> FloatArray | None:
-    if given is not None:
-        return np.broadcast_to(np.asarray(given, dtype=np.float64), (3,))
-    return np.ones(3) if unit.startswith(si) else None
-
-
-def _result(best: _Stretch, units: SampleUnits, is_si: bool, splits: tuple[str, ...]) -> NoiseResult:
-    allan = best.stream.finish()
-    names = [f"{triad} {axis}" for triad in ("accelerometer", "gyroscope") for axis in AXES][: best.stream.columns]
-    axes = tuple(_axis(name, column, best, allan, unit=_unit(column, units, is_si)) for column, name in enumerate(names))
-    sentences = tuple(f"{why}; the longest stretch without that is used" for why in splits[:_SPLITS_NAMED])
-    if len(splits) > _SPLITS_NAMED:
-        sentences += (f"and {len(splits) - _SPLITS_NAMED} more disturbances",)
-    if best.bridged:
-        sentences += (f"{best.bridged} lost samples were bridged by a straight line",)
-    return NoiseResult(
-        axes=axes,
-        start_s=best.start_s,
-        duration_s=best.duration_s,
-        rate_hz=1 / best.interval_s,
-        samples=best.stream.samples,
-        bridged=best.bridged,
-        is_si=is_si,
-        sentences=sentences,
-    )
-
-
-def _unit(column: int, units: SampleUnits, is_si: bool) -> str:
-    triad = "accelerometer" if column < len(AXES) else "gyroscope"
-    if is_si:
-        return {"accelerometer": "m/s^2", "gyroscope": "rad/s"}[triad]
-    name, increment = (
-        (units.accelerometer, units.accelerometer_is_increment)
-        if triad == "accelerometer"
-        else (units.gyroscope, units.gyroscope_is_increment)
-    )
-    return f"{name}/s" if increment else name
-
-
 def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit: str) -> AxisNoise:
     deviation, freedom = allan.deviation[:, column], degrees_of_freedom(allan, column)
-    low, high = interval_95(deviation, freedom)
+    low, high = deviation_limits_95(deviation, freedom)
     step = float(best.step[column])
     sigma = math.sqrt(best.squares[column] / max(2 * (best.stream.samples - 1), 1))
     quantised = math.isfinite(step) and sigma < QUANTISED * step
@@ -356,7 +337,24 @@ def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit
         if quantised:
             limit = max(QUANTISED * step * math.sqrt(best.interval_s), model.density.high)
             model = replace(model, density=NoiseFigure(math.nan, 0.0, limit, False))
-    axis = AxisNoise(
+    sentences = []
+    if not math.isfinite(step):
+        sentences.append(f"{name} never changed: a dead axis, or noise far below one step of its output")
+    elif quantised:
+        sentences.append(
+            f"{name} is limited by quantisation (scatter {sigma:.3g}, one step {step:.3g} {unit}): "
+            "its white noise is an upper limit"
+        )
+    if model is None and math.isfinite(step):
+        sentences.append(f"{name} is too short to identify anything; record longer")
+    elif model is not None and math.isfinite(step):
+        for kind, figure, per in (("bias instability", model.instability, ""), ("random walk", model.walk, "/sqrt(s)")):
+            if not figure.seen:
+                sentences.append(
+                    f"{best.duration_s / _HOURS:.2g} h are too short to see the {kind} of {name}: below {figure.high:.3g} "
+                    f"{unit}{per}"
+                )
+    return AxisNoise(
         name=name,
         unit=unit,
         tau_s=allan.tau_s,
@@ -368,25 +366,5 @@ def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit
         sample_sigma=sigma,
         step=step,
         quantised=quantised,
+        sentences=tuple(sentences),
     )
-    return replace(axis, sentences=_sentences(axis, best.duration_s))
-
-
-def _sentences(axis: AxisNoise, duration_s: float) -> tuple[str, ...]:
-    if not np.isfinite(axis.step):
-        return (f"{axis.name} never changed: a dead axis, or noise far below one step of its output",)
-    sentences = []
-    if axis.quantised:
-        sentences.append(
-            f"{axis.name} is limited by quantisation (scatter {axis.sample_sigma:.3g}, one step {axis.step:.3g} {axis.unit}): "
-            "its white noise is an upper limit"
-        )
-    if axis.model is None:
-        return (*sentences, f"{axis.name} is too short to identify anything; record longer")
-    for name, figure, unit in (("bias instability", axis.instability, ""), ("random walk", axis.walk, "/sqrt(s)")):
-        if not figure.seen:
-            sentences.append(
-                f"{duration_s / _HOURS:.2g} h are too short to see the {name} of {axis.name}: below {figure.high:.3g} "
-                f"{axis.unit}{unit}"
-            )
-    return tuple(sentences)

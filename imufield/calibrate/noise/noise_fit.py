@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.calibrate.model.uncertainty import NORMAL_FACTOR_95
 from imufield.samples import FloatArray
 
 FLICKER = 2 * math.log(2) / math.pi
@@ -39,7 +40,6 @@ SEEN_SIGMAS = 2.0
 _WIDER = 1.4
 _FALLING = -0.4  # Slope of the deviation on logarithmic axes: white noise has -0.5.
 _PASSES = 6  # Of weighting by the model that the pass before found.
-_CONFIDENCE_95 = 1.959964  # Normal quantile, both sides.
 _TERMS = 5
 _Q, _N, _B, _K, _R = range(_TERMS)
 
@@ -150,7 +150,7 @@ def _sigma(A: FloatArray, squares: FloatArray) -> FloatArray:
 
 
 def _figure(square: float, sigma: float) -> NoiseFigure:
-    low, high = max(square - _CONFIDENCE_95 * sigma, 0.0), square + _CONFIDENCE_95 * sigma
+    low, high = max(square - NORMAL_FACTOR_95 * sigma, 0.0), square + NORMAL_FACTOR_95 * sigma
     if square < SEEN_SIGMAS * sigma:
         return NoiseFigure(math.nan, 0.0, math.sqrt(high), False)
     return NoiseFigure(math.sqrt(square), math.sqrt(low), math.sqrt(high), True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 import io
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -32,39 +32,25 @@ def noise_text(result: NoiseResult, form: NoiseFormat, *, topic: str = "/imu0", 
             "the noise is known in raw units or for one triad only; solve a calibration first, so that the scale is known",
             Reason.UNITS,
         )
-    if form == "vins":
-        return _vins(result, STANDARD_GRAVITY_M_S2 if gravity_m_s2 is None else gravity_m_s2)
+    source = f"# {result.source}; largest axis of each triad"
     if form == "ros2":
         return _covariances(result)
-    lines = [
-        f"# {result.source}; largest axis of each triad",
-        *(["imu0:"] if form == "openvins" else []),
-        *_lines(result, "  " if form == "openvins" else ""),
-    ]
+    if form == "vins":
+        names = ("acc_n", "gyr_n", "acc_w", "gyr_w")
+        pairs = [(triad, figure) for figure in ("density", "walk") for triad in ("accelerometer", "gyroscope")]
+        lines = [f"{name}: {_largest(result, *pair)} SI" for name, pair in zip(names, pairs, strict=True)]
+        gravity = STANDARD_GRAVITY_M_S2 if gravity_m_s2 is None else gravity_m_s2
+        return "\n".join([source, *lines, f"g_norm: {gravity:.6f}"]) + "\n"
     indent = "  " if form == "openvins" else ""
-    return "\n".join([*lines, f"{indent}rostopic: {topic}", f"{indent}update_rate: {result.rate_hz:.6g}"]) + "\n"
-
-
-def _lines(result: NoiseResult, indent: str) -> list[str]:
-    names = (
-        ("accelerometer_noise_density", "accelerometer", "density", "m/s^2/sqrt(Hz)"),
-        ("accelerometer_random_walk", "accelerometer", "walk", "m/s^3/sqrt(Hz)"),
-        ("gyroscope_noise_density", "gyroscope", "density", "rad/s/sqrt(Hz)"),
-        ("gyroscope_random_walk", "gyroscope", "walk", "rad/s^2/sqrt(Hz)"),
+    figures = (
+        ("accelerometer", "noise_density", "density", "m/s^2/sqrt(Hz)"),
+        ("accelerometer", "random_walk", "walk", "m/s^3/sqrt(Hz)"),
+        ("gyroscope", "noise_density", "density", "rad/s/sqrt(Hz)"),
+        ("gyroscope", "random_walk", "walk", "rad/s^2/sqrt(Hz)"),
     )
-    return [f"{indent}{name}: {_largest(result, triad, figure)} {unit}" for name, triad, figure, unit in names]
-
-
-def _vins(result: NoiseResult, gravity_m_s2: float) -> str:
-    names = (
-        ("acc_n", "accelerometer", "density"),
-        ("gyr_n", "gyroscope", "density"),
-        ("acc_w", "accelerometer", "walk"),
-        ("gyr_w", "gyroscope", "walk"),
-    )
-    lines = [f"# {result.source}; largest axis of each triad"]
-    lines += [f"{name}: {_largest(result, triad, figure)} SI" for name, triad, figure in names]
-    return "\n".join([*lines, f"g_norm: {gravity_m_s2:.6f}"]) + "\n"
+    lines = [f"{indent}{triad}_{name}: {_largest(result, triad, figure)} {unit}" for triad, name, figure, unit in figures]
+    top = [source, "imu0:"] if form == "openvins" else [source]
+    return "\n".join([*top, *lines, f"{indent}rostopic: {topic}", f"{indent}update_rate: {result.rate_hz:.6g}"]) + "\n"
 
 
 def _covariances(result: NoiseResult) -> str:
@@ -106,7 +92,12 @@ def draw_plot(result: NoiseResult, kind: str) -> bytes:
     UsageError
         If matplotlib is not installed, or does not write such files.
     """
-    figure = _figure_class()(figsize=(9.0, 4.5), layout="constrained")
+    try:
+        figure = importlib.import_module("matplotlib.figure").Figure(figsize=(9.0, 4.5), layout="constrained")
+    except ImportError as error:
+        raise UsageError(
+            "a plot needs the package matplotlib; install it with `pip install 'imufield[report]'`", Reason.MISSING_PACKAGE
+        ) from error
     for place, triad in enumerate(("accelerometer", "gyroscope")):
         axes = figure.add_subplot(1, 2, place + 1)
         for axis in result.triad(triad):
@@ -127,12 +118,3 @@ def draw_plot(result: NoiseResult, kind: str) -> bytes:
     picture = io.BytesIO()
     figure.savefig(picture, format=kind, dpi=150)
     return picture.getvalue()
-
-
-def _figure_class() -> Any:
-    try:
-        return importlib.import_module("matplotlib.figure").Figure
-    except ImportError as error:
-        raise UsageError(
-            "a plot needs the package matplotlib; install it with `pip install 'imufield[report]'`", Reason.MISSING_PACKAGE
-        ) from error

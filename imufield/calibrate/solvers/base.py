@@ -7,7 +7,7 @@ parameters, positions or gauges. Not converging is a status of the result, not a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Protocol
 
@@ -73,6 +73,11 @@ class SolverResult:
     def converged(self) -> bool:
         """Whether the result may be believed."""
         return self.status is SolverStatus.CONVERGED
+
+    def as_polish_of(self, found: SolverResult) -> SolverResult:
+        """Return this result of least squares as the last step of a method that found where it started."""
+        message = f"{found.message}; polished by least squares: {self.message}"
+        return replace(self, message=message, evaluations=found.evaluations + self.evaluations)
 
 
 class Solver(Protocol):

@@ -17,12 +17,13 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
-from imufield.calibrate.solvers.population import Record, check_finite_bounds
+from imufield.calibrate.solvers.base import Callback, Problem, SolverResult
+from imufield.calibrate.solvers.population import Record, check_finite_bounds, population_ending, relative_spread
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
 
@@ -52,57 +53,13 @@ class DeSettings:
     """The same, at which it stops before ``EG`` ("falls within preset convergence interval", section 3.1)."""
 
 
-def solve_de_rand_1(
-    problem: Problem,
-    *,
-    rng: np.random.Generator | None = None,
-    callback: Callback | None = None,
-    settings: DeSettings | None = None,
-) -> SolverResult:
-    """Minimise with DE/rand/1 (eq. 11)."""
-    return evolve(problem, "rand", rng, callback, settings=settings or DeSettings())
-
-
-def solve_de_current_to_best_1(
-    problem: Problem,
-    *,
-    rng: np.random.Generator | None = None,
-    callback: Callback | None = None,
-    settings: DeSettings | None = None,
-) -> SolverResult:
-    """Minimise with DE/current-to-best/1 (eq. 14)."""
-    return evolve(problem, "current-to-best", rng, callback, settings=settings or DeSettings())
-
-
-def solve_de_combined(
-    problem: Problem,
-    *,
-    rng: np.random.Generator | None = None,
-    callback: Callback | None = None,
-    settings: DeSettings | None = None,
-) -> SolverResult:
-    """Minimise with the weighted combination of the two (eq. 15, 16)."""
-    return evolve(problem, "combined", rng, callback, settings=settings or DeSettings())
-
-
-def solve_ide(
-    problem: Problem,
-    *,
-    rng: np.random.Generator | None = None,
-    callback: Callback | None = None,
-    settings: DeSettings | None = None,
-) -> SolverResult:
-    """Minimise with IDE: the combination with an adaptive mutation factor (eq. 17, 18)."""
-    return evolve(problem, "adaptive", rng, callback, settings=settings or DeSettings())
-
-
 def evolve(
     problem: Problem,
-    strategy: Strategy,
-    rng: np.random.Generator | None,
-    callback: Callback | None,
     *,
-    settings: DeSettings,
+    strategy: Strategy,
+    rng: np.random.Generator | None = None,
+    callback: Callback | None = None,
+    settings: DeSettings | None = None,
 ) -> SolverResult:
     """Minimise within the problem's bounds by one of the four strategies.
 
@@ -114,6 +71,7 @@ def evolve(
         If the population is too small.
     """
     check_finite_bounds(problem)
+    settings = settings or DeSettings()
     if settings.NP < _FEWEST:
         raise UsageError(f"NP = {settings.NP} is too small a population; a mutant takes {_FEWEST} members", Reason.USAGE)
     rng = rng or np.random.default_rng(0)
@@ -121,21 +79,35 @@ def evolve(
     record = Record(problem, callback)
     members = lower + rng.random((settings.NP, len(lower))) * (upper - lower)  # eq. 9
     costs = record.cost(members)
-    _offer_best(record, members, costs)
+    record.offer_best(members, costs)
     for t in range(settings.EG):
         best = members[int(np.argmin(costs))]
         mutants = _mutants(strategy, members, best, _Weights.at(t, costs, strategy, settings), rng=rng)
-        crossed = np.where(rng.random(members.shape) < settings.CR, mutants, members)  # eq. 12
-        trials = _redraw(crossed, lower, upper, rng)
+        trials = np.where(rng.random(members.shape) < settings.CR, mutants, members)  # eq. 12
+        # Entries outside the bounds are drawn anew within them; the paper does not say what becomes of them.
+        outside = (trials < lower) | (trials > upper)
+        if outside.any():
+            trials[outside] = (lower + rng.random(trials.shape) * (upper - lower))[outside]
         trial_costs = record.cost(trials)
         wins = trial_costs < costs  # eq. 13
         members[wins], costs[wins] = trials[wins], trial_costs[wins]
-        _offer_best(record, members, costs)
+        record.offer_best(members, costs)
         if record.end_of_iteration():
             return record.stopped()
-        if _spread(costs) <= settings.interval:
+        if relative_spread(costs) <= settings.interval:
             break
-    return record.result(*_ending(_spread(costs), settings), upper - lower, rng)
+    ending = population_ending(relative_spread(costs), settings.tolerance, settings.EG)
+    return record.result(*ending, upper - lower, rng)
+
+
+solve_de_rand_1 = partial(evolve, strategy="rand")
+"""DE/rand/1 (eq. 11)."""
+solve_de_current_to_best_1 = partial(evolve, strategy="current-to-best")
+"""DE/current-to-best/1 (eq. 14)."""
+solve_de_combined = partial(evolve, strategy="combined")
+"""The weighted combination of the two (eq. 15, 16)."""
+solve_ide = partial(evolve, strategy="adaptive")
+"""IDE: the combination with an adaptive mutation factor (eq. 17, 18)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,38 +148,9 @@ def _mutants(
 def _three_distinct(size: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return three indices for each member, all distinct, uniformly from the population."""
     draw = (rng.random((3, size)) * np.array([[size], [size - 1], [size - 2]])).astype(np.intp)
+    # The second and third skip the places that are already taken.
     x = draw[0]
     y = draw[1] + (draw[1] >= x)
     z = draw[2] + (draw[2] >= np.minimum(x, y))
     z += z >= np.maximum(x, y)
     return x, y, z
-
-
-def _redraw(trials: FloatArray, lower: FloatArray, upper: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return trials whose entries outside the bounds are drawn anew within them."""
-    outside = (trials < lower) | (trials > upper)
-    if outside.any():
-        trials[outside] = (lower + rng.random(trials.shape) * (upper - lower))[outside]
-    return trials
-
-
-def _offer_best(record: Record, members: FloatArray, costs: FloatArray) -> None:
-    best = int(np.argmin(costs))
-    record.offer(members[best], float(costs[best]))
-
-
-def _spread(costs: FloatArray) -> float:
-    """Return the spread of the costs relative to the lowest; 0 where all are 0, inf where some are infinite."""
-    lowest, highest = float(costs.min()), float(costs.max())
-    if highest == lowest:
-        return 0.0 if np.isfinite(highest) else np.inf
-    return (highest - lowest) / lowest if lowest > 0 else np.inf
-
-
-def _ending(spread: float, settings: DeSettings) -> tuple[SolverStatus, str]:
-    if spread <= settings.tolerance:
-        return SolverStatus.CONVERGED, f"the costs of the population agree to {spread:.1e}"
-    return (
-        SolverStatus.ITERATION_LIMIT,
-        f"not converged within {settings.EG} generations: the costs still spread by {spread:.1e} of the lowest",
-    )

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from types import ModuleType
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
-from imufield.calibrate.solvers.population import Record, check_finite_bounds
+from imufield.calibrate.solvers.base import Callback, Problem, SolverResult
+from imufield.calibrate.solvers.population import Record, check_finite_bounds, population_ending
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
-
-if TYPE_CHECKING:
-    from types import ModuleType
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,35 +25,7 @@ class LibrarySettings:
     """Relative spread of the population's costs at which it counts as converged."""
 
 
-def solve_ga(
-    problem: Problem,
-    *,
-    rng: np.random.Generator | None = None,
-    callback: Callback | None = None,
-    settings: LibrarySettings | None = None,
-) -> SolverResult:
-    """Minimise with pymoo's genetic algorithm (simulated binary crossover, polynomial mutation)."""
-    settings = settings or LibrarySettings()
-    algorithm = _pymoo("pymoo.algorithms.soo.nonconvex.ga").GA(pop_size=settings.population)
-    return _run(algorithm, problem, rng, callback, settings=settings)
-
-
-def solve_pso(
-    problem: Problem,
-    *,
-    rng: np.random.Generator | None = None,
-    callback: Callback | None = None,
-    settings: LibrarySettings | None = None,
-) -> SolverResult:
-    """Minimise with pymoo's particle swarm (adaptive weights)."""
-    settings = settings or LibrarySettings()
-    algorithm = _pymoo("pymoo.algorithms.soo.nonconvex.pso").PSO(pop_size=settings.population)
-    return _run(algorithm, problem, rng, callback, settings=settings)
-
-
 def _pymoo(module: str) -> ModuleType:
-    import importlib
-
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
@@ -65,9 +36,17 @@ def _pymoo(module: str) -> ModuleType:
         ) from error
 
 
-def _run(
-    algorithm: Any, problem: Problem, rng: np.random.Generator | None, callback: Callback | None, *, settings: LibrarySettings
+def solve_with_pymoo(
+    problem: Problem,
+    *,
+    name: str,
+    rng: np.random.Generator | None = None,
+    callback: Callback | None = None,
+    settings: LibrarySettings | None = None,
 ) -> SolverResult:
+    """Minimise with a class of pymoo's single-objective algorithms."""
+    settings = settings or LibrarySettings()
+    algorithm = getattr(_pymoo(f"pymoo.algorithms.soo.nonconvex.{name.lower()}"), name)(pop_size=settings.population)
     check_finite_bounds(problem)
     rng = rng or np.random.default_rng(0)
     record = Record(problem, callback)
@@ -75,8 +54,8 @@ def _run(
 
     def evaluate(x: FloatArray, out: dict[str, FloatArray]) -> None:
         costs = record.cost(x)
-        best = int(np.argmin(costs))
-        record.offer(x[best], float(costs[best]))
+        record.offer_best(x, costs)
+        # pymoo takes no infinite cost.
         out["F"] = np.where(np.isfinite(costs), costs, np.finfo(float).max)[:, None]
 
     base = _pymoo("pymoo.core.problem").Problem
@@ -93,7 +72,10 @@ def _run(
             return record.stopped()
     costs = np.asarray(algorithm.pop.get("F"), dtype=np.float64).ravel()
     spread = float((costs.max() - costs.min()) / costs.min()) if costs.min() > 0 else float("inf")
-    if spread <= settings.tolerance:
-        return record.result(SolverStatus.CONVERGED, f"the costs of the population agree to {spread:.1e}", upper - lower, rng)
-    message = f"not converged within {settings.generations} generations: the costs still spread by {spread:.1e} of the lowest"
-    return record.result(SolverStatus.ITERATION_LIMIT, message, upper - lower, rng)
+    return record.result(*population_ending(spread, settings.tolerance, settings.generations), upper - lower, rng)
+
+
+solve_ga = partial(solve_with_pymoo, name="GA")
+"""pymoo's genetic algorithm (simulated binary crossover, polynomial mutation)."""
+solve_pso = partial(solve_with_pymoo, name="PSO")
+"""pymoo's particle swarm (adaptive weights)."""

@@ -48,6 +48,11 @@ class Record:
         if cost < self.best_cost:
             self.best_cost, self.best = cost, candidate.copy()
 
+    def offer_best(self, members: FloatArray, costs: FloatArray) -> None:
+        """Keep the best of a population if it is the best ever."""
+        best = int(np.argmin(costs))
+        self.offer(members[best], float(costs[best]))
+
     def end_of_iteration(self) -> bool:
         """Write the history; whether the callback asks to stop."""
         self.history.append(self.best_cost)
@@ -89,6 +94,24 @@ class Record:
             evaluations=self.evaluations,
             history=np.array(self.history),
         )
+
+
+def relative_spread(costs: FloatArray) -> float:
+    """Return the spread of a population's costs relative to the lowest; 0 where all are 0, inf where some are infinite."""
+    lowest, highest = float(costs.min()), float(costs.max())
+    if highest == lowest:
+        return 0.0 if np.isfinite(highest) else np.inf
+    return (highest - lowest) / lowest if lowest > 0 else np.inf
+
+
+def population_ending(spread: float, tolerance: float, generations: int) -> tuple[SolverStatus, str]:
+    """Return how a population ended whose costs have this relative spread."""
+    if spread <= tolerance:
+        return SolverStatus.CONVERGED, f"the costs of the population agree to {spread:.1e}"
+    return (
+        SolverStatus.ITERATION_LIMIT,
+        f"not converged within {generations} generations: the costs still spread by {spread:.1e} of the lowest",
+    )
 
 
 def lowest_nearby(problem: Problem, x: FloatArray, reach: float | FloatArray, rng: np.random.Generator) -> SolverResult:

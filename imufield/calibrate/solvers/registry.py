@@ -26,65 +26,25 @@ class Method:
 
 
 _PACKAGE = "imufield.calibrate.solvers"
-_ALL = (
-    Method(
-        name="least-squares",
-        title="Levenberg-Marquardt, weighted",
-        module="least_squares",
-        function="solve_least_squares",
-        cost_name="weighted",
-    ),
-    Method(
-        name="bsas",
-        title="beetle swarm, all parameters at once in whitened coordinates",
-        module="beetles",
-        function="solve_bsas",
-        cost_name="absolute",
-    ),
-    Method(
-        name="bsas-staged",
-        title="beetle swarm, four categories in turn, as printed",
-        module="staged",
-        function="solve_bsas_staged",
-        cost_name="absolute",
-    ),
-    Method(name="bas", title="one beetle", module="beetles", function="solve_bas", cost_name="absolute"),
-    Method(
-        name="ide",
-        title="differential evolution, combined strategy with adaptive factor",
-        module="evolution",
-        function="solve_ide",
-        cost_name="squares",
-    ),
-    Method(
-        name="de-combined",
-        title="differential evolution, combined strategy",
-        module="evolution",
-        function="solve_de_combined",
-        cost_name="squares",
-    ),
-    Method(
-        name="de-rand-1",
-        title="differential evolution, rand/1",
-        module="evolution",
-        function="solve_de_rand_1",
-        cost_name="squares",
-    ),
-    Method(
-        name="de-current-to-best-1",
-        title="differential evolution, current-to-best/1",
-        module="evolution",
-        function="solve_de_current_to_best_1",
-        cost_name="squares",
-    ),
-    Method(
-        name="ga", title="genetic algorithm (pymoo, for comparison)", module="library", function="solve_ga", cost_name="squares"
-    ),
-    Method(
-        name="pso", title="particle swarm (pymoo, for comparison)", module="library", function="solve_pso", cost_name="squares"
-    ),
+# Name, title, module, function and cost of each method.
+_TABLE: tuple[tuple[str, str, str, str, CostName], ...] = (
+    ("least-squares", "Levenberg-Marquardt, weighted", "least_squares", "solve_least_squares", "weighted"),
+    ("bsas", "beetle swarm, all parameters at once in whitened coordinates", "beetles", "solve_bsas", "absolute"),
+    ("bsas-staged", "beetle swarm, four categories in turn, as printed", "staged", "solve_bsas_staged", "absolute"),
+    ("bas", "one beetle", "beetles", "solve_bas", "absolute"),
+    ("ide", "differential evolution, combined strategy with adaptive factor", "evolution", "solve_ide", "squares"),
+    ("de-combined", "differential evolution, combined strategy", "evolution", "solve_de_combined", "squares"),
+    ("de-rand-1", "differential evolution, rand/1", "evolution", "solve_de_rand_1", "squares"),
+    ("de-current-to-best-1", "differential evolution, current-to-best/1", "evolution", "solve_de_current_to_best_1", "squares"),
+    ("ga", "genetic algorithm (pymoo, for comparison)", "library", "solve_ga", "squares"),
+    ("pso", "particle swarm (pymoo, for comparison)", "library", "solve_pso", "squares"),
 )
-METHODS: Mapping[str, Method] = MappingProxyType({method.name: method for method in _ALL})
+METHODS: Mapping[str, Method] = MappingProxyType(
+    {
+        name: Method(name=name, title=title, module=module, function=function, cost_name=cost_name)
+        for name, title, module, function, cost_name in _TABLE
+    }
+)
 
 
 def find_method(name: str) -> Method:

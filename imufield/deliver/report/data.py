@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imufield.calibrate.accelerometer.methods import problem_for, restart
-from imufield.calibrate.gyroscope.calibrate import GyroscopeInput, make_data
-from imufield.calibrate.gyroscope.model import VERTICAL, evaluate
+from imufield.calibrate.gyroscope.input import GyroscopeInput, make_data
 from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, SENSITIVITY
 from imufield.calibrate.gyroscope.moves import Moves
+from imufield.calibrate.gyroscope.residuals import VERTICAL, evaluate
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters
 from imufield.calibrate.solvers.registry import load_solver

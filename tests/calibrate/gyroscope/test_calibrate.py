@@ -10,10 +10,11 @@ import pytest
 from gyroscope_sessions import Session, Turn, collect_moves, fit_turns_only, record, rolled, simulate
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gyroscope.calibrate import GyroscopeInput, calibrate_gyroscope, make_data
-from imufield.calibrate.gyroscope.model import evaluate
+from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.gyroscope.input import GyroscopeInput, make_data
 from imufield.calibrate.gyroscope.move_integration import rough_inverse
 from imufield.calibrate.gyroscope.report import GYROSCOPE_NAMES, GyroscopeResult, MoveReport, forward, gain_words
+from imufield.calibrate.gyroscope.residuals import evaluate
 from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.gyroscope.whole_turns import Stop
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS

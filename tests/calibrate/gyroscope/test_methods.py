@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from gyroscope_sessions import Session, simulate
 
-from imufield.calibrate.gyroscope.calibrate import GyroscopeInput, calibrate_gyroscope
-from imufield.calibrate.gyroscope.methods import cross_check_gyroscope, searchable, solve_gyroscope_with
+from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.gyroscope.input import GyroscopeInput
+from imufield.calibrate.gyroscope.methods import cross_check_gyroscope, searched_fit, solve_gyroscope_with
 from imufield.calibrate.gyroscope.moves import cut_moves, no_slots
 from imufield.calibrate.gyroscope.report import GyroscopeResult
 from imufield.calibrate.gyroscope.turntable import TurntableRun
@@ -81,10 +82,10 @@ def test_a_polished_method_ends_where_the_fit_does(result: GyroscopeResult, meth
 
 def test_without_polish_the_swarm_keeps_the_minimum_of_its_own_cost(result: GyroscopeResult) -> None:
     found, solved = solve_gyroscope_with("bsas", result, rng=np.random.default_rng(0), polish=False)
-    again = searchable(result)
+    again = searched_fit(result)
     assert solved is not None
     assert again is not None
-    fitted = again.linearise(result.basis.fit.p[result.basis.fit.free])[0]
+    fitted = again.linearise(result.basis.chosen.fit.p[result.basis.chosen.fit.free])[0]
     assert solved.cost < np.abs(fitted).sum()
     assert solved.cost == pytest.approx(np.abs(again.linearise(solved.x)[0]).sum(), rel=1e-9)
     apart = np.abs(values(found) - values(result)) / np.where(sigmas(result) > 0, sigmas(result), np.inf)

@@ -9,7 +9,8 @@ import pytest
 from calibration_truth import GRAVITY, campaign, observe, paper24, random_parameters
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.gyroscope.static_bias import static_bias, with_gyroscope
+from imufield.calibrate.gyroscope.report import static_bias_result
+from imufield.calibrate.gyroscope.static import static_bias
 from imufield.earth import EARTH_RATE_RAD_S, Gravity
 from imufield.errors import CalibrationError
 from imufield.samples import FloatArray
@@ -77,9 +78,10 @@ def test_bias_joins_the_covariance_before_gravity() -> None:
         campaign(random_parameters(rng), rng), Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=1e-4, source="typed")
     )
     gyroscope = static_bias(observe(paper24(), gyroscope=still_gyroscope(rng, 45.0, noise=1.0)), SCALE)
-    joined = with_gyroscope(calibration, gyroscope)
+    result = static_bias_result(gyroscope, ())
+    joined = result.join(calibration)
     assert joined.covariance_names[-4:] == ("gyroscope.bias.x", "gyroscope.bias.y", "gyroscope.bias.z", "gravity_m_s2")
     assert np.diag(joined.covariance)[-4:-1] == pytest.approx(gyroscope.sigma.bias**2)
     assert joined.covariance[0, -1] == calibration.covariance[0, -1]
     assert joined.gyroscope is gyroscope
-    assert with_gyroscope(joined, gyroscope).covariance_names == joined.covariance_names
+    assert result.join(joined).covariance_names == joined.covariance_names

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imufield.calibrate.gyroscope.static_norm import (
+from imufield.calibrate.gyroscope.static import (
     StaticData,
     fit_static,
     latitude_words,

@@ -18,7 +18,7 @@ from imufield.calibrate.model.uncertainty import (
     influence,
     jackknife_sigma,
     known_covariance,
-    student_factor_95,
+    student_factor,
     told_apart,
     within_variance,
 )
@@ -130,8 +130,8 @@ def test_a_covariance_that_is_not_known_is_left_as_it_is() -> None:
 
 
 def test_quantiles_against_tables() -> None:
-    assert student_factor_95(12) == pytest.approx(2.179, abs=5e-4)
-    assert np.isnan(student_factor_95(0))
+    assert student_factor(12) == pytest.approx(2.179, abs=5e-4)
+    assert np.isnan(student_factor(0))
     assert f_limit_95(3, 12) == pytest.approx(3.49, abs=5e-3)
     assert f_limit_95(3, 0) == np.inf
 

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imufield.calibrate.model.uncertainty import deviation_limits_95
 from imufield.calibrate.noise import allan
-from imufield.calibrate.noise.allan import AllanStream, EvenGrid, degrees_of_freedom, interval_95, load_allantools
+from imufield.calibrate.noise.allan import AllanStream, EvenGrid, degrees_of_freedom, load_allantools
 from imufield.calibrate.noise.noise import NoiseStream, measure_noise
 from imufield.calibrate.noise.noise_fit import FLICKER, identify, terms
 from imufield.calibrate.noise.noise_texts import draw_plot, noise_text
@@ -93,7 +94,7 @@ def test_limits_of_the_deviation() -> None:
     stream.feed(np.random.default_rng(0).standard_normal((4096, 1)))
     found = stream.finish()
     freedom = degrees_of_freedom(found, 0)
-    low, high = interval_95(found.deviation[:, 0], freedom)
+    low, high = deviation_limits_95(found.deviation[:, 0], freedom)
     white = 1 / np.sqrt(found.tau_s)
     assert np.mean((low < white) & (white < high)) > 0.8
     assert np.all(np.diff(freedom) < 0)

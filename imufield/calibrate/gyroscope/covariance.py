@@ -26,8 +26,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.model import Evaluation, GyroscopeData
 from imufield.calibrate.gyroscope.move_integration import INVERSE, SENSITIVITY
+from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData
 from imufield.calibrate.model.models import norm_derivatives, recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration
@@ -75,36 +75,38 @@ def force_errors(observations: Observations, calibration: Calibration, rests: in
     parameters = calibration.accelerometer
     p, axes = to_vector(parameters), parameters.quadratic_axes
     raw = observations.mean_raw - parameters.raw_zero
-    by_noise = np.stack(
-        [_difference(p, raw, axes, raw_step=np.eye(3)[k] * _DIFFERENCE * np.abs(raw).max()) for k in range(3)], axis=2
-    )
+
+    def difference(change: FloatArray, shift: FloatArray) -> FloatArray:
+        size = float(np.abs(change).max() + np.abs(shift).max())
+        upper, lower = recover_vectors(p + change, raw + shift, axes), recover_vectors(p - change, raw - shift, axes)
+        return (upper - lower) / (2 * size)
+
+    raw_step = _DIFFERENCE * np.abs(raw).max()
+    by_noise = np.stack([difference(np.zeros(15), np.eye(3)[k] * raw_step) for k in range(3)], axis=2)
     steps = _DIFFERENCE * np.maximum(np.abs(p), [*np.abs(p[:3]), *[1.0] * 9, *np.abs(p[:3]) / 10])
-    by_parameters = np.stack([_difference(p, raw, axes, step=np.eye(15)[k] * steps[k]) for k in range(15)], axis=2)
+    by_parameters = np.stack([difference(np.eye(15)[k] * steps[k], np.zeros(3)) for k in range(15)], axis=2)
     covariance, by_gravity, with_gravity = _accelerometer_covariance(calibration)
     tau = calibration.quality.between_position_sigma_m_s2
-    within = np.nan_to_num(observations.covariance_raw)
-    noise = within + np.diag((tau * parameters.scale) ** 2)
-    gain, rest = _gain(p, raw, calibration, covariance - by_gravity, noise=noise, rests=rests)
+    noise = np.nan_to_num(observations.covariance_raw) + np.diag((tau * parameters.scale) ** 2)
+    # The gain of the accelerometer fit: weighted least squares moves its parameters by -C J^T v / s^2 for noise in a mean.
+    derivatives = norm_derivatives(p, raw, axes)
+    v = derivatives.raw_gradient
+    variance = np.einsum("mi,mij,mj->m", v, noise, v)
+    measured = len(raw) - rests
+    usable = (variance > 0) & (len(calibration.positions.used) == measured) & (np.arange(len(raw)) < measured)
+    weight = np.where(usable, 1 / np.where(variance > 0, variance, 1.0), 0.0)
+    gain = -(derivatives.jacobian * weight[:, None] @ (covariance - by_gravity))[:, :, None] * v[:, None, :]
+    # What the covariance holds beyond the noise of these means; rounding must not make it negative.
+    values, vectors = np.linalg.eigh(covariance - by_gravity - np.einsum("mij,mjk,mlk->il", gain, noise, gain))
+    beyond = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return ForceErrors(
         by_noise=by_noise,
         noise=noise,
         by_parameters=by_parameters,
         gain=gain,
-        rest=rest + by_gravity,
+        rest=beyond + by_gravity,
         with_gravity=with_gravity,
     )
-
-
-def _difference(
-    p: FloatArray, raw: FloatArray, axes: str, *, step: FloatArray | None = None, raw_step: FloatArray | None = None
-) -> FloatArray:
-    change = np.zeros(15) if step is None else step
-    shift = np.zeros(3) if raw_step is None else raw_step
-    size = float(np.abs(change).max() + np.abs(shift).max())
-    quadratic = "body" if axes == "body" else "sensing"
-    upper = recover_vectors(p + change, raw + shift, quadratic)  # type: ignore[arg-type]
-    lower = recover_vectors(p - change, raw - shift, quadratic)  # type: ignore[arg-type]
-    return (upper - lower) / (2 * size)
 
 
 def _accelerometer_covariance(calibration: Calibration) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -120,23 +122,6 @@ def _accelerometer_covariance(calibration: Calibration) -> tuple[FloatArray, Flo
         with_gravity[rows] = calibration.covariance[columns, g]
         by_gravity = np.outer(with_gravity, with_gravity) / calibration.covariance[g, g]
     return covariance, by_gravity, with_gravity
-
-
-def _gain(
-    p: FloatArray, raw: FloatArray, calibration: Calibration, covariance: FloatArray, *, noise: FloatArray, rests: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return the gain of the accelerometer fit, and what its covariance holds beyond the noise of these means."""
-    derivatives = norm_derivatives(p, raw, calibration.accelerometer.quadratic_axes)
-    v = derivatives.raw_gradient
-    variance = np.einsum("mi,mij,mj->m", v, noise, v)
-    measured = len(raw) - rests
-    usable = (variance > 0) & (len(calibration.positions.used) == measured) & (np.arange(len(raw)) < measured)
-    weight = np.where(usable, 1 / np.where(variance > 0, variance, 1.0), 0.0)
-    gain = -(derivatives.jacobian * weight[:, None] @ covariance)[:, :, None] * v[:, None, :]
-    explained = np.einsum("mij,mjk,mlk->il", gain, noise, gain)
-    values, vectors = np.linalg.eigh(covariance - explained)
-    rest: FloatArray = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return gain, rest
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +173,15 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData, erro
     to_tangent = -evaluation.tangent @ skew(evaluation.predicted)
     _add_blocks(fixed, to_tangent @ evaluation.turns.spread @ np.swapaxes(to_tangent, 1, 2), 0)
     _add_blocks(fixed, A @ data.rate_covariance @ A.T, 2 * m)
-    _add_stops_and_table(fixed, evaluation, data, to_tangent, A=A)
+    for place, k, sigma in zip(_stop_places(data), data.stops, data.stop_sigma_rad, strict=True):
+        # A stop shares the noise of its move.
+        to_stop = -data.up[data.after[k]]
+        shared = to_tangent[k] @ evaluation.turns.spread[k] @ to_stop
+        fixed[place, place] += to_stop @ evaluation.turns.spread[k] @ to_stop + sigma**2
+        fixed[place, 2 * k : 2 * k + 2] += shared
+        fixed[2 * k : 2 * k + 2, place] += shared
+    table = data.table
+    _add_blocks(fixed, A @ table.covariance_raw @ A.T + table.rate_covariance, rows - 3 * len(table))
     drift = _by_drift(evaluation, data, to_tangent)
     turn = np.zeros((rows, rows))
     turning = [*range(2 * m), *_stop_places(data)]
@@ -215,21 +208,6 @@ def _add_blocks(target: FloatArray, blocks: FloatArray, start: int) -> None:
 def _stop_places(data: GyroscopeData) -> list[int]:
     start = 2 * len(data.before) + 3 * len(data.force)
     return list(range(start, start + len(data.stops)))
-
-
-def _add_stops_and_table(
-    fixed: FloatArray, evaluation: Evaluation, data: GyroscopeData, to_tangent: FloatArray, *, A: FloatArray
-) -> None:
-    """Add the noise of stops, which share the noise of their move, and of the turntable."""
-    for place, k, sigma in zip(_stop_places(data), data.stops, data.stop_sigma_rad, strict=True):
-        to_stop = -data.up[data.after[k]]
-        shared = to_tangent[k] @ evaluation.turns.spread[k] @ to_stop
-        fixed[place, place] += to_stop @ evaluation.turns.spread[k] @ to_stop + sigma**2
-        fixed[place, 2 * k : 2 * k + 2] += shared
-        fixed[2 * k : 2 * k + 2, place] += shared
-    table = data.table
-    start = len(fixed) - 3 * len(table)
-    _add_blocks(fixed, A @ table.covariance_raw @ A.T + table.rate_covariance, start)
 
 
 def _by_force(evaluation: Evaluation, data: GyroscopeData, H: FloatArray) -> FloatArray:
@@ -275,14 +253,10 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     information = np.array([[np.sum(a * b.T) for b in products] for a in products])
     now = np.array(scatter.sizes) ** 2
     step = _bounded_step(now, score, information)
-    most = np.array([_MOST_SCATTER * float(np.max(residual**2)) / _least_share(V) for V in components])
+    # The least variance that a scatter of size one gives to a residual it touches at all; infinite where it touches none.
+    least = np.array([np.min(np.diag(V)[np.diag(V) > 0], initial=np.inf) for V in components])
+    most = _MOST_SCATTER * float(np.max(residual**2)) / least
     return Scatter(*(float(value) for value in np.sqrt(np.clip(now + step, 0.0, most))))
-
-
-def _least_share(component: FloatArray) -> float:
-    """Return the least variance that a scatter of size one gives to a residual it touches at all; infinite for none."""
-    diagonal = np.diag(component)
-    return float(np.min(diagonal[diagonal > 0], initial=np.inf))
 
 
 def _bounded_step(now: FloatArray, score: FloatArray, information: FloatArray) -> FloatArray:

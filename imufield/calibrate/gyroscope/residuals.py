@@ -1,4 +1,4 @@
-"""What stills and moves say about the gyroscope: residuals and their derivatives.
+"""Residuals of the gyroscope fit and their derivatives: what moves, stills, stops and turntable rates say.
 
 With ``u`` the direction of the specific force in the body frame (from the calibrated accelerometer), ``R`` the turn of a move
 from gyroscope integration (end frame to start frame, inertial), ``T`` its duration and ``w_e`` the Earth's rate in the body
@@ -27,41 +27,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY, CentredSlots, Turns, integrate
+from imufield.calibrate.gyroscope.turntable import TableRows, no_table
 from imufield.calibrate.model.rotation import cross, from_matrix, logarithm, matrix, rotation_matrix, skew
 from imufield.samples import FloatArray, IntArray
 
 VERTICAL = PARAMETERS
 FIRST_HORIZONTAL = PARAMETERS + 1
-
-
-@dataclass(frozen=True, slots=True)
-class TableRows:
-    """t pairs of turntable rates, ready for fitting.
-
-    Attributes
-    ----------
-    half_difference_raw : ndarray, shape (t, 3)
-        (N+ - N-) / 2.
-    covariance_raw : ndarray, shape (t, 3, 3)
-    rate_rad_s : ndarray, shape (t, 3)
-        Body rate in the positive run.
-    rate_covariance : ndarray, shape (t, 3, 3)
-        Of that rate, (rad/s)^2: speed of the table and direction of its axis.
-    """
-
-    half_difference_raw: FloatArray
-    covariance_raw: FloatArray
-    rate_rad_s: FloatArray
-    rate_covariance: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.rate_rad_s)
-
-
-def no_table() -> TableRows:
-    """Return zero pairs."""
-    vectors, matrices = np.empty((0, 3)), np.empty((0, 3, 3))
-    return TableRows(vectors, matrices, vectors, matrices)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,21 +135,32 @@ def evaluate(p: FloatArray, data: GyroscopeData) -> Evaluation:
     """Return residuals and derivatives at ``p``."""
     x, v = p[:PARAMETERS], p[VERTICAL]
     h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
+    A, b, H = x[INVERSE].reshape(3, 3), x[BIAS], x[SENSITIVITY].reshape(3, 3)
     turns = integrate(x, data.slots, data.noise_density_raw)
     up = data.up
     Q, carry = carry_azimuth(data, turns, v, h)
+    # move: u_after - R^T exp([w_e T]) u_before, at right angles to u_after
     predicted = (carry @ up[data.before][:, :, None])[:, :, 0]
     tangent = _tangent(up[data.after])
     residual_moves = (tangent @ (up[data.after] - predicted)[:, :, None])[:, :, 0]
+    # still: A n - b - H a - w_e
     earth = v * up + (Q @ h[data.chain][:, :, None])[:, :, 0]
-    A, H = x[INVERSE].reshape(3, 3), x[SENSITIVITY].reshape(3, 3)
-    residual_stills = data.rate_raw @ A.T - x[BIAS] - data.force @ H.T - earth
-    stops, stop_rows = _stop_rows(data, turns, carry)
-    table = data.table.half_difference_raw @ A.T - data.table.rate_rad_s
-    jacobian = np.vstack(
-        [_move_rows(data, turns, tangent, predicted, carry=carry, Q=Q), _still_rows(data, Q), stop_rows, _table_rows(data)]
-    )
-    residual = np.concatenate([residual_moves.ravel(), residual_stills.ravel(), stops, table.ravel()])
+    residual_stills = data.rate_raw @ A.T - b - data.force @ H.T - earth
+    # stop: log(R^T exp([w_e T])) . u_after
+    c = data.stops
+    stopped_up = up[data.after[c]]
+    residual_stops = np.sum(logarithm(from_matrix(carry[c])) * stopped_up, axis=1)
+    stop_rows = np.zeros((len(c), data.parameters))
+    stop_rows[:, :PARAMETERS] = -(stopped_up[:, None, :] @ turns.jacobian[c])[:, 0, :]
+    # table: A d - w u
+    difference = data.table.half_difference_raw
+    residual_table = difference @ A.T - data.table.rate_rad_s
+    table_rows = np.zeros((len(data.table), 3, data.parameters))
+    for axis in range(3):
+        table_rows[:, axis, 3 * axis : 3 * axis + 3] = difference
+    move_rows = _move_rows(data, turns, tangent, predicted, carry=carry, Q=Q)
+    jacobian = np.vstack([move_rows, _still_rows(data, Q), stop_rows, table_rows.reshape(-1, data.parameters)])
+    residual = np.concatenate([residual_moves.ravel(), residual_stills.ravel(), residual_stops, residual_table.ravel()])
     return Evaluation(
         residual=residual, jacobian=jacobian, turns=turns, tangent=tangent, predicted=predicted, carry=carry, stills=len(up)
     )
@@ -194,15 +176,12 @@ def carry_azimuth(data: GyroscopeData, turns: Turns, v: float, h: FloatArray) ->
     for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
         earth = v * up[i] + Q[i] @ h[data.chain[i]]
         carry[k] = back[k] @ rotation_matrix(earth * duration[k])
-        Q[j] = _level(carry[k] @ Q[i], up[j])
+        # The carried axes are made orthonormal again, and at right angles to up.
+        axis = (carry[k] @ Q[i])[:, 0]
+        first = axis - up[j] * (up[j] @ axis)
+        first /= np.linalg.norm(first)
+        Q[j] = np.stack([first, np.cross(up[j], first)], axis=1)
     return Q, carry
-
-
-def _level(axes: FloatArray, up: FloatArray) -> FloatArray:
-    """Return two axes (3, 2) made orthonormal and at right angles to up."""
-    first = axes[:, 0] - up * (up @ axes[:, 0])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(up, first)], axis=1)
 
 
 def _tangent(up: FloatArray) -> FloatArray:
@@ -241,21 +220,4 @@ def _still_rows(data: GyroscopeData, Q: FloatArray) -> FloatArray:
     for k in range(s):
         column = FIRST_HORIZONTAL + 2 * data.chain[k]
         rows[k, :, column : column + 2] = -Q[k]
-    return rows.reshape(-1, data.parameters)
-
-
-def _stop_rows(data: GyroscopeData, turns: Turns, carry: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return by how much turns about the vertical miss being whole, shape (c,), and the derivatives."""
-    k = data.stops
-    up = data.up[data.after[k]]
-    missed = np.sum(logarithm(from_matrix(carry[k])) * up, axis=1)
-    rows = np.zeros((len(k), data.parameters))
-    rows[:, :PARAMETERS] = -(up[:, None, :] @ turns.jacobian[k])[:, 0, :]
-    return missed, rows
-
-
-def _table_rows(data: GyroscopeData) -> FloatArray:
-    rows = np.zeros((len(data.table), 3, data.parameters))
-    for axis in range(3):
-        rows[:, axis, 3 * axis : 3 * axis + 3] = data.table.half_difference_raw
     return rows.reshape(-1, data.parameters)

@@ -1,5 +1,15 @@
-"""The static path of a gyroscope that sees the Earth turn: two numbers from every still position.
+"""The gyroscope from still positions alone: its bias, and, where it sees the Earth turn, all of its linear model.
 
+Bias as a mean
+--------------
+A still gyroscope feels the Earth's rate (7.292e-5 rad/s) alone. Of it the vertical part, ``rate sin(latitude)`` along "up", is
+known in the body frame where latitude and specific force are; it is taken off each position. The horizontal part has an
+unknown heading: in a body axis with the component ``u`` along up it has the variance ``(rate cos(latitude))^2 (1 - u^2) / 2``.
+Headings need not differ from position to position, so it is not averaged down. Without a latitude the whole rate
+counts as pointing anywhere: variance ``rate^2 / 3`` in each axis.
+
+Norm of the Earth's rate
+------------------------
 With ``w = A n - b`` (see ``move_integration``) and ``u`` the direction of the specific force, whatever the heading::
 
     norm         |w| - rate                            ([1]_ eq. 7, weighted)
@@ -7,7 +17,7 @@ With ``w = A n - b`` (see ``move_integration``) and ``u`` the direction of the s
 
 The norm alone leaves the frame of A free; the invariant ties it to the accelerometer's. Two readings of one still share its
 noise: their covariance is ``B C B^T`` with the rows of ``B`` the directions of w and u. Bias is known to 0.01 or 0.02 deg/h
-after 10 s a position at 0.003 deg/sqrt(h); scale only to some 1e-3, so it is held at the preset unless asked for.
+after 10 s a position at 0.003 deg/sqrt(h); scale only to some 1e-3, so it is left at the preset unless asked for.
 
 The invariant also checks the latitude: with it left free, ``sin(latitude) = v / rate``.
 
@@ -25,9 +35,89 @@ from typing import Literal
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.noise import Covariances, Scatter, next_scatter, random_walk
+from imufield.calibrate.gyroscope.covariance import Covariances, Scatter, next_scatter, random_walk
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import GyroscopeCalibration, GyroscopeParameters
 from imufield.earth import EARTH_RATE_RAD_S
-from imufield.samples import FloatArray
+from imufield.errors import CalibrationError, Reason
+from imufield.samples import AXES, FloatArray
+
+GYROSCOPE_BIAS_NAMES = tuple(f"gyroscope.bias.{axis}" for axis in AXES)
+"""Names of the static gyroscope parameters in the joint covariance, raw unit."""
+
+
+def static_bias(
+    observations: Observations,
+    scale: FloatArray | float | None,
+    *,
+    misalignment_rad: FloatArray | None = None,
+    up: FloatArray | None = None,
+    latitude_deg: float | None = None,
+) -> GyroscopeCalibration:
+    """Return the bias from the position means; scale and misalignment are taken as they are.
+
+    Parameters
+    ----------
+    observations : Observations
+        Positions without a gyroscope mean (NaN) are left out.
+    scale : float or ndarray, shape (3,), optional
+        Raw unit per rad/s, from the preset or the driver. None: not known; the bias then has no allowance for the Earth's rate
+        and no value in rad/s.
+    misalignment_rad : ndarray, shape (3, 3), optional
+        E - I of the preset; default zero.
+    up : ndarray, shape (m, 3), optional
+        Direction of the specific force in the body frame (need not be unit). Default: the planned directions.
+    latitude_deg : float, optional
+
+    Returns
+    -------
+    GyroscopeCalibration
+        Sigma of the bias from the scatter between positions; scale and misalignment as given, their sigma NaN.
+
+    Raises
+    ------
+    CalibrationError
+        If fewer than two positions have a gyroscope mean.
+    """
+    measured = np.isfinite(observations.gyroscope_mean_raw).all(axis=1)
+    m = int(measured.sum())
+    if m < 2:
+        raise CalibrationError(
+            f"{m} positions have a gyroscope mean and a static bias needs 2; record the gyroscope as well",
+            Reason.TOO_FEW,
+            positions=m,
+        )
+    K = np.full(3, np.nan if scale is None else scale, dtype=np.float64)
+    misalignment = np.zeros((3, 3)) if misalignment_rad is None else misalignment_rad
+    if up is None:
+        up = observations.direction
+    earth_known = np.zeros_like(up)
+    earth_variance = np.full(3, EARTH_RATE_RAD_S**2 / 3)
+    if latitude_deg is None:
+        words = "Earth rate in the sigma, because the latitude is not known"
+    elif not np.isfinite(up).all():
+        words = "Earth rate in the sigma, because the attitude is not known"
+    else:
+        unit = up / np.linalg.norm(up, axis=1)[:, None]
+        latitude = math.radians(latitude_deg)
+        earth_known = EARTH_RATE_RAD_S * math.sin(latitude) * unit
+        # The horizontal part at an unknown heading, mean over positions.
+        earth_variance = (EARTH_RATE_RAD_S * math.cos(latitude)) ** 2 * np.mean((1 - unit**2) / 2, axis=0)
+        words = "vertical Earth rate taken off, horizontal part (heading unknown) in the sigma"
+    if scale is None:
+        words = "Earth rate not accounted for, because the scale is not known"
+    gain = np.nan_to_num(K)
+    values = (observations.gyroscope_mean_raw - gain * (earth_known @ (np.eye(3) + misalignment).T))[measured]
+    # The scatter between positions contains g-sensitivity and drift.
+    sigma = np.sqrt(values.var(axis=0, ddof=1) / m + gain**2 * earth_variance)
+    not_estimated = np.full((3, 3), np.nan)
+    return GyroscopeCalibration(
+        GyroscopeParameters(K, misalignment, values.mean(axis=0), np.zeros((3, 3))),
+        GyroscopeParameters(np.full(3, np.nan), not_estimated, sigma, not_estimated),
+        f"static bias from {m} positions, {words}; scale and misalignment as given, not calibrated",
+        observations.units.gyroscope_rate_unit,
+    )
+
 
 StaticFree = Literal["bias", "all"]
 SEES_EARTH = 0.1
@@ -113,15 +203,16 @@ def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: Stati
     columns = static_columns(free)
     start = static_start(data, A, latitude_deg)
     p, covariance, scatter, converged = _fit(data, start, columns)
-    seen, seen_covariance, *_ = _fit(data, p, [*columns, 12])
+    # Once more with the latitude left free.
+    free_p, free_covariance, *_ = _fit(data, p, [*columns, 12])
     full = np.zeros((12, 12))
     full[np.ix_(columns, columns)] = covariance
     return StaticFit(
         x=p[:12],
         covariance=full,
         scatter=scatter,
-        vertical_rad_s=float(seen[12]),
-        vertical_sigma_rad_s=math.sqrt(seen_covariance[-1, -1]),
+        vertical_rad_s=float(free_p[12]),
+        vertical_sigma_rad_s=math.sqrt(free_covariance[-1, -1]),
         converged=converged,
     )
 
@@ -165,11 +256,13 @@ def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, Float
     w = data.rate_raw @ A.T - b
     norm = np.linalg.norm(w, axis=1)
     B = np.stack([w / norm[:, None], data.up], axis=1)
+    # [1]_ eq. 7, and the specific force times the Earth's rate over g.
     residual = np.stack([norm - EARTH_RATE_RAD_S, np.sum(w * data.up, axis=1) - v], axis=1)
     jacobian = np.zeros((s, 2, 13))
     jacobian[:, :, :9] = (B[:, :, :, None] * data.rate_raw[:, None, None, :]).reshape(s, 2, 9)
     jacobian[:, :, 9:12] = -B
     jacobian[:, 1, 12] = -1.0
+    # Norm and invariant share the noise of their still: B C B^T, block by block.
     spread = np.zeros((2 * s, 3 * s))
     for k in range(s):
         spread[2 * k : 2 * k + 2, 3 * k : 3 * k + 3] = B[k]

@@ -1,0 +1,187 @@
+"""Input of the gyroscope calibration: what a session knows, made ready for fitting, and refused where it contradicts itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.calibrate.gyroscope.covariance import accelerometer_force
+from imufield.calibrate.gyroscope.move_integration import centre
+from imufield.calibrate.gyroscope.moves import Moves
+from imufield.calibrate.gyroscope.residuals import GyroscopeData, chains_of
+from imufield.calibrate.gyroscope.static import StaticFree
+from imufield.calibrate.gyroscope.turntable import TurntableRun, no_table, pair_runs
+from imufield.calibrate.gyroscope.whole_turns import Stop
+from imufield.calibrate.model.models import recover
+from imufield.calibrate.model.observations import Observations
+from imufield.calibrate.model.result import Calibration, GyroscopeParameters
+from imufield.errors import CalibrationError, Reason, counted
+from imufield.samples import AXES, FloatArray
+
+FEWEST_STILLS = 2
+"""One alone says nothing about its scatter."""
+# The preset's scale is not believed where the rough one differs by more than this factor: the raw unit is another.
+_WRONG_START = 3.0
+_MOVED = 0.05  # Share of all turning that an axis must have to be compared.
+# Of the output at rest: more than sums of equal numbers differ by, and less than the last bit of any instrument.
+_CONSTANT = 1e-9
+_NOISE_ONLY = 3.0  # Turns of the slots beyond what noise gives; a hand that turns a unit is hundreds of times beyond.
+_TURNED = 0.98  # Cosine of 11 deg between the directions of gravity before and after a move.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GyroscopeInput:
+    """What a session knows about its gyroscope.
+
+    Attributes
+    ----------
+    observations : Observations
+        The stills, the same that ``calibration`` came from, and after them ``rests`` more.
+    moves : Moves
+        Between these stills (``MoveCollector``), rows of ``observations``.
+    calibration : Calibration
+        Of the accelerometer; its body frame and gauge are the gyroscope's.
+    latitude_deg : float, optional
+    preset : GyroscopeParameters, optional
+        In force before, in the body frame of the calibration.
+    nominal_scale : float, optional
+        Raw unit per rad/s, from the driver.
+    stops : sequence of Stop
+        Whole turns about the vertical, against a stop.
+    turntable : sequence of TurntableRun
+    static_free : {"bias", "all"}
+        What the static norm path fits.
+    rests : int
+        Stills between whole turns, which had no say in ``calibration``.
+    """
+
+    observations: Observations
+    moves: Moves
+    calibration: Calibration
+    latitude_deg: float | None = None
+    preset: GyroscopeParameters | None = None
+    nominal_scale: float | None = None
+    stops: Sequence[Stop] = ()
+    turntable: Sequence[TurntableRun] = ()
+    static_free: StaticFree = "bias"
+    rests: int = 0
+
+    @property
+    def rest_raw(self) -> FloatArray:
+        """Mean output over the stills, shape (3,)."""
+        rest: FloatArray = self.observations.gyroscope_mean_raw.mean(axis=0)
+        return rest
+
+    @property
+    def force_m_s2(self) -> FloatArray:
+        """Specific force of each still, body frame, shape (s, 3)."""
+        return recover(self.calibration.accelerometer, self.observations.mean_raw)
+
+    def preset_inverse(self) -> FloatArray | None:
+        """Return A = (K E)^-1 of the preset, else of the driver's scale or the unit; None where nothing says it."""
+        if self.preset is not None and np.isfinite(self.preset.scale).all():
+            M: FloatArray = self.preset.scale[:, None] * (np.eye(3) + self.preset.misalignment_rad)
+            return np.asarray(np.linalg.inv(M), dtype=np.float64)
+        if self.nominal_scale is not None:
+            return np.eye(3) / self.nominal_scale
+        return np.eye(3) if self.observations.units.gyroscope_rate_unit == "rad/s" else None
+
+    def require_stills(self) -> None:
+        """Refuse too few stills with a gyroscope mean, and stills of which only some have one."""
+        known = np.isfinite(self.observations.gyroscope_mean_raw).all(axis=1)
+        count = int(known.sum())
+        if count < FEWEST_STILLS:
+            raise CalibrationError(
+                f"{count} still positions have a gyroscope mean, {FEWEST_STILLS} are needed; record the gyroscope too",
+                Reason.TOO_FEW,
+                positions=count,
+            )
+        if not known.all():
+            raise CalibrationError(
+                f"position {self.observations.name[int(np.flatnonzero(~known)[0])]} has no gyroscope mean although others have "
+                "one; remove or retake it",
+                Reason.NOT_FINITE,
+                positions=int((~known).sum()),
+            )
+
+
+def make_data(given: GyroscopeInput) -> GyroscopeData:
+    """Return stills and moves with the output at rest taken off."""
+    observations, moves = given.observations, given.moves
+    parameters = given.calibration.accelerometer
+    rest = given.rest_raw
+    covariance = observations.gyroscope_covariance_raw
+    density = np.sqrt(np.median(np.diagonal(covariance, 0, 1, 2) * observations.duration_s[:, None], axis=0))
+    duration = np.maximum(moves.slots.duration_s, 1e-9)[:, None]  # a slot of a clock that stood lasts nothing
+    return GyroscopeData(
+        rate_raw=observations.gyroscope_mean_raw - rest,
+        rate_covariance=covariance,
+        force=given.force_m_s2,
+        slots=centre(moves, rest, accelerometer_force(parameters, moves.slots.force / duration)),
+        before=moves.before,
+        after=moves.after,
+        chain=chains_of(len(observations), moves.before, moves.after),
+        noise_density_raw=density,
+        rest_raw=rest,
+        time_s=observations.start_s + observations.duration_s / 2,
+        table=pair_runs(given.turntable) if given.turntable else no_table(),
+    )
+
+
+def refuse_dead(given: GyroscopeInput, data: GyroscopeData) -> None:
+    """Refuse outputs that show no rotation: constant, or nothing but noise while gravity shows that the unit was turned."""
+    if not len(given.moves):
+        return
+    moves = counted(len(given.moves), "move")
+    largest = np.abs(data.slots.turn).max(axis=0, initial=0.0)
+    # The same number in all moves and at rest is what no rotating gyroscope gives.
+    dead = largest <= _CONSTANT * np.maximum(np.abs(given.rest_raw), np.finfo(float).tiny)
+    if dead.any():
+        axes = ", ".join(axis for axis, is_dead in zip(AXES, dead, strict=True) if is_dead)
+        raise CalibrationError(
+            f"the gyroscope shows no rotation on {axes}: its output is the same number at rest and during all {moves}; check "
+            "that it is switched on, and the columns or fields it is read from",
+            Reason.UNOBSERVABLE,
+            axes=axes,
+        )
+    noise = data.noise_density_raw * np.sqrt(data.slots.duration_s.sum())
+    noisy = np.sqrt(np.sum(data.slots.turn**2, axis=0)) <= _NOISE_ONLY * noise
+    along = np.sum(data.up[data.before] * data.up[data.after], axis=1)
+    if noisy.all() and along.min(initial=1.0) <= _TURNED:
+        raise CalibrationError(
+            f"the gyroscope shows no rotation on any axis: during all {moves} it has the noise that it has at rest, although "
+            f"gravity shows that the unit was turned by up to {np.degrees(np.arccos(along.min())):.0f} deg; check the columns "
+            "or fields it is read from",
+            Reason.UNOBSERVABLE,
+            axes="x, y, z",
+        )
+
+
+def refuse_foreign(data: GyroscopeData, rough: FloatArray, preset: FloatArray) -> None:
+    """Refuse a preset that turns clearly slower, faster or the other way than the accelerometer shows."""
+    expected, shown = data.slots.turn @ preset.T, data.slots.turn @ rough.T
+    energy = np.sum(expected**2, axis=0)
+    moved = energy > _MOVED * energy.sum()
+    ratio = np.sum(expected * shown, axis=0)[moved] / energy[moved]
+    # Two reversed axes are a wrong preset; one or three make a triad of the other hand.
+    if np.count_nonzero(ratio < -1 / _WRONG_START) % 2:
+        raise handedness_error()
+    if np.any(ratio < 1 / _WRONG_START) or np.any(ratio > _WRONG_START):
+        raise CalibrationError(
+            f"during the moves the unit turns {', '.join(f'{value:.3g}' for value in ratio)} times as fast as the gyroscope "
+            f"says with the preset or the driver's scale (1/{_WRONG_START:g} to {_WRONG_START:g} is accepted); check unit, "
+            "range and the order of the axes",
+            Reason.UNITS,
+            ratio=ratio.tolist(),
+        )
+
+
+def handedness_error() -> CalibrationError:
+    """Return the refusal of a gyroscope whose axes turn the other way than the accelerometer's."""
+    return CalibrationError(
+        "gyroscope and accelerometer have different handedness: during the moves an axis of the gyroscope turns the other way; "
+        "reverse one axis of one of them in the protocol",
+        Reason.HANDEDNESS,
+    )
