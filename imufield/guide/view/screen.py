@@ -36,9 +36,9 @@ from imufield.guide.events import (
     Turning,
 )
 from imufield.guide.lead.guide import Snapshot
-from imufield.guide.lead.refusals import motion_words, quantity
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme, nearest_cube_direction
+from imufield.guide.refusals import quantity
 from imufield.guide.stillness.limits import Activity
 from imufield.guide.view.pictures import big_lines, draw_box, turn_shortest
 from imufield.guide.view.plain import NOT_TOLD, known_words, words
@@ -366,10 +366,9 @@ def _cause(snapshot: Snapshot) -> Text:
     measured, limit = quantity(activity.measured, activity.unit), quantity(activity.limit, activity.unit)
     if measured.split()[1:] == limit.split()[1:]:
         measured = measured.split()[0]
-    what = motion_words(activity).split(",", maxsplit=1)[0]
-    sensor = {"accelerometer": "acc", "gyroscope": "gyro"}[activity.triad]
-    allowed = f"{what} {measured}, {limit} allowed"
-    return Text(f"{allowed} ({sensor} {activity.axis})", no_wrap=True, style="dim")
+    sensor = "acc" if activity.triad == "accelerometer" else "gyro"
+    words = f"{activity.verb} {measured}, {limit} allowed ({sensor} {activity.axis})"
+    return Text(words, no_wrap=True, style="dim")
 
 
 _SIGNS = {
@@ -422,7 +421,7 @@ def _cell(name: str, snapshot: Snapshot, width: int) -> Text:
     kind = "open"
     if name in snapshot.accepted:
         kind = "done"
-    if name in snapshot.doubtful:
+    if name in snapshot.suspects:
         kind = "doubtful"
     if name in snapshot.skipped:
         kind = "skipped"
