@@ -42,7 +42,8 @@ ROOMS = (
     ("calibrate/accelerometer",),
     ("calibrate/gyroscope",),
     ("calibrate",),
-    ("guide/positions", "guide/events", "guide/event_schema"),
+    ("guide/positions", "guide/events"),
+    ("guide/refusals",),
     ("guide/stillness",),
     ("guide/hold",),
     ("guide/cross_checks",),
@@ -81,7 +82,7 @@ APART = {
     "cli": ("acquire", "calibrate", "guide", "deliver", "simulate", "study", "pipeline"),
 }
 MANY_OF_A_KIND = ("commands", "deliver/exports", "study", "drivers", "protocols")  # Folders with a file for each thing.
-SETTINGS = ("GuideSettings", "StillnessSettings", "CheckLimits")
+SETTINGS = ("GuideSettings",)
 POSITIONAL = 6  # So many arguments without a name are a riddle at the place of the call.
 
 

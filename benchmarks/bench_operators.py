@@ -30,9 +30,11 @@ from imufield.earth import MICRO_G_M_S2
 from imufield.guide.events import Accepted, Advice, Done, Event, Move, RefusalCode, Rejected, Topic
 from imufield.guide.hold.observe import Observation, guard_cells
 from imufield.guide.lead.guide import Guide
+from imufield.guide.lead.hold_under_way import HAND_GUARD_S
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import scheme
+from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.scale import RoughScale
 from imufield.simulate.truth.grades import GRADES, draw_truth
 from imufield.simulate.truth.imu import Imu, ImuSettings
@@ -182,7 +184,7 @@ def examine_bumps(run: Run, operator: Operator, imu: Imu, guide: Guide, bumped: 
     run.bumped = len(bumped)
     if floor is None or not bumped:
         return
-    standards = Standards(guide.detector.scale, floor, guide.detector.limits, guide.detector.settings.cell_s)
+    standards = Standards(guide.detector.scale, floor, guide.detector.limits)
     shares = bump_shares(operator, imu, bumped, standards)
     sigmas = [norm_error(operator, imu, found)[1] for _, found in bumped]
     run.bump_share_sigma = max(abs(share) / sigma for share, sigma in zip(shares, sigmas, strict=True))
@@ -190,15 +192,14 @@ def examine_bumps(run: Run, operator: Operator, imu: Imu, guide: Guide, bumped: 
 
 def examine_edges(run: Run, guide: Guide, played: Played, edges: list[Edges]) -> None:
     """Compare starts and ends found with the true ones, and see how much of the stillness was used."""
-    settings = guide.settings
-    placed_guard_s = guard_cells(guide.detector.limits, guide.detector.settings) * guide.detector.settings.cell_s
+    placed_guard_s = guard_cells(guide.detector.limits) * CELL_S
     starts, used = [], []
     for event, _ in played.taken:
         inside = [one for one in edges if one.begin_s[0] <= event.start_s + 0.01 and event.start_s < one.end_s[1]]
         if not inside or inside[-1].bumped:
             continue
         begin_s = inside[-1].begin_s
-        guard_s = settings.hand_guard_s if event.held else placed_guard_s
+        guard_s = HAND_GUARD_S if event.held else placed_guard_s
         used.append(event.duration_s / max(event.time_s - begin_s[1] - 2 * guard_s, 0.1))
         starts.append(outside(event.start_s - guard_s, begin_s))
     run.starts_s = tuple(starts)

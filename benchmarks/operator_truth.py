@@ -11,11 +11,11 @@ import numpy as np
 
 from imufield.calibrate.model.models import recover
 from imufield.guide.events import Accepted
-from imufield.guide.hold.hand_mean import held_mean
+from imufield.guide.hold.hand_mean import mean_in_hand
 from imufield.guide.hold.observe import Observation, knocks_of, observe
-from imufield.guide.stillness.cells import Cells, cells_of, join_cells
+from imufield.guide.stillness.cells import CELL_S, CellBuilder, Cells, cells_of, join_cells
 from imufield.guide.stillness.detector import StillnessDetector
-from imufield.guide.stillness.limits import Limits, StillnessSettings
+from imufield.guide.stillness.limits import Limits
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.turn_fit import minimum_jerk
@@ -86,12 +86,14 @@ class EdgeWatch:
     """
 
     def __init__(self, scale: RoughScale) -> None:
-        self._detector = StillnessDetector(scale, StillnessSettings(hand=True))
+        self._detector = StillnessDetector(scale, hand=True)
+        self._builder = CellBuilder()
         self.found: list[tuple[float, float]] = []
 
     def feed(self, samples: Samples) -> None:
         """Take the next samples."""
-        for judgement in self._detector.feed(samples):
+        finished = self._builder.feed(samples)
+        for judgement in () if finished is None else self._detector.judge(finished):
             if judgement.ended is not None:
                 cells = judgement.ended.cells()
                 self.found.append((float(cells.start_s[0]), float(cells.end_s[-1])))
@@ -104,7 +106,6 @@ class Standards:
     scale: RoughScale
     floor: NoiseFloor
     limits: Limits
-    cell_s: float
 
 
 def bump_shares(operator: Operator, imu: Imu, taken: list[tuple[Accepted, Observation]], standards: Standards) -> list[float]:
@@ -167,12 +168,12 @@ def _measure(samples: Samples, event: Accepted, with_it: Observation, standards:
     end_s = event.start_s + event.duration_s
     rows = (samples.time_s >= event.start_s - 1e-9) & (samples.time_s <= end_s + 1e-9)
     inside = samples[rows]
-    cells: Cells = join_cells(list(cells_of([inside], standards.cell_s)))
-    held = None
-    if with_it.held is not None:
-        density = standards.floor.cell_sigma[:3] * math.sqrt(standards.cell_s)
-        held = held_mean(inside, standards.scale, density, knocks_of(cells, standards.limits))
-    return observe(cells, standards.limits, event.position, with_it.direction, held=held)
+    cells: Cells = join_cells(list(cells_of([inside])))
+    in_hand = None
+    if with_it.hand_mean is not None:
+        density = standards.floor.cell_sigma[:3] * math.sqrt(CELL_S)
+        in_hand = mean_in_hand(inside, standards.scale, density, knocks_of(cells, standards.limits))
+    return observe(cells, standards.limits, event.position, with_it.direction, hand_mean=in_hand)
 
 
 def _norm(imu: Imu, observation: Observation) -> float:

@@ -9,11 +9,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from enum import Enum
-from typing import Any, ClassVar
+from typing import ClassVar
+
+import numpy as np
+
+from imufield.samples import FloatArray
 
 EVENT_VERSION = 1
 
 Vector = tuple[float, float, float]
+
+
+def vector(values: FloatArray) -> Vector:
+    """Return an array (3,) as plain numbers."""
+    x, y, z = np.asarray(values, dtype=np.float64).tolist()
+    return x, y, z
 
 
 class RefusalCode(Enum):
@@ -52,8 +62,8 @@ class Event:
     time_s: float
     """Sample clock."""
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the event as plain values for JSON; what is not finite becomes None."""
+    def to_dict(self) -> dict[str, object]:
+        """Return the event as plain values for JSON; a value that is not finite becomes None."""
         values = {field.name: _plain(getattr(self, field.name)) for field in fields(self)}
         return {"version": EVENT_VERSION, "event": self.kind, **values}
 
@@ -62,7 +72,7 @@ def _plain(value: object) -> object:
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, tuple):
-        return [_plain(one) for one in value]
+        return [_plain(part) for part in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

@@ -2,22 +2,93 @@
 
 from __future__ import annotations
 
+import json
 import re
+import types
 from dataclasses import fields
+from enum import Enum
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import jsonschema
 import pytest
 
-from imufield.guide.event_schema import build_schema, read_schema
-from imufield.guide.events import EVENTS, RefusalCode
+from imufield.guide.events import EVENT_VERSION, EVENTS, Event, RefusalCode
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
-from imufield.guide.lead.state_table import mermaid
+from imufield.guide.lead.state_table import TABLE, State
 from imufield.guide.positions import scheme
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+def build_schema() -> dict[str, Any]:
+    """Return the schema of one line of ``capture --json`` after the first, which names the session."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "imufield guide event",
+        "description": "One line of JSON for each event. Within one version keys are only added; null means not known.",
+        "oneOf": [_session(), *(_schema_of(event) for event in EVENTS.values())],
+    }
+
+
+def read_schema() -> Any:
+    """Return the schema shipped with the package."""
+    return json.loads((files("imufield.guide") / "events.schema.json").read_text(encoding="utf-8"))
+
+
+def _session() -> dict[str, Any]:
+    return _object("session", {"session": {"type": "string"}})
+
+
+def _schema_of(event: type[Event]) -> dict[str, Any]:
+    hints = get_type_hints(event)
+    return _object(event.kind, {field.name: _type(hints[field.name]) for field in fields(event)})
+
+
+def _object(kind: str, properties: dict[str, Any]) -> dict[str, Any]:
+    named = {"version": {"const": EVENT_VERSION}, "event": {"const": kind}, **properties}
+    return {"title": kind, "type": "object", "properties": named, "required": list(named)}
+
+
+def _type(hint: Any) -> dict[str, Any]:
+    """Return the schema of one annotation; a float may be null, because what is not finite is."""
+    simple: dict[Any, dict[str, Any]] = {
+        str: {"type": "string"},
+        bool: {"type": "boolean"},
+        int: {"type": "integer"},
+        float: {"type": ["number", "null"]},
+    }
+    if hint in simple:
+        return dict(simple[hint])
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return {"enum": [member.value for member in hint]}
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        kinds = [_type(member) for member in inner if member is not type(None)]
+        return {"anyOf": [*kinds, {"type": "null"}]}
+    if origin is tuple:
+        count = None if inner[-1] is Ellipsis else len(inner)
+        size = {} if count is None else {"minItems": count, "maxItems": count}
+        return {"type": "array", "items": _type(inner[0]), **size}
+    if origin is dict:
+        return {"type": "object", "additionalProperties": _type(inner[1])}
+    raise TypeError(f"no JSON Schema for {hint!r}")
+
+
+def mermaid() -> str:
+    """Return the table as a state diagram in Mermaid, inputs that lead to the same state joined."""
+    lines = ["stateDiagram-v2", f"    [*] --> {State.LEARNING.value}"]
+    for state, row in TABLE.items():
+        by_target: dict[State, list[str]] = {}
+        for happened, transition in row.items():
+            # What can happen in any state is drawn at the first one only.
+            if TABLE[State.LEARNING].get(happened) == transition and state is not State.LEARNING:
+                continue
+            by_target.setdefault(transition.to, []).append(f"{happened.value} / {transition.action.replace('_', ' ')}")
+        lines += [f"    {state.value} --> {to.value}: {', '.join(inputs)}" for to, inputs in by_target.items()]
+    return "\n".join(lines)
 
 
 def test_the_shipped_schema_is_that_of_the_classes() -> None:

@@ -1,16 +1,16 @@
-"""Do the gyroscope's axes belong to the accelerometer's? Asked of the moves between stills.
+"""Do the gyroscope's axes belong to the accelerometer's? A check by the moves between stills.
 
 A unit that turns with the body rate w carries a direction fixed in the room, such as up, through the body frame as
-du/dt = -w x u. So the up seen before a move, carried through it by the gyroscope, must arrive at the up seen after it. All 48
-signed permutations of the gyroscope's axes are tried (24 of them left-handed): if another one than the identity brings the
-directions together, axes are swapped, a sign is wrong, or a triad is left-handed.
+du/dt = -w x u. So the up measured before a move, carried through it by the gyroscope, must arrive at the up measured after it.
+All 48 signed permutations of the gyroscope's axes are tried (24 of them left-handed): if another one than the identity brings
+the directions together, axes are swapped, a sign is wrong, or a triad is left-handed.
 
-What cannot be seen: all three accelerometer signs wrong together (u and -u turn alike), and which of the two triads is the
-wrong one.
+The check cannot find that all three accelerometer signs are wrong together (u and -u turn alike), nor which of the two triads
+is the wrong one.
 
-Rates of one cell (0.1 s) are taken as constant; at 180 deg/s that misjudges a move by about a degree, far below the tens of
-degrees that a wrong axis gives. Where the gyroscope's scale is not known, or no arrangement fits with the one that is said to
-be known, one common factor is searched with each permutation: a wrong unit or range is told from wrong axes.
+The rate is constant within a cell (0.1 s) here; at 180 deg/s this misjudges a move by about a degree, far below the tens of
+degrees that a wrong axis gives. Where the gyroscope's scale is not known, or no arrangement fits with the given one, one common
+factor is searched with each permutation, which tells a wrong unit or range from wrong axes.
 """
 
 from __future__ import annotations
@@ -23,44 +23,43 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imufield.errors import CalibrationError, Reason
+from imufield.guide import refusals
+from imufield.guide.refusals import Refusal
+from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
 from imufield.samples import AXES, FloatArray
 
-ENOUGH_MOVES = 4
-LEAST_TURN_DEG = 20.0
-"""A move that turns up by less says nothing about axes."""
-GOOD_DEG = 20.0
-"""Largest RMS misfit of the right axes: 1 m/s^2 of bias on each accelerometer axis alone makes 14 degrees."""
-MARGIN = 3.0
-"""The right permutation must fit this much better than any other."""
-_LONGEST_MOVE_CELLS = 600
-_MOVES_KEPT = 24
-_SCALES = 25
-_SAME_FACTOR = 0.1
-_MOVES_FOR_SCALE = 12
+ENOUGH_MOVES = 4  # Moves about one or two axes fit several permutations alike.
+_LEAST_TURN_DEG = 20.0  # A move that turns up by less says nothing about axes.
+_GOOD_DEG = 20.0  # Largest RMS misfit of the right axes: 1 m/s^2 of bias on each accelerometer axis alone makes 14 degrees.
+_MARGIN = 3.0  # The right permutation must fit better than any other by this factor.
+_LONGEST_MOVE_CELLS = 600  # A minute: over a longer one the gyroscope drifts, and it is more than one move.
+_MOVES_KEPT = 24  # As many as a scheme has positions; the search costs in proportion.
+_SCALES = 25  # Steps of each of the two searches for a scale: the second resolves 1 %.
+_SAME_FACTOR = 0.1  # Of a logarithm: an uncalibrated scale is off by less.
+_MOVES_FOR_SCALE = 12  # The shortest ones: one factor needs no more, and they cost least.
 # Total angle turned over the angle between the ups, as the range in which an unknown scale is searched.
 _TURNS_OF_UP = (0.5, 4.0)
 
 
 @dataclass(frozen=True, slots=True)
 class MoveBetweenStills:
-    """Up before and after, unit vectors (3,), and the cell-mean rates between, shape (k, 3), raw, bias taken off."""
+    """Up before and after, unit vectors (3,), and the cell-mean rates between, shape (k, 3), raw, without the bias."""
 
     up_before: FloatArray
     up_after: FloatArray
     rate_raw: FloatArray
-    cell_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxesCheck:
-    """The answer.
+    """The result of the check.
 
     Attributes
     ----------
     agrees : bool or None
-        None where the moves do not tell (``words`` says why).
+        None where the moves do not decide (``words`` says why).
     permutation : ndarray, shape (3, 3)
         The signed permutation that fits best: right rates = permutation @ given rates.
     misfit_deg, best_misfit_deg, second_misfit_deg : float
@@ -68,6 +67,8 @@ class AxesCheck:
     gyroscope_scale : float
         Raw per rad/s, given or found.
     words : str
+    turns_ratio : float
+        True rate over the gyroscope's, where its scale is contradicted; otherwise 1.
     """
 
     agrees: bool | None
@@ -78,12 +79,11 @@ class AxesCheck:
     gyroscope_scale: float
     words: str
     turns_ratio: float = 1.0
-    """How many times as fast the unit turns as the gyroscope says, where its scale is contradicted; otherwise 1."""
 
     @property
     def is_contradicted(self) -> bool:
-        """Whether axes or scale of the gyroscope are not what they are said to be, or nothing fits what it shows."""
-        nothing_fits = self.agrees is None and self.misfit_deg > GOOD_DEG and self.best_misfit_deg > GOOD_DEG
+        """Whether axes or scale of the gyroscope are not as given, or no arrangement fits its rates."""
+        nothing_fits = self.agrees is None and self.misfit_deg > _GOOD_DEG and self.best_misfit_deg > _GOOD_DEG
         return self.agrees is False or self.turns_ratio != 1.0 or nothing_fits
 
     @property
@@ -93,17 +93,23 @@ class AxesCheck:
             return None
         return CalibrationError(self.words, Reason.HANDEDNESS, misfit_deg=self.misfit_deg, best_misfit_deg=self.best_misfit_deg)
 
+    def refusal(self) -> Refusal:
+        """Return the warning that gyroscope and accelerometer do not belong together, in the words of the check."""
+        row = refusals.AXES_DIFFER if self.turns_ratio == 1.0 else refusals.SCALE_DIFFERS
+        return Refusal(
+            reason=row.reason,
+            words=self.words,
+            remedy=row.remedy,
+            measured=self.misfit_deg,
+            limit=_GOOD_DEG,
+            unit=row.unit,
+        )
+
 
 class MoveLog:
-    """Collects moves from judgements, the newest 24, each up to a minute long.
+    """Collects moves from judgements, the newest 24, each up to a minute long."""
 
-    Parameters
-    ----------
-    cell_s : float
-    """
-
-    def __init__(self, cell_s: float) -> None:
-        self._cell_s = cell_s
+    def __init__(self) -> None:
         self._rates: list[list[float]] = []
         self._before: list[float] = []
         self._slot: int | None = None
@@ -111,12 +117,12 @@ class MoveLog:
         self._finished: deque[tuple[list[float], list[float], list[list[float]]]] = deque(maxlen=_MOVES_KEPT)
 
     def follow(self, judgement: Judgement, still_mean: list[float]) -> None:
-        """Take one judgement and the running mean of the stretch in force (6 raw rates; empty when there is none)."""
+        """Add one judgement and the running mean of the stretch in progress (6 raw rates; empty when there is none)."""
         slot = int(judgement.cells.slot[judgement.row])
         unbroken = self._slot is not None and slot - self._slot == 1
         self._slot, self._whole = slot, self._whole and unbroken
         if judgement.ended is not None:
-            # A gap ends a stretch, too, and the unit may have turned in it.
+            # A gap ends a stretch, too, and the unit may have turned during it.
             self._before, self._rates, self._whole = judgement.ended.mean, [], unbroken
         if judgement.phase is Phase.STILL:
             if self._before and self._whole and self._rates:
@@ -133,13 +139,13 @@ class MoveLog:
             start, end = (_unit(scale.specific_force(np.array(mean[:3]))) for mean in (before, after))
             bias = (np.array(before[3:]) + np.array(after[3:])) / 2
             rate = np.array(rates) - bias
-            if np.isfinite(rate).all() and _angle(start, end) > math.radians(LEAST_TURN_DEG):
-                found.append(MoveBetweenStills(start, end, rate, self._cell_s))
+            if np.isfinite(rate).all() and _angle(start, end) > math.radians(_LEAST_TURN_DEG):
+                found.append(MoveBetweenStills(start, end, rate))
         return found
 
 
 def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) -> AxesCheck:
-    """Compare the turns of up seen by the accelerometer with those of the gyroscope, over all signed permutations.
+    """Compare the turns of up by the accelerometer with those by the gyroscope, over all signed permutations.
 
     Parameters
     ----------
@@ -148,20 +154,33 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
         Raw per rad/s; None where it is not known.
     """
     if len(moves) < ENOUGH_MOVES:
-        return _undecided(
-            f"axes not checked: {len(moves)} moves of more than {LEAST_TURN_DEG:g} deg, {ENOUGH_MOVES} are needed"
+        return AxesCheck(
+            agrees=None,
+            permutation=np.eye(3),
+            misfit_deg=math.nan,
+            best_misfit_deg=math.nan,
+            second_misfit_deg=math.nan,
+            gyroscope_scale=math.nan,
+            words=f"axes not checked: {len(moves)} moves of more than {_LEAST_TURN_DEG:g} deg, {ENOUGH_MOVES} are needed",
         )
-    found = _arrange(moves, gyroscope_scale or _find_scale(moves, signed_permutations()))
-    if gyroscope_scale is None or found.agrees is not None or found.misfit_deg <= GOOD_DEG:
-        return found
-    scale = _find_scale(moves, signed_permutations())
-    other = _arrange(moves, scale)
-    ratio = gyroscope_scale / scale
-    # Turns about one axis leave others open, but that the given ones fit with a factor is enough to say so.
-    if (other.agrees is None and other.misfit_deg > GOOD_DEG) or abs(math.log(ratio)) < _SAME_FACTOR:
-        return found
-    # What is contradicted is the scale as given, so the misfit is the one that it makes.
-    return replace(other, misfit_deg=found.misfit_deg, words=_scale_words(ratio, found, other), turns_ratio=ratio)
+    given = _arrange(moves, gyroscope_scale or _find_scale(moves))
+    if gyroscope_scale is None or given.agrees is not None or given.misfit_deg <= _GOOD_DEG:
+        return given
+    scaled = _arrange(moves, _find_scale(moves))
+    ratio = gyroscope_scale / scaled.gyroscope_scale
+    # Turns about one axis leave others open, but that the given ones fit with a factor is enough to contradict the scale.
+    if (scaled.agrees is None and scaled.misfit_deg > _GOOD_DEG) or abs(math.log(ratio)) < _SAME_FACTOR:
+        return given
+    words = refusals.SCALE_DIFFERS.words.format(
+        ratio=ratio,
+        cause=_likely_cause(ratio),
+        measured=given.misfit_deg,
+        axes="" if scaled.agrees is not False else f" and with gyroscope {axes_words(scaled.permutation)}",
+        best=scaled.best_misfit_deg,
+        limit=_GOOD_DEG,
+    )
+    # The scale as given is contradicted, so the misfit is the one that it makes.
+    return replace(scaled, misfit_deg=given.misfit_deg, words=words, turns_ratio=ratio)
 
 
 def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
@@ -171,12 +190,24 @@ def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
     order = np.argsort(misfit)
     identity = int(np.flatnonzero((permutations == np.eye(3)).all(axis=(1, 2)))[0])
     best, given, second = (math.degrees(float(misfit[i])) for i in (order[0], identity, order[1]))
-    clear = best <= GOOD_DEG and second >= MARGIN * best
+    clear = best <= _GOOD_DEG and second >= _MARGIN * best
     agrees = bool(order[0] == identity) if clear else None
-    words = _words(agrees, permutations[order[0]], given, best, second=second)
+    permutation = permutations[order[0]]
+    if agrees:
+        words = f"axes agree: gyroscope and accelerometer turn together within {given:.1f} deg (any other way {second:.0f} deg)"
+    else:
+        left_handed = np.linalg.det(permutation) < 0
+        words = (refusals.AXES_OPEN if agrees is None else refusals.AXES_DIFFER).words.format(
+            measured=given,
+            best=best,
+            second=second,
+            limit=_GOOD_DEG,
+            handed="one triad is left-handed" if left_handed else "axes are exchanged or have the wrong sign",
+            axes=axes_words(permutation),
+        )
     return AxesCheck(
         agrees=agrees,
-        permutation=permutations[order[0]],
+        permutation=permutation,
         misfit_deg=given,
         best_misfit_deg=best,
         second_misfit_deg=second,
@@ -196,7 +227,7 @@ def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scale: flo
     longest = max(len(move.rate_raw) for move in moves)
     angle = np.zeros((longest, len(moves), 3))
     for i, move in enumerate(moves):
-        angle[: len(move.rate_raw), i] = move.rate_raw * (move.cell_s / scale)
+        angle[: len(move.rate_raw), i] = move.rate_raw * (CELL_S / scale)
     up = np.tile(np.array([move.up_before for move in moves]), (len(permutations), 1, 1))
     for step in angle:
         up = _carry(up, np.einsum("pij,mj->pmi", permutations, step))
@@ -214,9 +245,10 @@ def _carry(up: FloatArray, turn: FloatArray) -> FloatArray:
     return result
 
 
-def _find_scale(moves: list[MoveBetweenStills], permutations: FloatArray) -> float:
+def _find_scale(moves: list[MoveBetweenStills]) -> float:
     """Return the common scale (raw per rad/s) with which some permutation brings the moves together best."""
-    turned = [float(np.linalg.norm(move.rate_raw, axis=1).sum() * move.cell_s) for move in moves]
+    permutations = signed_permutations()
+    turned = [float(np.linalg.norm(move.rate_raw, axis=1).sum() * CELL_S) for move in moves]
     needed = [_angle(move.up_before, move.up_after) for move in moves]
     typical = max(float(np.median(np.array(turned) / needed)), 1e-12)
     few = sorted(moves, key=lambda move: len(move.rate_raw))[:_MOVES_FOR_SCALE]
@@ -229,54 +261,19 @@ def _find_scale(moves: list[MoveBetweenStills], permutations: FloatArray) -> flo
     return float(finer[np.argmin([_misfit(few, best, float(scale))[0] for scale in finer])])
 
 
-def _words(agrees: bool | None, permutation: FloatArray, given: float, best: float, *, second: float) -> str:
-    if agrees:
-        return f"axes agree: gyroscope and accelerometer turn together within {given:.1f} deg (any other way {second:.0f} deg)"
-    if agrees is None:
-        return (
-            f"axes not decided: as given the moves misfit by {given:.0f} deg, the best arrangement by {best:.0f} deg "
-            f"(limit {GOOD_DEG:g} deg), the next by {second:.0f} deg; turn the unit slowly about different axes"
-        )
-    handed = "one triad is left-handed" if np.linalg.det(permutation) < 0 else "axes are exchanged or have the wrong sign"
-    return (
-        f"gyroscope and accelerometer do not belong together: {handed}; as given the moves misfit by {given:.0f} deg, "
-        f"with gyroscope {_rows(permutation)} by {best:.1f} deg (limit {GOOD_DEG:g} deg); correct driver or protocol"
-    )
-
-
-def _rows(permutation: FloatArray) -> str:
+def axes_words(permutation: FloatArray) -> str:
+    """Return a signed permutation in words: "x = +y, y = -x, z = +z"."""
     return ", ".join(
         f"{AXES[i]} = {'+' if row.sum() > 0 else '-'}{AXES[int(np.abs(row).argmax())]}" for i, row in enumerate(permutation)
     )
 
 
-def _scale_words(ratio: float, given: AxesCheck, found: AxesCheck) -> str:
-    axes = "" if found.agrees is not False else f" and with gyroscope {_rows(found.permutation)}"
-    return (
-        f"the unit turns {ratio:.3g} times as fast as the gyroscope says{_likely_cause(ratio)}: as given the moves misfit by "
-        f"{given.misfit_deg:.0f} deg, with that factor{axes} by {found.best_misfit_deg:.1f} deg (limit {GOOD_DEG:g} deg); "
-        "correct unit or range of the gyroscope (--set or the protocol)"
-    )
-
-
 def _likely_cause(ratio: float) -> str:
-    """Return which two units were taken for each other, where the ratio is theirs to a tenth."""
+    """Return which two units were confused, where the ratio is theirs to a tenth."""
     for factor, cause in ((math.degrees(1.0), "rad/s taken for deg/s"), (math.radians(1.0), "deg/s taken for rad/s")):
         if abs(math.log(ratio / factor)) < _SAME_FACTOR:
             return f" ({cause})"
     return ""
-
-
-def _undecided(words: str) -> AxesCheck:
-    return AxesCheck(
-        agrees=None,
-        permutation=np.eye(3),
-        misfit_deg=math.nan,
-        best_misfit_deg=math.nan,
-        second_misfit_deg=math.nan,
-        gyroscope_scale=math.nan,
-        words=words,
-    )
 
 
 def _unit(vector: FloatArray) -> FloatArray:

@@ -1,8 +1,8 @@
-"""What the positions measured so far say together: residuals, who disagrees, forecast, and the position that helps most.
+"""The running fit to the positions measured so far: residuals, suspects, forecast, and the position that helps most.
 
-A maximum a posteriori fit of the norm model in the lower gauge with wide priors (what an uncalibrated unit can be), so that
-there is an answer from the fourth observation on and every parameter has a forecast from the first. The priors weigh nothing
-once the positions say more. This is for leading the operator; the numbers that are delivered come from ``calibrate``.
+A maximum a posteriori fit of the norm model in the lower gauge with wide priors (the spread of uncalibrated units), so that
+there is a result from the fourth observation on and every parameter has a forecast from the first. The priors weigh nothing
+once the positions tell more. This is for leading the operator; the numbers that are delivered come from ``calibrate``.
 
 Disagreement is judged by the residual of a fit without the position over its sigma (externally studentised), where the
 scatter between positions is estimated from the others and from an expectation of ``EXPECTED_SCATTER_M_S2``.
@@ -24,39 +24,47 @@ from imufield.guide.hold.observe import Observation
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 
-FEWEST = 4
-EXPECTED_SCATTER_M_S2 = 1e-4 * STANDARD_GRAVITY_M_S2
-_EXPECTED_FREEDOM = 3.0
-DOUBT_SIGMAS = 5.0
-"""A position that the others contradict by this much is doubted, where there are many."""
-DOUBT_SHARE = 1e-4
-"""Of good positions so many may be doubted at one look: a session of 24 looks some hundred times, at much the same."""
-# Two-sided quantiles of Student's distribution at ``DOUBT_SHARE``, from ``_EXPECTED_FREEDOM`` degrees of freedom on.
+FEWEST = 4  # Fewer observations leave every residual to the priors.
+EXPECTED_SCATTER_M_S2 = 1e-4 * STANDARD_GRAVITY_M_S2  # Between positions: what good instruments repeat to.
+_EXPECTED_FREEDOM = 3.0  # Weight of that expectation, as if it came from this number of residuals.
+_LEAST_VARIANCE = 0.05  # Of the expected one: positions that agree by chance make no suspects of the others.
+_SUSPECT_SIGMAS = 5.0  # A position that the others contradict by this much is a suspect, where there are many.
+# Share of good positions that may become suspects in one fit: a session of 24 makes some hundred fits, to much the same data.
+SUSPECT_SHARE = 1e-4
+# Two-sided quantiles of Student's distribution at ``SUSPECT_SHARE``, from ``_EXPECTED_FREEDOM`` degrees of freedom on.
 _FEW = (28.0, 15.54, 11.18, 9.08, 7.88, 7.12, 6.59, 6.21, 5.92, 5.69, 5.51, 5.36, 5.24, 5.13, 5.04)
-DOUBT_M_S2 = 3e-4 * STANDARD_GRAVITY_M_S2
-"""And by this much: less does no harm that another hold would cure."""
-TOLD_SHARE = 0.5
-"""What is known no better than to so much of the prior was assumed rather than measured."""
+SUSPECT_M_S2 = 3e-4 * STANDARD_GRAVITY_M_S2  # And by this much: less does no harm that another hold would cure.
+_TOLD_SHARE = 0.5  # A sigma of more than this share of the prior's was assumed rather than measured.
 # Names of the groups of a forecast, and their places among the parameters.
 _GROUPS = {"bias_ug": 1, "scale_ppm": 0, "misalignment_urad": 2, "quadratic_ug_per_g2": 3}
-_STEPS = 8
+_STEPS = 8  # Of Gauss-Newton: with priors it converges in four.
 _LINEAR = 9  # Free parameters without the quadratic term.
+_LEAST_FREEDOM = 0.05  # Of a residual: a position that the others say nothing of would weigh without bound.
+_MEDIAN_OF_SQUARES = 0.455  # Of a normal variable with sigma 1.
+# Spread of uncalibrated instruments: scale as a share, bias in m/s^2, misalignment in rad, quadratic term per m/s^2 of scale.
+_SCALE_SPREAD = 0.03
+_SCALE_SPREAD_LEARNED = 0.2  # A scale learned from one still has its bias in it.
+_BIAS_SPREAD_M_S2 = 0.5
+_MISALIGNMENT_SPREAD_RAD = 0.02
+_QUADRATIC_SPREAD = 5e-4
 
 
 @dataclass(frozen=True, slots=True)
 class Disagreement:
-    """How a position fits the others."""
+    """Disagreement of a position with the fit to the others.
+
+    ``limit_sigmas`` is larger while few positions show what a usual disagreement is.
+    """
 
     name: str
     leave_one_out_m_s2: float
     sigmas: float
-    limit_sigmas: float = DOUBT_SIGMAS
-    """More is doubted; larger while few positions tell what a usual disagreement is."""
+    limit_sigmas: float
 
     @property
-    def doubtful(self) -> bool:
-        """Whether somebody should look at it again."""
-        return abs(self.sigmas) > self.limit_sigmas and abs(self.leave_one_out_m_s2) > DOUBT_M_S2
+    def is_suspect(self) -> bool:
+        """Whether the others contradict this position."""
+        return abs(self.sigmas) > self.limit_sigmas and abs(self.leave_one_out_m_s2) > SUSPECT_M_S2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,10 +97,10 @@ class RunningFit:
     def forecast(self) -> dict[str, float]:
         """Return 1 sigma of the groups of parameters, the largest axis of each, in the units people use.
 
-        A group of which the positions have not told yet, whose sigma is still that of the prior, is left out.
+        A group that the positions do not show yet, whose sigma is still that of the prior, is left out.
         """
         sigma = np.sqrt(np.diag(self.covariance))
-        told = (sigma / self.prior_sigma).reshape(4, 3).max(axis=1) < TOLD_SHARE
+        told = (sigma / self.prior_sigma).reshape(4, 3).max(axis=1) < _TOLD_SHARE
         K = np.abs(self.vector[:3])
         known = {
             "bias_ug": float(sigma[3:6].max() / MICRO_G_M_S2),
@@ -104,8 +112,7 @@ class RunningFit:
 
     def common_scale(self) -> tuple[float, float]:
         """Return the mean of the sensing axes' scales, raw rate per m/s^2, and its relative 1 sigma; free of the gauge."""
-        T = np.eye(3)
-        T[[0, 0, 1, 1, 2, 2], [1, 2, 0, 2, 0, 1]] = self.vector[6:12]
+        T = _axes(self.vector)
         K = np.abs(self.vector[:3])
         share = np.zeros(12)
         share[:3] = 1 / (3 * self.vector[:3])
@@ -113,26 +120,27 @@ class RunningFit:
         return float(np.exp(np.mean(np.log(K * np.linalg.norm(T, axis=1))))), sigma
 
     def disagreements(self) -> list[Disagreement]:
-        """Return how each position fits the others, in their order."""
+        """Return the disagreement of each position with the others, in their order."""
         weighted = self.jacobian / self.sigma_m_s2[:, None]
         leverage = np.minimum(np.einsum("mi,ij,mj->m", weighted, self.covariance, weighted), 1 - 1e-6)
         ratio = self.residual_m_s2 / self.sigma_m_s2
         without = ratio / (1 - leverage)
         squares = ratio**2 / (1 - leverage)
         freedom = max(float((1 - leverage).sum()), 0.0)
-        limit = _doubt_limit(_EXPECTED_FREEDOM + max(freedom - 1, 0.0))
+        # Few degrees of freedom leave large ratios to chance.
+        limit = max(_SUSPECT_SIGMAS, float(np.interp(max(freedom - 1, 0.0), np.arange(len(_FEW)), _FEW)))
         found = []
         for k, name in enumerate(self.names):
             others = max(float(ratio @ ratio - squares[k]), 0.0)
             variance = (_EXPECTED_FREEDOM + others) / (_EXPECTED_FREEDOM + max(freedom - 1, 0.0))
-            sigmas = without[k] * math.sqrt(1 - leverage[k]) / math.sqrt(max(variance, 0.05))
+            sigmas = without[k] * math.sqrt(1 - leverage[k]) / math.sqrt(max(variance, _LEAST_VARIANCE))
             found.append(Disagreement(name, float(without[k] * self.sigma_m_s2[k]), float(sigmas), limit))
         return found
 
     def gain(self, directions: FloatArray) -> FloatArray:
-        """Return by how much a hold in each of the directions (n, 3) would shrink the ellipsoid: log det, D-optimal."""
-        force = STANDARD_GRAVITY_M_S2 * directions
-        raw = _predict_zeroed(self.vector, force)
+        """Return the shrinking of the ellipsoid by a hold in each of the directions (n, 3): log det, D-optimal."""
+        s = STANDARD_GRAVITY_M_S2 * directions @ _axes(self.vector).T
+        raw = self.vector[:3] * (s + self.vector[3:6]) + self.vector[12:] * s**2
         rows = norm_derivatives(self.vector, raw).jacobian[:, LOWER_GAUGE_COLUMNS]
         sigma = float(np.median(self.sigma_m_s2))
         gain: FloatArray = np.log1p(np.einsum("ni,ij,nj->n", rows, self.covariance, rows) / sigma**2)
@@ -144,21 +152,15 @@ class RunningFit:
         return float(np.max(np.abs(self.vector[12:]) / sigma))
 
 
-def _doubt_limit(freedom: float) -> float:
-    """Return the sigmas from which on a position is doubted: few degrees of freedom leave large ones to chance."""
-    return max(DOUBT_SIGMAS, float(np.interp(freedom - _EXPECTED_FREEDOM, np.arange(len(_FEW)), _FEW)))
-
-
-def _predict_zeroed(vector: FloatArray, force: FloatArray) -> FloatArray:
+def _axes(vector: FloatArray) -> FloatArray:
+    """Return the sensing axes of a parameter vector in rows, shape (3, 3)."""
     T = np.eye(3)
     T[[0, 0, 1, 1, 2, 2], [1, 2, 0, 2, 0, 1]] = vector[6:12]
-    s = force @ T.T
-    raw: FloatArray = vector[:3] * (s + vector[3:6]) + vector[12:] * s**2
-    return raw
+    return T
 
 
 def running_fit(observations: list[Observation], scale: RoughScale, gravity_m_s2: float) -> RunningFit | None:
-    """Fit what was measured so far; None while there are too few or where it does not converge.
+    """Fit the observations so far; None while they are too few or where the fit does not converge.
 
     Parameters
     ----------
@@ -170,11 +172,20 @@ def running_fit(observations: list[Observation], scale: RoughScale, gravity_m_s2
     """
     if len(observations) < FEWEST or not scale.accelerometer:
         return None
-    raw = np.array([one.mean_raw for one in observations]) - scale.raw_zero
-    within = np.array([one.covariance_raw for one in observations])
+    raw = np.array([observation.mean_raw for observation in observations]) - scale.raw_zero
+    within = np.array([observation.covariance_raw for observation in observations])
     start = np.zeros(PARAMETERS)
     start[:3] = scale.accelerometer
-    prior = _prior_sigma(scale)
+    # In the order of ``LOWER_GAUGE_COLUMNS``.
+    prior = np.repeat(
+        [
+            (_SCALE_SPREAD_LEARNED if scale.learned else _SCALE_SPREAD) * scale.accelerometer,
+            _BIAS_SPREAD_M_S2,
+            _MISALIGNMENT_SPREAD_RAD,
+            _QUADRATIC_SPREAD * scale.accelerometer / STANDARD_GRAVITY_M_S2,
+        ],
+        3,
+    )
     sigma = np.full(len(raw), EXPECTED_SCATTER_M_S2)
     try:
         vector, residual, jacobian, across = _minimise(start, raw, sigma, prior, gravity_m_s2=gravity_m_s2)
@@ -183,20 +194,19 @@ def running_fit(observations: list[Observation], scale: RoughScale, gravity_m_s2
         sigma = _sigma(residual, jacobian, own, prior)
         vector, residual, jacobian, _ = _minimise(start, raw, sigma, prior, gravity_m_s2=gravity_m_s2)
         sigma = _sigma(residual, jacobian, own, prior)
-        seen = observe(norm_derivatives(vector, raw), vector, gravity_m_s2, quadratic=True)
+        observability = observe(norm_derivatives(vector, raw), vector, gravity_m_s2, quadratic=True)
     except (CalibrationError, np.linalg.LinAlgError):
         return None
-    names = tuple(one.name for one in observations)
     return RunningFit(
-        names=names,
+        names=tuple(observation.name for observation in observations),
         vector=vector,
         scale=scale,
         residual_m_s2=residual,
         sigma_m_s2=sigma,
         jacobian=jacobian,
         prior_sigma=prior,
-        rank=seen.rank,
-        condition=seen.condition,
+        rank=observability.rank,
+        condition=observability.condition,
     )
 
 
@@ -205,15 +215,6 @@ def _sigma(residual: FloatArray, jacobian: FloatArray, own: FloatArray, prior: F
     between = EXPECTED_SCATTER_M_S2**2 * _scatter(residual, jacobian, own, prior)
     sigma: FloatArray = np.sqrt(np.maximum(own, 0.0) + between)
     return sigma
-
-
-def _prior_sigma(scale: RoughScale) -> FloatArray:
-    """Return what an uncalibrated instrument can be off by, in the order of ``LOWER_GAUGE_COLUMNS``."""
-    K = scale.accelerometer or 1.0
-    spread = 0.2 if scale.learned else 0.03
-    return np.concatenate(
-        [np.full(3, spread * K), np.full(3, 0.5), np.full(3, 0.02), np.full(3, 5e-4 * K / STANDARD_GRAVITY_M_S2)]
-    )
 
 
 def _minimise(
@@ -243,6 +244,6 @@ def _scatter(residual: FloatArray, jacobian: FloatArray, within: FloatArray, pri
     sigma = np.sqrt(within + EXPECTED_SCATTER_M_S2**2)
     weighted = np.vstack([jacobian / sigma[:, None], np.diag(1 / prior)])
     leverage = np.einsum("mi,mi->m", weighted, np.linalg.pinv(weighted).T)[: len(residual)]
-    squares = (residual / EXPECTED_SCATTER_M_S2) ** 2 / np.maximum(1 - leverage, 0.05)
-    robust = float(np.median(squares)) / 0.455
+    squares = (residual / EXPECTED_SCATTER_M_S2) ** 2 / np.maximum(1 - leverage, _LEAST_FREEDOM)
+    robust = float(np.median(squares)) / _MEDIAN_OF_SQUARES
     return (_EXPECTED_FREEDOM + freedom * robust) / (_EXPECTED_FREEDOM + freedom)

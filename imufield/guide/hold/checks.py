@@ -1,144 +1,93 @@
-"""Checks of a hold before it is believed. Each gives a refusal with value, limit, axis and remedy, or nothing."""
+"""Checks of a hold before it counts. Each gives a refusal with value, limit, axis and remedy, or None."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.earth import STANDARD_GRAVITY_M_S2
-from imufield.guide.events import RefusalCode, Rejected
-from imufield.guide.hold.hand_mean import HeldMean
+from imufield.guide import refusals
+from imufield.guide.hold.hand_mean import HandMean
 from imufield.guide.hold.observe import correlation_factor, knocked
+from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.limits import Limits
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import AXES, FloatArray, Status
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CheckLimits:
-    """Limits of the checks."""
-
-    gravity_share: float = 0.25
-    """The norm may be off g by this share: uncalibrated MEMS reach 0.2, a wrong unit or range gives 0.5 and more."""
-    gravity_share_learned: float = 0.5
-    """The same where g itself was learned from a still, whose own bias is then in the scale."""
-    lost_share: float = 0.05
-    """Samples of a hold that may be missing or unusable."""
-    knocked_share: float = 0.1
-    """Cells of a hold that may be left out because they stand out."""
-    drift_m_s2: float = 0.01
-    """Change of the norm over a hold that is refused if it is beyond 4 sigma too; the mean takes the middle of the line."""
-    tilt_deg: float = 1.0
-    """Turn of the mean direction over a hold that is refused: the norm of the mean loses 13 ug by it."""
-    shift_deg: float = 0.3
-    """Sudden turn within a hold that is refused if it is beyond 6 sigma too: the norm of the mean loses 3 ug by it."""
-    least_shift_deg: float = 0.05
-    """Less than that never is: 0.1 ug. Between the two the limit is what costs 1 sigma of the mean."""
-    tremor_deg: float = 0.2
-    jolt_share: float = 8.0
-    """Of the usual jolt of a hold in the hand: tremor and noise make up to 4, bumps that shift the mean 15 to 600; a slow one
-    that makes less stands out of the cells."""
-    sway_deg: float = 1.5
-    """Of a hold in the hand, rms of each axis: what the frame of the gyroscope corrects to 5 ug and 15 ug."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Refusal:
-    """Why a hold does not count."""
-
-    reason: RefusalCode
-    words: str
-    remedy: str
-    measured: float
-    limit: float
-    unit: str
-    axis: str | None = None
-
-    def event(self, now_s: float, position: str | None) -> Rejected:
-        """Return the event that says it."""
-        return Rejected(time_s=now_s, position=position, **{field.name: getattr(self, field.name) for field in fields(self)})
+# The norm may be off g by this share: uncalibrated MEMS reach 0.2, a wrong unit or range gives 0.5 and more.
+_GRAVITY_SHARE = 0.25
+_GRAVITY_SHARE_LEARNED = 0.5  # The same where g itself was learned from a still, whose own bias is then in the scale.
+LOST_SHARE = 0.05  # Samples of a hold that may be missing or unusable.
+_KNOCKED_SHARE = 0.1  # Cells of a hold that may be left out because they stand out.
+# Change of the norm over a hold that is refused if it is beyond 4 sigma too; the mean corresponds to the middle of the line.
+_DRIFT_M_S2 = 0.01
+_TILT_DEG = 1.0  # Turn of the mean direction over a hold that is refused: the norm of the mean loses 13 ug by it.
+_DRIFT_SIGMAS = 4.0
+# Sudden turn within a hold that is refused if it is beyond 6 sigma too: the norm of the mean loses 3 ug by it.
+_SHIFT_DEG = 0.3
+_LEAST_SHIFT_DEG = 0.05  # A smaller one never is: 0.1 ug. Between the two the limit is what costs 1 sigma of the mean.
+_SHIFT_SIGMAS = 6.0
+# Of the usual jolt of a hold in the hand: tremor and noise make up to 4, bumps that shift the mean 15 to 600; a slow one
+# that makes less stands out of the cells.
+JOLT_SHARE = 8.0
+# Of a hold in the hand, rms of each axis: what the frame of the gyroscope corrects to 5 ug (tremor) and 15 ug (sway).
+_TREMOR_DEG = 0.2
+_SWAY_DEG = 1.5
+_LEAST_ROWS = 5  # On both sides of a sudden turn: a mean of fewer cells is mostly noise.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HoldUnderTest:
-    """What the checks look at: the trimmed cells of a hold and the standards they are held against."""
+    """The trimmed cells of a hold and the standards that the checks compare them with."""
 
     cells: Cells
     floor: NoiseFloor
     limits: Limits
     scale: RoughScale
-    settings: CheckLimits
-    held: HeldMean | None = None
+    hand_mean: HandMean | None = None
     """For a hold in the hand."""
 
 
 def examine(hold: HoldUnderTest) -> Refusal | None:
-    """Return the first reason not to believe a hold, None when there is none."""
-    always = (_check_samples, _check_stuck, _check_gravity)
-    in_hand = (_check_jolt, _check_knocks, _check_tremor, _check_sway)
-    by_kind = (_check_knocks, _check_shift, _check_drift) if hold.held is None else in_hand
-    checks: tuple[Callable[[HoldUnderTest], Refusal | None], ...] = (*always, *by_kind)
-    for check in checks:
-        refusal = check(hold)
-        if refusal is not None:
-            return refusal
-    return None
+    """Return the first reason to refuse a hold, None when there is none."""
+    if hold.hand_mean is None:
+        by_kind: tuple[Callable[[HoldUnderTest], Refusal | None], ...] = (_check_knocks, _check_shift, _check_drift)
+    else:
+        by_kind = (_check_hand_jolt, _check_knocks, _check_hand_motion)
+    refusals_in_order = (check(hold) for check in (_check_samples, _check_stuck, _check_gravity, *by_kind))
+    return next((refusal for refusal in refusals_in_order if refusal is not None), None)
 
 
 def explain_flags(cells: Cells, usable_share: float, limit: float) -> Refusal:
-    """Return the refusal for cells with too few usable samples: what their flags say."""
+    """Return the refusal of cells with too few usable samples, by their flags."""
     flags = Status(int(np.bitwise_or.reduce(cells.flags)) & 0xFFFF)
     percent, limit_percent = 100 * (1 - usable_share), 100 * (1 - limit)
-    share = f"{percent:.1f} % of the samples (limit {limit_percent:.0f} %)"
     if flags & (Status.ACCELEROMETER_SATURATED | Status.GYROSCOPE_SATURATED):
-        accelerometer = bool(flags & Status.ACCELEROMETER_SATURATED)
-        triad, axis = ("accelerometer", 0) if accelerometer else ("gyroscope", 3)
-        peak = np.fmax(np.abs(cells.low), np.abs(cells.high))[:, axis : axis + 3]
-        name = AXES[int(np.argmax(np.nan_to_num(np.nanmax(peak, axis=0))))] if np.isfinite(peak).any() else None
-        return Refusal(
-            reason=RefusalCode.SATURATED,
-            words=f"the {triad} is at the end of its range{f' on axis {name}' if name else ''} in {share}",
-            remedy="choose a larger range, or check the range setting of the driver, then hold again",
-            measured=percent,
-            limit=limit_percent,
-            unit="%",
-            axis=name,
-        )
-    for flag, reason, found, remedy in (
-        (Status.START_UP, RefusalCode.START_UP, "the instrument is still starting up", "leave it alone until it is ready"),
-        (Status.INSTRUMENT_FAULT, RefusalCode.INVALID, "the instrument reports a fault", "read its status in the manual"),
-        (Status.ACCELEROMETER_INVALID, RefusalCode.INVALID, "the accelerometer is reported invalid", "check the instrument"),
-        (Status.GYROSCOPE_INVALID, RefusalCode.INVALID, "the gyroscope is reported invalid", "check the instrument"),
+        triad, first = ("accelerometer", 0) if flags & Status.ACCELEROMETER_SATURATED else ("gyroscope", 3)
+        peak = np.fmax(np.abs(cells.low), np.abs(cells.high))[:, first : first + 3]
+        axis = AXES[int(np.argmax(np.nan_to_num(np.nanmax(peak, axis=0))))] if np.isfinite(peak).any() else None
+        on_axis = f" on axis {axis}" if axis else ""
+        return refusals.SATURATED.refusal(percent, limit_percent, axis=axis, triad=triad, on_axis=on_axis)
+    for flag, sentence in (
+        (Status.START_UP, refusals.START_UP),
+        (Status.INSTRUMENT_FAULT, refusals.FAULT),
+        (Status.ACCELEROMETER_INVALID, refusals.ACCELEROMETER_INVALID),
+        (Status.GYROSCOPE_INVALID, refusals.GYROSCOPE_INVALID),
     ):
         if flags & flag:
-            again = "" if reason is RefusalCode.START_UP else ", then hold again"
-            return Refusal(
-                reason=reason,
-                words=f"{found} in {share}",
-                remedy=f"{remedy}{again}",
-                measured=percent,
-                limit=limit_percent,
-                unit="%",
-            )
-    return Refusal(
-        reason=RefusalCode.SAMPLE_LOSS,
-        words=f"lost or not finite: {share}",
-        remedy="check cable, baud rate and load of the computer, then hold again",
-        measured=percent,
-        limit=limit_percent,
-        unit="%",
-    )
+            return sentence.refusal(percent, limit_percent)
+    return refusals.SAMPLE_LOSS.refusal(percent, limit_percent)
 
 
 def _check_samples(hold: HoldUnderTest) -> Refusal | None:
     slots = int(hold.cells.slot[-1] - hold.cells.slot[0]) + 1
     share = float(hold.cells.usable.sum()) / (slots * hold.floor.samples_per_cell)
-    limit = 1 - hold.settings.lost_share
+    limit = 1 - LOST_SHARE
     return explain_flags(hold.cells, share, limit) if share < limit else None
 
 
@@ -150,49 +99,21 @@ def _check_stuck(hold: HoldUnderTest) -> Refusal | None:
     if not len(stuck):
         return None
     axis = int(stuck[0])
-    reading, noise = hold.cells.high[0, axis], hold.floor.sigma[axis]
-    return Refusal(
-        reason=RefusalCode.STUCK,
-        words=f"accelerometer axis {AXES[axis]} stays at {reading:g} (raw) although its noise is {noise:.3g}: "
-        "at the end of its range, or broken",
-        remedy="choose a larger range, or check the instrument, then hold again",
-        measured=0.0,
-        limit=float(noise),
-        unit="raw unit",
-        axis=AXES[axis],
-    )
+    reading = float(hold.cells.high[0, axis])
+    return refusals.STUCK.refusal(0.0, float(hold.floor.sigma[axis]), axis=AXES[axis], reading=reading)
 
 
 def _check_gravity(hold: HoldUnderTest) -> Refusal | None:
     norm = float(np.linalg.norm(hold.scale.specific_force(hold.cells.mean[:, :3].mean(axis=0))))
-    share = hold.settings.gravity_share_learned if hold.scale.learned else hold.settings.gravity_share
-    limit = share * STANDARD_GRAVITY_M_S2
-    if abs(norm - STANDARD_GRAVITY_M_S2) <= limit:
-        return None
-    return Refusal(
-        reason=RefusalCode.GRAVITY,
-        words=f"at rest the accelerometer shows {norm:.2f} m/s^2, further than {limit:.2f} m/s^2 from gravity",
-        remedy="check the unit, range and scale settings of the driver",
-        measured=norm,
-        limit=limit,
-        unit="m/s^2",
-    )
+    limit = (_GRAVITY_SHARE_LEARNED if hold.scale.learned else _GRAVITY_SHARE) * STANDARD_GRAVITY_M_S2
+    return refusals.GRAVITY.refusal(norm, limit) if abs(norm - STANDARD_GRAVITY_M_S2) > limit else None
 
 
 def _check_knocks(hold: HoldUnderTest) -> Refusal | None:
     share = float(knocked(hold.cells, hold.limits).mean())
     # What is cut out of a hold in the hand leaves a hole through which the sway comes in.
-    allowed = hold.settings.knocked_share if hold.held is None else 0.0
-    if share <= allowed:
-        return None
-    return Refusal(
-        reason=RefusalCode.KNOCKED,
-        words=f"knocks or vibration in {100 * share:.0f} % of the hold (limit {100 * allowed:.0f} %)",
-        remedy="keep hands and machines off the table, and hold again",
-        measured=100 * share,
-        limit=100 * allowed,
-        unit="%",
-    )
+    allowed = _KNOCKED_SHARE if hold.hand_mean is None else 0.0
+    return refusals.KNOCKED.refusal(100 * share, 100 * allowed) if share > allowed else None
 
 
 def _check_shift(hold: HoldUnderTest) -> Refusal | None:
@@ -201,73 +122,33 @@ def _check_shift(hold: HoldUnderTest) -> Refusal | None:
     step, sigma, row = largest_step(force)
     norm = float(np.linalg.norm(force.mean(axis=0)))
     turn = math.degrees(float(np.linalg.norm(step)) / norm)
-    limit = max(_harmless_shift_deg(hold, force, norm), 6 * math.degrees(sigma / norm))
+    # A turn in the middle of a hold shortens the mean by its square over 8: the harmless one by 1 sigma of the mean.
+    along = force @ force.mean(axis=0) / norm
+    variance = float(along.var(ddof=1)) / len(along) * correlation_factor(along - along.mean())
+    harmless = min(_SHIFT_DEG, max(_LEAST_SHIFT_DEG, math.degrees(math.sqrt(8 * math.sqrt(variance) / norm))))
+    limit = max(harmless, _SHIFT_SIGMAS * math.degrees(sigma / norm))
     if turn <= limit:
         return None
     after_s = float(hold.cells.start_s[row] - hold.cells.start_s[0])
-    axis = AXES[int(np.argmax(np.abs(step)))]
-    return Refusal(
-        reason=RefusalCode.KNOCKED,
-        words=f"it was pushed by {turn:.2f} deg after {after_s:.1f} s of the hold (limit {limit:.2f} deg, axis {axis})",
-        remedy="leave it: it is measured again",
-        measured=turn,
-        limit=limit,
-        unit="deg",
-        axis=axis,
-    )
+    return refusals.PUSHED.refusal(turn, limit, axis=AXES[int(np.argmax(np.abs(step)))], after_s=after_s)
 
 
-def _harmless_shift_deg(hold: HoldUnderTest, force: FloatArray, norm: float) -> float:
-    """Return the turn in the middle of a hold that shortens the mean, by its square over 8, by 1 sigma of the mean."""
-    along = force @ force.mean(axis=0) / norm
-    variance = float(along.var(ddof=1)) / len(along) * correlation_factor(along - along.mean())
-    return min(
-        hold.settings.shift_deg, max(hold.settings.least_shift_deg, math.degrees(math.sqrt(8 * math.sqrt(variance) / norm)))
-    )
-
-
-def _check_jolt(hold: HoldUnderTest) -> Refusal | None:
+def _check_hand_jolt(hold: HoldUnderTest) -> Refusal | None:
     """Refuse a hold in the hand that was bumped: cutting the bump out would let the sway through."""
-    held = hold.held
-    limit = math.inf if held is None else hold.settings.jolt_share * held.usual_jolt_m_s2
-    if held is None or held.jolt_m_s2 <= limit:
+    hand = hold.hand_mean
+    limit = math.inf if hand is None else JOLT_SHARE * hand.usual_jolt_m_s2
+    if hand is None or hand.jolt_m_s2 <= limit:
         return None
-    return Refusal(
-        reason=RefusalCode.KNOCKED,
-        words=f"it was bumped after {held.jolt_after_s:.1f} s: a jolt of {held.jolt_m_s2:.2f} m/s^2 (limit {limit:.2f} m/s^2)",
-        remedy="go on holding: it is measured again",
-        measured=held.jolt_m_s2,
-        limit=limit,
-        unit="m/s^2",
-    )
+    return refusals.BUMPED.refusal(hand.jolt_m_s2, limit, after_s=hand.jolt_after_s)
 
 
-def _check_tremor(hold: HoldUnderTest) -> Refusal | None:
-    held = hold.held
-    if held is None or held.tremor_deg <= hold.settings.tremor_deg:
-        return None
-    return Refusal(
-        reason=RefusalCode.TREMBLING,
-        words=f"the hand trembles by {held.tremor_deg:.2f} deg rms (limit {hold.settings.tremor_deg:g} deg)",
-        remedy="rest the arm on something, or lean the unit against a support; it is measured again",
-        measured=held.tremor_deg,
-        limit=hold.settings.tremor_deg,
-        unit="deg",
-    )
-
-
-def _check_sway(hold: HoldUnderTest) -> Refusal | None:
-    held = hold.held
-    if held is None or held.sway_deg <= hold.settings.sway_deg:
-        return None
-    return Refusal(
-        reason=RefusalCode.SWAYING,
-        words=f"the hand sways by {held.sway_deg:.1f} deg rms (limit {hold.settings.sway_deg:g} deg)",
-        remedy="rest the elbows on the table, or lean the unit against a support; it is measured again",
-        measured=held.sway_deg,
-        limit=hold.settings.sway_deg,
-        unit="deg",
-    )
+def _check_hand_motion(hold: HoldUnderTest) -> Refusal | None:
+    hand = hold.hand_mean
+    if hand is not None and hand.tremor_deg > _TREMOR_DEG:
+        return refusals.TREMBLING.refusal(hand.tremor_deg, _TREMOR_DEG)
+    if hand is not None and hand.sway_deg > _SWAY_DEG:
+        return refusals.SWAYING.refusal(hand.sway_deg, _SWAY_DEG)
+    return None
 
 
 def largest_step(series: FloatArray) -> tuple[FloatArray, float, int]:
@@ -278,12 +159,13 @@ def largest_step(series: FloatArray) -> tuple[FloatArray, float, int]:
     series : ndarray, shape (m, 3)
         Zero and infinite sigma for fewer than 10 rows.
     """
-    m, least = len(series), 5
-    if m < 2 * least:
+    m = len(series)
+    if m < 2 * _LEAST_ROWS:
         return np.zeros(3), math.inf, 0
-    before = np.arange(least, m - least + 1)
+    before = np.arange(_LEAST_ROWS, m - _LEAST_ROWS + 1)
     sums = np.cumsum(series - series.mean(axis=0), axis=0)[before - 1]
     steps = -sums * (m / (before * (m - before)))[:, None]
+    # The step whose size over its own sigma is largest: a step at an end is known from few rows only.
     worst = int(np.argmax(np.linalg.norm(steps, axis=1) * np.sqrt(before * (m - before))))
     row = int(before[worst])
     residual = np.concatenate([part - part.mean(axis=0) for part in (series[:row], series[row:])])
@@ -297,34 +179,17 @@ def _check_drift(hold: HoldUnderTest) -> Refusal | None:
     force = hold.scale.specific_force(hold.cells.mean[:, :3])
     mean = force.mean(axis=0)
     norm = float(np.linalg.norm(mean))
-    along = force @ mean / norm
-    change, sigma = change_over(along)
-    limit = max(hold.settings.drift_m_s2, 4 * sigma)
+    change, sigma = change_over(force @ mean / norm)
+    limit = max(_DRIFT_M_S2, _DRIFT_SIGMAS * sigma)
     if abs(change) > limit:
-        return _drift_refusal(
-            f"the reading drifts by {1e3 * abs(change):.1f} mm/s^2", abs(change), limit, "m/s^2", direction=mean
-        )
+        axis = AXES[int(np.argmax(np.abs(mean)))]
+        drift, allowed = 1e3 * abs(change), 1e3 * limit
+        return refusals.DRIFTS.refusal(abs(change), limit, axis=axis, drift_mm_s2=drift, limit_mm_s2=allowed)
     changes = np.array([change_over(column) for column in force.T])
     sideways = changes[:, 0] - mean * (mean @ changes[:, 0]) / norm**2
     turn = math.degrees(float(np.linalg.norm(sideways)) / norm)
-    limit = max(hold.settings.tilt_deg, 4 * math.degrees(float(changes[:, 1].max()) / norm))
-    if turn > limit:
-        return _drift_refusal(f"the unit tilts by {turn:.2f} deg", turn, limit, "deg", direction=sideways)
-    return None
-
-
-def _drift_refusal(found: str, measured: float, limit: float, unit: str, *, direction: FloatArray) -> Refusal:
-    shown = f"{1e3 * limit:.1f} mm/s^2" if unit == "m/s^2" else f"{limit:.2f} deg"
-    axis = AXES[int(np.argmax(np.abs(direction)))]
-    return Refusal(
-        reason=RefusalCode.DRIFTING,
-        words=f"{found} over the hold (limit {shown}, axis {axis})",
-        remedy="leave it: it is measured again; if this repeats, use a firmer support or let the unit warm up",
-        measured=measured,
-        limit=limit,
-        unit=unit,
-        axis=axis,
-    )
+    limit = max(_TILT_DEG, _DRIFT_SIGMAS * math.degrees(float(changes[:, 1].max()) / norm))
+    return refusals.TILTS.refusal(turn, limit, axis=AXES[int(np.argmax(np.abs(sideways)))]) if turn > limit else None
 
 
 def change_over(series: FloatArray) -> tuple[float, float]:

@@ -14,10 +14,10 @@ What tremor leaves in the mean is a product of the turn and the acceleration of 
 12 Hz: 0.1 deg and 10 cm make 350 ug of it. So the turn is interpolated by polynomials, lost samples are bridged, means over
 several samples are sharpened, and the gyroscope is moved by its delay, which the hold itself shows (``triad_delay``).
 
-The covariance comes from the same taper shifted to 2, 3, 4 and 5 cycles per hold, where the mean itself is not seen: the
-power of what is left next to zero frequency, a multitaper estimate with eight degrees of freedom. What the arm does falls
-towards zero: a hand that stays in its place has a displacement that grows no faster than 1/f, hence an acceleration that
-falls at least with f, and each of the four is carried to 1 cycle by that law. The instrument's own noise, known from the
+The covariance comes from the same taper shifted to 2, 3, 4 and 5 cycles per hold, where the mean itself has no power: the
+power next to zero frequency, a multitaper estimate with eight degrees of freedom. The motion of the arm falls towards zero
+frequency: a hand that stays in its place has a displacement that grows no faster than 1/f, hence an acceleration that
+falls at least with f, and each of the four is extrapolated to 1 cycle by that law. The instrument's own noise, known from the
 noise floor, does not fall and is added.
 """
 
@@ -34,27 +34,25 @@ from imufield.guide.hold.triad_delay import TriadDelay, triad_delay
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, Samples
 
-STEP_S = 0.004
-"""Samples closer than this are averaged first: tremor of 0.1 deg turns 0.03 deg in it."""
-TREMOR_S = 0.25
-"""A running mean this long parts tremor (above 4 Hz) from sway."""
-EDGE_S = 0.4
-_CYCLES = (2, 3, 4, 5)
-_PASSES = 2
-# What turning changed in the mean is known to this share: scale of the gyroscope before calibration, filters of both.
+_STEP_S = 0.004  # Samples closer than this are averaged first: tremor of 0.1 deg turns 0.03 deg in it.
+_TREMOR_S = 0.25  # A running mean this long separates tremor (above 4 Hz) from sway.
+_EDGE_S = 0.4  # Width of the edges of a hole in the taper: a sharp one would let the tremor through.
+_CYCLES = (2, 3, 4, 5)  # Per hold: 1 is the mean's own, and more than 5 are farther from zero frequency than the sway.
+_PASSES = 2  # The first leaves less than the square of the net turn, the second nothing that matters.
+# The change of the mean by turning is known to this share: scale of the gyroscope before calibration, filters of both.
 _GAIN_SIGMA = 0.01
-_FEWEST = 20
+_FEWEST = 20  # Samples and steps of a hold; the shortest hold of the slowest instrument has more.
 _POINTS = 8  # Of an interpolation: with six, a sample lost at 100 Hz is known to 1 % of a tremor at 12 Hz, with eight to 0.2 %.
 _REGULAR = 0.2  # Share of the sample interval: stamps that come closer do not tell where samples are missing.
-BRIDGED_S = 0.04
-"""Samples are bridged over holes up to this long; half a period of tremor at 12 Hz."""
-JOLT_S = 0.01
-"""Spacing of the second difference that tells a bump: it passes 30 Hz eight times better than the tremor at 10 Hz."""
+_BRIDGED_S = 0.04  # Samples are bridged over holes up to this long; half a period of tremor at 12 Hz.
+# Spacing of the second difference that tells a bump: it passes 30 Hz eight times better than the tremor at 10 Hz.
+_JOLT_S = 0.01
+_LEAST_SWAY_RAD = 1e-6  # The net turn about the vertical is known no better than to this.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HeldMean:
-    """What a hold in the hand showed.
+class HandMean:
+    """The measurement of a hold in the hand.
 
     Attributes
     ----------
@@ -63,10 +61,16 @@ class HeldMean:
     covariance_raw : ndarray, shape (3, 3)
         Of that mean.
     gyroscope_raw : ndarray, shape (3,)
-        Mean raw rate, the net turn across the vertical taken off.
+        Mean raw rate without the net turn across the vertical.
     gyroscope_covariance_raw : ndarray, shape (3, 3)
     tremor_deg, sway_deg : float
         RMS turn of each axis above and below 4 Hz.
+    delay : TriadDelay
+        As this hold shows it; its samples were turned with the gyroscope moved by it.
+    jolt_m_s2, usual_jolt_m_s2 : float
+        Largest second difference of the turned force over steps of 10 ms, and the median one: that of the tremor.
+    jolt_after_s : float
+        From the begin of the hold to the largest one.
     """
 
     force_raw: FloatArray
@@ -76,30 +80,26 @@ class HeldMean:
     tremor_deg: float
     sway_deg: float
     delay: TriadDelay
-    """As this hold shows it; its samples were turned with the gyroscope moved by it."""
-    jolt_m_s2: float = 0.0
-    """Largest second difference of the turned force over steps of ``JOLT_S``."""
-    usual_jolt_m_s2: float = math.inf
-    """Its median: what the tremor makes."""
-    jolt_after_s: float = math.nan
-    """From the begin of the hold to the largest one."""
+    jolt_m_s2: float
+    usual_jolt_m_s2: float
+    jolt_after_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Steps:
-    """Means over whole numbers of samples, ``STEP_S`` at most; rates in rad/s, forces raw less mid-scale."""
+    """Means over whole numbers of samples, ``_STEP_S`` at most; rates in rad/s, forces raw less mid-scale."""
 
     time_s: FloatArray
     force: FloatArray
     rate: FloatArray
     edge_s: FloatArray  # Begin of each step and end of the last, shape (n + 1,).
     turned: FloatArray  # Integral of the rate up to each edge, rad, shape (n + 1, 3).
-    keep: FloatArray  # Share by which the step counts: 0 where it is knocked, shape (n,).
+    keep: FloatArray  # Share by which the step counts: 0 in a knock, shape (n,).
 
 
-def held_mean(
+def mean_in_hand(
     samples: Samples, scale: RoughScale, noise_density_raw: FloatArray, knocks_s: FloatArray | None = None
-) -> HeldMean | None:
+) -> HandMean | None:
     """Return the mean of a hold in the hand, None where it has too few samples or the gyroscope's scale is not known.
 
     Parameters
@@ -115,7 +115,10 @@ def held_mean(
     steps = _average(samples, scale, np.empty((0, 2)) if knocks_s is None else knocks_s)
     if steps is None:
         return None
-    taper = _taper(steps)
+    # Hann weights that add up to 1, 0 in knocks.
+    place = (steps.time_s - steps.time_s[0]) / np.ptp(steps.time_s)
+    taper = np.sin(np.pi * place) ** 2 * steps.keep * np.diff(steps.edge_s)
+    taper = taper / taper.sum()
     delay = triad_delay(steps.time_s, steps.force, steps.rate, steps.keep)
     rest, turned, attitude = _turn(steps, taper, delay.delay_s)
     mean = taper @ turned
@@ -125,15 +128,17 @@ def held_mean(
     white = noise_density_raw**2 * float(taper @ taper) / float(np.median(np.diff(steps.time_s)))
     tremor_rad = float(np.sqrt(np.mean(tremor.var(axis=0))))
     deviation = turned - mean
-    # A wrong gain g of the turns leaves 1 - g of what they take out of the mean: the centripetal force of the arm.
+    # A wrong gain g of the turns leaves 1 - g of what they remove from the mean: the centripetal force of the arm.
     left = _GAIN_SIGMA * (taper @ cross(angle, deviation))
-    spread = _covariance(deviation, steps, taper) + np.diag(white) + np.outer(left, left)
+    cycles = np.exp(2j * np.pi * np.array(_CYCLES)[:, None] * place)
+    amplitude = (cycles * taper) @ deviation / np.array(_CYCLES)[:, None]
+    spread = np.real(amplitude.T @ amplitude.conj()) / len(_CYCLES) + np.diag(white) + np.outer(left, left)
     sway_rad = float(np.sqrt(np.mean(sway.var(axis=0))))
     gyroscope_scale = scale.gyroscope or math.nan
-    # Heading is not seen by gravity: the net turn about the vertical stays in the mean rate, as large as the sway.
-    turn_sigma = gyroscope_scale * math.sqrt(2) * max(sway_rad, 1e-6) / float(np.ptp(steps.time_s))
+    # Gravity does not show heading: the net turn about the vertical stays in the mean rate, as large as the sway.
+    turn_sigma = gyroscope_scale * math.sqrt(2) * max(sway_rad, _LEAST_SWAY_RAD) / float(np.ptp(steps.time_s))
     jolt, usual_jolt, jolt_after_s = _jolt(steps.time_s, turned / (scale.accelerometer or math.nan))
-    return HeldMean(
+    return HandMean(
         force_raw=mean + scale.raw_zero,
         covariance_raw=spread,
         gyroscope_raw=rest * gyroscope_scale,
@@ -149,7 +154,7 @@ def held_mean(
 
 def _jolt(time_s: FloatArray, force: FloatArray) -> tuple[float, float, float]:
     """Return the largest second difference of a force (n, 3), the median one, and when the largest was, from the begin."""
-    stride = max(1, round(JOLT_S / float(np.median(np.diff(time_s)))))
+    stride = max(1, round(_JOLT_S / float(np.median(np.diff(time_s)))))
     if len(force) < 4 * stride:
         return 0.0, math.inf, math.nan
     size = np.linalg.norm(force[2 * stride :] - 2 * force[stride:-stride] + force[: -2 * stride], axis=1)
@@ -158,7 +163,7 @@ def _jolt(time_s: FloatArray, force: FloatArray) -> tuple[float, float, float]:
 
 
 def _average(samples: Samples, scale: RoughScale, knocks_s: FloatArray) -> _Steps | None:
-    """Return means of the samples that count, over whole numbers of them, ``STEP_S`` at most, short holes bridged."""
+    """Return means of the samples that count, over whole numbers of them, ``_STEP_S`` at most, short holes bridged."""
     force, rate = samples.accelerometer_rate(), samples.gyroscope_rate()
     good = samples.usable & np.isfinite(force).all(axis=1) & np.isfinite(rate).all(axis=1)
     if scale.gyroscope is None or np.count_nonzero(good) < _FEWEST:
@@ -169,8 +174,8 @@ def _average(samples: Samples, scale: RoughScale, knocks_s: FloatArray) -> _Step
     if not sample_s > 0:
         return None
     time_s, force, rate = _bridged(samples.time_s[good], force, rate, sample_s)
-    each = max(int(STEP_S / sample_s + 1e-6), 1)
-    # None on the border between two steps, where the rounding of a stamp would decide.
+    each = max(int(_STEP_S / sample_s + 1e-6), 1)
+    # Half a sample off the border between two steps, where the rounding of a stamp would decide.
     step = np.floor((time_s - time_s[0]) / (each * sample_s) + 0.5 / each).astype(np.int64)
     first = np.flatnonzero(np.diff(step, prepend=step[0] - 1))
     count = np.diff(np.append(first, len(step)))[:, None]
@@ -178,11 +183,13 @@ def _average(samples: Samples, scale: RoughScale, knocks_s: FloatArray) -> _Step
         return None
     mean_s = np.add.reduceat(time_s, first) / count[:, 0]
     spread = np.add.reduceat((time_s - np.repeat(mean_s, count[:, 0])) ** 2, first) / count[:, 0]
-    edge_s, turned = _integral(time_s, rate)
+    # A sample of the rate is the mean over its own interval, so at the edges half-way nothing is interpolated.
+    half = np.diff(time_s) / 2
+    edge_s = np.concatenate([time_s[:1] - half[0], time_s[:-1] + half, time_s[-1:] + half[-1]])
+    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(rate * np.diff(edge_s)[:, None], axis=0)])
     at_edges = np.append(first, len(step))
-    # A sharp hole in the taper would let the tremor through; its edges are ``EDGE_S`` wide.
-    away = np.maximum(knocks_s[:, 0] - STEP_S - mean_s[:, None], mean_s[:, None] - knocks_s[:, 1] - STEP_S)
-    keep = np.sin(np.pi / 2 * np.clip(away / EDGE_S, 0.0, 1.0)) ** 2
+    away = np.maximum(knocks_s[:, 0] - _STEP_S - mean_s[:, None], mean_s[:, None] - knocks_s[:, 1] - _STEP_S)
+    keep = np.sin(np.pi / 2 * np.clip(away / _EDGE_S, 0.0, 1.0)) ** 2
     return _Steps(
         time_s=mean_s,
         force=_sharpened(mean_s, np.add.reduceat(force, first, axis=0) / count, spread),
@@ -202,8 +209,8 @@ def _bridged(
     """
     gap = np.diff(time_s)
     lost = np.rint(gap / sample_s).astype(np.int64) - 1
-    holes = np.flatnonzero((lost > 0) & (gap <= BRIDGED_S))
-    # Stamps too coarse for the rate come in pairs, and no two samples say what lay between them.
+    holes = np.flatnonzero((lost > 0) & (gap <= _BRIDGED_S))
+    # Stamps too coarse for the rate come in pairs, and no two samples tell what is missing between them.
     if not len(holes) or gap.min() < _REGULAR * sample_s:
         return time_s, force, rate
     missing = np.concatenate([time_s[k] + gap[k] * np.arange(1, lost[k] + 1) / (lost[k] + 1) for k in holes])
@@ -214,16 +221,6 @@ def _bridged(
         np.insert(force, places, filled[:, :3], axis=0),
         np.insert(rate, places, filled[:, 3:], axis=0),
     )
-
-
-def _integral(time_s: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the edges half-way between samples (n + 1,) and the integral of the rate up to them (n + 1, 3).
-
-    A sample of the rate is the mean over its own interval, so at the edges nothing is interpolated.
-    """
-    half = np.diff(time_s) / 2
-    edge_s = np.concatenate([time_s[:1] - half[0], time_s[:-1] + half, time_s[-1:] + half[-1]])
-    return edge_s, np.concatenate([np.zeros((1, 3)), np.cumsum(rate * np.diff(edge_s)[:, None], axis=0)])
 
 
 def _sharpened(time_s: FloatArray, mean: FloatArray, spread: FloatArray) -> FloatArray:
@@ -251,16 +248,8 @@ def _interpolate(nodes: FloatArray, values: FloatArray, at: FloatArray) -> Float
     return result
 
 
-def _taper(steps: _Steps) -> FloatArray:
-    """Return Hann weights that add up to 1, shape (n,), 0 in knocks."""
-    place = (steps.time_s - steps.time_s[0]) / np.ptp(steps.time_s)
-    weight = np.sin(np.pi * place) ** 2 * steps.keep * np.diff(steps.edge_s)
-    result: FloatArray = weight / weight.sum()
-    return result
-
-
 def _turn(steps: _Steps, taper: FloatArray, delay_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the rate taken off (3,), the turned forces (n, 3) and the attitudes from the mean attitude (n, 4)."""
+    """Return the rate subtracted (3,), the turned forces (n, 3) and the attitudes from the mean attitude (n, 4)."""
     interval = np.diff(steps.time_s)[:, None]
     turn = np.diff(_interpolate(steps.edge_s, steps.turned, steps.time_s + delay_s), axis=0)
     rest = np.sum(turn, axis=0) / interval.sum()
@@ -269,7 +258,7 @@ def _turn(steps: _Steps, taper: FloatArray, delay_s: float) -> tuple[FloatArray,
     for _ in range(_PASSES):
         turned, _ = _with_rest(steps, turn - rest * interval, taper)
         mean = taper @ turned
-        # What is left of the rate turns the force at e x f: its part across f follows from the drift.
+        # The rest e of the rate turns the force at e x f: its part across f follows from the drift.
         drift = slope_weight @ turned
         rest = rest + np.cross(mean, drift) / (mean @ mean)
     return rest, *_with_rest(steps, turn - rest * interval, taper)
@@ -277,33 +266,19 @@ def _turn(steps: _Steps, taper: FloatArray, delay_s: float) -> tuple[FloatArray,
 
 def _with_rest(steps: _Steps, turn: FloatArray, taper: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the forces turned into the mean attitude (n, 3), and the attitudes (n, 4), for turns from step to step."""
-    attitude = _about_mean(exponential(turn), taper)
-    return (matrix(attitude) @ steps.force[:, :, None])[:, :, 0], attitude
-
-
-def _about_mean(turn: FloatArray, taper: FloatArray) -> FloatArray:
-    """Chain turns (n - 1, 4) and refer them to their mean attitude: quaternions (n, 4)."""
-    chain = running_turns(turn, np.zeros(1, dtype=np.int64))
+    chain = running_turns(exponential(turn), np.zeros(1, dtype=np.int64))
     attitude = np.concatenate([[[1.0, 0.0, 0.0, 0.0]], chain])
+    # The mean of rotation vectors is that of the attitudes only about itself: the second time it is.
     for _ in range(2):
         mean = exponential(taper @ logarithm(attitude))
         attitude = multiply(mean * np.array([1.0, -1.0, -1.0, -1.0]), attitude)
-    return attitude
-
-
-def _covariance(deviation: FloatArray, steps: _Steps, taper: FloatArray) -> FloatArray:
-    """Return the covariance that the hand leaves in the tapered mean, shape (3, 3)."""
-    place = (steps.time_s - steps.time_s[0]) / np.ptp(steps.time_s)
-    cycles = np.exp(2j * np.pi * np.array(_CYCLES)[:, None] * place)
-    amplitude = (cycles * taper) @ deviation / np.array(_CYCLES)[:, None]
-    covariance: FloatArray = np.real(amplitude.T @ amplitude.conj()) / len(_CYCLES)
-    return covariance
+    return (matrix(attitude) @ steps.force[:, :, None])[:, :, 0], attitude
 
 
 def _running_mean(values: FloatArray, time_s: FloatArray) -> FloatArray:
-    """Return the mean over ``TREMOR_S`` about each row, shape (n, 3)."""
-    low: NDArray[np.intp] = np.searchsorted(time_s, time_s - TREMOR_S / 2)
-    high: NDArray[np.intp] = np.searchsorted(time_s, time_s + TREMOR_S / 2, side="right")
+    """Return the mean over ``_TREMOR_S`` about each row, shape (n, 3)."""
+    low: NDArray[np.intp] = np.searchsorted(time_s, time_s - _TREMOR_S / 2)
+    high: NDArray[np.intp] = np.searchsorted(time_s, time_s + _TREMOR_S / 2, side="right")
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     result: FloatArray = (total[high] - total[low]) / (high - low)[:, None]
     return result

@@ -1,7 +1,7 @@
 """How long a hold must be: until the mean is known as well as wanted, and no longer than the Allan minimum.
 
-Within a hold the mean of white noise improves with the root of time until flicker noise takes over; the Allan deviation of the
-stills of this session shows where (docs/maths.md, stillness). It is pooled over all placed holds, so each tells more.
+Within a hold the mean of white noise improves with the root of time until flicker noise dominates; the Allan deviation of the
+stills of this session shows where (docs/maths.md, stillness). It is pooled over all placed holds, so each adds to it.
 """
 
 from __future__ import annotations
@@ -13,63 +13,76 @@ import numpy as np
 
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.guide.hold.observe import cell_means
-from imufield.guide.stillness.cells import Cells
+from imufield.guide.stillness.cells import CELL_S, Cells
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 
-SHORTEST_S = 3.0
-LONGEST_S = 60.0
-USUAL_S = 10.0
-"""Longest hold where no target is given: a person's patience."""
-USUAL_SIGMA_M_S2 = 10e-6 * STANDARD_GRAVITY_M_S2
-"""Good enough where no target is given: below what most instruments repeat from hold to hold."""
-_FEWEST_DIFFERENCES = 50
+SHORTEST_S = 3.0  # The scatter of a shorter hold does not tell how well its mean is known.
+_LONGEST_S = 60.0  # Where a target is given: a person's patience with a purpose.
+_USUAL_S = 10.0  # Longest hold where no target is given: a person's patience.
+# Good enough where no target is given: below what most instruments repeat from hold to hold.
+_USUAL_SIGMA_M_S2 = 10e-6 * STANDARD_GRAVITY_M_S2
+_FEWEST_DIFFERENCES = 50  # Of two neighbouring means; the Allan deviation of fewer scatters by more than a tenth.
 _STILL_FALLING = 0.85  # White noise falls by 0.71 when the time doubles; above this the minimum is near.
+_OCTAVES = 9  # Averaging times up to 25 s: longer ones do not occur twice in a hold.
+_FEWEST_CELLS = 8  # The autocorrelation of fewer cells says nothing.
+_ROUNDING_S = 1e-9  # A whole number of cells is its length but for rounding.
 
 
 @dataclass(frozen=True, slots=True)
-class HoldWish:
+class HoldTarget:
     """What ends a hold.
 
     Attributes
     ----------
     fixed_s : float or None
-        Ends it whatever the mean is worth.
+        Ends it whatever its mean.
     sigma_m_s2 : float
         Of the mean along gravity.
     longest_s : float
     """
 
     fixed_s: float | None = None
-    sigma_m_s2: float = USUAL_SIGMA_M_S2
-    longest_s: float = USUAL_S
+    sigma_m_s2: float = _USUAL_SIGMA_M_S2
+    longest_s: float = _USUAL_S
 
     @classmethod
-    def of(cls, fixed_s: float | None, sigma_m_s2: float | None) -> HoldWish:
-        """Return the wish for a fixed time, for a sigma, or the usual one."""
+    def of(cls, fixed_s: float | None, sigma_m_s2: float | None) -> HoldTarget:
+        """Return the target of a fixed time, of a sigma, or the usual one."""
         if fixed_s is not None:
             return cls(fixed_s, 0.0, fixed_s)
-        return cls() if sigma_m_s2 is None else cls(None, sigma_m_s2, LONGEST_S)
+        return cls() if sigma_m_s2 is None else cls(None, sigma_m_s2, _LONGEST_S)
+
+    def latest_s(self, minimum_s: float) -> float:
+        """Return the length at which a hold ends at the latest; ``minimum_s`` is that of the Allan deviation."""
+        return self.fixed_s or max(min(self.longest_s, minimum_s), SHORTEST_S)
+
+    def is_met(self, length_s: float, sigma_m_s2: float, minimum_s: float) -> bool:
+        """Whether a hold may end.
+
+        Parameters
+        ----------
+        length_s : float
+            Guard bands off.
+        sigma_m_s2 : float
+            Of its mean, infinite where not known.
+        minimum_s : float
+            Of the Allan deviation.
+        """
+        good_enough = self.fixed_s is None and sigma_m_s2 <= self.sigma_m_s2 and length_s >= SHORTEST_S - _ROUNDING_S
+        return good_enough or length_s >= self.latest_s(minimum_s) - _ROUNDING_S
 
 
 class AllanMinimum:
-    """Pooled Allan deviation of the norm over the placed holds of a session.
+    """Pooled Allan deviation of the norm over the placed holds of a session."""
 
-    Parameters
-    ----------
-    cell_s : float
-    """
-
-    _OCTAVES = 9
-
-    def __init__(self, cell_s: float) -> None:
-        self._cell_s = cell_s
-        self._squares = np.zeros(self._OCTAVES)
-        self._counts = np.zeros(self._OCTAVES)
+    def __init__(self) -> None:
+        self._squares = np.zeros(_OCTAVES)
+        self._counts = np.zeros(_OCTAVES)
 
     def add(self, norm: FloatArray) -> None:
-        """Take the norms of the cells of one hold, shape (m,)."""
-        for octave in range(self._OCTAVES):
+        """Add the norms of the cells of one hold, shape (m,)."""
+        for octave in range(_OCTAVES):
             size = 2**octave
             groups = len(norm) // size
             if groups < 2:
@@ -80,41 +93,21 @@ class AllanMinimum:
 
     @property
     def minimum_s(self) -> float:
-        """Averaging time beyond which little is gained, infinite while not seen."""
+        """Averaging time beyond which little is gained, infinite while not known."""
         known = self._counts >= _FEWEST_DIFFERENCES
-        deviation = np.sqrt(np.divide(self._squares, self._counts, where=known, out=np.full(self._OCTAVES, np.nan)))
-        for octave in range(3, self._OCTAVES - 1):
+        deviation = np.sqrt(np.divide(self._squares, self._counts, where=known, out=np.full(_OCTAVES, np.nan)))
+        # Below 0.8 s neighbouring cells depend on each other in the bandwidth of slow instruments.
+        for octave in range(3, _OCTAVES - 1):
             if known[octave + 1] and deviation[octave + 1] > _STILL_FALLING * deviation[octave]:
-                return float(2 ** (octave + 1) * self._cell_s)
+                return float(2 ** (octave + 1) * CELL_S)
         return math.inf
 
 
 def sigma_along(cells: Cells, scale: RoughScale) -> float:
     """Return 1 sigma of the mean of cells along the mean force, m/s^2; infinite for fewer than 8 cells."""
-    if len(cells) < 8 or not scale.accelerometer:
+    if len(cells) < _FEWEST_CELLS or not scale.accelerometer:
         return math.inf
     mean, covariance = cell_means(cells)
     along = mean[:3] - scale.raw_zero
     along = along / np.linalg.norm(along)
     return math.sqrt(max(float(along @ covariance[:3, :3] @ along), 0.0)) / scale.accelerometer
-
-
-def is_long_enough(length_s: float, sigma_m_s2: float, wish: HoldWish, minimum_s: float) -> bool:
-    """Whether a hold of so much usable time may end.
-
-    Parameters
-    ----------
-    length_s : float
-        Guard bands off.
-    sigma_m_s2 : float
-        Of its mean, infinite where not known.
-    wish : HoldWish
-    minimum_s : float
-        Of the Allan deviation.
-    """
-    if wish.fixed_s is not None:
-        return length_s >= wish.fixed_s - 1e-9
-    if length_s < SHORTEST_S - 1e-9:
-        return False
-    latest_s = max(min(wish.longest_s, minimum_s), SHORTEST_S)
-    return sigma_m_s2 <= wish.sigma_m_s2 or length_s >= latest_s - 1e-9

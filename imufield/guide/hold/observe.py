@@ -1,4 +1,4 @@
-"""From a still stretch to an observation: which cells count, their mean, and the covariance of that mean.
+"""Observations from still stretches: which cells count, their mean, and the covariance of that mean.
 
 A stretch has passed limits wide enough for a unit held against an edge. Here it is judged by its own standard: the typical
 (median) vibration and change of its cells. At both ends the cells that stand out are cut off together with the guard band
@@ -9,8 +9,8 @@ Neighbouring cell means are not independent (bandwidth of the instrument, flicke
 mean of N cells is C0 / N times 1 + 2 (rho_1 + rho_2 + ...) for each axis, the sum cut off where a pair of successive
 autocorrelations turns negative [1]_. It is never less than white noise or the resolution of the output would give.
 
-The mean is that of the vector, as it comes: right for a unit that is placed. A unit in the hand wobbles, which shortens the
-mean vector; ``held`` turns every sample of such a hold into one frame first.
+The mean is that of the vector as measured: right for a unit that is placed. A unit in the hand wobbles, which shortens the
+mean vector; ``hand_mean`` turns every sample of such a hold into one frame first.
 
 References
 ----------
@@ -26,23 +26,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.observations import Observations
-from imufield.guide.hold.hand_mean import HeldMean
-from imufield.guide.stillness.cells import Cells
-from imufield.guide.stillness.limits import Limits, StillnessSettings, scatter_of_variance
+from imufield.guide.hold.hand_mean import HandMean
+from imufield.guide.stillness.cells import Cells, cells_in
+from imufield.guide.stillness.limits import Limits, scatter_of_variance
 from imufield.samples import FloatArray, SampleUnits
 
-SETTLE_S = 1.0
-"""Within this time of both ends, everything outside the outermost cell that stands out is cut off."""
+_GUARD_S = 0.3  # Cut off at both ends of a stretch: the hand that leaves, the hand that comes.
+_GUARD_WITHOUT_GYROSCOPE_S = 0.8  # The same where only the accelerometer tells: a slow turn begins below its noise.
+_SETTLE_S = 1.0  # Within this time of both ends, everything outside the outermost cell that stands out is cut off.
 # The median of the length of a 3-D Gaussian vector is 1.54 sigma; 5.4 sigma are exceeded once in a million cells.
 _CHANGE_OVER_MEDIAN = 3.5
+_VIBRATION_OVER_MEDIAN = 1.25  # Times the scatter of a variance: the median of a stretch is itself known from some cells only.
 _LEAST_RATIO = 0.1  # Nothing below this share of the detector's limit stands out: a perfectly quiet output has a median of 0.
-UNKNOWN_RESOLUTION = 1e-6
-"""Of the reading: resolution assumed where the output never changed."""
+_KNOCK_RATIO = 2.0  # A cell inside that stands out this far holds a knock; less is the scatter of a long stretch.
+UNKNOWN_RESOLUTION = 1e-6  # Of the reading: resolution assumed where the output never changed.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observation:
-    """What one hold showed; raw rates, see ``Observations``."""
+    """The measurement of one hold; raw rates, see ``Observations``."""
 
     name: str
     direction: FloatArray
@@ -53,7 +55,7 @@ class Observation:
     start_s: float
     duration_s: float
     temperature_degc: float
-    held: HeldMean | None = None
+    hand_mean: HandMean | None = None
     """For a hold in the hand."""
 
 
@@ -73,25 +75,25 @@ def stand_out(cells: Cells, limits: Limits) -> FloatArray:
     if usual < 2 and several.any():
         # One sample shows no vibration: cells of two are compared with each other.
         usual, middle[:2] = 2.0, np.median(ratios[several, :2], axis=0)
-    scatter = 1.25 * scatter_of_variance(3 * (usual - 1))
+    scatter = _VIBRATION_OVER_MEDIAN * scatter_of_variance(3 * (usual - 1))
     allowed = middle * [scatter, scatter, _CHANGE_OVER_MEDIAN, _CHANGE_OVER_MEDIAN]
     result: FloatArray = ratios / np.maximum(allowed, _LEAST_RATIO)
     return result
 
 
-def guard_cells(limits: Limits, settings: StillnessSettings) -> int:
+def guard_cells(limits: Limits) -> int:
     """Return the length of the guard band."""
     with_gyroscope = bool(np.isfinite(limits.change[3:]).any())
-    return settings.cells(settings.guard_s if with_gyroscope else settings.guard_without_gyroscope_s)
+    return cells_in(_GUARD_S if with_gyroscope else _GUARD_WITHOUT_GYROSCOPE_S)
 
 
-def trim_stretch(cells: Cells, limits: Limits, settings: StillnessSettings) -> slice:
+def trim_stretch(cells: Cells, limits: Limits) -> slice:
     """Return the rows of a stretch that count: without what stands out at the ends, and without the guard bands."""
     outside = np.flatnonzero(np.any(stand_out(cells, limits) > 1, axis=1))
-    settle, m = settings.cells(SETTLE_S), len(cells)
+    settle, m = cells_in(_SETTLE_S), len(cells)
     early = outside[outside < min(settle, m // 2)]
     late = outside[outside >= max(m - settle, m // 2)]
-    guard = guard_cells(limits, settings)
+    guard = guard_cells(limits)
     start = (int(early[-1]) + 1 if len(early) else 0) + guard
     stop = (int(late[0]) if len(late) else m) - guard
     return slice(start, max(stop, start))
@@ -99,7 +101,7 @@ def trim_stretch(cells: Cells, limits: Limits, settings: StillnessSettings) -> s
 
 def knocked(cells: Cells, limits: Limits) -> NDArray[np.bool_]:
     """Return which of the trimmed cells hold a knock: the accelerometer stands out twice over, or its neighbour's does."""
-    outside: NDArray[np.bool_] = np.any(stand_out(cells, limits)[:, [0, 2]] > 2, axis=1)
+    outside: NDArray[np.bool_] = np.any(stand_out(cells, limits)[:, [0, 2]] > _KNOCK_RATIO, axis=1)
     wider = outside.copy()
     wider[1:] |= outside[:-1]
     wider[:-1] |= outside[1:]
@@ -116,7 +118,10 @@ def cell_means(cells: Cells) -> tuple[FloatArray, FloatArray]:
         pooled = ((weight - 1).clip(0) * cells.variance).sum(axis=0) / np.maximum((weight - 1).clip(0).sum(axis=0), 1)
         white = pooled / total
     deviation = np.where(weight > 0, values - mean, 0.0)
-    covariance = _covariance_of_mean(deviation)
+    m, covariance = len(deviation), np.zeros((6, 6))
+    if m > 1:
+        factor = np.sqrt([correlation_factor(column) for column in deviation.T])
+        covariance = deviation.T @ deviation / ((m - 1) * m) * np.outer(factor, factor)
     least = np.maximum(white, _resolution_variance(mean, np.sqrt(pooled), cells.step.min(axis=0), total))
     covariance += np.diag(np.maximum(least - np.diag(covariance), 0.0))
     absent = np.isnan(mean)
@@ -125,18 +130,8 @@ def cell_means(cells: Cells) -> tuple[FloatArray, FloatArray]:
     return mean, covariance
 
 
-def _covariance_of_mean(deviation: FloatArray) -> FloatArray:
-    """Return the covariance of the mean of a stationary series from its deviations (m, 6)."""
-    m = len(deviation)
-    if m < 2:
-        return np.zeros((6, 6))
-    factor = np.sqrt([correlation_factor(column) for column in deviation.T])
-    covariance: FloatArray = deviation.T @ deviation / ((m - 1) * m) * np.outer(factor, factor)
-    return covariance
-
-
 def correlation_factor(deviation: FloatArray) -> float:
-    """Return by how much autocorrelation raises the variance of the mean of a series (m,) with mean 0; at least 1.
+    """Return the factor by which autocorrelation raises the variance of the mean of a series (m,) with mean 0; at least 1.
 
     With a correlation time of a tenth of the series the sigma that follows is still about 1.5 times too small: what is
     slower than a hold shows between holds only.
@@ -174,17 +169,17 @@ def knocks_of(cells: Cells, limits: Limits) -> FloatArray:
 
 
 def observe(
-    cells: Cells, limits: Limits, name: str, direction: FloatArray | None = None, *, held: HeldMean | None = None
+    cells: Cells, limits: Limits, name: str, direction: FloatArray | None = None, *, hand_mean: HandMean | None = None
 ) -> Observation:
     """Return the observation of a trimmed stretch; cells with a knock are left out."""
     out = knocked(cells, limits)
-    kept = cells if not out.any() or out.all() else _keep(cells, ~out)
-    if held is None:
+    kept = cells if not out.any() or out.all() else cells[np.flatnonzero(~out)]
+    if hand_mean is None:
         mean, covariance = cell_means(kept)
     else:
-        mean = np.concatenate([held.force_raw, held.gyroscope_raw])
+        mean = np.concatenate([hand_mean.force_raw, hand_mean.gyroscope_raw])
         covariance = np.zeros((6, 6))
-        covariance[:3, :3], covariance[3:, 3:] = held.covariance_raw, held.gyroscope_covariance_raw
+        covariance[:3, :3], covariance[3:, 3:] = hand_mean.covariance_raw, hand_mean.gyroscope_covariance_raw
     warmth = kept.temperature_degc[np.isfinite(kept.temperature_degc)]
     return Observation(
         name=name,
@@ -196,29 +191,27 @@ def observe(
         start_s=float(cells.start_s[0]),
         duration_s=float(cells.end_s[-1] - cells.start_s[0]),
         temperature_degc=float(warmth.mean()) if len(warmth) else float("nan"),
-        held=held,
+        hand_mean=hand_mean,
     )
 
 
-def _keep(cells: Cells, rows: NDArray[np.bool_]) -> Cells:
-    return cells[np.flatnonzero(rows)]
-
-
 def gather(observations: Sequence[Observation], units: SampleUnits) -> Observations:
-    """Return observations as the arrays that the solvers take."""
+    """Return observations as the arrays of the solvers."""
 
-    def stack(values: list[FloatArray], *shape: int) -> FloatArray:
+    def stack(field: str, *shape: int) -> FloatArray:
+        # The shape is given because there may be no observation at all.
+        values = [getattr(observation, field) for observation in observations]
         return np.array(values, dtype=np.float64).reshape(len(values), *shape)
 
     return Observations(
-        name=tuple(one.name for one in observations),
-        mean_raw=stack([one.mean_raw for one in observations], 3),
-        covariance_raw=stack([one.covariance_raw for one in observations], 3, 3),
-        gyroscope_mean_raw=stack([one.gyroscope_mean_raw for one in observations], 3),
-        gyroscope_covariance_raw=stack([one.gyroscope_covariance_raw for one in observations], 3, 3),
-        direction=stack([one.direction for one in observations], 3),
-        start_s=np.array([one.start_s for one in observations], dtype=np.float64),
-        duration_s=np.array([one.duration_s for one in observations], dtype=np.float64),
-        temperature_degc=np.array([one.temperature_degc for one in observations], dtype=np.float64),
+        name=tuple(observation.name for observation in observations),
+        mean_raw=stack("mean_raw", 3),
+        covariance_raw=stack("covariance_raw", 3, 3),
+        gyroscope_mean_raw=stack("gyroscope_mean_raw", 3),
+        gyroscope_covariance_raw=stack("gyroscope_covariance_raw", 3, 3),
+        direction=stack("direction", 3),
+        start_s=stack("start_s"),
+        duration_s=stack("duration_s"),
+        temperature_degc=stack("temperature_degc"),
         units=units,
     )

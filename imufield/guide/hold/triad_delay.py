@@ -1,16 +1,16 @@
-"""How much later the gyroscope speaks than the accelerometer, from the tremor of one hold.
+"""Delay of the gyroscope behind the accelerometer, from the tremor of one hold.
 
-A hand trembles at 8 to 12 Hz, about a pivot that lies ``r`` from the sensor. As the unit turns, gravity moves in its frame and
-the arm adds its tangential acceleration. With Q and W' the Fourier lines of turn and angular acceleration as the gyroscope
-shows them, the accelerometer shows in the band of tremor, at the angular frequency w,
+A hand trembles at 8 to 12 Hz, about a pivot at the distance ``r`` from the sensor. As the unit turns, gravity moves in its
+frame and the arm adds its tangential acceleration. With Q and W' the Fourier lines of turn and angular acceleration as the
+gyroscope shows them, the accelerometer shows in the band of tremor, at the angular frequency w,
 
     A = exp(i w d) (f x Q + W' x r),    f the mean force, d the delay of the gyroscope.
 
-What the arm adds depends on ``r`` alone and is in phase with gravity's part or against it; only a delay turns the phase. The
-four unknowns are found by Gauss-Newton. The gain of either triad goes into ``r`` and leaves the delay alone, and so does
-whatever filter both share. The delay is held towards zero by what instruments have (``USUAL_S``) with the weight that the
-noise of the hold gives it: a hold that shows nothing of it changes nothing, and where the arm is long enough for the delay to
-matter (docs/maths.md, stillness) it shows within some 20 us.
+The part of the arm depends on ``r`` alone and is in phase with gravity's part or against it; only a delay turns the phase. The
+four unknowns are found by Gauss-Newton. The gain of either triad goes into ``r`` and does not affect the delay, nor does a
+filter that both share. The delay is pulled towards zero by the usual size of such delays (``USUAL_S``) with the weight that the
+noise of the hold gives it: a hold that shows no delay changes nothing, and where the arm is long enough for the delay to
+matter (docs/maths.md, stillness) the result is right within some 20 us.
 
 References
 ----------
@@ -29,11 +29,9 @@ from numpy.typing import NDArray
 from imufield.calibrate.model.rotation import cross
 from imufield.samples import FloatArray
 
-USUAL_S = 0.002
-"""1 sigma of the delays that instruments have: group delays of their filters differ by up to 2 ms."""
-LARGEST_S = 0.01
-"""A larger one is no delay between triads."""
-BAND_HZ = (5.0, 20.0)
+USUAL_S = 0.002  # 1 sigma of the delays that instruments have: group delays of their filters differ by up to 2 ms.
+_LARGEST_S = 0.01  # A larger one is no delay between triads.
+_BAND_HZ = (5.0, 20.0)  # Of tremor, 8 to 12 Hz, and its sidebands; below, sway is larger, above there is noise only.
 _NYQUIST_SHARE = 0.8  # Of half the rate: next to it tremor and its mirror image mix.
 # Lines under a Hann taper are not independent: there are this many times fewer, its equivalent noise bandwidth [1]_.
 _HANN_NEIGHBOURS = 1.5
@@ -57,12 +55,12 @@ class _Lines:
 
     omega: FloatArray  # Angular frequency, rad/s, shape (m, 1).
     force: _Complex  # Shape (m, 3).
-    gravity: _Complex  # What gravity moves by, were there no delay, shape (m, 3).
+    gravity: _Complex  # Motion of gravity in the frame, were there no delay, shape (m, 3).
     arm: _Complex  # The same for an arm of one unit of length along each axis, shape (3, m, 3).
 
 
 def triad_delay(time_s: FloatArray, force: FloatArray, rate: FloatArray, weight: FloatArray) -> TriadDelay:
-    """Return the delay between the triads that a trembling hold shows; zero and its usual size where it shows none.
+    """Return the delay between the triads in a trembling hold; zero and the usual size where the hold shows none.
 
     Parameters
     ----------
@@ -73,7 +71,7 @@ def triad_delay(time_s: FloatArray, force: FloatArray, rate: FloatArray, weight:
     rate : ndarray, shape (n, 3)
         Body frame, rad/s.
     weight : ndarray, shape (n,)
-        0 to 1: how far a row counts, smooth.
+        0 to 1: share by which a row counts, smooth.
     """
     unknown = TriadDelay(0.0, USUAL_S)
     lines = _lines(time_s, force, rate, weight)
@@ -83,18 +81,18 @@ def triad_delay(time_s: FloatArray, force: FloatArray, rate: FloatArray, weight:
     for _ in range(_ITERATIONS):
         step_s, sigma_s = _step(lines, delay_s)
         delay_s += step_s
-        if not abs(delay_s) <= LARGEST_S:
+        if not abs(delay_s) <= _LARGEST_S:
             return unknown
     return TriadDelay(delay_s, sigma_s)
 
 
 def _lines(time_s: FloatArray, force: FloatArray, rate: FloatArray, weight: FloatArray) -> _Lines | None:
-    """Return the lines of a hold, None where its rate or its length shows too few."""
+    """Return the lines of a hold, None where its rate or its length gives too few."""
     step_s = float(np.median(np.diff(time_s)))
     grid_s = np.arange(time_s[0], time_s[-1], step_s)
     taper = np.sin(np.pi * (grid_s - grid_s[0]) / (len(grid_s) * step_s)) ** 2 * np.interp(grid_s, time_s, weight)
     hz = np.fft.rfftfreq(len(grid_s), step_s)
-    band = (hz >= BAND_HZ[0]) & (hz <= min(BAND_HZ[1], _NYQUIST_SHARE / 2 / step_s))
+    band = (hz >= _BAND_HZ[0]) & (hz <= min(_BAND_HZ[1], _NYQUIST_SHARE / 2 / step_s))
     if np.count_nonzero(band) < _FEWEST_LINES or not taper.any():
         return None
 
@@ -102,7 +100,7 @@ def _lines(time_s: FloatArray, force: FloatArray, rate: FloatArray, weight: Floa
         lines: _Complex = np.fft.rfft(under[:, None] * values, axis=0)[band]
         return lines
 
-    shown, turning = _on_grid(grid_s, time_s, force), _on_grid(grid_s, time_s, rate)
+    shown, turning = (np.stack([np.interp(grid_s, time_s, column) for column in values.T], axis=1) for values in (force, rate))
     mean: FloatArray = taper @ shown / taper.sum()
     turning = turning - taper @ turning / taper.sum()
     angle = step_s * (np.cumsum(turning, axis=0) - turning / 2)
@@ -112,10 +110,6 @@ def _lines(time_s: FloatArray, force: FloatArray, rate: FloatArray, weight: Floa
     arm: _Complex = np.stack([_cross(speeding, axis) for axis in np.eye(3)])
     gravity = -_cross(spectrum(angle - taper @ angle / taper.sum(), taper), mean)
     return _Lines(omega, spectrum(shown - mean, taper), gravity, arm)
-
-
-def _on_grid(grid_s: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:
-    return np.stack([np.interp(grid_s, time_s, column) for column in values.T], axis=1)
 
 
 def _cross(lines: _Complex, vector: FloatArray) -> _Complex:
@@ -132,16 +126,16 @@ def _step(lines: _Lines, delay_s: float) -> tuple[float, float]:
     shown = late * (lines.gravity + np.tensordot(radius, lines.arm, 1))
     residual = _real(lines.force - shown)
     by_delay = _real(1j * lines.omega * shown)
-    # What an arm would show as well tells nothing of the delay.
+    # The part that an arm would show as well tells nothing of the delay.
     by_delay = by_delay - arms.T @ np.linalg.lstsq(arms.T, by_delay, rcond=None)[0]
-    seen = float(by_delay @ by_delay)
+    power = float(by_delay @ by_delay)
     freedom = max(len(residual) / _HANN_NEIGHBOURS - 4, 1.0)
     variance = float(residual @ residual) / freedom
-    if seen > 0:
-        # Sway puts sidebands beside the lines of tremor: what counts is what is left where the delay is seen.
-        near = _HANN_NEIGHBOURS * float(residual**2 @ by_delay**2) / seen
+    if power > 0:
+        # Sway puts sidebands beside the lines of tremor: the residual counts where the delay shows.
+        near = _HANN_NEIGHBOURS * float(residual**2 @ by_delay**2) / power
         variance = max(variance, near)
-    information = seen + variance / USUAL_S**2
+    information = power + variance / USUAL_S**2
     if information == 0:
         return 0.0, USUAL_S
     step_s = (float(by_delay @ residual) - variance / USUAL_S**2 * delay_s) / information

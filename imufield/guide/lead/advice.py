@@ -1,6 +1,6 @@
-"""What the running fit has to say to the operator. Advice refuses nothing.
+"""Advice of the guide, from the running fit to the positions so far. Advice refuses nothing.
 
-Positions that the others contradict: each doubt is said, and withdrawn aloud when the others come to agree.
+Positions that the others contradict are suspects: each suspicion is told, and withdrawn aloud when the others come to agree.
 """
 
 from __future__ import annotations
@@ -10,57 +10,135 @@ import math
 import numpy as np
 
 from imufield.earth import MILLI_G_M_S2
-from imufield.guide.cross_checks.running_fit import EXPECTED_SCATTER_M_S2, Disagreement, RunningFit
+from imufield.guide.cross_checks.running_fit import EXPECTED_SCATTER_M_S2, Disagreement, RunningFit, running_fit
 from imufield.guide.events import Advice, Topic
 from imufield.guide.hold.observe import Observation
 from imufield.guide.lead.plan import Plan
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.stillness.scale import RoughScale
 
+# A position is proposed before its turn where its gain is larger by this factor: the order that drift cannot imitate is worth
+# more than a little gain.
+_CLEARLY_MORE = 1.5
+_MATTERS_SIGMAS = 3.0  # A quadratic term of less may be chance.
+_FEWEST_FOR_QUADRATIC = 18  # Of a scheme of 24; fewer positions leave the quadratic terms to the priors.
+_FEWEST_FOR_SCALE = 9  # As many as there are parameters without the quadratic terms.
+# Common scale against the nominal one: instruments repeat to 0.1 to 1 %, a wrong range or a wrong g shows as more.
+_SCALE_SHARE = 0.02
+# Common scale against an earlier calibration's: 2 degrees of latitude; good instruments repeat to it, chips within 1 degC.
+_EARLIER_SHARE = 2e-4
+_SCALE_SIGMAS = 4.0  # Nor is a change within the uncertainty of the scale told.
+_DRIFT_SIGMAS = 4.0  # A false alarm in 16 000 sessions.
 
-class Doubts:
-    """What the running fit doubts, and what was said of it."""
+
+class Suspects:
+    """Positions that the running fit to the others contradicts, and what was told of them."""
 
     def __init__(self) -> None:
         self.now: list[Disagreement] = []  # The worst first.
         self._told: set[str] = set()
         self._asked: set[str] = set()
 
-    def follow(self, fit: RunningFit | None) -> None:
-        """Take the newest fit."""
-        found = [] if fit is None else [one for one in fit.disagreements() if one.doubtful]
-        self.now = sorted(found, key=lambda one: -abs(one.sigmas))
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the suspects, the worst first."""
+        return tuple(suspect.name for suspect in self.now)
 
-    def say(self, now_s: float, fit: RunningFit, plan: Plan) -> list[Advice]:
-        """Return what to say: doubts that no longer stand, and the worst one where it was not said."""
-        standing = {one.name for one in self.now}
-        settled = [one for one in fit.disagreements() if one.name in self._told - standing]
-        self._told &= standing
+    def follow(self, fit: RunningFit | None) -> None:
+        """Take over the suspects of the newest fit."""
+        found = [] if fit is None else [found for found in fit.disagreements() if found.is_suspect]
+        self.now = sorted(found, key=lambda suspect: -abs(suspect.sigmas))
+
+    def advise(self, now_s: float, fit: RunningFit, plan: Plan) -> list[Advice]:
+        """Return what to tell: suspicions that are settled, and the worst one if it was not told yet."""
+        settled = [found for found in fit.disagreements() if found.name in self._told - set(self.names)]
+        self._told &= set(self.names)
         # What the guide asked for because of it, it asks for no longer; what the operator wants again stays.
-        asked = {one.name for one in settled} & self._asked
+        asked = {found.name for found in settled} & self._asked
         plan.wanted_again = {index for index in plan.wanted_again if plan.position(index).name not in asked}
-        new = [one for one in self.now[:1] if one.name not in self._told]
-        self._told.update(one.name for one in new)
-        return [*(settled_advice(now_s, one) for one in settled), *(doubtful_advice(now_s, one) for one in new)]
+        new = [suspect for suspect in self.now[:1] if suspect.name not in self._told]
+        self._told.update(suspect.name for suspect in new)
+        return [*(_settled_advice(now_s, found) for found in settled), *(_suspect_advice(now_s, suspect) for suspect in new)]
 
     def ask_again(self) -> list[str]:
-        """Return what is to be measured once more: what is doubted, each position once."""
-        names = [one.name for one in self.now if one.name not in self._asked]
+        """Return the suspects to be measured once more, each position once."""
+        names = [name for name in self.names if name not in self._asked]
         self._asked.update(names)
         return names
 
 
-MATTERS_SIGMAS = 3.0
-_FEWEST_FOR_QUADRATIC = 18
-_FEWEST_FOR_SCALE = 9
-SCALE_SHARE = 0.02
-"""Common scale against the nominal one: instruments repeat to 0.1 to 1 %, a wrong range or a wrong g shows as more."""
-EARLIER_SHARE = 2e-4
-"""Common scale against an earlier calibration's: 2 degrees of latitude; good instruments repeat to it, chips within 1 degC."""
-DRIFT_SIGMAS = 4.0
+class Adviser:
+    """The running fit of a session and the advice that follows from it.
+
+    Parameters
+    ----------
+    plan : Plan
+    settings : GuideSettings
+    """
+
+    def __init__(self, plan: Plan, settings: GuideSettings) -> None:
+        self._plan = plan
+        self._settings = settings
+        self.fit: RunningFit | None = None
+        self.suspects = Suspects()
+        self._told: set[Topic] = set()
+        self._revisited = False
+
+    def fit_again(self, scale: RoughScale) -> None:
+        """Fit everything measured so far, and choose the next position where another helps clearly more."""
+        settings, plan = self._settings, self._plan
+        self.fit = running_fit(list(plan.accepted.values()), scale, settings.gravity_m_s2)
+        self.suspects.follow(self.fit)
+        plan.preferred = None
+        pending = plan.pending()
+        if self.fit is None or len(pending) < 2:
+            return
+        gain = self.fit.gain(np.array([plan.position(i).direction for i in pending]))
+        # Somebody with a target wants to be there soon.
+        hurried = settings.target_bias_ug is not None or settings.target_scale_ppm is not None
+        if gain.max() > (1.0 if hurried else _CLEARLY_MORE) * gain[0]:
+            plan.preferred = pending[int(np.argmax(gain))]
+
+    def advise(self, now_s: float) -> list[Advice]:
+        """Return what the running fit shows that the operator may want to act on; each topic once."""
+        if self.fit is None:
+            return []
+        told = self.suspects.advise(now_s, self.fit, self._plan)
+        for advice in (
+            _target_advice(now_s, self.fit, self._settings),
+            _scheme_advice(now_s, self.fit, self._plan),
+            _scale_advice(now_s, self.fit),
+        ):
+            if advice is not None and advice.topic not in self._told:
+                self._told.add(advice.topic)
+                told.append(advice)
+        return told
+
+    def ask_again(self) -> None:
+        """Ask for suspects once more, each once, and then for the first position, as a check for drift."""
+        plan = self._plan
+        for name in self.suspects.ask_again():
+            if (index := plan.find(name)) is not None:
+                plan.want_again(index)
+        first, open_still = plan.first_accepted, not self._revisited and plan.revisited is None
+        if plan.proposed() is None and self._settings.revisit_first and open_still and first is not None:
+            self._revisited, plan.revisiting = True, first
+
+    def drift_advice(self, now_s: float, scale: RoughScale) -> list[Advice]:
+        """Return the result of the first position when it is shown again at the end."""
+        first, after = self._plan.first_accepted, self._plan.revisited
+        if first is None or after is None:
+            return []
+        return [_drift_advice(now_s, self._plan.accepted[first], after, scale, fit=self.fit)]
+
+    def final_advice(self, now_s: float) -> list[Advice]:
+        """Return at the end the common scale against the earlier one, or the nominal one where that was not told."""
+        told = Topic.SCALE in self._told and self._settings.earlier_scale_raw is None
+        advice = None if self.fit is None or told else _final_scale_advice(now_s, self.fit, self._settings)
+        return [] if advice is None else [advice]
 
 
-def doubtful_advice(now_s: float, found: Disagreement) -> Advice:
+def _suspect_advice(now_s: float, found: Disagreement) -> Advice:
     """Return the advice to look at a position again."""
     value = abs(found.leave_one_out_m_s2) / MILLI_G_M_S2
     return Advice(
@@ -76,8 +154,8 @@ def doubtful_advice(now_s: float, found: Disagreement) -> Advice:
     )
 
 
-def settled_advice(now_s: float, found: Disagreement) -> Advice:
-    """Return the withdrawal of a doubt."""
+def _settled_advice(now_s: float, found: Disagreement) -> Advice:
+    """Return the withdrawal of a suspicion."""
     value = abs(found.leave_one_out_m_s2) / MILLI_G_M_S2
     return Advice(
         time_s=now_s,
@@ -91,7 +169,7 @@ def settled_advice(now_s: float, found: Disagreement) -> Advice:
     )
 
 
-def target_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Advice | None:
+def _target_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Advice | None:
     """Return the offer to finish early, None while the target is not met or there is none."""
     forecast = fit.forecast()
     wanted = {"bias_ug": settings.target_bias_ug, "scale_ppm": settings.target_scale_ppm}
@@ -100,13 +178,13 @@ def target_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Adv
     if not asked or missed or len(fit.names) < _FEWEST_FOR_SCALE:
         return None
     unit = {"bias_ug": "ug", "scale_ppm": "ppm"}
-    said = ", ".join(f"{key.split('_')[0]} {forecast[key]:.3g} {unit[key]} (wanted {value:g})" for key, value in asked.items())
+    known = ", ".join(f"{key.split('_')[0]} {forecast[key]:.3g} {unit[key]} (wanted {value:g})" for key, value in asked.items())
     key, value = next(iter(asked.items()))
     return Advice(
         time_s=now_s,
         topic=Topic.TARGET_MET,
         position=None,
-        words=f"the target is met: {said}",
+        words=f"the target is met: {known}",
         remedy="f, pressed twice, finishes now; going on makes it better still",
         measured=forecast[key],
         limit=value,
@@ -114,10 +192,10 @@ def target_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Adv
     )
 
 
-def scheme_advice(now_s: float, fit: RunningFit, plan: Plan) -> Advice | None:
+def _scheme_advice(now_s: float, fit: RunningFit, plan: Plan) -> Advice | None:
     """Return the proposal of corners24 where the quadratic terms matter."""
     known = len(fit.names) >= _FEWEST_FOR_QUADRATIC
-    if not known or not plan.scheme.name.startswith("paper") or fit.quadratic_sigmas() < MATTERS_SIGMAS:
+    if not known or not plan.scheme.name.startswith("paper") or fit.quadratic_sigmas() < _MATTERS_SIGMAS:
         return None
     return Advice(
         time_s=now_s,
@@ -126,34 +204,34 @@ def scheme_advice(now_s: float, fit: RunningFit, plan: Plan) -> Advice | None:
         words=f"the quadratic terms matter here ({fit.quadratic_sigmas():.1f} sigma)",
         remedy="next time use --positions corners24, which knows them and the biases a quarter better",
         measured=fit.quadratic_sigmas(),
-        limit=MATTERS_SIGMAS,
+        limit=_MATTERS_SIGMAS,
         unit="sigma",
     )
 
 
-def scale_advice(now_s: float, fit: RunningFit) -> Advice | None:
-    """Return a warning where the common scale is far from the instrument's nominal one: the residual cannot see it."""
+def _scale_advice(now_s: float, fit: RunningFit) -> Advice | None:
+    """Return a warning where the common scale is far from the instrument's nominal one: the residual cannot show it."""
     nominal = fit.scale.accelerometer
     if not nominal or fit.scale.learned or len(fit.names) < _FEWEST_FOR_SCALE:
         return None
     found, sigma = fit.common_scale()
     share = found / nominal - 1
-    if abs(share) < max(SCALE_SHARE, 4 * sigma):
+    if abs(share) < max(_SCALE_SHARE, _SCALE_SIGMAS * sigma):
         return None
     return Advice(
         time_s=now_s,
         topic=Topic.SCALE,
         position=None,
-        words=f"the common scale is {100 * share:+.1f} % off the instrument's nominal one (limit {100 * SCALE_SHARE:g} %)",
+        words=f"the common scale is {100 * share:+.1f} % off the instrument's nominal one (limit {100 * _SCALE_SHARE:g} %)",
         remedy="check range and unit settings, latitude and gravity: the residual cannot show this",
         measured=abs(share),
-        limit=SCALE_SHARE,
+        limit=_SCALE_SHARE,
         unit="1",
     )
 
 
-def final_scale_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Advice | None:
-    """Return what the common scale is against an earlier calibration's, or the nominal one; None where neither is known.
+def _final_scale_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Advice | None:
+    """Return the common scale against an earlier calibration's, or the nominal one; None where neither is known.
 
     Gravity and a common scale are one parameter: a wrong latitude shows here or nowhere.
     """
@@ -162,10 +240,10 @@ def final_scale_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -
     reference = earlier or nominal
     if reference is None or len(fit.names) < _FEWEST_FOR_SCALE:
         return None
-    share, own_sigma = fit.common_scale()
-    change = share / reference - 1
+    scale, own_sigma = fit.common_scale()
+    change = scale / reference - 1
     sigma = math.hypot(own_sigma, settings.earlier_scale_sigma if earlier else 0.0)
-    limit = max(EARLIER_SHARE if earlier else SCALE_SHARE, 4 * sigma)
+    limit = max(_EARLIER_SHARE if earlier else _SCALE_SHARE, _SCALE_SIGMAS * sigma)
     whose = "the earlier calibration's" if earlier else "the instrument's nominal one"
     if abs(change) > limit:
         remedy = "check latitude, height and gravity: the residual cannot show a wrong one"
@@ -185,24 +263,27 @@ def final_scale_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -
     )
 
 
-def drift_advice(now_s: float, before: Observation, after: Observation, scale: RoughScale, *, fit: RunningFit | None) -> Advice:
-    """Return what the first position says when it is shown again at the end."""
-    norms = [float(np.linalg.norm(scale.specific_force(one.mean_raw))) for one in (before, after)]
-    directions = [scale.specific_force(one.mean_raw) / norm for one, norm in zip((before, after), norms, strict=True)]
+def _drift_advice(
+    now_s: float, before: Observation, after: Observation, scale: RoughScale, *, fit: RunningFit | None
+) -> Advice:
+    """Return the change of the norm from the first measurement of a position to the last."""
+    forces = [scale.specific_force(observation.mean_raw) for observation in (before, after)]
+    norms = [float(np.linalg.norm(force)) for force in forces]
+    directions = [force / norm for force, norm in zip(forces, norms, strict=True)]
     # An uncalibrated norm changes with the placement; the gradient of the bias across it tells by how much.
     placement = 0.0 if fit is None else float(np.linalg.norm(fit.vector[3:6])) * math.dist(*directions)
     change = norms[1] - norms[0]
-    sigma = math.hypot(EXPECTED_SCATTER_M_S2, placement)
+    limit = _DRIFT_SIGMAS * math.hypot(EXPECTED_SCATTER_M_S2, placement)
     minutes = (after.start_s - before.start_s) / 60
-    drifted = abs(change) > DRIFT_SIGMAS * sigma
+    drifted = abs(change) > limit
+    found = "it has drifted" if drifted else f"no drift beyond {limit / MILLI_G_M_S2:.1f} mg"
     return Advice(
         time_s=now_s,
         topic=Topic.DRIFT,
         position=before.name,
-        words=f"{before.name} again after {minutes:.0f} min: {change / MILLI_G_M_S2:+.2f} mg, "
-        + ("it has drifted" if drifted else f"no drift beyond {DRIFT_SIGMAS * sigma / MILLI_G_M_S2:.1f} mg"),
+        words=f"{before.name} again after {minutes:.0f} min: {change / MILLI_G_M_S2:+.2f} mg, {found}",
         remedy="let the unit warm up longer and measure again" if drifted else "nothing to do",
         measured=abs(change),
-        limit=DRIFT_SIGMAS * sigma,
+        limit=limit,
         unit="m/s^2",
     )

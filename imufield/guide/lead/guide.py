@@ -1,77 +1,83 @@
 """The guide: leads one person through the positions. Samples in, events out; no I/O, no clock but the samples' own.
 
-``state_table`` says what happens when; here are the actions. Everything is decided between two cells of the sample clock,
-so the same recording with the same marks gives the same events, however it is cut: a mark takes effect when the cell in
+``state_table`` says what happens when; ``actions`` holds the actions. Everything is decided between two cells of the sample
+clock, so the same recording with the same marks gives the same events, however it is cut: a mark takes effect when the cell in
 which it was made is complete.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.calibrate.model.observations import Observations
-from imufield.guide.cross_checks.axes import ENOUGH_MOVES, AxesCheck, MoveLog, check_axes
-from imufield.guide.cross_checks.sides import DeadAxis
-from imufield.guide.events import Event, Marked, RefusalCode, Vector
-from imufield.guide.hold.checks import explain_flags
+from imufield.guide.cross_checks.axes import AxesCheck
+from imufield.guide.events import Event, Marked, Vector, vector
 from imufield.guide.hold.observe import gather
 from imufield.guide.lead.actions import GuideActions
+from imufield.guide.lead.advice import Adviser
+from imufield.guide.lead.hold_under_way import HoldUnderWay
 from imufield.guide.lead.plan import Plan
-from imufield.guide.lead.refusals import axes_refusal, clock_refusal, not_quiet_refusal, rate_refusal, vector
 from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.lead.speaker import Speaker
 from imufield.guide.lead.state_table import TABLE, Input, State
+from imufield.guide.lead.stream_watch import StreamWatch
+from imufield.guide.lead.turns import TurnLeader
 from imufield.guide.positions import Scheme
-from imufield.guide.stillness.cells import CellBuilder, Cells, join_cells
-from imufield.guide.stillness.detector import StillnessDetector
+from imufield.guide.stillness.cells import CELL_S, CellBuilder, Cells, join_cells, slots_of
+from imufield.guide.stillness.detector import LONGEST_S, StillnessDetector
 from imufield.guide.stillness.limits import Activity
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
 from imufield.samples import Samples, SampleUnits
 
-_BAD_IN_A_ROW = 3  # Cells without usable samples before anybody is told.
-_IN_VAIN = 5  # Lengths of a noise floor waited for before settings are doubted.
-ACTIONS = ("retake", "skip", "undo", "pause", "finish", "go_on", "reopen")
 # What the operator says that is an input of the table and nothing else.
 _INPUTS = {"pause": Input.PAUSE, "finish": Input.FINISH, "reopen": Input.RESUMED}
-RATE_CELLS = 50
-RATE_SHARE = 0.05
-"""Change of the sample rate over five seconds that is told: oscillators differ by 0.01 %."""
-JUMP_S = 2.0
-"""A gap in the sample clock that is told: a suspended computer, an instrument that began anew."""
+_ACTIONS = ("retake", "skip", "undo", "pause", "finish", "go_on", "reopen")
+_RECENT_CELLS = 10  # A second: rate and temperature that a live view shows.
+_HOLD_MARGIN_S = 10.0  # A stretch is kept for longer than the hold: guard bands, and ends that are cut off.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """What a live view shows beside the events."""
+    """State of a session for a live view, beside the events.
+
+    Attributes
+    ----------
+    target, position : str or None
+        The position proposed, and the one under way.
+    fraction : float
+        Part of the hold that is done.
+    activity : Activity or None
+        Stillness of the latest cell against its limit.
+    rate_hz : float
+        Over the last second; NaN before.
+    lost_cells : int
+        Cells with missing or unusable samples so far.
+    direction, target_direction : tuple of float or None
+        Where up is in the body now, unit vector, None before the first sample or in free fall; and where it should be.
+    forecast : dict or None
+        1 sigma of the parameters now, see ``Accepted``; None until there are four positions.
+    """
 
     state: State
-    time_s: float
     target: str | None
-    """Proposed position."""
     position: str | None
-    """The one under way."""
     fraction: float
     activity: Activity | None
-    """Stillness of the latest cell against its limit."""
     rate_hz: float
-    """Over the last second; NaN before."""
     lost_cells: int
-    """Cells with missing or unusable samples so far."""
     temperature_degc: float
     accepted: tuple[str, ...]
     skipped: tuple[str, ...]
+    suspects: tuple[str, ...]
     planned: int
-    direction: Vector | None = None
-    """Where up is in the body now, unit vector; None before the first sample, or in free fall."""
-    target_direction: Vector | None = None
-    in_hand: bool = False
-    doubtful: tuple[str, ...] = ()
-    forecast: dict[str, float] | None = None
-    """1 sigma of the parameters now, see ``Accepted``; None until there are four positions."""
+    direction: Vector | None
+    target_direction: Vector | None
+    in_hand: bool
+    forecast: dict[str, float] | None
 
 
 class Guide:
@@ -89,27 +95,30 @@ class Guide:
     def __init__(
         self, scheme: Scheme, units: SampleUnits, *, scale: RoughScale | None = None, settings: GuideSettings | None = None
     ) -> None:
-        self.settings = settings or GuideSettings()
-        self.plan = Plan(scheme, self.settings.tolerance_deg)
+        settings = settings or GuideSettings()
+        longest_s = max(LONGEST_S, settings.hold_target.longest_s + _HOLD_MARGIN_S)
+        self.plan = Plan(scheme)
         self.units = units
         self.state = State.LEARNING
         self.time_s = math.nan  # Sample clock of the latest sample.
-        longest_s = max(self.settings.stillness.longest_s, self.settings.wish.longest_s + 10)
-        stillness = replace(self.settings.stillness, longest_s=longest_s, hand=True)
-        self.detector = StillnessDetector(scale or RoughScale.of_units(units), stillness)
-        self._do = GuideActions(self.plan, self.detector, self.settings)
-        self._builder = CellBuilder(stillness.cell_s)
-        self._marks: list[tuple[int, str, str | None]] = []
-        self._moves = MoveLog(stillness.cell_s)
-        self._dead_axis = DeadAxis()
-        self._axes_asked = 0  # Positions at the last look at the axes; all, once the moves have told.
-        self._axes_told: set[tuple[RefusalCode, bool]] = set()
-        self._slot: int | None = None
-        self._counts: deque[int] = deque(maxlen=RATE_CELLS)
+        self.detector = StillnessDetector(scale or RoughScale.of_units(units), hand=True, longest_s=longest_s)
+        self.adviser = Adviser(self.plan, settings)
+        self._speaker = Speaker()
+        self._hold = HoldUnderWay(self.detector, settings.hold_target, longest_s)
+        self._turns = TurnLeader(settings.rotations)
+        self._watch = StreamWatch(self.detector, self._speaker)
+        self._actions = GuideActions(
+            plan=self.plan,
+            detector=self.detector,
+            speaker=self._speaker,
+            hold=self._hold,
+            adviser=self.adviser,
+            turns=self._turns,
+            watch=self._watch,
+        )
+        self._builder = CellBuilder()
+        self._marks: list[tuple[int, str, str | None]] = []  # Slot of the cell, action and position.
         self._recent: Cells | None = None
-        self._bad_cells = 0
-        self._bad_in_a_row = 0
-        self._waited = 0
 
     @property
     def done(self) -> bool:
@@ -119,274 +128,198 @@ class Guide:
     @property
     def finished_early(self) -> bool:
         """Whether the operator ended it with something left that was asked for."""
-        return self.done and (self.plan.proposed() is not None or self._do.turns.was_given_up)
+        return self.done and (self.plan.proposed() is not None or self._turns.was_given_up)
 
     def asked_to_finish(self) -> Marked:
-        """Return what to say when somebody wants to finish: what there would be, and how to mean it."""
-        turns = self._do.turns
+        """Return the answer to a first request to finish: what there would be, and how to confirm it."""
+        turns = self._turns
         rolled = f" and {turns.planned - len(turns.left)} of {turns.planned} turns" if turns.planned else ""
         words = f"f again to finish with {len(self.plan.accepted)} of {len(self.plan.scheme)} positions{rolled}"
         return Marked(self.time_s, "finish", None, words)
 
     def feed(self, samples: Samples) -> list[Event]:
-        """Take the next samples and return what there is to say."""
+        """Process the next samples and return the events."""
         if not len(samples):
             return []
         if self.state is State.LOST:
             self._handle(Input.LINK_BACK)
         self.time_s = float(samples.time_s[-1])
-        self._do.weighing.history.add(samples)
+        self._hold.history.add(samples)
         cells = self._builder.feed(samples)
         if cells is not None:
-            self._take(cells)
-        self._do.weighing.history.prune()
-        return self._said_now()
+            self._process(cells)
+        self._hold.history.prune()
+        return self._speaker.take()
 
     def mark(self, action: str, time_s: float, position: str | None = None) -> list[Event]:
-        """Take what the operator says, one of ``ACTIONS``; ``retake`` may name a position, otherwise the last is meant.
+        """Process what the operator says: retake, skip, undo, pause, finish, go_on or reopen.
 
-        It takes effect when the cell of ``time_s`` is complete; so on replay all marks may be given beforehand. Without
-        a link it takes effect at once.
+        ``retake`` and ``skip`` may name a position. The mark takes effect when the cell of ``time_s`` is complete; so on replay
+        all marks may be given beforehand. Without a link it takes effect at once.
         """
-        if action not in ACTIONS:
-            raise ValueError(f"`action` is {action!r}, not one of {', '.join(ACTIONS)}")
+        if action not in _ACTIONS:
+            raise ValueError(f"`action` is {action!r}, not one of {', '.join(_ACTIONS)}")
         if self.state in (State.LOST, State.DONE) or math.isnan(time_s):
             self._apply_mark(action, position)
         else:
-            self._marks.append((int(self._builder.slots(np.array([time_s]))[0]), action, position))
+            self._marks.append((int(slots_of(np.array([time_s]))[0]), action, position))
             self._marks.sort(key=lambda mark: mark[0])
-        return self._said_now()
+        return self._speaker.take()
 
     def link_lost(self) -> list[Event]:
-        """Say that no samples arrive any more; nothing measured is lost."""
-        while self._marks:
-            self._apply_mark(*self._marks.pop(0)[1:])
-        self._builder = CellBuilder(self.detector.settings.cell_s)
-        # What comes next may be of another clock and another rate: a pause is no jump.
-        self._slot = None
-        self._counts.clear()
+        """Note that no samples arrive any more; nothing measured is lost."""
+        self._apply_marks_left()
+        self._builder = CellBuilder()
+        self._watch.forget_clock()
         self._handle(Input.LINK_LOST)
-        return self._said_now()
+        return self._speaker.take()
 
     def link_back(self) -> list[Event]:
-        """Say that samples arrive again; the sample clock may have started anew."""
+        """Note that samples arrive again; the sample clock may have started anew."""
         self._handle(Input.LINK_BACK)
-        return self._said_now()
+        return self._speaker.take()
 
     def flush(self) -> list[Event]:
         """Judge the unfinished cell: the recording ends here."""
         cells = self._builder.flush()
         if cells is not None:
-            self._take(cells)
-        while self._marks:
-            self._apply_mark(*self._marks.pop(0)[1:])
-        return self._said_now()
+            self._process(cells)
+        self._apply_marks_left()
+        return self._speaker.take()
 
     def observations(self) -> Observations:
-        """Return what was accepted, in order of acceptance."""
+        """Return the accepted observations, in order of acceptance."""
         return gather(list(self.plan.accepted.values()), self.units)
 
     def turn_rests(self) -> Observations:
-        """Return the stills between the whole turns: they tell the gyroscope where a turn began and ended."""
-        return gather(self._do.turns.rests, self.units)
+        """Return the stills between the whole turns, which the gyroscope's calibration begins and ends each turn with."""
+        return gather(self._turns.rests, self.units)
 
     def check_axes(self) -> AxesCheck:
-        """Compare the turns that accelerometer and gyroscope saw between the stills so far."""
-        return check_axes(self._moves.moves(self.detector.scale), self.detector.scale.gyroscope)
+        """Compare the turns by accelerometer and gyroscope between the stills so far."""
+        return self._watch.check_axes()
 
     def snapshot(self) -> Snapshot:
-        """Return what a live view shows."""
-        target = self.plan.proposed() if self._do.announced else None
-        recent = self._recent
-        span = float(recent.slot[-1] - recent.slot[0] + 1) * self._builder.cell_s if recent is not None else math.nan
+        """Return the state for a live view."""
+        plan, judgement = self.plan, self._actions.judgement
+        target = plan.proposed() if self._actions.announced else None
+        rate_hz = temperature_degc = math.nan
+        if self._recent is not None:
+            span_s = float(self._recent.slot[-1] - self._recent.slot[0] + 1) * CELL_S
+            # A clock that was set back leaves no span.
+            rate_hz = float(self._recent.count.sum()) / span_s if span_s > 0 else math.nan
+            temperature_degc = float(self._recent.temperature_degc[-1])
         return Snapshot(
             state=self.state,
-            time_s=self.time_s,
-            target=None if target is None else self.plan.position(target).name,
-            position=None if self._do.position is None else self.plan.position(self._do.position).name,
-            fraction=self._do.weighing.fraction,
-            activity=None if self._do.judgement is None else self.detector.explain(self._do.judgement),
-            rate_hz=float(recent.count.sum()) / span if recent is not None else math.nan,
-            lost_cells=self._bad_cells,
-            temperature_degc=float(recent.temperature_degc[-1]) if recent is not None else math.nan,
-            accepted=tuple(self.plan.position(i).name for i in self.plan.accepted),
-            skipped=tuple(self.plan.position(i).name for i in sorted(self.plan.skipped)),
-            planned=len(self.plan.scheme),
-            direction=self._do.direction_now(),
-            target_direction=None if target is None else vector(self.plan.position(target).direction),
+            target=None if target is None else plan.position(target).name,
+            position=None if self._hold.position is None else plan.position(self._hold.position).name,
+            fraction=self._hold.fraction,
+            activity=None if judgement is None else self.detector.explain(judgement),
+            rate_hz=rate_hz,
+            lost_cells=self._watch.bad_cells,
+            temperature_degc=temperature_degc,
+            accepted=tuple(plan.position(i).name for i in plan.accepted),
+            skipped=tuple(plan.position(i).name for i in sorted(plan.skipped)),
+            suspects=self.adviser.suspects.names,
+            planned=len(plan.scheme),
+            direction=self._actions.direction_now(),
+            target_direction=None if target is None else vector(plan.position(target).direction),
             in_hand=self.detector.in_hand,
-            doubtful=tuple(one.name for one in self._do.doubts.now),
-            forecast=None if self._do.fit is None else self._do.fit.forecast(),
+            forecast=None if self.adviser.fit is None else self.adviser.fit.forecast(),
         )
 
-    def _said_now(self) -> list[Event]:
-        events, self._do.events = self._do.events, []
-        return events
-
-    def _take(self, cells: Cells) -> None:
-        """Take finished cells in order, each mark right after the cell in which it was made."""
+    def _process(self, cells: Cells) -> None:
+        """Judge finished cells in order, each mark right after the cell in which it was made."""
         while self._marks and len(cells) and bool((cells.slot >= self._marks[0][0]).any()):
             upto = int(np.argmax(cells.slot >= self._marks[0][0])) + 1
-            self._judge_cells(cells[:upto])
+            self._judge(cells[:upto])
             cells = cells[upto:]
             self._apply_mark(*self._marks.pop(0)[1:])
         if len(cells):
-            self._judge_cells(cells)
+            self._judge(cells)
 
-    def _judge_cells(self, cells: Cells) -> None:
-        self._recent = cells[-10:] if self._recent is None else join_cells([self._recent, cells[-10:]])[-10:]
-        # One by one while the noise floor is not known: what is said must not depend on where a block was cut.
+    def _judge(self, cells: Cells) -> None:
+        newest = cells[-_RECENT_CELLS:]
+        self._recent = newest if self._recent is None else join_cells([self._recent, newest])[-_RECENT_CELLS:]
+        # One by one while the noise floor is not known: the events must not depend on where a block was cut.
         while len(cells) and self.detector.floor is None:
-            self._wait_for_floor(cells[:1])
+            self._watch.follow(cells, 0, silent=self.done)
+            for judgement in self.detector.judge(cells[:1]):
+                self._follow(judgement)
+            if self.detector.floor is None:
+                self._watch.explain_waiting(cells[:1])
             cells = cells[1:]
         for judgement in self.detector.judge(cells):
-            self._watch_data(judgement.cells, judgement.row)
+            self._watch.follow(judgement.cells, judgement.row, silent=self.done)
             self._follow(judgement)
-
-    def _wait_for_floor(self, cell: Cells) -> None:
-        self._watch_data(cell, 0)
-        for judgement in self.detector.judge(cell):
-            self._follow(judgement)
-        if self.detector.floor is None:
-            self._explain_waiting(cell)
 
     def _follow(self, judgement: Judgement) -> None:
-        """Tell the state table what a cell meant."""
-        self._do.judgement = judgement
-        self._set_time(judgement.cells, judgement.row)
-        if not self._do.announced and Input.FLOOR in TABLE[self.state]:
+        """Give the state table what a cell meant."""
+        self._actions.judgement = judgement
+        self._speaker.advance(judgement.cells, judgement.row)
+        if not self._actions.announced and Input.FLOOR in TABLE[self.state]:
             self._handle(Input.FLOOR)
         if judgement.ended is not None:
             self._handle(Input.ENDED)
-            dead = self._dead_axis.leave_side(self.detector.floor, self.detector.scale)
-            if dead is not None:
-                self._do.reject(dead)
+            self._watch.leave_side()
         if judgement.phase is Phase.STILL:
             self._handle(Input.STILL)
         else:
-            self._do.note_motion(judgement)
+            self._actions.note_motion(judgement)
             self._handle(Input.MOVING)
-        self._moves.follow(judgement, self.detector.stretch.mean)
-        if len(self.plan.accepted) > max(self._axes_asked, ENOUGH_MOVES):
-            self._ask_axes()
-
-    def _ask_axes(self) -> None:
-        """See with each new position whether axes and scale agree, until the moves tell; say once that they do not."""
-        axes = self.check_axes()
-        found = axes_refusal(axes)
-        self._axes_asked = len(self.plan.accepted) if axes.agrees is None else len(self.plan.scheme)
-        # That nothing fits, a scale, wrong axes: each is said once, as soon as the moves tell.
-        kind = (found.reason, axes.agrees is False)
-        if axes.is_contradicted and kind not in self._axes_told:
-            self._axes_told.add(kind)
-            self._do.reject(found)
-
-    def _set_time(self, cells: Cells, row: int) -> None:
-        """Advance the time of what is said; cells kept until the noise floor was known do not turn it back."""
-        now_s = float(cells.end_s[row])
-        if math.isnan(self._do.now_s) or now_s > self._do.now_s:
-            self._do.now_s = now_s
+        self._watch.follow_move(judgement, len(self.plan.accepted), len(self.plan.scheme))
 
     def _handle(self, happened: Input) -> None:
-        """Look up what to do, do it, and follow the answer."""
+        """Look up the transition, run its action, and handle its answer."""
         answer: Input | None = happened
         while answer is not None:
             transition = TABLE[self.state].get(answer)
             if transition is None:
                 return
             self.state = transition.to
-            answer = self._do.by_name[transition.action]()
+            answer = self._actions.run(transition.action)
 
-    def _watch_data(self, cells: Cells, row: int) -> None:
-        """Count cells with missing or unusable samples; say so when several follow each other."""
-        self._do.warmth.follow(cells, row)
-        self._dead_axis.follow(cells, row)
-        self._watch_clock(cells, row)
-        floor, share = self.detector.floor, self.detector.settings.usable_fraction
-        usual = cells.count[row] if floor is None else floor.samples_per_cell
-        if cells.usable[row] >= share * usual:
-            self._bad_in_a_row = 0
-            return
-        self._bad_in_a_row += 1
-        self._bad_cells += 1
-        if self._bad_in_a_row >= _BAD_IN_A_ROW and self.state is not State.DONE:
-            self._set_time(cells, row)
-            refusal = explain_flags(cells[row : row + 1], 0.0, share)
-            if self._do.due(f"data {refusal.reason.value}", self.settings.remind_s):
-                self._do.reject(refusal)
-
-    def _watch_clock(self, cells: Cells, row: int) -> None:
-        """Say when the sample clock jumps or the sample rate changes."""
-        before, self._slot = self._slot, int(cells.slot[row])
-        gap_s = 0.0 if before is None else (self._slot - before) * self.detector.settings.cell_s
-        if not -JUMP_S < gap_s < JUMP_S:
-            self._counts.clear()
-            self._do.warmth.clear()
-            self._do.reject(clock_refusal(gap_s, JUMP_S))
-            return
-        self._counts.append(int(cells.count[row]))
-        floor = self.detector.floor
-        if floor is None or len(self._counts) < RATE_CELLS:
-            return
-        # The median does not mind cells with lost samples; those are told elsewhere.
-        share = float(np.median(self._counts)) / floor.samples_per_cell - 1
-        if (
-            abs(share) > RATE_SHARE
-            and abs(share) * floor.samples_per_cell > 1
-            and self._do.due("rate", 6 * self.settings.remind_s)
-        ):
-            self._do.reject(rate_refusal(share, RATE_SHARE, floor.samples_per_cell / self.detector.settings.cell_s))
-
-    def _explain_waiting(self, cells: Cells) -> None:
-        """Say what is waited for while there is no noise floor."""
-        self._waited += len(cells)
-        self._set_time(cells, -1)
-        waited_s = self._waited * self.detector.settings.cell_s
-        floor_s = self.detector.settings.floor_s
-        if waited_s > 2 * floor_s and cells.usable.any() and self._do.due("not quiet", self.settings.remind_s):
-            in_vain = waited_s > _IN_VAIN * floor_s
-            self._do.reject(not_quiet_refusal(self.detector.waited(), self.detector.scale, floor_s, in_vain=in_vain))
+    def _apply_marks_left(self) -> None:
+        """Apply the marks whose cell will not be completed any more."""
+        while self._marks:
+            self._apply_mark(*self._marks.pop(0)[1:])
 
     def _apply_mark(self, action: str, name: str | None) -> None:
-        before = self.plan.proposed()
+        plan, now_s = self.plan, self._speaker.now_s
         if action in _INPUTS:
             self._handle(_INPUTS[action])
             return
         if action == "go_on":
-            self._do.go_cold = True
-            self._do.events.append(Marked(self._do.now_s, action, None, "going on although the temperature changes"))
+            self._actions.goes_on_cold = True
+            self._speaker.say(Marked(now_s, action, None, "going on although the temperature changes"))
             return
+        before = plan.proposed()
         index, words = {"retake": self._retake, "skip": self._skip, "undo": self._undo}[action](name)
-        said = None if index is None else self.plan.position(index).name
-        self._do.events.append(Marked(self._do.now_s, action, said, words))
+        self._speaker.say(Marked(now_s, action, None if index is None else plan.position(index).name, words))
         if action == "skip" and self.state is State.ROLLING and index is None:
-            self._skip_turn()
-        elif self.plan.proposed() is None:
-            answer = self._do.go_on()
+            self._turns.skip()
+            self._actions.propose_turn()
+            if not self._turns.left:
+                self._handle(Input.COMPLETE)
+        elif plan.proposed() is None:
+            answer = self._actions.go_on()
             if answer is not None:
                 self._handle(answer)
-        elif self.plan.proposed() != before or action == "retake":
+        elif plan.proposed() != before or action == "retake":
             if Input.REOPENED in TABLE[self.state]:
                 self.detector.restart()
                 self._handle(Input.REOPENED)
-            elif self._do.announced:
-                self._do.propose()
-
-    def _skip_turn(self) -> None:
-        """Leave out the next whole turn."""
-        self._do.turns.skip()
-        self._do.propose_turn()
-        if not self._do.turns.left:
-            self._handle(Input.COMPLETE)
+            elif self._actions.announced:
+                self._actions.propose()
 
     def _retake(self, name: str | None) -> tuple[int | None, str]:
-        doubtful = [one.name for one in self._do.doubts.now if self.plan.find(one.name) not in self.plan.wanted_again]
-        named = name or next(iter(doubtful), None)
+        suspects = (suspect for suspect in self.adviser.suspects.names if self.plan.find(suspect) not in self.plan.wanted_again)
+        named = name or next(suspects, None)
         index = self.plan.last_accepted if named is None else self.plan.find(named)
         if index is None or index not in self.plan.accepted:
             return None, f"nothing to retake: {name or 'no position'} is not measured yet"
         self.plan.want_again(index)
-        self._do.rested = None
+        self._actions.resting.forget()
         return index, f"{self.plan.position(index).name} is measured again; the older measurement counts until then"
 
     def _skip(self, name: str | None) -> tuple[int | None, str]:
@@ -401,6 +334,6 @@ class Guide:
         if undone is None:
             return None, "nothing to undo"
         action, index = undone
-        # What was known with it is known no longer.
-        self._do.fit_again()
+        # The fit without it is another one.
+        self.adviser.fit_again(self.detector.scale)
         return index, f"{action} of {self.plan.position(index).name} is undone; its samples stay in the recording"

@@ -1,6 +1,6 @@
-"""Is a hold long enough? Its cells, trimmed, and for a unit in the hand the mean of its turned samples.
+"""The hold under way: where it belongs, how long it is, and its mean once it is long enough.
 
-The latest raw samples, as far back as one hold can reach: a hold in the hand is measured from them, not from cells.
+A placed hold is measured from its cells, one in the hand from the samples of a history as long as the longest hold.
 """
 
 from __future__ import annotations
@@ -11,19 +11,24 @@ from collections import deque
 import numpy as np
 
 from imufield.guide.hold.checks import HoldUnderTest
-from imufield.guide.hold.hand_mean import HeldMean, held_mean
-from imufield.guide.hold.hold_time import SHORTEST_S, AllanMinimum, is_long_enough, sigma_along
+from imufield.guide.hold.hand_mean import HandMean, mean_in_hand
+from imufield.guide.hold.hold_time import SHORTEST_S, AllanMinimum, HoldTarget, sigma_along
 from imufield.guide.hold.observe import guard_cells, knocks_of, trim_stretch
-from imufield.guide.lead.settings import GuideSettings
-from imufield.guide.stillness.cells import Cells
+from imufield.guide.refusals import Refusal
+from imufield.guide.stillness.cells import CELL_S, Cells, cells_in
 from imufield.guide.stillness.detector import StillnessDetector
+from imufield.guide.stillness.stretch import Stretch
 from imufield.samples import Samples, concatenate
 
 MOST_SAMPLES = 200_000
-"""Bound on what is kept, whatever the rate: 100 s at 2000 Hz, some 17 MB."""
+"""Bound of the history, whatever the rate: 100 s at 2000 Hz, some 17 MB."""
+_HISTORY_MARGIN_S = 5.0  # Guard bands, and the cells that are judged late.
+_EVALUATE_EVERY = 5  # Cells between two evaluations of a hold without a fixed time: one costs as much as 20 cells.
+# Cut off at both ends of a hold in the hand: an arm comes to rest slowly, and a slow turn begins below its sway.
+HAND_GUARD_S = 1.5
 
 
-class RawHistory:
+class SampleHistory:
     """Keeps blocks of samples for a while.
 
     Parameters
@@ -43,13 +48,13 @@ class RawHistory:
         self._count += len(samples)
 
     def prune(self) -> None:
-        """Let go of what is older than ``keep_s``; call it when the newest block has been used."""
-        while len(self._blocks) > 1 and self._may_go(self._blocks[0], self._blocks[-1]):
+        """Discard what is older than ``keep_s``; call it when the newest block has been used."""
+        while len(self._blocks) > 1:
+            oldest, newest = self._blocks[0], self._blocks[-1]
+            too_old = float(oldest.time_s[-1]) < float(newest.time_s[-1]) - self._keep_s
+            if not too_old and self._count - len(oldest) <= MOST_SAMPLES:
+                return
             self._count -= len(self._blocks.popleft())
-
-    def _may_go(self, oldest: Samples, newest: Samples) -> bool:
-        too_old = float(oldest.time_s[-1]) < float(newest.time_s[-1]) - self._keep_s
-        return too_old or self._count - len(oldest) > MOST_SAMPLES
 
     def clear(self) -> None:
         """Forget everything: another clock begins."""
@@ -67,112 +72,111 @@ class RawHistory:
         return concatenate(parts) if parts else None
 
 
-HISTORY_MARGIN_S = 5.0
-WEIGH_EVERY = 5
-"""Cells between two looks at a hold without a fixed time."""
-
-
-class Weighing:
-    """Weighs the hold under way.
+class HoldUnderWay:
+    """The hold under way.
 
     Parameters
     ----------
     detector : StillnessDetector
-    settings : GuideSettings
+    target : HoldTarget
+    longest_s : float
+        Length of a stretch that the detector keeps.
     """
 
-    def __init__(self, detector: StillnessDetector, settings: GuideSettings) -> None:
+    def __init__(self, detector: StillnessDetector, target: HoldTarget, longest_s: float) -> None:
         self._detector = detector
-        self._settings = settings
-        self.history = RawHistory(detector.settings.longest_s + HISTORY_MARGIN_S)
+        self._target = target
+        self._allan = AllanMinimum()
+        self.history = SampleHistory(longest_s + _HISTORY_MARGIN_S)
         self.first_judged_s = math.nan  # Samples from before this time are not kept.
-        self.fraction = 0.0  # How much of the hold under way is done.
-        self._allan = AllanMinimum(detector.settings.cell_s)
+        self.position: int | None = None  # Where the hold belongs.
+        self.fraction = 0.0  # Part of the hold that is done.
+        self.measured: HoldUnderTest | None = None  # The hold, once it is long enough.
+        self.refusal: Refusal | None = None  # Of the latest hold.
 
     @property
     def latest_s(self) -> float:
         """Length at which a hold ends at the latest."""
-        wish = self._settings.wish
-        return wish.fixed_s or max(min(wish.longest_s, self._allan.minimum_s), SHORTEST_S)
+        return self._target.latest_s(self._allan.minimum_s)
 
     @property
     def left_s(self) -> float:
-        """Time to go at the latest."""
+        """Time left at most."""
         return max((1 - self.fraction) * self.latest_s, 0.0)
 
     def begin(self) -> None:
-        """Begin with a hold."""
-        self.fraction = 0.0
+        """Begin a hold."""
+        self.fraction, self.measured = 0.0, None
+
+    def forget(self) -> None:
+        """Forget the hold: it was accepted, refused or left."""
+        self.position = None
+        self.begin()
 
     def learn(self, hold: HoldUnderTest) -> None:
         """Learn the Allan minimum from an accepted hold; a hand has none."""
-        if hold.held is None:
+        if hold.hand_mean is None:
             self._allan.add(np.linalg.norm(hold.scale.specific_force(hold.cells.mean[:, :3]), axis=1))
 
-    def guard(self, *, in_hand: bool) -> int:
-        """Return the cells of a guard band."""
-        settings = self._detector.settings
-        return settings.cells(self._settings.hand_guard_s) if in_hand else guard_cells(self._detector.limits, settings)
+    def lasted_s(self, stretch: Stretch) -> float:
+        """Return the length of a placed hold that has ended, guard bands off."""
+        return max(stretch.judged - 2 * guard_cells(self._detector.limits), 0) * CELL_S
 
-    def look(self) -> HoldUnderTest | None:
-        """Count the cells of the stretch; return the hold if it is long enough, to be called with each cell."""
-        settings, wish = self._detector.settings, self._settings.wish
-        usable = self._detector.stretch.judged - 2 * self.guard(in_hand=self._detector.in_hand)
-        latest = settings.cells(self.latest_s)
-        earliest = latest if wish.fixed_s is not None else settings.cells(SHORTEST_S)
-        self.fraction = min(max(self.fraction, usable / latest), 1.0) if usable > 0 else 0.0
-        if usable >= latest or (usable >= earliest and usable % WEIGH_EVERY == 0):
-            return self._weigh(latest)
-        return None
-
-    def _weigh(self, latest: int) -> HoldUnderTest | None:
-        """Return the hold if enough remains of it, guard bands and ends that stand out cut off; None if it must go on."""
+    def evaluate(self) -> bool:
+        """Count the cells of the stretch; return whether the hold is long enough. To be called with each cell."""
         detector = self._detector
-        cells = detector.stretch.cells()
-        rows = trim_stretch(cells, detector.limits, detector.settings)
-        in_hand = detector.in_hand or (detector.settings.hand and detector.is_hand_like(cells[rows]))
-        full = detector.stretch.judged > len(detector.stretch)
-        if in_hand:
-            return self._weigh_in_hand(cells, rows, latest, full=full)
-        cells = cells[rows]
-        if not len(cells):
-            return None
-        sigma = sigma_along(cells, detector.scale)
-        wish = self._settings.wish
-        if sigma > 0 and math.isfinite(sigma) and wish.sigma_m_s2 > 0:
-            self.fraction = min(max(self.fraction, (wish.sigma_m_s2 / sigma) ** 2), 1.0)
-        length_s = len(cells) * detector.settings.cell_s
-        if full or is_long_enough(length_s, sigma, wish, self._allan.minimum_s):
-            return self._under_test(cells, None)
-        return None
+        guard = cells_in(HAND_GUARD_S) if detector.in_hand else guard_cells(detector.limits)
+        usable = detector.stretch.judged - 2 * guard
+        latest = cells_in(self.latest_s)
+        earliest = latest if self._target.fixed_s is not None else cells_in(SHORTEST_S)
+        self.fraction = min(max(self.fraction, usable / latest), 1.0) if usable > 0 else 0.0
+        due = usable >= latest or (usable >= earliest and usable % _EVALUATE_EVERY == 0)
+        self.measured = self._measure(latest) if due else None
+        return self.measured is not None
 
-    def _weigh_in_hand(self, cells: Cells, rows: slice, latest: int, *, full: bool) -> HoldUnderTest | None:
-        """Return a hold in the hand: between the turns by its own standard, wider guard bands, as long as holds may be."""
-        guard = self.guard(in_hand=True)
+    def _measure(self, latest: int) -> HoldUnderTest | None:
+        """Return the hold if enough remains of it, guard bands and ends that stand out cut off; None if it must go on."""
+        detector, floor = self._detector, self._detector.floor
+        if floor is None:
+            return None
+        cells = detector.stretch.cells()
+        rows = trim_stretch(cells, detector.limits)
+        # A longer stretch is not kept: what there is must do.
+        full = detector.stretch.judged > len(detector.stretch)
+        hand_mean = None
+        if detector.in_hand or (detector.knows_hands and detector.is_hand_like(cells[rows])):
+            kept = self._trim_in_hand(cells, rows, latest, full=full)
+            if not len(kept) or not (full or len(kept) >= latest):
+                return None
+            hand_mean = self._mean_in_hand(kept)
+            if hand_mean is None:
+                return None
+        else:
+            kept = cells[rows]
+            if not len(kept):
+                return None
+            sigma, wanted = sigma_along(kept, detector.scale), self._target.sigma_m_s2
+            if sigma > 0 and math.isfinite(sigma) and wanted > 0:
+                self.fraction = min(max(self.fraction, (wanted / sigma) ** 2), 1.0)
+            if not full and not self._target.is_met(len(kept) * CELL_S, sigma, self._allan.minimum_s):
+                return None
+        return HoldUnderTest(cells=kept, floor=floor, limits=detector.limits, scale=detector.scale, hand_mean=hand_mean)
+
+    def _trim_in_hand(self, cells: Cells, rows: slice, latest: int, *, full: bool) -> Cells:
+        """Return the cells of a hold in the hand: between the turns by its own standard, with wider guard bands."""
+        guard = cells_in(HAND_GUARD_S)
         # Too short whatever the edges are: the fit of them, which costs most, is left out.
         if not full and min(rows.stop, len(cells) - guard) - max(rows.start, guard) < latest:
-            return None
+            return cells[:0]
         edges = self._detector.hold_edges(cells)
         start = max(rows.start, edges.start + guard)
-        cells = cells[start : max(min(rows.stop, edges.stop - guard), start)]
-        if not len(cells) or not (full or len(cells) >= latest):
-            return None
-        held = self._held_mean(cells)
-        return None if held is None else self._under_test(cells, held)
+        return cells[start : max(min(rows.stop, edges.stop - guard), start)]
 
-    def _held_mean(self, cells: Cells) -> HeldMean | None:
+    def _mean_in_hand(self, cells: Cells) -> HandMean | None:
         """Return the mean of a hold in the hand, from its samples; None for one from before the noise floor was known."""
         floor, scale = self._detector.floor, self._detector.scale
         if floor is None or not float(cells.start_s[0]) >= self.first_judged_s:
             return None
         samples = self.history.between(float(cells.start_s[0]), float(cells.end_s[-1]))
-        density = floor.cell_sigma[:3] * math.sqrt(self._detector.settings.cell_s)
-        return None if samples is None else held_mean(samples, scale, density, knocks_of(cells, self._detector.limits))
-
-    def _under_test(self, cells: Cells, held: HeldMean | None) -> HoldUnderTest | None:
-        detector, floor = self._detector, self._detector.floor
-        if floor is None:
-            return None
-        return HoldUnderTest(
-            cells=cells, floor=floor, limits=detector.limits, scale=detector.scale, settings=self._settings.checks, held=held
-        )
+        density = floor.cell_sigma[:3] * math.sqrt(CELL_S)
+        return None if samples is None else mean_in_hand(samples, scale, density, knocks_of(cells, self._detector.limits))

@@ -1,4 +1,4 @@
-"""The list of positions of a session: what is pending, measured, skipped, wanted again. Nothing measured is erased."""
+"""The plan of a session: which positions are pending, measured, skipped or wanted again. Nothing measured is erased."""
 
 from __future__ import annotations
 
@@ -10,63 +10,62 @@ from imufield.guide.hold.observe import Observation
 from imufield.guide.positions import Position, Scheme, angle_deg
 from imufield.samples import FloatArray
 
-TOLERANCE_DEG = 15.0
-"""Placement that the schemes bear: it costs 1 to 9 % of the uncertainty (docs/maths.md, positions)."""
-RECOGNITION_MARGIN_DEG = 5.0
-"""Added for what an uncalibrated accelerometer misjudges: 1 m/s^2 of bias turns the apparent direction by 6 degrees."""
+# Error of placement that the schemes allow: it costs 1 to 9 % of the uncertainty (docs/maths.md, positions).
+_TOLERANCE_DEG = 15.0
+# Added for the error of an uncalibrated accelerometer: 1 m/s^2 of bias turns the apparent direction by 6 degrees.
+_RECOGNITION_MARGIN_DEG = 5.0
+_SAME_SIDE_DEG = 1.0  # Positions nearer than this show the same side: far less than schemes part their positions by.
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """A position and how far off it the unit is."""
+class Nearest:
+    """The nearest position and the angle of the unit from it."""
 
     index: int
     angle_deg: float
 
 
 class Plan:
-    """Positions of a scheme and what became of them.
+    """Positions of a scheme and their measurements.
 
     Parameters
     ----------
     scheme : Scheme
-    tolerance_deg : float
-        A hold further than this (and the margin) from every position belongs to none. Never more than half the angle
-        between neighbouring positions.
     """
 
-    def __init__(self, scheme: Scheme, tolerance_deg: float = TOLERANCE_DEG) -> None:
+    def __init__(self, scheme: Scheme) -> None:
         self.scheme = scheme
-        self.tolerance_deg = min(tolerance_deg + RECOGNITION_MARGIN_DEG, scheme.separation_deg() / 2)
+        # A hold farther than this from every position belongs to none; at most half the angle between neighbours.
+        self.tolerance_deg = min(_TOLERANCE_DEG + _RECOGNITION_MARGIN_DEG, scheme.separation_deg() / 2)
+        self.accepted: dict[int, Observation] = {}  # By position, in order of acceptance.
         self.skipped: set[int] = set()
         self.wanted_again: set[int] = set()
         self.withdrawn: list[Observation] = []  # Replaced or undone; kept, not used.
-        self.first: int | None = None  # Asked for before all others: where the unit lies when the session begins.
+        self.first: int | None = None  # Asked for before all others: where the unit is when the session begins.
         self.preferred: int | None = None  # Asked for next instead of the proposed order: where a hold helps most.
-        # Asked for once more at the end, as a check for drift; what is measured there replaces nothing.
+        # Asked for once more at the end, as a check for drift; its measurement replaces nothing.
         self.revisiting: int | None = None
         self.revisited: Observation | None = None
-        self._accepted: dict[int, Observation] = {}
         self._directions = scheme.directions()
         self._history: list[tuple[str, int]] = []
 
     @property
-    def accepted(self) -> dict[int, Observation]:
-        """Observations by position, in order of acceptance."""
-        return dict(self._accepted)
-
-    @property
     def last_accepted(self) -> int | None:
         """The position accepted last, None before the first."""
-        return next(reversed(self._accepted), None)
+        return next(reversed(self.accepted), None)
+
+    @property
+    def first_accepted(self) -> int | None:
+        """The position accepted first that still counts."""
+        return next(iter(self.accepted), None)
 
     def position(self, index: int) -> Position:
         """Return a position by its place in the proposed order."""
         return self.scheme.positions[index]
 
     def is_pending(self, index: int) -> bool:
-        """Whether a hold there would be taken; skipped ones would."""
-        return index not in self._accepted or index in self.wanted_again or index == self.revisiting
+        """Whether a hold there would be accepted; at a skipped position it would."""
+        return index not in self.accepted or index in self.wanted_again or index == self.revisiting
 
     def proposed(self) -> int | None:
         """Return the next position in the proposed order, None when nothing is left to ask for."""
@@ -75,45 +74,41 @@ class Plan:
         return next((index for index in order if self.is_pending(index) and index not in self.skipped), None)
 
     def pending(self) -> list[int]:
-        """Return what is asked for, in the proposed order."""
+        """Return the positions that are asked for, in the proposed order."""
         return [index for index in range(len(self.scheme)) if self.is_pending(index) and index not in self.skipped]
-
-    @property
-    def first_accepted(self) -> int | None:
-        """The position accepted first that still counts."""
-        return next(iter(self._accepted), None)
 
     def missing(self) -> tuple[str, ...]:
         """Return the names of positions without an observation."""
-        return tuple(self.position(i).name for i in range(len(self.scheme)) if i not in self._accepted)
+        return tuple(self.position(i).name for i in range(len(self.scheme)) if i not in self.accepted)
 
-    def nearest(self, direction: FloatArray, *, pending: bool) -> Found | None:
-        """Return the nearest position, of the pending ones or of all; of equals the one asked for, then the first.
+    def nearest(self, direction: FloatArray, *, pending: bool) -> Nearest | None:
+        """Return the nearest position, of the pending ones or of all; of equals the proposed one, then the first.
 
         ``direction`` is a unit vector.
         """
         target = self.proposed()
         angles = np.degrees(np.arccos(np.clip(self._directions @ direction, -1, 1))).tolist()
-        found = [
+        candidates = [
+            # Rounded, so that repeats of one direction are equal.
             (round(angle, 3), index != target, index)
             for index, angle in enumerate(angles)
             if self.is_pending(index) or not pending
         ]
-        if not found:
+        if not candidates:
             return None
-        angle, _, index = min(found)
-        return Found(index, angle)
+        angle, _, index = min(candidates)
+        return Nearest(index, angle)
 
     def accept(self, index: int, observation: Observation) -> bool:
-        """Take an observation; return whether it replaces an older one."""
+        """Add an observation; return whether it replaces an older one."""
         if index == self.revisiting and index not in self.wanted_again:
             self.revisiting, self.revisited = None, observation
             self._history.append(("revisit", index))
             return False
-        older = self._accepted.pop(index, None)
+        older = self.accepted.pop(index, None)
         if older is not None:
             self.withdrawn.append(older)
-        self._accepted[index] = observation
+        self.accepted[index] = observation
         self.wanted_again.discard(index)
         self.skipped.discard(index)
         self._history.append(("accept", index))
@@ -125,16 +120,16 @@ class Plan:
         self._history.append(("retake", index))
 
     def skip(self, index: int) -> None:
-        """Do not ask for a position any more; shown all the same, it is taken."""
+        """Do not ask for a position any more; a hold there is accepted all the same."""
         if index == self.revisiting:
             self.revisiting = None
-        if index not in self._accepted:
+        if index not in self.accepted:
             self.skipped.add(index)
         self.wanted_again.discard(index)
         self._history.append(("skip", index))
 
     def undo(self) -> tuple[str, int] | None:
-        """Take back the last accept, retake or skip; return what it was, None when there is nothing."""
+        """Reverse the last accept, retake, skip or revisit; return it and its position, None when there is none."""
         if not self._history:
             return None
         action, index = self._history.pop()
@@ -144,20 +139,16 @@ class Plan:
             self.wanted_again.discard(index)
         elif action == "revisit":
             self.revisiting, self.revisited = index, None
-        elif index in self._accepted:
-            self._take_back(index)
+        elif index in self.accepted:
+            undone = self.accepted.pop(index)
+            before = next((older for older in reversed(self.withdrawn) if older.name == undone.name), None)
+            if before is not None:
+                # The one that it had replaced counts again.
+                self.withdrawn = [older for older in self.withdrawn if older is not before]
+                self.accepted[index] = before
+                self.wanted_again.add(index)
+            self.withdrawn.append(undone)
         return action, index
-
-    def _take_back(self, index: int) -> None:
-        """Withdraw an observation; the one that it had replaced counts again."""
-        name = self.position(index).name
-        undone = self._accepted.pop(index)
-        before = next((one for one in reversed(self.withdrawn) if one.name == name), None)
-        if before is not None:
-            self.withdrawn = [one for one in self.withdrawn if one is not before]
-            self._accepted[index] = before
-            self.wanted_again.add(index)
-        self.withdrawn.append(undone)
 
     def find(self, name: str) -> int | None:
         """Return the index of a position by name."""
@@ -165,4 +156,4 @@ class Plan:
 
     def same_direction(self, first: int, second: int) -> bool:
         """Whether two positions show the same side."""
-        return angle_deg(self.position(first).direction, self.position(second).direction) < 1.0
+        return angle_deg(self.position(first).direction, self.position(second).direction) < _SAME_SIDE_DEG

@@ -1,7 +1,7 @@
 """The states of the guide as a table: (state, input) -> what to do and where to go.
 
-The guide looks up every input here; what is not in the table does nothing. An action may answer with another input, which
-is looked up in the new state: ``recognise`` answers ``near``, ``refused`` or ``same``. The table is data so that the
+The guide looks up every input here; an input that is not in the table does nothing. An action may answer with another input,
+which is looked up in the new state: ``recognise`` answers ``near``, ``refused`` or ``same``. The table is data so that the
 picture in the documentation and the tests are made from it.
 """
 
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 
 class State(Enum):
-    """Where the session is."""
+    """States of a session."""
 
     LEARNING = "learning"
     """Waiting for a quiet stretch, the noise floor."""
@@ -34,7 +34,7 @@ class State(Enum):
 
 
 class Input(Enum):
-    """What can happen."""
+    """Inputs of the table."""
 
     FLOOR = "floor"
     MOVING = "moving"
@@ -62,12 +62,13 @@ class Input(Enum):
 
 
 class Transition(NamedTuple):
-    """Name of the guide's method (without its underscore) and the state to go to first."""
+    """Name of the method of ``GuideActions``, and the state to go to first."""
 
     action: str
     to: State
 
 
+# What can happen in any state of a running session.
 _ANY = {
     Input.PAUSE: Transition("pause", State.PAUSED),
     Input.FINISH: Transition("finish", State.DONE),
@@ -127,17 +128,3 @@ TABLE: dict[State, dict[Input, Transition]] = {
         Input.RESUMED: Transition("reopen", State.LOST),
     },
 }
-
-
-def mermaid() -> str:
-    """Return the table as a state diagram in Mermaid, inputs that lead to the same state joined."""
-    lines = ["stateDiagram-v2", f"    [*] --> {State.LEARNING.value}"]
-    everywhere = set(_ANY)
-    for state, row in TABLE.items():
-        by_target: dict[State, list[str]] = {}
-        for happened, transition in row.items():
-            if happened in everywhere and row[happened] == _ANY[happened] and state is not State.LEARNING:
-                continue
-            by_target.setdefault(transition.to, []).append(f"{happened.value} / {transition.action.replace('_', ' ')}")
-        lines += [f"    {state.value} --> {to.value}: {', '.join(said)}" for to, said in by_target.items()]
-    return "\n".join(lines)

@@ -1,33 +1,36 @@
-"""Whole turns for the gyroscope: which are wanted, and whether a move between two stills was one (docs/gyroscope.md).
+"""Whole turns for the gyroscope: which are wanted, what the guide says of them, and whether a move was one (docs/gyroscope.md).
 
 Rolled edge over edge about a horizontal axis, gravity itself closes a turn; on a turntable or flat surface the axis is vertical
-and the stop must be the same. Here a turn is only recognised, from the uncalibrated gyroscope; its exact angle is the business
-of ``calibrate``, which finds the move by the times that the event holds.
+and the stop must be the same. Here a turn is only recognised, from the uncalibrated gyroscope; ``calibrate`` computes its exact
+angle from the samples between the times of the event.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from imufield.guide.events import RefusalCode
-from imufield.guide.hold.checks import Refusal
+from imufield.guide import refusals
+from imufield.guide.events import Turn, Turned
+from imufield.guide.hold.observe import Observation, observe, trim_stretch
 from imufield.guide.positions import angle_deg
-from imufield.guide.stillness.cells import Cells
+from imufield.guide.refusals import Refusal
+from imufield.guide.stillness.cells import CELL_S, cells_in
+from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
+from imufield.guide.stillness.stretch import Judgement
 from imufield.samples import AXES, FloatArray
 
 HORIZONTAL = "horizontal"
 VERTICAL = "vertical"
-NOT_A_TURN_DEG = 180.0
-"""A move that turned by less is the way to another side."""
-WHOLE_DEG = 45.0
-"""Largest distance from whole turns: an uncalibrated scale and a bad stop; what is right is decided when solving."""
-TILT_DEG = 20.0
-ASIDE_DEG = 60.0
-"""Net turn about the other axes."""
+_NOT_A_TURN_DEG = 180.0  # A move that turned by less is the way to another side.
+# Largest distance from whole turns: an uncalibrated scale and a bad stop; the solver decides on the exact angle.
+_WHOLE_DEG = 45.0
+_TILT_DEG = 20.0  # Between up before and up after: a turn ends on the side it began on, but not exactly.
+_ASIDE_DEG = 60.0  # Net turn about the other axes: a roll by hand is never about one axis alone.
+_REST_S = 1.0  # Stillness wanted after a turn, guard bands off: it closes the turn.
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,104 +53,148 @@ class WantedTurn:
         return f"{name} {up}: turn it on the table against a stop, one whole turn ({way}), back to the stop"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MadeTurn:
-    """A move that was whole turns."""
+@dataclass(slots=True)
+class _Move:
+    """A move since the last still: up before it, the gyroscope's bias, and the sum of the gyroscope."""
 
-    wanted: WantedTurn
-    turns: int
+    up: FloatArray
+    bias: FloatArray
     start_s: float
-    end_s: float
-    turned_deg: float
-    tilt_deg: float
+    end_s: float = math.nan
+    slot: int | None = None
+    angle: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
-def plan_turns(about: str | None, each_way: int) -> list[WantedTurn]:
-    """Return the turns of a session: each axis, both ways, ``each_way`` times, ways alternating."""
-    if about is None:
-        return []
-    return [WantedTurn(axis, sense, about) for axis in range(3) for _ in range(each_way) for sense in (1, -1)]
+def plan_turns(about: str | None) -> list[WantedTurn]:
+    """Return the turns of a session: each axis once in each sense."""
+    return [] if about is None else [WantedTurn(axis, sense, about) for axis in range(3) for sense in (1, -1)]
 
 
-class TurnFollower:
-    """Adds up the gyroscope from one still to the next.
+class TurnLeader:
+    """The turns of a session: which are left, the rests between them, and the move in progress.
 
     Parameters
     ----------
-    cell_s : float
+    about : str or None
+        ``HORIZONTAL``, ``VERTICAL`` or None where no turns are wanted.
     """
 
-    def __init__(self, cell_s: float) -> None:
-        self._cell_s = cell_s
-        self._up: FloatArray | None = None
-        self._bias = np.zeros(3)
-        self._angle = np.zeros(3)
-        self._slot: int | None = None
-        self._start_s = math.nan
-        self._end_s = math.nan
+    def __init__(self, about: str | None) -> None:
+        self.left = plan_turns(about)
+        self.planned = len(self.left)
+        self.rests: list[Observation] = []  # The stills before, between and after the turns; they belong to no position.
+        self._move: _Move | None = None
+        self._moved = False
+        self._resting = False
+        self._given_up = self.left[:0]
 
-    def begin(self, still_mean: list[float], cells: Cells, row: int, scale: RoughScale) -> None:
-        """Begin with the mean of the still before (6 raw rates) and the first cell of motion."""
-        mean = np.array(still_mean)
-        self._up, self._bias = scale.specific_force(mean[:3]), mean[3:]
-        self._angle, self._slot = np.zeros(3), None
-        self._start_s = float(cells.start_s[row])
-        self.follow(cells, row, scale)
+    @property
+    def was_given_up(self) -> bool:
+        """Whether turns were left when the session was ended."""
+        return bool(self._given_up)
 
-    def follow(self, cells: Cells, row: int, scale: RoughScale) -> None:
-        """Take one cell of motion."""
-        if self._up is None or not scale.gyroscope:
+    def give_up(self) -> None:
+        """Ask for no more turns: the session is over."""
+        self.left, self._given_up = [], self.left
+
+    def take_up(self) -> None:
+        """Ask again for those that were given up: the session continues."""
+        self.left, self._given_up = self._given_up or self.left, []
+
+    def forget_move(self) -> None:
+        """Forget the move in progress: the link is gone."""
+        self._move, self._resting = None, False
+
+    def skip(self) -> None:
+        """Leave out the next turn."""
+        self.left = self.left[1:]
+
+    def next(self, now_s: float) -> list[Turn]:
+        """Return the event of the next turn; none when no turn is left."""
+        return [
+            Turn(
+                time_s=now_s,
+                axis=AXES[turn.axis],
+                sense=turn.sense,
+                about=turn.about,
+                words=turn.words,
+                done=self.planned - len(self.left),
+                planned=self.planned,
+            )
+            for turn in self.left[:1]
+        ]
+
+    def begin(self, judgement: Judgement, scale: RoughScale) -> None:
+        """Follow a move from the end of a still stretch."""
+        self._moved, self._resting = True, False
+        if judgement.ended is not None:
+            mean = np.array(judgement.ended.mean)
+            start_s = float(judgement.cells.start_s[judgement.row])
+            self._move = _Move(scale.specific_force(mean[:3]), mean[3:], start_s)
+            self.follow(judgement, scale)
+
+    def follow(self, judgement: Judgement, scale: RoughScale) -> None:
+        """Add one cell of a move."""
+        move, cells, row = self._move, judgement.cells, judgement.row
+        if move is None or not scale.gyroscope:
             return
         slot = int(cells.slot[row])
-        steps = 1 if self._slot is None else slot - self._slot
-        self._slot, self._end_s = slot, float(cells.end_s[row])
-        rate = (cells.mean[row, 3:] - self._bias) / scale.gyroscope
-        self._angle = self._angle + np.where(np.isfinite(rate), rate, 0.0) * self._cell_s * steps
+        # A lost cell counts with the rate of the next one.
+        steps = 1 if move.slot is None else slot - move.slot
+        move.slot, move.end_s = slot, float(cells.end_s[row])
+        rate = (cells.mean[row, 3:] - move.bias) / scale.gyroscope
+        move.angle = move.angle + np.where(np.isfinite(rate), rate, 0.0) * CELL_S * steps
 
-    def end(self, still_mean: list[float], left: list[WantedTurn], scale: RoughScale) -> MadeTurn | Refusal | None:
-        """Return what the move was, now that the unit is still: a turn, a bad one, or only a move (None)."""
-        before, self._up = self._up, None
-        if before is None or not scale.gyroscope:
+    def rest(self, detector: StillnessDetector) -> bool:
+        """Measure the rest in progress, again with each second; return whether it is long enough now, once for each rest."""
+        # The still before the first move is the last position's.
+        if not self._moved or (self._resting and detector.stretch.judged % cells_in(_REST_S)):
+            return False
+        cells = detector.stretch.cells()
+        cells = cells[trim_stretch(cells, detector.limits)]
+        if len(cells) < cells_in(_REST_S):
+            return False
+        if self._resting and self.rests:
+            self.rests.pop()
+        self.rests.append(observe(cells, detector.limits, f"turn rest {len(self.rests) + 1}"))
+        first, self._resting = not self._resting, True
+        return first
+
+    def end(self, now_s: float, still_mean: list[float], scale: RoughScale) -> Turned | Refusal | None:
+        """Return what the move was, now that the unit is still: a wanted turn, a bad one, or only a move (None)."""
+        move, self._move = self._move, None
+        if move is None or not scale.gyroscope:
             return None
-        angle = np.degrees(self._angle)
+        angle = np.degrees(move.angle)
         axis = int(np.argmax(np.abs(angle)))
-        if abs(angle[axis]) < NOT_A_TURN_DEG:
+        size = abs(float(angle[axis]))
+        if size < _NOT_A_TURN_DEG:
             return None
-        tilt = angle_deg(before, scale.specific_force(np.array(still_mean[:3])))
-        turns = round(abs(angle[axis]) / 360.0) * int(np.sign(angle[axis]))
-        off = abs(abs(angle[axis]) - 360.0 * abs(turns)) if turns else abs(angle[axis])
+        tilt = angle_deg(move.up, scale.specific_force(np.array(still_mean[:3])))
+        turns = round(size / 360.0) * int(np.sign(angle[axis]))
         aside = float(np.linalg.norm(np.delete(angle, axis)))
-        up = before / np.linalg.norm(before)
-        about = VERTICAL if abs(float(up[axis])) > math.cos(math.radians(TILT_DEG)) else HORIZONTAL
-        fitting = [one for one in left if (one.axis, one.sense, one.about) == (axis, int(np.sign(turns)), about)]
-        if off > WHOLE_DEG or aside > ASIDE_DEG or tilt > TILT_DEG:
-            return _not_whole(AXES[axis], float(angle[axis]), tilt, aside)
-        if not fitting:
+        off = abs(size - 360.0 * max(abs(turns), 1))
+        if tilt > _TILT_DEG:
+            return refusals.TURN_TILTED.refusal(tilt, _TILT_DEG, axis=AXES[axis])
+        if aside > _ASIDE_DEG:
+            return refusals.TURN_ASIDE.refusal(aside, _ASIDE_DEG, axis=AXES[axis])
+        if off > _WHOLE_DEG:
+            return refusals.TURN_SHORT.refusal(off, _WHOLE_DEG, axis=AXES[axis], angle=float(angle[axis]))
+        up = move.up / np.linalg.norm(move.up)
+        about = VERTICAL if abs(float(up[axis])) > math.cos(math.radians(_TILT_DEG)) else HORIZONTAL
+        wanted = WantedTurn(axis, int(np.sign(turns)), about)
+        if wanted not in self.left:
             return None
-        return MadeTurn(
-            wanted=fitting[0],
+        self.left.remove(wanted)
+        return Turned(
+            time_s=now_s,
+            axis=AXES[axis],
             turns=turns,
-            start_s=self._start_s,
-            end_s=self._end_s,
-            turned_deg=float(angle[axis]),
+            about=about,
+            start_s=move.start_s,
+            end_s=move.end_s,
+            angle_deg=float(angle[axis]),
             tilt_deg=tilt,
+            done=self.planned - len(self.left),
+            planned=self.planned,
         )
-
-
-def _not_whole(axis: str, angle: float, tilt: float, aside: float) -> Refusal:
-    if tilt > TILT_DEG:
-        found, measured, limit = f"it came to rest {tilt:.0f} deg from where it began", tilt, TILT_DEG
-    elif aside > ASIDE_DEG:
-        found, measured, limit = f"it turned by {aside:.0f} deg about the other axes", aside, ASIDE_DEG
-    else:
-        measured, limit = abs(abs(angle) - 360.0 * max(round(abs(angle) / 360.0), 1)), WHOLE_DEG
-        found = f"it turned by {angle:.0f} deg, {measured:.0f} deg from whole turns"
-    return Refusal(
-        reason=RefusalCode.NOT_WHOLE,
-        words=f"no whole turn about {axis}: {found} (limit {limit:g} deg)",
-        remedy="begin on a side, turn by a whole turn about one axis, and end on the same side",
-        measured=measured,
-        limit=limit,
-        unit="deg",
-        axis=axis,
-    )

@@ -1,4 +1,4 @@
-"""Still intervals of a recording that nobody guided: every one is an observation."""
+"""Still intervals of a recording without a guide: each is an observation."""
 
 from __future__ import annotations
 
@@ -8,28 +8,26 @@ from dataclasses import dataclass
 from imufield.calibrate.model.observations import Observations
 from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.guide.cross_checks.axes import AxesCheck, MoveLog, check_axes
-from imufield.guide.hold.checks import CheckLimits, HoldUnderTest, Refusal, examine
+from imufield.guide.hold.checks import HoldUnderTest, examine
 from imufield.guide.hold.observe import Observation, gather, observe, trim_stretch
 from imufield.guide.positions import nearest_cube_direction
-from imufield.guide.stillness.cells import CellBuilder, Cells
+from imufield.guide.refusals import Refusal
+from imufield.guide.stillness.cells import CellBuilder, Cells, cells_in
 from imufield.guide.stillness.detector import StillnessDetector
-from imufield.guide.stillness.limits import StillnessSettings
-from imufield.guide.stillness.noise_floor import MAX_FLOOR_M_S2, NoiseFloor
+from imufield.guide.stillness.noise_floor import FLOOR_S, MAX_FLOOR_M_S2, NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Phase, Stretch
 from imufield.samples import Samples, SampleUnits
 
-SHORTEST_S = 1.0
-"""A still interval shorter than this, guard bands off, is a pause in a motion."""
+_SHORTEST_S = 1.0  # A still interval shorter than this, guard bands off, is a pause in a motion.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StillIntervals:
-    """What a recording gave."""
+    """Observations of a recording, and start time and reason of the still intervals that were refused."""
 
     observations: Observations
     refused: tuple[tuple[float, Refusal], ...]
-    """Start time and reason of still intervals that were not believed."""
     noise_floor: NoiseFloor
     scale: RoughScale
     axes: AxesCheck
@@ -43,76 +41,62 @@ class StillIntervalFinder:
     ----------
     units : SampleUnits
     scale : RoughScale, optional
-        What is known of the raw units; by default what their names say.
-    settings, checks : optional
-    shortest_s : float
+        What is known of the raw units; by default that of their names.
     """
 
-    def __init__(
-        self,
-        units: SampleUnits,
-        scale: RoughScale | None = None,
-        *,
-        settings: StillnessSettings | None = None,
-        checks: CheckLimits | None = None,
-        shortest_s: float = SHORTEST_S,
-    ) -> None:
+    def __init__(self, units: SampleUnits, scale: RoughScale | None = None) -> None:
         self.units = units
-        self.detector = StillnessDetector(scale or RoughScale.of_units(units), settings)
-        self._checks = checks or CheckLimits()
-        self._shortest_s = shortest_s
+        self.detector = StillnessDetector(scale or RoughScale.of_units(units))
         self._found: list[Observation] = []
         self._refused: list[tuple[float, Refusal]] = []
-        self._moves = MoveLog(self.detector.settings.cell_s)
-        self._builder = CellBuilder(self.detector.settings.cell_s)
+        self._moves = MoveLog()
+        self._builder = CellBuilder()
 
     def feed(self, samples: Samples) -> None:
-        """Take the next samples."""
-        self._take_ended(self._builder.feed(samples))
+        """Process the next samples."""
+        self._process(self._builder.feed(samples))
 
     def finish(self) -> StillIntervals:
-        """Return what was found; the last interval ends here.
+        """Return the still intervals; the last one ends here.
 
         Raises
         ------
         CalibrationError
             If no stretch was quiet enough to be a noise floor.
         """
-        self._take_ended(self._builder.flush())
+        self._process(self._builder.flush())
         if self.detector.phase is Phase.STILL:
-            self._take(self.detector.stretch)
+            self._add(self.detector.stretch)
             self.detector.restart()
         if self.detector.floor is None:
             raise CalibrationError(
-                f"no {self.detector.settings.floor_s:g} s of the recording are quiet (each cell alike, at most "
+                f"no {FLOOR_S:g} s of the recording are quiet (each cell alike, at most "
                 f"{MAX_FLOOR_M_S2} m/s^2 rms), so stillness cannot be judged; lay the unit down for some seconds each time",
                 Reason.TOO_FEW,
             )
         scale = self.detector.scale
-        axes = check_axes(self._moves.moves(scale), scale.gyroscope)
         return StillIntervals(
             observations=gather(self._found, self.units),
             refused=tuple(self._refused),
             noise_floor=self.detector.floor,
             scale=scale,
-            axes=axes,
+            axes=check_axes(self._moves.moves(scale), scale.gyroscope),
         )
 
-    def _take_ended(self, cells: Cells | None) -> None:
+    def _process(self, cells: Cells | None) -> None:
         for judgement in () if cells is None else self.detector.judge(cells):
             self._moves.follow(judgement, self.detector.stretch.mean)
             if judgement.ended is not None:
-                self._take(judgement.ended)
+                self._add(judgement.ended)
 
-    def _take(self, stretch: Stretch) -> None:
+    def _add(self, stretch: Stretch) -> None:
+        """Add the observation of a stretch, or its refusal."""
         detector, floor = self.detector, self.detector.floor
         cells = stretch.cells()
-        cells = cells[trim_stretch(cells, detector.limits, detector.settings)]
-        if floor is None or len(cells) < detector.settings.cells(self._shortest_s):
+        cells = cells[trim_stretch(cells, detector.limits)]
+        if floor is None or len(cells) < cells_in(_SHORTEST_S):
             return
-        refusal = examine(
-            HoldUnderTest(cells=cells, floor=floor, limits=detector.limits, scale=detector.scale, settings=self._checks)
-        )
+        refusal = examine(HoldUnderTest(cells=cells, floor=floor, limits=detector.limits, scale=detector.scale))
         if refusal is not None:
             self._refused.append((float(cells.start_s[0]), refusal))
             return
@@ -122,21 +106,14 @@ class StillIntervalFinder:
         )
 
 
-def find_still_intervals(
-    blocks: Iterable[Samples],
-    *,
-    scale: RoughScale | None = None,
-    settings: StillnessSettings | None = None,
-    checks: CheckLimits | None = None,
-    shortest_s: float = SHORTEST_S,
-) -> StillIntervals:
+def find_still_intervals(blocks: Iterable[Samples], *, scale: RoughScale | None = None) -> StillIntervals:
     """Find every still interval of a recording.
 
     Parameters
     ----------
     blocks : iterable of Samples
         In time order, of the same units, cut anywhere.
-    scale, settings, checks, shortest_s
+    scale : RoughScale, optional
         See ``StillIntervalFinder``.
 
     Returns
@@ -155,7 +132,7 @@ def find_still_intervals(
     finder: StillIntervalFinder | None = None
     for block in blocks:
         if finder is None:
-            finder = StillIntervalFinder(block.units, scale, settings=settings, checks=checks, shortest_s=shortest_s)
+            finder = StillIntervalFinder(block.units, scale)
         finder.feed(block)
     if finder is None:
         raise RecordingError("the recording holds no samples; check that it is the right one", Reason.NOT_A_RECORDING)

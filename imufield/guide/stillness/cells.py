@@ -1,8 +1,8 @@
 """Cells: fixed slots of 0.1 s of the sample clock, and the statistics of the samples in each.
 
 Stillness, observations and the guide work on cells, never on single samples. A cell's slot is floor(time / length), so
-what it holds does not depend on how the samples were cut into blocks; the unfinished cell at the end of a block waits for
-the next one. All sums of a block are taken at once (``numpy.add.reduceat``), so Python's own work is per cell: a
+its content does not depend on how the samples were cut into blocks; the unfinished cell at the end of a block waits for
+the next one. All sums of a block are computed at once (``numpy.add.reduceat``), so Python's own work is per cell: a
 40-minute recording at 2000 Hz has 24 000 cells and 5 million samples.
 
 Deviations are summed from the first sample of the cell, not from zero: the variance of a navigation-grade accelerometer
@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from imufield.samples import UNUSABLE, FloatArray, IntArray, Samples, concatenate
 
+# Short against a turn (0.5 s and more), long against the tremor of a hand (8 to 12 Hz).
 CELL_S = 0.1
-"""Ten cells a second: short against a turn (0.5 s and more), long against the tremor of a hand (8 to 12 Hz)."""
-
-_SLOT_MARGIN = 1e-6  # Of a slot: times such as 0.3 s, a hair below their slot in binary, belong to the slot they mean.
+# Share of a slot. A time such as 0.3 s is slightly below its slot in binary and belongs to the slot it means.
+_SLOT_MARGIN = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,17 +84,21 @@ def join_cells(parts: Sequence[Cells]) -> Cells:
     return Cells(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS})
 
 
+def cells_in(duration_s: float) -> int:
+    """Return a duration as a whole number of cells."""
+    return round(duration_s / CELL_S)
+
+
+def slots_of(time_s: FloatArray) -> IntArray:
+    """Return the slot of each time, shape (n,)."""
+    slots: IntArray = np.floor(time_s * (1 / CELL_S) + _SLOT_MARGIN).astype(np.int64)
+    return slots
+
+
 class CellBuilder:
-    """Cuts samples into cells.
+    """Cuts samples into cells."""
 
-    Parameters
-    ----------
-    cell_s : float
-        Length of a cell.
-    """
-
-    def __init__(self, cell_s: float = CELL_S) -> None:
-        self.cell_s = cell_s
+    def __init__(self) -> None:
         self._pending: list[Samples] = []
         self._pending_slot: int | None = None
 
@@ -102,31 +106,26 @@ class CellBuilder:
         """Return the cells finished by these samples, None when there are none."""
         if not len(samples):
             return None
-        slot = self.slots(samples.time_s)
+        slot = slots_of(samples.time_s)
         first, last = int(slot[0]), int(slot[-1])
         if first == last == self._pending_slot and bool((slot == first).all()):
             self._pending.append(samples)
             return None
         if self._pending:
             samples = concatenate([*self._pending, samples])
-            slot = self.slots(samples.time_s)
+            slot = slots_of(samples.time_s)
         changes = np.flatnonzero(np.diff(slot)) + 1
         cut = int(changes[-1]) if len(changes) else 0
         self._pending, self._pending_slot = [samples[cut:]], last
         return measure_cells(samples[:cut], slot[:cut]) if cut else None
 
     def flush(self) -> Cells | None:
-        """Return the unfinished cell as if it had ended here; for the end of a recording or of a link."""
+        """Return the unfinished cell as if it ended here; for the end of a recording or of a link."""
         if not self._pending:
             return None
         samples = concatenate(self._pending)
         self._pending, self._pending_slot = [], None
-        return measure_cells(samples, self.slots(samples.time_s))
-
-    def slots(self, time_s: FloatArray) -> IntArray:
-        """Return the slot of each time, shape (n,)."""
-        slots: IntArray = np.floor(time_s * (1 / self.cell_s) + _SLOT_MARGIN).astype(np.int64)
-        return slots
+        return measure_cells(samples, slots_of(samples.time_s))
 
 
 def measure_cells(samples: Samples, slot: IntArray) -> Cells:
@@ -134,16 +133,27 @@ def measure_cells(samples: Samples, slot: IntArray) -> Cells:
     starts = np.concatenate(([0], np.flatnonzero(np.diff(slot)) + 1))
     count = np.diff(np.append(starts, len(slot)))
     values = np.concatenate((samples.accelerometer_rate().T, samples.gyroscope_rate().T))
-    usable, gyroscope_usable = _usable_masks(samples, values)
-    if usable is None or gyroscope_usable is None:
-        counts = np.tile(count, (6, 1))
-        deviation = values - np.repeat(values[:, starts], count, axis=1)
-        first = values[:, starts]
+    flagged = bool((samples.status & np.uint32(UNUSABLE)).any())
+    # A sum is finite only if every term is: one pass instead of a mask. The usual case.
+    if not flagged and np.isfinite(values.sum()):
+        counts, first = np.tile(count, (6, 1)), values[:, starts]
+        deviation = values - np.repeat(first, count, axis=1)
     else:
+        usable = samples.usable & np.isfinite(values[:3]).all(axis=0)
+        gyroscope_usable = usable & np.isfinite(values[3:]).all(axis=0)
         mask = np.repeat(np.stack((usable, gyroscope_usable)), 3, axis=0)
         counts = np.add.reduceat(mask, starts, axis=1, dtype=np.int64)
         first, deviation = _masked_deviation(values, mask, starts, count)
-    mean, variance = _moments(first, deviation, counts, starts)
+    total = np.add.reduceat(deviation, starts, axis=1)
+    squares = np.add.reduceat(deviation * deviation, starts, axis=1)
+    # A cell without usable samples divides by one and is NaN afterwards.
+    some = np.maximum(counts, 1)
+    mean = np.where(counts > 0, first + total / some, np.nan)
+    # Rounding makes the scatter of equal samples a little negative.
+    scatter = np.maximum(squares - total * total / some, 0.0)
+    distance = np.abs(deviation)
+    # Zero distance shows no step of the output.
+    distance[distance == 0] = np.inf
     return Cells(
         slot=slot[starts],
         start_s=samples.time_s[starts],
@@ -152,29 +162,20 @@ def measure_cells(samples: Samples, slot: IntArray) -> Cells:
         usable=counts[0],
         gyroscope_usable=counts[3],
         flags=np.bitwise_or.reduceat(samples.status, starts),
-        mean=mean,
-        variance=variance,
-        step=_smallest_step(deviation, starts),
+        mean=np.ascontiguousarray(mean.T),
+        variance=np.ascontiguousarray((scatter / np.maximum(counts - 1, 1)).T),
+        step=np.ascontiguousarray(np.minimum.reduceat(distance, starts, axis=1).T),
         low=np.ascontiguousarray(np.fmin.reduceat(values, starts, axis=1).T),
         high=np.ascontiguousarray(np.fmax.reduceat(values, starts, axis=1).T),
         temperature_degc=_temperature(samples.temperature_degc, starts, count),
     )
 
 
-def _usable_masks(samples: Samples, values: FloatArray) -> tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None]:
-    """Return which samples count for each triad; (None, None) when all do, the usual case."""
-    flagged = bool((samples.status & np.uint32(UNUSABLE)).any())
-    # A sum is finite only if every term is: one pass instead of a mask.
-    if not flagged and np.isfinite(values.sum()):
-        return None, None
-    usable = samples.usable & np.isfinite(values[:3]).all(axis=0)
-    return usable, usable & np.isfinite(values[3:]).all(axis=0)
-
-
 def _masked_deviation(
     values: FloatArray, mask: NDArray[np.bool_], starts: IntArray, count: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the reference of each cell, its first usable value, and the deviations from it, 0 where not usable."""
+    # Behind the last sample stands a zero, which a cell without a usable sample refers to.
     index = np.where(mask, np.arange(values.shape[1]), values.shape[1])
     first_usable = np.minimum.reduceat(index, starts, axis=1)
     padded = np.concatenate((np.where(mask, values, 0.0), np.zeros((6, 1))), axis=1)
@@ -182,25 +183,10 @@ def _masked_deviation(
     return first, np.where(mask, padded[:, :-1] - np.repeat(first, count, axis=1), 0.0)
 
 
-def _moments(first: FloatArray, deviation: FloatArray, counts: IntArray, starts: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and sample variance, both of shape (m, 6)."""
-    total = np.add.reduceat(deviation, starts, axis=1)
-    squares = np.add.reduceat(deviation * deviation, starts, axis=1)
-    some = np.maximum(counts, 1)
-    mean = np.where(counts > 0, first + total / some, np.nan)
-    scatter = np.maximum(squares - total * total / some, 0.0)
-    return np.ascontiguousarray(mean.T), np.ascontiguousarray((scatter / np.maximum(counts - 1, 1)).T)
-
-
-def _smallest_step(deviation: FloatArray, starts: IntArray) -> FloatArray:
-    distance = np.abs(deviation)
-    distance[distance == 0] = np.inf
-    return np.ascontiguousarray(np.minimum.reduceat(distance, starts, axis=1).T)
-
-
 def _temperature(temperature: FloatArray, starts: IntArray, count: IntArray) -> FloatArray:
-    """Return the mean of the temperatures that are there, NaN where there are none."""
+    """Return the mean of the known temperatures of each cell, NaN where none is known."""
     sums = np.add.reduceat(temperature, starts)
+    # The usual case in one pass: a sum is finite only if every term is.
     if np.isfinite(sums).all():
         return np.asarray(sums / count)
     known = np.isfinite(temperature)
@@ -209,9 +195,9 @@ def _temperature(temperature: FloatArray, starts: IntArray, count: IntArray) -> 
     return np.where(n > 0, sums / np.maximum(n, 1), np.nan)
 
 
-def cells_of(blocks: Iterable[Samples], cell_s: float = CELL_S) -> Iterable[Cells]:
+def cells_of(blocks: Iterable[Samples]) -> Iterable[Cells]:
     """Yield the cells of a whole recording, the last unfinished one included."""
-    builder = CellBuilder(cell_s)
+    builder = CellBuilder()
     for block in blocks:
         cells = builder.feed(block)
         if cells is not None:

@@ -1,4 +1,4 @@
-"""When the unit lies still: cells in, judgements out.
+"""The stillness detector: cells in, judgements out.
 
 Each cell is compared with limits that come from the measured noise floor, in two ways for each triad:
 
@@ -11,8 +11,8 @@ rate that of a unit at rest?), kept apart so that a refusal can name triad, axis
 without this hysteresis a unit at the limit would flicker between still and moving.
 
 A limit is a multiple of the noise floor, or an absolute allowance where that is larger: a table that trembles by 5 mg under
-a navigation-grade instrument is still a table. The allowances are wide enough for a unit held against an edge. What they
-let through is judged afterwards by the stretch's own standard: see ``trim_stretch``.
+a navigation-grade instrument is still a table. The allowances are wide enough for a unit held against an edge. What passes
+them is judged afterwards by the stretch's own standard: see ``trim_stretch``.
 
 References
 ----------
@@ -27,56 +27,58 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from imufield.guide.stillness.cells import CellBuilder, Cells, join_cells
+from imufield.guide.stillness.cells import Cells, cells_in, join_cells
 from imufield.guide.stillness.hand_edges import hand_edges
 from imufield.guide.stillness.limits import (
+    IN_HAND,
+    ON_TABLE,
     Activity,
     Limits,
-    StillnessSettings,
-    hand_settings,
     largest_activity,
     noise_limits,
     vibration_ratio,
 )
-from imufield.guide.stillness.noise_floor import FEW_SAMPLES, NoiseFloor, is_quiet, is_quieter, measure_floor
+from imufield.guide.stillness.noise_floor import FEW_SAMPLES, FLOOR_S, NoiseFloor, is_quiet, is_quieter, measure_floor
 from imufield.guide.stillness.scale import RoughScale
-from imufield.guide.stillness.stretch import Judgement, Phase, Standard, Stretch, Tracker
-from imufield.samples import Samples
+from imufield.guide.stillness.stretch import JudgedCell, Judgement, Phase, Standard, Stretch, Tracker
 
-HAND_RAD_S = math.radians(0.35)
-"""Vibration of the gyroscope beyond its noise that tells a hand: the smallest tremor (0.02 deg rms at 8 Hz) makes 1 deg/s."""
-HAND_CHANGE_RAD_S = math.radians(0.15)
-"""The same for the change from cell to cell: the sway of an arm."""
+# No more than this of a stretch is kept: beyond the minimum of the Allan deviation a hold gains nothing.
+LONGEST_S = 60.0
+USABLE_SHARE = 0.5  # A cell with fewer usable samples than this share of the usual number counts as lost.
+# Vibration of the gyroscope beyond its noise that tells a hand: the smallest tremor (0.02 deg rms at 8 Hz) makes 1 deg/s.
+_HAND_RAD_S = math.radians(0.35)
+_HAND_CHANGE_RAD_S = math.radians(0.15)  # The same for the change from cell to cell: the sway of an arm.
+_HAND_CHANGE_SIGMAS = 3.0  # Changes of noise alone are smaller.
+_LONGEST_WAIT_S = 600.0  # Cells kept while no quiet stretch has occurred; older ones are discarded.
+_LEARN_FROM_S = 2.0  # Shortest stretch that may lower the noise floor or tell the gyroscope's bias.
+_LOOK_AGAIN_S = 1.0  # Between two checks whether a unit in the hand was put down.
 
 
 class StillnessDetector:
     """Judges cells as they come.
 
     The result does not depend on how the samples are cut into blocks. Cells that arrive before the noise floor is known
-    are judged as soon as it is, none is lost. With ``settings.hand`` a second set of limits is held beside the first: a
-    unit that is not still as on a table may be as still as a hand is.
+    are judged as soon as it is; none is lost.
 
     Parameters
     ----------
-    settings : StillnessSettings
     scale : RoughScale
         What is known of the raw units.
+    hand : bool
+        Use a second set of limits beside the first, where the gyroscope's scale is known: a unit that is not still as on a
+        table may be as still as a hand is.
+    longest_s : float
+        Length of a stretch that is kept.
     """
 
-    LONGEST_WAIT_S = 600.0
-    """Cells kept while no quiet stretch has been seen; older ones are let go."""
-    LEARN_FROM_S = 2.0
-    """Shortest stretch that may lower the noise floor or tell the gyroscope's bias."""
-
-    def __init__(self, scale: RoughScale, settings: StillnessSettings | None = None) -> None:
-        self.settings = settings or StillnessSettings()
+    def __init__(self, scale: RoughScale, *, hand: bool = False, longest_s: float = LONGEST_S) -> None:
         self.scale = scale
-        self.floor: NoiseFloor | None = None  # None until a quiet stretch was seen.
-        self._table = Tracker(self.settings)
-        self._hand = Tracker(hand_settings(self.settings)) if self.settings.hand and scale.gyroscope else None
+        self.knows_hands = hand
+        self.floor: NoiseFloor | None = None  # None until there was a quiet stretch.
+        self._table = Tracker(ON_TABLE, longest_s)
+        self._hand = Tracker(IN_HAND, longest_s) if hand and scale.gyroscope else None
         self.in_hand = False  # Whether ``phase`` and ``stretch`` are those of a unit in the hand.
-        self.bias: list[float] = []  # Gyroscope at rest, raw rate, from the last still stretch; empty without a gyroscope.
-        self._builder = CellBuilder(self.settings.cell_s)
+        self._bias: list[float] = []  # Gyroscope at rest, raw rate, from the last still stretch; empty without a gyroscope.
         self._waiting: list[Cells] = []
         self._slot: int | None = None
 
@@ -87,59 +89,47 @@ class StillnessDetector:
 
     @property
     def phase(self) -> Phase:
-        """What the detector thinks of the latest cell."""
+        """State of the unit by the latest cell."""
         return self._active.phase
 
     @property
     def stretch(self) -> Stretch:
-        """The stretch under way."""
+        """The stretch in progress."""
         return self._active.stretch
 
     @property
     def _active(self) -> Tracker:
         return self._hand if self.in_hand and self._hand is not None else self._table
 
-    def feed(self, samples: Samples) -> list[Judgement]:
-        """Judge the cells that these samples finish."""
-        cells = self._builder.feed(samples)
-        return [] if cells is None else list(self.judge(cells))
-
-    def flush(self) -> list[Judgement]:
-        """Judge the unfinished cell; for the end of a recording or of a link."""
-        cells = self._builder.flush()
-        return [] if cells is None else list(self.judge(cells))
-
     def restart(self) -> None:
         """Forget the current stretch: the next one begins with the next cell at the earliest."""
-        self._table.restart()
-        if self._hand is not None:
-            self._hand.restart()
+        for tracker in self._trackers():
+            tracker.restart()
         self.in_hand = False
 
     def interrupt(self) -> None:
         """Forget the current stretch and where the clock was: the link is gone, or comes from another start."""
         self.restart()
-        self._builder = CellBuilder(self.settings.cell_s)
         self._slot = None
 
     def judge(self, cells: Cells) -> Iterator[Judgement]:
-        """Judge finished cells one by one; between two of them ``stretch`` and ``phase`` are as the last one left them."""
+        """Judge finished cells one by one; between two of them ``stretch`` and ``phase`` are those after the first."""
         if self.floor is None and len(cells):
             cells = self._learn(cells)
         judged = 0
         while self.floor is not None and judged < len(cells):
-            # A floor lowered by one cell holds from the next on, wherever the block was cut.
+            # A floor that one cell lowers applies from the next on, wherever the block was cut.
             for judgement in self._judge_under_one_floor(cells, judged):
                 judged += 1
                 yield judgement
 
     def waited(self) -> Cells:
         """Return the last cells, as many as a noise floor needs, while there is none; at least one was judged."""
-        window = self.settings.cells(self.settings.floor_s)
+        window = cells_in(FLOOR_S)
         return join_cells(self._waiting[-window:])[-window:]
 
     def explain(self, judgement: Judgement) -> Activity:
-        """Return what the activity of a cell comes from, with value and limit in SI where the scale is known."""
+        """Return the cause of a cell's activity, with value and limit in SI where the scale is known."""
         limits = judgement.limits or self.limits
         mean = judgement.cells.mean[judgement.row]
         reference = np.array(judgement.reference) if judgement.reference else mean
@@ -147,7 +137,7 @@ class StillnessDetector:
         return largest_activity(vibration, np.abs(mean - reference) / limits.change, limits, self.scale)
 
     def hold_edges(self, cells: Cells) -> slice:
-        """Return the rows of a hold in the hand that are not of the turn before it."""
+        """Return the rows of a hold in the hand that are not of the turns before and after it."""
         return slice(0, len(cells)) if self._hand is None else hand_edges(cells, self._hand.standard.limits.change)
 
     def is_hand_like(self, cells: Cells) -> bool:
@@ -157,12 +147,13 @@ class StillnessDetector:
             return False
         excess = np.median((cells.variance[:, 3:] - floor.sigma[3:] ** 2).mean(axis=1))
         change = np.median(np.abs(np.diff(cells.mean[:, 3:], axis=0)), axis=0) if len(cells) > 1 else np.zeros(3)
-        shakes = math.sqrt(max(float(excess), 0.0)) > HAND_RAD_S * gyroscope
-        return shakes or bool((change > np.maximum(HAND_CHANGE_RAD_S * gyroscope, 3 * floor.cell_sigma[3:])).any())
+        shakes = math.sqrt(max(float(excess), 0.0)) > _HAND_RAD_S * gyroscope
+        sways = change > np.maximum(_HAND_CHANGE_RAD_S * gyroscope, _HAND_CHANGE_SIGMAS * floor.cell_sigma[3:])
+        return shakes or bool(sways.any())
 
     def _learn(self, cells: Cells) -> Cells:
-        """Look for a quiet window that ends in these cells; return what can be judged now: all cells so far, or none."""
-        window = self.settings.cells(self.settings.floor_s)
+        """Search a quiet window that ends in these cells; return what can be judged now: all cells so far, or none."""
+        window = cells_in(FLOOR_S)
         self._waiting.append(cells)
         tail = join_cells([*self._waiting[-window:-1], cells])
         for end in range(max(len(tail) - len(cells) + 1, window), len(tail) + 1):
@@ -171,7 +162,7 @@ class StillnessDetector:
                 waiting, self._waiting = join_cells(self._waiting), []
                 return waiting
         kept = sum(len(part) for part in self._waiting)
-        while kept > self.settings.cells(self.LONGEST_WAIT_S):
+        while kept > cells_in(_LONGEST_WAIT_S):
             kept -= len(self._waiting.pop(0))
         return cells[:0]
 
@@ -179,9 +170,9 @@ class StillnessDetector:
         self.scale = self.scale.learn(floor.mean[:3])
         self.floor = floor
         for tracker in self._trackers():
-            tracker.standard = Standard.of(floor, noise_limits(floor, self.scale, tracker.settings))
-        if not self.bias and floor.has_gyroscope:
-            self.bias = floor.mean[3:].tolist()
+            tracker.standard = Standard.of(floor, noise_limits(floor, self.scale, tracker.allowances))
+        if not self._bias and floor.has_gyroscope:
+            self._bias = floor.mean[3:].tolist()
 
     def _trackers(self) -> tuple[Tracker, ...]:
         return (self._table,) if self._hand is None else (self._table, self._hand)
@@ -191,16 +182,18 @@ class StillnessDetector:
         vibration = [vibration_ratio(cells[start:], tracker.standard.limits).tolist() for tracker in self._trackers()]
         means = cells.mean[start:].tolist()
         slots = cells.slot[start:].tolist()
-        full = (cells.usable[start:] >= self.settings.usable_fraction * standard.usual_samples).tolist()
+        full = (cells.usable[start:] >= USABLE_SHARE * standard.usual_samples).tolist()
         for offset, mean in enumerate(means):
             gap = 1 if self._slot is None else slots[offset] - self._slot
             if full[offset]:
                 self._slot = slots[offset]
-                # One lost cell between two is bridged.
-                where = (gap in (1, 2), self.bias)
-                row = start + offset
                 found = [
-                    tracker.follow(cells, row, ratio[offset], mean, where=where)
+                    tracker.follow(
+                        JudgedCell(cells, start + offset, ratio[offset], mean),
+                        # One lost cell between two is bridged.
+                        unbroken=gap in (1, 2),
+                        bias=self._bias,
+                    )
                     for tracker, ratio in zip(self._trackers(), vibration, strict=True)
                 ]
                 yield self._choose(*found)
@@ -210,9 +203,9 @@ class StillnessDetector:
                 return
 
     def _choose(self, table: Judgement, hand: Judgement | None = None) -> Judgement:
-        """Return the judgement that counts: of the table where it is still, else of the hand.
+        """Return the judgement that counts: the table's where the unit is still on it, else the hand's.
 
-        A hold goes over from the table's limits to the hand's only where it looked like a hand all the time; a unit on a table
+        A hold passes from the table's limits to the hand's only where it looked like a hand all the time; a unit on a table
         that is pushed has ended its hold.
         """
         if table.ended is not None:
@@ -247,12 +240,12 @@ class StillnessDetector:
         return hand if hand.ended is None or table.phase is Phase.STILL else hand._replace(phase=table.phase)
 
     def _was_put_down(self) -> bool:
-        """Whether a hold that began in the hand goes on upon a table: looked at once a second."""
+        """Whether a hold that began in the hand continues on a table."""
         stretch = self._table.stretch
-        return stretch.judged % self.settings.cells(1.0) == 0 and not self.is_hand_like(stretch.cells())
+        return stretch.judged % cells_in(_LOOK_AGAIN_S) == 0 and not self.is_hand_like(stretch.cells())
 
     def _judge_lost(self, cells: Cells, row: int, gap: int) -> Judgement:
-        """Judge a cell that is nearly empty: the first is passed over, the second in a row ends a stretch."""
+        """Judge a cell that is nearly empty: the first is ignored, the second in a row ends a stretch."""
         if gap == 1:
             return Judgement(self.phase, 0.0, cells, row, self.stretch.mean)
         ended = self.stretch if self.phase is Phase.STILL else None
@@ -263,15 +256,15 @@ class StillnessDetector:
 
     def _learn_from(self, stretch: Stretch) -> None:
         """Learn from a stretch that ended: the gyroscope's bias, and the noise floor if it was quieter."""
-        if self.floor is None or stretch.judged < self.settings.cells(self.LEARN_FROM_S):
+        if self.floor is None or stretch.judged < cells_in(_LEARN_FROM_S):
             return
         cells = stretch.cells()
         inner = cells[len(cells) // 4 : len(cells) - len(cells) // 4]
-        if self.bias:
-            self.bias = np.where(np.isnan(mean := np.nanmean(inner.mean[:, 3:], axis=0)), self.bias, mean).tolist()
+        if self._bias:
+            self._bias = np.where(np.isnan(mean := np.nanmean(inner.mean[:, 3:], axis=0)), self._bias, mean).tolist()
         quieter = measure_floor(inner)
-        if quieter.samples_per_cell < FEW_SAMPLES and len(inner) < self.settings.cells(self.settings.floor_s):
-            # So few samples look quieter than they are by chance.
+        if quieter.samples_per_cell < FEW_SAMPLES and len(inner) < cells_in(FLOOR_S):
+            # Few samples look quieter than they are by chance.
             return
         if is_quieter(quieter, self.floor) and is_quiet(inner, self.scale):
             self._set_floor(quieter)

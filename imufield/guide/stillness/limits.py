@@ -3,68 +3,69 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.guide.stillness.cells import CELL_S, Cells
+from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import AXES, FloatArray
 
+# Multiples of the noise floor. A variance scatters by chance, hence ``scatter_of_variance`` where cells hold few samples.
+_VIBRATION_SIGMAS = 2.0
+_CHANGE_SIGMAS = 5.0
+# Change ratio allowed against the gyroscope's last known bias: g-sensitivity and temperature change it between two stills.
+_OFFSET_RATIO = 1.5
+_OFFSET_RATIO_UNSCALED = 6.0  # Without a known scale the limit is a multiple of the noise alone.
+_UNLIKELY = 14.0  # exp(-14) is once in a million cells.
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StillnessSettings:
-    """Settings of the detector; the defaults need no tuning for any recording known to us."""
+class Allowances:
+    """What a unit may do and still count as still, whatever its noise floor; no recording known to us needs other values.
 
-    cell_s: float = CELL_S
-    floor_s: float = 3.0
-    """Length of the quiet stretch that sets the noise floor."""
-    dwell_s: float = 0.5
-    """The activity stays at or below 1 for this long before a stretch counts as still; it counts from its first cell."""
-    guard_s: float = 0.3
-    """Cut off at both ends of a stretch: the hand that leaves, the hand that comes."""
-    guard_without_gyroscope_s: float = 0.8
-    """The same where only the accelerometer tells: a slow turn begins below its noise."""
-    leave_factor: float = 2.0
-    vibration_sigmas: float = 2.0
-    change_sigmas: float = 5.0
-    vibration_m_s2: float = 0.05
-    change_m_s2: float = 0.03
-    vibration_rad_s: float = math.radians(1.5)
-    change_rad_s: float = math.radians(1.0)
-    """The four absolute allowances, rms per axis for vibration, largest for change."""
-    usable_fraction: float = 0.5
-    """A cell with fewer usable samples than this share of the usual number counts as lost."""
-    hand: bool = False
-    """Bear a unit held in the hand as well, where the gyroscope's scale is known: see ``hand_settings``."""
-    longest_s: float = 60.0
-    """No more than this of a stretch is kept: beyond the minimum of the Allan deviation a hold gains nothing."""
-    reach_back_s: float = 0.0
-    """Once a stretch counts as still, cells so long before it join it as far as they would not have ended it."""
-
-    def cells(self, duration_s: float) -> int:
-        """Return a duration as a whole number of cells."""
-        return round(duration_s / self.cell_s)
-
-
-def hand_settings(settings: StillnessSettings) -> StillnessSettings:
-    """Return the settings for a unit in the hand.
-
-    Tremor of 0.1 deg rms at 12 Hz is 7.5 deg/s, in a cell by chance up to 10, and 1 m/s^2 where the pivot is 10 cm away; sway
-    of 1 deg below 2 Hz makes 4 deg/s and changes the force by 0.4 m/s^2. A slow turn is no faster than that, so the hand must
-    keep it up for longer. A hand that sways that much passes the limits now and then before it has kept still for so long, and
-    is held still all the same: hence the reach back. What it takes of the turn, ``hand_edges`` cuts off again.
+    Attributes
+    ----------
+    dwell_s : float
+        The activity stays at or below 1 for this time before a stretch counts as still. The stretch begins with its first cell.
+    reach_back_s : float
+        Once a stretch counts as still, the cells of this time before it join it as far as they would not have ended it.
+    vibration_m_s2, vibration_rad_s : float
+        RMS per axis.
+    change_m_s2, change_rad_s : float
+        Size of the vector.
     """
-    return replace(
-        settings,
-        dwell_s=1.5,
-        reach_back_s=15.0,
-        vibration_m_s2=1.2,
-        change_m_s2=0.5,
-        vibration_rad_s=math.radians(12.0),
-        change_rad_s=math.radians(10.0),
-    )
+
+    dwell_s: float
+    reach_back_s: float
+    vibration_m_s2: float
+    change_m_s2: float
+    vibration_rad_s: float
+    change_rad_s: float
+
+
+# A table that trembles by 5 mg under a navigation-grade instrument is still a table; a unit held against an edge passes, too.
+ON_TABLE = Allowances(
+    dwell_s=0.5,
+    reach_back_s=0.0,
+    vibration_m_s2=0.05,
+    change_m_s2=0.03,
+    vibration_rad_s=math.radians(1.5),
+    change_rad_s=math.radians(1.0),
+)
+# Tremor of 0.1 deg rms at 12 Hz is 7.5 deg/s, in a cell by chance up to 10, and 1 m/s^2 where the pivot is 10 cm away; sway
+# of 1 deg below 2 Hz makes 4 deg/s and changes the force by 0.4 m/s^2. A slow turn is no faster than that, so the hand must
+# keep it up for longer. A hand that sways that much exceeds the limits now and then before it has kept still for so long, and
+# is a still hand all the same: hence the reach back. What it adds of the turn, ``hand_edges`` cuts off again.
+IN_HAND = Allowances(
+    dwell_s=1.5,
+    reach_back_s=15.0,
+    vibration_m_s2=1.2,
+    change_m_s2=0.5,
+    vibration_rad_s=math.radians(12.0),
+    change_rad_s=math.radians(10.0),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,45 +75,53 @@ class Limits:
     vibration: FloatArray
     change: FloatArray
     gyroscope_offset: float
-    """Largest change ratio of the gyroscope against its last known bias; g-sensitivity and temperature are in it."""
+    """Largest change ratio of the gyroscope against its last known bias."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Activity:
-    """The largest of the ratios of a cell, with what it was measured on."""
+    """The largest of the ratios of a cell, and what it was measured on.
+
+    Attributes
+    ----------
+    kind : "vibration" or "change"
+    triad : "accelerometer" or "gyroscope"
+    axis : str
+        The axis that contributes most.
+    measured : float
+        Ratio times limit, in ``unit``: the rms over the axes (vibration) or the size of the vector (change).
+    """
 
     ratio: float
     kind: str
-    """"vibration" or "change"."""
     triad: str
-    """"accelerometer" or "gyroscope"."""
     axis: str
-    """The axis that contributes most."""
     measured: float
-    """Ratio times limit, in ``unit``: the rms over the axes (vibration) or the size of the vector (change)."""
     limit: float
     unit: str
 
+    @property
+    def verb(self) -> str:
+        """What the unit does."""
+        if self.kind == "vibration":
+            return "shakes"
+        return "tilts" if self.triad == "accelerometer" else "turns"
 
-def noise_limits(floor: NoiseFloor, scale: RoughScale, settings: StillnessSettings) -> Limits:
-    """Return the limits for a noise floor."""
-    allowances = (
-        (settings.vibration_m_s2, settings.vibration_rad_s),
-        (settings.change_m_s2, settings.change_rad_s),
-    )
-    vibration, change = (
-        np.repeat([accelerometer * (scale.accelerometer or 0.0), gyroscope * (scale.gyroscope or 0.0)], 3)
-        for accelerometer, gyroscope in allowances
-    )
+
+def noise_limits(floor: NoiseFloor, scale: RoughScale, allowances: Allowances = ON_TABLE) -> Limits:
+    """Return the limits for a noise floor: a multiple of it, or the allowance where that is larger."""
+    accelerometer, gyroscope = scale.accelerometer or 0.0, scale.gyroscope or 0.0
+    vibration = np.repeat([allowances.vibration_m_s2 * accelerometer, allowances.vibration_rad_s * gyroscope], 3)
+    change = np.repeat([allowances.change_m_s2 * accelerometer, allowances.change_rad_s * gyroscope], 3)
     step = np.where(np.isfinite(floor.step), floor.step, 0.0)
-    sigmas = max(settings.vibration_sigmas, scatter_of_variance(3 * (floor.samples_per_cell - 1)))
+    sigmas = max(_VIBRATION_SIGMAS, scatter_of_variance(3 * (floor.samples_per_cell - 1)))
     vibration = np.maximum(vibration, sigmas * np.maximum(floor.sigma, step / 2))
-    change = np.maximum(change, settings.change_sigmas * np.maximum(floor.cell_sigma, step / 2))
+    change = np.maximum(change, _CHANGE_SIGMAS * np.maximum(floor.cell_sigma, step / 2))
     return Limits(
         # An axis that shows no noise and has no known scale (a dead one) sets no limit.
         np.where(vibration > 0, vibration, np.inf),
         np.where(change > 0, change, np.inf),
-        1.5 if scale.gyroscope else 6.0,
+        _OFFSET_RATIO if scale.gyroscope else _OFFSET_RATIO_UNSCALED,
     )
 
 
@@ -123,8 +132,7 @@ def scatter_of_variance(freedom: float) -> float:
     """
     if freedom <= 0:
         return 0.0
-    x = 14.0
-    return math.sqrt(1 + 2 * math.sqrt(x / freedom) + 2 * x / freedom)
+    return math.sqrt(1 + 2 * math.sqrt(_UNLIKELY / freedom) + 2 * _UNLIKELY / freedom)
 
 
 def vibration_ratio(cells: Cells, limits: Limits) -> FloatArray:
@@ -143,30 +151,24 @@ def largest_activity(vibration: FloatArray, change: FloatArray, limits: Limits, 
     ----------
     vibration, change : ndarray, shape (6,)
         Ratios of each axis.
-    limits : Limits
-    scale : RoughScale
     """
     found: list[Activity] = []
-    for first, triad, factor, unit in (
-        (0, "accelerometer", scale.accelerometer, "m/s^2"),
-        (3, "gyroscope", scale.gyroscope, "rad/s"),
-    ):
-        axes = slice(first, first + 3)
+    triads = (("accelerometer", scale.accelerometer, "m/s^2"), ("gyroscope", scale.gyroscope, "rad/s"))
+    for (triad, factor, unit), axes in zip(triads, (slice(0, 3), slice(3, 6)), strict=True):
         for kind, ratios, limit in (("vibration", vibration, limits.vibration), ("change", change, limits.change)):
             parts = np.nan_to_num(ratios[axes])
             ratio = float(np.sqrt((parts**2).mean() if kind == "vibration" else (parts**2).sum()))
+            # A dead axis has no limit and no say in that of its triad.
             finite = limit[axes][np.isfinite(limit[axes])]
             in_unit = float(np.sqrt((finite**2).mean())) / (factor or 1.0) if len(finite) else math.inf
-            axis = AXES[int(np.argmax(parts))]
-            found.append(
-                Activity(
-                    ratio=ratio,
-                    kind=kind,
-                    triad=triad,
-                    axis=axis,
-                    measured=ratio * in_unit,
-                    limit=in_unit,
-                    unit=unit if factor else "raw unit",
-                )
+            activity = Activity(
+                ratio=ratio,
+                kind=kind,
+                triad=triad,
+                axis=AXES[int(np.argmax(parts))],
+                measured=ratio * in_unit,
+                limit=in_unit,
+                unit=unit if factor else "raw unit",
             )
+            found.append(activity)
     return max(found, key=lambda activity: activity.ratio)

@@ -19,31 +19,35 @@ from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 
+# Length of the quiet stretch that sets the noise floor: no hand keeps still for so long, and 30 cells tell a variance.
+FLOOR_S = 3.0
 # Largest variance of a cell over the window's median; 30 cells of 10 samples of white noise stay below 2.3.
 _NOISIEST_CELL = 3.0
 _NOISIEST_CELL_FEW = 12.0  # The same for cells of few samples, whose variances scatter much more.
-FEW_SAMPLES = 8
-"""In a cell: with fewer its mean is nearly as noisy as a sample, and its variance is known badly."""
+FEW_SAMPLES = 8  # In a cell: with fewer its mean is nearly as noisy as a sample, and its variance is known badly.
 _TOO_FEW_FOR_VARIANCE = 4  # In a cell: with fewer the scatter comes from the differences between cells.
-_STRAY_SIGMAS = 1.5  # Of the noise of single samples: with 10 samples a cell that is 4.7 sigma of a cell mean.
-_STRAY_SIGMAS_OF_MEAN = 4.7
+_STRAY_SIGMAS = 1.5  # Of the noise of single samples: with 10 samples in a cell this is 4.7 sigma of a cell mean.
+_STRAY_SIGMAS_OF_MEAN = 4.7  # The same stated for the mean of a cell, whatever its number of samples.
 # Variance of the cell means over half their squared successive difference: 1 for noise (30 cells of three axes stay below 1.5),
 # 5 for a sway of 1 Hz in cells of 0.1 s.
 _WHITE = 2.0
-_QUIETER = 0.5  # A later stretch replaces the floor when its variances are below this share of it.
-
+# A later stretch replaces the floor when the variances of one triad are below this share of it, and the other's not above it
+# by more than chance.
+_QUIETER = 0.5
+_NOT_LOUDER = 1.2
+# RMS of single samples above which a stretch is no noise floor: consumer MEMS show 0.12 m/s^2 and 0.01 rad/s (mikoff's
+# MPU-9150, 2000 Hz unfiltered parts), a unit in the hand 0.2 m/s^2 and 0.05 rad/s (tremor of 0.05 degree at 10 Hz).
 MAX_FLOOR_M_S2 = 0.35
 MAX_FLOOR_RAD_S = 0.035
-"""Rms of single samples above which a stretch is no noise floor: consumer MEMS show 0.12 m/s^2 and 0.01 rad/s (mikoff's
-MPU-9150, 2000 Hz unfiltered parts), a unit in the hand 0.2 m/s^2 and 0.05 rad/s (tremor of 0.05 degree at 10 Hz)."""
-STRAY_M_S2 = 0.02
-STRAY_RAD_S = 0.01
-"""Absolute straying of a cell mean always allowed: below what a hand can do in 3 s."""
+# Absolute straying of a cell mean that is always allowed: below what a hand can do in 3 s.
+_STRAY_M_S2 = 0.02
+_STRAY_RAD_S = 0.01
+_TRIADS = (slice(0, 3), slice(3, 6))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseFloor:
-    """What a quiet stretch showed; arrays hold accelerometer x, y, z, gyroscope x, y, z in raw rates, NaN where absent.
+    """Noise of a quiet stretch; arrays hold accelerometer x, y, z, gyroscope x, y, z in raw rates, NaN where absent.
 
     Attributes
     ----------
@@ -52,7 +56,7 @@ class NoiseFloor:
     cell_sigma : ndarray, shape (6,)
         Of cell means.
     step : ndarray, shape (6,)
-        Smallest change of the output seen: one step at most; inf where it never changed.
+        Smallest change of the output: an upper bound of its resolution; inf where it never changed.
     mean : ndarray, shape (6,)
     samples_per_cell : float
     start_s, duration_s : float
@@ -71,13 +75,21 @@ class NoiseFloor:
         """Whether the gyroscope delivered values."""
         return bool(np.isfinite(self.sigma[3:]).all())
 
+    @property
+    def triads(self) -> tuple[slice, ...]:
+        """Columns of the triads that delivered values."""
+        return _TRIADS if self.has_gyroscope else _TRIADS[:1]
+
 
 def measure_floor(cells: Cells) -> NoiseFloor:
-    """Return the floor shown by cells that are taken as quiet; at least two."""
+    """Return the floor of cells that count as quiet; at least two."""
     variance = np.asarray(np.median(cells.variance, axis=0))
     # The median of chi-squared lies below its mean; the mean is right, but one bump would spoil it.
     variance = np.maximum(variance, np.minimum(cells.variance.mean(axis=0), 1.5 * variance))
-    per_cell = _samples_per_cell(cells)
+    per_cell = float(np.median(cells.usable))
+    if per_cell < FEW_SAMPLES:
+        # A small number counts with its fraction: 25 Hz make 2 and 3 in turn.
+        per_cell = max(float(cells.usable.sum()) / float(cells.slot[-1] - cells.slot[0] + 1), 1.0)
     means = cells.mean
     # Half the squared successive difference: the same as the variance for noise, and blind to a slow drift.
     successive = np.sqrt(np.mean(np.diff(means, axis=0) ** 2, axis=0) / 2)
@@ -96,14 +108,6 @@ def measure_floor(cells: Cells) -> NoiseFloor:
     )
 
 
-def _samples_per_cell(cells: Cells) -> float:
-    """Return the usual number; where it is small, with its fraction: 25 Hz make 2 and 3 in turn."""
-    usual = float(np.median(cells.usable))
-    if usual >= FEW_SAMPLES:
-        return usual
-    return max(float(cells.usable.sum()) / float(cells.slot[-1] - cells.slot[0] + 1), 1.0)
-
-
 def is_quiet(cells: Cells, scale: RoughScale) -> bool:
     """Whether a window of cells agrees with itself and can be a noise floor."""
     # At 10 Hz a sample near the edge of a slot leaves one empty.
@@ -111,70 +115,56 @@ def is_quiet(cells: Cells, scale: RoughScale) -> bool:
     unbroken = bool((np.diff(cells.slot) <= longest).all()) and bool((2 * cells.usable >= np.median(cells.count)).all())
     if not unbroken or np.isnan(cells.mean[:, :3]).any() or not cells.usable.all():
         return False
-    columns = 6 if np.isfinite(cells.mean[:, 3:]).all() else 3
     floor = measure_floor(cells)
-    return (
-        _is_plausible(floor, scale.learn(floor.mean[:3]), columns)
-        and _is_steady(cells, floor, columns)
-        and _does_not_stray(cells, floor, scale.learn(floor.mean[:3]), columns)
-    )
-
-
-def _is_plausible(floor: NoiseFloor, scale: RoughScale, columns: int) -> bool:
-    limits = _per_axis(scale, MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)
-    return bool((floor.sigma[:columns] <= limits[:columns]).all())
-
-
-def _is_steady(cells: Cells, floor: NoiseFloor, columns: int) -> bool:
-    """Whether no cell is much noisier than the typical one; one step of the output is always allowed."""
-    factor = _NOISIEST_CELL if floor.samples_per_cell >= FEW_SAMPLES else _NOISIEST_CELL_FEW
-    step = np.where(np.isfinite(floor.step), floor.step, 0.0)
-    allowed = np.maximum(floor.sigma**2, step**2)[:columns]
-    ratio = cells.variance[:, :columns] / np.where(allowed > 0, allowed, np.inf)
-    # The sum over the axes of a triad scatters less than each, and a motion shows in it all the same.
-    return all(float(ratio[:, triad].mean(axis=1).max()) <= factor for triad in _triads(columns))
-
-
-def _does_not_stray(cells: Cells, floor: NoiseFloor, scale: RoughScale, columns: int) -> bool:
-    stray, allowed = _straying(cells, floor, scale)
-    return bool((stray[:columns] <= allowed[:columns]).all())
-
-
-def _straying(cells: Cells, floor: NoiseFloor, scale: RoughScale) -> tuple[FloatArray, FloatArray]:
-    """Return how far the cell means stray from the window's, each axis, and how far they may; shape (6,)."""
-    step = np.where(np.isfinite(floor.step), floor.step, 0.0)
-    sigmas = _stray_sigmas(cells, floor)
-    allowed = np.maximum(sigmas * np.maximum(floor.sigma, step), _per_axis(scale, STRAY_M_S2, STRAY_RAD_S, missing=0.0))
-    stray: FloatArray = np.abs(cells.mean - floor.mean).max(axis=0)
-    return stray, allowed
-
-
-def _stray_sigmas(cells: Cells, floor: NoiseFloor) -> float:
-    """Return how many sigma of single samples a cell mean may stray; more for noisy means of few samples, if it is noise."""
-    if floor.samples_per_cell >= FEW_SAMPLES:
-        return _STRAY_SIGMAS
-    spread = np.var(cells.mean, axis=0, ddof=1)
-    successive = np.mean(np.diff(cells.mean, axis=0) ** 2, axis=0) / 2
-    columns = 6 if floor.has_gyroscope else 3
-    if any(float(spread[triad].sum()) > _WHITE * float(successive[triad].sum()) for triad in _triads(columns)):
-        return _STRAY_SIGMAS
-    return max(_STRAY_SIGMAS, _STRAY_SIGMAS_OF_MEAN / math.sqrt(floor.samples_per_cell))
+    limits = _per_axis(scale.learn(floor.mean[:3]), MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)
+    plausible = all(bool((floor.sigma[triad] <= limits[triad]).all()) for triad in floor.triads)
+    return plausible and _is_even(cells, floor, scale)
 
 
 def is_even(cells: Cells, scale: RoughScale) -> bool:
     """Whether a window scatters as noise does, all alike and about one mean, however large it is."""
-    floor = measure_floor(cells)
-    columns = 6 if floor.has_gyroscope else 3
-    return _is_steady(cells, floor, columns) and _does_not_stray(cells, floor, scale.learn(floor.mean[:3]), columns)
+    return _is_even(cells, measure_floor(cells), scale)
+
+
+def _is_even(cells: Cells, floor: NoiseFloor, scale: RoughScale) -> bool:
+    step = np.where(np.isfinite(floor.step), floor.step, 0.0)
+    # One step of the output is always allowed.
+    allowed = np.maximum(floor.sigma**2, step**2)
+    ratio = cells.variance / np.where(allowed > 0, allowed, np.inf)
+    # The sum over the axes of a triad scatters less than each, and a motion shows in it all the same.
+    if any(float(ratio[:, triad].mean(axis=1).max()) > _noisiest(floor) for triad in floor.triads):
+        return False
+    stray, allowed = _straying(cells, floor, scale.learn(floor.mean[:3]))
+    return all(bool((stray[triad] <= allowed[triad]).all()) for triad in floor.triads)
+
+
+def _noisiest(floor: NoiseFloor) -> float:
+    """Return the largest variance of a cell, as a multiple of the typical one."""
+    return _NOISIEST_CELL if floor.samples_per_cell >= FEW_SAMPLES else _NOISIEST_CELL_FEW
+
+
+def _straying(cells: Cells, floor: NoiseFloor, scale: RoughScale) -> tuple[FloatArray, FloatArray]:
+    """Return how far the cell means stray from the window's, each axis, and how far they may; shape (6,)."""
+    sigmas = _STRAY_SIGMAS
+    if floor.samples_per_cell < FEW_SAMPLES:
+        # The means of few samples are noisy and stray farther, which is allowed to noise only.
+        spread = np.var(cells.mean, axis=0, ddof=1)
+        successive = np.mean(np.diff(cells.mean, axis=0) ** 2, axis=0) / 2
+        if not any(float(spread[triad].sum()) > _WHITE * float(successive[triad].sum()) for triad in floor.triads):
+            sigmas = max(_STRAY_SIGMAS, _STRAY_SIGMAS_OF_MEAN / math.sqrt(floor.samples_per_cell))
+    step = np.where(np.isfinite(floor.step), floor.step, 0.0)
+    allowed = np.maximum(sigmas * np.maximum(floor.sigma, step), _per_axis(scale, _STRAY_M_S2, _STRAY_RAD_S, missing=0.0))
+    stray: FloatArray = np.abs(cells.mean - floor.mean).max(axis=0)
+    return stray, allowed
 
 
 class Unquiet(NamedTuple):
     """What keeps a window from being a noise floor; raw rates."""
 
     shakes: bool
-    """Too large a scatter; else it does not stay where it is."""
+    """The scatter is too large; otherwise the mean does not stay where it is."""
     column: int
-    """Of the axis: accelerometer x, y, z, gyroscope x, y, z."""
+    """Number of the axis: accelerometer x, y, z, gyroscope x, y, z."""
     measured: float
     limit: float
 
@@ -183,11 +173,10 @@ def why_not_quiet(cells: Cells, scale: RoughScale) -> Unquiet | None:
     """Return what departs most from a noise floor in a window of two cells or more; None where nothing does."""
     floor = measure_floor(cells)
     scale = scale.learn(floor.mean[:3])
-    factor = _NOISIEST_CELL if floor.samples_per_cell >= FEW_SAMPLES else _NOISIEST_CELL_FEW
     step = np.where(np.isfinite(floor.step), floor.step, 0.0)
     pairs = (
         (True, floor.sigma, _per_axis(scale, MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)),
-        (True, np.sqrt(cells.variance.max(axis=0)), math.sqrt(factor) * np.fmax(floor.sigma, step)),
+        (True, np.sqrt(cells.variance.max(axis=0)), math.sqrt(_noisiest(floor)) * np.fmax(floor.sigma, step)),
         (False, *_straying(cells, floor, scale)),
     )
     found = [
@@ -196,11 +185,7 @@ def why_not_quiet(cells: Cells, scale: RoughScale) -> Unquiet | None:
         for column in range(6)
         if measured[column] > limit[column] > 0
     ]
-    return max(found, key=lambda one: one.measured / one.limit, default=None)
-
-
-def _triads(columns: int) -> list[slice]:
-    return [slice(0, 3), slice(3, 6)][: columns // 3]
+    return max(found, key=lambda cause: cause.measured / cause.limit, default=None)
 
 
 def _per_axis(scale: RoughScale, accelerometer_m_s2: float, gyroscope_rad_s: float, *, missing: float) -> FloatArray:
@@ -211,10 +196,10 @@ def _per_axis(scale: RoughScale, accelerometer_m_s2: float, gyroscope_rad_s: flo
 
 
 def is_quieter(floor: NoiseFloor, than: NoiseFloor) -> bool:
-    """Whether one floor lies clearly below another, for one triad at least and above it for none."""
+    """Whether a floor is clearly below another, in one triad at least, and above it in none."""
     shares = []
-    for triad in (slice(0, 3), slice(3, 6)):
+    for triad in _TRIADS:
         old, new = float((than.sigma[triad] ** 2).sum()), float((floor.sigma[triad] ** 2).sum())
         if np.isfinite(old) and np.isfinite(new) and old > 0:
             shares.append(new / old)
-    return bool(shares) and min(shares) < _QUIETER and max(shares) < 1.2
+    return bool(shares) and min(shares) < _QUIETER and max(shares) < _NOT_LOUDER

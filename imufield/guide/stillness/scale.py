@@ -1,4 +1,4 @@
-"""How raw units relate to SI, as far as it is known before the calibration: enough to recognise sides and state limits."""
+"""Rough scale of raw units before the calibration, enough to recognise sides and to state limits in SI."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class RoughScale:
     accelerometer, gyroscope : float or None
         Raw unit (per second for increments) per m/s^2 and per rad/s, one for all axes.
     raw_zero : ndarray, shape (3,)
-        Accelerometer mid-scale, taken off first.
+        Accelerometer mid-scale, subtracted first.
     learned : bool
-        Whether the accelerometer's comes from the first still (its norm is g) and not from the instrument's data.
+        Whether the accelerometer's scale comes from the first still (its norm is g) and not from the instrument's data.
     """
 
     accelerometer: float | None = None
@@ -33,7 +33,7 @@ class RoughScale:
 
     @classmethod
     def of(cls, units: SampleUnits, nominal: Nominal) -> RoughScale:
-        """Return what the instrument's protocol says, and the names of the units where it says nothing."""
+        """Return the scale of the instrument's protocol, and that of the units' names where the protocol has none."""
         named = cls.of_units(units)
         per_second = 1 / units.interval_s if units.accelerometer_is_increment and units.interval_s else 1.0
         # Raw per m/s in an increment is raw per second per m/s^2 in its rate: only the mid-scale changes.
@@ -45,7 +45,7 @@ class RoughScale:
 
     @classmethod
     def of_units(cls, units: SampleUnits, raw_zero: FloatArray | None = None) -> RoughScale:
-        """Return what the names of the units alone say."""
+        """Return the scale of the units' names alone."""
         return cls(
             nominal_scale(units.accelerometer),
             nominal_scale(units.gyroscope),
@@ -53,7 +53,7 @@ class RoughScale:
         )
 
     def learn(self, mean_raw: FloatArray) -> RoughScale:
-        """Return a scale whose accelerometer is known: as it is, or from a still mean (3,) whose norm is taken as g."""
+        """Return a scale whose accelerometer is known: unchanged, or from a still mean (3,) whose norm counts as g."""
         if self.accelerometer is not None:
             return self
         norm = float(np.linalg.norm(mean_raw - self.raw_zero))
@@ -64,3 +64,9 @@ class RoughScale:
         if self.accelerometer is None:
             raise ValueError("the accelerometer's rough scale is not known yet: call `learn` with a still mean")
         return (mean_raw - self.raw_zero) / self.accelerometer
+
+    def up(self, mean_raw: FloatArray) -> FloatArray:
+        """Return the direction of up in the body frame from raw accelerometer rates (3,): a unit vector; NaN in free fall."""
+        force = self.specific_force(mean_raw)
+        norm = np.linalg.norm(force)
+        return force / norm if norm > 0 else np.full(3, np.nan)

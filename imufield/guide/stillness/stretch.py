@@ -1,4 +1,4 @@
-"""A still stretch as it grows: cells under one standard, with hysteresis and dwell time."""
+"""A still stretch as it grows: cells under one set of limits, with hysteresis and dwell time."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imufield.guide.stillness.cells import Cells, join_cells
-from imufield.guide.stillness.limits import Limits, StillnessSettings
+from imufield.guide.stillness.cells import Cells, cells_in, join_cells
+from imufield.guide.stillness.limits import Allowances, Limits
 from imufield.guide.stillness.noise_floor import NoiseFloor
+
+# The activity that ends a stretch. One begins at 1: without this hysteresis a unit at the limit would flicker.
+LEAVE_FACTOR = 2.0
+_MEAN_CELLS = 50  # Length of the running mean: it follows a drift of the bias, and a slow creep all the less.
 
 
 class Phase(Enum):
-    """What the detector thinks of the latest cell."""
+    """State of the unit by the latest cell."""
 
     MOVING = "moving"
     SETTLING = "settling"
@@ -32,7 +36,7 @@ class Stretch:
         self.judged = 0  # Cells that belong to the stretch, kept or not.
 
     def add(self, cells: Cells, row: int, mean: list[float]) -> None:
-        """Append one cell and follow the running mean: of all cells at first, of the last 50 or so later."""
+        """Append one cell and update the running mean: of all cells at first, of the last 50 or so later."""
         if self.judged < self._longest:
             if self._parts and self._parts[-1][0] is cells and self._parts[-1][2] == row:
                 self._parts[-1] = (cells, self._parts[-1][1], row + 1)
@@ -42,7 +46,7 @@ class Stretch:
         if not self.mean:
             self.mean = list(mean)
             return
-        share = 1 / min(self.judged, 50)
+        share = 1 / min(self.judged, _MEAN_CELLS)
         self.mean = [old if math.isnan(new) else old + share * (new - old) for old, new in zip(self.mean, mean, strict=True)]
 
     def cells(self) -> Cells:
@@ -50,7 +54,7 @@ class Stretch:
         return join_cells([cells[start:stop] for cells, start, stop in self._parts])
 
     def cut(self, rows: slice) -> None:
-        """Keep only some of the kept cells, and take the mean of these; at least one."""
+        """Keep only some of the kept cells, at least one, and compute the mean of these."""
         whole, cells = self.judged == len(self), self.cells()[rows]
         self._parts = [(cells, 0, len(cells))]
         self.judged = len(cells) if whole else self.judged - rows.start
@@ -69,8 +73,6 @@ class Judgement(NamedTuple):
     row: int
     reference: list[float]
     """Running mean of the stretch before this cell, raw rates (6); empty outside a stretch."""
-    began: bool = False
-    """A stretch counts as still with this cell."""
     ended: Stretch | None = None
     """The stretch that this cell ended."""
     limits: Limits | None = None
@@ -78,7 +80,7 @@ class Judgement(NamedTuple):
 
 
 class Standard(NamedTuple):
-    """What a cell is held against, with the limits in the form that the loop over cells needs."""
+    """What a cell is compared with, the limits also in the form that the loop over cells needs."""
 
     limits: Limits
     change_weight: list[float]
@@ -95,8 +97,8 @@ class Standard(NamedTuple):
 _NO_STANDARD = Standard(Limits(np.full(6, np.inf), np.full(6, np.inf), 1.0), [0.0] * 6, 0.0)
 
 
-class _Passed(NamedTuple):
-    """A cell since the last stretch ended, kept for the reach back."""
+class JudgedCell(NamedTuple):
+    """One cell in the form that the loop over cells needs."""
 
     cells: Cells
     row: int
@@ -105,14 +107,17 @@ class _Passed(NamedTuple):
 
 
 class Tracker:
-    """Follows a stream of cells under one standard: moving, settling or still, and the stretch under way."""
+    """Follows a stream of cells under one set of limits: moving, settling or still, and the stretch in progress."""
 
-    def __init__(self, settings: StillnessSettings) -> None:
-        self.settings = settings
+    def __init__(self, allowances: Allowances, longest_s: float) -> None:
+        self.allowances = allowances
         self.standard = _NO_STANDARD
         self.phase = Phase.MOVING
-        self.stretch = Stretch(settings.cells(settings.longest_s))
-        self._passed: deque[_Passed] = deque(maxlen=settings.cells(settings.reach_back_s))
+        self._longest = cells_in(longest_s)
+        self._dwell = cells_in(allowances.dwell_s)
+        self.stretch = Stretch(self._longest)
+        # Cells since the last stretch ended, kept for the reach back.
+        self._passed: deque[JudgedCell] = deque(maxlen=cells_in(allowances.reach_back_s))
 
     def restart(self) -> None:
         """Forget the stretch and what came before it."""
@@ -120,58 +125,60 @@ class Tracker:
         self._passed.clear()
 
     def _drop(self) -> None:
-        self.stretch = Stretch(self.settings.cells(self.settings.longest_s))
+        self.stretch = Stretch(self._longest)
         self.phase = Phase.MOVING
 
-    def follow(
-        self, cells: Cells, row: int, vibration: float, mean: list[float], *, where: tuple[bool, list[float]]
-    ) -> Judgement:
-        """Judge one cell; ``where`` says whether it follows the one before, and the gyroscope's bias."""
-        unbroken, bias = where
+    def follow(self, cell: JudgedCell, *, unbroken: bool, bias: list[float]) -> Judgement:
+        """Judge one cell.
+
+        Parameters
+        ----------
+        cell : JudgedCell
+        unbroken : bool
+            Whether it follows the one before.
+        bias : list of float
+            Last known bias of the gyroscope, raw rate; empty without one.
+        """
+        cells, row, vibration, mean = cell
         activity = max(vibration, self._change_ratio(mean))
         reference, limits = self.stretch.mean, self.standard.limits
         if self.phase is Phase.STILL:
-            if unbroken and activity <= self.settings.leave_factor:
+            if unbroken and activity <= LEAVE_FACTOR:
                 self.stretch.add(cells, row, mean)
                 return Judgement(Phase.STILL, activity, cells, row, reference, limits=limits)
             ended = self.stretch
             self._passed.clear()
-            self._begin(cells, row, vibration, mean, bias=bias)
+            self._begin(cell, bias)
             return Judgement(self.phase, activity, cells, row, reference, ended=ended, limits=limits)
         if not unbroken:
             self._passed.clear()
-        self._passed.append(_Passed(cells, row, vibration, mean))
+        self._passed.append(cell)
         if unbroken and activity <= 1 and self.stretch.judged:
             self.stretch.add(cells, row, mean)
-            began = self.stretch.judged >= self.settings.cells(self.settings.dwell_s)
-            self.phase = Phase.STILL if began else Phase.SETTLING
-            if began:
+            self.phase = Phase.STILL if self.stretch.judged >= self._dwell else Phase.SETTLING
+            if self.phase is Phase.STILL:
                 self._reach_back()
-            return Judgement(self.phase, activity, cells, row, reference, began=began, limits=limits)
-        self._begin(cells, row, vibration, mean, bias=bias)
+        else:
+            self._begin(cell, bias)
         return Judgement(self.phase, activity, cells, row, reference, limits=limits)
 
     def _reach_back(self) -> None:
-        """Let the cells before the stretch join it, the nearest first, up to one that would have ended it."""
+        """Add the cells before the stretch to it, the nearest first, up to one that would have ended it."""
         passed = list(self._passed)
-        first = max(len(passed) - self.stretch.judged, 0)
-        begin = first
-        while begin and self._would_stay(passed[begin - 1]):
+        first = begin = max(len(passed) - self.stretch.judged, 0)
+        while begin and max(passed[begin - 1].vibration, self._change_ratio(passed[begin - 1].mean)) <= LEAVE_FACTOR:
             begin -= 1
         self._passed.clear()
         if begin < first:
-            self.stretch = Stretch(self.settings.cells(self.settings.longest_s))
-            for one in passed[begin:]:
-                self.stretch.add(one.cells, one.row, one.mean)
+            self.stretch = Stretch(self._longest)
+            for cell in passed[begin:]:
+                self.stretch.add(cell.cells, cell.row, cell.mean)
 
-    def _would_stay(self, cell: _Passed) -> bool:
-        return max(cell.vibration, self._change_ratio(cell.mean)) <= self.settings.leave_factor
-
-    def _begin(self, cells: Cells, row: int, vibration: float, mean: list[float], *, bias: list[float]) -> None:
+    def _begin(self, cell: JudgedCell, bias: list[float]) -> None:
         """Begin a candidate with this cell if it could be the first of a stretch."""
         self._drop()
-        if vibration <= 1 and self._offset_ratio(mean, bias) <= 1:
-            self.stretch.add(cells, row, mean)
+        if cell.vibration <= 1 and self._offset_ratio(cell.mean, bias) <= 1:
+            self.stretch.add(cell.cells, cell.row, cell.mean)
             self.phase = Phase.SETTLING
 
     def _change_ratio(self, mean: list[float]) -> float:

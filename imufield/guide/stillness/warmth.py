@@ -1,49 +1,41 @@
-"""Is the instrument warm? The slope of its temperature, from what it says itself."""
+"""Is the instrument warm? The slope of the temperature that it reports."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 
-from imufield.guide.stillness.cells import Cells
+from imufield.guide.stillness.cells import CELL_S, Cells
 
-WINDOW_CELLS = 300
-FEWEST_CELLS = 60
-"""Six seconds tell a slope of 1 degC/min from a step of 0.01 degC."""
+_WINDOW_CELLS = 300  # Half a minute: a longer one still sees a warm-up that is over.
+_FEWEST_CELLS = 60  # Six seconds tell a slope of 1 degC/min from a step of 0.01 degC.
 
 
 class Warmth:
-    """Follows the temperature over the last half minute.
+    """Follows the temperature over the last half minute."""
 
-    Parameters
-    ----------
-    cell_s : float
-    """
-
-    def __init__(self, cell_s: float) -> None:
-        self._cell_s = cell_s
-        self._degc: list[float] = []
+    def __init__(self) -> None:
+        self._degc: deque[float] = deque(maxlen=_WINDOW_CELLS)
 
     def follow(self, cells: Cells, row: int) -> None:
-        """Take one cell; NaN temperatures are passed over."""
+        """Add one cell; a NaN temperature is ignored."""
         value = float(cells.temperature_degc[row])
         if math.isfinite(value):
             self._degc.append(value)
-            if len(self._degc) > 2 * WINDOW_CELLS:
-                del self._degc[:-WINDOW_CELLS]
 
     def clear(self) -> None:
-        """Forget: time has passed that was not seen."""
+        """Forget the temperatures: time has passed that was not observed."""
         self._degc.clear()
 
     @property
     def slope_degc_min(self) -> float:
         """Slope of a straight line less twice its sigma towards zero, degC per minute; 0 while not known."""
-        window = np.array(self._degc[-WINDOW_CELLS:])
-        if len(window) < FEWEST_CELLS:
+        window = np.array(self._degc)
+        if len(window) < _FEWEST_CELLS:
             return 0.0
-        time_min = (np.arange(len(window)) - (len(window) - 1) / 2) * self._cell_s / 60
+        time_min = (np.arange(len(window)) - (len(window) - 1) / 2) * CELL_S / 60
         spread = float(time_min @ time_min)
         slope = float(time_min @ window) / spread
         residual = window - window.mean() - slope * time_min

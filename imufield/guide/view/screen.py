@@ -1,4 +1,4 @@
-"""What the terminal shows, drawn from events and a snapshot; 80 columns by 24 lines, readable without colour.
+"""The screen of the live view, drawn from events and a snapshot; 80 columns by 24 lines, readable without colour.
 
 Colour only repeats what signs and words say already. Nothing here decides anything.
 """
@@ -10,6 +10,7 @@ import re
 import textwrap
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from rich.box import ROUNDED
@@ -19,267 +20,247 @@ from rich.table import Table
 from rich.text import Text
 
 from imufield.earth import MILLI_G_M_S2
-from imufield.guide.events import (
-    Accepted,
-    Done,
-    Event,
-    Hold,
-    Holding,
-    LinkBack,
-    LinkLost,
-    Marked,
-    Move,
-    RefusalCode,
-    Rejected,
-    Turn,
-    Turned,
-    Turning,
-)
+from imufield.guide import events
+from imufield.guide.events import Event, RefusalCode
 from imufield.guide.lead.guide import Snapshot
-from imufield.guide.lead.refusals import motion_words, quantity
 from imufield.guide.lead.state_table import State
 from imufield.guide.positions import Scheme, nearest_cube_direction
-from imufield.guide.stillness.limits import Activity
+from imufield.guide.refusals import quantity
 from imufield.guide.view.pictures import big_lines, draw_box, turn_shortest
 from imufield.guide.view.plain import NOT_TOLD, known_words, words
 from imufield.samples import FloatArray
 
 WIDTH = 80
 HEIGHT = 24
-MAP_WIDTH = 34
-LEFT_WIDTH = WIDTH - MAP_WIDTH
-PANEL_HEIGHT = 18
-PICTURE_WIDTH = 20
-PICTURE_HEIGHT = 8
-BAR_WIDTH = 16
-MAP_ROWS = 12
-MESSAGES = 4
+_MAP_WIDTH = 34  # Three columns of the longest names.
+_LEFT_WIDTH = WIDTH - _MAP_WIDTH
+_PANEL_HEIGHT = 18  # Of 24 lines: link, four messages and keys stand below.
+_PICTURE_WIDTH = 20
+_PICTURE_HEIGHT = 8
+_BAR_WIDTH = 16
 _BAR_ROWS = 4
+_MAP_ROWS = 12
+_MESSAGES = 4
+_BIG_MESSAGES = 2  # Below the big letters.
 _KEPT = 20  # Messages that a large window shows.
-READ_S = 4.0
-"""A refusal stays on the screen for this long although the unit moves on."""
-# Words and style for a refusal that is nobody's mistake.
+_READ_S = 4.0  # A refusal stays on the screen for this long although the unit moves on.
+# A refusal that is nobody's mistake: words, style, and the word in big letters.
 _REFUSED = {
-    RefusalCode.ALREADY_DONE: ("DONE BEFORE", "bold green"),
-    RefusalCode.OTHER_SIDE: ("OTHER SIDE", "bold yellow"),
-    RefusalCode.START_UP: ("WAIT", "bold yellow"),
-    RefusalCode.WARMING_UP: ("WAIT", "bold yellow"),
+    RefusalCode.ALREADY_DONE: ("DONE BEFORE", "bold green", "TURN"),
+    RefusalCode.OTHER_SIDE: ("OTHER SIDE", "bold yellow", "TURN"),
+    RefusalCode.START_UP: ("WAIT", "bold yellow", "WAIT"),
+    RefusalCode.WARMING_UP: ("WAIT", "bold yellow", "WAIT"),
 }
+# Messages of these no longer hold once a hold begins.
 _WAITS = (RefusalCode.START_UP, RefusalCode.WARMING_UP, RefusalCode.NOT_QUIET)
-_REFUSED_BIG = {
-    RefusalCode.ALREADY_DONE: "TURN",
-    RefusalCode.OTHER_SIDE: "TURN",
-    RefusalCode.START_UP: "WAIT",
-    RefusalCode.WARMING_UP: "WAIT",
-}
-KEYS = "r retake  s skip  u undo  p pause  f finish  b big  q quit (resume later)"
+# Events that the rest of the screen shows.
+_NO_MESSAGE = (events.Turning, events.Hold, events.Holding, events.Move, events.Turn)
+# Events after which a refusal is over.
+_ANSWERS = (events.Hold, events.Accepted, events.Marked, events.Done, events.Turn, events.Turned)
+_KEYS = Text("r retake  s skip  u undo  p pause  f finish  b big  q quit (resume later)", style="dim", no_wrap=True)
 
 
 @dataclass(frozen=True, slots=True)
 class LinkState:
-    """What the view is told about the link."""
+    """State of the link, which the events do not tell."""
 
     lost_samples: int | None = None
     silent: bool = False
     """The port is there, but nothing arrives."""
     cable: str | None = None
-    """Face of the unit where the cable leaves, "-x"; None where nobody said."""
+    """Face of the unit where the cable leaves, "-x"; None where it is not known."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Screen:
-    """What the events have said so far, as far as it is shown."""
+    """State of the screen by the events so far.
 
-    target: str = ""
-    target_words: str = ""
-    position: str = ""
-    position_words: str = ""
+    Attributes
+    ----------
+    move, hold, turn, refused
+        The latest event of each kind; ``refused`` as long as it is to be read.
+    angle_deg, remaining_s : float
+        To the target, and of the hold.
+    link_paused : bool
+        A cable was pulled, or the session is resumed: nobody knows how many samples that cost.
+    attitude : ndarray, shape (3, 3)
+        Of the box as it is drawn; its heading is kept from frame to frame.
+    """
+
+    move: events.Move | None = None
+    hold: events.Hold | None = None
+    turn: events.Turn | None = None
+    refused: events.Rejected | None = None
     angle_deg: float = math.nan
     remaining_s: float = math.nan
-    turn: Turn | None = None
-    refused: Rejected | None = None
     link: bool = True
     link_paused: bool = False
-    """A cable was pulled, or the session is resumed: nobody knows how many samples that cost."""
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
-    """Of the box as it is drawn; its heading is kept from frame to frame."""
     messages: deque[str] = field(default_factory=lambda: deque(maxlen=_KEPT))
-    _waits: set[str] = field(default_factory=set)  # Messages that no longer hold once a hold begins.
+    _waits: set[str] = field(default_factory=set)
 
     def follow(self, events: list[Event]) -> None:
-        """Take the events in order."""
+        """Update the screen with events in order."""
         for event in events:
-            self._take(event)
-            if not isinstance(event, (Turning, Hold, Holding, Move, Turn)):
-                self.messages.append(_message(event))
-            if isinstance(event, Rejected) and event.reason in _WAITS:
-                self._waits.add(self.messages[-1])
-            elif isinstance(event, (Hold, Accepted)) and self._waits:
-                # What was waited for is over.
-                self.messages = deque((one for one in self.messages if one not in self._waits), self.messages.maxlen)
-                self._waits.clear()
+            self._update(event)
+            self._update_messages(event)
 
-    def _take(self, event: Event) -> None:
-        if isinstance(event, Move):
-            self.target, self.target_words, self.angle_deg = event.position, event.words, math.nan
-        elif isinstance(event, Turning):
-            self.angle_deg = event.target_angle_deg
-            if self.refused is not None and event.time_s - self.refused.time_s > READ_S:
-                self.refused = None
-        elif isinstance(event, Hold):
-            self.position, self.position_words, self.refused = event.position, event.words, None
-            self.remaining_s = event.hold_s
-        elif isinstance(event, Holding):
-            self.remaining_s = event.remaining_s
-        elif isinstance(event, Rejected):
-            self.refused = event
-        elif isinstance(event, (Accepted, Marked, Done)):
+    def _update(self, event: Event) -> None:
+        if isinstance(event, _ANSWERS):
             self.refused = None
-        elif isinstance(event, (Turn, Turned)):
-            self.turn, self.refused = event if isinstance(event, Turn) else self.turn, None
-        elif isinstance(event, (LinkLost, LinkBack)):
-            self.link = isinstance(event, LinkBack)
-            self.link_paused = True
+        if isinstance(event, events.Move):
+            self.move, self.angle_deg = event, math.nan
+        elif isinstance(event, events.Turning):
+            self.angle_deg = event.target_angle_deg
+            if self.refused is not None and event.time_s - self.refused.time_s > _READ_S:
+                self.refused = None
+        elif isinstance(event, events.Hold):
+            self.hold, self.remaining_s = event, event.hold_s
+        elif isinstance(event, events.Holding):
+            self.remaining_s = event.remaining_s
+        elif isinstance(event, events.Rejected):
+            self.refused = event
+        elif isinstance(event, events.Turn):
+            self.turn = event
+        elif isinstance(event, (events.LinkLost, events.LinkBack)):
+            self.link, self.link_paused = isinstance(event, events.LinkBack), True
+
+    def _update_messages(self, event: Event) -> None:
+        if not isinstance(event, _NO_MESSAGE):
+            self.messages.append(_accepted(event) if isinstance(event, events.Accepted) else words(event))
+        if isinstance(event, events.Rejected) and event.reason in _WAITS:
+            self._waits.add(self.messages[-1])
+        elif isinstance(event, (events.Hold, events.Accepted)) and self._waits:
+            self.messages = deque((text for text in self.messages if text not in self._waits), self.messages.maxlen)
+            self._waits.clear()
 
 
-def _message(event: Event) -> str:
-    """Return an event in one short line."""
-    if not isinstance(event, Accepted):
-        return words(event)
+def _accepted(event: events.Accepted) -> str:
+    """Return one short line; the panel of positions shows the rest."""
     off_m_s2 = event.leave_one_out_m_s2
     fits = "" if off_m_s2 is None else f", {off_m_s2 / MILLI_G_M_S2:+.2f} mg off the others' fit"
-    held = ", in the hand" if event.held else ""
-    return f"accepted {event.position}{held}: {event.duration_s:.1f} s{fits}"
+    in_hand = ", in the hand" if event.held else ""
+    return f"accepted {event.position}{in_hand}: {event.duration_s:.1f} s{fits}"
+
+
+class Instruction(NamedTuple):
+    """What to do now: a headline, the words below it, and two words of six letters at most for big letters."""
+
+    headline: str
+    details: str
+    style: str
+    big: tuple[str, str]
+
+
+_BY_STATE = {
+    State.LEARNING: Instruction(
+        "LEAVE IT STILL", "measuring the noise floor; hands off for some seconds", "bold yellow", ("LEAVE", "IT")
+    ),
+    State.PAUSED: Instruction("PAUSED", "press p to go on", "bold", ("PAUSED", "")),
+    State.LOST: Instruction("NO LINK", "plug it in again; nothing measured is lost", "bold red", ("NO", "LINK")),
+    State.DONE: Instruction("DONE", "all that was asked for is measured", "bold green", ("DONE", "")),
+}
+
+
+def instruct(screen: Screen, snapshot: Snapshot) -> Instruction:
+    """Return what to do now."""
+    state, refused, turn, hold = snapshot.state, screen.refused, screen.turn, screen.hold
+    if state in _BY_STATE:
+        return _BY_STATE[state]
+    target, side = (f"{screen.move.position}: {screen.move.words}", screen.move.position) if screen.move else (": ", "")
+    if snapshot.target_direction is not None:
+        side = nearest_cube_direction(np.array(snapshot.target_direction))
+    if refused is not None and state in (State.RESTING, State.TURNING, State.ROLLING):
+        headline, style, big = _REFUSED.get(refused.reason, ("NOT TAKEN", "bold red", "AGAIN"))
+        return Instruction(headline, f"{refused.words}; {refused.remedy}", style, (big, side))
+    if state is State.HOLDING:
+        place = f"{hold.position}: {hold.words}" if hold else ": "
+        left = f"{screen.remaining_s:.0f}" if math.isfinite(screen.remaining_s) else ""
+        return Instruction("HOLD STILL", place + " (in the hand)" * snapshot.in_hand, "bold yellow", ("HOLD", left))
+    if state is State.ROLLING and turn is not None:
+        return Instruction("ROLL", turn.words, "bold cyan", ("ROLL", f"{'+' if turn.sense > 0 else '-'}{turn.axis}"))
+    if state is State.RESTING:
+        return Instruction("GOOD - TURN", target, "bold green", ("GOOD", side))
+    return Instruction("TURN", target, "bold cyan", ("TURN", side))
 
 
 def draw(
     screen: Screen,
     snapshot: Snapshot,
     scheme: Scheme,
-    link: LinkState | None = None,
+    link: LinkState,
     *,
     ascii_only: bool = False,
     size: tuple[int, int] = (WIDTH, HEIGHT),
 ) -> RenderableType:
     """Return the whole screen; what the window (columns, lines) has beyond the least size is for messages."""
-    width, rows = size[0], MESSAGES + size[1] - HEIGHT
-    link = link or LinkState()
+    now = instruct(screen, snapshot)
+    left = Group(
+        Text(" ".join(now.headline), style=now.style, no_wrap=True),
+        Text("\n".join(_wrap(now.details, _LEFT_WIDTH - 4, 3)), no_wrap=True),
+        _pictures(screen, snapshot, link.cable, ascii_only=ascii_only),
+        _bars(screen, snapshot),
+    )
+    legend = Text("x done > next @ here ? doubt", style="dim", no_wrap=True)
+    right = Group(_map(snapshot, scheme), legend, *_known(snapshot.forecast))
     middle = Table.grid(padding=0, expand=False)
-    middle.add_column(width=LEFT_WIDTH)
-    middle.add_column(width=MAP_WIDTH)
-    now = _now(screen, snapshot, link.cable, ascii_only=ascii_only)
-    left = Panel(now, box=ROUNDED, title=_title(snapshot, scheme), title_align="left", height=PANEL_HEIGHT)
-    right = Panel(_right(snapshot, scheme), box=ROUNDED, title="positions", title_align="left", height=PANEL_HEIGHT)
-    middle.add_row(left, right)
-    return Group(
-        middle, _link_line(screen, snapshot, link), *_messages(screen, rows, width), Text(KEYS, style="dim", no_wrap=True)
+    middle.add_column(width=_LEFT_WIDTH)
+    middle.add_column(width=_MAP_WIDTH)
+    middle.add_row(
+        *(
+            Panel(content, box=ROUNDED, title=title, title_align="left", height=_PANEL_HEIGHT)
+            for content, title in ((left, f"{scheme.name}: {_done(snapshot)}"), (right, "positions"))
+        )
     )
+    messages = _messages(screen, _MESSAGES + size[1] - HEIGHT, size[0])
+    return Group(middle, _link_line(screen, snapshot, link), *messages, _KEYS)
 
 
-def draw_big(screen: Screen, snapshot: Snapshot, link: LinkState | None = None) -> RenderableType:
+def draw_big(screen: Screen, snapshot: Snapshot, link: LinkState) -> RenderableType:
     """Return the screen in letters to be read from three metres."""
-    big, small, style = headline(screen, snapshot)
-    first, second = big_words(screen, snapshot)
-    lines = [Text(line, style=style, no_wrap=True) for line in (*big_lines(first, WIDTH), "", *big_lines(second, WIDTH))]
-    said = _line(f"{big}: {small}")
-    done = f"{len(snapshot.accepted)} of {snapshot.planned} done"
-    bars = Text.assemble(" still ", _stillness_bar(snapshot), "  hold ", bar(snapshot.fraction, "green"), f"  {done}")
+    now = instruct(screen, snapshot)
+    first, second = (big_lines(word, WIDTH) for word in now.big)
+    text = f"{now.headline}: {now.details}"
     return Group(
-        *lines,
+        *(Text(line, style=now.style, no_wrap=True) for line in (*first, "", *second)),
         Text(),
-        said,
-        bars,
+        Text(text if len(text) <= WIDTH else f"{text[: WIDTH - 3]}...", no_wrap=True, overflow="crop"),
+        Text.assemble(" still ", _stillness_bar(snapshot), "  hold ", bar(snapshot.fraction, "green"), f"  {_done(snapshot)}"),
         Text(),
-        _link_line(screen, snapshot, link or LinkState()),
-        *_messages(screen, 2),
-        Text(KEYS, style="dim"),
+        _link_line(screen, snapshot, link),
+        *_messages(screen, _BIG_MESSAGES, WIDTH),
+        _KEYS,
     )
 
 
-def draw_small(screen: Screen, snapshot: Snapshot, link: LinkState | None = None, *, width: int, height: int) -> RenderableType:
+def draw_small(screen: Screen, snapshot: Snapshot, link: LinkState, *, width: int, height: int) -> RenderableType:
     """Return what matters in a window too small for pictures and map: what to do, three bars, the link, the newest words."""
-    big, small, style = headline(screen, snapshot)
-    said = [textwrap.wrap(message, width, break_on_hyphens=False) for message in reversed(screen.messages)]
+    now = instruct(screen, snapshot)
+    messages = [textwrap.wrap(message, width, break_on_hyphens=False) for message in reversed(screen.messages)]
     lines: list[RenderableType] = [
-        Text(big, style=style, no_wrap=True),
-        *(Text(line, no_wrap=True) for line in textwrap.wrap(small, width, break_on_hyphens=False)),
-        Text(f"{len(snapshot.accepted)} of {snapshot.planned} done"),
-        _link_line(screen, snapshot, link or LinkState()),
+        Text(now.headline, style=now.style, no_wrap=True),
+        *(Text(line, no_wrap=True) for line in textwrap.wrap(now.details, width, break_on_hyphens=False)),
+        Text(_done(snapshot)),
+        _link_line(screen, snapshot, link),
     ]
     # What to do and the newest words stand whole before there are bars, which have four rows; the last row tells the size.
     room = height - len(lines) - 1
-    if room >= _BAR_ROWS + len(said[0] if said else []):
+    if room >= _BAR_ROWS + len(messages[0] if messages else []):
         lines.append(_bars(screen, snapshot))
         room -= _BAR_ROWS
-    newest: list[str] = []
-    for rows in said:
-        if newest and len(newest) + len(rows) > room:
-            break
-        newest = [*rows, *newest]
+    newest = _newest(messages, room)[: max(room, 0)]
     size = f"window {width} x {height}: pictures need {WIDTH} x {HEIGHT}"
-    return Group(*lines, *(Text(line, no_wrap=True) for line in newest[: max(room, 0)]), Text(size, style="dim", no_wrap=True))
+    return Group(*lines, *(Text(line, no_wrap=True) for line in newest), Text(size, style="dim", no_wrap=True))
 
 
-def big_words(screen: Screen, snapshot: Snapshot) -> tuple[str, str]:
-    """Return two words of six letters at most: what to do, and the side or the seconds left."""
-    side = screen.target
-    if snapshot.target_direction is not None:
-        side = nearest_cube_direction(np.array(snapshot.target_direction))
-    if snapshot.state is State.LEARNING:
-        return "LEAVE", "IT"
-    if snapshot.state is State.HOLDING:
-        return "HOLD", f"{screen.remaining_s:.0f}" if math.isfinite(screen.remaining_s) else ""
-    if screen.refused is not None and snapshot.state in (State.RESTING, State.TURNING, State.ROLLING):
-        return _REFUSED_BIG.get(screen.refused.reason, "AGAIN"), side
-    if snapshot.state is State.ROLLING and screen.turn is not None:
-        return "ROLL", f"{'+' if screen.turn.sense > 0 else '-'}{screen.turn.axis}"
-    fixed = {State.PAUSED: ("PAUSED", ""), State.LOST: ("NO", "LINK"), State.DONE: ("DONE", "")}
-    return fixed.get(snapshot.state, ("GOOD" if snapshot.state is State.RESTING else "TURN", side))
-
-
-def _title(snapshot: Snapshot, scheme: Scheme) -> str:
-    return f"{scheme.name}: {len(snapshot.accepted)} of {snapshot.planned} done"
-
-
-def headline(screen: Screen, snapshot: Snapshot) -> tuple[str, str, str]:
-    """Return the big words, the words below them, and the style: what to do now."""
-    target = f"{screen.target}: {screen.target_words}"
-    if snapshot.state is State.LEARNING:
-        return "LEAVE IT STILL", "measuring the noise floor; hands off for some seconds", "bold yellow"
-    if screen.refused is not None and snapshot.state in (State.RESTING, State.TURNING, State.ROLLING):
-        big, style = _REFUSED.get(screen.refused.reason, ("NOT TAKEN", "bold red"))
-        return big, f"{screen.refused.words}; {screen.refused.remedy}", style
-    if snapshot.state is State.HOLDING:
-        where = " (in the hand)" if snapshot.in_hand else ""
-        return "HOLD STILL", f"{screen.position}: {screen.position_words}{where}", "bold yellow"
-    if snapshot.state is State.RESTING:
-        return "GOOD - TURN", target, "bold green"
-    if snapshot.state is State.ROLLING and screen.turn is not None:
-        return "ROLL", screen.turn.words, "bold cyan"
-    fixed = {
-        State.PAUSED: ("PAUSED", "press p to go on", "bold"),
-        State.LOST: ("NO LINK", "plug it in again; nothing measured is lost", "bold red"),
-        State.DONE: ("DONE", "all that was asked for is measured", "bold green"),
-    }
-    return fixed.get(snapshot.state, ("TURN", target, "bold cyan"))
-
-
-def _now(screen: Screen, snapshot: Snapshot, cable: str | None, *, ascii_only: bool) -> RenderableType:
-    """Return the left panel: what to do, how it is held and should be, and three bars."""
-    big, small, style = headline(screen, snapshot)
-    what = Text("\n".join(_wrap(small, LEFT_WIDTH - 4, 3)), no_wrap=True)
-    return Group(
-        Text(" ".join(big), style=style, no_wrap=True),
-        what,
-        _pictures(screen, snapshot, cable, ascii_only=ascii_only),
-        _bars(screen, snapshot),
-    )
+def _done(snapshot: Snapshot) -> str:
+    return f"{len(snapshot.accepted)} of {snapshot.planned} done"
 
 
 def _wrap(text: str, width: int, rows: int) -> list[str]:
-    """Return exactly so many rows of whole words; what does not fit ends in an ellipsis."""
-    lines, rest = [""], text.split()
-    for word in rest:
+    """Return a fixed number of rows of whole words; a longer text ends in an ellipsis."""
+    lines = [""]
+    for word in text.split():
         if len(lines[-1]) + len(word) + 1 <= width or not lines[-1]:
             lines[-1] = f"{lines[-1]} {word}".strip()
         else:
@@ -291,35 +272,33 @@ def _wrap(text: str, width: int, rows: int) -> list[str]:
 
 def _pictures(screen: Screen, snapshot: Snapshot, cable: str | None, *, ascii_only: bool) -> Text:
     """Return two boxes side by side: how the unit is held, and how it should be."""
-    now: list[str] = [""] * PICTURE_HEIGHT
+    now: list[str] = [""] * _PICTURE_HEIGHT
     goal = list(now)
     if snapshot.direction is not None:
         screen.attitude = turn_shortest(screen.attitude, np.array(snapshot.direction))
-        now = draw_box(screen.attitude, PICTURE_WIDTH, PICTURE_HEIGHT, cable=cable, ascii_only=ascii_only)
+        now = draw_box(screen.attitude, _PICTURE_WIDTH, _PICTURE_HEIGHT, cable=cable, ascii_only=ascii_only)
     if snapshot.target_direction is not None and snapshot.state is not State.HOLDING:
         wanted = turn_shortest(screen.attitude, np.array(snapshot.target_direction))
-        goal = draw_box(wanted, PICTURE_WIDTH, PICTURE_HEIGHT, cable=cable, ascii_only=ascii_only)
+        goal = draw_box(wanted, _PICTURE_WIDTH, _PICTURE_HEIGHT, cable=cable, ascii_only=ascii_only)
     text = Text(no_wrap=True)
     shows_goal = any(goal)
-    for row in range(PICTURE_HEIGHT):
-        between = "->" if shows_goal and row == PICTURE_HEIGHT // 2 else "  "
-        head = ("now ", "goal") if row == 0 else ("", "")
-        left, right = (_under(head[k], one[row]) for k, one in enumerate((now, goal)))
+    for row in range(_PICTURE_HEIGHT):
+        between = "->" if shows_goal and row == _PICTURE_HEIGHT // 2 else "  "
+        left, right = now[row].ljust(_PICTURE_WIDTH), goal[row].ljust(_PICTURE_WIDTH)
+        if row == 0:
+            # In the corner, where nothing is drawn there.
+            left = left if left[:4].strip() else f"now {left[4:]}"
+            right = right if right[:4].strip() else f"goal{right[4:]}"
         text.append(left).append(between, style="bold").append(right if shows_goal else "", style="cyan")
-        text.append("\n" if row < PICTURE_HEIGHT - 1 else "")
+        text.append("\n" if row < _PICTURE_HEIGHT - 1 else "")
     return text
 
 
-def _under(head: str, line: str) -> str:
-    """Return a row of a picture with a word in its left corner where nothing is drawn."""
-    line = line.ljust(PICTURE_WIDTH)
-    return head + line[len(head) :] if head and not line[: len(head)].strip() else line
-
-
 def _bars(screen: Screen, snapshot: Snapshot) -> RenderableType:
+    """Return three bars, and what moves most against its limit, in words and physical units."""
     table = Table.grid(padding=(0, 1))
     table.add_column(width=9, no_wrap=True)
-    table.add_column(width=BAR_WIDTH, no_wrap=True)
+    table.add_column(width=_BAR_WIDTH, no_wrap=True)
     table.add_column(no_wrap=True)
     turning = snapshot.state is State.TURNING and math.isfinite(screen.angle_deg)
     holding = snapshot.state is State.HOLDING
@@ -327,65 +306,33 @@ def _bars(screen: Screen, snapshot: Snapshot) -> RenderableType:
     left = f"{screen.remaining_s:.0f} s left" if holding and math.isfinite(screen.remaining_s) else ""
     table.add_row("to target", bar(1 - screen.angle_deg / 180 if turning else 0.0, "cyan"), angle)
     table.add_row("hold", bar(snapshot.fraction if holding else 0.0, "green"), left)
-    table.add_row("stillness", _stillness_bar(snapshot), _stillness_words(snapshot))
-    return Group(table, _cause(snapshot))
+    activity = snapshot.activity
+    if activity is None or snapshot.state is State.LOST:
+        # Without a link nobody knows.
+        table.add_row("stillness", _stillness_bar(snapshot), "")
+        return Group(table, Text())
+    table.add_row("stillness", _stillness_bar(snapshot), "still" if activity.ratio <= 1 else "moving")
+    measured, limit = quantity(activity.measured, activity.unit), quantity(activity.limit, activity.unit)
+    if measured.split()[1:] == limit.split()[1:]:
+        measured = measured.split()[0]
+    sensor = "acc" if activity.triad == "accelerometer" else "gyro"
+    cause = f"{activity.verb} {measured}, {limit} allowed ({sensor} {activity.axis})"
+    return Group(table, Text(cause, no_wrap=True, style="dim"))
 
 
 def bar(fraction: float, style: str) -> Text:
     """Return a bar that reads without colour."""
-    full = round(min(max(fraction, 0.0), 1.0) * BAR_WIDTH)
-    return Text("#" * full, style=style).append("." * (BAR_WIDTH - full), style="dim")
-
-
-def _activity(snapshot: Snapshot) -> Activity | None:
-    """Return what moves now; without a link nobody knows."""
-    return None if snapshot.state is State.LOST else snapshot.activity
+    full = round(min(max(fraction, 0.0), 1.0) * _BAR_WIDTH)
+    return Text("#" * full, style=style).append("." * (_BAR_WIDTH - full), style="dim")
 
 
 def _stillness_bar(snapshot: Snapshot) -> Text:
     """Return activity against the limit, which stands in the middle of the bar."""
-    activity = _activity(snapshot)
+    activity = None if snapshot.state is State.LOST else snapshot.activity
     ratio = 0.0 if activity is None else activity.ratio
     shown = bar(ratio / 2, "green" if ratio <= 1 else "red")
-    middle = BAR_WIDTH // 2
+    middle = _BAR_WIDTH // 2
     return Text.assemble(shown[:middle], "|", shown[middle + 1 :])
-
-
-def _stillness_words(snapshot: Snapshot) -> str:
-    activity = _activity(snapshot)
-    if activity is None:
-        return ""
-    return "still" if activity.ratio <= 1 else "moving"
-
-
-def _cause(snapshot: Snapshot) -> Text:
-    """Return what moves most, in words and physical units, against its limit."""
-    activity = _activity(snapshot)
-    if activity is None:
-        return Text()
-    measured, limit = quantity(activity.measured, activity.unit), quantity(activity.limit, activity.unit)
-    if measured.split()[1:] == limit.split()[1:]:
-        measured = measured.split()[0]
-    what = motion_words(activity).split(",", maxsplit=1)[0]
-    sensor = {"accelerometer": "acc", "gyroscope": "gyro"}[activity.triad]
-    allowed = f"{what} {measured}, {limit} allowed"
-    return Text(f"{allowed} ({sensor} {activity.axis})", no_wrap=True, style="dim")
-
-
-_SIGNS = {
-    "done": ("x", "green"),
-    "here": ("@", "bold yellow"),
-    "next": (">", "bold cyan"),
-    "skipped": ("-", "dim"),
-    "doubtful": ("?", "bold red"),
-    "open": (" ", ""),
-}
-
-
-def _right(snapshot: Snapshot, scheme: Scheme) -> RenderableType:
-    """Return the right panel: the map, its legend, and how well the parameters are known."""
-    lines = [Text("x done > next @ here ? doubt", style="dim", no_wrap=True), *_known(snapshot.forecast)]
-    return Group(_map(snapshot, scheme), *lines)
 
 
 def _known(forecast: dict[str, float] | None) -> list[Text]:
@@ -401,14 +348,27 @@ def _known(forecast: dict[str, float] | None) -> list[Text]:
 
 
 def _map(snapshot: Snapshot, scheme: Scheme) -> RenderableType:
-    """Return the positions in groups as they are named, not in the order asked for."""
+    """Return the positions in groups by their names, not in the order asked for."""
     names = sorted((position.name for position in scheme.positions), key=_natural)
     width = max(len(name) for name in names) + 4
-    columns = max(1, (MAP_WIDTH - 3) // width)
-    rows = min(math.ceil(len(names) / columns), MAP_ROWS)
+    columns = max(1, (_MAP_WIDTH - 3) // width)
+    rows = min(math.ceil(len(names) / columns), _MAP_ROWS)
+    # The first that applies.
+    signs = (
+        ("@", "bold yellow", (snapshot.position,)),
+        (">", "bold cyan", (snapshot.target,)),
+        ("-", "dim", snapshot.skipped),
+        ("?", "bold red", snapshot.suspects),
+        ("x", "green", snapshot.accepted),
+        (" ", "", names),
+    )
     table = Table.grid(padding=0)
     for row in range(rows):
-        table.add_row(*(_cell(names[i], snapshot, width) for i in range(row, len(names), rows)[:columns]))
+        cells = []
+        for name in names[row::rows][:columns]:
+            sign, style = next((sign, style) for sign, style, those in signs if name in those)
+            cells.append(Text(f"[{sign}]{name}".ljust(width), style=style, no_wrap=True))
+        table.add_row(*cells)
     return table
 
 
@@ -416,22 +376,6 @@ def _natural(name: str) -> tuple[int, str, int]:
     """Sort key: x+45 before x+135, faces before corners, +x (2) after +x."""
     turn = re.fullmatch(r"([xyz])\+(\d+)", name)
     return (0, turn[1], int(turn[2])) if turn else (len(name.split(maxsplit=1)[0]), name, 0)
-
-
-def _cell(name: str, snapshot: Snapshot, width: int) -> Text:
-    kind = "open"
-    if name in snapshot.accepted:
-        kind = "done"
-    if name in snapshot.doubtful:
-        kind = "doubtful"
-    if name in snapshot.skipped:
-        kind = "skipped"
-    if name == snapshot.target:
-        kind = "next"
-    if name == snapshot.position:
-        kind = "here"
-    sign, style = _SIGNS[kind]
-    return Text(f"[{sign}]{name}".ljust(width), style=style, no_wrap=True)
 
 
 def _link_line(screen: Screen, snapshot: Snapshot, state: LinkState) -> Text:
@@ -445,22 +389,21 @@ def _link_line(screen: Screen, snapshot: Snapshot, state: LinkState) -> Text:
     return Text(f" {link}   {rate}   {lost}   {warmth}", style="bold" if arrives else "bold red", no_wrap=True)
 
 
-def _line(text: str, width: int = WIDTH) -> Text:
-    """Return one line of the screen; dots say that it goes on."""
-    return Text(text if len(text) <= width else f"{text[: width - 3]}...", no_wrap=True, overflow="crop")
+def _messages(screen: Screen, count: int, width: int) -> list[Text]:
+    """Return the newest messages in a number of lines, the newest last and in full; older ones as far as there is room."""
+    folded = [
+        textwrap.wrap(message, width, initial_indent=" ", subsequent_indent="   ", break_on_hyphens=False)[:count]
+        for message in reversed(screen.messages)
+    ]
+    lines = _newest(folded, count)
+    return [Text(line, no_wrap=True, overflow="crop") for line in (*lines, *[""] * (count - len(lines)))]
 
 
-def _messages(screen: Screen, count: int, width: int = WIDTH) -> list[Text]:
-    """Return the newest messages in so many lines, the newest last and in full; older ones as far as there is room."""
+def _newest(messages: list[list[str]], room: int) -> list[str]:
+    """Return the lines of the newest messages, which come first, in their order; the newest in any case."""
     lines: list[str] = []
-    for message in reversed(screen.messages):
-        rows = _folded(message, width)
-        if lines and len(rows) + len(lines) > count:
+    for rows in messages:
+        if lines and len(lines) + len(rows) > room:
             break
-        lines = [*rows[:count], *lines]
-    return [_line(line, width) for line in (*lines, *[""] * (count - len(lines)))]
-
-
-def _folded(message: str, width: int) -> list[str]:
-    """Return a message in lines that the screen holds, those behind the first set in."""
-    return textwrap.wrap(message, width, initial_indent=" ", subsequent_indent="   ", break_on_hyphens=False)
+        lines = [*rows, *lines]
+    return lines

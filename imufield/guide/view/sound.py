@@ -1,10 +1,10 @@
-"""Sound: what a person needs to hear who looks at the unit and not at the screen.
+"""Sounds of the guide, for a person who looks at the unit and not at the screen.
 
 Tones go to the sound card where there is a program that plays them (``pw-play``, ``paplay``, ``aplay``, ``afplay``), else
-the terminal's bell rings, in a number of strokes that tells the events apart. Speech goes to a program of the system. What is
-said are fixed words and names of positions made from the scheme; text from the wire never reaches a program.
+the terminal's bell rings, in a number of strokes that tells the events apart. Speech goes to a program of the system. It
+consists of fixed words and names of positions made from the scheme; text from the wire never reaches a program.
 
-A thread of its own plays: the guide never waits for a sound, and what is not played yet when more arrives is left out.
+A thread of its own plays: the guide never waits for a sound, and sounds that come too late are left out.
 """
 
 from __future__ import annotations
@@ -25,32 +25,23 @@ from contextlib import contextmanager, suppress
 from enum import Enum
 from pathlib import Path
 
-from imufield.guide.events import (
-    Accepted,
-    Advice,
-    Done,
-    Event,
-    Hold,
-    LinkBack,
-    LinkLost,
-    Move,
-    NoiseFloorMeasured,
-    RefusalCode,
-    Rejected,
-    Topic,
-    Turn,
-    Turned,
-)
+from imufield.guide import events
+from imufield.guide.events import Event, RefusalCode, Topic, Vector
 from imufield.samples import AXES
 
-RATE_HZ = 22050
-PLAYERS = ("pw-play", "paplay", "aplay", "afplay")
-SPEAKERS = ("spd-say", "espeak-ng", "espeak", "say")
+RATE_HZ = 22050  # Every sound card plays it.
+_LOUDNESS = 12000  # Of 32767: louder tones distort in small loudspeakers.
+_PLAYERS = ("pw-play", "paplay", "aplay", "afplay")
+_SPEAKERS = ("spd-say", "espeak-ng", "espeak", "say")
 _LONGEST_S = 10.0  # A program that takes longer is ended: a sound that hangs must not keep a process.
+_CLOSE_S = 3.0  # The longest sound, with its program's start.
+_STROKE_S = 0.18  # Between two strokes of the bell, so that they are counted.
+_WAITING = 4  # Blocks of events that wait for their sounds: more would come too late.
+_POINTS_UP = 0.3  # Of the largest axis: an axis that points up by less is not named.
 
 
 class Cue(Enum):
-    """What a sound means; the value holds strokes of the bell, and frequency and length of each tone."""
+    """The sounds; a value holds strokes of the bell, and frequency and length of each tone."""
 
     READY = (1, ((660.0, 0.12),))
     HOLD = (1, ((880.0, 0.12),))
@@ -87,49 +78,36 @@ _SPOKEN_REFUSALS = {
 }
 
 
-def cue_of(event: Event) -> Cue | None:
-    """Return what to play for an event, None for most."""
-    if isinstance(event, Rejected):
-        return None if event.reason in _SILENT else Cue.REFUSED
-    if isinstance(event, Advice):
-        return Cue.REFUSED if event.topic is Topic.DOUBTFUL else None
-    cues: dict[type[Event], Cue] = {
-        NoiseFloorMeasured: Cue.READY,
-        Hold: Cue.HOLD,
-        Accepted: Cue.ACCEPTED,
-        Turned: Cue.ACCEPTED,
-        LinkLost: Cue.LOST,
-        LinkBack: Cue.READY,
-        Done: Cue.DONE,
-    }
-    return cues.get(type(event))
+# Sound and words of events that always have the same.
+_HEARD: dict[type[Event], tuple[Cue, str]] = {
+    events.NoiseFloorMeasured: (Cue.READY, "ready"),
+    events.Hold: (Cue.HOLD, "hold"),
+    events.Accepted: (Cue.ACCEPTED, "accepted"),
+    events.Turned: (Cue.ACCEPTED, "turn accepted"),
+    events.LinkLost: (Cue.LOST, "no link"),
+    events.LinkBack: (Cue.READY, "link is back"),
+    events.Done: (Cue.DONE, "done"),
+}
 
 
-def spoken(event: Event) -> str | None:
-    """Return the words for an event, None for most; only words known here and directions."""
-    if isinstance(event, Move):
-        return f"next: {_spoken_side(event.direction)}"
-    if isinstance(event, Rejected):
-        return None if event.reason in _SILENT else _SPOKEN_REFUSALS.get(event.reason, "refused, see the screen")
-    if isinstance(event, Turn):
-        return f"roll about {event.axis}, {'plus' if event.sense > 0 else 'minus'}"
-    words: dict[type[Event], str] = {
-        NoiseFloorMeasured: "ready",
-        Hold: "hold",
-        Accepted: "accepted",
-        Turned: "turn accepted",
-        LinkLost: "no link",
-        LinkBack: "link is back",
-        Done: "done",
-    }
-    return words.get(type(event))
+def heard(event: Event) -> tuple[Cue | None, str | None]:
+    """Return the sound and the words of an event, None for most; only words known here and directions."""
+    if isinstance(event, events.Move):
+        return None, f"next: {_spoken_side(event.direction)}"
+    if isinstance(event, events.Turn):
+        return None, f"roll about {event.axis}, {'plus' if event.sense > 0 else 'minus'}"
+    if isinstance(event, events.Rejected) and event.reason not in _SILENT:
+        return Cue.REFUSED, _SPOKEN_REFUSALS.get(event.reason, "refused, see the screen")
+    if isinstance(event, events.Advice) and event.topic is Topic.DOUBTFUL:
+        return Cue.REFUSED, None
+    return _HEARD.get(type(event), (None, None))
 
 
-def _spoken_side(direction: tuple[float, float, float]) -> str:
+def _spoken_side(direction: Vector) -> str:
     """Return the axes that point up, the largest first: "plus x and minus y up"."""
     order = sorted(range(3), key=lambda i: -abs(direction[i]))
-    largest = abs(direction[order[0]])
-    names = [f"{'plus' if direction[i] > 0 else 'minus'} {AXES[i]}" for i in order if abs(direction[i]) > 0.3 * largest]
+    least = _POINTS_UP * abs(direction[order[0]])
+    names = [f"{'plus' if direction[i] > 0 else 'minus'} {AXES[i]}" for i in order if abs(direction[i]) > least]
     return " and ".join(names) + " up"
 
 
@@ -139,52 +117,52 @@ class SoundView:
     Parameters
     ----------
     play : callable
-        Plays a cue; may take its time.
+        Plays a cue; may be slow.
     speak : callable or None
-        Says words; may take its time.
+        Speaks words; may be slow.
     """
 
     def __init__(self, play: Callable[[Cue], None], speak: Callable[[str], None] | None = None) -> None:
         self._play, self._speak = play, speak
-        self._waiting: queue.Queue[list[Callable[[], None]] | None] = queue.Queue(maxsize=4)
+        self._waiting: queue.Queue[list[tuple[Cue | None, str | None]] | None] = queue.Queue(maxsize=_WAITING)
         self._thread = threading.Thread(target=self._run, name="sound", daemon=True)
         self._thread.start()
 
     def show(self, events: list[Event]) -> None:
-        """Take events; returns at once."""
-        work: list[Callable[[], None]] = []
-        for event in events:
-            cue = cue_of(event)
-            words = None if self._speak is None else spoken(event)
-            if cue is not None:
-                work.append(lambda cue=cue: self._play(cue))  # type: ignore[misc]
-            if words is not None and self._speak is not None:
-                work.append(lambda words=words, speak=self._speak: speak(words))  # type: ignore[misc]
-        if work:
+        """Play and speak events; returns at once."""
+        sounds = [(cue, None if self._speak is None else words) for cue, words in map(heard, events)]
+        sounds = [(cue, words) for cue, words in sounds if cue is not None or words is not None]
+        if sounds:
             # Late sounds mislead: what does not fit is left out.
             with suppress(queue.Full):
-                self._waiting.put_nowait(work)
+                self._waiting.put_nowait(sounds)
 
     def close(self) -> None:
-        """Play what is waiting, for a moment at most."""
+        """Play the waiting sounds, for a moment at most."""
         with suppress(queue.Full):
             self._waiting.put_nowait(None)
-        self._thread.join(timeout=3.0)
+        self._thread.join(timeout=_CLOSE_S)
 
     def _run(self) -> None:
-        while (work := self._waiting.get()) is not None:
-            for one in work:
-                with suppress(OSError, ValueError, subprocess.SubprocessError):
-                    one()
+        # A sound that fails harms nobody, and the words after it are spoken all the same.
+        harmless = (OSError, ValueError, subprocess.SubprocessError)
+        while (sounds := self._waiting.get()) is not None:
+            for cue, words in sounds:
+                if cue is not None:
+                    with suppress(*harmless):
+                        self._play(cue)
+                if words is not None and self._speak is not None:
+                    with suppress(*harmless):
+                        self._speak(words)
 
 
 @contextmanager
 def open_sound(*, speak: bool = False) -> Iterator[SoundView]:
-    """Yield a view with what this system has: sound card or bell, and speech where asked for and installed."""
+    """Yield a view with the means of this system: sound card or bell, and speech where asked for and installed."""
     with tempfile.TemporaryDirectory(prefix="imufield-sound-") as folder:
-        player = _find(PLAYERS) if _has_sound_card() else None
+        player = _find(_PLAYERS) if _has_sound_card() else None
         play = _ring if player is None else _card_player(player, Path(folder))
-        speaker = _find(SPEAKERS) if speak else None
+        speaker = _find(_SPEAKERS) if speak else None
         view = SoundView(play, None if speaker is None else _speaker(speaker))
         try:
             yield view
@@ -200,7 +178,7 @@ def tone(cue: Cue) -> bytes:
         edge = max(count // 10, 1)
         for i in range(count):
             loudness = min(1.0, i / edge, (count - i) / edge)
-            samples.append(int(12000 * loudness * math.sin(2 * math.pi * frequency_hz * i / RATE_HZ)))
+            samples.append(int(_LOUDNESS * loudness * math.sin(2 * math.pi * frequency_hz * i / RATE_HZ)))
         samples.extend([0] * (RATE_HZ // 25))
     if sys.byteorder == "big":
         samples.byteswap()
@@ -232,7 +210,7 @@ def _ring(cue: Cue) -> None:
         return
     for stroke in range(cue.strokes):
         if stroke:
-            threading.Event().wait(0.18)
+            threading.Event().wait(_STROKE_S)
         os.write(screen.fileno(), b"\a")
 
 

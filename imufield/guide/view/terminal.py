@@ -1,15 +1,17 @@
-"""The live view in a terminal: thin, it only hands ``screen`` to rich.
+"""The live view in a terminal, and single keys from it without Enter and without blocking.
 
-Single keys from the terminal, without waiting for Enter and without blocking.
+The view only hands the pictures of ``screen`` to rich.
 """
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
-from types import TracebackType
-from typing import Any, Self
+from types import ModuleType, TracebackType
+from typing import Self
 
 from rich.console import Console
 from rich.live import Live
@@ -22,14 +24,14 @@ from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, Screen, draw, d
 
 
 class Keyboard:
-    """Keys typed since the last look; nothing at all where standard input is no terminal.
+    """Keys typed since the last read; none where standard input is no terminal.
 
-    Use as a context manager: the terminal is put back as it was, whatever happens. Ctrl-C keeps its meaning.
+    Use as a context manager: the terminal is restored, whatever happens. Ctrl-C keeps its meaning.
     """
 
     def __init__(self) -> None:
         self._descriptor: int | None = None
-        self._before: list[Any] | None = None
+        self._restore: Callable[[], None] | None = None
 
     def __enter__(self) -> Self:
         if os.name == "posix" and sys.stdin is not None and sys.stdin.isatty():
@@ -37,45 +39,41 @@ class Keyboard:
             import tty
 
             descriptor = self._descriptor = sys.stdin.fileno()
-            self._before = termios.tcgetattr(descriptor)
+            before = termios.tcgetattr(descriptor)
+
+            def restore() -> None:
+                # The terminal may be closed already; then there is nothing to put back.
+                with suppress(termios.error):
+                    termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+            self._restore = restore
             tty.setcbreak(descriptor)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._descriptor is not None and self._before is not None:
-            import termios
-
-            # The terminal may be closed already; then there is nothing to put back.
-            with suppress(termios.error):
-                termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
+        if self._descriptor is not None and self._restore is not None:
+            self._restore()
             self._descriptor = None
 
     def read(self) -> str:
         """Return the characters typed since the last call, lower case, "" when there are none."""
+        typed = ""
         if os.name == "nt":
-            return _read_windows()
+            msvcrt: ModuleType = importlib.import_module("msvcrt")
+            while msvcrt.kbhit():
+                typed += msvcrt.getwch()
+            return typed.lower()
         if self._descriptor is None:
             return ""
         import select
 
-        typed = ""
         while select.select([self._descriptor], [], [], 0)[0]:
             data = os.read(self._descriptor, 64)
             if not data:
-                self._descriptor = None  # end of file: the terminal went away
+                self._descriptor = None  # End of file: the terminal went away.
                 break
             typed += data.decode("ascii", "ignore")
         return typed.lower()
-
-
-def _read_windows() -> str:
-    import importlib
-
-    msvcrt: Any = importlib.import_module("msvcrt")
-    typed = ""
-    while msvcrt.kbhit():
-        typed += msvcrt.getwch()
-    return typed.lower()
 
 
 class TerminalView:
@@ -97,13 +95,7 @@ class TerminalView:
         self.big = big  # Big letters instead of pictures.
         self._scheme = scheme
         self._screen = Screen()
-        self._live = Live(
-            Text(),
-            console=console,
-            auto_refresh=False,
-            screen=True,
-            vertical_overflow="crop",
-        )
+        self._live = Live(Text(), console=console, auto_refresh=False, screen=True, vertical_overflow="crop")
 
     def __enter__(self) -> Self:
         self._live.start()

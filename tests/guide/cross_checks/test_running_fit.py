@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imufield.calibrate.model.models import predict
-from imufield.guide.cross_checks.running_fit import DOUBT_M_S2, DOUBT_SHARE, FEWEST, running_fit
+from imufield.guide.cross_checks.running_fit import FEWEST, SUSPECT_M_S2, SUSPECT_SHARE, running_fit
 from imufield.guide.hold.observe import Observation
 from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
@@ -67,10 +67,10 @@ def test_the_forecast_shrinks_and_holds(grade: str) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_a_bumped_position_is_found_and_no_other(grade: str, seed: int) -> None:
     fit = running_fit(observations(grade, seed, bump=3e-3), SI, G)
-    doubtful = [one for one in fit.disagreements() if one.doubtful]
+    doubtful = [one for one in fit.disagreements() if one.is_suspect]
     assert [one.name for one in doubtful] == [f"p{BUMPED}"]
     assert doubtful[0].leave_one_out_m_s2 == pytest.approx(3e-3 * G, rel=0.2)
-    assert not any(one.doubtful for one in running_fit(observations(grade, seed), SI, G).disagreements())
+    assert not any(one.is_suspect for one in running_fit(observations(grade, seed), SI, G).disagreements())
 
 
 def test_what_only_the_prior_says_is_not_forecast() -> None:
@@ -119,7 +119,7 @@ def test_few_positions_need_a_larger_disagreement() -> None:
     freedom = 24 - np.trace(weighted @ fit.covariance @ weighted.T)
     assert 10 < freedom < 16
     (limit,) = {one.limit_sigmas for one in fit.disagreements()}
-    assert limit == pytest.approx(max(stdtrit(3 + freedom - 1, 1 - DOUBT_SHARE / 2), 5.0), rel=0.01)
+    assert limit == pytest.approx(max(stdtrit(3 + freedom - 1, 1 - SUSPECT_SHARE / 2), 5.0), rel=0.01)
     few = running_fit(observations("tactical", 6)[:8], SI, G)
     assert few.disagreements()[0].limit_sigmas > 10
 
@@ -130,5 +130,5 @@ def test_no_good_position_is_doubted_at_any_look(seed: int) -> None:
     some = [replace(one, covariance_raw=one.covariance_raw / 16) for one in observations("mems", seed, scatter=2e-3)]
     fits = [running_fit(some[:count], SI, G) for count in range(FEWEST, 25)]
     found = [one for fit in fits if fit is not None for one in fit.disagreements()]
-    assert not [one.name for one in found if one.doubtful]
-    assert [one.name for one in found if abs(one.sigmas) > 5 and abs(one.leave_one_out_m_s2) > DOUBT_M_S2]
+    assert not [one.name for one in found if one.is_suspect]
+    assert [one.name for one in found if abs(one.sigmas) > 5 and abs(one.leave_one_out_m_s2) > SUSPECT_M_S2]

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from imufield.guide.events import RefusalCode
-from imufield.guide.hold.checks import CheckLimits, HoldUnderTest, examine
-from imufield.guide.hold.hand_mean import HeldMean, held_mean
+from imufield.guide.hold.checks import JOLT_SHARE, HoldUnderTest, examine
+from imufield.guide.hold.hand_mean import HandMean, mean_in_hand
 from imufield.guide.stillness.cells import cells_of, join_cells
-from imufield.guide.stillness.limits import StillnessSettings, noise_limits
+from imufield.guide.stillness.limits import noise_limits
 from imufield.guide.stillness.noise_floor import measure_floor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import Samples
@@ -52,9 +52,9 @@ def hold(seed: int, *, delay_s: float = 0.0, scale_error: float = 0.0, **habits:
     return samples, operator.site.gravity_m_s2
 
 
-def error_ug(seed: int, **habits: Any) -> tuple[float, HeldMean]:
+def error_ug(seed: int, **habits: Any) -> tuple[float, HandMean]:
     samples, gravity = hold(seed, **habits)
-    found = held_mean(samples, SI, QUIET)
+    found = mean_in_hand(samples, SI, QUIET)
     assert found is not None
     return (float(np.linalg.norm(found.force_raw)) - gravity) / MICRO_G, found
 
@@ -99,7 +99,7 @@ def test_the_noise_of_the_instrument_is_in_the_sigma() -> None:
     ratio = []
     for _ in range(60):
         noisy = replace(samples, accelerometer=samples.accelerometer + sigma * rng.standard_normal(samples.accelerometer.shape))
-        found = held_mean(noisy, SI, np.full(3, density))
+        found = mean_in_hand(noisy, SI, np.full(3, density))
         assert found is not None
         along = found.force_raw / np.linalg.norm(found.force_raw)
         error = float(np.linalg.norm(found.force_raw)) - gravity
@@ -125,7 +125,7 @@ def test_knocks_are_left_out() -> None:
     knocked = (samples.time_s > samples.time_s[0] + 4) & (samples.time_s < samples.time_s[0] + 4.1)
     samples.accelerometer[knocked] += 0.5
     knock_s = samples.time_s[knocked][[0, -1]][None, :]
-    with_knock, without = held_mean(samples, SI, QUIET), held_mean(samples, SI, QUIET, knock_s)
+    with_knock, without = mean_in_hand(samples, SI, QUIET), mean_in_hand(samples, SI, QUIET, knock_s)
     assert with_knock is not None
     assert without is not None
     assert abs(np.linalg.norm(with_knock.force_raw) - gravity) > 500 * MICRO_G
@@ -136,9 +136,9 @@ def test_knocks_are_left_out() -> None:
 def test_mid_scale_and_counts() -> None:
     raw_zero = 500.0
     samples, _ = hold(1, **TREMOR)
-    plain = held_mean(samples, SI, QUIET)
+    plain = mean_in_hand(samples, SI, QUIET)
     counts = replace(samples, accelerometer=samples.accelerometer * 100 + raw_zero, gyroscope=samples.gyroscope * 50)
-    found = held_mean(counts, RoughScale(100.0, 50.0, np.full(3, raw_zero)), QUIET)
+    found = mean_in_hand(counts, RoughScale(100.0, 50.0, np.full(3, raw_zero)), QUIET)
     assert plain is not None
     assert found is not None
     np.testing.assert_allclose(found.force_raw, plain.force_raw * 100 + raw_zero, rtol=1e-12)
@@ -146,16 +146,16 @@ def test_mid_scale_and_counts() -> None:
 
 def test_without_scale_or_samples_there_is_none() -> None:
     samples, _ = hold(1, **TREMOR)
-    assert held_mean(samples, RoughScale(1.0, None), QUIET) is None
-    assert held_mean(samples[:10], SI, QUIET) is None
+    assert mean_in_hand(samples, RoughScale(1.0, None), QUIET) is None
+    assert mean_in_hand(samples[:10], SI, QUIET) is None
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_hand_alone_makes_no_jolt(seed: int) -> None:
     samples, _ = hold(seed, tremor_rad=math.radians(0.1), sway_rad=math.radians(1.0))
-    found = held_mean(samples, SI, QUIET)
+    found = mean_in_hand(samples, SI, QUIET)
     assert found is not None
-    assert found.jolt_m_s2 < 0.6 * CheckLimits().jolt_share * found.usual_jolt_m_s2
+    assert found.jolt_m_s2 < 0.6 * JOLT_SHARE * found.usual_jolt_m_s2
 
 
 @pytest.mark.parametrize("frequency_hz", [15.0, 25.0, 40.0])
@@ -171,13 +171,13 @@ def test_a_bump_is_a_jolt_and_is_refused(frequency_hz: float) -> None:
         decay_s=0.02,
     )
     bumped = replace(samples, accelerometer=samples.accelerometer + shock.shape(samples.time_s)[:, None] * shock.acceleration)
-    found = held_mean(bumped, SI, QUIET)
+    found = mean_in_hand(bumped, SI, QUIET)
     assert found is not None
     assert found.jolt_after_s == pytest.approx(4.0, abs=0.1)
     cells = join_cells(list(cells_of([bumped])))
     floor = measure_floor(cells)
-    limits = noise_limits(floor, SI, StillnessSettings())
-    refusal = examine(HoldUnderTest(cells=cells, floor=floor, limits=limits, scale=SI, settings=CheckLimits(), held=found))
+    limits = noise_limits(floor, SI)
+    refusal = examine(HoldUnderTest(cells=cells, floor=floor, limits=limits, scale=SI, hand_mean=found))
     assert refusal is not None
     assert refusal.reason is RefusalCode.KNOCKED
     assert refusal.measured > refusal.limit > 0

@@ -5,16 +5,16 @@ import numpy as np
 import pytest
 
 from imufield.guide.events import Accepted
-from imufield.guide.hold.hold_time import AllanMinimum, HoldWish, is_long_enough
+from imufield.guide.hold.hold_time import AllanMinimum, HoldTarget
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
 
 
 def test_a_fixed_time_is_all_that_counts() -> None:
-    wish = HoldWish.of(8.0, None)
-    assert not is_long_enough(7.9, 0.0, wish, 1.0)
-    assert is_long_enough(8.0, math.inf, wish, math.inf)
+    target = HoldTarget.of(8.0, None)
+    assert not target.is_met(7.9, 0.0, 1.0)
+    assert target.is_met(8.0, math.inf, math.inf)
 
 
 @pytest.mark.parametrize(
@@ -30,19 +30,19 @@ def test_a_fixed_time_is_all_that_counts() -> None:
 def test_good_enough_ends_a_hold_and_the_allan_minimum_caps_it(
     length_s: float, sigma: float, minimum_s: float, enough: bool
 ) -> None:
-    assert is_long_enough(length_s, sigma, HoldWish.of(None, None), minimum_s) is enough
+    assert HoldTarget.of(None, None).is_met(length_s, sigma, minimum_s) is enough
 
 
 def test_a_target_lifts_the_cap() -> None:
-    wish = HoldWish.of(None, 1e-4)
-    assert not is_long_enough(30.0, 2e-4, wish, math.inf)
-    assert is_long_enough(30.0, 1e-4, wish, math.inf)
-    assert is_long_enough(60.0, 1.0, wish, math.inf)
+    target = HoldTarget.of(None, 1e-4)
+    assert not target.is_met(30.0, 2e-4, math.inf)
+    assert target.is_met(30.0, 1e-4, math.inf)
+    assert target.is_met(60.0, 1.0, math.inf)
 
 
 def test_the_allan_minimum_of_white_noise_is_never_seen_and_that_of_flicker_is() -> None:
     rng = np.random.default_rng(0)
-    white, bent = AllanMinimum(0.1), AllanMinimum(0.1)
+    white, bent = AllanMinimum(), AllanMinimum()
     for _ in range(12):
         noise = rng.normal(0, 1e-3, 200)
         white.add(9.8 + noise)

@@ -5,16 +5,14 @@ import pytest
 
 from imufield.guide.hold.observe import cell_means, correlation_factor, gather, observe, trim_stretch
 from imufield.guide.stillness.cells import CellBuilder, cells_of, join_cells
-from imufield.guide.stillness.limits import StillnessSettings, noise_limits
+from imufield.guide.stillness.limits import noise_limits
 from imufield.guide.stillness.noise_floor import measure_floor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import SampleUnits, make_samples
 
-SETTINGS = StillnessSettings()
-
 
 def limits_for(cells: Any) -> Any:
-    return noise_limits(measure_floor(cells), RoughScale(1.0, 1.0), SETTINGS)
+    return noise_limits(measure_floor(cells), RoughScale(1.0, 1.0))
 
 
 def cells_from(values: Any, rate_hz: float = 200.0, gyroscope: Any = None) -> Any:
@@ -116,7 +114,7 @@ def test_rocking_to_rest_is_cut_off() -> None:
     limits = limits_for(cells_from(values, gyroscope=turning))
     time_s = np.arange(2400) / 200
     values[:, 0] += 0.3 * np.exp(-time_s / 0.1) * np.sin(2 * np.pi * 12 * time_s)
-    rows = trim_stretch(cells_from(values, gyroscope=turning), limits, SETTINGS)
+    rows = trim_stretch(cells_from(values, gyroscope=turning), limits)
     assert 0.5 <= rows.start * 0.1 <= 0.8
     assert rows.stop == 120 - 3
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from imufield.earth import MICRO_G_M_S2
-from imufield.guide.hold.hand_mean import HeldMean, held_mean
+from imufield.guide.hold.hand_mean import HandMean, mean_in_hand
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import Samples
 from imufield.simulate.truth.motion import Site
@@ -30,17 +30,17 @@ def worst(tremor_hz: float, tremor_deg: float, sway_deg: float, arm: str, rate_h
     return unit.samples(rate_hz, HOLD_S, delay_s)
 
 
-def held(samples: Samples) -> HeldMean:
-    found = held_mean(samples, RoughScale(1.0, 1.0), np.zeros(3))
+def held(samples: Samples) -> HandMean:
+    found = mean_in_hand(samples, RoughScale(1.0, 1.0), np.zeros(3))
     assert found is not None
     return found
 
 
-def norm_ug(found: HeldMean) -> float:
+def norm_ug(found: HandMean) -> float:
     return float(np.linalg.norm(found.force_raw)) / MICRO_G_M_S2
 
 
-def sigma_ug(found: HeldMean) -> float:
+def sigma_ug(found: HandMean) -> float:
     along = found.force_raw / np.linalg.norm(found.force_raw)
     return math.sqrt(along @ found.covariance_raw @ along) / MICRO_G_M_S2
 
@@ -94,7 +94,7 @@ def test_coarse_stamps_are_borne(rate_hz: float) -> None:
 
 def test_stamps_that_stand_still_give_no_mean() -> None:
     whole = worst(12.0, TREMOR_DEG, 0.1, "oblique", 100.0, 0.0)
-    assert held_mean(replace(whole, time_s=np.zeros(len(whole))), RoughScale(1.0, 1.0), np.zeros(3)) is None
+    assert mean_in_hand(replace(whole, time_s=np.zeros(len(whole))), RoughScale(1.0, 1.0), np.zeros(3)) is None
 
 
 @pytest.mark.parametrize("gain", [0.98, 0.99, 1.01])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imufield.guide.events import Accepted, Advice, Done, Event, Move, RefusalCode, Rejected, Topic
-from imufield.guide.lead.advice import Doubts
+from imufield.guide.lead.advice import Suspects
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
@@ -126,7 +126,7 @@ def test_a_position_that_disagrees_is_named_and_asked_for_again(make_path: Any) 
     assert of(events, Move)[-1].position == name
     assert [event.position for event in of(events, Accepted) if event.replaces] == [name]
     assert guide.done
-    assert guide.snapshot().doubtful == ()
+    assert guide.snapshot().suspects == ()
 
 
 def test_a_doubt_that_no_longer_stands_is_withdrawn_aloud(make_path: Any) -> None:
@@ -152,20 +152,20 @@ def test_a_doubt_that_no_longer_stands_is_withdrawn_aloud(make_path: Any) -> Non
 
 def test_a_doubt_that_others_settle_asks_for_nothing_any_more(make_path: Any) -> None:
     guide, _ = feed(corners(make_path), "corners24")
-    fit = guide._do.fit
+    fit = guide.adviser.fit
     assert fit is not None
     first = fit.names[3]
-    doubts = Doubts()
-    doubts.now = [replace(fit.disagreements()[3], sigmas=50.0)]
-    assert [one.topic for one in doubts.say(1.0, fit, guide.plan)] == [Topic.DOUBTFUL]
-    (asked,) = doubts.ask_again()
+    suspects = Suspects()
+    suspects.now = [replace(fit.disagreements()[3], sigmas=50.0)]
+    assert [one.topic for one in suspects.advise(1.0, fit, guide.plan)] == [Topic.DOUBTFUL]
+    (asked,) = suspects.ask_again()
     index = guide.plan.find(asked)
     assert index is not None
     guide.plan.want_again(index)
-    doubts.follow(fit)
-    assert [(one.topic, one.position) for one in doubts.say(2.0, fit, guide.plan)] == [(Topic.SETTLED, first)]
+    suspects.follow(fit)
+    assert [(one.topic, one.position) for one in suspects.advise(2.0, fit, guide.plan)] == [(Topic.SETTLED, first)]
     assert not guide.plan.wanted_again
-    assert doubts.ask_again() == []
+    assert suspects.ask_again() == []
 
 
 def test_a_doubt_that_stands_is_named_at_the_end(make_path: Any) -> None:

@@ -58,10 +58,10 @@ def test_every_still_is_found_within_its_true_ends(make_path: Any, grade: Any) -
         path = session(make_path, rate_hz, seed)
         found, detector = stretches(path.samples(sigma, sigma_gyroscope, seed=seed, gyroscope=gyroscope, step=step))
         assert len(found) == len(path.still)
-        guard = guard_cells(detector.limits, detector.settings)
+        guard = guard_cells(detector.limits)
         for stretch, (start, end) in zip(found, path.still, strict=True):
             cells = stretch.cells()
-            rows = trim_stretch(cells, detector.limits, detector.settings)
+            rows = trim_stretch(cells, detector.limits)
             kept = cells[rows]
             assert kept.start_s[0] >= start
             assert kept.end_s[-1] <= end
@@ -78,9 +78,9 @@ def test_judgements_do_not_depend_on_the_cuts(make_path: Any, cut_blocks: Any) -
     def judged(sizes: Any) -> Any:
         detector = StillnessDetector(SI)
         told = []
-        for block in cut_blocks(samples, sizes):
-            told += [(j.phase, j.activity, float(j.cells.end_s[j.row]), j.began, j.ended is None) for j in detector.feed(block)]
-        return told + [(j.phase, j.activity, float(j.cells.end_s[j.row]), j.began, j.ended is None) for j in detector.flush()]
+        for cells in cells_of(cut_blocks(samples, sizes)):
+            told += [(j.phase, j.activity, float(j.cells.end_s[j.row]), j.ended is None) for j in detector.judge(cells)]
+        return told
 
     whole = judged([])
     assert judged([4] * (len(samples) // 4)) == whole
@@ -154,7 +154,7 @@ def test_activity_names_triad_axis_value_and_limit(make_path: Any) -> None:
     samples = path.samples()
     samples.gyroscope[1400:, 1] += 0.2
     detector = StillnessDetector(SI)
-    judgements = detector.feed(samples)
+    judgements = [judgement for cells in cells_of([samples]) for judgement in detector.judge(cells)]
     activity = next(detector.explain(j) for j in judgements if j.ended is not None)
     assert (activity.triad, activity.axis, activity.kind, activity.unit) == ("gyroscope", "y", "change", "rad/s")
     assert activity.measured == pytest.approx(0.2, rel=0.05)

@@ -7,7 +7,6 @@ import pytest
 from imufield.guide.stillness.cells import Cells, cells_of, join_cells
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.hand_edges import FEWEST, hand_edges
-from imufield.guide.stillness.limits import StillnessSettings
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import Samples
 from imufield.simulate.truth.grades import INDUSTRIAL, perfect_instrument
@@ -129,9 +128,10 @@ def test_edges_of_held_stretches_lie_where_the_turns_begin_and_end(
     operator = Operator(directions, seed, settings)
     imu = Imu(perfect_instrument(INDUSTRIAL), seed, ImuSettings(rate_hz=100.0))
     count = round(operator.plan_all() * 100) - 50
-    detector = StillnessDetector(RoughScale.of_units(imu.instrument.grade.units), StillnessSettings(hand=True))
-    judged = detector.feed(imu.feed(operator.block(0, count, 0.01)))
-    found = [one.ended.cells() for one in judged if one.ended is not None]
+    detector = StillnessDetector(RoughScale.of_units(imu.instrument.grade.units), hand=True)
+    blocks = [imu.feed(operator.block(0, count, 0.01))]
+    judged = [judgement for cells in cells_of(blocks) for judgement in detector.judge(cells)]
+    found = [judgement.ended.cells() for judgement in judged if judgement.ended is not None]
     held = [still for still in operator.stills if still.kind == "held"][:-1]
     assert len(held) == len(found) - 1 == 6
     turns = [hidden_s(operator, move) for move in operator.moves]

@@ -10,7 +10,7 @@ from imufield.guide.stillness.warmth import Warmth
 def slope(make_path: Any, temperature: Any, seconds: float = 30.0) -> float:
     samples = make_path(50.0).hold([0, 0, 1], seconds).samples()
     samples.temperature_degc[:] = temperature(samples.time_s)
-    warmth = Warmth(0.1)
+    warmth = Warmth()
     for cells in cells_of([samples]):
         for row in range(len(cells)):
             warmth.follow(cells, row)

@@ -22,7 +22,7 @@ from imufield.guide.events import (
     Turn,
     Turning,
 )
-from imufield.guide.view.sound import RATE_HZ, Cue, SoundView, cue_of, open_sound, spoken, tone
+from imufield.guide.view.sound import RATE_HZ, Cue, SoundView, heard, open_sound, tone
 
 UP = (0.7, -0.7, 0.0)
 
@@ -72,13 +72,12 @@ def accepted() -> Accepted:
     ],
 )
 def test_what_is_heard(event: Event, cue: Cue | None, said: str | None) -> None:
-    assert cue_of(event) is cue
-    assert spoken(event) == said
+    assert heard(event) == (cue, said)
 
 
 def test_text_of_events_is_never_spoken() -> None:
     for reason in RefusalCode:
-        assert "reboot" not in (spoken(rejected(reason)) or "")
+        assert "reboot" not in (heard(rejected(reason))[1] or "")
 
 
 def test_tones_are_told_apart_and_valid() -> None:
@@ -181,7 +180,5 @@ def test_a_bell_that_goes_nowhere_is_silent(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.mark.parametrize(("sense", "way"), [(1, "plus"), (-1, "minus")])
 def test_turns_are_spoken(sense: int, way: str) -> None:
-    assert (
-        spoken(Turn(time_s=1.0, axis="y", sense=sense, about="horizontal", words="words", done=0, planned=6))
-        == f"roll about y, {way}"
-    )
+    turn = Turn(time_s=1.0, axis="y", sense=sense, about="horizontal", words="words", done=0, planned=6)
+    assert heard(turn) == (None, f"roll about y, {way}")

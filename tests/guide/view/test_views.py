@@ -16,7 +16,7 @@ from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import SCHEMES, scheme
 from imufield.guide.view.pictures import big_lines
 from imufield.guide.view.plain import JsonLinesView, PlainView, line
-from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, Screen, big_words, draw, draw_big, draw_small, headline
+from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, Screen, draw, draw_big, draw_small, instruct
 from imufield.guide.view.terminal import TerminalView
 
 
@@ -178,8 +178,8 @@ def test_what_is_nobodys_mistake_is_not_called_refused(session: Any) -> None:
     for event, big, short in ((done, "DONE BEFORE", "TURN"), (starting, "WAIT", "WAIT")):
         screen = Screen()
         screen.follow([event])
-        assert headline(screen, guide.snapshot())[:2] == (big, f"{event.words}; {event.remedy}")
-        assert big_words(screen, guide.snapshot())[0] == short
+        assert instruct(screen, guide.snapshot())[:2] == (big, f"{event.words}; {event.remedy}")
+        assert instruct(screen, guide.snapshot()).big[0] == short
         assert "refused" not in line(event)
 
 
@@ -229,7 +229,7 @@ def test_a_small_window_says_what_to_do_and_is_not_cut(session: Any, width: int,
     console.print(draw_small(screen, snapshot, LinkState(0), width=width, height=height))
     lines = console.export_text().splitlines()
     assert len(lines) <= height
-    assert lines[0] == headline(screen, snapshot)[0]
+    assert lines[0] == instruct(screen, snapshot).headline
     assert any(line.startswith("stillness") for line in lines)
     assert any("of 6 done" in line for line in lines)
     assert lines[-1].rstrip() == f"window {width} x {height}: pictures need 80 x 24"
@@ -306,7 +306,7 @@ def test_big_letters_say_the_same_and_fit(session: Any, until_s: Any, first: Any
     for events, _ in played:
         screen.follow(events)
     snapshot = played[-1][1].snapshot()
-    assert big_words(screen, snapshot)[0] == first
+    assert instruct(screen, snapshot).big[0] == first
     console = Console(width=WIDTH, height=HEIGHT, record=True, file=open_nothing())
     console.print(draw_big(screen, snapshot, LinkState(0)))
     lines = console.export_text().rstrip("\n").split("\n")

@@ -1,0 +1,145 @@
+"""What the guide says and when it says it again: the events of a session in their order."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imufield.guide.cross_checks.running_fit import RunningFit
+from imufield.guide.events import Accepted, Event, Move, NoiseFloorMeasured, vector
+from imufield.guide.hold.observe import Observation
+from imufield.guide.lead.plan import Plan
+from imufield.guide.positions import angle_deg
+from imufield.guide.refusals import Refusal, quantity
+from imufield.guide.stillness.cells import CELL_S, Cells
+from imufield.guide.stillness.detector import StillnessDetector
+from imufield.guide.stillness.noise_floor import NoiseFloor
+from imufield.guide.stillness.scale import RoughScale
+
+REPEAT_S = 0.2  # Least time between two ``turning`` or ``holding`` events: a screen shows no more.
+REMIND_S = 10.0  # Least time between two complaints about the same thing.
+_ROUNDING_S = 1e-6  # Of times that are a whole number of cells apart.
+
+
+class Speaker:
+    """Collects events until they are taken, and remembers when each repeated one was due last."""
+
+    def __init__(self) -> None:
+        self.now_s = math.nan  # Sample clock at the end of the latest cell.
+        self._events: list[Event] = []
+        self._due_s: dict[str, float] = {}
+
+    def say(self, *events: Event) -> None:
+        """Append events."""
+        self._events += events
+
+    def reject(self, refusal: Refusal | None, position: str | None = None) -> None:
+        """Append a refusal, if there is one."""
+        if refusal is not None:
+            self._events.append(refusal.event(self.now_s, position))
+
+    def take(self) -> list[Event]:
+        """Return the events since the last call."""
+        events, self._events = self._events, []
+        return events
+
+    def advance(self, cells: Cells, row: int) -> None:
+        """Advance the time of the events; cells kept until the noise floor was known do not turn it back."""
+        now_s = float(cells.end_s[row])
+        if math.isnan(self.now_s) or now_s > self.now_s:
+            self.now_s = now_s
+
+    def due(self, what: str, every_s: float) -> bool:
+        """Whether a repeated event is due; a time before the last one means a new clock, so it is."""
+        last_s = self._due_s.get(what, -math.inf)
+        if 0 <= self.now_s - last_s < every_s - _ROUNDING_S:
+            return False
+        self._due_s[what] = self.now_s
+        return True
+
+
+def move_event(now_s: float, plan: Plan, index: int) -> Move:
+    """Return the event that proposes a position."""
+    position = plan.position(index)
+    if index == plan.revisiting:
+        why = "the first one again: a check for drift, replaces nothing"
+    elif index in plan.wanted_again:
+        why = "to be measured again; the older measurement counts until then"
+    elif index == plan.first and not plan.accepted:
+        why = "it lies there already"
+    elif not plan.accepted:
+        why = "the first of the list; any other order is fine"
+    elif index == plan.preferred:
+        why = "it helps most now: what is known least shows best there; any pending position is taken"
+    else:
+        why = "next in an order that keeps drift and error parameters apart; any pending position is taken"
+    return Move(
+        time_s=now_s,
+        position=position.name,
+        direction=vector(position.direction),
+        words=position.words,
+        why=why,
+        accepted=len(plan.accepted),
+        planned=len(plan.scheme),
+    )
+
+
+def floor_event(now_s: float, floor: NoiseFloor, detector: StillnessDetector) -> NoiseFloorMeasured:
+    """Return the event of a noise floor just measured."""
+    scale = detector.scale
+    force_unit, force_factor = ("m/s^2", scale.accelerometer) if scale.accelerometer else ("raw unit", 1.0)
+    rate_unit, rate_factor = ("rad/s", scale.gyroscope) if scale.gyroscope else ("raw unit", 1.0)
+    force, rate, limit = (
+        float(np.sqrt(np.mean(sigma**2))) / factor
+        for sigma, factor in (
+            (floor.sigma[:3], force_factor),
+            (floor.sigma[3:], rate_factor),
+            (detector.limits.vibration[:3], force_factor),
+        )
+    )
+    gyroscope = f"gyroscope {quantity(rate, rate_unit)}" if floor.has_gyroscope else "no gyroscope"
+    learned = "; the scale is not known, so the norm of this still is taken as g" if scale.learned else ""
+    return NoiseFloorMeasured(
+        time_s=now_s,
+        accelerometer_sigma=force,
+        accelerometer_unit=force_unit,
+        gyroscope_sigma=rate,
+        gyroscope_unit=rate_unit,
+        vibration_limit=limit,
+        rate_hz=floor.samples_per_cell / CELL_S,
+        scale_learned=scale.learned,
+        words=f"noise floor: accelerometer {quantity(force, force_unit)} rms per axis, {gyroscope}; "
+        f"still means below {quantity(limit, force_unit)}{learned}",
+    )
+
+
+def accepted_event(
+    now_s: float, observation: Observation, scale: RoughScale, plan: Plan, *, replaces: bool, fit: RunningFit | None
+) -> Accepted:
+    """Return the event of an observation just taken; the results of a running fit are None while there is none."""
+    direction = scale.up(observation.mean_raw)
+    sigma = math.sqrt(float(np.diag(observation.covariance_raw).max())) / (scale.accelerometer or math.nan)
+    hand = observation.hand_mean
+    row = None if fit is None or observation.name not in fit.names else fit.names.index(observation.name)
+    return Accepted(
+        time_s=now_s,
+        position=observation.name,
+        direction=vector(direction),
+        angle_deg=angle_deg(observation.direction, direction),
+        start_s=observation.start_s,
+        duration_s=observation.duration_s,
+        sigma_m_s2=sigma,
+        temperature_degc=observation.temperature_degc,
+        accepted=len(plan.accepted),
+        planned=len(plan.scheme),
+        replaces=replaces,
+        residual_m_s2=None if fit is None or row is None else float(fit.residual_m_s2[row]),
+        forecast=None if fit is None else fit.forecast(),
+        leave_one_out_m_s2=None if fit is None or row is None else fit.disagreements()[row].leave_one_out_m_s2,
+        rank=None if fit is None else fit.rank,
+        condition=None if fit is None else fit.condition,
+        held=hand is not None,
+        tremor_deg=None if hand is None else hand.tremor_deg,
+        sway_deg=None if hand is None else hand.sway_deg,
+    )

@@ -1,0 +1,164 @@
+"""Watches the stream of cells for what is wrong with the data: loss, clock, sample rate, axes and scales that contradict."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from imufield.guide import refusals
+from imufield.guide.cross_checks.axes import ENOUGH_MOVES, AxesCheck, MoveLog, check_axes
+from imufield.guide.cross_checks.sides import DeadAxis
+from imufield.guide.events import RefusalCode
+from imufield.guide.hold.checks import explain_flags
+from imufield.guide.lead.speaker import REMIND_S, Speaker
+from imufield.guide.refusals import Refusal
+from imufield.guide.stillness.cells import CELL_S, Cells
+from imufield.guide.stillness.detector import USABLE_SHARE, StillnessDetector
+from imufield.guide.stillness.noise_floor import FLOOR_S, is_even, why_not_quiet
+from imufield.guide.stillness.scale import RoughScale
+from imufield.guide.stillness.stretch import Judgement
+from imufield.guide.stillness.warmth import Warmth
+from imufield.samples import AXES
+
+_BAD_IN_A_ROW = 3  # Cells without usable samples before anybody is told: a second of a computer's delay is harmless.
+_RATE_CELLS = 50  # The rate is that of five seconds: USB delivers in bursts.
+_RATE_SHARE = 0.05  # Change of the sample rate that is told: oscillators differ by 0.01 %.
+_RATE_REMIND_S = 6 * REMIND_S  # A rate that changed stays so.
+_JUMP_S = 2.0  # A gap in the sample clock that is told: a suspended computer, an instrument that began anew.
+_WAIT = 2  # Lengths of a noise floor waited for before anybody is told why.
+_IN_VAIN = 5  # The same before the settings come under suspicion.
+
+
+class StreamWatch:
+    """Watches the cells of a session and tells what is wrong with them.
+
+    Parameters
+    ----------
+    detector : StillnessDetector
+    speaker : Speaker
+    """
+
+    def __init__(self, detector: StillnessDetector, speaker: Speaker) -> None:
+        self._detector = detector
+        self._speaker = speaker
+        self.warmth = Warmth()
+        self.bad_cells = 0  # With missing or unusable samples so far.
+        self._bad_in_a_row = 0
+        self._moves = MoveLog()
+        self._dead_axis = DeadAxis()
+        self._positions_checked = 0  # Accepted positions at the last check of the axes; all, once the moves have told.
+        self._told: set[tuple[RefusalCode, bool]] = set()
+        self._slot: int | None = None
+        self._counts: deque[int] = deque(maxlen=_RATE_CELLS)
+        self._waited = 0
+
+    def forget_clock(self) -> None:
+        """Expect another clock and another rate: the link is gone, and a pause is no jump."""
+        self._slot = None
+        self._counts.clear()
+
+    def follow(self, cells: Cells, row: int, *, silent: bool) -> None:
+        """Count cells with missing or unusable samples; unless ``silent``, tell when several follow each other."""
+        self.warmth.follow(cells, row)
+        self._dead_axis.follow(cells, row)
+        self._watch_clock(cells, row)
+        floor = self._detector.floor
+        usual = cells.count[row] if floor is None else floor.samples_per_cell
+        if cells.usable[row] >= USABLE_SHARE * usual:
+            self._bad_in_a_row = 0
+            return
+        self._bad_in_a_row += 1
+        self.bad_cells += 1
+        if self._bad_in_a_row >= _BAD_IN_A_ROW and not silent:
+            self._speaker.advance(cells, row)
+            refusal = explain_flags(cells[row : row + 1], 0.0, USABLE_SHARE)
+            if self._speaker.due(f"data {refusal.reason.value}", REMIND_S):
+                self._speaker.reject(refusal)
+
+    def _watch_clock(self, cells: Cells, row: int) -> None:
+        """Tell when the sample clock jumps or the sample rate changes."""
+        before, self._slot = self._slot, int(cells.slot[row])
+        gap_s = 0.0 if before is None else (self._slot - before) * CELL_S
+        if not -_JUMP_S < gap_s < _JUMP_S:
+            self._counts.clear()
+            self.warmth.clear()
+            way = refusals.CLOCK_FORWARD if gap_s > 0 else refusals.CLOCK_BACK
+            self._speaker.reject(way.refusal(abs(gap_s), _JUMP_S))
+            return
+        self._counts.append(int(cells.count[row]))
+        floor = self._detector.floor
+        if floor is None or len(self._counts) < _RATE_CELLS:
+            return
+        usual = floor.samples_per_cell
+        # The median does not mind cells with lost samples; those are told elsewhere.
+        share = float(np.median(self._counts)) / usual - 1
+        # A cell of a few samples holds one more or less by chance.
+        if abs(share) > _RATE_SHARE and abs(share) * usual > 1 and self._speaker.due("rate", _RATE_REMIND_S):
+            usual_hz = usual / CELL_S
+            refusal = refusals.RATE.refusal(
+                abs(share) * usual_hz,
+                _RATE_SHARE * usual_hz,
+                percent=100 * share,
+                usual_hz=usual_hz,
+                limit_percent=100 * _RATE_SHARE,
+            )
+            self._speaker.reject(refusal)
+
+    def leave_side(self) -> None:
+        """Tell at the end of a still stretch that an axis is dead, once."""
+        self._speaker.reject(self._dead_axis.leave_side(self._detector.floor, self._detector.scale))
+
+    def follow_move(self, judgement: Judgement, accepted: int, planned: int) -> None:
+        """Follow the moves; check axes and scale with each new position until the moves decide, and tell a contradiction."""
+        self._moves.follow(judgement, self._detector.stretch.mean)
+        if accepted <= max(self._positions_checked, ENOUGH_MOVES):
+            return
+        axes = self.check_axes()
+        self._positions_checked = accepted if axes.agrees is None else planned
+        refusal = axes.refusal()
+        # That nothing fits, a scale, wrong axes: each is told once, as soon as the moves show it.
+        kind = (refusal.reason, axes.agrees is False)
+        if axes.is_contradicted and kind not in self._told:
+            self._told.add(kind)
+            self._speaker.reject(refusal)
+
+    def check_axes(self) -> AxesCheck:
+        """Compare the turns by accelerometer and gyroscope between the stills so far."""
+        scale = self._detector.scale
+        return check_axes(self._moves.moves(scale), scale.gyroscope)
+
+    def explain_waiting(self, cells: Cells) -> None:
+        """Tell what the guide waits for while there is no noise floor."""
+        self._waited += len(cells)
+        self._speaker.advance(cells, -1)
+        waited_s = self._waited * CELL_S
+        if waited_s > _WAIT * FLOOR_S and cells.usable.any() and self._speaker.due("not quiet", REMIND_S):
+            in_vain = waited_s > _IN_VAIN * FLOOR_S
+            self._speaker.reject(_not_quiet(self._detector.waited(), self._detector.scale, in_vain=in_vain))
+
+
+def _not_quiet(cells: Cells, scale: RoughScale, *, in_vain: bool) -> Refusal:
+    """Return what kept the last cells from being quiet.
+
+    ``in_vain`` means that the wait was long enough to suspect the settings where it looks like noise.
+    """
+    cells = cells[np.flatnonzero(cells.usable)]
+    cause = why_not_quiet(cells, scale) if len(cells) > 1 else None
+    if cause is None:
+        whole_s = float((cells.end_s - cells.start_s).sum())
+        return refusals.NOT_QUIET_MISSING.refusal(whole_s, FLOOR_S, floor_s=FLOOR_S)
+    triad, factor, unit = (("accelerometer", scale.accelerometer, "m/s^2"), ("gyroscope", scale.gyroscope, "rad/s"))[
+        cause.column // 3
+    ]
+    sentence = refusals.NOT_QUIET_SHAKES if cause.shakes else refusals.NOT_QUIET_STRAYS
+    if in_vain and cause.shakes and is_even(cells, scale):
+        sentence = refusals.NOT_QUIET_EVEN
+    return sentence.refusal(
+        cause.measured / (factor or 1.0),
+        cause.limit / (factor or 1.0),
+        axis=AXES[cause.column % 3],
+        unit=unit if factor else "raw unit",
+        triad=triad,
+        floor_s=FLOOR_S,
+    )
