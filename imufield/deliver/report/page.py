@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
-from imufield.deliver.parameters.document import Document
 from imufield.deliver.parameters.numbers import acceleration_unit, with_sigma
+from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report import plots
 from imufield.deliver.report.correlations import correlations

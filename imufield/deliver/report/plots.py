@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from imufield.deliver.navigation.drift import QUANTITIES
-from imufield.deliver.parameters.document import Document
 from imufield.deliver.parameters.numbers import acceleration_unit
+from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.correlations import Correlations
 from imufield.deliver.report.data import Closure, Convergence, Trace
 from imufield.earth import MILLI_G_M_S2
