@@ -35,8 +35,8 @@ from typing import TYPE_CHECKING, Any
 from imufield.version import __version__
 
 if TYPE_CHECKING:
+    from imufield.deliver.history import find
     from imufield.deliver.parameters.file import load
-    from imufield.deliver.report.history import find
 
 __all__ = ["__version__", "find", "load"]
 
@@ -53,7 +53,7 @@ def __getattr__(name: str) -> Any:
 
         return load
     if name == "find":
-        from imufield.deliver.report.history import find
+        from imufield.deliver.history import find
 
         return find
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

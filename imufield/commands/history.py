@@ -16,9 +16,7 @@ import typer
 
 from imufield.acquire.recording.session import DEFAULT_ROOT
 from imufield.commands.terminal.output import say, write_output
-from imufield.deliver.parameters.gauge_free import Number
-from imufield.deliver.parameters.numbers import WIDTH, beside, hanging, to_ascii, with_sigma
-from imufield.deliver.report.history import (
+from imufield.deliver.history import (
     STALE_DAYS,
     Change,
     History,
@@ -30,6 +28,8 @@ from imufield.deliver.report.history import (
     sentences,
     to_csv,
 )
+from imufield.deliver.parameters.gauge_free import Number
+from imufield.deliver.parameters.numbers import WIDTH, beside, hanging, to_ascii, with_sigma
 from imufield.errors import UsageError, counted
 from imufield.files import refuse_overwriting
 

@@ -3,16 +3,8 @@
 ``export_parameters(parameters, "px4")`` returns the files and, in sentences with numbers, what the target cannot hold.
 """
 
-from imufield.deliver.exports.registry import (
-    TARGETS,
-    Exported,
-    ExportOptions,
-    Target,
-    export_options,
-    export_parameters,
-    target,
-    write_exported,
-)
+from imufield.deliver.exports.registry import TARGETS, export_options, export_parameters, target, write_exported
+from imufield.deliver.exports.target import Exported, ExportOptions, Target
 
 __all__ = [
     "TARGETS",

@@ -5,38 +5,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from imufield.deliver.exports.conventions import Correction
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import json_file
 from imufield.deliver.exports.vio import noise_figures
 
 _LOWER_BY_COLUMNS = ((0, 1, 2, 1, 2, 2), (0, 0, 0, 1, 1, 2))
-
-
-def export(job: Job) -> Draft:
-    """Return the IMU part of calibration.json."""
-    held = job.corrections(job.fixed_frame("lower")).without_g_sensitivity()
-    si = job.in_si(held)
-    accelerometer = si.accelerometer
-    lower = (accelerometer.matrix - np.eye(3))[_LOWER_BY_COLUMNS]
-    values: dict[str, Any] = {"calib_accel_bias": [*accelerometer.output_offset.tolist(), *lower.tolist()]}
-    if si.gyroscope is not None:
-        values["calib_gyro_bias"] = _full(si.gyroscope)
-    for key, name in _NOISE.items():
-        value = noise_figures(job)[name]
-        if value is not None:
-            values[key] = value if name == "update_rate" else [value] * 3
-    notes = (
-        "the file has the IMU's keys only: put them into the calibration.json that has the cameras",
-        "Basalt estimates the rest of the biases at run time",
-    )
-    return Draft(files={"calibration.json": json_file({"value0": values})}, held=held, notes=notes)
-
-
+# Its keys, by Kalibr's names of the noise figures.
 _NOISE = {
     "imu_update_rate": "update_rate",
     "accel_noise_std": "accelerometer_noise_density",
@@ -46,6 +22,22 @@ _NOISE = {
 }
 
 
-def _full(correction: Correction) -> list[float]:
-    by_columns = (correction.matrix - np.eye(3)).ravel(order="F")
-    return [*correction.output_offset.tolist(), *by_columns.tolist()]
+def export(job: Job) -> Draft:
+    """Return the IMU part of calibration.json."""
+    corrections = job.corrections(job.fixed_frame("lower")).without_g_sensitivity()
+    si = job.in_si(corrections)
+    lower = (si.accelerometer.matrix - np.eye(3))[_LOWER_BY_COLUMNS]
+    values: dict[str, object] = {"calib_accel_bias": [*si.accelerometer.output_offset, *lower]}
+    if si.gyroscope is not None:
+        by_columns = (si.gyroscope.matrix - np.eye(3)).ravel(order="F")
+        values["calib_gyro_bias"] = [*si.gyroscope.output_offset, *by_columns]
+    figures = noise_figures(job)
+    for key, name in _NOISE.items():
+        if figures[name] is not None:
+            # One number for the rate, one for each axis for all others.
+            values[key] = figures[name] if name == "update_rate" else [figures[name]] * 3
+    notes = (
+        "the file has the IMU's keys only: put them into the calibration.json that has the cameras",
+        "Basalt estimates the rest of the biases at run time",
+    )
+    return Draft(files={"calibration.json": json_file({"value0": values})}, target_model=corrections, notes=notes)

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from typing import Any
 
 import numpy as np
 
@@ -59,20 +58,29 @@ def pack(job: Job, model: WholeModel) -> bytes:
     """Return the block."""
     calibration, context = job.parameters.calibration, job.parameters.context
     gyroscope = calibration.gyroscope
-    texts = [
-        _field("raw unit", calibration.accelerometer_raw_unit, 16),
-        _field("raw unit", gyroscope.raw_unit if model.has_gyroscope and gyroscope is not None else "", 16),
-        _field("serial number", context.instrument.serial_number, 32),
-        _field("time", context.created, 24),
-    ]
+    texts = []
+    for what, text, size in (
+        ("raw unit", calibration.accelerometer_raw_unit, 16),
+        ("raw unit", gyroscope.raw_unit if model.has_gyroscope and gyroscope is not None else "", 16),
+        ("serial number", context.instrument.serial_number, 32),
+        ("time", context.created, 24),
+    ):
+        texts.append(text.encode())
+        if len(texts[-1]) > size:
+            raise ParameterFileError(
+                f"the {what} {text!r} has {len(texts[-1])} bytes and the binary block holds {size}; shorten it in the "
+                "parameter file",
+                Reason.BOUNDS,
+            )
     numbers = np.concatenate([values.ravel() for values in model.arrays().values()])
     site = (calibration.gravity.gravity_m_s2, *context.session.temperature_degc)
     flags = model.has_gyroscope | model.quadratic_on_body_axes << 1
-    body = _LAYOUT.pack(MAGIC, VERSION, SIZE, flags, *texts, *numbers, *site, 0)
+    head = (MAGIC, VERSION, SIZE, flags)
+    body = _LAYOUT.pack(*head, *texts, *numbers, *site, 0)
     return body + struct.pack("<I", zlib.crc32(body))
 
 
-def unpack(block: bytes) -> dict[str, Any]:
+def unpack(block: bytes) -> dict[str, object]:
     """Return the content of a block: arrays by name, ``has_gyroscope``, ``quadratic_on_body_axes`` and the four texts.
 
     Raises
@@ -92,7 +100,7 @@ def unpack(block: bytes) -> dict[str, Any]:
     if size != SIZE or struct.unpack("<I", block[SIZE - 4 : SIZE])[0] != zlib.crc32(block[: SIZE - 4]):
         raise ParameterFileError("the imufield block is damaged: size or CRC-32 is wrong; copy it again", Reason.DAMAGED)
     names = ("accelerometer_raw_unit", "gyroscope_raw_unit", "serial_number", "created")
-    content: dict[str, Any] = {name: text.rstrip(b"\0").decode() for name, text in zip(names, rest[:4], strict=True)}
+    content: dict[str, object] = {name: text.rstrip(b"\0").decode() for name, text in zip(names, rest[:4], strict=True)}
     content |= {"has_gyroscope": bool(flags & 1), "quadratic_on_body_axes": bool(flags & 2)}
     at = 4
     for name, shape in _SHAPES.items():
@@ -100,13 +108,3 @@ def unpack(block: bytes) -> dict[str, Any]:
         content[name] = np.array(rest[at : at + count]).reshape(shape)
         at += count
     return content
-
-
-def _field(what: str, text: str, size: int) -> bytes:
-    data = text.encode()
-    if len(data) > size:
-        raise ParameterFileError(
-            f"the {what} {text!r} has {len(data)} bytes and the binary block holds {size}; shorten it in the parameter file",
-            Reason.BOUNDS,
-        )
-    return data

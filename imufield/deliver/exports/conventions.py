@@ -28,7 +28,7 @@ import numpy as np
 
 from imufield.calibrate.model.gauge import change_gauge
 from imufield.calibrate.model.models import MISALIGNMENT, to_vector
-from imufield.calibrate.model.result import AccelerometerParameters, Calibration
+from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray
 
@@ -93,7 +93,13 @@ class Corrections:
     """R of u' = R u from the parameter file's body frame to this one, shape (3, 3)."""
 
     @property
-    def holds_g_sensitivity(self) -> bool:
+    def triads(self) -> dict[str, Correction]:
+        """The triads that there are, by name."""
+        both = {"accelerometer": self.accelerometer, "gyroscope": self.gyroscope}
+        return {name: correction for name, correction in both.items() if correction is not None}
+
+    @property
+    def has_g_sensitivity(self) -> bool:
         """Whether anything of a specific force is taken off the gyroscope."""
         return bool(np.any(self.g_sensitivity))
 
@@ -111,9 +117,8 @@ class Corrections:
         """Return specific force in m/s^2 for raw outputs, both of shape (..., 3)."""
         return self.accelerometer.apply(raw)
 
-    def gyroscope_force(self, raw: FloatArray) -> FloatArray:
-        """Return the specific force that G is multiplied with: what the linear accelerometer makes of its raw output."""
-        return self.apply_accelerometer(raw)
+    gyroscope_force = apply_accelerometer
+    """G is multiplied with what the linear accelerometer makes of its raw output."""
 
     def apply_gyroscope(self, raw: FloatArray, specific_force: FloatArray) -> FloatArray:
         """Return angular rate in rad/s for raw outputs and specific force in this frame, shape (..., 3)."""
@@ -135,11 +140,12 @@ def linear_corrections(calibration: Calibration, frame: Frame = "file") -> Corre
     require_usable(calibration)
     accelerometer = linearised(calibration.accelerometer, calibration.gravity.gravity_m_s2)
     offset = accelerometer.raw_zero + accelerometer.scale * accelerometer.bias_m_s2
-    corrections = Corrections(
-        Correction(_inverse(accelerometer.scale, accelerometer.misalignment_rad), offset),
-        *_gyroscope(calibration),
-        rotation=np.eye(3),
-    )
+    gyroscope, g_sensitivity = None, np.zeros((3, 3))
+    rates = _usable_gyroscope(calibration)
+    if rates is not None:
+        gyroscope, g_sensitivity = Correction(_inverse(rates.scale, rates.misalignment_rad), rates.bias), rates.g_sensitivity
+    matrix = _inverse(accelerometer.scale, accelerometer.misalignment_rad)
+    corrections = Corrections(Correction(matrix, offset), gyroscope, g_sensitivity, rotation=np.eye(3))
     if frame == "file":
         return corrections
     turned = corrections.turned(rotation_to(calibration.accelerometer, frame))
@@ -203,43 +209,31 @@ def rotation_times_triangle(matrix: FloatArray, triangle: Literal["lower", "uppe
 
 def require_usable(calibration: Calibration) -> None:
     """Check that every parameter that will be used is a number and no scale is zero; raise ``ParameterFileError``."""
-    accelerometer = calibration.accelerometer
-    groups = {
-        "accelerometer.scale": accelerometer.scale,
-        "accelerometer.bias_m_s2": accelerometer.bias_m_s2,
-        "accelerometer.misalignment_rad": accelerometer.misalignment_rad,
-        "accelerometer.quadratic": accelerometer.quadratic,
-        "accelerometer.raw_zero": accelerometer.raw_zero,
+    keys: dict[str, tuple[str, ...]] = {
+        "accelerometer": ("scale", "bias_m_s2", "misalignment_rad", "quadratic", "raw_zero"),
+        "gyroscope": ("scale", "misalignment_rad", "bias", "g_sensitivity"),
     }
-    if _has_gyroscope(calibration) and calibration.gyroscope is not None:
-        gyroscope = calibration.gyroscope.parameters
-        groups |= {
-            "gyroscope.scale": gyroscope.scale,
-            "gyroscope.misalignment_rad": gyroscope.misalignment_rad,
-            "gyroscope.bias": gyroscope.bias,
-            "gyroscope.g_sensitivity": gyroscope.g_sensitivity,
-        }
-    for name, values in groups.items():
-        usable = np.isfinite(values) & ((values != 0) | (not name.endswith("scale")))
-        if not usable.all():
-            raise ParameterFileError(
-                f"{name} is {values.tolist()} and cannot be used: every entry must be finite and a scale not zero; solve again",
-                Reason.NOT_FINITE,
-                name=name,
-                value=values.tolist(),
-            )
+    triads: dict[str, AccelerometerParameters | GyroscopeParameters] = {"accelerometer": calibration.accelerometer}
+    gyroscope = _usable_gyroscope(calibration)
+    if gyroscope is not None:
+        triads["gyroscope"] = gyroscope
+    for triad, parameters in triads.items():
+        for key in keys[triad]:
+            name, values = f"{triad}.{key}", np.asarray(getattr(parameters, key))
+            if not np.all(np.isfinite(values) & ((values != 0) | (key != "scale"))):
+                raise ParameterFileError(
+                    f"{name} is {values.tolist()} and cannot be used: every entry must be finite and a scale not zero; solve "
+                    "again",
+                    Reason.NOT_FINITE,
+                    name=name,
+                    value=values.tolist(),
+                )
 
 
-def _has_gyroscope(calibration: Calibration) -> bool:
+def _usable_gyroscope(calibration: Calibration) -> GyroscopeParameters | None:
+    """Return the parameters of a gyroscope whose scale is known: without it there is no rate."""
     gyroscope = calibration.gyroscope
-    return gyroscope is not None and bool(np.isfinite(gyroscope.parameters.scale).all())
-
-
-def _gyroscope(calibration: Calibration) -> tuple[Correction | None, FloatArray]:
-    if calibration.gyroscope is None or not _has_gyroscope(calibration):
-        return None, np.zeros((3, 3))
-    parameters = calibration.gyroscope.parameters
-    return Correction(_inverse(parameters.scale, parameters.misalignment_rad), parameters.bias), parameters.g_sensitivity
+    return gyroscope.parameters if gyroscope is not None and np.isfinite(gyroscope.parameters.scale).all() else None
 
 
 def _inverse(scale: FloatArray, misalignment_rad: FloatArray) -> FloatArray:

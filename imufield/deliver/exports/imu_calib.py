@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from imufield.deliver.exports.flight_stack import LACKS_GYROSCOPE, bias_only_gyroscope
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import BIAS_ONLY, Draft, Job
 from imufield.deliver.exports.text import comment, row, text_file
 
 
 def export(job: Job) -> Draft:
     """Return the YAML that its node apply_calib reads."""
-    full = job.corrections(job.free_frame)
-    si = job.in_si(full)
+    corrections = job.corrections(job.free_frame)
+    si = job.in_si(corrections)
     lines = [
         *comment([*job.heading(), *job.example(si)[:1]]),
-        f"SM: [{row(si.accelerometer.matrix.ravel().tolist())}]",
-        f"bias: [{row(si.accelerometer.output_offset.tolist())}]",
+        f"SM: [{row(si.accelerometer.matrix.ravel())}]",
+        f"bias: [{row(si.accelerometer.output_offset)}]",
     ]
-    held = bias_only_gyroscope(job, full)
+    # The node averages the gyroscope itself, which makes it a correction by bias alone.
     note = ("imu_calib takes the gyroscope's bias from the first still samples at each start (calibrate_gyros)",)
     return Draft(
         files={"imu_calib.yaml": text_file(lines)},
-        held=held,
-        gyroscope_lacks=LACKS_GYROSCOPE,
-        notes=note if full.gyroscope is not None else (),
+        target_model=job.gyroscope_bias_only(corrections),
+        gyroscope_lacks=BIAS_ONLY,
+        notes=note if corrections.gyroscope is not None else (),
     )

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from imufield.deliver.exports.conventions import Correction
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import number, rows, text_file
 
 
 def export(job: Job) -> Draft:
     """Return both files; they apply to raw output in its own unit, counts too."""
-    held = job.corrections(job.fixed_frame("upper")).without_g_sensitivity()
-    files = {"imu_tk_acc.calib": _file(held.accelerometer)}
-    if held.gyroscope is not None:
-        files["imu_tk_gyro.calib"] = _file(held.gyroscope)
-    calibration = job.parameters.calibration
-    note = (f"the files are for raw values in {calibration.accelerometer_raw_unit}, the unit the calibration was made in",)
-    return Draft(files=files, held=held, notes=note)
-
-
-def _file(correction: Correction) -> bytes:
-    T, K = correction.split_columns()
-    bias = [number(value) for value in correction.offset.tolist()]
-    return text_file([*rows(T, "", "", " "), "", *rows(K, "", "", " "), "", *bias])
+    corrections = job.corrections(job.fixed_frame("upper")).without_g_sensitivity()
+    short = {"accelerometer": "acc", "gyroscope": "gyro"}
+    files = {}
+    for triad, correction in corrections.triads.items():
+        T, K = correction.split_columns()
+        # calibration.h of imu_tk: load() reads the nine numbers of T, those of K, then the bias, and skips no comment.
+        lines = [*rows(T, "", "", " "), "", *rows(K, "", "", " "), "", *map(number, correction.offset)]
+        files[f"imu_tk_{short[triad]}.calib"] = text_file(lines)
+    unit = job.parameters.calibration.accelerometer_raw_unit
+    note = (f"the files are for raw values in {unit}, the unit the calibration was made in",)
+    return Draft(files=files, target_model=corrections, notes=note)

@@ -2,46 +2,43 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from imufield.deliver.exports.conventions import Correction
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import json_file
 
-FORMAT_VERSION = "2.0.0"
+FORMAT_VERSION = "2.0.0"  # _format_version of imucal 2 (calibration_info.py); it refuses newer ones.
 
 
 def export(job: Job) -> Draft:
     """Return the file that ``FerrarisCalibrationInfo.from_json_file`` reads; it applies to raw output in its own unit."""
-    held = job.corrections(job.free_frame)
+    corrections = job.corrections(job.free_frame)
     calibration = job.parameters.calibration
-    K_a, R_a = held.accelerometer.split_rows()
-    # Without a gyroscope imucal still wants its numbers: deg/s passed through unchanged.
-    gyroscope = Correction(np.eye(3), np.zeros(3))
-    gyroscope_unit = "deg/s"
-    if held.gyroscope is not None and calibration.gyroscope is not None:
-        gyroscope = Correction(np.degrees(held.gyroscope.matrix), held.gyroscope.offset)
+    K_a, R_a = corrections.accelerometer.split_rows()
+    notes = ["imucal gives angular rate in deg/s"]
+    if corrections.gyroscope is not None and calibration.gyroscope is not None:
+        gyroscope = Correction(np.degrees(corrections.gyroscope.matrix), corrections.gyroscope.offset)
         gyroscope_unit = calibration.gyroscope.raw_unit
+    else:
+        # Without a gyroscope imucal still wants its numbers: deg/s passed through unchanged.
+        gyroscope, gyroscope_unit = Correction(np.eye(3), np.zeros(3)), "deg/s"
+        notes.append("the gyroscope is passed through unchanged in deg/s, because imucal wants numbers for it")
     K_g, R_g = gyroscope.split_rows()
-    document: dict[str, Any] = {
+    document = {
         "acc_unit": "m/s^2",
         "gyr_unit": "deg/s",
         "from_acc_unit": calibration.accelerometer_raw_unit,
         "from_gyr_unit": gyroscope_unit,
         "comment": "; ".join(job.heading()),
-        "K_a": K_a.tolist(),
-        "R_a": R_a.tolist(),
-        "b_a": held.accelerometer.offset.tolist(),
-        "K_g": K_g.tolist(),
-        "R_g": R_g.tolist(),
-        "K_ga": held.g_sensitivity.tolist(),
-        "b_g": gyroscope.offset.tolist(),
+        "K_a": K_a,
+        "R_a": R_a,
+        "b_a": corrections.accelerometer.offset,
+        "K_g": K_g,
+        "R_g": R_g,
+        "K_ga": corrections.g_sensitivity,
+        "b_g": gyroscope.offset,
         "cal_type": "Ferraris",
         "_format_version": FORMAT_VERSION,
     }
-    notes = ["imucal gives angular rate in deg/s"]
-    if held.gyroscope is None:
-        notes.append("the gyroscope is passed through unchanged in deg/s, because imucal wants numbers for it")
-    return Draft(files={"imucal.json": json_file(document)}, held=held, notes=tuple(notes))
+    return Draft(files={"imucal.json": json_file(document)}, target_model=corrections, notes=tuple(notes))

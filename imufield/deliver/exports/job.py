@@ -5,46 +5,27 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from imufield.acquire.protocol.units import nominal_scale
-from imufield.deliver.exports.conventions import Corrections, Frame, linear_corrections, require_usable, rotation_vector
+from imufield.deliver.exports.conventions import (
+    Correction,
+    Corrections,
+    Frame,
+    linear_corrections,
+    require_usable,
+    rotation_vector,
+)
 from imufield.deliver.exports.loss import loss_sentences
-from imufield.deliver.exports.registry import Exported, ExportOptions, Target
+from imufield.deliver.exports.target import Exported, ExportOptions, Target, TargetModel
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import to_ascii
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.samples import AXES, FloatArray
 
+BIAS_ONLY = "scale and misalignment cannot be held"
 _NO_TURN_RAD = 1e-9  # A smaller turn is rounding.
-
-
-class Held(Protocol):
-    """What the target will compute from this instrument's raw output."""
-
-    @property
-    def rotation(self) -> FloatArray:
-        """R of u' = R u from the parameter file's body frame to the target's."""
-        ...
-
-    @property
-    def holds_g_sensitivity(self) -> bool:
-        """Whether anything of a specific force is taken off the gyroscope."""
-        ...
-
-    def apply_accelerometer(self, raw: FloatArray) -> FloatArray:
-        """Return specific force in m/s^2, shape (n, 3)."""
-        ...
-
-    def gyroscope_force(self, raw: FloatArray) -> FloatArray:
-        """Return the specific force that its g-sensitivity takes off the gyroscope, from the accelerometer's raw output."""
-        ...
-
-    def apply_gyroscope(self, raw: FloatArray, specific_force: FloatArray) -> FloatArray:
-        """Return angular rate in rad/s, shape (n, 3), with what ``gyroscope_force`` gives."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,8 +33,8 @@ class Draft:
     """What an exporter returns."""
 
     files: dict[str, bytes]
-    held: Held | None = None
-    """None where the target holds the whole model."""
+    target_model: TargetModel | None = None
+    """None where the target has a place for the whole model."""
     accelerometer_lacks: str = ""
     """Why the accelerometer differs, to be put before the numbers."""
     gyroscope_lacks: str = ""
@@ -131,28 +112,39 @@ class Job:
                 raise UsageError(f"{triad}_nominal = {typed} is no scale; give the raw unit per SI unit, finite and not zero")
             return typed
         known = nominal_scale(unit)
-        if known is None:
-            wanted = self._wanted_nominals()
-            raise ParameterFileError(
-                f"{self.target.name} corrects values in SI and this {triad} is calibrated in {unit}; give the scale by which "
-                f"the target's driver makes SI of it, {' and '.join(f'--set {name}=NUMBER ({per})' for name, per in wanted)}, "
-                "or export to c, imu_tk or imucal",
-                Reason.UNITS,
-                unit=unit,
-                target=self.target.name,
-            )
-        return known
-
-    def _wanted_nominals(self) -> list[tuple[str, str]]:
-        """Return every option that is missing, with its unit, so that they are asked for at once."""
+        if known is not None:
+            return known
+        # Every option that is missing at once, so that a user need not run into one after the other.
         calibration, options = self.parameters.calibration, self.options
+        wanted = {}
+        if options.accelerometer_nominal is None and nominal_scale(calibration.accelerometer_raw_unit) is None:
+            wanted["accelerometer_nominal"] = f"{calibration.accelerometer_raw_unit} per m/s^2"
         gyroscope = calibration.gyroscope if self.has_gyroscope else None
-        triads = [("accelerometer_nominal", calibration.accelerometer_raw_unit, options.accelerometer_nominal, "m/s^2")]
-        if gyroscope is not None:
-            triads.append(("gyroscope_nominal", gyroscope.raw_unit, options.gyroscope_nominal, "rad/s"))
-        return [
-            (name, f"{unit} per {per}") for name, unit, typed, per in triads if typed is None and nominal_scale(unit) is None
-        ]
+        if gyroscope is not None and options.gyroscope_nominal is None and nominal_scale(gyroscope.raw_unit) is None:
+            wanted["gyroscope_nominal"] = f"{gyroscope.raw_unit} per rad/s"
+        settings = " and ".join(f"--set {name}=NUMBER ({per})" for name, per in wanted.items())
+        raise ParameterFileError(
+            f"{self.target.name} corrects values in SI and this {triad} is calibrated in {unit}; give the scale by which "
+            f"the target's driver makes SI of it, {settings}, or export to c, imu_tk or imucal",
+            Reason.UNITS,
+            unit=unit,
+            target=self.target.name,
+        )
+
+    def gyroscope_bias_only(self, corrections: Corrections) -> Corrections:
+        """Return corrections whose gyroscope has the nominal scale and no misalignment.
+
+        Raises
+        ------
+        ParameterFileError
+            If an axis of the gyroscope is reversed: a bias cannot turn it.
+        """
+        if corrections.gyroscope is None:
+            return corrections
+        scale = self.gyroscope_si()
+        self.require_positive("gyroscope", scale * np.diag(corrections.gyroscope.matrix))
+        bias_only = Correction(np.eye(3) / scale, corrections.gyroscope.offset)
+        return replace(corrections.without_g_sensitivity(), gyroscope=bias_only)
 
     def require_positive(self, triad: str, scale: FloatArray) -> None:
         """Check that the signs of a triad's axes can be expressed by a target that knows positive scales only."""
@@ -183,11 +175,10 @@ class Job:
     def heading(self) -> list[str]:
         """Return lines that say where the numbers come from, plain ASCII, one line each."""
         context = self.parameters.context
-        instrument = " ".join(
-            filter(None, (context.instrument.model or context.instrument.driver, context.instrument.serial_number))
-        )
+        facts = context.instrument
+        instrument = " ".join(filter(None, (facts.model or facts.driver, facts.serial_number)))
         lines = [
-            f"{self.target.title}",
+            self.target.title,
             f"instrument: {instrument or 'not known'}",
             f"calibrated: {context.created}, {context.software}, session {context.session.name or 'not known'}",
             f"verdict: {self.parameters.calibration.quality.verdict}",
@@ -208,10 +199,10 @@ def run(export: Callable[[Job], Draft], parameters: Parameters, target: Target, 
     notes = draft.notes
     if not job.has_gyroscope and parameters.calibration.gyroscope is not None:
         notes = ("the gyroscope is left out, because its scale is not known", *notes)
-    if draft.held is None:
+    if draft.target_model is None:
         return Exported(draft.files, draft.losses, notes)
-    losses = loss_sentences(parameters, draft.held, draft.accelerometer_lacks, draft.gyroscope_lacks)
-    return Exported(draft.files, (*losses, *draft.losses), (*frame_note(draft.held.rotation), *notes))
+    losses = loss_sentences(parameters, draft.target_model, draft.accelerometer_lacks, draft.gyroscope_lacks)
+    return Exported(draft.files, (*losses, *draft.losses), (*frame_note(draft.target_model.rotation), *notes))
 
 
 def frame_note(rotation: FloatArray) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.deliver.exports.conventions import Corrections, rotation_times_triangle
+from imufield.deliver.exports.conventions import rotation_times_triangle
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import comment, text_file, yaml_matrix
 from imufield.deliver.exports.vio import bias_lines, bias_loss, noise_lines
@@ -15,8 +15,8 @@ from imufield.deliver.exports.vio import bias_lines, bias_loss, noise_lines
 
 def export(job: Job) -> Draft:
     """Return imu.yaml."""
-    held = job.corrections(job.fixed_frame("lower"))
-    si = job.in_si(held)
+    corrections = job.corrections(job.fixed_frame("lower"))
+    si = job.in_si(corrections)
     noise, unknown = noise_lines(job, 2)
     lines = [
         *comment([*job.heading(), *bias_lines(si), *job.example(si)]),
@@ -30,22 +30,12 @@ def export(job: Job) -> Draft:
         "  accelerometers:",
         "    M:",
         *yaml_matrix(np.tril(si.accelerometer.error_matrix), 6),
-        *_gyroscopes(si),
     ]
-    return Draft(files={"imu.yaml": text_file(lines)}, held=held, losses=bias_loss(si), notes=unknown)
-
-
-def _gyroscopes(si: Corrections) -> list[str]:
-    if si.gyroscope is None:
-        return []
-    turn, triangle = rotation_times_triangle(si.gyroscope.matrix, "lower")
-    M = np.tril(np.asarray(np.linalg.inv(np.tril(triangle)), dtype=np.float64))
-    return [
-        "  gyroscopes:",
-        "    M:",
-        *yaml_matrix(M, 6),
-        "    A:",
-        *yaml_matrix(si.g_sensitivity @ turn, 6),
-        "    C_gyro_i:",
-        *yaml_matrix(turn.T, 6),
-    ]
+    if si.gyroscope is not None:
+        # raw_g = M_g (C w) + A (C a): the gyroscope's own frame, in which its matrix is triangular too.
+        turn, triangle = rotation_times_triangle(si.gyroscope.matrix, "lower")
+        M = np.tril(np.asarray(np.linalg.inv(np.tril(triangle)), dtype=np.float64))
+        lines.append("  gyroscopes:")
+        for name, matrix in {"M": M, "A": si.g_sensitivity @ turn, "C_gyro_i": turn.T}.items():
+            lines += [f"    {name}:", *yaml_matrix(matrix, 6)]
+    return Draft(files={"imu.yaml": text_file(lines)}, target_model=corrections, losses=bias_loss(si), notes=unknown)

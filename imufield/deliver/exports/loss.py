@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from imufield.calibrate.model.models import predict, predict_gyroscope
+from imufield.deliver.exports.target import TargetModel
+from imufield.deliver.parameters.file import Parameters
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
-
-if TYPE_CHECKING:
-    from imufield.deliver.exports.job import Held
-    from imufield.deliver.parameters.file import Parameters
 
 DIRECTIONS = 500
 _NOTHING = 1e-9  # Relative difference that counts as none: what rounding in a text of 12 digits leaves.
@@ -45,22 +43,22 @@ def directions(count: int = DIRECTIONS) -> FloatArray:
     return np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z])
 
 
-def measure_loss(parameters: Parameters, held: Held) -> Loss:
+def measure_loss(parameters: Parameters, target: TargetModel) -> Loss:
     """Compare what the target computes with the truth of the model, in the target's frame."""
     calibration = parameters.calibration
     unit = directions()
     force = calibration.gravity.gravity_m_s2 * unit
     raw = predict(calibration.accelerometer, force)
-    recovered = held.apply_accelerometer(raw)
-    accelerometer = _difference(recovered - force @ held.rotation.T)
+    recovered = target.apply_accelerometer(raw)
+    accelerometer = _difference(recovered - force @ target.rotation.T)
     if calibration.gyroscope is None or not parameters.gyroscope_is_complete:
         nothing = Difference(0.0, 0.0)
         return Loss(accelerometer, nothing, nothing)
     gyroscope = calibration.gyroscope.parameters
     still = np.zeros_like(unit)
-    turning = held.apply_gyroscope(predict_gyroscope(gyroscope, unit), still) - unit @ held.rotation.T
-    standing = held.apply_gyroscope(predict_gyroscope(gyroscope, still, force), held.gyroscope_force(raw))
-    at_rest = held.apply_gyroscope(predict_gyroscope(gyroscope, still), still)
+    turning = target.apply_gyroscope(predict_gyroscope(gyroscope, unit), still) - unit @ target.rotation.T
+    standing = target.apply_gyroscope(predict_gyroscope(gyroscope, still, force), target.gyroscope_force(raw))
+    at_rest = target.apply_gyroscope(predict_gyroscope(gyroscope, still), still)
     return Loss(accelerometer, _difference(turning), _difference(standing - at_rest))
 
 
@@ -69,39 +67,39 @@ def _difference(vectors: FloatArray) -> Difference:
     return Difference(float(np.sqrt(np.mean(length**2))), float(length.max()))
 
 
-def loss_sentences(parameters: Parameters, held: Held, accelerometer_lacks: str, gyroscope_lacks: str) -> tuple[str, ...]:
+def loss_sentences(
+    parameters: Parameters, target: TargetModel, accelerometer_lacks: str, gyroscope_lacks: str
+) -> tuple[str, ...]:
     """Return one sentence for each thing the target cannot hold; none where it computes the same."""
-    loss = measure_loss(parameters, held)
+    loss = measure_loss(parameters, target)
     sentences = []
     if loss.accelerometer_m_s2.largest > _NOTHING * parameters.calibration.gravity.gravity_m_s2:
+        has_term = np.any(parameters.calibration.accelerometer.quadratic)
+        quadratic = "the quadratic term was replaced by the straight line nearest to it"
+        lacks = accelerometer_lacks or (quadratic if has_term else "the model cannot be held")
         rms, largest = (f"{value / MILLI_G_M_S2:.3g}" for value in loss.accelerometer_m_s2)
-        sentences.append(
-            f"accelerometer: {accelerometer_lacks or _quadratic(parameters)}: {rms} mg rms, {largest} mg at most at 1 g"
-            f"{_at_positions(parameters, held)}"
-        )
-    if loss.gyroscope_rad_s.largest > _NOTHING:
-        rms, largest = (f"{value * 1e3:.3g}" for value in loss.gyroscope_rad_s)
-        sentences.append(f"gyroscope: {gyroscope_lacks}: {rms} mrad/s rms, {largest} mrad/s at most at 1 rad/s")
-    if loss.g_sensitivity_rad_s.largest > _NOTHING:
-        rms, largest = (f"{value * 1e3:.3g}" for value in loss.g_sensitivity_rad_s)
-        lacks = "is held with a force that lacks the quadratic term" if held.holds_g_sensitivity else "cannot be held"
-        sentences.append(f"gyroscope: the g-sensitivity {lacks}: {rms} mrad/s rms, {largest} mrad/s at most at 1 g")
+        at_positions = _at_positions(parameters, target)
+        sentences.append(f"accelerometer: {lacks}: {rms} mg rms, {largest} mg at most at 1 g{at_positions}")
+    force = "is held with a force that lacks the quadratic term" if target.has_g_sensitivity else "cannot be held"
+    for difference, lacks, where in (
+        (loss.gyroscope_rad_s, gyroscope_lacks, "1 rad/s"),
+        (loss.g_sensitivity_rad_s, f"the g-sensitivity {force}", "1 g"),
+    ):
+        if difference.largest > _NOTHING:
+            rms, largest = (f"{value * 1e3:.3g}" for value in difference)
+            sentences.append(f"gyroscope: {lacks}: {rms} mrad/s rms, {largest} mrad/s at most at {where}")
     return tuple(sentences)
 
 
-def _quadratic(parameters: Parameters) -> str:
-    has_term = np.any(parameters.calibration.accelerometer.quadratic)
-    return "the quadratic term was replaced by the straight line nearest to it" if has_term else "the model cannot be held"
-
-
-def _at_positions(parameters: Parameters, held: Held) -> str:
+def _at_positions(parameters: Parameters, target: TargetModel) -> str:
     """Say what became of the residual at the positions the calibration rests on."""
     raw = np.array([row["mean_raw"] for row in parameters.document.get("position", []) if row["used"]])
     if not len(raw):
         return ""
     g = parameters.calibration.gravity.gravity_m_s2
+    # Rounded to a nano-g: what is left below of an exact model differs from machine to machine.
     ours, theirs = (
         round(float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - g) ** 2)) / MILLI_G_M_S2), 6)
-        for force in (parameters.apply_accelerometer(raw), held.apply_accelerometer(raw))
+        for force in (parameters.apply_accelerometer(raw), target.apply_accelerometer(raw))
     )
     return f" (residual of its {len(raw)} positions {theirs:.3g} mg rms, {ours:.3g} mg with the whole model)"

@@ -7,37 +7,45 @@ from dataclasses import replace
 
 import numpy as np
 
-from imufield.deliver.exports.conventions import Correction, Corrections
-from imufield.deliver.exports.flight_stack import bias_only_gyroscope
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.conventions import Correction
+from imufield.deliver.exports.job import BIAS_ONLY, Draft, Job
 from imufield.deliver.exports.text import comment, row, text_file
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray
 
-_COMMANDS_3DM = 0x0C
-_ACCELEROMETER_BIAS = 0x37
-_GYROSCOPE_BIAS = 0x38
+_COMMANDS_3DM = 0x0C  # Descriptor set of all commands here.
+# Title, field descriptor, and the unit of the packet in SI.
+_COMMANDS = {
+    "accelerometer": ("accelerometer bias, g", 0x37, STANDARD_GRAVITY_M_S2),
+    "gyroscope": ("gyroscope bias, rad/s", 0x38, 1.0),
+}
+# Function selectors of every MIP setting.
 _APPLY = 1
 _SAVE = 3
 
 
 def export(job: Job) -> Draft:
     """Return the packets as bytes to send, and as text to read."""
-    full = job.corrections("sensor")
-    si = job.in_si(full)
+    corrections = job.corrections("sensor")
+    si = job.in_si(corrections)
     job.require_positive("accelerometer", np.diag(si.accelerometer.matrix))
-    commands = [("accelerometer bias, g", _ACCELEROMETER_BIAS, si.accelerometer.offset / STANDARD_GRAVITY_M_S2)]
-    if si.gyroscope is not None:
-        commands.append(("gyroscope bias, rad/s", _GYROSCOPE_BIAS, si.gyroscope.offset))
     lines, packets = comment(job.heading()), []
-    for title, descriptor, bias in commands:
+    for triad, correction in si.triads.items():
+        title, descriptor, unit = _COMMANDS[triad]
+        bias = correction.offset / unit
         apply, save = packet(descriptor, _APPLY, bias), packet(descriptor, _SAVE)
         packets += [apply, save]
-        lines += ["", f"# {title}: [{row(bias.tolist())}]", f"{apply.hex()}  # apply", f"{save.hex()}  # keep after power-off"]
-    files = {"microstrain.txt": text_file(lines), "microstrain.bin": b"".join(packets)}
-    note = ("set the instrument to idle before the packets; they replace the biases in it and keep single precision",)
-    lacks = "scale and misalignment cannot be held"
-    return Draft(files=files, held=_bias_only(job, full), accelerometer_lacks=lacks, gyroscope_lacks=lacks, notes=note)
+        lines += ["", f"# {title}: [{row(bias)}]", f"{apply.hex()}  # apply", f"{save.hex()}  # keep after power-off"]
+    # What the instrument does: the driver's scale, and this offset taken off.
+    scale, _ = job.accelerometer_si()
+    bias_only = replace(corrections, accelerometer=Correction(np.eye(3) / scale, corrections.accelerometer.offset))
+    return Draft(
+        files={"microstrain.txt": text_file(lines), "microstrain.bin": b"".join(packets)},
+        target_model=job.gyroscope_bias_only(bias_only),
+        accelerometer_lacks=BIAS_ONLY,
+        gyroscope_lacks=BIAS_ONLY,
+        notes=("set the instrument to idle before the packets; they replace the biases in it and keep single precision",),
+    )
 
 
 def packet(descriptor: int, function: int, bias: FloatArray | None = None) -> bytes:
@@ -45,14 +53,9 @@ def packet(descriptor: int, function: int, bias: FloatArray | None = None) -> by
     data = b"" if bias is None else struct.pack(">3f", *bias)
     field = bytes([len(data) + 3, descriptor, function]) + data
     message = b"\x75\x65" + bytes([_COMMANDS_3DM, len(field)]) + field
+    # Fletcher's checksum over everything before it, each sum modulo 256.
     first = second = 0
     for byte in message:
         first = (first + byte) % 256
         second = (second + first) % 256
     return message + bytes([first, second])
-
-
-def _bias_only(job: Job, full: Corrections) -> Corrections:
-    scale, _ = job.accelerometer_si()
-    held = replace(full, accelerometer=Correction(np.eye(3) / scale, full.accelerometer.offset))
-    return bias_only_gyroscope(job, held)

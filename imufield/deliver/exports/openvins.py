@@ -19,19 +19,15 @@ from imufield.samples import FloatArray
 
 def export(job: Job) -> Draft:
     """Return kalibr_imu_chain.yaml."""
-    held = _held(job)
-    si = job.in_si(held)
+    corrections = _corrections(job)
+    si = job.in_si(corrections)
     triangle = np.triu if job.options.model == "rpng" else np.tril
-    matrices = {
-        "Tw": np.eye(3),
-        "R_IMUtoGYRO": np.eye(3),
-        "Ta": np.eye(3),
-        "R_IMUtoACC": np.eye(3),
-        "Tg": si.g_sensitivity,
-    }
-    matrices["R_IMUtoACC"], matrices["Ta"] = _split(si.accelerometer.matrix, job)
+    # The order of OpenVINS' own files; what is not there is the identity.
+    matrices = {"Tw": np.eye(3), "R_IMUtoGYRO": np.eye(3)}
     if si.gyroscope is not None:
         matrices["R_IMUtoGYRO"], matrices["Tw"] = _split(si.gyroscope.matrix, job)
+    R, T = _split(si.accelerometer.matrix, job)
+    matrices |= {"Ta": T, "R_IMUtoACC": R, "Tg": si.g_sensitivity}
     noise, unknown = noise_lines(job, 2)
     lines = [
         "%YAML:1.0",
@@ -47,21 +43,22 @@ def export(job: Job) -> Draft:
     ]
     for name, matrix in matrices.items():
         lines += [f"  {name}:", *yaml_matrix(triangle(matrix) if name in ("Ta", "Tw") else matrix, 4)]
-    losses = bias_loss(si)
-    return Draft(files={"kalibr_imu_chain.yaml": text_file(lines)}, held=held, losses=losses, notes=unknown)
+    files = {"kalibr_imu_chain.yaml": text_file(lines)}
+    return Draft(files=files, target_model=corrections, losses=bias_loss(si), notes=unknown)
 
 
-def _held(job: Job) -> Corrections:
+def _corrections(job: Job) -> Corrections:
+    """Return the corrections in the IMU frame of the model: that of the accelerometer, or for rpng of the gyroscope."""
     if job.options.model == "kalibr":
         return job.corrections(job.fixed_frame("lower"))
-    held = job.corrections(job.fixed_frame("file"))
-    if held.gyroscope is None:
+    corrections = job.corrections(job.fixed_frame("file"))
+    if corrections.gyroscope is None:
         raise ParameterFileError(
             "the IMU frame of OpenVINS' model rpng is the gyroscope's and this file has none with a scale; take model kalibr",
             Reason.UNITS,
         )
-    turn, _ = rotation_times_triangle(held.gyroscope.matrix, "upper")
-    return held.turned(turn.T)
+    turn, _ = rotation_times_triangle(corrections.gyroscope.matrix, "upper")
+    return corrections.turned(turn.T)
 
 
 def _split(matrix: FloatArray, job: Job) -> tuple[FloatArray, FloatArray]:

@@ -27,7 +27,7 @@ from imufield.samples import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Held:
+class _PsinsModel:
     """What imuclbt computes, in rates; the accelerometer's numbers in SI."""
 
     linear: Corrections
@@ -42,8 +42,8 @@ class _Held:
         return self.linear.rotation
 
     @property
-    def holds_g_sensitivity(self) -> bool:
-        return self.linear.holds_g_sensitivity
+    def has_g_sensitivity(self) -> bool:
+        return self.linear.has_g_sensitivity
 
     def apply_accelerometer(self, raw: FloatArray) -> FloatArray:
         r = (raw - self.zero) / self.scale
@@ -60,24 +60,26 @@ class _Held:
 def export(job: Job) -> Draft:
     """Return a function that makes the struct."""
     linear = job.corrections(job.fixed_frame("lower"))
-    held, si = _held(job, linear), job.in_si(linear)
+    model, si = _psins_model(job, linear), job.in_si(linear)
     lines = [
         "function clbt = imufield_clbt()",
         *comment([*job.heading(), "imu = imuclbt(imu, imufield_clbt());"], "%"),
         "clbt.sf = [1.0; 1.0; 1.0; 1.0; 1.0; 1.0];",
         *_gyroscope(si),
-        f"clbt.Ka = {_matrix(held.Ka)};",
-        f"clbt.db = {_column(held.db)};",
-        f"clbt.Ka2 = {_column(held.Ka2)};",
+        f"clbt.Ka = {_matrix(model.Ka)};",
+        f"clbt.db = {_column(model.db)};",
+        f"clbt.Ka2 = {_column(model.Ka2)};",
         "clbt.rx = [0.0; 0.0; 0.0]; clbt.ry = [0.0; 0.0; 0.0]; clbt.rz = [0.0; 0.0; 0.0];",
         "clbt.tGA = 0.0;",
         "end",
     ]
     lacks = "the quadratic term is held to first order and on body axes"
-    return Draft(files={"imufield_clbt.m": text_file(lines)}, held=held, accelerometer_lacks=lacks, notes=_notes(job, si))
+    return Draft(
+        files={"imufield_clbt.m": text_file(lines)}, target_model=model, accelerometer_lacks=lacks, notes=_notes(job, si)
+    )
 
 
-def _held(job: Job, linear: Corrections) -> _Held:
+def _psins_model(job: Job, linear: Corrections) -> _PsinsModel:
     parameters = job.parameters.calibration.accelerometer
     scale, zero = job.accelerometer_si()
     turned = turn_accelerometer(parameters, rotation_to(parameters, "lower"))
@@ -86,7 +88,9 @@ def _held(job: Job, linear: Corrections) -> _Held:
     b = turned.bias_m_s2 + (parameters.raw_zero - zero) / turned.scale
     inverse = np.tril(np.linalg.inv(np.eye(3) + turned.misalignment_rad))
     Ka: FloatArray = inverse * ((1 + 2 * k * b) / K)
-    return _Held(linear=linear, Ka=Ka, db=inverse @ (b + k * b**2), Ka2=np.diag(inverse) * k / K**2, scale=scale, zero=zero)
+    return _PsinsModel(
+        linear=linear, Ka=Ka, db=inverse @ (b + k * b**2), Ka2=np.diag(inverse) * k / K**2, scale=scale, zero=zero
+    )
 
 
 def _gyroscope(si: Corrections) -> list[str]:
@@ -120,4 +124,4 @@ def _matrix(matrix: FloatArray) -> str:
 
 
 def _column(values: FloatArray) -> str:
-    return f"[{row(values.tolist(), '; ')}]"
+    return f"[{row(values, '; ')}]"

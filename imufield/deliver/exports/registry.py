@@ -4,30 +4,16 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from imufield.deliver.exports.target import Exported, ExportOptions, Target
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.files import refuse_overwriting, write_keeping
 
 if TYPE_CHECKING:  # the parameter file needs NumPy and SciPy; a list of targets does not
     from imufield.deliver.parameters.file import Parameters
-
-ExportGauge = Literal["lower", "upper", "symmetric"]
-
-
-@dataclass(frozen=True, slots=True)
-class Target:
-    """One program or form that parameters can be exported to."""
-
-    name: str
-    title: str
-    holds: str
-    """What of the model it can express, in words."""
-    module: str
-    """Module of this package whose ``export(job)`` writes it."""
-
 
 _LINEAR = "bias, scale and misalignment of both triads"
 _EVERYTHING = "the whole model"
@@ -37,8 +23,8 @@ TARGETS: Mapping[str, Target] = {
     for target in (
         Target("c", "C99 header: numbers, functions that apply them, reader of `binary`", _EVERYTHING, "c_header"),
         Target("binary", "little-endian block with CRC-32 for flash or EEPROM, and its reader in C", _EVERYTHING, "binary"),
-        Target("json", "JSON for your own program", _EVERYTHING, "plain_json"),
-        Target("yaml", "YAML for your own program", _EVERYTHING, "plain_yaml"),
+        Target("json", "JSON for your own program", _EVERYTHING, "plain"),
+        Target("yaml", "YAML for your own program", _EVERYTHING, "plain"),
         Target("vectornav", "VectorNav registers 25 and 84, write commands with checksum", _LINEAR, "vectornav"),
         Target("px4", "PX4 parameters CAL_ACC*, CAL_GYRO* (QGroundControl .params)", "scale and bias, gyroscope bias", "px4"),
         Target("ardupilot", "ArduPilot parameters INS_* (.param)", "scale and bias, gyroscope bias", "ardupilot"),
@@ -55,45 +41,6 @@ TARGETS: Mapping[str, Target] = {
         Target("microstrain", "MicroStrain MIP bias commands 0x0C,0x37 and 0x38", "bias", "microstrain"),
     )
 }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExportOptions:
-    """What only the user of the target knows. ``--set name=value`` on the command line."""
-
-    gauge: ExportGauge | None = None
-    """Body frame for targets that take any (default: the parameter file's)."""
-    accelerometer_nominal: float | None = None
-    """Raw unit per m/s^2 by which the target's driver divides before it corrects; needed where counts go to an SI target."""
-    gyroscope_nominal: float | None = None
-    """Raw unit per rad/s, likewise."""
-    gyroscope_zero: float = 0.0
-    """Raw output that the driver takes off first; the accelerometer's is ``raw_zero`` of the parameter file."""
-    instance: int = 0
-    """Number of the sensor in a flight controller that has several, from 0."""
-    accelerometer_id: int | None = None
-    """Device ID of a flight controller's accelerometer (CAL_ACC0_ID, INS_ACC_ID)."""
-    gyroscope_id: int | None = None
-    model: Literal["kalibr", "rpng"] = "kalibr"
-    """IMU model of OpenVINS."""
-    accelerometer_random_walk: float | None = None
-    """Bias random walk, m/s^3/sqrt(Hz), for Kalibr, OpenVINS and Basalt."""
-    gyroscope_random_walk: float | None = None
-    """rad/s^2/sqrt(Hz)."""
-    name: str = "imufield_calibration"
-    """Name of the constant in C."""
-
-
-@dataclass(frozen=True, slots=True)
-class Exported:
-    """What an export returns; nothing is on disk yet."""
-
-    files: Mapping[str, bytes]
-    """Name to content."""
-    losses: tuple[str, ...]
-    """Sentences with numbers: what of the model the target cannot hold. Empty: it computes the same as ``apply``."""
-    notes: tuple[str, ...]
-    """Sentences: the frame, and what to mind in the target."""
 
 
 def target(name: str) -> Target:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Mapping
+
+import numpy as np
 
 from imufield.samples import FloatArray
 
@@ -22,7 +23,7 @@ def row(values: Iterable[float], separator: str = ", ") -> str:
 
 def rows(matrix: FloatArray, start: str, end: str, separator: str = ", ") -> list[str]:
     """Return one line for each row of a matrix."""
-    return [f"{start}{row(values, separator)}{end}" for values in matrix.tolist()]
+    return [f"{start}{row(values, separator)}{end}" for values in matrix]
 
 
 def yaml_matrix(matrix: FloatArray, indent: int) -> list[str]:
@@ -40,18 +41,18 @@ def text_file(lines: Iterable[str], end: str = "\n") -> bytes:
     return "".join(f"{line}{end}" for line in lines).encode("ascii")
 
 
-def json_file(document: Any) -> bytes:
-    """Return the bytes of a JSON file; numbers read back exactly."""
-    return (json.dumps(document, indent=2, allow_nan=False) + "\n").encode("ascii")
+def json_file(document: object) -> bytes:
+    """Return the bytes of a JSON file; numbers read back exactly, arrays are lists."""
+    return (json.dumps(document, indent=2, allow_nan=False, default=np.ndarray.tolist) + "\n").encode("ascii")
 
 
-def yaml_lines(value: Any, indent: int = 0) -> list[str]:
+def yaml_lines(table: Mapping[str, object], indent: int = 0) -> list[str]:
     """Return block YAML of dictionaries whose leaves are numbers, strings, None, or lists of them.
 
     Strings are written in double quotes with JSON escapes, which YAML reads the same way.
     """
     lines = []
-    for key, item in value.items():
+    for key, item in table.items():
         start = f"{' ' * indent}{key}:"
         if isinstance(item, dict):
             lines += [start, *yaml_lines(item, indent + 2)]
@@ -62,7 +63,7 @@ def yaml_lines(value: Any, indent: int = 0) -> list[str]:
     return lines
 
 
-def _scalar(value: Any) -> str:
+def _scalar(value: object) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(_scalar, value))}]"
     if isinstance(value, float):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from importlib.resources import files
 
@@ -32,8 +32,8 @@ class WholeModel:
 
     def arrays(self) -> dict[str, FloatArray]:
         """Return the arrays in the order of the C struct and of the binary block."""
-        names = ("scale", "bias", "inverse_alignment", "quadratic", "raw_zero", "rate_matrix", "rate_offset", "g_sensitivity")
-        return {name: getattr(self, name) for name in names}
+        every = {item.name: getattr(self, item.name) for item in fields(self)}
+        return {name: values for name, values in every.items() if isinstance(values, np.ndarray)}
 
 
 def whole_model(job: Job) -> WholeModel:

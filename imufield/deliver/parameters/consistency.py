@@ -17,7 +17,8 @@ from imufield.calibrate.model.gauge import constraint_jacobian, intrinsic, make_
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import GRAVITY_NAME, AccelerometerParameters, Calibration, Gauge
 from imufield.deliver.parameters.apply import correct_accelerometer
-from imufield.deliver.parameters.document import GYROSCOPE_EQUATION, Document, calibration_from_document, gyroscope_bias_rad_s
+from imufield.deliver.parameters.document import GYROSCOPE_EQUATION, calibration_from_document, gyroscope_bias_rad_s
+from imufield.deliver.parameters.schema import Document
 from imufield.errors import CalibrationError
 from imufield.samples import AXES, FloatArray
 

@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-import imufield
 from imufield.samples import FloatArray
+from imufield.version import __version__
 
 
 def _now() -> str:
@@ -16,7 +16,7 @@ def _now() -> str:
 
 
 def _software() -> str:
-    return f"imufield {imufield.__version__}"
+    return f"imufield {__version__}"
 
 
 def _unknown() -> FloatArray:

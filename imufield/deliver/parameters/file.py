@@ -16,13 +16,12 @@ from imufield.deliver.parameters.apply import correct_accelerometer, correct_bot
 from imufield.deliver.parameters.context import Context, InstrumentFacts, Noise, SessionFacts
 from imufield.deliver.parameters.document import (
     VERSION,
-    Document,
     calibration_from_document,
     context_from_document,
     to_document,
 )
 from imufield.deliver.parameters.read import read_document
-from imufield.deliver.parameters.schema import json_ready, parameter_schema
+from imufield.deliver.parameters.schema import Document, json_ready, parameter_schema
 from imufield.deliver.parameters.write import EDITED, to_toml, write_document, write_parameters
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray, Samples

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imufield.deliver.parameters.document import FORMAT, VERSION, Document
-from imufield.deliver.parameters.schema import first_fault, shown
+from imufield.deliver.parameters.document import FORMAT, VERSION
+from imufield.deliver.parameters.schema import Document, first_fault, shown
 from imufield.deliver.parameters.versions import CONVERTERS, to_current
 from imufield.deliver.parameters.write import EDITED, content_sha256
 from imufield.errors import ParameterFileError, Reason

@@ -12,11 +12,13 @@ import re
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 from imufield.errors import Reason
 
-Rule = dict[str, Any]
+# What TOML and JSON hold; the schema says which types stand where, and no type checker reads that.
+Document = dict[str, Any]
+"""A table of a parameter file, a document of JSON, or the schema of one."""
 
 KEYWORDS = frozenset(
     {"$ref", "type", "const", "enum", "pattern", "minimum", "exclusiveMinimum", "maximum", "description"}
@@ -36,71 +38,66 @@ class Fault(NamedTuple):
 
 
 @cache
-def parameter_schema() -> Rule:
+def parameter_schema() -> Document:
     """Return the JSON Schema of the parameter file."""
     text = (files("imufield.deliver.parameters") / "parameters.schema.json").read_text(encoding="utf-8")
-    schema: Rule = json.loads(text)
+    schema: Document = json.loads(text)
     return schema
 
 
-def json_ready(value: Any) -> Any:
+def json_ready(document: Document) -> Document:
     """Return a document with every NaN replaced by None, which JSON calls null."""
+    return {key: _json_value(item) for key, item in document.items()}
+
+
+def _json_value(value: object) -> object:
     if isinstance(value, dict):
-        return {key: json_ready(item) for key, item in value.items()}
+        return json_ready(value)
     if isinstance(value, list):
-        return [json_ready(item) for item in value]
+        return [_json_value(item) for item in value]
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def first_fault(document: Any) -> Fault | None:
+def first_fault(document: object) -> Fault | None:
     """Return the first rule of the schema that ``document`` breaks, or None."""
     schema = parameter_schema()
-    return next(_faults(json_ready(document), schema, "", schema["$defs"]), None)
+    return next(_faults(_json_value(document), schema, "", schema["$defs"]), None)
 
 
-def _faults(value: Any, rule: Rule, key: str, definitions: Rule) -> Iterator[Fault]:
+def _faults(value: object, rule: Document, key: str, definitions: Document) -> Iterator[Fault]:
     if "$ref" in rule:
         rule = definitions[rule["$ref"].rpartition("/")[2]]
     wrong = _type_fault(value, rule, key) or _value_fault(value, rule, key)
     if wrong:
         yield wrong
     elif isinstance(value, dict):
-        yield from _table_faults(value, rule, key, definitions)
+        yield from _table_faults(value, rule, f"{key}." if key else "", definitions)
     elif isinstance(value, list):
-        yield from _array_faults(value, rule, key, definitions)
+        fewest, most = rule.get("minItems", 0), rule.get("maxItems", math.inf)
+        if not fewest <= len(value) <= most:
+            yield Fault(key, f"has {len(value)} entries instead of {fewest}", Reason.DAMAGED)
+        for index, item in enumerate(value):
+            yield from _faults(item, rule["items"], f"{key}[{index}]", definitions)
 
 
-def _table_faults(table: Rule, rule: Rule, key: str, definitions: Rule) -> Iterator[Fault]:
-    known = rule["properties"]
+def _table_faults(table: Document, rule: Document, above: str, definitions: Document) -> Iterator[Fault]:
     for name, value in table.items():
-        if name not in known:
-            yield Fault(_join(key, name), "is not a key of this format", Reason.UNKNOWN_KEY)
+        if name in rule["properties"]:
+            yield from _faults(value, rule["properties"][name], above + name, definitions)
         else:
-            yield from _faults(value, known[name], _join(key, name), definitions)
+            yield Fault(above + name, "is not a key of this format", Reason.UNKNOWN_KEY)
     for name in rule.get("required", ()):
         if name not in table:
-            yield Fault(_join(key, name), "is missing", Reason.DAMAGED)
+            yield Fault(above + name, "is missing", Reason.DAMAGED)
 
 
-def _array_faults(array: list[Any], rule: Rule, key: str, definitions: Rule) -> Iterator[Fault]:
-    fewest, most = rule.get("minItems", 0), rule.get("maxItems", math.inf)
-    if not fewest <= len(array) <= most:
-        yield Fault(key, f"has {len(array)} entries instead of {fewest}", Reason.DAMAGED)
-    for index, value in enumerate(array):
-        yield from _faults(value, rule["items"], f"{key}[{index}]", definitions)
-
-
-def _join(key: str, name: str) -> str:
-    return f"{key}.{name}" if key else name
-
-
-def _is_number(value: Any) -> bool:
-    if isinstance(value, bool):
+def _is_number(value: object) -> TypeGuard[float]:
+    if isinstance(value, bool):  # an int in Python, and none in a file
         return False
     return isinstance(value, float) or (isinstance(value, int) and abs(value) <= LARGEST_EXACT_INTEGER)
 
 
-_TYPE_CHECKS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+_TYPE_CHECKS: dict[str, tuple[str, Callable[[object], bool]]] = {
     "object": ("a table", lambda value: isinstance(value, dict)),
     "array": ("an array", lambda value: isinstance(value, list)),
     "string": ("a text", lambda value: isinstance(value, str)),
@@ -111,7 +108,7 @@ _TYPE_CHECKS: dict[str, tuple[str, Callable[[Any], bool]]] = {
 }
 
 
-def _type_fault(value: Any, rule: Rule, key: str) -> Fault | None:
+def _type_fault(value: object, rule: Document, key: str) -> Fault | None:
     if isinstance(value, float) and math.isinf(value):
         return Fault(key, "is infinite", Reason.NOT_FINITE)
     wanted = rule.get("type", ())
@@ -123,30 +120,25 @@ def _type_fault(value: Any, rule: Rule, key: str) -> Fault | None:
     return Fault(key, f"is {shown(value)} instead of {' or '.join(words for words, _ in checks)}", Reason.DAMAGED)
 
 
-def _value_fault(value: Any, rule: Rule, key: str) -> Fault | None:
+def _value_fault(value: object, rule: Document, key: str) -> Fault | None:
     what = ""
     if "const" in rule and (value != rule["const"] or isinstance(value, bool)):
         what = f"is {shown(value)} instead of {rule['const']!r}"
     elif "enum" in rule and value not in rule["enum"]:
         what = f"is {shown(value)}, not one of {', '.join(rule['enum'])}"
-    elif "pattern" in rule and not re.search(rule["pattern"], value):
+    elif "pattern" in rule and not re.search(rule["pattern"], str(value)):
         what = f"is {shown(value)}, which has not the form {rule['pattern']}"
     elif _is_number(value):
-        what = _range_fault(value, rule)
+        if value < rule.get("minimum", -math.inf):
+            what = f"is {value:g}, below {rule['minimum']:g}"
+        elif value > rule.get("maximum", math.inf):
+            what = f"is {value:g}, above {rule['maximum']:g}"
+        elif value <= rule.get("exclusiveMinimum", -math.inf):
+            what = f"is {value:g} and must be above {rule['exclusiveMinimum']:g}"
     return Fault(key, what, Reason.DAMAGED) if what else None
 
 
-def _range_fault(value: float, rule: Rule) -> str:
-    if value < rule.get("minimum", -math.inf):
-        return f"is {value:g}, below {rule['minimum']:g}"
-    if value > rule.get("maximum", math.inf):
-        return f"is {value:g}, above {rule['maximum']:g}"
-    if value <= rule.get("exclusiveMinimum", -math.inf):
-        return f"is {value:g} and must be above {rule['exclusiveMinimum']:g}"
-    return ""
-
-
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """Return a value short enough for an error message."""
     text = repr(value)
     return text if len(text) <= 40 else text[:37] + "..."

@@ -12,7 +12,8 @@ import copy
 import math
 from collections.abc import Callable, Mapping
 
-from imufield.deliver.parameters.document import VERSION, Document
+from imufield.deliver.parameters.document import VERSION
+from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import EDITED, content_sha256
 from imufield.errors import ParameterFileError, Reason
 

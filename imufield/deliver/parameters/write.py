@@ -11,13 +11,12 @@ import hashlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
 from imufield.deliver.parameters.context import Context
-from imufield.deliver.parameters.document import Document, to_document
-from imufield.deliver.parameters.schema import first_fault, json_ready
+from imufield.deliver.parameters.document import to_document
+from imufield.deliver.parameters.schema import Document, first_fault, json_ready
 from imufield.errors import ParameterFileError, Reason
 from imufield.files import write_keeping
 
@@ -109,61 +108,54 @@ def write_document(path: Path | str, document: Document) -> Path | None:
     try:
         return write_keeping(path, text.encode("utf-8"))
     except OSError as error:
-        raise _not_written(path, error) from error
-
-
-def _not_written(path: Path, error: OSError) -> ParameterFileError:
-    full = error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
-    remedy = "free some space there" if full else "choose another place with --output"
-    return ParameterFileError(
-        f"{path} cannot be written ({error.strerror}); {remedy}",
-        Reason.DISK_FULL if full else Reason.NO_PERMISSION,
-        where=str(path),
-    )
+        full = error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
+        remedy = "free some space there" if full else "choose another place with --output"
+        raise ParameterFileError(
+            f"{path} cannot be written ({error.strerror}); {remedy}",
+            Reason.DISK_FULL if full else Reason.NO_PERMISSION,
+            where=str(path),
+        ) from error
 
 
 def _table_lines(table: Document, name: str) -> Iterator[str]:
-    plain = {key: value for key, value in table.items() if not _is_table(value)}
+    plain = {key: value for key, value in table.items() if not _tables(value)}
     for key, value in plain.items():
         yield f"{key} = {_value(value)}"
+    # TOML: what follows a heading belongs to it, so that tables come behind the plain values.
     for key, value in table.items():
-        if key not in plain:
-            yield from _inner_tables(value, f"{name}.{key}" if name else key)
+        if key in plain:
+            continue
+        inner = f"{name}.{key}" if name else key
+        for part in _tables(value):
+            yield ""
+            if inner in _COMMENTS:
+                yield _comment(_COMMENTS[inner])
+            yield f"[[{inner}]]" if isinstance(value, list) else f"[{inner}]"
+            yield from _table_lines(part, inner)
 
 
-def _inner_tables(value: Any, name: str) -> Iterator[str]:
-    heading = f"[[{name}]]" if isinstance(value, list) else f"[{name}]"
-    for table in value if isinstance(value, list) else [value]:
-        yield ""
-        if name in _COMMENTS:
-            yield _comment(_COMMENTS[name])
-        yield heading
-        yield from _table_lines(table, name)
-
-
-def _is_table(value: Any) -> bool:
-    return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
+def _tables(value: object) -> list[Document]:
+    """Return the tables that a value is written as; none where it is a plain value."""
+    if isinstance(value, dict):
+        return [value]
+    return value if isinstance(value, list) and value and isinstance(value[0], dict) else []
 
 
 def _comment(text: str) -> str:
     return "\n".join(f"# {line}".rstrip() for line in text.splitlines())
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         # JSON's escapes are TOML's, but TOML wants the delete character escaped as well.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, list):
-        return _array(value)
-    return repr(value)
-
-
-def _array(values: list[Any]) -> str:
-    items = [_value(value) for value in values]
+    if not isinstance(value, list):
+        return repr(value)
+    items = [_value(item) for item in value]
     in_one_line = "[" + ", ".join(items) + "]"
-    rows = bool(values) and isinstance(values[0], list)
-    if not rows and (len(in_one_line) <= _ROW_WIDTH or not all(isinstance(value, str) for value in values)):
+    rows = bool(value) and isinstance(value[0], list)
+    if not rows and (len(in_one_line) <= _ROW_WIDTH or not all(isinstance(item, str) for item in value)):
         return in_one_line
     return "[\n" + "".join(f"    {item},\n" for item in items) + "]"

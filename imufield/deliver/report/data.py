@@ -15,8 +15,8 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters
 from imufield.calibrate.solvers.registry import load_solver
 from imufield.deliver.navigation.rest import IntervalMeans
-from imufield.deliver.parameters.document import Document
 from imufield.deliver.parameters.file import Parameters
+from imufield.deliver.parameters.schema import Document
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError
 from imufield.samples import FloatArray, Samples, SampleUnits

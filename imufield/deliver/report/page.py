@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from imufield.calibrate.model.result import Calibration
-from imufield.deliver.parameters.document import Document
 from imufield.deliver.parameters.numbers import acceleration_unit, with_sigma
+from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.report import plots
 from imufield.deliver.report.correlations import correlations
-from imufield.deliver.report.data import Convergence, ReportData
-from imufield.deliver.report.rows import Row, parameter_rows
+from imufield.deliver.report.data import ReportData
+from imufield.deliver.report.rows import VERDICT_WORDS, parameter_rows
 from imufield.deliver.verification.result import duration_words
 from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.errors import counted
 
-_VERDICT_WORDS = {
-    "good": "fit for use",
-    "usable": "can be used, with what follows in mind",
-    "poor": "do not navigate with it",
-}
 _GRAVITY_WORDS = {
     "typed": "given by the user",
     "normal": "WGS-84 normal gravity",
@@ -66,9 +59,9 @@ def render_record(data: ReportData) -> str:
     return _render("record.html", _facts(data))
 
 
-def _render(template: str, values: dict[str, Any]) -> str:
+def _render(template: str, values: Document) -> str:
     try:
-        jinja2 = importlib.import_module("jinja2")
+        import jinja2
     except ImportError as error:
         raise plots.missing_package("jinja2") from error
     environment = jinja2.Environment(
@@ -81,48 +74,37 @@ def _render(template: str, values: dict[str, Any]) -> str:
     return str(environment.get_template(template).render(values))
 
 
-def _facts(data: ReportData) -> dict[str, Any]:
+def _facts(data: ReportData) -> Document:
     parameters = data.parameters
     calibration, context = parameters.calibration, parameters.context
     instrument, quality = context.instrument, calibration.quality
     factor = quality.student_factor_95
     preset = None if data.preset is None else data.preset.calibration
-    rows = parameter_rows(calibration, preset)
+    verification = data.verification or {}
     return {
         "title": " ".join(filter(None, (instrument.model or instrument.driver or "IMU", instrument.serial_number))),
         "facts_pairs": list(_identity(data)),
         "verdict": quality.verdict,
-        "verdict_words": _VERDICT_WORDS[quality.verdict],
+        "verdict_words": VERDICT_WORDS[quality.verdict],
         "edited": parameters.edited,
         "reasons": [*quality.reasons, *data.notes],
         "factor": f"{factor:.2f}" if math.isfinite(factor) else "",
-        "rows": [_cells(row, factor) for row in rows],
+        "rows": parameter_rows(calibration, preset),
+        "factor_95": factor,
         "has_preset": preset is not None,
         "quality": list(_quality(calibration)),
         "gyroscope_path": "not calibrated" if calibration.gyroscope is None else calibration.gyroscope.path,
         "gauge": calibration.gauge,
         "equation": calibration.equation,
-        "checks": list(_checks(data.verification)),
-        "requirements": _requirements(data.verification),
-        "objections": (data.verification or {}).get("objections", []),
-        "failed": data.verification is not None and data.verification.get("passed") is False,
-        "passed": None if data.verification is None else data.verification.get("passed"),
+        "checks": list(_checks(verification)),
+        "requirements": _requirements(verification),
+        "objections": verification.get("objections", []),
+        "failed": verification.get("passed") is False,
+        "passed": verification.get("passed"),
         "provenance": [*_provenance(data), *data.provenance],
         "record_provenance": [*_provenance(data), *data.provenance[:2]],
         "operator": data.operator,
         "sha256": content_sha256(parameters.document),
-    }
-
-
-def _cells(row: Row, factor: float) -> dict[str, str]:
-    return {
-        "triad": row.triad,
-        "name": row.name,
-        "unit": row.unit,
-        "value": row.shown,
-        "expanded": row.expanded(factor),
-        "preset": row.preset_shown,
-        "change": row.change,
     }
 
 
@@ -163,9 +145,9 @@ def _quality(calibration: Calibration) -> Iterator[tuple[str, str]]:
         yield "Condition", f"{quality.condition:.1f}"
 
 
-def _checks(verification: Document | None) -> Iterator[tuple[str, str]]:
+def _checks(verification: Document) -> Iterator[tuple[str, str]]:
     """Yield name and outcome of each check on data the parameters have not seen."""
-    positions, navigation = ((verification or {}).get(key) for key in ("positions", "navigation"))
+    positions, navigation = (verification.get(key) for key in ("positions", "navigation"))
     if positions:
         sigma = positions["forecast_rms_m_s2"]
         words = f"{_short(positions['rms_m_s2'] / MICRO_G_M_S2)} µg RMS"
@@ -193,13 +175,16 @@ def _short(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-def _requirements(verification: Document | None) -> list[dict[str, str]]:
-    found = []
-    for one in (verification or {}).get("requirement", []):
-        measured = "not measured" if one["measured"] is None else f"{one['measured']:.4g}"
-        word = "met" if one["passed"] else "NOT MET"
-        found.append({"name": one["name"], "limit": f"{one['limit']:g}", "measured": measured, "word": word})
-    return found
+def _requirements(verification: Document) -> list[Document]:
+    return [
+        {
+            "name": requirement["name"],
+            "limit": f"{requirement['limit']:g}",
+            "measured": "not measured" if requirement["measured"] is None else f"{requirement['measured']:.4g}",
+            "word": "met" if requirement["passed"] else "NOT MET",
+        }
+        for requirement in verification.get("requirement", [])
+    ]
 
 
 def _provenance(data: ReportData) -> Iterator[tuple[str, str]]:
@@ -222,9 +207,11 @@ def _figures(data: ReportData) -> Iterator[Figure]:
     tables = data.parameters.document["position"]
     results, names = data.parameters.calibration.positions, tuple(table["name"] for table in tables)
     if tables:
+        force = data.parameters.apply_accelerometer(np.array([table["mean_raw"] for table in tables], dtype=np.float64))
+        up = force / np.linalg.norm(force, axis=1)[:, None]
         yield Figure(
             "Residual on the sphere",
-            plots.sphere_map(_up(data), results.residual_m_s2, names),
+            plots.sphere_map(up, results.residual_m_s2, names),
             "Each mark is a position at its measured direction of up, seen along the body's z axis; its size is "
             "the residual. Large marks of one kind side by side mean that the error model lacks something; a "
             "single large one, that a hold was touched.",
@@ -245,17 +232,12 @@ def _figures(data: ReportData) -> Iterator[Figure]:
             "Scatter of the specific force inside half a second, and the rate of turning.",
             "Stillness over time",
         )
-    yield from _method_figures(data)
-    yield from _correlation_figures(data.parameters.calibration)
-    yield from _check_figures(data.verification or {})
-
-
-def _method_figures(data: ReportData) -> Iterator[Figure]:
     if data.convergence:
+        ended = " ".join(f"{run.method} {'converged' if run.converged else 'did NOT converge'}." for run in data.convergence)
         yield Figure(
             "Convergence",
             plots.convergence(data.convergence),
-            f"The methods of the papers, started from what they would know without this result. {_ended(data.convergence)}",
+            f"The methods of the papers, started from what they would know without this result. {ended}",
             "Cost over iterations",
         )
     if data.closure is not None and len(data.closure.after_deg):
@@ -265,24 +247,18 @@ def _method_figures(data: ReportData) -> Iterator[Figure]:
             "Each move between two positions, integrated from the gyroscope, ends this far from where gravity says.",
             "Angle error of each move",
         )
-
-
-def _correlation_figures(calibration: Calibration) -> Iterator[Figure]:
-    found = correlations(calibration)
-    if len(found.names) < 2:
-        return
-    strongest = "; ".join(f"{first} and {second} {value:+.2f}" for first, second, value in found.strongest(_STRONGEST_SHOWN))
-    yield Figure(
-        "Correlations",
-        plots.correlations(found),
-        "How the errors of two parameters hang together: full marks the same way, open marks against each other, the larger "
-        f"the more; below {plots.LEAST_CORRELATION:g} nothing is drawn. The strongest: {strongest}.",
-        "Correlation of each pair of parameters",
-    )
-
-
-def _ended(found: tuple[Convergence, ...]) -> str:
-    return " ".join(f"{one.method} {'converged' if one.converged else 'did NOT converge'}." for one in found)
+    found = correlations(data.parameters.calibration)
+    if len(found.names) > 1:
+        pairs = found.strongest(_STRONGEST_SHOWN)
+        strongest = "; ".join(f"{first} and {second} {value:+.2f}" for first, second, value in pairs)
+        yield Figure(
+            "Correlations",
+            plots.correlations(found),
+            "How the errors of two parameters hang together: full marks the same way, open marks against each other, the "
+            f"larger the more; below {plots.LEAST_CORRELATION:g} nothing is drawn. The strongest: {strongest}.",
+            "Correlation of each pair of parameters",
+        )
+    yield from _check_figures(data.verification or {})
 
 
 def _check_figures(verification: Document) -> Iterator[Figure]:
@@ -306,11 +282,3 @@ def _check_figures(verification: Document) -> Iterator[Figure]:
             f"the calibration, random walk, alignment and turn-on bias let them be.{turned}",
             "Navigation errors over time",
         )
-
-
-def _up(data: ReportData) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Return the measured direction of up at each position, shape (m, 3)."""
-    raw = np.array([table["mean_raw"] for table in data.parameters.document["position"]], dtype=np.float64)
-    force = data.parameters.apply_accelerometer(raw)
-    up: np.ndarray[tuple[int, ...], np.dtype[np.float64]] = force / np.linalg.norm(force, axis=1)[:, None]
-    return up

@@ -8,18 +8,25 @@ from __future__ import annotations
 import importlib
 import io
 import re
-from typing import Any
+from contextlib import AbstractContextManager
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from imufield.deliver.navigation.drift import QUANTITIES
-from imufield.deliver.parameters.document import Document
 from imufield.deliver.parameters.numbers import acceleration_unit
+from imufield.deliver.parameters.schema import Document
 from imufield.deliver.report.correlations import Correlations
 from imufield.deliver.report.data import Closure, Convergence, Trace
 from imufield.earth import MILLI_G_M_S2
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
 
 INK = "#111111"
 BLUE = "#0b5394"
@@ -62,7 +69,7 @@ _AXIS_NAMES = (("+x", 1.2, 0.0), ("-x", -1.2, 0.0), ("+y", 0.0, 1.24), ("-y", 0.
 _NAMED = 6  # Positions named on the sphere map, the largest residuals first.
 
 
-def load_matplotlib() -> Any:
+def load_matplotlib() -> ModuleType:
     """Return the package.
 
     Raises
@@ -85,18 +92,22 @@ def missing_package(name: str) -> UsageError:
     )
 
 
-def figure(height_in: float) -> Any:
+def figure(height_in: float) -> Figure:
     """Return an empty figure of the page's width."""
     load_matplotlib()
-    return importlib.import_module("matplotlib.figure").Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
 
 
-def to_svg(drawn: Any, name: str) -> str:
+def to_svg(drawn: Figure, name: str) -> str:
     """Return a figure as an ``<svg>`` element whose ids are its own."""
     buffer = io.StringIO()
-    canvas = importlib.import_module("matplotlib.backends.backend_svg").FigureCanvasSVG(drawn)
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
     # savefig draws everything twice, once for a layout that drawing makes by itself.
-    canvas.print_svg(buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    FigureCanvasSVG(drawn).print_svg(buffer, metadata=nothing)  # type: ignore[no-untyped-call]  # not in its stubs
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
@@ -106,9 +117,10 @@ def to_svg(drawn: Any, name: str) -> str:
     return re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', "", text, count=1)
 
 
-def style() -> Any:
+def style() -> AbstractContextManager[None]:
     """Return a context in which figures are drawn and written in the style of the report."""
-    return load_matplotlib().rc_context(_STYLE)
+    context: AbstractContextManager[None] = load_matplotlib().rc_context(_STYLE)
+    return context
 
 
 def sphere_map(up: FloatArray, residual_m_s2: FloatArray, names: tuple[str, ...]) -> str:
@@ -182,7 +194,7 @@ def _overlap(a: FloatArray, b: FloatArray) -> float:
     return float(np.prod(np.maximum(sides, 0.0)))
 
 
-def _hemisphere(axes: Any, upper: bool) -> None:
+def _hemisphere(axes: Axes, upper: bool) -> None:
     angle = np.linspace(0, 2 * np.pi, 181)
     for tilt, style in ((90, "-"), (45, ":")):
         radius = np.sqrt(2) * np.sin(np.radians(tilt) / 2)
@@ -243,7 +255,7 @@ def held_out(document: Document) -> str:
     return to_svg(drawn, "heldout")
 
 
-def _position_axis(axes: Any, names: tuple[str, ...], unit: str) -> None:
+def _position_axis(axes: Axes, names: tuple[str, ...], unit: str) -> None:
     # "free 7: near +x" stands for a position nobody planned.
     short = [name.removeprefix("free ").replace(": near", "") for name in names]
     axes.set_xticks(np.arange(len(names)), short, rotation=90 if len(names) > 8 else 0, fontsize=7)
@@ -256,7 +268,7 @@ def stillness(trace: Trace, start_s: FloatArray, duration_s: FloatArray) -> str:
     """Draw how still the instrument was, and where positions were taken."""
     with_rate = bool(np.isfinite(trace.rate_rad_s).any())
     drawn = figure(3.2 if with_rate else 2.2)
-    panels = np.atleast_1d(drawn.subplots(2 if with_rate else 1, 1, sharex=True))
+    panels = drawn.subplots(2 if with_rate else 1, 1, sharex=True, squeeze=False)[:, 0]
     minutes = trace.time_s / 60
     panels[0].plot(minutes, np.maximum(trace.scatter_m_s2 / MILLI_G_M_S2, 1e-3), color=INK, linewidth=0.8)
     panels[0].set_ylabel("scatter, mg")
@@ -273,7 +285,7 @@ def stillness(trace: Trace, start_s: FloatArray, duration_s: FloatArray) -> str:
     return to_svg(drawn, "stillness")
 
 
-def _plain_ticks(*axes: Any) -> None:
+def _plain_ticks(*axes: Axis) -> None:
     """Write 0.01 where matplotlib would write a power of ten in a font of its own."""
     for axis in axes:
         axis.set_major_formatter("{x:g}")
@@ -360,12 +372,12 @@ def navigation(document: Document) -> str:
     return to_svg(drawn, "navigation")
 
 
-def _band(axes: Any, forecast: Document, low: FloatArray, high: FloatArray) -> None:
+def _band(axes: Axes, forecast: Document, low: FloatArray, high: FloatArray) -> None:
     hours = _numbers(forecast["time_s"]) / 3600
     axes.fill_between(hours, low, high, facecolor="#e4edf6", edgecolor=GREY, hatch="////", linewidth=0.5, label="95 % forecast")
 
 
-def _curves(axes: Any, drifts: Document, names: list[str], quantity: str) -> None:
+def _curves(axes: Axes, drifts: Document, names: list[str], quantity: str) -> None:
     for name, style, color in zip(reversed(names), ("-", "--"), (INK, ORANGE), strict=False):
         drift = drifts[name]
         axes.plot(_numbers(drift["time_s"]) / 3600, _numbers(drift[quantity]), style, color=color, label=name)

@@ -1,4 +1,4 @@
-"""Rows of the parameter table: value, uncertainty, preset and change, each in units of the trade."""
+"""The parameters in units of the trade, for the tables of the summary and of the report: value, uncertainty, preset, change."""
 
 from __future__ import annotations
 
@@ -15,7 +15,11 @@ from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, decimals, wi
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
 
-_PAIRS = tuple((i, j) for i in range(3) for j in range(3) if i != j)
+VERDICT_WORDS = {
+    "good": "fit for use",
+    "usable": "can be used, with what follows in mind",
+    "poor": "do not navigate with it",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,133 +63,123 @@ class Row:
         return f"{(self.value - self.preset) / self.sigma:+.1f}"
 
 
-def parameter_rows(calibration: Calibration, preset: Calibration | None) -> list[Row]:
-    """Return the rows of accelerometer and gyroscope."""
-    return [*_accelerometer(calibration, preset), *_gyroscope(calibration, preset)]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Group:
+class Quantity:
     """Numbers of one kind, arrays of one length."""
 
     triad: str
     name: str
     unit: str
     places: tuple[str, ...]
+    """Axes, or row and column."""
     value: FloatArray
     sigma: FloatArray
-    preset: FloatArray | None
+    preset: FloatArray
+    """NaN without a preset."""
 
-    def rows(self) -> Iterator[Row]:
-        preset = np.full(len(self.value), np.nan) if self.preset is None else self.preset
-        for place, value, sigma, before in zip(self.places, self.value, self.sigma, preset, strict=True):
+
+def parameter_rows(calibration: Calibration, preset: Calibration | None) -> list[Row]:
+    """Return the rows of accelerometer and gyroscope."""
+    rows = []
+    for quantity in quantities(calibration, preset):
+        # Terms that were taken over from a preset are no result of this calibration.
+        if quantity.name == "quadratic" and not calibration.quadratic_fitted:
+            continue
+        if quantity.name == "g-sensitivity" and not np.isfinite(quantity.sigma).any():
+            continue
+        for place, value, sigma, before in zip(
+            quantity.places, quantity.value.tolist(), quantity.sigma.tolist(), quantity.preset.tolist(), strict=True
+        ):
             if math.isnan(value) or (value == 0 and (sigma == 0 or math.isnan(sigma))):
                 continue  # fixed by the gauge, or not estimated: the page says so below the table
-            yield Row(
-                triad=self.triad,
-                name=f"{self.name} {place}",
-                unit=self.unit,
-                value=float(value),
-                sigma=float(sigma),
-                preset=float(before),
-            )
+            name = f"{quantity.name} {place}"
+            rows.append(Row(triad=quantity.triad, name=name, unit=quantity.unit, value=value, sigma=sigma, preset=before))
+    return rows
 
 
-def _accelerometer(calibration: Calibration, preset: Calibration | None) -> Iterator[Row]:
+def quantities(calibration: Calibration, preset: Calibration | None = None) -> Iterator[Quantity]:
+    """Yield every kind of parameter that a calibration has, the accelerometer's first."""
     p, sigma = calibration.accelerometer, calibration.accelerometer_sigma
     old = None if preset is None else preset.accelerometer
     triad = "Accelerometer"
-    before = None if old is None else old.bias_m_s2 / MILLI_G_M_S2
-    yield from _Group(
-        triad=triad,
-        name="bias",
-        unit="mg",
-        places=AXES,
-        value=p.bias_m_s2 / MILLI_G_M_S2,
-        sigma=sigma.bias_m_s2 / MILLI_G_M_S2,
-        preset=before,
-    ).rows()
+    before = None if old is None else old.bias_m_s2
+    yield _quantity(triad, "bias", "mg", (p.bias_m_s2, sigma.bias_m_s2, before), divisor=MILLI_G_M_S2)
     before = None if old is None else old.scale
-    yield from _scale(triad, calibration.accelerometer_raw_unit, "m/s²", p.scale, sigma=sigma.scale, before=before).rows()
+    yield _scale(triad, calibration.accelerometer_raw_unit, "m/s²", (p.scale, sigma.scale, before))
     before = None if old is None else old.misalignment_rad
-    yield from _misalignment(triad, p.misalignment_rad, sigma.misalignment_rad, before).rows()
-    if calibration.quadratic_fitted:
+    yield _misalignment(triad, (p.misalignment_rad, sigma.misalignment_rad, before))
+    if calibration.quadratic_fitted or np.any(p.quadratic):
         # K2 / K is (m/s²) per (m/s²)²; times g it is g per g², of which a millionth is µg/g².
         size = STANDARD_GRAVITY_M_S2 / p.scale * 1e6
-        before = None if old is None else old.quadratic * size
-        quadratic = _Group(
-            triad=triad,
-            name="quadratic",
-            unit="µg/g²",
-            places=AXES,
-            value=p.quadratic * size,
-            sigma=sigma.quadratic * np.abs(size),
-            preset=before,
-        )
-        yield from quadratic.rows()
+        before = None if old is None else old.quadratic
+        yield _quantity(triad, "quadratic", "µg/g²", (p.quadratic, sigma.quadratic, before), factor=size)
+    if calibration.gyroscope is not None:
+        yield from _gyroscope(calibration.gyroscope, None if preset is None else preset.gyroscope)
 
 
-def _gyroscope(calibration: Calibration, preset: Calibration | None) -> Iterator[Row]:
-    if calibration.gyroscope is None:
+def _gyroscope(gyroscope: GyroscopeCalibration, preset: GyroscopeCalibration | None) -> Iterator[Quantity]:
+    p, sigma, triad = gyroscope.parameters, gyroscope.sigma, "Gyroscope"
+    old = None if preset is None else preset.parameters
+    if np.isfinite(p.scale).all():
+        bias, bias_sigma = gyroscope_bias_rad_s(gyroscope)
+        # Beyond, the figures of a consumer instrument would have six digits.
+        slow = float(np.abs(bias).max()) < 1000 * DEG_PER_HOUR_RAD_S
+        unit, size = ("°/h", DEG_PER_HOUR_RAD_S) if slow else ("°/s", 3600 * DEG_PER_HOUR_RAD_S)
+        before = None if preset is None else gyroscope_bias_rad_s(preset)[0]
+        yield _quantity(triad, "bias", unit, (bias, bias_sigma, before), divisor=size)
+    else:
+        yield _quantity(triad, "bias", gyroscope.raw_unit, (p.bias, sigma.bias, None if old is None else old.bias))
+    if not np.isfinite(sigma.scale).all():
         return
-    own, old = calibration.gyroscope, None if preset is None else preset.gyroscope
-    triad, p, sigma = "Gyroscope", own.parameters, own.sigma
-    yield from _gyroscope_bias(triad, own, old).rows()
-    if np.isfinite(sigma.scale).all():
-        yield from _scale(
-            triad, own.raw_unit, "rad/s", p.scale, sigma=sigma.scale, before=None if old is None else old.parameters.scale
-        ).rows()
-        before = None if old is None else old.parameters.misalignment_rad
-        yield from _misalignment(triad, p.misalignment_rad, sigma.misalignment_rad, before).rows()
-    if np.any(p.g_sensitivity) and np.isfinite(sigma.g_sensitivity).any():
-        size = STANDARD_GRAVITY_M_S2 / DEG_PER_HOUR_RAD_S / p.scale[:, None]
+    yield _scale(triad, gyroscope.raw_unit, "rad/s", (p.scale, sigma.scale, None if old is None else old.scale))
+    before = None if old is None else old.misalignment_rad
+    yield _misalignment(triad, (p.misalignment_rad, sigma.misalignment_rad, before))
+    if np.any(p.g_sensitivity):
+        size_of_row = np.repeat(STANDARD_GRAVITY_M_S2 / DEG_PER_HOUR_RAD_S / p.scale, 3)
+        before = None if old is None else old.g_sensitivity.ravel()
+        numbers = (p.g_sensitivity.ravel(), sigma.g_sensitivity.ravel(), before)
         places = tuple(f"{row}{column}" for row in AXES for column in AXES)
-        before = None if old is None else (old.parameters.g_sensitivity * size).ravel()
-        values, spread = (p.g_sensitivity * size).ravel(), (sigma.g_sensitivity * np.abs(size)).ravel()
-        yield from _Group(
-            triad=triad, name="g-sensitivity", unit="°/h/g", places=places, value=values, sigma=spread, preset=before
-        ).rows()
+        yield _quantity(triad, "g-sensitivity", "°/h/g", numbers, factor=size_of_row, places=places)
 
 
-def _gyroscope_bias(triad: str, own: GyroscopeCalibration, old: GyroscopeCalibration | None) -> _Group:
-    if not np.isfinite(own.parameters.scale).all():
-        before = None if old is None else old.parameters.bias
-        return _Group(
-            triad=triad,
-            name="bias",
-            unit=own.raw_unit,
-            places=AXES,
-            value=own.parameters.bias,
-            sigma=own.sigma.bias,
-            preset=before,
-        )
-    bias, sigma = gyroscope_bias_rad_s(own)
-    slow = float(np.abs(bias).max()) < 1000 * DEG_PER_HOUR_RAD_S
-    unit, size = ("°/h", DEG_PER_HOUR_RAD_S) if slow else ("°/s", 3600 * DEG_PER_HOUR_RAD_S)
-    before = None if old is None else gyroscope_bias_rad_s(old)[0] / size
-    return _Group(triad=triad, name="bias", unit=unit, places=AXES, value=bias / size, sigma=sigma / size, preset=before)
+# Value, 1 sigma, and the preset's value.
+_Numbers = tuple[FloatArray, FloatArray, FloatArray | None]
 
 
-def _scale(triad: str, raw_unit: str, per: str, scale: FloatArray, *, sigma: FloatArray, before: FloatArray | None) -> _Group:
-    nominal = nominal_scale(raw_unit)
-    if nominal is None:
-        return _Group(
-            triad=triad, name="scale", unit=f"{raw_unit} per {per}", places=AXES, value=scale, sigma=sigma, preset=before
-        )
-    old = None if before is None else (before / nominal - 1) * 1e6
-    return _Group(
+def _quantity(
+    triad: str,
+    name: str,
+    unit: str,
+    numbers: _Numbers,
+    *,
+    factor: FloatArray | float = 1.0,
+    divisor: float = 1.0,
+    places: tuple[str, ...] = AXES,
+) -> Quantity:
+    value, sigma, before = numbers
+    return Quantity(
         triad=triad,
-        name="scale error",
-        unit="ppm",
-        places=AXES,
-        value=(scale / nominal - 1) * 1e6,
-        sigma=sigma / nominal * 1e6,
-        preset=old,
+        name=name,
+        unit=unit,
+        places=places,
+        value=value * factor / divisor,
+        sigma=sigma * np.abs(factor) / divisor,
+        preset=np.full(len(value), np.nan) if before is None else before * factor / divisor,
     )
 
 
-def _misalignment(triad: str, matrix: FloatArray, sigma: FloatArray, before: FloatArray | None) -> _Group:
-    places = tuple(f"{AXES[i]}{AXES[j]}" for i, j in _PAIRS)
-    values, spread = (np.array([one[pair] for pair in _PAIRS]) * 1e3 for one in (matrix, sigma))
-    old = None if before is None else np.array([before[pair] for pair in _PAIRS]) * 1e3
-    return _Group(triad=triad, name="misalignment", unit="mrad", places=places, value=values, sigma=spread, preset=old)
+def _scale(triad: str, raw_unit: str, per: str, numbers: _Numbers) -> Quantity:
+    nominal = nominal_scale(raw_unit)
+    if nominal is None:
+        return _quantity(triad, "scale", f"{raw_unit} per {per}", numbers)
+    scale, sigma, before = numbers
+    errors = (scale / nominal - 1, sigma / nominal, None if before is None else before / nominal - 1)
+    return _quantity(triad, "scale error", "ppm", errors, factor=1e6)
+
+
+def _misalignment(triad: str, numbers: _Numbers) -> Quantity:
+    matrix, sigma, before = numbers
+    off_diagonal = ~np.eye(3, dtype=np.bool_)  # row by row: xy, xz, yx, ...
+    flat = (matrix[off_diagonal], sigma[off_diagonal], None if before is None else before[off_diagonal])
+    places = tuple(row + column for row in AXES for column in AXES if row != column)
+    return _quantity(triad, "misalignment", "mrad", flat, factor=1e3, places=places)

@@ -17,13 +17,11 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from imufield.acquire.protocol.units import nominal_scale
-from imufield.calibrate.model.result import Calibration, GyroscopeCalibration
-from imufield.deliver.parameters.document import VERSION, gyroscope_bias_rad_s
+from imufield.calibrate.model.result import Calibration
+from imufield.deliver.parameters.document import VERSION
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import (
     ARC_MINUTE_RAD,
-    DEG_PER_HOUR_RAD_S,
     WIDTH,
     acceleration_unit,
     bar,
@@ -31,15 +29,11 @@ from imufield.deliver.parameters.numbers import (
     with_sigma,
     with_sigma_within,
 )
-from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2, STANDARD_GRAVITY_M_S2, Gravity, height_words
-from imufield.samples import AXES
+from imufield.deliver.report.rows import VERDICT_WORDS, Quantity, quantities
+from imufield.earth import MICRO_G_M_S2, height_words
+from imufield.samples import AXES, FloatArray
 
 _VERDICT_STYLES = {"good": "bold green", "usable": "bold yellow", "poor": "bold red"}
-_VERDICT_WORDS = {
-    "good": "fit for use",
-    "usable": "can be used, with what follows in mind",
-    "poor": "do not navigate with it",
-}
 _GAUGE_WORDS = {
     "lower": "body x is the sensor's x axis, body y lies in its x-y plane",
     "upper": "body z is the sensor's z axis, body y lies in its y-z plane",
@@ -48,7 +42,6 @@ _GAUGE_WORDS = {
 }
 _BAR_WIDTH = 9
 _NUMBER_WIDTH = 18
-_PAIRS = tuple((i, j) for i in range(3) for j in range(3) if i != j)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +78,9 @@ def summary_text(parameters: Parameters, outcome: Outcome | None = None) -> str:
 def summary(parameters: Parameters, outcome: Outcome | None = None) -> RenderableType:
     """Return the summary as something rich can draw in 80 columns or more."""
     calibration = parameters.calibration
-    parts: list[RenderableType] = [_heading(parameters), "", _accelerometer(calibration)]
+    parts: list[RenderableType] = [_heading(parameters), "", _table("Accelerometer", calibration)]
     if calibration.gyroscope is not None:
-        parts += ["", _gyroscope(calibration.gyroscope)]
+        parts += ["", _table("Gyroscope", calibration), Text(calibration.gyroscope.path, style="dim")]
     parts += ["", _facts(calibration), "", *_residuals(parameters), "", _verdict(parameters)]
     parts += _next_steps(parameters, outcome or Outcome())
     return Group(*parts)
@@ -104,83 +97,49 @@ def _heading(parameters: Parameters) -> RenderableType:
     return Group(Text(f"Calibration of {who}", style="bold"), Text(" · ".join(facts), style="dim"))
 
 
-def _table(title: str) -> Table:
+def _table(title: str, calibration: Calibration) -> Table:
+    """Return the table of one triad."""
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column(Text(title, style="bold"), no_wrap=True, min_width=13)
     table.add_column("", no_wrap=True, style="dim", min_width=6)
     for axis in AXES:
         table.add_column(axis, justify="right", no_wrap=True, min_width=_NUMBER_WIDTH, header_style="bold")
+    for quantity in quantities(calibration):
+        value, sigma = quantity.value, quantity.sigma
+        if quantity.triad != title:
+            continue
+        if quantity.name == "misalignment":
+            _add_misalignment(table, quantity)
+        elif quantity.name == "g-sensitivity":
+            # A row for each axis of the specific force: what the gyroscopes x, y, z show of it.
+            for j, axis in enumerate(AXES):
+                _add_row(table, f"g-sens. of a{axis}", quantity.unit, value.reshape(3, 3)[:, j], sigma.reshape(3, 3)[:, j])
+        elif quantity.name == "scale":
+            _add_row(table, quantity.unit, "", value, sigma, sign=False)
+        else:
+            _add_row(table, quantity.name, quantity.unit, value, sigma)
+        if quantity.name == "bias" and title == "Accelerometer":
+            _add_row(table, "", "m/s²", calibration.accelerometer.bias_m_s2, calibration.accelerometer_sigma.bias_m_s2)
     return table
 
 
-def _row(table: Table, name: str, unit: str, values: np.ndarray, *, sigma: np.ndarray, sign: bool = True) -> None:
-    cells = [
-        with_sigma_within(_NUMBER_WIDTH, float(value), float(one), sign=sign) for value, one in zip(values, sigma, strict=True)
-    ]
-    table.add_row(name, unit, *cells)
+def _add_row(table: Table, name: str, unit: str, values: FloatArray, sigma: FloatArray, *, sign: bool = True) -> None:
+    numbers = zip(values.tolist(), sigma.tolist(), strict=True)
+    table.add_row(name, unit, *(with_sigma_within(_NUMBER_WIDTH, value, spread, sign=sign) for value, spread in numbers))
 
 
-def _accelerometer(calibration: Calibration) -> Table:
-    p, sigma = calibration.accelerometer, calibration.accelerometer_sigma
-    table = _table("Accelerometer")
-    _row(table, "bias", "mg", p.bias_m_s2 / MILLI_G_M_S2, sigma=sigma.bias_m_s2 / MILLI_G_M_S2)
-    _row(table, "", "m/s²", p.bias_m_s2, sigma=sigma.bias_m_s2)
-    _scale(table, p.scale, sigma.scale, calibration.accelerometer_raw_unit, per="m/s²")
-    _misalignment(table, p.misalignment_rad, sigma.misalignment_rad)
-    if calibration.quadratic_fitted or np.any(p.quadratic):
-        # K2 / K is (m/s²) per (m/s²)²; times g it is g per g², of which a millionth is µg/g².
-        size = STANDARD_GRAVITY_M_S2 / p.scale * 1e6
-        _row(table, "quadratic", "µg/g²", p.quadratic * size, sigma=sigma.quadratic * np.abs(size))
-    return table
-
-
-def _scale(table: Table, scale: np.ndarray, sigma: np.ndarray, raw_unit: str, *, per: str) -> None:
-    nominal = nominal_scale(raw_unit)
-    if nominal is None:
-        _row(table, f"{raw_unit} per {per}", "", scale, sigma=sigma, sign=False)
-    else:
-        _row(table, "scale error", "ppm", (scale / nominal - 1) * 1e6, sigma=sigma / nominal * 1e6)
-
-
-def _misalignment(table: Table, matrix: np.ndarray, sigma: np.ndarray) -> None:
-    shown = [(i, j) for i, j in _PAIRS if matrix[i, j] != 0 or sigma[i, j] != 0]
-    if not any(np.isfinite(sigma[i, j]) and matrix[i, j] for i, j in shown):
+def _add_misalignment(table: Table, quantity: Quantity) -> None:
+    every = list(zip(quantity.places, quantity.value.tolist(), quantity.sigma.tolist(), strict=True))
+    shown = [(pair, value, sigma) for pair, value, sigma in every if value != 0 or sigma != 0]
+    if not any(math.isfinite(sigma) and value for _, value, sigma in shown):
         table.add_row("misalignment", "", *(["not estimated"] * 3))
         return
     for start in range(0, len(shown), 3):
-        pairs = shown[start : start + 3]
-        name = "misalignment" if start == 0 else ""
-        cells = [f"{AXES[i]}{AXES[j]} {with_sigma(matrix[i, j] * 1e3, sigma[i, j] * 1e3, sign=True)}" for i, j in pairs]
-        table.add_row(name, "mrad", *cells)
-        minutes = [f"{matrix[i, j] / ARC_MINUTE_RAD:+.1f}" if np.isfinite(sigma[i, j]) else "" for i, j in pairs]
+        part = shown[start : start + 3]
+        cells = [f"{pair} {with_sigma(value, sigma, sign=True)}" for pair, value, sigma in part]
+        table.add_row("misalignment" if start == 0 else "", "mrad", *cells)
+        minutes = [f"{value * 1e-3 / ARC_MINUTE_RAD:+.1f}" if math.isfinite(sigma) else "" for _, value, sigma in part]
         table.add_row("", "arcmin", *minutes, style="dim")
-
-
-def _gyroscope(gyroscope: GyroscopeCalibration) -> RenderableType:
-    p, sigma = gyroscope.parameters, gyroscope.sigma
-    table = _table("Gyroscope")
-    if np.isfinite(p.scale).all():
-        bias, bias_sigma = gyroscope_bias_rad_s(gyroscope)
-        slow = float(np.abs(bias).max()) < 1000 * DEG_PER_HOUR_RAD_S
-        unit, size = ("°/h", DEG_PER_HOUR_RAD_S) if slow else ("°/s", 3600 * DEG_PER_HOUR_RAD_S)
-        _row(table, "bias", unit, bias / size, sigma=bias_sigma / size)
-    else:
-        _row(table, "bias", gyroscope.raw_unit, p.bias, sigma=sigma.bias)
-    if np.isfinite(sigma.scale).all():
-        _scale(table, p.scale, sigma.scale, gyroscope.raw_unit, per="rad/s")
-        _misalignment(table, p.misalignment_rad, sigma.misalignment_rad)
-        if np.any(p.g_sensitivity):
-            _g_sensitivity(table, gyroscope)
-    return Group(table, Text(gyroscope.path, style="dim"))
-
-
-def _g_sensitivity(table: Table, gyroscope: GyroscopeCalibration) -> None:
-    """Add G / K: a row for each axis of the specific force, what the gyroscopes x, y, z show of it."""
-    p, sigma = gyroscope.parameters, gyroscope.sigma
-    size = STANDARD_GRAVITY_M_S2 / p.scale / DEG_PER_HOUR_RAD_S
-    for j, axis in enumerate(AXES):
-        shown, known = p.g_sensitivity[:, j] * size, sigma.g_sensitivity[:, j] * np.abs(size)
-        _row(table, f"g-sens. of a{axis}", "°/h/g", shown, sigma=known)
 
 
 def _facts(calibration: Calibration) -> Table:
@@ -188,25 +147,18 @@ def _facts(calibration: Calibration) -> Table:
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(style="bold", no_wrap=True)
     table.add_column()
-    table.add_row("Gravity", _gravity_words(gravity))
+    source: str = gravity.source
+    if gravity.source == "assumed":
+        source = "ASSUMED: nobody said where this was; give --latitude or --gravity"
+    elif gravity.source == "normal" and gravity.latitude_deg is not None:
+        source = f"WGS-84 at latitude {gravity.latitude_deg:g}°, {height_words(gravity)}"
+    table.add_row("Gravity", f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s², {source}")
     table.add_row("Frame", f"gauge {calibration.gauge}: {_GAUGE_WORDS[calibration.gauge]}")
     factor = quality.student_factor_95
-    if math.isfinite(factor):
-        table.add_row(
-            "Sigma", f"± is 1 sigma; {factor:.2f} times that is the 95 % limit ({quality.degrees_of_freedom} to spare)"
-        )
-    else:
-        table.add_row("Sigma", "± is 1 sigma of the holds alone: no position is left to check the others")
+    spare = f"; {factor:.2f} times that is the 95 % limit ({quality.degrees_of_freedom} to spare)"
+    alone = " of the holds alone: no position is left to check the others"
+    table.add_row("Sigma", f"± is 1 sigma{spare if math.isfinite(factor) else alone}")
     return table
-
-
-def _gravity_words(gravity: Gravity) -> str:
-    value = f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s²"
-    if gravity.source == "assumed":
-        return f"{value}, ASSUMED: nobody said where this was; give --latitude or --gravity"
-    if gravity.source == "normal" and gravity.latitude_deg is not None:
-        return f"{value}, WGS-84 at latitude {gravity.latitude_deg:g}°, {height_words(gravity)}"
-    return f"{value}, {gravity.source}"
 
 
 def _residuals(parameters: Parameters) -> Iterator[RenderableType]:
@@ -224,10 +176,15 @@ def _residuals(parameters: Parameters) -> Iterator[RenderableType]:
     yield title
     # Residuals of nothing but rounding have no worst.
     worst = int(np.nanargmax(np.abs(residual))) if largest > 1e-3 * MICRO_G_M_S2 else -1
-    cells = [
-        _residual_cell(table["name"], value / size, largest / size if worst >= 0 else 0.0, bool(is_used), worst=i == worst)
-        for i, (table, value, is_used) in enumerate(zip(tables, residual, used, strict=True))
-    ]
+    cells = []
+    for k, (table, value, is_used) in enumerate(zip(tables, (residual / size).tolist(), used.tolist(), strict=True)):
+        if not is_used or not math.isfinite(value):
+            cells.append((table["name"], Text("not used", style="dim"), Text("")))
+            continue
+        style = "bold yellow" if k == worst else ""
+        bar_of = Text(bar(abs(value) / (largest / size) if worst >= 0 else 0, _BAR_WIDTH), style=style or "cyan")
+        number = f"{value:+.0f}" if worst >= 0 and largest / size >= 10 else f"{value:+.2f}"
+        cells.append((table["name"], bar_of, Text(number + (" ◄" if k == worst else "  "), style=style)))
     yield _in_columns(cells, max(len(table["name"]) for table in tables))
 
 
@@ -235,18 +192,6 @@ def _short(value: float) -> str:
     if abs(value) < 0.005:
         return "0"
     return f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
-
-
-def _residual_cell(name: str, value: float, largest: float, used: bool, *, worst: bool) -> tuple[str, Text, Text]:
-    if not used or not math.isfinite(value):
-        return name, Text("not used", style="dim"), Text("")
-    style = "bold yellow" if worst else ""
-    number = f"{value:+.0f}" if abs(largest) >= 10 else f"{value:+.2f}"
-    return (
-        name,
-        Text(bar(abs(value) / largest if largest else 0, _BAR_WIDTH), style=style or "cyan"),
-        Text(number + (" ◄" if worst else "  "), style=style),
-    )
 
 
 def _in_columns(cells: list[tuple[str, Text, Text]], name_width: int) -> Table:
@@ -259,8 +204,7 @@ def _in_columns(cells: list[tuple[str, Text, Text]], name_width: int) -> Table:
         table.add_column(justify="right", no_wrap=True, min_width=8)
     for row in range(rows):
         # Down the first column, then the second: the order in which they were taken.
-        taken = [cells[row + rows * column] for column in range(columns) if row + rows * column < len(cells)]
-        table.add_row(*(part for cell in taken for part in cell))
+        table.add_row(*(part for cell in cells[row::rows] for part in cell))
     return table
 
 
@@ -268,7 +212,7 @@ def _verdict(parameters: Parameters) -> RenderableType:
     quality = parameters.calibration.quality
     line = Text("Verdict: ", style="bold")
     line.append(quality.verdict.upper(), style=_VERDICT_STYLES[quality.verdict])
-    line.append(f", {_VERDICT_WORDS[quality.verdict]}", style="not bold")
+    line.append(f", {VERDICT_WORDS[quality.verdict]}", style="not bold")
     if parameters.edited:
         line.append(" (the file was edited by hand)", style="bold yellow")
     if parameters.version != VERSION:

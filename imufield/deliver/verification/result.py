@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-import imufield
 from imufield.deliver.navigation.check import NavigationResult
 from imufield.deliver.navigation.drift import QUANTITIES, Drift
 from imufield.deliver.parameters.file import Parameters, json_ready
@@ -29,6 +28,7 @@ from imufield.earth import MICRO_G_M_S2
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.files import read_small_file, write_atomically
 from imufield.samples import FloatArray
+from imufield.version import __version__
 
 Document = dict[str, Any]
 
@@ -140,7 +140,7 @@ def to_document(verification: Verification) -> Document:
         "format": FORMAT,
         "version": VERSION,
         "created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        "software": f"imufield {imufield.__version__}",
+        "software": f"imufield {__version__}",
         "parameters_sha256": content_sha256(verification.parameters.document),
         "session": verification.session,
         "passed": verification.passed,

@@ -247,9 +247,7 @@ def test_an_instrument_without_misalignment_is_held_exactly(target: str) -> None
     unit_gyroscope = type(gyroscope)(np.ones(3), np.zeros((3, 3)), gyroscope.bias, np.zeros((3, 3)))
     accelerometer = like.accelerometer
     if target == "microstrain":
-        accelerometer = type(accelerometer)(
-            scale=np.ones(3), bias_m_s2=accelerometer.bias_m_s2, misalignment_rad=np.zeros((3, 3))
-        )
+        accelerometer = replace(accelerometer, scale=np.ones(3), misalignment_rad=np.zeros((3, 3)))
     parameters = loaded(accelerometer, unit_gyroscope, "lower", ("m/s^2", "rad/s"))
     exported = export_parameters(parameters, target)
     assert exported.losses == ()

@@ -1,13 +1,11 @@
-"""JSON: the whole model, ready to be computed, and the straight line nearest to it, under plain names."""
+"""JSON and YAML: the whole model, ready to be computed, and the straight line nearest to it, under plain names."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
 from imufield.deliver.exports.job import Draft, Job
-from imufield.deliver.exports.text import json_file
+from imufield.deliver.exports.text import comment, json_file, text_file, yaml_lines
 from imufield.deliver.exports.whole_model import gauge_note, whole_model
 
 FORMAT = "imufield-correction"
@@ -15,15 +13,19 @@ VERSION = 1
 
 
 def export(job: Job) -> Draft:
-    """Return the document."""
-    return Draft(files={"imufield_correction.json": json_file(document(job))}, notes=gauge_note(job))
+    """Return the document as JSON or YAML, as the target says."""
+    if job.target.name == "json":
+        files = {"imufield_correction.json": json_file(_document(job))}
+    else:
+        files = {"imufield_correction.yaml": text_file([*comment(job.heading()), *yaml_lines(_document(job))])}
+    return Draft(files=files, notes=gauge_note(job))
 
 
-def document(job: Job) -> dict[str, Any]:
+def _document(job: Job) -> dict[str, object]:
     """Return the document that JSON and YAML have in common."""
     calibration, context = job.parameters.calibration, job.parameters.context
     model, linear = whole_model(job), job.corrections(job.free_frame)
-    content: dict[str, Any] = {
+    content: dict[str, object] = {
         "format": FORMAT,
         "version": VERSION,
         "created": context.created,

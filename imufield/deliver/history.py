@@ -3,7 +3,7 @@
 The index (``.imufield-history.sqlite`` in the folder) holds what was read of each file and its size and time of change, so
 that a thousand files are read once. It can be deleted at any time.
 
-Compared are the gauge-free numbers, because the same instrument has other parameters in another gauge. Where both
+The gauge-free numbers are compared, because the same instrument has other parameters in another gauge. Where both
 calibrations took the same gravity, its error is in both scales alike and does not count in their difference.
 """
 
@@ -16,10 +16,10 @@ import math
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,11 +27,14 @@ from imufield.deliver.parameters.file import Parameters, load
 from imufield.deliver.parameters.gauge_free import Number, numbers_of
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 INDEX_FILE = ".imufield-history.sqlite"
-INDEX_VERSION = 4
+INDEX_VERSION = 5  # Of the index alone, which is made anew when it changes.
 STALE_DAYS = 365.0
 MOVED_SIGMA = 3.0
-"""A change beyond this is said aloud."""
+"""A larger change is reported: by chance it comes in 1 of 370 numbers."""
 CSV_COLUMNS = (
     "instrument",
     "serial_number",
@@ -45,18 +48,15 @@ CSV_COLUMNS = (
     "change_sigma",
     "remark",
 )
-_SAME_GRAVITY_M_S2 = 1e-7
+_SAME_GRAVITY_M_S2 = 1e-7  # Below what any gravimeter in the field shows: a larger difference is another value.
 _COLORS = ("#111111", "#0b5394", "#b45f06")
 _MARKERS = "osD^v<>Px"
+# One row for each TOML file; ``fault`` says why it is no entry, and is empty where it was never meant to be one.
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS entry (
-    path TEXT PRIMARY KEY, size INTEGER, changed_ns INTEGER, fault TEXT,
-    instrument TEXT, serial_number TEXT, created TEXT, verdict TEXT, session TEXT, raw_unit TEXT, gravity_m_s2 REAL,
-    numbers TEXT, edited INTEGER
+    path TEXT PRIMARY KEY, size INTEGER, changed_ns INTEGER, fault TEXT, content TEXT
 );
-CREATE INDEX IF NOT EXISTS by_instrument ON entry (serial_number, created);
 """
-_COLUMNS = ("path", "size", "changed_ns", "fault", "instrument", "serial_number", "created", "verdict", "session", "raw_unit")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +76,29 @@ class Entry:
     numbers: tuple[Number, ...]
     edited: bool = False
     """Whether somebody changed the file by hand."""
+
+    @classmethod
+    def of(cls, path: str, parameters: Parameters) -> Entry:
+        """Return the entry of a loaded file; raises as ``numbers_of``."""
+        context, calibration = parameters.context, parameters.calibration
+        return cls(
+            path=path,
+            instrument=context.instrument.model or context.instrument.driver,
+            serial_number=context.instrument.serial_number,
+            created=context.created,
+            verdict=calibration.quality.verdict,
+            session=context.session.sha256,
+            raw_unit=calibration.accelerometer_raw_unit,
+            gravity_m_s2=calibration.gravity.gravity_m_s2,
+            numbers=numbers_of(calibration),
+            edited=parameters.edited,
+        )
+
+    @classmethod
+    def from_json(cls, text: str) -> Entry:
+        """Return the entry that the index holds as JSON."""
+        values = json.loads(text)
+        return cls(**values | {"numbers": tuple(Number(**number) for number in values["numbers"])})
 
     @property
     def time(self) -> datetime:
@@ -170,7 +193,7 @@ def one_instrument(history: History) -> InstrumentHistory:
     """
     only, *others = history.instruments
     if others:
-        names = ", ".join(one.serial_number or one.title for one in history.instruments)
+        names = ", ".join(instrument.serial_number or instrument.title for instrument in history.instruments)
         raise UsageError(f"{history.folder} holds {len(history.instruments)} instruments ({names}); choose one with --serial")
     return only
 
@@ -200,10 +223,9 @@ def read_history(folder: Path, serial_number: str | None = None) -> History:
         )
     with closing(_open_index(folder)) as index, index:
         read = _refresh(index, folder)
-        rows = index.execute(f"SELECT {', '.join(_COLUMNS)}, gravity_m_s2, numbers, edited FROM entry").fetchall()  # noqa: S608 (constants)
-    faults = tuple(row[3] for row in rows if row[3])
-    entries = [_entry(row) for row in rows if row[6]]
-    chosen = [one for one in entries if serial_number in (None, one.serial_number)]
+        faults = tuple(fault for (fault,) in index.execute("SELECT fault FROM entry WHERE fault != ''"))
+        entries = [Entry.from_json(text) for (text,) in index.execute("SELECT content FROM entry WHERE content IS NOT NULL")]
+    chosen = [entry for entry in entries if serial_number in (None, entry.serial_number)]
     if not chosen:
         what = "" if serial_number is None else f" of serial number {serial_number}"
         first = f"; the first that cannot be read: {faults[0]}" if faults else ""
@@ -218,18 +240,19 @@ def read_history(folder: Path, serial_number: str | None = None) -> History:
 
 def compare(old: Entry, new: Entry) -> tuple[Change, ...]:
     """Return the change of every number that both have, in the same unit."""
-    before = {one.name: one for one in old.numbers}
+    before = {(number.name, number.unit): number for number in old.numbers}
     same_gravity = abs(old.gravity_m_s2 - new.gravity_m_s2) < _SAME_GRAVITY_M_S2
-    found = []
+    changes = []
     for number in new.numbers:
-        one = before.get(number.name)
-        if one is None or one.unit != number.unit:
+        earlier = before.get((number.name, number.unit))
+        if earlier is None:
             continue
-        variance = one.sigma**2 + number.sigma**2
+        variance = earlier.sigma**2 + number.sigma**2
         if same_gravity:
-            variance -= one.common**2 + number.common**2
-        found.append(Change(number.name, number.unit, number.value - one.value, math.sqrt(max(variance, 0.0))))
-    return tuple(found)
+            variance -= earlier.common**2 + number.common**2
+        sigma = math.sqrt(max(variance, 0.0))
+        changes.append(Change(number.name, number.unit, number.value - earlier.value, sigma))
+    return tuple(changes)
 
 
 def _open_index(folder: Path) -> sqlite3.Connection:
@@ -267,56 +290,16 @@ def _refresh(index: sqlite3.Connection, folder: Path) -> int:
         if known.get(name) == (state.st_size, state.st_mtime_ns):
             continue
         read += 1
-        _put(index, name, state.st_size, state.st_mtime_ns, path=path)
+        fault, content = "", None
+        try:
+            content = json.dumps(asdict(Entry.of(name, load(path))))
+        except ImufieldError as error:
+            # Session files and configurations are TOML too, and nobody's fault.
+            fault = "" if error.reason is Reason.FOREIGN else error.message
+        row = (name, state.st_size, state.st_mtime_ns, fault, content)
+        index.execute("INSERT OR REPLACE INTO entry VALUES (?, ?, ?, ?, ?)", row)
     index.executemany("DELETE FROM entry WHERE path = ?", [(name,) for name in set(known) - there])
     return read
-
-
-def _put(index: sqlite3.Connection, name: str, size: int, changed_ns: int, *, path: Path) -> None:
-    try:
-        values = _values(load(path))
-    except ImufieldError as error:
-        # Session files and configurations are TOML too, and nobody's fault.
-        fault = "" if error.reason is Reason.FOREIGN else error.message
-        values = (fault, "", "", "", "", "", "", 0.0, "[]", 0)
-    index.execute(f"INSERT OR REPLACE INTO entry VALUES ({', '.join('?' * 13)})", (name, size, changed_ns, *values))  # noqa: S608
-
-
-def _values(parameters: Parameters) -> tuple[object, ...]:
-    """Return the columns of the index after path, size and time."""
-    context, calibration = parameters.context, parameters.calibration
-    numbers = [[one.name, one.unit, one.value, one.sigma, one.common] for one in numbers_of(calibration)]
-    return (
-        None,
-        context.instrument.model or context.instrument.driver,
-        context.instrument.serial_number,
-        context.created,
-        calibration.quality.verdict,
-        context.session.sha256,
-        calibration.accelerometer_raw_unit,
-        calibration.gravity.gravity_m_s2,
-        json.dumps(numbers),
-        int(parameters.edited),
-    )
-
-
-def _entry(row: tuple[str, ...]) -> Entry:
-    path, _, _, _, instrument, serial_number, created, verdict, session, raw_unit, gravity, numbers, edited = row
-    found = tuple(
-        Number(**dict(zip((column.name for column in fields(Number)), values, strict=True))) for values in json.loads(numbers)
-    )
-    return Entry(
-        path=path,
-        instrument=instrument,
-        serial_number=serial_number,
-        created=created,
-        verdict=verdict,
-        session=session,
-        raw_unit=raw_unit,
-        gravity_m_s2=float(gravity),
-        numbers=found,
-        edited=bool(edited),
-    )
 
 
 def _by_instrument(entries: list[Entry]) -> tuple[InstrumentHistory, ...]:
@@ -326,9 +309,9 @@ def _by_instrument(entries: list[Entry]) -> tuple[InstrumentHistory, ...]:
     alone is not enough, because makers count from one as well.
     """
     groups: dict[tuple[str, str], dict[str, Entry]] = {}
-    for one in sorted(entries, key=lambda entry: (entry.created, entry.path)):
-        key = (one.instrument.split(" ")[0] if one.serial_number else one.instrument, one.serial_number)
-        groups.setdefault(key, {})[one.session or one.path] = one
+    for entry in sorted(entries, key=lambda entry: (entry.created, entry.path)):
+        key = (entry.instrument.split(" ")[0] if entry.serial_number else entry.instrument, entry.serial_number)
+        groups.setdefault(key, {})[entry.session or entry.path] = entry
     ordered = [sorted(group.values(), key=lambda entry: (entry.created, entry.path)) for _, group in sorted(groups.items())]
     return tuple(InstrumentHistory(group[-1].instrument, group[-1].serial_number, tuple(group)) for group in ordered)
 
@@ -341,7 +324,7 @@ def to_csv(history: History) -> str:
     for instrument in history.instruments:
         for place, entry in enumerate(instrument.entries):
             before = compare(instrument.entries[place - 1], entry) if place else ()
-            changes = {one.name: one.in_sigma for one in before}
+            changes = {change.name: change.in_sigma for change in before}
             for number in entry.numbers:
                 change = changes.get(number.name, math.nan)
                 writer.writerow([
@@ -392,11 +375,11 @@ def plot_history(instrument: InstrumentHistory) -> bytes:
     """
     from imufield.deliver.report import plots
 
-    names = [one.name for one in instrument.entries[-1].numbers]
+    names = [number.name for number in instrument.entries[-1].numbers]
     kinds = list(dict.fromkeys(name.rpartition(" ")[0] for name in names))
     with plots.style():
         drawn = plots.figure(1.7 * len(kinds) + 0.6)
-        panels = np.atleast_1d(drawn.subplots(len(kinds), 1, sharex=True))
+        panels = drawn.subplots(len(kinds), 1, sharex=True, squeeze=False)[:, 0]
         for axes, kind in zip(panels, kinds, strict=True):
             _plot_kind(axes, instrument, kind, [name for name in names if name.rpartition(" ")[0] == kind])
         panels[0].set_title(instrument.title, loc="left", fontweight="bold")
@@ -404,23 +387,23 @@ def plot_history(instrument: InstrumentHistory) -> bytes:
         return plots.to_svg(drawn, "history").encode("utf-8")
 
 
-def _plot_kind(axes: Any, instrument: InstrumentHistory, kind: str, names: list[str]) -> None:
-    unit = ""
+def _plot_kind(axes: Axes, instrument: InstrumentHistory, kind: str, names: list[str]) -> None:
+    is_scale, unit = "scale" in kind, ""
     for name, marker, style, color in zip(names, _MARKERS, ("-", "--", ":") * 3, _COLORS * 3, strict=False):
-        found = [(entry.time, number) for entry in instrument.entries for number in entry.numbers if number.name == name]
-        first, unit = found[0][1], found[0][1].unit
-        values = np.array([number.value - first.value for _, number in found])
-        sigma = np.array([number.sigma for _, number in found])
-        scale = 1e6 / abs(first.value) if "scale" in kind else 1.0
+        times = [entry.time for entry in instrument.entries for number in entry.numbers if number.name == name]
+        numbers = [number for entry in instrument.entries for number in entry.numbers if number.name == name]
+        first, unit = numbers[0].value, numbers[0].unit
+        # Scales differ by parts in a million of one another, whatever their unit.
+        size = 1e6 / abs(first) if is_scale else 1.0
         axes.errorbar(
-            [time for time, _ in found],
-            values * scale,
-            yerr=sigma * scale,
+            np.array(times),
+            np.array([number.value - first for number in numbers]) * size,
+            yerr=np.array([number.sigma for number in numbers]) * size,
             fmt=marker + style,
             capsize=3,
             label=name.rpartition(" ")[2],
             markerfacecolor="white",
             color=color,
         )
-    axes.set_ylabel(f"{kind}\n{'ppm' if 'scale' in kind else unit}")
+    axes.set_ylabel(f"{kind}\n{'ppm' if is_scale else unit}")
     axes.legend(ncols=3, loc="upper left", fontsize=7)

@@ -1,0 +1,92 @@
+"""The types that every export shares: the target, the options, the result, and what the target computes with the numbers.
+
+Nothing here imports NumPy: a list of targets is to appear at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Protocol
+
+if TYPE_CHECKING:
+    from imufield.samples import FloatArray
+
+ExportGauge = Literal["lower", "upper", "symmetric"]
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """One program or form that parameters can be exported to."""
+
+    name: str
+    title: str
+    holds: str
+    """What of the model it can express, in words."""
+    module: str
+    """Module of this package whose ``export(job)`` writes it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportOptions:
+    """What only the user of the target knows. ``--set name=value`` on the command line."""
+
+    gauge: ExportGauge | None = None
+    """Body frame for targets that take any (default: the parameter file's)."""
+    accelerometer_nominal: float | None = None
+    """Raw unit per m/s^2 by which the target's driver divides before it corrects; needed where counts go to an SI target."""
+    gyroscope_nominal: float | None = None
+    """Raw unit per rad/s, likewise."""
+    gyroscope_zero: float = 0.0
+    """Raw output that the driver takes off first; the accelerometer's is ``raw_zero`` of the parameter file."""
+    instance: int = 0
+    """Number of the sensor in a flight controller that has several, from 0."""
+    accelerometer_id: int | None = None
+    """Device ID of a flight controller's accelerometer (CAL_ACC0_ID, INS_ACC_ID)."""
+    gyroscope_id: int | None = None
+    model: Literal["kalibr", "rpng"] = "kalibr"
+    """IMU model of OpenVINS."""
+    accelerometer_random_walk: float | None = None
+    """Bias random walk, m/s^3/sqrt(Hz), for Kalibr, OpenVINS and Basalt."""
+    gyroscope_random_walk: float | None = None
+    """rad/s^2/sqrt(Hz)."""
+    name: str = "imufield_calibration"
+    """Name of the constant in C."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What an export returns; nothing is on disk yet."""
+
+    files: Mapping[str, bytes]
+    """Name to content."""
+    losses: tuple[str, ...]
+    """Sentences with numbers: what of the model the target cannot hold. Empty: it computes the same as ``apply``."""
+    notes: tuple[str, ...]
+    """Sentences: the frame, and what to mind in the target."""
+
+
+class TargetModel(Protocol):
+    """What the target will compute from this instrument's raw output."""
+
+    @property
+    def rotation(self) -> FloatArray:
+        """R of u' = R u from the parameter file's body frame to the target's."""
+        ...
+
+    @property
+    def has_g_sensitivity(self) -> bool:
+        """Whether anything of a specific force is taken off the gyroscope."""
+        ...
+
+    def apply_accelerometer(self, raw: FloatArray) -> FloatArray:
+        """Return specific force in m/s^2, shape (n, 3)."""
+        ...
+
+    def gyroscope_force(self, raw: FloatArray) -> FloatArray:
+        """Return the specific force that its g-sensitivity takes off the gyroscope, from the accelerometer's raw output."""
+        ...
+
+    def apply_gyroscope(self, raw: FloatArray, specific_force: FloatArray) -> FloatArray:
+        """Return angular rate in rad/s, shape (n, 3), with what ``gyroscope_force`` gives."""
+        ...
