@@ -164,10 +164,10 @@ def gyroscope_turns_problem(rng: np.random.Generator, form: str) -> TurnsProblem
     difference = difference + math.sqrt(2) * noise * GYROSCOPE_TRUTH[:3] * rng.standard_normal(rates.shape)
     lower, upper = GYROSCOPE_LOWER[:9], GYROSCOPE_UPPER[:9]
     return TurnsProblem(
-        lower=difference,
-        upper=rates,
-        difference=lower,
-        rate=upper,
+        difference=difference,
+        rate=rates,
+        lower=lower,
+        upper=upper,
         form="norm" if form == "norm" else "vector",
         unit=NOMINAL_GYROSCOPE_SCALE,
     )

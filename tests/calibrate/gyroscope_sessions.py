@@ -242,5 +242,5 @@ def turns_problem(table: TableRows, reach: float = 0.05, form: Literal["norm", "
     half = np.concatenate([reach * np.abs(K), np.full(6, reach)])
     middle = np.concatenate([K, np.zeros(6)])
     return TurnsProblem(
-        lower=2 * table.half_difference_raw, upper=table.rate_rad_s, difference=middle - half, rate=middle + half, form=form
+        difference=2 * table.half_difference_raw, rate=table.rate_rad_s, lower=middle - half, upper=middle + half, form=form
     )
