@@ -19,14 +19,16 @@ from imufield.acquire.registry import load_driver
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
 from imufield.files import write_atomically
-from imufield.simulate.emulator.core import EmulatorCore
+from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
-from imufield.simulate.emulator.serial import Emulator, EmulatorSettings, VirtualImu
+from imufield.simulate.emulator.serial import Emulator
 from imufield.simulate.instruments.aceinna import AceinnaInstrument
+from imufield.simulate.instruments.device import Device
 from imufield.simulate.instruments.microstrain import MicroStrainInstrument
 from imufield.simulate.instruments.protocol_device import InProtocolUnits, ProtocolDevice
 from imufield.simulate.instruments.scripted import ScriptedInstrument
-from imufield.simulate.instruments.stim300 import Device, Stim300Device, Stim300Identity, TextDevice
+from imufield.simulate.instruments.stim300 import Stim300Device, Stim300Identity
+from imufield.simulate.instruments.text import TextDevice
 from imufield.simulate.instruments.vectornav import VectorNavInstrument
 from imufield.simulate.instruments.witmotion import WitMotionInstrument
 from imufield.simulate.instruments.xsens import XsensInstrument
@@ -34,8 +36,10 @@ from imufield.simulate.truth.grades import draw_truth, find_grade
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.motion import Site
 from imufield.simulate.truth.operator import Operator, OperatorSettings
-from imufield.simulate.wire.encode import ACCELEROMETER_BITS, Stim300Format, TextFormat
-from imufield.simulate.wire.wire_forms import DEFAULT_RATE_HZ, WireForm, choose_form
+from imufield.simulate.truth.source import VirtualImu
+from imufield.simulate.wire.forms import DEFAULT_RATE_HZ, WireForm, choose_form
+from imufield.simulate.wire.lines import TextFormat
+from imufield.simulate.wire.stim300 import ACCELEROMETER_BITS, Stim300Format
 from imufield.version import __version__
 
 _STIM300_OUTPUTS = ("accelerometer_output", "gyroscope_output")

@@ -13,7 +13,7 @@ import numpy as np
 
 from imufield.acquire.protocol.can_frames import ERROR, Frame
 from imufield.errors import UsageError
-from imufield.simulate.wire.encode import Bytes
+from imufield.simulate.wire.stim300 import Bytes
 
 GARBAGE_BYTES = (1, 64)
 """Length of a burst of garbage."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 from imufield.simulate.instruments.scripted import ScriptedInstrument, nearest
-from imufield.simulate.wire.wire_forms import WireForm
+from imufield.simulate.wire.forms import WireForm
 
 _MEMORY = (b"sC", b"rD", b"WF", b"WE", b"UE", b"JI", b"JA", b"WA")
 _NAK = b"\x15\x15"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from imufield.simulate.instruments.scripted import ScriptedInstrument
-from imufield.simulate.wire.wire_forms import WireForm
+from imufield.simulate.wire.forms import WireForm
 
 _UNKNOWN_COMMAND = 0x01
 _BAD_VALUE = 0x03

@@ -10,12 +10,12 @@ import numpy as np
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray, Samples, SampleUnits
-from imufield.simulate.emulator.core import SampleSource
+from imufield.simulate.instruments.device import Answer, Frames
 from imufield.simulate.instruments.scripted import NoCommands, ScriptedInstrument
-from imufield.simulate.instruments.stim300 import Answer, Frames
-from imufield.simulate.wire.frame_encode import FrameEncoder, WireClock
-from imufield.simulate.wire.sentence_encode import LINE_END, LineEncoder, SentenceEncoder
-from imufield.simulate.wire.wire_forms import WireForm
+from imufield.simulate.truth.source import SampleSource
+from imufield.simulate.wire.forms import WireForm
+from imufield.simulate.wire.frames import FrameEncoder, WireClock
+from imufield.simulate.wire.lines import LINE_END, LineEncoder, SentenceEncoder
 
 COUNTS_OF_A_CONVERTER = 32768.0
 """From the middle of a 16-bit converter to its end."""

@@ -1,28 +1,22 @@
-"""What instruments say and answer: the emulator asks one of these for bytes.
+"""A STIM300 after datasheet TS1524 rev. 31: its datagrams, and its answers in normal, service and utility mode.
 
-``Stim300Device`` follows datasheet TS1524 rev. 31: on power-on part number, serial number and configuration, then 281 ms of
-datagrams with the start-up bit and the rates at full scale, then data. Commands of normal mode are answered; of service
-and utility mode only so much that a host can enter, ask who is there, set the sample rate until power-off (utility alone), and
-leave. The byte maps of the special datagrams come from the datasheet only, no recording of them is known.
+At power-on it sends part number, serial number and configuration, then 281 ms of datagrams with the start-up bit and the rates
+at full scale, then data. All commands of normal mode are answered. In service and utility mode a host can enter, ask for the
+identity, set the sample rate until power-off (utility alone), and leave. The byte maps of the special datagrams come from the
+datasheet only; no recording of them is known.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 from crccheck.crc import Crc8Base
 
 from imufield.samples import Samples, Status
-from imufield.simulate.wire.encode import (
-    Bytes,
-    Stim300Encoder,
-    Stim300Format,
-    TextFormat,
-    close_datagrams,
-    encode_text,
-)
+from imufield.simulate.instruments.device import Answer, Frames
+from imufield.simulate.wire.stim300 import Stim300Encoder, Stim300Format, close_datagrams
 
 COMMAND_END = b"\r"
 _LONGEST_COMMAND = 256  # Bytes kept while waiting for the end of a command; those of a STIM300 have at most some 60.
@@ -34,100 +28,6 @@ _RANGE_CODES = {10: 0, 2: 2, 5: 3, 30: 4, 80: 6}
 _OUTPUT_CODES = {"rate": 0, "increment": 1, "average": 2}
 _UTILITY_ERROR = 1
 _UTILITY_VALUE_ERROR = 5
-
-
-@dataclass(frozen=True, slots=True)
-class Frames:
-    """Encoded frames of a block."""
-
-    data: Bytes
-    """Shape (n,)."""
-    ends: np.ndarray[tuple[int], np.dtype[np.int64]]
-    """Where each frame ends in it, ascending. Shape (m,)."""
-    checksum_at: np.ndarray[tuple[int], np.dtype[np.int64]]
-    """Place of one byte of the checksum of each frame; of any byte where the form has no checksum."""
-
-
-class Device(Protocol):
-    """An instrument on the other end of the wire."""
-
-    baud: int
-    start_up_s: float
-    """Samples of this time after power-on are flagged ``Status.START_UP``."""
-
-    @property
-    def streaming(self) -> bool:
-        """Whether samples are sent in the present mode."""
-        ...
-
-    @property
-    def rate_hz(self) -> float | None:
-        """Output rate that commands have set; None: that of its samples."""
-        ...
-
-    @property
-    def answers_replace_samples(self) -> bool:
-        """Whether an answer takes the place of a sample; otherwise it comes between two."""
-        ...
-
-    def encode(self, samples: Samples) -> Frames:
-        """Return the frames of a block of samples."""
-        ...
-
-    def power_on(self) -> bytes:
-        """Return what is sent at power-on before the first sample."""
-        ...
-
-    def hear(self, data: bytes) -> Answer:
-        """Return the answer to bytes of the host, whole commands or parts of them."""
-        ...
-
-    def jump_counter(self, by: int) -> None:
-        """Let the counter jump."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """Answer to a command."""
-
-    data: bytes = b""
-    resets: bool = False
-    """The instrument starts anew."""
-
-
-class TextDevice:
-    """A home-made instrument that prints lines; it hears no commands."""
-
-    start_up_s = 0.0
-    rate_hz = None
-    answers_replace_samples = False
-
-    def __init__(self, settings: TextFormat | None = None, baud: int = 921600) -> None:
-        self.format = settings or TextFormat()
-        self.baud = baud
-        self.streaming = True
-        self._offset = 0
-
-    def encode(self, samples: Samples) -> Frames:
-        """Return one line for each sample."""
-        if self._offset:
-            samples = replace(samples, counter=samples.counter + self._offset)
-        lines = encode_text(samples, self.format)
-        ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
-        return Frames(np.frombuffer(b"".join(lines), dtype=np.uint8), ends, ends - len(self.format.line_end) - 1)
-
-    def power_on(self) -> bytes:
-        """Return nothing."""
-        return b""
-
-    def hear(self, data: bytes) -> Answer:  # noqa: ARG002 - what is not heard is not answered
-        """Return nothing."""
-        return Answer()
-
-    def jump_counter(self, by: int) -> None:
-        """Let the counter column, if there is one, jump."""
-        self._offset += by
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

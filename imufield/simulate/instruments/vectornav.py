@@ -6,7 +6,7 @@ from functools import reduce
 from operator import xor
 
 from imufield.simulate.instruments.scripted import ScriptedInstrument, nearest
-from imufield.simulate.wire.wire_forms import WireForm
+from imufield.simulate.wire.forms import WireForm
 
 _IMU_HZ = 800
 _FLASH = ("VNWNV", "VNRFS")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 from imufield.simulate.instruments.scripted import ScriptedInstrument, nearest
-from imufield.simulate.wire.wire_forms import WireForm
+from imufield.simulate.wire.forms import WireForm
 
 _SAVE = 0x00
 _RATE = 0x03

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 from imufield.simulate.instruments.scripted import ScriptedInstrument
-from imufield.simulate.wire.wire_forms import WireForm
+from imufield.simulate.wire.forms import WireForm
 
 _ANYWHERE = {0x30, 0x10, 0x40}
 _INVALID_MESSAGE = 0x04

@@ -15,6 +15,7 @@ import pytest
 from imufield.cli.options import LARGEST_SEED
 from imufield.errors import UsageError
 from imufield.samples import Samples, concatenate
+from imufield.simulate.emulator.core import EmulatorSettings
 from imufield.simulate.emulator.emulate import (
     Emulation,
     choose_wire,
@@ -25,7 +26,7 @@ from imufield.simulate.emulator.emulate import (
     truth_document,
 )
 from imufield.simulate.emulator.faults import CanFaults, Faults
-from imufield.simulate.emulator.serial import Emulator, EmulatorSettings
+from imufield.simulate.emulator.serial import Emulator
 from imufield.simulate.instruments.stim300 import Stim300Device, Stim300Identity
 from imufield.simulate.truth.operator import OperatorSettings
 from tests.simulate.accounting import serial_wires

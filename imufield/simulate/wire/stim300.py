@@ -1,4 +1,4 @@
-"""Bytes of the wire from samples, for whole blocks at once: STIM300 normal datagrams and lines of text.
+"""Samples to STIM300 normal datagrams, for whole blocks at once.
 
 Written from the facts of the wire alone and independently of the decoder, so that each can test the other.
 
@@ -13,7 +13,6 @@ one word for each byte, found in a table of that byte's place. So n frames cost 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -24,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, IntArray, Samples, Status
+from imufield.samples import FloatArray, IntArray, Samples, Status
 
 Bytes = NDArray[np.uint8]
 
@@ -277,50 +276,3 @@ def _whole(values: ArrayLike, count: int) -> IntArray:
 
 def _column(values: ArrayLike, count: int) -> Bytes:
     return np.broadcast_to(np.asarray(values).astype(np.uint8), (count,))[:, np.newaxis]
-
-
-TEXT_COLUMNS = ("time", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS)
-"""What a line of text holds unless told otherwise; ``counter`` and ``temperature`` may be added."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TextFormat:
-    """Lines of numbers as home-made systems print them.
-
-    Raises
-    ------
-    UsageError
-        If a column has no such name.
-    """
-
-    columns: tuple[str, ...] = TEXT_COLUMNS
-    separator: str = ","
-    prefix: str = ""
-    line_end: str = "\r\n"
-    decimals: int = 9
-    """Places after the point; 0 for counts and pulses."""
-
-    def __post_init__(self) -> None:
-        known = (*TEXT_COLUMNS, "counter", "temperature")
-        unknown = [name for name in self.columns if name not in known]
-        if unknown:
-            raise UsageError(f"there is no column {unknown[0]!r} of text; choose among {', '.join(known)}", column=unknown[0])
-
-
-def encode_text(samples: Samples, settings: TextFormat) -> list[bytes]:
-    """Return the lines of a block, values in the unit of the samples; what is not available is left empty."""
-    values = {
-        "time": samples.time_s,
-        "counter": samples.counter,
-        **dict(zip(ACCELEROMETER_COLUMNS, samples.accelerometer.T, strict=True)),
-        **dict(zip(GYROSCOPE_COLUMNS, samples.gyroscope.T, strict=True)),
-        "temperature": samples.temperature_degc,
-    }
-    columns = [_print_column(name, values[name], settings.decimals) for name in settings.columns]
-    rows = zip(*columns, strict=True)
-    return [(settings.prefix + settings.separator.join(row) + settings.line_end).encode("ascii") for row in rows]
-
-
-def _print_column(name: str, values: FloatArray | IntArray, decimals: int) -> list[str]:
-    places = {"time": 6, "counter": 0, "temperature": 2}.get(name, decimals)
-    return ["" if math.isnan(value) else f"{value:.{places}f}" for value in values.tolist()]

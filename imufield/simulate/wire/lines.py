@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 
 from imufield.acquire.formats.table_columns import quantity_of
@@ -9,8 +12,8 @@ from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.samples_and_clock import TextRule
 from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, IntArray, Samples
-from imufield.simulate.wire.frame_encode import WireClock
-from imufield.simulate.wire.wire_forms import WireFrame, number_template
+from imufield.simulate.wire.forms import WireFrame, number_template
+from imufield.simulate.wire.frames import WireClock
 
 LINE_END = "\r\n"
 RAW_UNITS = ("count", "pulse")
@@ -116,3 +119,50 @@ def _split(rule: TextRule, line: str) -> tuple[str, str, list[str], str]:
 
 def _print(text: str, values: FloatArray | IntArray | None, count: int) -> list[str]:
     return [text] * count if values is None else [text.format(value) for value in values.tolist()]
+
+
+TEXT_COLUMNS = ("time", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS)
+"""What a line of text holds unless told otherwise; ``counter`` and ``temperature`` may be added."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TextFormat:
+    """Lines of numbers as home-made systems print them.
+
+    Raises
+    ------
+    UsageError
+        If a column has no such name.
+    """
+
+    columns: tuple[str, ...] = TEXT_COLUMNS
+    separator: str = ","
+    prefix: str = ""
+    line_end: str = "\r\n"
+    decimals: int = 9
+    """Places after the point; 0 for counts and pulses."""
+
+    def __post_init__(self) -> None:
+        known = (*TEXT_COLUMNS, "counter", "temperature")
+        unknown = [name for name in self.columns if name not in known]
+        if unknown:
+            raise UsageError(f"there is no column {unknown[0]!r} of text; choose among {', '.join(known)}", column=unknown[0])
+
+
+def encode_text(samples: Samples, settings: TextFormat) -> list[bytes]:
+    """Return the lines of a block, values in the unit of the samples; what is not available is left empty."""
+    values = {
+        "time": samples.time_s,
+        "counter": samples.counter,
+        **dict(zip(ACCELEROMETER_COLUMNS, samples.accelerometer.T, strict=True)),
+        **dict(zip(GYROSCOPE_COLUMNS, samples.gyroscope.T, strict=True)),
+        "temperature": samples.temperature_degc,
+    }
+    columns = [_print_column(name, values[name], settings.decimals) for name in settings.columns]
+    rows = zip(*columns, strict=True)
+    return [(settings.prefix + settings.separator.join(row) + settings.line_end).encode("ascii") for row in rows]
+
+
+def _print_column(name: str, values: FloatArray | IntArray, decimals: int) -> list[str]:
+    places = {"time": 6, "counter": 0, "temperature": 2}.get(name, decimals)
+    return ["" if math.isnan(value) else f"{value:.{places}f}" for value in values.tolist()]

@@ -17,7 +17,7 @@ from imufield.acquire.protocol.layout import NUMBER_BYTES, Field
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, IntArray, Samples
-from imufield.simulate.wire.wire_forms import WireFrame
+from imufield.simulate.wire.forms import WireFrame
 
 Bytes = NDArray[np.uint8]
 Numbers = FloatArray | IntArray
