@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from imufield.samples import Samples
-from imufield.simulate.wire.stim300 import Bytes
+from imufield.simulate.wire.frames import Bytes
 
 
 @dataclass(frozen=True, slots=True)

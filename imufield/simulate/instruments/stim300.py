@@ -21,7 +21,9 @@ from imufield.simulate.wire.stim300 import Stim300Encoder, Stim300Format, close_
 COMMAND_END = b"\r"
 _LONGEST_COMMAND = 256  # Bytes kept while waiting for the end of a command; those of a STIM300 have at most some 60.
 _START_UP_S = 0.281
+# At start-up the rates are at full scale, beyond the 400 deg/s of the range.
 _START_UP_RATE_RAD_S = np.radians(480.0)
+# Codes of the configuration datagram; a rate or baud without one has the last code.
 _RATE_CODES = {125: 0, 250: 1, 500: 2, 1000: 3, 2000: 4}
 _BAUD_CODES = {374400: 0, 460800: 1, 921600: 2, 1843200: 3}
 _RANGE_CODES = {10: 0, 2: 2, 5: 3, 30: 4, 80: 6}
@@ -70,7 +72,7 @@ class Stim300Device:
         self.baud = baud
         self._encoder = Stim300Encoder(self.format)
         self.memory_writes: list[bytes] = []  # Commands that would have changed memory that outlives the power.
-        self._found = self.format
+        self._saved = self.format  # In flash: what a power-on finds.
         self._mode = "normal"
         self._heard = b""
 
@@ -97,7 +99,7 @@ class Stim300Device:
     def power_on(self) -> bytes:
         """Return part number, serial number and configuration datagrams."""
         self._mode = "normal"
-        self._use(self._found)
+        self._use(self._saved)
         return self._part_number() + self._serial_number() + self._configuration()
 
     def jump_counter(self, by: int) -> None:
@@ -109,7 +111,7 @@ class Stim300Device:
         *commands, rest = (self._heard + data).split(COMMAND_END)
         self._heard = rest[-_LONGEST_COMMAND:]
         answers = [self.answer(command.strip(b"\n")) for command in commands]
-        return Answer(b"".join(one.data for one in answers), any(one.resets for one in answers))
+        return Answer(b"".join(answer.data for answer in answers), any(answer.resets for answer in answers))
 
     def answer(self, command: bytes) -> Answer:
         """Return the answer to a command in the present mode; unknown ones are passed over in normal mode."""
@@ -122,14 +124,15 @@ class Stim300Device:
         if command in (b"SERVICEMODE", b"UTILITYMODE"):
             self._mode = command[:7].decode().lower()
             return Answer(b"\r>" if command == b"SERVICEMODE" else utility_message("#UTILITYMODE"))
+        # Bias trim and extended error: zeros, which stand for no trim and no error.
         datagrams = {
-            b"N": self._part_number,
-            b"I": self._serial_number,
-            b"C": self._configuration,
-            b"T": self._bias_trim,
-            b"E": self._extended_error,
+            b"N": self._part_number(),
+            b"I": self._serial_number(),
+            b"C": self._configuration(),
+            b"T": self._special(0xD1, 0xD2, bytes(35)),
+            b"E": self._special(0xBE, 0xBF, bytes(16)),
         }
-        return Answer(datagrams[command]()) if command in datagrams else Answer()
+        return Answer(datagrams.get(command, b""))
 
     def _answer_service(self, command: bytes) -> Answer:
         echo = command + b"\r"
@@ -152,7 +155,12 @@ class Stim300Device:
         if name == "save":
             self.memory_writes.append(command)
         if name.startswith("sm,"):
-            return self._set_rate(name)
+            rates = {str(code): rate_hz for rate_hz, code in _RATE_CODES.items()}
+            rate_hz = rates.get(name.removeprefix("sm,"))
+            if rate_hz is None:
+                return Answer(utility_message(f"#sm,{_UTILITY_VALUE_ERROR}"))
+            self._use(replace(self.format, rate_hz=rate_hz))
+            return Answer(utility_message("#sm,0"))
         known = {
             "isn": f"N{self.identity.serial_number}",
             "ix": f"{self.identity.part_number},{self.identity.revision}",
@@ -162,15 +170,8 @@ class Stim300Device:
             return Answer(utility_message(f"#{name},{_UTILITY_ERROR}"))
         return Answer(utility_message(f"#{name},0,{known[name]}"))
 
-    def _set_rate(self, name: str) -> Answer:
-        rates = {str(code): rate_hz for rate_hz, code in _RATE_CODES.items()}
-        rate_hz = rates.get(name.removeprefix("sm,"))
-        if rate_hz is None:
-            return Answer(utility_message(f"#sm,{_UTILITY_VALUE_ERROR}"))
-        self._use(replace(self.format, rate_hz=rate_hz))
-        return Answer(utility_message("#sm,0"))
-
     def _use(self, settings: Stim300Format) -> None:
+        # The counter goes on where it is.
         if settings != self.format:
             offset = self._encoder.counter_offset
             self.format, self._encoder = settings, Stim300Encoder(settings)
@@ -199,6 +200,7 @@ class Stim300Device:
         content = (
             (use.auxiliary != "none") << 4 | use.temperature << 3 | use.inclinometer << 2 | use.accelerometer << 1 | use.crlf
         )
+        # Bytes 4 to 12: active axes and output unit of each cluster, and the codes of its filters.
         body = bytearray(21)
         body[0:2] = self.identity.hardware_revision.encode("ascii") + bytes([self.identity.firmware_revision])
         body[2] = _RATE_CODES.get(round(use.rate_hz), 5) << 5 | content
@@ -211,12 +213,6 @@ class Stim300Device:
         body[13] = 0x08 if use.auxiliary == "pps" else 0
         body[16], body[17] = range_code << 4 | range_code, range_code << 4
         return self._special(0xBC, 0xBD, bytes(body))
-
-    def _bias_trim(self) -> bytes:
-        return self._special(0xD1, 0xD2, bytes(35))
-
-    def _extended_error(self) -> bytes:
-        return self._special(0xBE, 0xBF, bytes(16))
 
 
 class _UtilityCrc(Crc8Base):  # type: ignore[misc]

@@ -12,7 +12,7 @@ from imufield.simulate.wire.lines import TextFormat, encode_text
 
 
 class TextDevice:
-    """A home-made instrument that prints lines; it hears no commands."""
+    """A home-made instrument that prints lines; it takes no commands."""
 
     start_up_s = 0.0
     rate_hz = None

@@ -1,15 +1,15 @@
-"""Samples to lines, by the columns that decode them: numbers alone, or sentences, ``$NAME,number,...*checksum``."""
+"""Samples to lines of text: by the columns of a protocol, as sentences (``$NAME,number,...*checksum``), or home-made."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from imufield.acquire.formats.table_columns import quantity_of
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.acquire.protocol.samples_and_clock import TextRule
 from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, IntArray, Samples
 from imufield.simulate.wire.forms import WireFrame, number_template
@@ -31,25 +31,19 @@ class LineEncoder:
     """
 
     def __init__(self, protocol: Protocol, clock: WireClock) -> None:
-        assert protocol.lines is not None  # noqa: S101  the caller looked
-        self._protocol, self._clock = protocol, clock
-        separator = _SEPARATORS.get(protocol.lines.delimiter, ",")
+        assert protocol.lines is not None  # noqa: S101  checked by the caller
+        rule, ticks_per_s = protocol.lines, protocol.clock.time_ticks_per_s
         raw = {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope}
-        ticks_per_s = protocol.clock.time_ticks_per_s
-        self._cells = [
-            (name, number_template(name, ticks_per_s, whole=raw.get(quantity_of(name)) in RAW_UNITS))
-            for name in protocol.lines.columns
-        ]
-        self._head = protocol.lines.prefix + separator if protocol.lines.prefix else ""
-        self._separator = separator
-        self.has_counter = "counter" in protocol.lines.columns
+        whole = [raw.get(quantity_of(name)) in RAW_UNITS for name in rule.columns]
+        cells = [number_template(name, ticks_per_s, whole=count) for name, count in zip(rule.columns, whole, strict=True)]
+        self._table = _Table(protocol, clock, rule.columns, cells)
+        self._separator = _SEPARATORS.get(rule.delimiter, ",")
+        self._head = rule.prefix + self._separator if rule.prefix else ""
+        self.has_counter = "counter" in rule.columns
 
     def encode(self, samples: Samples) -> list[bytes]:
         """Return the lines of a block."""
-        columns = [
-            _print(text, _column_values(name, samples, self._protocol, self._clock), len(samples)) for name, text in self._cells
-        ]
-        return [(self._head + self._separator.join(row) + LINE_END).encode("ascii") for row in zip(*columns, strict=True)]
+        return [(self._head + self._separator.join(row) + LINE_END).encode("ascii") for row in self._table.rows(samples)]
 
 
 class SentenceEncoder:
@@ -70,55 +64,65 @@ class SentenceEncoder:
     """
 
     def __init__(self, protocol: Protocol, frame: WireFrame, clock: WireClock) -> None:
-        assert protocol.lines is not None  # noqa: S101  the caller looked
-        self._protocol, self._clock = protocol, clock
-        self._marker, self._head, cells, self._check = _split(protocol.lines, frame.line)
-        sentence = next((one for one in protocol.lines.sentences if one.name == self._head.partition(",")[0]), None)
+        assert protocol.lines is not None  # noqa: S101  checked by the caller
+        rule, line = protocol.lines, frame.line
+        # MARKER name,header END number,number*checksum: the numbers begin behind the end of the header, or the name.
+        body, _, self._check = line[1:].rpartition("*")
+        separator = rule.header_end or ","
+        head, _, numbers = body.partition(separator)
+        self._marker, self._head, cells = line[:1].encode(), head + separator, numbers.split(",")
+        sentence = next((known for known in rule.sentences if known.name == self._head.partition(",")[0]), None)
         if sentence is None or len(cells) != len(sentence.columns):
-            raise UsageError(f"line {frame.line!r} is no sentence of {protocol.name}; correct its table [[emulate]]")
-        self._cells = list(zip(sentence.columns, cells, strict=True))
-        self._checksum = next(one for one in protocol.lines.checksums if 2 * one.size == len(self._check.format(0)))
+            raise UsageError(f"line {line!r} is no sentence of {protocol.name}; correct its table [[emulate]]")
+        self._table = _Table(protocol, clock, sentence.columns, cells)
+        # Two hexadecimal digits for each byte of the checksum.
+        self._checksum = next(known for known in rule.checksums if 2 * known.size == len(self._check.format(0)))
         self.has_counter = "counter" in sentence.columns
 
     def encode(self, samples: Samples) -> list[bytes]:
         """Return the lines of a block."""
-        columns = [
-            _print(text, _column_values(name, samples, self._protocol, self._clock), len(samples)) for name, text in self._cells
-        ]
-        bodies = [(self._head + ",".join(row)).encode("ascii") for row in zip(*columns, strict=True)]
-        return [self._closed(body) for body in bodies]
-
-    def _closed(self, body: bytes) -> bytes:
-        value = int(self._checksum.of_rows(np.frombuffer(body, dtype=np.uint8).reshape(1, -1))[0])
-        return self._marker.encode() + body + f"*{self._check.format(value)}{LINE_END}".encode()
+        lines = []
+        for row in self._table.rows(samples):
+            body = (self._head + ",".join(row)).encode("ascii")
+            value = int(self._checksum.of_rows(np.frombuffer(body, dtype=np.uint8).reshape(1, -1))[0])
+            lines.append(self._marker + body + f"*{self._check.format(value)}{LINE_END}".encode())
+        return lines
 
 
-def _column_values(column: str, samples: Samples, protocol: Protocol, wire: WireClock) -> FloatArray | IntArray | None:
-    """Return the numbers of one column as they are printed; None for one that means nothing in a sample."""
-    name = column.removeprefix("-")
-    sign, factors, clock = (-1.0 if column.startswith("-") else 1.0), protocol.factors, protocol.clock
-    if name in ACCELEROMETER_COLUMNS:
-        return sign * samples.accelerometer[:, ACCELEROMETER_COLUMNS.index(name)] / factors["accelerometer"]
-    if name in GYROSCOPE_COLUMNS:
-        return sign * samples.gyroscope[:, GYROSCOPE_COLUMNS.index(name)] / factors["gyroscope"]
-    if name == "temperature":
-        return samples.temperature_degc
-    if name == "time":
-        ticks = wire.time_s(samples) * clock.time_ticks_per_s
-        return ticks % clock.time_modulus if clock.time_modulus else ticks
-    return wire.counter(samples, 0) if name == "counter" else None
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """Columns of a line, each with the template that prints its numbers."""
 
+    protocol: Protocol
+    clock: WireClock
+    columns: Sequence[str]
+    templates: Sequence[str]
 
-def _split(rule: TextRule, line: str) -> tuple[str, str, list[str], str]:
-    """Return marker, name with header and separator, the cells of the numbers, and the template of the checksum."""
-    body, _, check = line[1:].rpartition("*")
-    separator = rule.header_end or ","
-    head, _, cells = body.partition(separator)
-    return line[:1], head + separator, cells.split(","), check
+    def rows(self, samples: Samples) -> Iterable[tuple[str, ...]]:
+        """Return the printed numbers of each sample."""
+        printed = []
+        for column, template in zip(self.columns, self.templates, strict=True):
+            values = self._values(column, samples)
+            # A template without a number is printed as it is.
+            printed.append(
+                [template] * len(samples) if values is None else [template.format(value) for value in values.tolist()]
+            )
+        return zip(*printed, strict=True)
 
-
-def _print(text: str, values: FloatArray | IntArray | None, count: int) -> list[str]:
-    return [text] * count if values is None else [text.format(value) for value in values.tolist()]
+    def _values(self, column: str, samples: Samples) -> FloatArray | IntArray | None:
+        """Return the numbers of one column as they are printed; None for one that means nothing in a sample."""
+        name, factors, rule = column.removeprefix("-"), self.protocol.factors, self.protocol.clock
+        sign = -1.0 if column.startswith("-") else 1.0
+        if name in ACCELEROMETER_COLUMNS:
+            return sign * samples.accelerometer[:, ACCELEROMETER_COLUMNS.index(name)] / factors["accelerometer"]
+        if name in GYROSCOPE_COLUMNS:
+            return sign * samples.gyroscope[:, GYROSCOPE_COLUMNS.index(name)] / factors["gyroscope"]
+        if name == "temperature":
+            return samples.temperature_degc
+        if name == "time":
+            ticks = self.clock.time_s(samples) * rule.time_ticks_per_s
+            return ticks % rule.time_modulus if rule.time_modulus else ticks
+        return self.clock.counter(samples, 0) if name == "counter" else None
 
 
 TEXT_COLUMNS = ("time", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS)
@@ -158,11 +162,10 @@ def encode_text(samples: Samples, settings: TextFormat) -> list[bytes]:
         **dict(zip(GYROSCOPE_COLUMNS, samples.gyroscope.T, strict=True)),
         "temperature": samples.temperature_degc,
     }
-    columns = [_print_column(name, values[name], settings.decimals) for name in settings.columns]
+    places = {"time": 6, "counter": 0, "temperature": 2}
+    columns = []
+    for name in settings.columns:
+        decimals = places.get(name, settings.decimals)
+        columns.append(["" if math.isnan(value) else f"{value:.{decimals}f}" for value in values[name].tolist()])
     rows = zip(*columns, strict=True)
     return [(settings.prefix + settings.separator.join(row) + settings.line_end).encode("ascii") for row in rows]
-
-
-def _print_column(name: str, values: FloatArray | IntArray, decimals: int) -> list[str]:
-    places = {"time": 6, "counter": 0, "temperature": 2}.get(name, decimals)
-    return ["" if math.isnan(value) else f"{value:.{places}f}" for value in values.tolist()]
