@@ -124,7 +124,7 @@ def test_another_day_is_another_session_of_the_same_instrument() -> None:
     np.testing.assert_array_equal(first_samples(first).accelerometer, first_samples(again).accelerometer)
     assert not np.any(first_samples(first).accelerometer == first_samples(other).accelerometer)
     assert not np.any(first_samples(replace(OPTIONS, day=2)).accelerometer == first_samples(other).accelerometer)
-    truths = [truth_document(options, make_virtual_imu(options)) for options in (first, other)]
+    truths = [json.loads(json.dumps(truth_document(options, make_virtual_imu(options)))) for options in (first, other)]
     for name in ("scale", "bias_m_s2", "misalignment_rad", "quadratic"):
         assert truths[0]["accelerometer"][name] == truths[1]["accelerometer"][name]
     assert [truth["day"] for truth in truths] == [0, 1]
