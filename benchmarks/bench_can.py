@@ -36,7 +36,7 @@ import sys
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.simulate.emulator.can import CanEmulator
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
-from imufield.simulate.emulator.serial import EmulatorSettings
+from imufield.simulate.emulator.core import EmulatorSettings
 source = make_virtual_imu(Emulation(device="text", rate_hz=float(sys.argv[2])))
 with CanEmulator(load_protocol("j1939_imu"), source, sys.argv[1], EmulatorSettings(duration_s=float(sys.argv[3]))) as emulator:
     print(emulator.bus, flush=True)

@@ -30,7 +30,7 @@ from imufield.pipeline.chain import part_metadata, session_samples
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.instruments.stim300 import Stim300Device
 from imufield.simulate.truth.operator import OperatorSettings
-from imufield.simulate.wire.encode import Stim300Format
+from imufield.simulate.wire.stim300 import Stim300Format
 
 IMUFIELD = [sys.executable, "-m", "imufield"]
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "imu_tk"

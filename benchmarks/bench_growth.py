@@ -21,7 +21,7 @@ from imufield.pipeline.chain import part_metadata
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.instruments.stim300 import Stim300Device
 from imufield.simulate.truth.operator import OperatorSettings
-from imufield.simulate.wire.encode import Stim300Format
+from imufield.simulate.wire.stim300 import Stim300Format
 
 RATE_HZ = 500.0
 SHORTEST_S = 60.0

@@ -23,7 +23,7 @@ from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.recording.reader import RecordedBlock, read_blocks, read_part
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session
-from imufield.simulate.wire.encode import close_datagrams
+from imufield.simulate.wire.stim300 import close_datagrams
 
 RATE_HZ = 2000
 FRAME_BYTES = 40

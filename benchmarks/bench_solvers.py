@@ -137,7 +137,7 @@ def campaigns(runs: int) -> None:
         start = time.perf_counter()
         results = run_campaign(run_whitened, range(runs), seed=0, workers=workers)
         seconds.append(time.perf_counter() - start)
-        total = sum(result.cost for result in results)
+        total = sum(result.swarm.cost for result in results)
         print(f"campaign of {runs} runs, {workers} worker(s): {seconds[-1]:.1f} s, sum of costs {total:.12e}")
     print(f"speed-up {seconds[0] / seconds[1]:.2f} (limit 1.6)")
 

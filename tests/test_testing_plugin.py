@@ -21,7 +21,7 @@ from imufield.acquire.recording.session import Session
 from imufield.guide.positions import scheme
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.operator import OperatorSettings
-from imufield.simulate.wire.encode import Stim300Encoder, Stim300Format
+from imufield.simulate.wire.stim300 import Stim300Encoder, Stim300Format
 from imufield.testing import Replayed
 
 pytest_plugins = ["pytester"]

@@ -75,7 +75,7 @@ def run_solve_many(
         workers=workers,
         scheduler=scheduler,
         on_killed=_killed,
-        hear=tell,
+        on_result=tell,
     )
     outcomes = [_write(outcome) for outcome in found]
     _print(outcomes, as_json=options.as_json)

@@ -37,7 +37,7 @@ from imufield.study.instruments import (
     bsas_preset,
 )
 from imufield.study.optimum import INTRINSIC_NAMES, cramer_rao_bound
-from imufield.study.report import Comparison, CsvTable, StudyReport
+from imufield.study.report import Comparison, CsvTable, StudyReport, make_report
 
 TURN_SIGMA_RAD = FIELD_PRESET.misalignment_rad / np.sqrt(6)
 """1 sigma of the turn in a preset whose misalignments are uniform within their limit: a turn is half a difference of two."""
@@ -100,22 +100,13 @@ def least_squares_bound(context: StudyContext) -> StudyReport:
     rows = tuple(
         (name, known[k], as_preset[k], *(ratio[k] for ratio in ratios.values())) for k, name in enumerate(INTRINSIC_NAMES)
     )
-    return StudyReport(
-        name="bsas-bound",
-        title="least squares against the Cramér-Rao bound",
-        setting="Instrument, noise, positions and presets of bsas-whitened (all 15 parameters off, quadratic term on body axes "
-        f"as printed); {len(runs)} data sets, so a ratio is known to {1 / np.sqrt(2 * len(runs)):.1%} (1 sigma).",
-        comparisons=comparisons,
-        differences=(
-            (
-                "Least squares is efficient: in one frame with the truth, its errors are those of the bound. As solved, in the "
-                "frame of the preset (off by up to 100 urad), bias y comes out above the bound of a known frame, and so would "
-                "any method's: with a frame known only as the preset says, the bound itself is that much higher."
-            ),
-            "On sensing axes, our default, a turn of the frame changes none of these numbers, and the question does not arise.",
-        ),
+    return make_report(
+        "bsas-bound",
+        comparisons,
         tables=(CsvTable("ratios", ("number", "bound", "bound with frame as the preset", *ratios), rows),),
         draw=figures.bars(INTRINSIC_NAMES, ratios, "RMSE over Cramér-Rao bound"),
+        runs=len(runs),
+        known=1 / np.sqrt(2 * len(runs)),
     )
 
 

@@ -31,7 +31,7 @@ from imufield.study.instruments import (
     bsas_outputs,
     bsas_preset,
 )
-from imufield.study.report import Comparison, StudyReport, curves_table
+from imufield.study.report import Comparison, StudyReport, curves_table, make_report
 
 CATEGORIES = ("scale factors", "biases", "misalignments", "quadratic terms")
 CATEGORY_OFF = (0.5, 0.5e-3, 1e-5, 0.002)
@@ -46,17 +46,16 @@ _PAPER_FIG_3 = {
     6: (3.262e-6, 1.545e-6, 2.036e-6, 1.134e-6),
     2: (6.112e-4, 6.335e-6, 4.513e-6, 1.620e-6),
 }
-_PANELS = (0, 1, 3, 2)
+_PANELS = (0, 1, 3, 2)  # Categories in the order of the paper's panels.
 _VARIED = (0.2, 0.5, 0.8)  # Probabilities tried; the paper prints them in its legends only.
 
 
 def stage_problem(preset: FloatArray, raw: FloatArray) -> NormProblem:
     """Return eq. 13 in the paper's own coordinates: the 15 parameters in their own units, without bounds."""
-    sigma = np.ones(len(raw))
     return NormProblem(
         raw=raw,
         gravity_m_s2=BSAS_GRAVITY_M_S2,
-        sigma_m_s2=sigma,
+        sigma_m_s2=np.ones(len(raw)),
         origin=preset,
         basis=np.eye(PARAMETERS),
         quadratic_axes=BSAS_AXES,
@@ -80,6 +79,7 @@ def run_stage(stage: Stage, rng: np.random.Generator) -> FloatArray:
     preset = BSAS_TRUTH.copy()
     preset[list(members)] += CATEGORY_OFF[stage.category] * rng.uniform(-1, 1, len(members))
     problem = stage_problem(preset, bsas_outputs(rng))
+    # A single beetle takes the same steps as one of the swarm.
     solver = partial(solve_bas, settings=BasSettings()) if stage.single else partial(solve_bsas, settings=stage.swarm)
     history = solve_stages(problem, (members,), rng=rng, solver=solver)[0].history
     # A swarm that stopped early stays where it is.
@@ -88,33 +88,7 @@ def run_stage(stage: Stage, rng: np.random.Generator) -> FloatArray:
 
 def _stages(context: StudyContext, name: str, stages: list[Stage], runs: int) -> list[FloatArray]:
     """Return for each stage the histories of its runs, shape (runs, iterations)."""
-    jobs = [stage for stage in stages for _ in range(runs)]
-    histories = np.array(context.campaign(name, run_stage, jobs))
-    return list(histories.reshape(len(stages), runs, -1))
-
-
-_FIGURE_3_DIFFERENCES = (
-    (
-        "With the other categories at the truth, scale factors, biases and quadratic terms come down to "
-        "the noise within 300 iterations with any number of beetles: three coordinates of equal weight "
-        "are easy. The paper's six and two beetles stop 2 to 700 times higher; what else differed in "
-        "those panels is not printed."
-    ),
-    (
-        "The misalignments end several times above the noise: half of their six directions are turns of "
-        "the body frame, which change nothing, and more beetles do not help there. The paper shows them "
-        "as low as the others."
-    ),
-    (
-        "The level is set by the noise, not by the swarm: the truth itself costs about 5.8e-7. The paper "
-        "prints no noise that fits its costs (its 10 ug would cost 2e-3), so the level was chosen once, "
-        "for the truth to cost about what its figures show."
-    ),
-    (
-        "The paper reaches these costs only because the other categories are preset to their true values; "
-        "see bsas-staged for presets that are not."
-    ),
-)
+    return [np.array(histories) for histories in context.campaign_of_each(name, run_stage, stages, runs)]
 
 
 def figure_3(context: StudyContext) -> StudyReport:
@@ -137,15 +111,14 @@ def figure_3(context: StudyContext) -> StudyReport:
     ]
     curves = {f"{CATEGORIES[panel]}, {label}": curve for (panel, label), curve in median.items()}
     panels = {CATEGORIES[panel]: {label: median[panel, label] for label in variants} for panel in _PANELS}
-    return StudyReport(
-        name="bsas-fig3",
-        title="convergence with m beetles, p_pos and p_st",
-        setting=f"{SETTING} Each category starts off by up to {CATEGORY_OFF} in its own unit, the other three hold the "
-        f"truth; median of {runs} runs.",
-        comparisons=tuple(comparisons),
-        differences=_FIGURE_3_DIFFERENCES,
+    return make_report(
+        "bsas-fig3",
+        comparisons,
         tables=(curves_table("convergence", "iteration", curves),),
         draw=figures.convergence(panels, "cost (m/s$^2$)"),
+        instrument=SETTING,
+        off=CATEGORY_OFF,
+        runs=runs,
     )
 
 
@@ -163,25 +136,13 @@ def figure_4(context: StudyContext) -> StudyReport:
         comparisons.append(Comparison(f"final cost, {CATEGORIES[panel]}", paper, f"BSAS {swarm[-1]:.3g}, BAS {single[-1]:.3g}"))
         panels[CATEGORIES[panel]] = {"BSAS": swarm, "BAS": single}
         curves |= {f"{CATEGORIES[panel]}, BSAS": swarm, f"{CATEGORIES[panel]}, BAS": single}
-    return StudyReport(
-        name="bsas-fig4",
-        title="convergence of BSAS and BAS by category",
-        setting=f"{SETTING} One beetle with the same steps and 300 iterations for BAS; the other categories hold the "
-        f"truth; median of {runs} runs.",
-        comparisons=tuple(comparisons),
-        differences=(
-            (
-                "As in the paper, the misalignments are where a single beetle fails: it stops two orders of "
-                "magnitude above the swarm. Its step shrinks by 0.9 every round, found or not, so it can move no "
-                "further than about ten first steps in all, and late rounds not at all."
-            ),
-            (
-                "In the other three categories, with the rest at the truth, our single beetle ends within a third "
-                "of the swarm; the paper's stops earlier."
-            ),
-        ),
+    return make_report(
+        "bsas-fig4",
+        comparisons,
         tables=(curves_table("convergence", "iteration", curves),),
         draw=figures.convergence(panels, "cost (m/s$^2$)"),
+        instrument=SETTING,
+        runs=runs,
     )
 
 
@@ -189,24 +150,12 @@ _ROUNDS = 8  # The paper repeats "until the requirements are met" and gives no n
 _MODERATE = PresetError(0.5 / 734.9, 0.5e-3, 1e-5, 1.0)
 
 
-@dataclass(frozen=True, slots=True)
-class StagedJob:
-    """The whole staged procedure from a preset that is off."""
-
-    error: PresetError
-
-
-def run_staged(job: StagedJob, rng: np.random.Generator) -> FloatArray:
+def run_staged(error: PresetError, rng: np.random.Generator) -> FloatArray:
     """Return the cost after each round of the four categories, and whether it claims to have converged (last entry)."""
-    raw, preset = bsas_outputs(rng), bsas_preset(rng, job.error)
-    settings = StagedSettings(rounds=_ROUNDS)
-    stages = solve_stages(
-        stage_problem(preset, raw),
-        PAPER_CATEGORIES,
-        rng=rng,
-        rounds=_ROUNDS,
-        solver=partial(solve_bsas, settings=settings.swarm),
-    )
+    raw, preset = bsas_outputs(rng), bsas_preset(rng, error)
+    solver = partial(solve_bsas, settings=StagedSettings(rounds=_ROUNDS).swarm)
+    stages = solve_stages(stage_problem(preset, raw), PAPER_CATEGORIES, rng=rng, rounds=_ROUNDS, solver=solver)
+    # The cost after the last category of each round.
     costs = [stages[4 * k + 3].cost for k in range(_ROUNDS)]
     claimed = solve_bsas_staged(stage_problem(preset, raw), rng=rng).converged
     return np.array([*costs, float(claimed)])
@@ -215,6 +164,7 @@ def run_staged(job: StagedJob, rng: np.random.Generator) -> FloatArray:
 def run_scale_stage_with_bias_off(off_m_s2: float, rng: np.random.Generator) -> float:
     """Return the best cost of the scale stage where the bias preset is off."""
     members = PAPER_CATEGORIES[0]
+    # Only the bias is off, which the scale stage cannot move: what cost is left is what it cannot reach.
     preset = BSAS_TRUTH.copy()
     preset[3:6] += off_m_s2 * rng.choice([-1.0, 1.0], 3)
     problem = stage_problem(preset, bsas_outputs(rng))
@@ -225,25 +175,11 @@ def run_scale_stage_with_bias_off(off_m_s2: float, rng: np.random.Generator) -> 
 def _staged(context: StudyContext) -> dict[str, FloatArray]:
     runs = context.runs(50, 2)
     found = {
-        name: np.array(context.campaign(f"bsas-staged {name}", run_staged, [StagedJob(error)] * runs))
+        name: np.array(context.campaign(f"bsas-staged {name}", run_staged, [error] * runs))
         for name, error in (("moderate", _MODERATE), ("field", FIELD_PRESET))
     }
     off = context.campaign("bsas-staged bias", run_scale_stage_with_bias_off, [10 * MICRO_G_M_S2] * runs)
     return {**found, "bias off": np.array(off)}
-
-
-_STAGED_DIFFERENCES = (
-    (
-        "Four categories in turn are coordinate descent on a cost with edges. A category can only lower "
-        "the cost as far as the errors of the other three allow, and where the edges of several positions "
-        "meet no move within one category helps."
-    ),
-    "Three of the six misalignments are turns of the body frame and change nothing; the swarm wanders there.",
-    (
-        "No run claims to have converged: a probe around its end finds better points. In whitened "
-        "coordinates the same swarm needs no presets near the truth: see bsas-whitened."
-    ),
-)
 
 
 def staged(context: StudyContext) -> StudyReport:
@@ -252,28 +188,24 @@ def staged(context: StudyContext) -> StudyReport:
     runs = len(found["field"])
     moderate, field = (np.median(found[name][:, :-1], axis=0) for name in ("moderate", "field"))
     claims = int(sum(found[name][:, -1].sum() for name in ("moderate", "field")))
+    bias_off = np.median(found["bias off"])
+    first, last = "cost after 1 round, presets off by", f"cost after {_ROUNDS} rounds of the same"
     comparisons = (
         Comparison("cost, four categories, truth as presets", "7.2e-7 to 7.4e-7", "see bsas-fig5"),
-        Comparison(
-            "cost after 1 round, presets off by 0.5 raw/(m/s^2), 0.5e-3 m/s^2, 1e-5 rad", "not given", f"{moderate[0]:.2g}"
-        ),
-        Comparison(f"cost after {_ROUNDS} rounds of the same", '"until the requirements are met"', f"{moderate[-1]:.2g}"),
-        Comparison(
-            "cost after 1 round, presets off by up to 500 ppm, 1 mg, 100 urad, 100 % of K2", "not given", f"{field[0]:.2g}"
-        ),
-        Comparison(f"cost after {_ROUNDS} rounds of the same", "not given", f"{field[-1]:.2g}"),
-        Comparison(
-            "scale stage with the bias presets off by 10 ug, best cost", "not given", f"{np.median(found['bias off']):.2g}"
-        ),
+        Comparison(f"{first} 0.5 raw/(m/s^2), 0.5e-3 m/s^2, 1e-5 rad", "not given", f"{moderate[0]:.2g}"),
+        Comparison(last, '"until the requirements are met"', f"{moderate[-1]:.2g}"),
+        Comparison(f"{first} up to 500 ppm, 1 mg, 100 urad, 100 % of K2", "not given", f"{field[0]:.2g}"),
+        Comparison(last, "not given", f"{field[-1]:.2g}"),
+        Comparison("scale stage with the bias presets off by 10 ug, best cost", "not given", f"{bias_off:.2g}"),
         Comparison("runs that claim to have converged", "not said", f"{claims} of {2 * runs}"),
     )
     curves = {"moderate presets": moderate, "field presets": field}
-    return StudyReport(
-        name="bsas-staged",
-        title="the staged procedure with presets that are not the truth",
-        setting=f"{SETTING} The four categories in turn, {_ROUNDS} rounds; median of {runs} runs each.",
-        comparisons=comparisons,
-        differences=_STAGED_DIFFERENCES,
+    return make_report(
+        "bsas-staged",
+        comparisons,
         tables=(curves_table("rounds", "round", curves),),
         draw=figures.convergence({"median cost": curves}, "cost (m/s$^2$)", xlabel="round"),
+        instrument=SETTING,
+        rounds=_ROUNDS,
+        runs=runs,
     )

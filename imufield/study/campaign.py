@@ -16,7 +16,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from types import ModuleType
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -38,7 +39,7 @@ _CONNECT_TIMEOUT_S = 10.0
 # Without a scheme it is tcp; tls needs certificates, which nobody can give here.
 _ADDRESS = re.compile(r"(tcp://)?\[?[^\s/]+\]?:\d+|inproc://\S+")
 
-_Batch = tuple[int, list[Any], list[np.random.SeedSequence]]  # Index of its first run, arguments, seeds.
+_Batch = tuple[int, list[Argument], list[np.random.SeedSequence]]  # Index of its first run, arguments, seeds.
 
 
 def run_campaign(
@@ -50,7 +51,7 @@ def run_campaign(
     scheduler: str | None = None,
     progress: Progress | None = None,
     on_killed: Callable[[Argument], Result] | None = None,
-    hear: Callable[[Result], None] | None = None,
+    on_result: Callable[[Result], None] | None = None,
 ) -> list[Result]:
     """Return ``run(argument, generator)`` of every argument, in their order.
 
@@ -70,7 +71,7 @@ def run_campaign(
     on_killed : callable, optional
         What takes the place of a result that kills its worker again and again; without it that ends the campaign. Runs are
         sent one by one then.
-    hear : callable, optional
+    on_result : callable, optional
         Told each result as it comes, in any order.
 
     Raises
@@ -80,32 +81,42 @@ def run_campaign(
     LinkError
         If the scheduler does not answer or is lost.
     """
-    seeds = np.random.SeedSequence(seed).spawn(len(arguments))
-    tell = progress or _silent
     if workers is not None and workers < 1:
         raise UsageError(f"{workers} workers can do nothing; use 1 or more, or leave it out for one per core", workers=workers)
     count = min(workers or os.cpu_count() or 1, max(len(arguments), 1))
-    if scheduler is None and count == 1:
-        return _here(run, arguments, seeds, tell, hear=hear)
-    campaign = _Campaign(run=run, arguments=tuple(arguments), seeds=tuple(seeds), tell=tell, on_killed=on_killed, hear=hear)
-    return _on_processes(campaign, count) if scheduler is None else _on_cluster(campaign, scheduler)
+    campaign = _Campaign(
+        run=run,
+        arguments=tuple(arguments),
+        seeds=tuple(np.random.SeedSequence(seed).spawn(len(arguments))),
+        progress=progress,
+        on_killed=on_killed,
+        on_result=on_result,
+    )
+    if scheduler is not None:
+        return _on_cluster(campaign, scheduler)
+    if count > 1:
+        return _on_processes(campaign, count)
+    for first, (argument, own_seed) in enumerate(zip(campaign.arguments, campaign.seeds, strict=True)):
+        campaign.take(first, run_batch(run, (first, [argument], [own_seed])))
+    return campaign.in_order()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class _Campaign(Generic[Argument, Result]):
     """What both kinds of workers are given, and what has come back."""
 
     run: Run[Argument, Result]
     arguments: tuple[Argument, ...]
     seeds: tuple[np.random.SeedSequence, ...]
-    tell: Progress
+    progress: Progress | None
     on_killed: Callable[[Argument], Result] | None
-    hear: Callable[[Result], None] | None
+    on_result: Callable[[Result], None] | None
     results: dict[int, list[Result]] = field(default_factory=dict)  # By the number of the batch's first run.
+    done: int = 0
 
-    def batches(self, workers: int) -> list[_Batch]:
+    def batches(self, workers: int) -> list[_Batch[Argument]]:
         """Return the runs in batches that get smaller to the end."""
-        batches: list[_Batch] = []
+        batches: list[_Batch[Argument]] = []
         first, count = 0, len(self.arguments)
         while first < count:
             size = min(math.ceil((count - first) / (workers * _SHARE_OF_REST)), LARGEST_BATCH if self.on_killed is None else 1)
@@ -116,38 +127,19 @@ class _Campaign(Generic[Argument, Result]):
     def take(self, first: int, results: list[Result]) -> None:
         """Keep the results of a batch."""
         self.results[first] = results
-        if self.hear is not None:
+        if self.on_result is not None:
             for result in results:
-                self.hear(result)
-        self.tell(sum(len(done) for done in self.results.values()), len(self.arguments))
+                self.on_result(result)
+        self.done += len(results)
+        if self.progress is not None:
+            self.progress(self.done, len(self.arguments))
 
     def in_order(self) -> list[Result]:
         """Return all results."""
         return [result for first in sorted(self.results) for result in self.results[first]]
 
 
-def _silent(_done: int, _total: int) -> None:
-    return
-
-
-def _here(
-    run: Run[Argument, Result],
-    arguments: Sequence[Argument],
-    seeds: list[np.random.SeedSequence],
-    tell: Progress,
-    *,
-    hear: Callable[[Result], None] | None,
-) -> list[Result]:
-    results = []
-    for argument, seed in zip(arguments, seeds, strict=True):
-        results.append(run(argument, np.random.default_rng(seed)))
-        if hear is not None:
-            hear(results[-1])
-        tell(len(results), len(arguments))
-    return results
-
-
-def run_batch(run: Run[Argument, Result], batch: _Batch) -> list[Result]:
+def run_batch(run: Run[Argument, Result], batch: _Batch[Argument]) -> list[Result]:
     """Return the results of one batch; the function that workers are sent."""
     return [run(argument, np.random.default_rng(seed)) for argument, seed in zip(batch[1], batch[2], strict=True)]
 
@@ -171,7 +163,7 @@ def _on_processes(campaign: _Campaign[Argument, Result], workers: int) -> list[R
 
 
 def _one_by_one(
-    campaign: _Campaign[Argument, Result], batches: list[_Batch], on_killed: Callable[[Argument], Result]
+    campaign: _Campaign[Argument, Result], batches: list[_Batch[Argument]], on_killed: Callable[[Argument], Result]
 ) -> list[Result]:
     """Give each run that is left a worker of its own, to find those that kill it."""
     for first, arguments, seeds in batches:
@@ -183,16 +175,19 @@ def _one_by_one(
     return campaign.in_order()
 
 
-def _pool_pass(campaign: _Campaign[Argument, Result], batches: list[_Batch], workers: int) -> None:
+def _pool_pass(campaign: _Campaign[Argument, Result], batches: list[_Batch[Argument]], workers: int) -> None:
     """Send batches to a pool until all are done or a worker dies, which breaks the pool."""
     # "spawn": a forked child would inherit BLAS with the threads the parent started it with.
     pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
     try:
-        waiting: dict[Future[list[Result]], _Batch] = {pool.submit(run_batch, campaign.run, batch): batch for batch in batches}
+        waiting: dict[Future[list[Result]], _Batch[Argument]] = {
+            pool.submit(run_batch, campaign.run, batch): batch for batch in batches
+        }
         while waiting:
             for future in wait(waiting, return_when=FIRST_COMPLETED).done:
                 campaign.take(waiting.pop(future)[0], future.result())
     finally:
+        # Also after an error of a run: no worker is left behind.
         pool.shutdown(wait=True, cancel_futures=True)
 
 
@@ -234,7 +229,13 @@ def _on_cluster(campaign: _Campaign[Argument, Result], scheduler: str) -> list[R
         try:
             for future in distributed.as_completed(futures, loop=client.loop):
                 first, arguments, _ = of_key[future.key]
-                campaign.take(first, _result(future, arguments, campaign.on_killed, distributed.KilledWorker))
+                try:
+                    results = future.result()
+                except distributed.KilledWorker:
+                    if campaign.on_killed is None:
+                        raise
+                    results = [campaign.on_killed(argument) for argument in arguments]
+                campaign.take(first, results)
         except (distributed.KilledWorker, OSError) as error:
             raise LinkError(
                 f"the Dask cluster at {scheduler!r} lost {len(batches) - len(campaign.results)} of {len(batches)} batches "
@@ -245,20 +246,7 @@ def _on_cluster(campaign: _Campaign[Argument, Result], scheduler: str) -> list[R
     return campaign.in_order()
 
 
-def _result(
-    future: Any, arguments: list[Argument], on_killed: Callable[[Argument], Result] | None, killed: type[Exception]
-) -> list[Result]:
-    """Return the result of a batch on a cluster, or what stands for a batch that kills its workers."""
-    try:
-        results: list[Result] = future.result()
-    except killed:
-        if on_killed is None:
-            raise
-        return [on_killed(argument) for argument in arguments]
-    return results
-
-
-def _distributed() -> Any:
+def _distributed() -> ModuleType:
     try:
         import distributed  # pyright: ignore[reportMissingImports]  (of the study extra)
     except ModuleNotFoundError as error:

@@ -27,4 +27,12 @@ class StudyContext:
     def campaign(self, name: str, run: Run[Argument, Result], arguments: Sequence[Argument]) -> list[Result]:
         """Do the runs of a study; each name has random numbers of its own."""
         seed = zlib.crc32(f"{self.seed} {name}".encode())
+        # The name is part of the seed, so a study has the same runs whether it is done alone or with others.
         return run_campaign(run, arguments, seed=seed, workers=self.workers, scheduler=self.scheduler, progress=self.progress)
+
+    def campaign_of_each(
+        self, name: str, run: Run[Argument, Result], arguments: Sequence[Argument], runs: int
+    ) -> list[list[Result]]:
+        """Do ``runs`` runs for each argument; return them argument by argument."""
+        found = self.campaign(name, run, [argument for argument in arguments for _ in range(runs)])
+        return [found[k * runs : (k + 1) * runs] for k in range(len(arguments))]

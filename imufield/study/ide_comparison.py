@@ -34,9 +34,9 @@ from imufield.study.instruments import (
     per_deg_h,
     triad_outputs,
 )
-from imufield.study.navigation import WhiteNoise, navigate_at_rest, rest_inputs
+from imufield.study.navigation import WhiteNoise, minute_curves, navigate_at_rest, rest_inputs
 from imufield.study.optimum import squares_optimum
-from imufield.study.report import Comparison, CsvTable, StudyReport
+from imufield.study.report import Comparison, CsvTable, StudyReport, make_report
 
 METHODS = ("ga", "pso", "ide")
 COSTS = ("accelerometer", "norm", "vector")
@@ -53,19 +53,16 @@ _PAPER = {
 _NAMES = {"accelerometer": "accelerometer, L_a", "norm": "gyroscope, L_gm as printed", "vector": "gyroscope, vector form"}
 HOURS = 5.0
 """As in the paper's Fig. 10."""
+_FLOWN = (*METHODS, "ide, vector form")
 _QUICK_GENERATIONS = 100  # Of GA and PSO in a quick study: enough to see that they work.
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class MethodRun:
     """One run of one method on one cost."""
 
-    method: str
-    cost_name: str
     cost: float
     optimum: float
-    converged: bool
-    x: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,33 +87,14 @@ def run_method(job: MethodJob, rng: np.random.Generator) -> MethodRun:
     cost_name = job.cost_name
     problem: TriadProblem | TurnsProblem = ide_problem(rng) if cost_name == "accelerometer" else make_problem(cost_name, rng)
     optimum, _ = squares_optimum(problem)
-    found = job.solver()(problem, rng=rng)
-    return MethodRun(
-        method=job.method, cost_name=cost_name, cost=found.cost, optimum=optimum, converged=found.converged, x=found.x
-    )
+    return MethodRun(job.solver()(problem, rng=rng).cost, optimum)
 
 
 @cache
 def _runs(context: StudyContext) -> dict[tuple[str, str], list[MethodRun]]:
-    keys = [(method, cost) for cost in COSTS for method in METHODS]
-    runs = context.runs(30, 2)
-    found = context.campaign("ide-table5", run_method, [MethodJob(*key, context.quick) for key in keys for _ in range(runs)])
-    return {key: found[k * runs : (k + 1) * runs] for k, key in enumerate(keys)}
-
-
-_TABLE_5_DIFFERENCES = (
-    (
-        "Not as in the paper: with a maintained library's operators GA and PSO do far better than the "
-        "paper's, on the accelerometer as well as IDE or nearly so. The paper prints neither their "
-        "settings nor its success, so its 73 % and 87 % are those of its own implementations."
-    ),
-    (
-        "Equation 26 is rank 3 of 9. Its six flat directions keep the population of a differential "
-        "evolution spread, so here IDE is the one that stops short, by a third in the median; GA and PSO "
-        "contract anyway."
-    ),
-    ("In the vector form, which determines all nine entries, IDE and PSO end on the optimum in every run, GA hardly ever."),
-)
+    jobs = [MethodJob(method, cost, context.quick) for cost in COSTS for method in METHODS]
+    found = context.campaign_of_each("ide-table5", run_method, jobs, context.runs(30, 2))
+    return {(job.method, job.cost_name): runs for job, runs in zip(jobs, found, strict=True)}
 
 
 def table_5(context: StudyContext) -> StudyReport:
@@ -134,14 +112,9 @@ def table_5(context: StudyContext) -> StudyReport:
         ratio = float(np.median([run.cost / run.optimum for run in runs]))
         rows.append((cost, method, success, values.mean(), values.std(ddof=1), ratio, at_optimum))
     columns = ("cost", "method", "success rate", "mean", "SD", "median over optimum", "at the optimum")
-    return StudyReport(
-        name="ide-table5",
-        title="GA, PSO and IDE",
-        setting="Data as in ide-table2 and ide-table4. GA and PSO from pymoo with its default operators, 60 members and "
-        f"1200 generations like IDE; success: within {SUCCESS:g} times the global optimum (the paper does not "
-        "define it); fresh noise in every run.",
-        comparisons=tuple(comparisons),
-        differences=_TABLE_5_DIFFERENCES,
+    return make_report(
+        "ide-table5",
+        comparisons,
         tables=(CsvTable("methods", columns, tuple(rows)),),
         draw=figures.bars(
             [f"{_NAMES[cost].split(',')[0]} {cost} {method.upper()}" for method, cost in _runs(context)],
@@ -149,18 +122,11 @@ def table_5(context: StudyContext) -> StudyReport:
             "cost / optimum",
             log=True,
         ),
+        success=SUCCESS,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Flight:
-    """Navigation at rest with the parameters of one method."""
-
-    method: str
-    errors: Drift
-
-
-def run_flight(job: MethodJob, rng: np.random.Generator) -> Flight:
+def run_flight(job: MethodJob, rng: np.random.Generator) -> Drift:
     """Calibrate both triads by one method and navigate at rest with the result, the attitude given as in the paper.
 
     The method "ide, vector form" is IDE with the vector form in place of eq. 26.
@@ -174,23 +140,20 @@ def run_flight(job: MethodJob, rng: np.random.Generator) -> Flight:
     force = force * IDE_GRAVITY_M_S2 / np.linalg.norm(force)
     shown_force = _inputs(accelerometer, triad_outputs(IDE_TRUTH, force[None]))
     shown_rate = np.radians(_inputs(gyroscope, triad_outputs(GYROSCOPE_TRUTH, np.degrees(rate)[None])))
-    errors = navigate_at_rest(
+    return navigate_at_rest(
         shown_force, shown_rate, BEIJING_LATITUDE_DEG, hours=HOURS, noise=WhiteNoise(), rng=rng, attitude_rph_deg=np.zeros(3)
     )
-    return Flight(job.method, errors)
 
 
 def _static_bias(turns: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return the bias with K and E held, from the static cost of eq. 7 (section 3.3, last paragraph)."""
+    """Return the bias with K and E fixed, from the static cost of eq. 7 (section 3.3, last paragraph)."""
     problem = gyroscope_static_problem(rng)
-    held_at = per_deg_h(turns)
-    narrow = 1e-12 * np.maximum(np.abs(held_at), 1e-6)
-    held = replace(
-        problem,
-        lower=np.concatenate([held_at - narrow, problem.lower[9:]]),
-        upper=np.concatenate([held_at + narrow, problem.upper[9:]]),
-    )
-    return load_solver("ide")(held, rng=rng).x[9:]
+    fixed = per_deg_h(turns)
+    # Bounds this narrow fix an entry; equal ones would leave the solver nothing to draw from.
+    narrow = 1e-12 * np.maximum(np.abs(fixed), 1e-6)
+    lower = np.concatenate([fixed - narrow, problem.lower[9:]])
+    upper = np.concatenate([fixed + narrow, problem.upper[9:]])
+    return load_solver("ide")(replace(problem, lower=lower, upper=upper), rng=rng).x[9:]
 
 
 def _in_frame(x: FloatArray) -> FloatArray:
@@ -209,31 +172,10 @@ def _inputs(x: FloatArray, raw: FloatArray) -> FloatArray:
     return np.asarray(problem.inputs(x[None])[0, :, 0])
 
 
-_FLOWN = (*METHODS, "ide, vector form")
-
-
 @cache
 def _flights(context: StudyContext) -> dict[str, list[Drift]]:
-    runs = context.runs(10, 1)
-    costs = {method: "vector" if "vector" in method else "norm" for method in _FLOWN}
-    jobs = [MethodJob(method, cost, context.quick) for method, cost in costs.items() for _ in range(runs)]
-    found = context.campaign("ide-fig10", run_flight, jobs)
-    return {method: [f.errors for f in found if f.method == method] for method in _FLOWN}
-
-
-_FIGURE_10_DIFFERENCES = (
-    (
-        "The size is the paper's, velocity errors of metres per second; that IDE comes out smallest is "
-        "not reproduced. Most of the error is the gyroscope's, and not by lack of search: eq. 26 leaves "
-        "misalignments undetermined within the bounds of 0.01 rad, and 0.01 rad of the Earth's rate is "
-        "0.15 deg/h. Which method comes out smallest is therefore chance; the vector form removes that "
-        "error."
-    ),
-    (
-        "With the attitude given, an accelerometer error is a tilt that alignment would have absorbed, so "
-        "this check punishes it more than navigation in use would."
-    ),
-)
+    jobs = [MethodJob(method, "vector" if "vector" in method else "norm", context.quick) for method in _FLOWN]
+    return dict(zip(_FLOWN, context.campaign_of_each("ide-fig10", run_flight, jobs, context.runs(10, 1)), strict=True))
 
 
 def figure_10(context: StudyContext) -> StudyReport:
@@ -242,10 +184,8 @@ def figure_10(context: StudyContext) -> StudyReport:
     paper = {"ide": "less than 2 m/s north, 10 m/s east"}
     comparisons = []
     for method, runs in flights.items():
-        north, east = (
-            np.median([np.abs(getattr(run, name)).max() for run in runs])
-            for name in ("north_velocity_m_s", "east_velocity_m_s")
-        )
+        north = np.median([np.abs(run.north_velocity_m_s).max() for run in runs])
+        east = np.median([np.abs(run.east_velocity_m_s).max() for run in runs])
         position = np.median([run.position_nmi.max() for run in runs])
         ours = f"{north:.3g} m/s north, {east:.3g} m/s east, {position:.3g} nmi"
         given = paper.get(method, "larger than ide" if method in METHODS else "not done")
@@ -258,17 +198,10 @@ def figure_10(context: StudyContext) -> StudyReport:
         "longitude error (deg)": "longitude_deg",
     }
     panels = {label: {m: (run.hours, getattr(run, name)) for m, run in first.items()} for label, name in quantities.items()}
-    hours = first["ide"].hours[::60]
-    columns = [getattr(run, name)[::60] for run in first.values() for name in quantities.values()]
-    heads = tuple(f"{method} {name}" for method in first for name in quantities.values())
-    return StudyReport(
-        name="ide-fig10",
-        title="navigation at rest by method",
-        setting="Both triads of IDE Tables 1 and 3 calibrated by each method (gyroscope: eq. 26, then the bias by the "
-        "static cost with K and E held), simulated static navigation of five hours, attitude given; median of "
-        f"{len(flights['ide'])} instruments.",
-        comparisons=tuple(comparisons),
-        differences=_FIGURE_10_DIFFERENCES,
-        tables=(CsvTable("curves", ("hours", *heads), tuple(zip(hours, *columns, strict=True))),),
+    return make_report(
+        "ide-fig10",
+        comparisons,
+        tables=(minute_curves(first, tuple(quantities.values())),),
         draw=figures.over_time(panels),
+        runs=len(flights["ide"]),
     )

@@ -9,7 +9,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from imufield.study import figures
 from imufield.study.context import StudyContext
 from imufield.study.instruments import IDE_NOISE_M_S2, ide_problem
 from imufield.study.optimum import squares_optimum
-from imufield.study.report import Comparison, CsvTable, StudyReport, curves_table
+from imufield.study.report import Comparison, CsvTable, StudyReport, curves_table, make_report
 
 SETTING = (
     f"Accelerometer of IDE Table 1, simulated: 24 positions, bounds of Table 1, noise of {IDE_NOISE_M_S2:g} m/s^2 "
@@ -50,94 +50,51 @@ def run_strategy(name: str, rng: np.random.Generator) -> Evolution:
 
 @cache
 def _evolutions(context: StudyContext) -> dict[str, list[Evolution]]:
-    runs = context.runs(30, 3)
-    jobs = [name for name in STRATEGIES for _ in range(runs)]
-    found = context.campaign("ide-table2", run_strategy, jobs)
-    return {name: found[k * runs : (k + 1) * runs] for k, name in enumerate(STRATEGIES)}
-
-
-_TABLE_2_DIFFERENCES = (
-    (
-        "The order is the paper's. Its mean and standard deviation for IDE are those of the global "
-        "optimum under fresh noise: 0.3 mm/s^2 per axis and position was chosen once, to put the optimum "
-        "there."
-    ),
-    (
-        "With F constant at 1.2 the other strategies are still spreading after 1200 generations, in every "
-        "run. Only the falling factor lets the population contract, and then it ends on the global "
-        "optimum."
-    ),
-    (
-        "The combination ends further from the optimum than in the paper, level with current-to-best/1; "
-        "its gain must come from an F below 1.2, which the paper does not print for it."
-    ),
-    (
-        "F_min, not printed either, matters: with 0.3 about one run in a hundred froze 1e-5 above the "
-        "optimum, with 0.5 half have not quite arrived; 0.35 is taken."
-    ),
-    ("Three of the nine entries of K E are a turn of the frame, so the parameters differ from run to run while L_a does not."),
-)
+    found = context.campaign_of_each("ide-table2", run_strategy, STRATEGIES, context.runs(30, 3))
+    return dict(zip(STRATEGIES, found, strict=True))
 
 
 def table_2(context: StudyContext) -> StudyReport:
     """Compare L_a of the strategies."""
     found = _evolutions(context)
     costs = {name: np.array([run.cost for run in runs]) for name, runs in found.items()}
-    rows = tuple((name, i + 1, run.cost, run.optimum) for name, runs in found.items() for i, run in enumerate(runs))
-    return StudyReport(
-        name="ide-table2",
-        title="L_a of DE/rand/1, the combination and IDE",
-        setting=f"{SETTING} Fresh noise in every run, {len(costs['ide'])} runs.",
-        comparisons=(*_costs_beside_the_paper(costs), *_costs_over_the_optimum(found)),
-        differences=_TABLE_2_DIFFERENCES,
-        tables=(CsvTable("runs", ("strategy", "run", "L_a", "optimum"), rows),),
-        draw=figures.bars(
-            STRATEGIES,
-            {
-                "paper": np.array([_PAPER.get(n, (np.nan,))[0] for n in STRATEGIES]),
-                "ours": np.array([costs[n].mean() for n in STRATEGIES]),
-            },
-            "mean L$_a$",
-            log=True,
-        ),
-    )
-
-
-def _costs_beside_the_paper(costs: dict[str, FloatArray]) -> tuple[Comparison, ...]:
-    return tuple(
+    optima = {name: np.array([run.optimum for run in runs]) for name, runs in found.items()}
+    ratios = {name: costs[name] / optima[name] for name in found}
+    excess = ratios["ide"] - 1
+    converged = ", ".join(f"{name} {sum(run.converged for run in runs)}" for name, runs in found.items())
+    comparisons = [
         Comparison(
             f"L_a of {name}, mean (SD)",
             f"{_PAPER[name][0]:.6f} ({_PAPER[name][1]:.1e})" if name in _PAPER else "not given",
             f"{values.mean():.6f} ({values.std(ddof=1):.1e})",
         )
         for name, values in costs.items()
-    )
-
-
-def _costs_over_the_optimum(found: dict[str, list[Evolution]]) -> tuple[Comparison, ...]:
-    ratios = {name: np.array([run.cost / run.optimum for run in runs]) for name, runs in found.items()}
-    optimum = np.mean([run.optimum for run in found["ide"]])
-    excess = ratios["ide"] - 1
-    at_optimum = int((np.abs(excess) <= 1e-6).sum())
-    return (
-        Comparison("global optimum of the data of ide, mean", "not given", f"{optimum:.6f}"),
-        Comparison("ide within 1e-6 of the global optimum", "not given", f"{at_optimum} of {len(excess)}"),
+    ]
+    comparisons += [
+        Comparison("global optimum of the data of ide, mean", "not given", f"{optima['ide'].mean():.6f}"),
+        Comparison("ide within 1e-6 of the global optimum", "not given", f"{(np.abs(excess) <= 1e-6).sum()} of {len(excess)}"),
         Comparison("ide above the optimum, worst, relative", "not given", f"{excess.max():.1e}"),
-        *(
-            Comparison(f"L_a over the optimum, {name}, median", "not given", f"{np.median(ratios[name]):.2f}")
-            for name in STRATEGIES[:3]
-        ),
-        Comparison(
-            "runs that say they converged",
-            "not said",
-            ", ".join(f"{name} {sum(run.converged for run in runs)}" for name, runs in found.items()),
-        ),
+    ]
+    comparisons += [
+        Comparison(f"L_a over the optimum, {name}, median", "not given", f"{np.median(ratios[name]):.2f}")
+        for name in STRATEGIES[:3]
+    ]
+    comparisons.append(Comparison("runs that say they converged", "not said", converged))
+    rows = tuple((name, i + 1, run.cost, run.optimum) for name, runs in found.items() for i, run in enumerate(runs))
+    paper = np.array([_PAPER.get(name, (np.nan,))[0] for name in STRATEGIES])
+    ours = np.array([costs[name].mean() for name in STRATEGIES])
+    return make_report(
+        "ide-table2",
+        comparisons,
+        tables=(CsvTable("runs", ("strategy", "run", "L_a", "optimum"), rows),),
+        draw=figures.bars(STRATEGIES, {"paper": paper, "ours": ours}, "mean L$_a$", log=True),
+        instrument=SETTING,
+        runs=len(costs["ide"]),
     )
 
 
-def _figure(
-    context: StudyContext, name: str, strategy: str, title: str, *, tests: int, paper: str, differences: tuple[str, ...]
-) -> StudyReport:
+def _figure(context: StudyContext, *, name: str, strategy: str, tests: int, paper: str) -> StudyReport:
+    """Show the fitness of a strategy over the generations."""
     runs = _evolutions(context)[strategy][:tests]
     fitness = {f"test {i + 1}": 1 / run.history for i, run in enumerate(runs)}
     ends = np.array([curve[-1] for curve in fitness.values()])
@@ -147,82 +104,18 @@ def _figure(
         Comparison("final fitness 1 / L_a", "curve only", f"{ends.min():.1f} to {ends.max():.1f}"),
         Comparison("generations to half the final fitness, median", "curve only", f"{half:.0f}"),
     )
-    return StudyReport(
-        name=name,
-        title=title,
-        setting=SETTING,
-        comparisons=comparisons,
-        differences=differences,
+    return make_report(
+        name,
+        comparisons,
         tables=(curves_table("fitness", "generation", fitness),),
         draw=figures.convergence({"": fitness}, "fitness 1 / L$_a$", xlabel="generation", log=False),
+        instrument=SETTING,
     )
 
 
-def figure_2(context: StudyContext) -> StudyReport:
-    """Show the fitness of DE/rand/1."""
-    return _figure(
-        context,
-        "ide-fig2",
-        "de-rand-1",
-        "fitness of DE/rand/1",
-        tests=5,
-        paper="mean 0.045558 in Table 2",
-        differences=(
-            "Slow, and of poor repeatability, as in the paper: the population has not contracted after 1200 generations.",
-        ),
-    )
-
-
-def figure_3(context: StudyContext) -> StudyReport:
-    """Show the fitness of DE/current-to-best/1."""
-    return _figure(
-        context,
-        "ide-fig3",
-        "de-current-to-best-1",
-        "fitness of DE/current-to-best/1",
-        tests=5,
-        paper='fitness "much smaller" than DE/rand/1',
-        differences=(
-            (
-                "Here it ends a little better than DE/rand/1, not worse: the cost has a single basin within these "
-                "bounds, so there is no local optimum to fall into. With F at 1.2, neither has converged."
-            ),
-        ),
-    )
-
-
-def figure_4(context: StudyContext) -> StudyReport:
-    """Show the fitness of the combination."""
-    return _figure(
-        context,
-        "ide-fig4",
-        "de-combined",
-        "fitness of the combined strategy",
-        tests=5,
-        paper="0.007656 to 0.008999",
-        differences=(
-            (
-                "Better than DE/rand/1, as in the paper, but level with current-to-best/1 and not as near the "
-                "optimum as there: with F held at 1.2 the difference term keeps the population apart to the end. "
-                "The paper does not say whether its F stayed at 1.2 in this figure."
-            ),
-        ),
-    )
-
-
-def figure_5(context: StudyContext) -> StudyReport:
-    """Show the fitness of IDE."""
-    return _figure(
-        context,
-        "ide-fig5",
-        "ide",
-        "fitness of IDE",
-        tests=3,
-        paper="0.004162 to 0.005808",
-        differences=(
-            (
-                "Every test ends on the global optimum of its data. The range is that of the optimum under fresh "
-                "noise, so the paper's scatter of 8.5e-4 is the scatter of its data, not of the method."
-            ),
-        ),
-    )
+figure_2 = partial(_figure, name="ide-fig2", strategy="de-rand-1", tests=5, paper="mean 0.045558 in Table 2")
+figure_3 = partial(
+    _figure, name="ide-fig3", strategy="de-current-to-best-1", tests=5, paper='fitness "much smaller" than DE/rand/1'
+)
+figure_4 = partial(_figure, name="ide-fig4", strategy="de-combined", tests=5, paper="0.007656 to 0.008999")
+figure_5 = partial(_figure, name="ide-fig5", strategy="ide", tests=3, paper="0.004162 to 0.005808")

@@ -9,6 +9,7 @@ what the accelerometer's errors do to level, so that they hardly show afterwards
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from imufield.deliver.navigation.drift import Drift, make_drift
 from imufield.deliver.navigation.mechanise import integrate, load_pyins
 from imufield.earth import MICRO_G_M_S2
 from imufield.samples import FloatArray
+from imufield.study.report import CsvTable
 
 STEP_S = 1.0
 ALIGNMENT_S = 600.0
@@ -96,3 +98,11 @@ def navigate_at_rest(
         east_velocity_m_s=east,
         true_latitude_deg=latitude_deg,
     )
+
+
+def minute_curves(runs: Mapping[str, Drift], names: Sequence[str]) -> CsvTable:
+    """Return the errors of these names over time as a table, one row a minute, for each labelled run."""
+    hours = next(iter(runs.values())).hours[::60]
+    columns = [getattr(run, name)[::60] for run in runs.values() for name in names]
+    heads = tuple(f"{label} {name}" for label in runs for name in names)
+    return CsvTable("curves", ("hours", *heads), tuple(zip(hours, *columns, strict=True)))

@@ -1,4 +1,7 @@
-"""What a study says: the paper's figure and ours side by side, why they differ, tables for CSV, and a plot."""
+"""The report of a study: the paper's figure and ours side by side, why they differ, tables for CSV, and a plot.
+
+The words of all reports are in ``texts.toml``; a study gives the figures.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +9,24 @@ import csv
 import importlib
 import io
 import re
-from collections.abc import Callable, Iterator, Sequence
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from imufield.deliver.parameters.numbers import WIDTH, hanging
 from imufield.errors import Reason, UsageError
 from imufield.files import write_atomically
 from imufield.samples import FloatArray
 
-_GAP = "  "
-Draw = Callable[[Any], None]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_GAP = "  "  # Between the columns of a terminal.
+Draw = Callable[["Figure"], None]
 """Draws into a matplotlib figure."""
 
 
@@ -36,7 +45,7 @@ class CsvTable:
 
     name: str
     columns: tuple[str, ...]
-    rows: tuple[tuple[Any, ...], ...]
+    rows: tuple[tuple[object, ...], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,13 +56,52 @@ class StudyReport:
     """As typed: "bsas-table3"."""
     title: str
     setting: str
-    """What was simulated, and with which settings; what needs hardware is said to be simulated."""
+    """What was simulated, and with which settings; a simulation in place of hardware is named as one."""
     comparisons: tuple[Comparison, ...]
     differences: tuple[str, ...]
     """Sentences: where and why ours differ."""
     tables: tuple[CsvTable, ...] = ()
     draw: Draw | None = field(default=None, compare=False)
     columns: tuple[str, str, str] = ("", "paper", "ours")
+
+
+@cache
+def _texts() -> dict[str, dict[str, object]]:
+    return tomllib.loads((files("imufield.study") / "texts.toml").read_text(encoding="utf-8"))
+
+
+def make_report(
+    name: str,
+    comparisons: Iterable[Comparison],
+    *,
+    tables: tuple[CsvTable, ...] = (),
+    draw: Draw | None = None,
+    columns: tuple[str, str, str] = ("", "paper", "ours"),
+    **values: object,
+) -> StudyReport:
+    """Return the report of a study: its words of ``texts.toml``, with ``values`` filled in."""
+
+    def fill(text: object) -> str:
+        # Line breaks of the file mean nothing.
+        return " ".join(str(text).format(**values).split())
+
+    text = _texts()[name]
+    differences = text["differences"]
+    return StudyReport(
+        name=name,
+        title=fill(text["title"]),
+        setting=fill(text["setting"]),
+        comparisons=tuple(comparisons),
+        differences=tuple(map(fill, differences)) if isinstance(differences, list) else (),
+        tables=tables,
+        draw=draw,
+        columns=columns,
+    )
+
+
+def numbered_table(name: str, columns: tuple[str, ...], rows: Iterable[Iterable[object]]) -> CsvTable:
+    """Return a table whose rows are numbered from 1 in its first column."""
+    return CsvTable(name, columns, tuple((number, *row) for number, row in enumerate(rows, 1)))
 
 
 def curves_table(name: str, label: str, curves: dict[str, FloatArray]) -> CsvTable:

@@ -6,6 +6,7 @@ These tables are inputs, so there is nothing to reproduce; they are here so that
 from __future__ import annotations
 
 from dataclasses import fields
+from functools import partial
 
 from imufield.calibrate.solvers.beetles import BsasSettings
 from imufield.calibrate.solvers.triad_costs import TRIAD_NAMES
@@ -23,7 +24,7 @@ from imufield.study.instruments import (
     IDE_TRUTH,
     IDE_UPPER,
 )
-from imufield.study.report import Comparison, StudyReport
+from imufield.study.report import Comparison, StudyReport, make_report
 
 
 def bsas_table_1(_context: StudyContext) -> StudyReport:
@@ -32,19 +33,10 @@ def bsas_table_1(_context: StudyContext) -> StudyReport:
         "-734.949141", "-738.738914", "-714.409875", "0.00654668", "-0.04285332", "0.01471738", "0.00050230", "0.00068317",
         "-0.00048500", "-0.00035363", "0.00023193", "-0.00003365", "0.003654", "0.000644", "-0.002654",
     )  # fmt: skip
-    return StudyReport(
-        name="bsas-table1",
-        title="true values of the 15 parameters",
-        setting="An input of all BSAS studies.",
-        comparisons=tuple(
+    return make_report(
+        "bsas-table1",
+        tuple(
             Comparison(name, paper, f"{ours:.9g}") for name, paper, ours in zip(BSAS_NAMES, printed, BSAS_TRUTH, strict=True)
-        ),
-        differences=(
-            "The paper heads the misalignments '(deg)'; its equations use them as they are, and so do we.",
-            (
-                "Its random bias of 10 ug would make the cost of the truth 2e-3, not 8e-7; see bsas-fig3 for the "
-                "noise taken instead."
-            ),
         ),
         columns=("parameter", "paper", "taken"),
     )
@@ -56,56 +48,36 @@ def bsas_table_2(_context: StudyContext) -> StudyReport:
     printed |= {"s_0": "2.22e-16", "d_0": "2.22e-16", "k_max": "300", "tolerance": "none"}
     settings = BsasSettings()
     names = [field.name for field in fields(settings)]
-    return StudyReport(
-        name="bsas-table2",
-        title="settings of BSAS",
-        setting="The settings of the staged form; the whitened form takes c_s = c_d = 0.965 and up to 1200 iterations.",
-        comparisons=tuple(Comparison(name, printed[name], f"{getattr(settings, name):g}") for name in names),
-        differences=(
-            "The tolerance ends a run whose antennae smell no difference any more; it changes the time, not the result.",
-        ),
+    return make_report(
+        "bsas-table2",
+        tuple(Comparison(name, printed[name], f"{getattr(settings, name):g}") for name in names),
         columns=("setting", "paper", "taken"),
     )
 
 
 def bsas_table_4(_context: StudyContext) -> StudyReport:
     """List the performance of the hardware."""
-    return StudyReport(
-        name="bsas-table4",
-        title="performance of gyroscope and accelerometer",
-        setting="The instrument that is simulated in place of the hardware.",
-        comparisons=(
+    return make_report(
+        "bsas-table4",
+        (
             Comparison("accelerometer constant bias (ug)", "10", f"{OLD_BIAS_M_S2 / MICRO_G_M_S2:g}"),
             Comparison("accelerometer dynamic range (g)", "60", "not simulated"),
             Comparison("gyroscope constant bias (deg/h)", "0.01", f"{GYROSCOPE_BIAS_DEG_PER_H:g}"),
             Comparison("repeatability of a position (ug)", "not given", f"{REPEATABILITY_M_S2 / MICRO_G_M_S2:g}"),
         ),
-        differences=(),
         columns=("figure", "paper", "taken"),
     )
 
 
-def ide_table_1(_context: StudyContext) -> StudyReport:
-    """List the accelerometer's true values and bounds."""
-    return _triad("ide-table1", "accelerometer: separate calibration and bounds", IDE_TRUTH, IDE_LOWER, upper=IDE_UPPER)
-
-
-def ide_table_3(_context: StudyContext) -> StudyReport:
-    """List the gyroscope's true values and bounds."""
-    return _triad(
-        "ide-table3", "gyroscope: separate calibration and bounds", GYROSCOPE_TRUTH, GYROSCOPE_LOWER, upper=GYROSCOPE_UPPER
-    )
-
-
-def _triad(name: str, title: str, truth: FloatArray, lower: FloatArray, *, upper: FloatArray) -> StudyReport:
+def _triad(_context: StudyContext, *, name: str, truth: FloatArray, lower: FloatArray, upper: FloatArray) -> StudyReport:
+    """List the true values and bounds of a triad."""
     rows = zip(TRIAD_NAMES, truth, lower, upper, strict=True)
-    return StudyReport(
-        name=name,
-        title=title,
-        setting="An input: the paper's separate calibration is the truth of the simulation.",
-        comparisons=tuple(
-            Comparison(label, f"{x:.10g}", f"{x:.10g}, bounds {low:g} to {high:g}") for label, x, low, high in rows
-        ),
-        differences=("The paper prints installation errors in two columns for each axis; they are read as row by row of E.",),
+    return make_report(
+        name,
+        tuple(Comparison(label, f"{x:.10g}", f"{x:.10g}, bounds {low:g} to {high:g}") for label, x, low, high in rows),
         columns=("parameter", "paper", "taken"),
     )
+
+
+ide_table_1 = partial(_triad, name="ide-table1", truth=IDE_TRUTH, lower=IDE_LOWER, upper=IDE_UPPER)
+ide_table_3 = partial(_triad, name="ide-table3", truth=GYROSCOPE_TRUTH, lower=GYROSCOPE_LOWER, upper=GYROSCOPE_UPPER)

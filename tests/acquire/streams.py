@@ -19,7 +19,7 @@ from imufield.simulate.instruments.stim300 import Stim300Device
 from imufield.simulate.instruments.vectornav import sentence
 from imufield.simulate.instruments.witmotion import wit_frame
 from imufield.simulate.instruments.xsens import xbus_message
-from imufield.simulate.wire.encode import Stim300Format
+from imufield.simulate.wire.stim300 import Stim300Format
 
 DURATION_S = 2.5
 CHUNK_S = 0.02

@@ -24,7 +24,7 @@ from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.registry import load_driver, shipped_names
 from imufield.errors import ProtocolError
 from imufield.samples import Samples
-from imufield.simulate.wire.can_encode import CanEncoder
+from imufield.simulate.wire.can_frames import CanEncoder
 from tests.acquire.plain_frames import pack_frames
 from tests.simulate.accounting import random_samples, serial_wires
 
@@ -46,7 +46,7 @@ def streams(name: str) -> list[Stream]:
     if driver.wire == "can":
         protocol = driver.load_protocol()
         samples = random_samples(protocol, 100.0, 0, SAMPLES)
-        return [(protocol, pack_frames(one.frame for one in CanEncoder(protocol).encode(samples)))]
+        return [(protocol, pack_frames(CanEncoder(protocol).encode(samples)))]
     found = []
     for wire in serial_wires():
         if wire.driver == name:

@@ -24,11 +24,11 @@ from imufield.guide.positions import scheme
 from imufield.pipeline.chain import part_metadata
 from imufield.samples import Samples
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
-from imufield.simulate.emulator.serial import VirtualImu
 from imufield.simulate.instruments.stim300 import Stim300Device
 from imufield.simulate.truth.imu import Imu
 from imufield.simulate.truth.operator import OperatorSettings
-from imufield.simulate.wire.encode import Stim300Format
+from imufield.simulate.truth.source import VirtualImu
+from imufield.simulate.wire.stim300 import Stim300Format
 
 IMUFIELD = [sys.executable, "-m", "imufield"]
 SPEED = 16.0

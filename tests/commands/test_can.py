@@ -34,9 +34,9 @@ from imufield.guide.positions import scheme
 from imufield.pipeline.chain import session_samples
 from imufield.samples import Status, concatenate
 from imufield.simulate.emulator.can import CanEmulator
+from imufield.simulate.emulator.core import EmulatorSettings
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.emulator.faults import CanFaults
-from imufield.simulate.emulator.serial import EmulatorSettings
 from imufield.simulate.truth.operator import OperatorSettings
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from imufield.deliver.samples.export_data import export_samples
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples
 from imufield.samples import NO_COUNTER, Samples, Status, concatenate, make_samples
-from imufield.simulate.wire.can_encode import CanEncoder
+from imufield.simulate.wire.can_frames import CanEncoder
 
 N = 500
 DBC = """VERSION ""
@@ -61,8 +61,7 @@ def samples_of(protocol: Protocol) -> Samples:
 
 def write_log(path: Path, protocol: Protocol) -> None:
     with can.Logger(path) as logger:
-        for one in CanEncoder(protocol).encode(samples_of(protocol)):
-            frame = one.frame
+        for frame in CanEncoder(protocol).encode(samples_of(protocol)):
             is_extended = bool(frame.can_id >> 31)
             identifier = frame.can_id & 0x1FFFFFFF
             logger(

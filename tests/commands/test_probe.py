@@ -27,9 +27,10 @@ from imufield.samples import Samples
 from imufield.simulate.emulator.emulate import SCRIPTS, Emulation, choose_wire, make_emulator, make_virtual_imu
 from imufield.simulate.emulator.port import PseudoTerminal
 from imufield.simulate.emulator.serial import Emulator
+from imufield.simulate.instruments.device import Answer, Frames
 from imufield.simulate.instruments.microstrain import MicroStrainInstrument
 from imufield.simulate.instruments.protocol_device import ProtocolDevice
-from imufield.simulate.instruments.stim300 import Answer, Frames, TextDevice
+from imufield.simulate.instruments.text import TextDevice
 from tests.acquire.streams import INSTRUMENTS as STREAMS
 
 if TYPE_CHECKING:

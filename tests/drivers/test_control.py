@@ -22,7 +22,7 @@ from imufield.acquire.registry import driver_names, load_driver
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
 from imufield.simulate.emulator.emulate import SCRIPTS, Emulation, choose_wire, make_emulator
 from imufield.simulate.emulator.serial import Emulator
-from imufield.simulate.instruments.stim300 import Answer
+from imufield.simulate.instruments.device import Answer
 
 
 @dataclass(frozen=True)

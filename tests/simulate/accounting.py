@@ -19,8 +19,8 @@ from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.registry import load_driver, shipped_names
 from imufield.samples import FloatArray, IntArray, Samples, Status, concatenate, make_samples
 from imufield.simulate.emulator.emulate import OWN_RATE_HZ, Emulation, WireChoice, choose_wire, make_device
-from imufield.simulate.instruments.stim300 import Device, Frames
-from imufield.simulate.wire.wire_forms import wire_forms
+from imufield.simulate.instruments.device import Device, Frames
+from imufield.simulate.wire.forms import wire_forms
 
 BIT_FLIPS, LOST_BYTES = 1e-4, 1e-5
 """Chances of each byte."""

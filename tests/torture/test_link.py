@@ -19,7 +19,7 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.samples import Samples, SampleUnits, Status, make_samples
 from imufield.simulate.instruments.stim300 import Stim300Device
-from imufield.simulate.wire.encode import Stim300Format
+from imufield.simulate.wire.stim300 import Stim300Format
 from tests.torture.conftest import Campaign
 
 RATE_HZ = 2000.0

@@ -15,8 +15,6 @@ import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Protocol as Interface
 
 import can
 import numpy as np
@@ -25,47 +23,36 @@ from imufield.acquire.link.can import make_message, open_bus, parse_bus
 from imufield.acquire.protocol.can_frames import EXTENDED, Frame
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.samples import Samples, Status
-from imufield.simulate.emulator.core import LINGER_S, EmulatorCore, EmulatorSettings, SampleSource
+from imufield.simulate.emulator.core import LINGER_S, EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.faults import CanFaultInjector, CanFaults, error_burst
 from imufield.simulate.emulator.port import PseudoTerminal
-from imufield.simulate.emulator.slcan import SlcanDevice
-from imufield.simulate.wire.can_encode import CanEncoder
+from imufield.simulate.emulator.slcan import SLCAN, SlcanDevice
+from imufield.simulate.truth.source import SampleSource
+from imufield.simulate.wire.can_frames import CanEncoder
 
-SLCAN = "slcan"
-_REQUEST_PF = 0xEA
+_REQUEST_PF = 0xEA  # SAE J1939-21: the PGN of a request is 0xEA00, its data the PGN asked for.
+# Aceinna MTLT and OpenIMU sensors tell their version so.
 _VERSION = {"VersionMajor": 19, "VersionMinor": 1, "VersionPatch": 51, "VersionStage": 0, "VersionBuild": 3}
 
 
-class _Port(Interface):
-    """What frames are handed to."""
-
-    bus: str
-
-    def send(self, frames: list[Frame]) -> None: ...
-
-    def receive(self) -> list[Frame]: ...
-
-    def has_reader(self) -> bool: ...
-
-    def close(self) -> None: ...
-
-
-class _BusPort:
-    """A bus of python-can."""
+class BusPort:
+    """A bus of python-can, with the methods of ``SlcanDevice``."""
 
     def __init__(self, bus: str) -> None:
-        self.bus = bus
+        self.address = bus
         self._bus = open_bus(parse_bus(bus))
 
     def send(self, frames: list[Frame]) -> None:
+        """Put frames on the bus."""
         for frame in frames:
             message = make_message(frame.can_id, frame.data, frame.flags)
             message.timestamp = frame.time_s
-            # Nobody may be there to take it.
+            # Without another node nobody acknowledges a frame, which is no failure of the instrument.
             with contextlib.suppress(can.CanError):
                 self._bus.send(message)
 
     def receive(self) -> list[Frame]:
+        """Return the frames of others since the last call."""
         frames = []
         while (message := self._bus.recv(0)) is not None:
             extended = EXTENDED if message.is_extended_id else 0
@@ -73,31 +60,12 @@ class _BusPort:
         return frames
 
     def has_reader(self) -> bool:
+        """Return True: a bus does not tell who listens."""
         return True
 
     def close(self) -> None:
+        """Leave the bus."""
         self._bus.shutdown()
-
-
-class _SlcanPort:
-    """An adapter on a pseudo-terminal."""
-
-    def __init__(self, link: Path | None) -> None:
-        self._device = SlcanDevice(PseudoTerminal(link))
-        self.bus = f"{SLCAN}:{self._device.port.port}"
-
-    def send(self, frames: list[Frame]) -> None:
-        self._device.send(frames)
-
-    def receive(self) -> list[Frame]:
-        return self._device.receive()
-
-    def has_reader(self) -> bool:
-        self._device.receive()
-        return self._device.is_open
-
-    def close(self) -> None:
-        self._device.close()
 
 
 class CanEmulator(EmulatorCore):
@@ -141,26 +109,26 @@ class CanEmulator(EmulatorCore):
         super().__init__(source, settings, self.injector, 0.0, on_progress=on_progress)
         self.encoder = CanEncoder(protocol)
         self.frames_sent = 0
-        self._messages = {
-            message.can_id >> 8 & 0x3FFFF: message.name for message in (protocol.can.messages if protocol.can else ())
-        }
-        self._port: _Port = _SlcanPort(self.settings.link) if bus == SLCAN else _BusPort(bus)
+        messages = protocol.can.messages if protocol.can else ()
+        # By PGN: bits 8 to 25 of the 29 of an identifier.
+        self._messages = {message.can_id >> 8 & 0x3FFFF: message.name for message in messages}
+        self._port: BusPort | SlcanDevice = SlcanDevice(PseudoTerminal(self.settings.link)) if bus == SLCAN else BusPort(bus)
         self._start_wall_s = 0.0
-        self._held_back: list[Frame] = []
+        self._pending: list[Frame] = []  # Kept back while the instrument stalls.
 
     @property
     def address(self) -> str:
         """What a host opens."""
-        return self._port.bus
+        return self._port.address
 
     @property
     def bus(self) -> str:
         """What a host opens."""
-        return self._port.bus
+        return self._port.address
 
     def _must_wait(self) -> bool:
         # An adapter hands out nothing before its channel is open, so it always waits for that.
-        return (self.settings.wait_for_reader or isinstance(self._port, _SlcanPort)) and not self._port.has_reader()
+        return (self.settings.wait_for_reader or isinstance(self._port, SlcanDevice)) and not self._port.has_reader()
 
     def _power_on(self) -> None:
         self._start_wall_s = time.time()
@@ -180,30 +148,30 @@ class CanEmulator(EmulatorCore):
             invalid = np.uint32(Status.ACCELEROMETER_INVALID | Status.GYROSCOPE_INVALID)
             samples = replace(samples, status=np.where(unavailable, samples.status | invalid, samples.status))
         frames = [
-            replace(one.frame, time_s=self._start_wall_s + one.frame.time_s / self.settings.speed)
-            for one in self.encoder.encode(samples)
+            replace(frame, time_s=self._start_wall_s + frame.time_s / self.settings.speed)
+            for frame in self.encoder.encode(samples)
         ]
         self.samples_sent += len(samples)
         if self._is_gone:
             self.injector.counts["frames_while_off"] += len(frames)
             return
-        self._held_back += self.injector.damage(frames, self.time_s, duration_s)
+        self._pending += self.injector.damage(frames, self.time_s, duration_s)
         if not stalled:
-            self._release()
+            self._send_pending()
 
-    def _release(self) -> None:
-        self._port.send(self._held_back)
-        self.frames_sent += len(self._held_back)
-        self._held_back = []
+    def _send_pending(self) -> None:
+        self._port.send(self._pending)
+        self.frames_sent += len(self._pending)
+        self._pending = []
 
     def _go_away(self) -> None:
         self._port.send(error_burst(self.time_s))
 
     def _come_back(self) -> None:
-        """Nothing to be done: the next frames are sent."""
+        """Do nothing: the next frames are sent."""
 
     def _linger(self) -> None:
-        self._release()
+        self._send_pending()
         self._stopping.wait(LINGER_S)
 
     def _close(self) -> None:

@@ -1,7 +1,7 @@
-"""What runs a virtual instrument on any wire: a thread makes the samples that are due and hands them to an output.
+"""The thread that runs a virtual instrument on any wire: it makes the samples that are due and sends them.
 
-The thread wakes every few milliseconds of the monotonic clock. It never waits for a reader. What differs from wire to wire is
-in the classes derived from ``EmulatorCore``: how samples become bytes or frames, and what a port is.
+The thread wakes every few milliseconds of the monotonic clock. It never waits for a reader. The classes derived from
+``EmulatorCore`` do what differs from wire to wire: how samples become bytes or frames, and what a port is.
 """
 
 from __future__ import annotations
@@ -15,15 +15,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 
 from imufield.errors import UsageError
 from imufield.samples import Samples, Status
 from imufield.simulate.emulator.faults import Chances
-from imufield.simulate.truth.imu import Imu
-from imufield.simulate.truth.operator import Operator
+from imufield.simulate.truth.source import SampleSource
 
 SLICE_S = 0.008
 """Wall time between writes: short against the 20 ms a reader gathers, long against the cost of a wake-up."""
@@ -32,52 +31,6 @@ LINGER_S = 0.5
 """The port outlives the last sample by this."""
 _ROUNDING = 1e-6  # Of a sample number at another rate.
 _LARGEST_BLOCK_S = 1.0  # Instrument's time made at once after a delay; keeps stop() prompt when the machine cannot keep up.
-
-
-class SampleSource(Protocol):
-    """Where samples come from."""
-
-    @property
-    def interval_s(self) -> float:
-        """True time between samples."""
-        ...
-
-    def next_block(self, count: int) -> Samples:
-        """Return the next ``count`` samples, fewer where some are lost; ``counter`` is the number of the sample."""
-        ...
-
-    def set_rate(self, rate_hz: float) -> None:
-        """Go on at another nominal rate, from the next whole sample of it since the beginning."""
-        ...
-
-
-class VirtualImu:
-    """A simulated instrument in the hands of a simulated operator."""
-
-    def __init__(self, imu: Imu, operator: Operator) -> None:
-        self.imu = imu
-        self.operator = operator
-        self._next = 0
-
-    @property
-    def interval_s(self) -> float:
-        """True time between samples."""
-        return self.imu.interval_s
-
-    @property
-    def time_s(self) -> float:
-        """True time of the next sample."""
-        return self._next * self.interval_s
-
-    def next_block(self, count: int) -> Samples:
-        """Return the next ``count`` samples, fewer where some are lost."""
-        motion = self.operator.block(self._next, count, self.interval_s)
-        self._next += count
-        return self.imu.feed(motion)
-
-    def set_rate(self, rate_hz: float) -> None:
-        """Go on at another nominal rate, from the next whole sample of it since the beginning."""
-        self._next = self.imu.set_rate(rate_hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +42,7 @@ class EmulatorSettings:
     wait_for_reader: bool = False
     """Power on only when a host opens the port."""
     duration_s: float | None = None
-    """Stop sending after so much of the instrument's time."""
+    """Time of the instrument after which it stops sending."""
     link: Path | None = None
     """Symbolic link to the port."""
 
@@ -105,7 +58,7 @@ class EmulatorCore(ABC):
     chances : Chances
         Of faults.
     start_up_s : float
-        For so long after power-on the instrument says that it is starting.
+        Time after power-on in which samples are flagged as those of an instrument that starts.
     on_progress : callable or None
         Called by the thread after each slice that sent samples.
 
@@ -189,7 +142,7 @@ class EmulatorCore(ABC):
 
     @abstractmethod
     def _listen(self) -> None:
-        """Hear commands and answer."""
+        """Read commands and answer."""
 
     @abstractmethod
     def _put(self, samples: Samples, duration_s: float, *, stalled: bool) -> None:
@@ -205,7 +158,7 @@ class EmulatorCore(ABC):
 
     @abstractmethod
     def _linger(self) -> None:
-        """Let who reads late have the end."""
+        """Send what is kept back and give a late reader time to take it."""
 
     @abstractmethod
     def _close(self) -> None:
@@ -228,6 +181,7 @@ class EmulatorCore(ABC):
         while not self._stopping.wait(SLICE_S):
             self._listen()
             elapsed_s = (time.monotonic() - started_s) * self.settings.speed
+            # Several blocks where this thread was late; a stop is heard between them.
             while self._advance(elapsed_s):
                 if self._stopping.is_set():
                     return
@@ -237,19 +191,30 @@ class EmulatorCore(ABC):
 
     def _advance(self, until_s: float) -> bool:
         """Make and send samples that are due; return whether there were any."""
-        due = min(int(until_s / self.source.interval_s) + 1, self._last_sample)
-        largest = math.ceil(_LARGEST_BLOCK_S / self.source.interval_s)
-        count = min(due - self._samples_made, largest)
+        interval_s, faults, chances = self.source.interval_s, self._chances.common, self._chances
+        due = min(int(until_s / interval_s) + 1, self._last_sample)
+        count = min(due - self._samples_made, math.ceil(_LARGEST_BLOCK_S / interval_s))
         if self._is_gone:
             # Blocks are longer on a busy machine, a disconnection is not.
-            count = min(count, max(math.ceil((self._gone_until_s - self.time_s) / self.source.interval_s - _ROUNDING), 1))
+            count = min(count, max(math.ceil((self._gone_until_s - self.time_s) / interval_s - _ROUNDING), 1))
         if count <= 0:
             return False
         samples = self.source.next_block(count)
-        duration_s = count * self.source.interval_s
+        duration_s = count * interval_s
         self._samples_made += count
-        self._plug(duration_s)
-        self._put(self._flag_start_up(samples), duration_s, stalled=self._stalls(duration_s))
+        if not self._is_gone:
+            if chances.disconnects(self.time_s, duration_s):
+                self._gone_until_s = self.time_s + faults.disconnect_s
+                self._go_away()
+        elif self.time_s - duration_s >= self._gone_until_s - _ROUNDING * interval_s:
+            self._gone_until_s = 0.0
+            self._come_back()
+        starting = samples.counter < self._boot_sample + self._start_up_s / interval_s
+        if np.any(starting):
+            samples = replace(samples, status=np.where(starting, samples.status | np.uint32(Status.START_UP), samples.status))
+        if chances.happens("stalls", faults.stalls_per_s, duration_s):
+            self._stalled_until_s = self.time_s + faults.stall_s
+        self._put(samples, duration_s, stalled=self._is_stalled)
         if self._on_progress is not None:
             self._on_progress()
         return True
@@ -259,6 +224,7 @@ class EmulatorCore(ABC):
         before_s = self.source.interval_s
         self.source.set_rate(rate_hz)
         to_new = before_s / self.source.interval_s
+        # Numbers of samples, now counted at the new rate since power-on, as the source does.
         self._samples_made = math.ceil(self._samples_made * to_new - _ROUNDING)
         self._boot_sample = math.ceil(self._boot_sample * to_new - _ROUNDING)
 
@@ -268,29 +234,11 @@ class EmulatorCore(ABC):
         duration_s = self.settings.duration_s
         return sys.maxsize if duration_s is None else round(duration_s / self.source.interval_s)
 
-    def _flag_start_up(self, samples: Samples) -> Samples:
-        starting = samples.counter < self._boot_sample + self._start_up_s / self.source.interval_s
-        if not np.any(starting):
-            return samples
-        return replace(samples, status=np.where(starting, samples.status | np.uint32(Status.START_UP), samples.status))
-
-    def _stalls(self, duration_s: float) -> bool:
-        faults = self._chances.common
-        if self._chances.happens("stalls", faults.stalls_per_s, duration_s):
-            self._stalled_until_s = self.time_s + faults.stall_s
+    @property
+    def _is_stalled(self) -> bool:
         return self.time_s < self._stalled_until_s
 
     @property
     def _is_gone(self) -> bool:
         """Whether the instrument is disconnected now."""
         return self._gone_until_s > 0
-
-    def _plug(self, duration_s: float) -> None:
-        """Disconnect and connect again as the faults have it."""
-        if not self._is_gone:
-            if self._chances.disconnects(self.time_s, duration_s):
-                self._gone_until_s = self.time_s + self._chances.common.disconnect_s
-                self._go_away()
-        elif self.time_s - duration_s >= self._gone_until_s - _ROUNDING * self.source.interval_s:
-            self._gone_until_s = 0.0
-            self._come_back()

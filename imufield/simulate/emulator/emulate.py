@@ -1,10 +1,10 @@
-"""The virtual instrument as the command runs it: options in, a port, the truth in a file for comparison."""
+"""A virtual instrument from its options: what it sends, who moves it, its port, and a file with the truth."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,34 +16,38 @@ from numpy.typing import ArrayLike
 from imufield.acquire.driver import Driver
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.registry import load_driver
+from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
 from imufield.files import write_atomically
-from imufield.simulate.emulator.core import EmulatorCore
+from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
-from imufield.simulate.emulator.serial import Emulator, EmulatorSettings, VirtualImu
+from imufield.simulate.emulator.serial import Emulator
 from imufield.simulate.instruments.aceinna import AceinnaInstrument
+from imufield.simulate.instruments.device import Device
 from imufield.simulate.instruments.microstrain import MicroStrainInstrument
 from imufield.simulate.instruments.protocol_device import InProtocolUnits, ProtocolDevice
 from imufield.simulate.instruments.scripted import ScriptedInstrument
-from imufield.simulate.instruments.stim300 import Device, Stim300Device, Stim300Identity, TextDevice
+from imufield.simulate.instruments.stim300 import Stim300Device, Stim300Identity
+from imufield.simulate.instruments.text import TextDevice
 from imufield.simulate.instruments.vectornav import VectorNavInstrument
 from imufield.simulate.instruments.witmotion import WitMotionInstrument
 from imufield.simulate.instruments.xsens import XsensInstrument
 from imufield.simulate.truth.grades import draw_truth, find_grade
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.motion import Site
-from imufield.simulate.truth.operator import Operator, OperatorSettings
-from imufield.simulate.wire.encode import ACCELEROMETER_BITS, Stim300Format, TextFormat
-from imufield.simulate.wire.wire_forms import DEFAULT_RATE_HZ, WireForm, choose_form
+from imufield.simulate.truth.operator import Operator, OperatorSettings, StillInterval, TrueMove
+from imufield.simulate.truth.source import SampleSource, VirtualImu
+from imufield.simulate.wire.forms import DEFAULT_RATE_HZ, WireForm, choose_form
+from imufield.simulate.wire.lines import TextFormat
+from imufield.simulate.wire.stim300 import ACCELEROMETER_BITS, Stim300Format
 from imufield.version import __version__
 
-_STIM300_OUTPUTS = ("accelerometer_output", "gyroscope_output")
 TRUTH_FORMAT = "imufield-truth"
 TRUTH_VERSION = 1
 
 OWN_RATE_HZ = {"stim300": 2000.0, "text": 100.0}
-"""Of instruments with a device class of their own; the others' stands in their protocols."""
+"""Usual rates of instruments with a device class of their own; those of the others are in their protocols."""
 SCRIPTS: Mapping[str, Callable[[float, WireForm], ScriptedInstrument]] = {
     "aceinna_serial": AceinnaInstrument,
     "microstrain_mip": MicroStrainInstrument,
@@ -52,7 +56,7 @@ SCRIPTS: Mapping[str, Callable[[float, WireForm], ScriptedInstrument]] = {
     "witmotion": WitMotionInstrument,
     "xsens_mtdata2": XsensInstrument,
 }
-"""What instruments answer, by driver; a STIM300 does so by its device class, the others hear nothing."""
+"""What instruments answer, by driver; a STIM300 does so by its device class, the others take no commands."""
 DEFAULT_BUS = "slcan"
 _OWN_FORM = WireForm("", 0.0, {}, ())
 _STIM300_RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
@@ -121,44 +125,32 @@ def choose_wire(options: Emulation) -> WireChoice:
     def load(settings: Mapping[str, object]) -> Protocol:
         return load_protocol(options.device, settings) if driver is None else driver.load_protocol(settings)
 
-    baud = 115200 if driver is None else driver.default_baud
     base = load({})
-    given = dict(options.settings)
-    if base.can is not None:
-        return WireChoice(
-            protocol=load(given),
-            rate_hz=options.rate_hz or DEFAULT_RATE_HZ,
-            form=None,
-            baud=baud,
-            settings=given,
-            driver=driver,
-        )
-    if options.device in OWN_RATE_HZ:
-        return WireChoice(
-            protocol=load(given),
-            rate_hz=options.rate_hz or OWN_RATE_HZ[options.device],
-            form=_OWN_FORM,
-            baud=baud,
-            settings=given,
-            driver=driver,
-        )
-    form = choose_form(base, options.form, options.settings)
-    settings: dict[str, object] = {**form.settings, **options.settings}
-    defaults = {name: setting.value for name, setting in base.settings.items()}
-    told_hz = load(settings).clock.rate_hz if "rate_hz" in settings else 0.0
-    rate_hz = options.rate_hz or told_hz or form.rate_hz
-    # A reader measures the rate; increments need it said.
-    if "rate_hz" in defaults and "rate_hz" not in settings:
-        settings["rate_hz"] = rate_hz
-    protocol = load(settings)
-    by_increment = protocol.units.accelerometer_is_increment or protocol.units.gyroscope_is_increment
-    # A counter of lines tells the time by the rate alone.
-    counts_by_rate = protocol.lines is not None and "counter" in protocol.lines.columns
-    told = {
-        name: value
-        for name, value in settings.items()
-        if str(defaults.get(name)) != str(value) and (name != "rate_hz" or by_increment or counts_by_rate)
-    }
+    form: WireForm | None
+    if base.can is not None or options.device in OWN_RATE_HZ:
+        form = None if base.can is not None else _OWN_FORM
+        told = dict(options.settings)
+        protocol = load(told)
+        rate_hz = options.rate_hz or OWN_RATE_HZ.get(options.device, DEFAULT_RATE_HZ)
+    else:
+        form = choose_form(base, options.form, options.settings)
+        settings: dict[str, object] = {**form.settings, **options.settings}
+        defaults = {name: setting.value for name, setting in base.settings.items()}
+        told_hz = load(settings).clock.rate_hz if "rate_hz" in settings else 0.0
+        rate_hz = options.rate_hz or told_hz or form.rate_hz
+        # A reader measures the rate; increments need it said.
+        if "rate_hz" in defaults and "rate_hz" not in settings:
+            settings["rate_hz"] = rate_hz
+        protocol = load(settings)
+        by_increment = protocol.units.accelerometer_is_increment or protocol.units.gyroscope_is_increment
+        # A counter of lines tells the time by the rate alone.
+        counts_by_rate = protocol.lines is not None and "counter" in protocol.lines.columns
+        told = {
+            name: value
+            for name, value in settings.items()
+            if str(defaults.get(name)) != str(value) and (name != "rate_hz" or by_increment or counts_by_rate)
+        }
+    baud = 115200 if driver is None else driver.default_baud
     return WireChoice(protocol=protocol, rate_hz=rate_hz, form=form, baud=baud, settings=told, driver=driver)
 
 
@@ -190,35 +182,29 @@ def make_emulator(options: Emulation) -> EmulatorCore:
         If there is no such driver or protocol.
     """
     wire = choose_wire(options)
-    source = make_virtual_imu(options, wire.rate_hz)
-    grade = source.imu.instrument.grade
-    if options.device in OWN_RATE_HZ:
-        return _on_port(options, make_device(options, wire), source, source)
-    converted = InProtocolUnits(source, (grade.accelerometer_scale, grade.gyroscope_scale), wire.protocol, wire.rate_hz)
-    if wire.form is None:
-        return _on_bus(options, wire.protocol, converted, source)
-    return _on_port(options, make_device(options, wire), converted, source)
-
-
-def _on_port(options: Emulation, device: Device, source: Any, virtual: VirtualImu) -> Emulator:
-    if options.bus is not None:
-        raise UsageError(f"{options.device} is no instrument of a CAN bus; leave --bus out", bus=options.bus)
-    if not isinstance(options.faults, Faults):
-        raise UsageError(f"{options.device} has a serial line, which cannot lose or double CAN frames")
-    progress = _TruthKeeper(options, virtual) if options.truth is not None else None
-    return Emulator(device, source, options.run, faults=options.faults, seed=session_seed(options), on_progress=progress)
-
-
-def _on_bus(options: Emulation, protocol: Protocol, source: InProtocolUnits, virtual: VirtualImu) -> EmulatorCore:
+    virtual = make_virtual_imu(options, wire.rate_hz)
+    grade, seed = virtual.imu.instrument.grade, session_seed(options)
+    source: SampleSource = virtual
+    if options.device not in OWN_RATE_HZ:
+        scale = (grade.accelerometer_scale, grade.gyroscope_scale)
+        source = InProtocolUnits(virtual, scale, wire.protocol, wire.rate_hz)
+    progress = _truth_writer(options, virtual)
+    if wire.form is not None:
+        device = make_device(options, wire)
+        if options.bus is not None:
+            raise UsageError(f"{options.device} is no instrument of a CAN bus; leave --bus out", bus=options.bus)
+        if not isinstance(options.faults, Faults):
+            raise UsageError(f"{options.device} has a serial line, which cannot lose or double CAN frames")
+        return Emulator(device, source, options.run, faults=options.faults, seed=seed, on_progress=progress)
+    # Imported here: python-can takes longer to load than all the rest, and a serial line does not need it.
     from imufield.simulate.emulator.can import CanEmulator
 
     # The default of the options is no fault at all, on whatever wire.
     faults = CanFaults() if options.faults == Faults() else options.faults
     if not isinstance(faults, CanFaults):
         raise UsageError(f"{options.device} is on a CAN bus, which lets no damaged bytes through; choose faults of frames")
-    progress = _TruthKeeper(options, virtual) if options.truth is not None else None
     bus = options.bus or DEFAULT_BUS
-    return CanEmulator(protocol, source, bus, options.run, faults=faults, seed=session_seed(options), on_progress=progress)
+    return CanEmulator(wire.protocol, source, bus, options.run, faults=faults, seed=seed, on_progress=progress)
 
 
 def emulate(options: Emulation, on_start: Callable[[EmulatorCore], None] | None = None) -> EmulatorCore:
@@ -246,13 +232,14 @@ def emulate(options: Emulation, on_start: Callable[[EmulatorCore], None] | None 
     return emulator
 
 
-def truth_document(options: Emulation, source: VirtualImu) -> dict[str, Any]:
+def truth_document(options: Emulation, source: VirtualImu) -> dict[str, object]:
     """Return the truth as plain values; times are on the sample clock, which is 0 at the first sample.
 
     ``mean_drift`` is what the slow drift added to the bias on average so far; a calibration sees the sum.
     """
-    instrument, settings = source.imu.instrument, source.imu.settings
-    drift = source.imu.mean_drift.tolist()
+    imu, operator = source.imu, source.operator
+    instrument, units = imu.instrument, imu.instrument.grade.units
+    drift = imu.mean_drift.tolist()
     return {
         "format": TRUTH_FORMAT,
         "version": TRUTH_VERSION,
@@ -261,48 +248,53 @@ def truth_document(options: Emulation, source: VirtualImu) -> dict[str, Any]:
         "grade": options.grade,
         "seed": options.seed,
         "day": options.day,
-        "rate_hz": settings.rate_hz,
+        "rate_hz": imu.settings.rate_hz,
         "true_rate_hz": 1 / source.interval_s,
         "clock_error_ppm": instrument.clock_error_ppm,
         "triad_delay_s": instrument.triad_delay_s,
         "site": asdict(options.site),
         "accelerometer": {
-            "raw_unit": instrument.grade.units.accelerometer,
+            "raw_unit": units.accelerometer,
             **_plain(instrument.accelerometer),
             "mean_drift_m_s2": drift[:3],
         },
-        "gyroscope": {
-            "raw_unit": instrument.grade.units.gyroscope,
-            **_plain(instrument.gyroscope),
-            "mean_drift_rad_s": drift[3:],
-        },
-        "still": [_timed(still, source.imu) for still in source.operator.stills],
-        "move": [_timed(move, source.imu) for move in source.operator.moves],
+        "gyroscope": {"raw_unit": units.gyroscope, **_plain(instrument.gyroscope), "mean_drift_rad_s": drift[3:]},
+        "still": [_timed(still, imu) for still in operator.stills],
+        "move": [_timed(move, imu) for move in operator.moves],
     }
 
 
-def write_truth(options: Emulation, source: VirtualImu) -> None:
-    """Write the truth known so far to ``options.truth``."""
-    if options.truth is None:
-        return
-    document = truth_document(options, source)
-    text = json.dumps(document, indent=1) if options.truth.suffix == ".json" else tomli_w.dumps(document)
-    write_atomically(options.truth, text.encode())
+def _plain(record: AccelerometerParameters | GyroscopeParameters | StillInterval | TrueMove) -> dict[str, object]:
+    values = asdict(record)
+    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
 
 
-class _TruthKeeper:
-    """Writes the truth at the start and whenever the operator has planned further."""
+def _timed(record: StillInterval | TrueMove, imu: Imu) -> dict[str, object]:
+    """Return an interval with its times on the sample clock; ``end_s`` is left out while it is not known."""
+    values = {**_plain(record), "start_s": imu.to_sample_clock(record.start_s), "end_s": imu.to_sample_clock(record.end_s)}
+    if math.isinf(record.end_s):
+        del values["end_s"]
+    return values
 
-    def __init__(self, options: Emulation, source: VirtualImu) -> None:
-        self._options, self._source = options, source
-        self._written: tuple[object, ...] = ()
 
-    def __call__(self) -> None:
-        stills = self._source.operator.stills
+def _truth_writer(options: Emulation, source: VirtualImu) -> Callable[[], None] | None:
+    """Return what writes the truth at the start and whenever the operator has planned further; None without a file."""
+    path = options.truth
+    if path is None:
+        return None
+    written: tuple[int, float] | None = None
+
+    def write() -> None:
+        nonlocal written
+        stills = source.operator.stills
         known = (len(stills), stills[-1].end_s)
-        if known != self._written:
-            self._written = known
-            write_truth(self._options, self._source)
+        if known != written:
+            written = known
+            document = truth_document(options, source)
+            text = json.dumps(document, indent=1) if path.suffix == ".json" else tomli_w.dumps(document)
+            write_atomically(path, text.encode())
+
+    return write
 
 
 def make_device(options: Emulation, wire: WireChoice) -> Device:
@@ -313,48 +305,35 @@ def make_device(options: Emulation, wire: WireChoice) -> Device:
     UsageError
         If it has not the rate, or a setting is not emulated.
     """
-    if options.device not in OWN_RATE_HZ:
-        form = wire.form or _OWN_FORM
-        script = SCRIPTS.get(options.device)
-        answering = None if script is None else script(wire.rate_hz, form)
-        return ProtocolDevice(wire.protocol, form, wire.rate_hz, wire.baud, script=answering)
+    form, rate_hz, device = wire.form or _OWN_FORM, wire.rate_hz, options.device
+    if device not in OWN_RATE_HZ:
+        script = SCRIPTS.get(device)
+        return ProtocolDevice(wire.protocol, form, rate_hz, wire.baud, script=None if script is None else script(rate_hz, form))
+    # Values as the protocol has read them, which a format of the same names takes.
     chosen: dict[str, Any] = {name: wire.protocol.settings[name].value for name in options.settings}
-    if options.device == "text":
+    allowed = (
+        ("columns", "prefix") if device == "text" else ("accelerometer_range_g", "accelerometer_output", "gyroscope_output")
+    )
+    if device == "text":
+        _refuse_others(chosen, device, allowed)
         if "columns" in chosen:
             chosen["columns"] = tuple(name.strip() for name in str(chosen["columns"]).split(","))
-        return TextDevice(_apply(options.text, chosen, options.device, ("columns", "prefix")))
-    if wire.rate_hz not in _STIM300_RATES_HZ:
+        return TextDevice(replace(options.text, **chosen))
+    if rate_hz not in _STIM300_RATES_HZ:
         raise UsageError(
-            f"sample rate {wire.rate_hz:g} Hz is not one of a STIM300's; choose 125, 250, 500, 1000 or 2000 Hz",
-            rate_hz=wire.rate_hz,
+            f"sample rate {rate_hz:g} Hz is not one of a STIM300's; choose 125, 250, 500, 1000 or 2000 Hz", rate_hz=rate_hz
         )
     if options.stim300 is not None:
-        return Stim300Device(replace(options.stim300, rate_hz=wire.rate_hz), Stim300Identity.of_seed(options.seed))
-    range_g = find_grade(options.grade).accelerometer.range_si / STANDARD_GRAVITY_M_S2
-    fitting = [held for held in ACCELEROMETER_BITS if held >= round(range_g, 6)]
-    own = Stim300Format(rate_hz=wire.rate_hz, accelerometer_range_g=min(fitting))
-    own = _apply(own, chosen, options.device, ("accelerometer_range_g", *_STIM300_OUTPUTS))
-    return Stim300Device(own, Stim300Identity.of_seed(options.seed))
+        return Stim300Device(replace(options.stim300, rate_hz=rate_hz), Stim300Identity.of_seed(options.seed))
+    _refuse_others(chosen, device, allowed)
+    # The smallest range that holds the grade's: a step of the wire is as fine as the instrument allows.
+    grade_g = round(find_grade(options.grade).accelerometer.range_si / STANDARD_GRAVITY_M_S2, 6)
+    range_g = min(range_g for range_g in ACCELEROMETER_BITS if range_g >= grade_g)
+    settings = replace(Stim300Format(rate_hz=rate_hz, accelerometer_range_g=range_g), **chosen)
+    return Stim300Device(settings, Stim300Identity.of_seed(options.seed))
 
 
-def _apply(own: Any, chosen: Mapping[str, object], device: str, allowed: tuple[str, ...]) -> Any:
-    """Return the format of a device with the settings chosen."""
+def _refuse_others(chosen: Iterable[str], device: str, allowed: tuple[str, ...]) -> None:
     wrong = next((name for name in chosen if name not in allowed), None)
     if wrong is not None:
         raise UsageError(f"--set {wrong} is not emulated for {device}; choose among {', '.join(allowed)}", setting=wrong)
-    return replace(own, **chosen)
-
-
-def _plain(record: Any) -> dict[str, Any]:
-    values = asdict(record)
-    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
-
-
-def _timed(record: Any, imu: Imu) -> dict[str, Any]:
-    """Return an interval with its times on the sample clock; ``end_s`` is left out while it is not known."""
-    values = _plain(record)
-    values["start_s"] = imu.to_sample_clock(record.start_s)
-    values["end_s"] = imu.to_sample_clock(record.end_s)
-    if math.isinf(record.end_s):
-        del values["end_s"]
-    return values

@@ -1,7 +1,7 @@
-"""What goes wrong on a wire, with given rates and a seed.
+"""Faults of a wire, with given rates and a seed: damaged and lost bytes and frames, stalls, disconnections, counter jumps.
 
-Faults of bytes and frames are applied to the encoded stream here; stalls, disconnections and jumps of the counter are
-only drawn here and carried out by the emulator, which owns the port and the clock.
+Faults of bytes and frames are applied to the encoded stream here. Stalls, disconnections and jumps of the counter are
+drawn here and carried out by the emulator, which owns the port and the clock.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from imufield.acquire.protocol.can_frames import ERROR, Frame
 from imufield.errors import UsageError
-from imufield.simulate.wire.encode import Bytes
+from imufield.simulate.wire.frames import Bytes
 
 GARBAGE_BYTES = (1, 64)
 """Length of a burst of garbage."""
@@ -26,16 +26,16 @@ class WireFaults:
 
     stalls_per_s: float = 0.0
     stall_s: float = 0.5
-    """While it stalls nothing comes; then what was held back comes at once."""
+    """Duration of a stall: nothing comes, then everything of that time at once."""
     counter_jumps_per_s: float = 0.0
-    """The counter jumps by 1 to 255; where there is none, the time stamp by so many samples."""
+    """Jumps of the counter by 1 to 255; where there is none, of the time stamp by as many samples."""
     disconnects_per_s: float = 0.0
     disconnect_at_s: tuple[float, ...] = ()
     """The port goes away, or the instrument leaves the bus after a burst of error frames ..."""
     disconnect_s: float = 1.0
     """... and is back after this time; what is sent meanwhile is lost."""
     start_up_s: float | None = None
-    """Samples of so much time after power-on say that it is starting; None: as the instrument does."""
+    """Time after power-on in which samples are flagged as starting; None: as the instrument does."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -86,6 +86,8 @@ class Chances:
 
     def happens(self, name: str, rate_per_s: float, duration_s: float) -> bool:
         """Draw whether a fault of a rate happens in a time that is short against its interval, and count it."""
+        # For rate * time << 1 that is the chance of a Poisson process; the draw is left out where there is no fault, so that
+        # a new kind of fault changes no session without it.
         if rate_per_s == 0 or self._rng.random() >= rate_per_s * duration_s:
             return False
         self.counts[name] += 1
@@ -134,19 +136,18 @@ class FaultInjector(Chances):
         faults = self.faults
         data = data.copy()
         hit = self._draw("wrong_checksums", faults.wrong_checksum_probability, len(checksum_at))
+        # One wrong bit: every checksum of the protocols finds it.
         data[checksum_at[hit]] ^= np.uint8(0x01)
         hit = self._draw("bit_flips", faults.bit_flip_probability, len(data))
         data[hit] ^= np.uint8(1) << self._rng.integers(0, 8, len(hit), dtype=np.uint8)
         repeats = np.ones(len(data), dtype=np.int64)
         repeats[self._draw("doubled_bytes", faults.doubled_byte_probability, len(data))] = 2
         repeats[self._draw("lost_bytes", faults.lost_byte_probability, len(data))] = 0
-        return self._add_garbage(np.repeat(data, repeats).tobytes(), duration_s)
-
-    def _add_garbage(self, data: bytes, duration_s: float) -> bytes:
-        if not self.happens("garbage", self.faults.garbage_per_s, duration_s):
-            return data
-        at = int(self._rng.integers(len(data) + 1))
-        return data[:at] + self._rng.bytes(int(self._rng.integers(*GARBAGE_BYTES, endpoint=True))) + data[at:]
+        damaged = np.repeat(data, repeats).tobytes()
+        if not self.happens("garbage", faults.garbage_per_s, duration_s):
+            return damaged
+        at = int(self._rng.integers(len(damaged) + 1))
+        return damaged[:at] + self._rng.bytes(int(self._rng.integers(*GARBAGE_BYTES, endpoint=True))) + damaged[at:]
 
 
 class CanFaultInjector(Chances):

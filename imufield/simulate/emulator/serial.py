@@ -5,7 +5,7 @@
     with Emulator(Stim300Device(), source) as emulator:
         port = serial.Serial(emulator.port)
 
-What does not fit into the buffer of the system is dropped and counted, as a UART does.
+Bytes that do not fit into the buffer of the system are dropped and counted, as a UART does.
 """
 
 from __future__ import annotations
@@ -14,20 +14,11 @@ import time
 from collections.abc import Callable
 
 from imufield.samples import Samples
-from imufield.simulate.emulator.core import (
-    LINGER_S,
-    MAXIMUM_SPEED,
-    SLICE_S,
-    EmulatorCore,
-    EmulatorSettings,
-    SampleSource,
-    VirtualImu,
-)
+from imufield.simulate.emulator.core import LINGER_S, SLICE_S, EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.faults import FaultInjector, Faults
 from imufield.simulate.emulator.port import PseudoTerminal
-from imufield.simulate.instruments.stim300 import Device
-
-__all__ = ["LINGER_S", "MAXIMUM_SPEED", "Emulator", "EmulatorSettings", "SampleSource", "VirtualImu"]
+from imufield.simulate.instruments.device import Device
+from imufield.simulate.truth.source import SampleSource
 
 
 class Emulator(EmulatorCore):
@@ -66,33 +57,33 @@ class Emulator(EmulatorCore):
         super().__init__(source, settings, self.injector, device.start_up_s, on_progress=on_progress)
         self.device = device
         self._rate_hz = device.rate_hz
-        self._pty = PseudoTerminal(self.settings.link)
+        self._port = PseudoTerminal(self.settings.link)
         self._answers = b""
-        self._held_back = b""
+        self._pending = b""  # Kept back while the instrument stalls.
 
     @property
     def address(self) -> str:
         """What a host opens."""
-        return self._pty.port
+        return self._port.port
 
     @property
     def port(self) -> str:
         """What a host opens."""
-        return self._pty.port
+        return self._port.port
 
     @property
     def bytes_dropped(self) -> int:
         """Bytes that nobody took in time."""
-        return self._pty.bytes_dropped
+        return self._port.bytes_dropped
 
     def _must_wait(self) -> bool:
-        return self.settings.wait_for_reader and not self._pty.has_reader()
+        return self.settings.wait_for_reader and not self._port.has_reader()
 
     def _power_on(self) -> None:
         self._answers = self.device.power_on()
 
     def _listen(self) -> None:
-        answer = self.device.hear(self._pty.read())
+        answer = self.device.hear(self._port.read())
         self._answers += answer.data
         if answer.resets:
             self._boot_sample = self._samples_made
@@ -100,8 +91,9 @@ class Emulator(EmulatorCore):
         if self.device.rate_hz not in (None, self._rate_hz):
             self._rate_hz = self.device.rate_hz
             self._set_rate(self._rate_hz)
+        # An answer that takes the place of a sample waits for the next sample.
         if self._answers and not self.device.answers_replace_samples:
-            self._send(b"", stalled=self.time_s < self._stalled_until_s)
+            self._send(b"", stalled=self._is_stalled)
 
     def _put(self, samples: Samples, duration_s: float, *, stalled: bool) -> None:
         self.device.jump_counter(self.injector.counter_jump(duration_s))
@@ -114,26 +106,25 @@ class Emulator(EmulatorCore):
             self.samples_sent += len(samples)
         self._send(data, stalled=stalled)
 
-    def _send(self, data: bytes, *, stalled: bool) -> None:
+    def _send(self, data: bytes, *, stalled: bool = False) -> None:
         """Send the answers there are and samples behind them."""
-        self._held_back += self._answers + data
+        self._pending += self._answers + data
         self._answers = b""
         if not stalled:
-            self._pty.write(self._held_back)
-            self._held_back = b""
+            self._port.write(self._pending)
+            self._pending = b""
 
     def _go_away(self) -> None:
-        self._pty.close()
+        self._port.close()
 
     def _come_back(self) -> None:
-        self._pty.open()
+        self._port.open()
 
     def _linger(self) -> None:
-        self._pty.write(self._held_back)
-        self._held_back = b""
+        self._send(b"")
         end_s = time.monotonic() + LINGER_S
-        while self._pty.has_reader() and time.monotonic() < end_s and not self._stopping.wait(SLICE_S):
-            self._pty.write(b"")
+        while self._port.has_reader() and time.monotonic() < end_s and not self._stopping.wait(SLICE_S):
+            self._port.write(b"")
 
     def _close(self) -> None:
-        self._pty.close()
+        self._port.close()

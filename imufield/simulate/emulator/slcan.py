@@ -10,6 +10,8 @@ from __future__ import annotations
 from imufield.acquire.protocol.can_frames import ERROR, EXTENDED, FD, ID_MASK, REMOTE, Frame
 from imufield.simulate.emulator.port import BUFFER_BYTES, PseudoTerminal
 
+SLCAN = "slcan"
+"""Name of the interface, as in python-can."""
 _END = b"\r"
 _BELL = b"\a"
 _LONGEST_LINE = 200  # A CAN FD frame of 64 bytes has 138 characters.
@@ -26,6 +28,16 @@ class SlcanDevice:
         self.frames_dropped = 0  # Frames that came while the channel was closed, or the host did not read.
         self._line = b""
 
+    @property
+    def address(self) -> str:
+        """What a host opens."""
+        return f"{SLCAN}:{self.port.port}"
+
+    def has_reader(self) -> bool:
+        """Answer what the host asks; return whether it has opened the channel."""
+        self.receive()
+        return self.is_open
+
     def send(self, frames: list[Frame]) -> None:
         """Hand frames of the bus to the host."""
         if not self.is_open:
@@ -34,6 +46,7 @@ class SlcanDevice:
         room = BUFFER_BYTES - self.port.bytes_waiting
         lines = []
         for frame in frames:
+            # The protocol has no form for an error frame.
             if frame.can_id & ERROR:
                 continue
             line = format_frame(frame).encode("ascii")
@@ -48,6 +61,7 @@ class SlcanDevice:
     def receive(self) -> list[Frame]:
         """Answer what the host asks; return the frames it sends."""
         *lines, rest = (self._line + self.port.read()).split(_END)
+        # Whatever a host writes, no more of it is kept than a line can have.
         self._line = rest[-_LONGEST_LINE:]
         frames = []
         answers = b""

@@ -5,18 +5,23 @@ from __future__ import annotations
 import struct
 
 from imufield.simulate.instruments.scripted import ScriptedInstrument, nearest
-from imufield.simulate.wire.wire_forms import WireForm
+from imufield.simulate.wire.forms import WireForm
 
+# Commands that write to memory, or set fields to be kept there.
 _MEMORY = (b"sC", b"rD", b"WF", b"WE", b"UE", b"JI", b"JA", b"WA")
 _NAK = b"\x15\x15"
 _DMU_KEYS = (0x5330, 0x5331)
-_DMU_HZ = 100
+_DMU_HZ = 100  # A DMU divides this rate.
 _RATES_HZ = (0, 2, 5, 10, 20, 50, 100, 200)
 _DIVIDERS = (0, 1, 2, 4, 5, 10, 20, 25, 50)
 
 
 class AceinnaInstrument(ScriptedInstrument):
     """An OpenIMU, or where the form is S0 or S1 an IMU381; each refuses the commands of the other."""
+
+    sync = b"UU"
+    length_at = 4
+    overhead = 7
 
     def __init__(self, rate_hz: float, form: WireForm) -> None:
         super().__init__(rate_hz)
@@ -25,14 +30,8 @@ class AceinnaInstrument(ScriptedInstrument):
         # Packet rate of an OpenIMU, packet rate divider of a DMU; 0: quiet.
         self.setting = dividers[nearest(dividers, rate_hz)] if self.dmu else int(nearest(_RATES_HZ[1:], rate_hz))
 
-    def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
-        begin = heard.find(b"UU")
-        if begin < 0 or len(heard) < begin + 7 or len(heard) < begin + 7 + heard[begin + 4]:
-            return None, heard
-        end = begin + 7 + heard[begin + 4]
-        frame = heard[begin:end]
-        good = aceinna_packet(frame[2:4], frame[5:-2]) == frame
-        return (frame, heard[end:]) if good else (b"", heard[begin + 1 :])
+    def _is_whole(self, command: bytes) -> bool:
+        return aceinna_packet(command[2:4], command[5:-2]) == command
 
     def _answer(self, command: bytes) -> bytes:
         if not command:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from imufield.simulate.instruments.scripted import ScriptedInstrument
-from imufield.simulate.wire.wire_forms import WireForm
+from imufield.simulate.wire.forms import WireForm
 
+# Error codes of an acknowledgement.
 _UNKNOWN_COMMAND = 0x01
 _BAD_VALUE = 0x03
+# Function selectors, the first byte of a settings command.
 _SAVE = 3
 _APPLY = 1
 _READ = 2
@@ -16,22 +18,20 @@ _GPS_TIME = 0x12
 class MicroStrainInstrument(ScriptedInstrument):
     """A GX5 where the form has a GPS time (commands 0x06 and 0x08), else a CV7 (0x0E and 0x0F); the other's are refused."""
 
+    sync = b"\x75\x65"
+    length_at = 3
+    overhead = 6
+
     def __init__(self, rate_hz: float, form: WireForm) -> None:
         super().__init__(rate_hz)
         sent = form.frames[0].fields
         self.legacy = _GPS_TIME in sent
         self.base_hz = 1000 if self.legacy else 500
         decimation = max(round(self.base_hz / rate_hz), 1)
-        self.format = [(one, decimation) for one in sent]  # Descriptor and decimation of each field.
+        self.format = [(descriptor, decimation) for descriptor in sent]  # Descriptor and decimation of each field.
 
-    def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
-        begin = heard.find(b"\x75\x65")
-        if begin < 0 or len(heard) < begin + 6 or len(heard) < begin + 6 + heard[begin + 3]:
-            return None, heard
-        end = begin + 6 + heard[begin + 3]
-        frame = heard[begin:end]
-        good = mip_packet(frame[2], frame[4:-2]) == frame
-        return (frame, heard[end:]) if good else (b"", heard[begin + 2 :])
+    def _is_whole(self, command: bytes) -> bool:
+        return mip_packet(command[2], command[4:-2]) == command
 
     def _answer(self, command: bytes) -> bytes:
         fields, answers = command[4:-2], b""
@@ -56,24 +56,24 @@ class MicroStrainInstrument(ScriptedInstrument):
     def _settings(self, number: int, data: bytes) -> bytes:
         data_set = b"" if self.legacy else b"\x80"
         if number in (0x06, 0x0E):
-            return _acknowledgement(number, 0) + mip_field(
-                number + 0x7D if self.legacy else 0x8E, data_set + _u16(self.base_hz)
-            )
+            answering = number + 0x7D if self.legacy else 0x8E
+            return _acknowledgement(number, 0) + mip_field(answering, data_set + _u16(self.base_hz))
         if data[:1] == bytes([_APPLY]):
             return _acknowledgement(number, 0 if self._apply(data[1 + len(data_set) :]) else _BAD_VALUE)
         if data[:1] != bytes([_READ]):
             return _acknowledgement(number, _BAD_VALUE)
-        listed = b"".join(bytes([one]) + _u16(decimation) for one, decimation in self.format)
-        return _acknowledgement(number, 0) + mip_field(
-            0x80 if self.legacy else 0x8F, data_set + bytes([len(self.format)]) + listed
-        )
+        listed = b"".join(bytes([descriptor]) + _u16(decimation) for descriptor, decimation in self.format)
+        answer = data_set + bytes([len(self.format)]) + listed
+        return _acknowledgement(number, 0) + mip_field(0x80 if self.legacy else 0x8F, answer)
 
-    def _apply(self, held: bytes) -> bool:
-        """Take a message format: the fields that are sent, at one decimation; return whether it is one."""
-        fields = [(held[at], int.from_bytes(held[at + 1 : at + 3], "big")) for at in range(1, len(held) - 2, 3)]
-        good = len(held) == 1 + 3 * len(fields) and held[0] == len(fields) and all(decimation for _, decimation in fields)
+    def _apply(self, listed: bytes) -> bool:
+        """Take over a message format, the fields that are sent, all at one decimation; return whether it is valid."""
+        # A count, then descriptor and decimation (two bytes) of each field.
+        fields = [(listed[at], int.from_bytes(listed[at + 1 : at + 3], "big")) for at in range(1, len(listed) - 2, 3)]
+        good = len(listed) == 1 + 3 * len(fields) and listed[0] == len(fields) and all(decimation for _, decimation in fields)
         # It sends one kind of packet: other fields, or fields at rates of their own, are not emulated.
-        good = good and [one for one, _ in fields] == [one for one, _ in self.format] and len({rate for _, rate in fields}) == 1
+        same = [descriptor for descriptor, _ in fields] == [descriptor for descriptor, _ in self.format]
+        good = good and same and len({decimation for _, decimation in fields}) == 1
         if good:
             self.format = fields
             self.rate_hz = self.base_hz / fields[0][1]

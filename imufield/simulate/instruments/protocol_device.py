@@ -9,13 +9,13 @@ import numpy as np
 
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.earth import STANDARD_GRAVITY_M_S2
-from imufield.samples import FloatArray, Samples, SampleUnits
-from imufield.simulate.emulator.core import SampleSource
+from imufield.samples import FloatArray, Samples
+from imufield.simulate.instruments.device import Answer, Frames
 from imufield.simulate.instruments.scripted import NoCommands, ScriptedInstrument
-from imufield.simulate.instruments.stim300 import Answer, Frames
-from imufield.simulate.wire.frame_encode import FrameEncoder, WireClock
-from imufield.simulate.wire.sentence_encode import LINE_END, LineEncoder, SentenceEncoder
-from imufield.simulate.wire.wire_forms import WireForm
+from imufield.simulate.truth.source import SampleSource
+from imufield.simulate.wire.forms import WireForm
+from imufield.simulate.wire.frames import FrameEncoder, WireClock
+from imufield.simulate.wire.lines import LINE_END, LineEncoder, SentenceEncoder
 
 COUNTS_OF_A_CONVERTER = 32768.0
 """From the middle of a 16-bit converter to its end."""
@@ -67,7 +67,7 @@ class ProtocolDevice:
         if protocol.lines is not None and not protocol.lines.sentences:
             self._sentences = [LineEncoder(protocol, self._clock)]
         self._frames = [] if self._sentences else [FrameEncoder(protocol, frame, self._clock) for frame in form.frames]
-        self._has_counter = any(one.has_counter for one in self._sentences) or any(one.has_counter for one in self._frames)
+        self._has_counter = any(encoder.has_counter for encoder in (*self._sentences, *self._frames))
 
     @property
     def streaming(self) -> bool:
@@ -87,7 +87,8 @@ class ProtocolDevice:
     def encode(self, samples: Samples) -> Frames:
         """Return the frames of a block, all those of a sample one behind another."""
         if self._sentences:
-            lines = [line for each in zip(*(one.encode(samples) for one in self._sentences), strict=True) for line in each]
+            of_sample = zip(*(encoder.encode(samples) for encoder in self._sentences), strict=True)
+            lines = [line for lines_of_sample in of_sample for line in lines_of_sample]
             ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
             return Frames(np.frombuffer(b"".join(lines), dtype=np.uint8), ends, ends - len(LINE_END) - 1)
         rows = np.hstack([encoder.encode(samples) for encoder in self._frames])
@@ -111,21 +112,6 @@ class ProtocolDevice:
         self._clock.jump(by, self._has_counter)
 
 
-def _scales(protocol: Protocol, rate_hz: float) -> tuple[float, float]:
-    """Return the raw unit per m/s^2 and per rad/s of what a protocol sends (per m/s and per rad of increments).
-
-    Where a file leaves open what a count is, a converter is assumed: solving finds its scale as that of any other.
-    """
-    nominal, units = protocol.nominal, protocol.units
-    middle = float(np.mean(nominal.raw_zero)) or COUNTS_OF_A_CONVERTER
-    accelerometer = middle / (nominal.accelerometer_range_m_s2 or CONVERTER_RANGE_M_S2)
-    gyroscope = COUNTS_OF_A_CONVERTER / (nominal.gyroscope_range_rad_s or CONVERTER_RANGE_RAD_S)
-    return (
-        nominal.accelerometer_scale or accelerometer * (rate_hz if units.accelerometer_is_increment else 1.0),
-        nominal.gyroscope_scale or gyroscope * (rate_hz if units.gyroscope_is_increment else 1.0),
-    )
-
-
 class InProtocolUnits:
     """A source whose samples come in the units of a protocol.
 
@@ -140,25 +126,24 @@ class InProtocolUnits:
     """
 
     def __init__(self, source: SampleSource, scale: tuple[float, float], protocol: Protocol, rate_hz: float) -> None:
-        self._source = source
-        self._units: SampleUnits = protocol.units
-        nominal = _scales(protocol, rate_hz)
-        self._per_unit = [wanted / has for wanted, has in zip(nominal, scale, strict=True)]
-        self._rate_hz = rate_hz
-        self._raw_zero = protocol.nominal.raw_zero
+        nominal, self._units, self._rate_hz, self._source = protocol.nominal, protocol.units, rate_hz, source
+        self._raw_zero = nominal.raw_zero
+        increments = (self._units.accelerometer_is_increment, self._units.gyroscope_is_increment)
+        self._is_increment = increments
+        # Where a file leaves open what a count is, a converter is assumed: solving finds its scale as that of any other.
+        middle = float(np.mean(nominal.raw_zero)) or COUNTS_OF_A_CONVERTER
+        accelerometer = middle / (nominal.accelerometer_range_m_s2 or CONVERTER_RANGE_M_S2)
+        gyroscope = COUNTS_OF_A_CONVERTER / (nominal.gyroscope_range_rad_s or CONVERTER_RANGE_RAD_S)
+        # Raw unit of the protocol per m/s^2 and per rad/s (per m/s and per rad of increments), over that of the source.
+        self._per_unit = (
+            (nominal.accelerometer_scale or accelerometer * (rate_hz if increments[0] else 1.0)) / scale[0],
+            (nominal.gyroscope_scale or gyroscope * (rate_hz if increments[1] else 1.0)) / scale[1],
+        )
 
     @property
     def interval_s(self) -> float:
         """True time between samples."""
         return self._source.interval_s
-
-    @property
-    def _factors(self) -> list[float]:
-        by_increment = (self._units.accelerometer_is_increment, self._units.gyroscope_is_increment)
-        return [
-            factor / (self._rate_hz if increment else 1.0)
-            for factor, increment in zip(self._per_unit, by_increment, strict=True)
-        ]
 
     def set_rate(self, rate_hz: float) -> None:
         """Go on at another nominal rate."""
@@ -168,7 +153,11 @@ class InProtocolUnits:
     def next_block(self, count: int) -> Samples:
         """Return the next ``count`` samples, fewer where some are lost."""
         samples = self._source.next_block(count)
-        to_accelerometer, to_gyroscope = self._factors
+        # An increment is the rate over the time of one sample.
+        to_accelerometer, to_gyroscope = (
+            factor / (self._rate_hz if increment else 1.0)
+            for factor, increment in zip(self._per_unit, self._is_increment, strict=True)
+        )
         accelerometer: FloatArray = samples.accelerometer_rate() * to_accelerometer + self._raw_zero
         return replace(
             samples, accelerometer=accelerometer, gyroscope=samples.gyroscope_rate() * to_gyroscope, units=self._units

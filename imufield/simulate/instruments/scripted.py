@@ -1,8 +1,7 @@
-"""What instruments answer: commands in, answers out, settings that are lost at power-off.
+"""The commanded side of an instrument: commands in, answers out, settings that are lost at power-off.
 
-What a family answers is written from the facts of its wire and independently of its driver, so that each can test the other;
-what would be written to memory that outlives the power is counted, not done. What it sends by itself is made elsewhere, from
-its protocol.
+What a family answers is written from the facts of its wire and independently of its driver, so that each can test the other.
+Writes to memory that outlives the power are counted, not carried out. The samples are made elsewhere, from the protocol.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 
-_LONGEST_COMMAND = 4096
+_LONGEST_COMMAND = 4096  # Bytes kept while waiting for the end of a command: many times the longest of any family.
 
 
 class ScriptedInstrument(ABC):
@@ -25,6 +24,13 @@ class ScriptedInstrument(ABC):
     memory_writes : list of bytes
         Commands that would have changed memory that outlives the power.
     """
+
+    sync = b""
+    """First bytes of a command."""
+    length_at = 0
+    """Place of the byte that counts the data of a command."""
+    overhead = 0
+    """Bytes of a command besides its data."""
 
     def __init__(self, rate_hz: float) -> None:
         self.rate_hz = rate_hz
@@ -42,9 +48,21 @@ class ScriptedInstrument(ABC):
                 return answers
             answers += self._answer(command)
 
-    @abstractmethod
     def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
-        """Return the first whole command, None where there is none, and what follows."""
+        """Return the first whole command, None where there is none, empty in place of a damaged one; and what follows."""
+        begin = heard.find(self.sync)
+        if begin < 0 or len(heard) < begin + self.overhead:
+            return None, heard
+        end = begin + self.overhead + heard[begin + self.length_at]
+        if len(heard) < end:
+            return None, heard
+        # The search goes on one byte behind the start of a damaged command: a good one may begin within it.
+        whole = self._is_whole(heard[begin:end])
+        return (heard[begin:end], heard[end:]) if whole else (b"", heard[begin + 1 :])
+
+    def _is_whole(self, command: bytes) -> bool:  # noqa: ARG002  a family without checksums believes everything
+        """Return whether the checksum is right."""
+        return True
 
     @abstractmethod
     def _answer(self, command: bytes) -> bytes:
@@ -52,10 +70,11 @@ class ScriptedInstrument(ABC):
 
 
 class NoCommands(ScriptedInstrument):
-    """An instrument that cannot be told anything."""
+    """An instrument that takes no commands."""
 
-    def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:  # noqa: ARG002  nothing is heard
-        return None, b""
+    def hear(self, data: bytes) -> bytes:  # noqa: ARG002  nothing is heard
+        """Return nothing."""
+        return b""
 
     def _answer(self, command: bytes) -> bytes:  # noqa: ARG002  nothing is heard
         return b""
@@ -63,4 +82,4 @@ class NoCommands(ScriptedInstrument):
 
 def nearest(rates_hz: Iterable[float], rate_hz: float) -> float:
     """Return the rate that an instrument tells while it is emulated at one it does not have."""
-    return min(rates_hz, key=lambda one: abs(one - rate_hz))
+    return min(rates_hz, key=lambda listed_hz: abs(listed_hz - rate_hz))

@@ -1,133 +1,35 @@
-"""What instruments say and answer: the emulator asks one of these for bytes.
+"""A STIM300 after datasheet TS1524 rev. 31: its datagrams, and its answers in normal, service and utility mode.
 
-``Stim300Device`` follows datasheet TS1524 rev. 31: on power-on part number, serial number and configuration, then 281 ms of
-datagrams with the start-up bit and the rates at full scale, then data. Commands of normal mode are answered; of service
-and utility mode only so much that a host can enter, ask who is there, set the sample rate until power-off (utility alone), and
-leave. The byte maps of the special datagrams come from the datasheet only, no recording of them is known.
+At power-on it sends part number, serial number and configuration, then 281 ms of datagrams with the start-up bit and the rates
+at full scale, then data. All commands of normal mode are answered. In service and utility mode a host can enter, ask for the
+identity, set the sample rate until power-off (utility alone), and leave. The byte maps of the special datagrams come from the
+datasheet only; no recording of them is known.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 from crccheck.crc import Crc8Base
 
 from imufield.samples import Samples, Status
-from imufield.simulate.wire.encode import (
-    Bytes,
-    Stim300Encoder,
-    Stim300Format,
-    TextFormat,
-    close_datagrams,
-    encode_text,
-)
+from imufield.simulate.instruments.device import Answer, Frames
+from imufield.simulate.wire.stim300 import Stim300Encoder, Stim300Format, close_datagrams
 
 COMMAND_END = b"\r"
 _LONGEST_COMMAND = 256  # Bytes kept while waiting for the end of a command; those of a STIM300 have at most some 60.
 _START_UP_S = 0.281
+# At start-up the rates are at full scale, beyond the 400 deg/s of the range.
 _START_UP_RATE_RAD_S = np.radians(480.0)
+# Codes of the configuration datagram; a rate or baud without one has the last code.
 _RATE_CODES = {125: 0, 250: 1, 500: 2, 1000: 3, 2000: 4}
 _BAUD_CODES = {374400: 0, 460800: 1, 921600: 2, 1843200: 3}
 _RANGE_CODES = {10: 0, 2: 2, 5: 3, 30: 4, 80: 6}
 _OUTPUT_CODES = {"rate": 0, "increment": 1, "average": 2}
 _UTILITY_ERROR = 1
 _UTILITY_VALUE_ERROR = 5
-
-
-@dataclass(frozen=True, slots=True)
-class Frames:
-    """Encoded frames of a block."""
-
-    data: Bytes
-    """Shape (n,)."""
-    ends: np.ndarray[tuple[int], np.dtype[np.int64]]
-    """Where each frame ends in it, ascending. Shape (m,)."""
-    checksum_at: np.ndarray[tuple[int], np.dtype[np.int64]]
-    """Place of one byte of the checksum of each frame; of any byte where the form has no checksum."""
-
-
-class Device(Protocol):
-    """An instrument on the other end of the wire."""
-
-    baud: int
-    start_up_s: float
-    """Samples of this time after power-on are flagged ``Status.START_UP``."""
-
-    @property
-    def streaming(self) -> bool:
-        """Whether samples are sent in the present mode."""
-        ...
-
-    @property
-    def rate_hz(self) -> float | None:
-        """Output rate that commands have set; None: that of its samples."""
-        ...
-
-    @property
-    def answers_replace_samples(self) -> bool:
-        """Whether an answer takes the place of a sample; otherwise it comes between two."""
-        ...
-
-    def encode(self, samples: Samples) -> Frames:
-        """Return the frames of a block of samples."""
-        ...
-
-    def power_on(self) -> bytes:
-        """Return what is sent at power-on before the first sample."""
-        ...
-
-    def hear(self, data: bytes) -> Answer:
-        """Return the answer to bytes of the host, whole commands or parts of them."""
-        ...
-
-    def jump_counter(self, by: int) -> None:
-        """Let the counter jump."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """Answer to a command."""
-
-    data: bytes = b""
-    resets: bool = False
-    """The instrument starts anew."""
-
-
-class TextDevice:
-    """A home-made instrument that prints lines; it hears no commands."""
-
-    start_up_s = 0.0
-    rate_hz = None
-    answers_replace_samples = False
-
-    def __init__(self, settings: TextFormat | None = None, baud: int = 921600) -> None:
-        self.format = settings or TextFormat()
-        self.baud = baud
-        self.streaming = True
-        self._offset = 0
-
-    def encode(self, samples: Samples) -> Frames:
-        """Return one line for each sample."""
-        if self._offset:
-            samples = replace(samples, counter=samples.counter + self._offset)
-        lines = encode_text(samples, self.format)
-        ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
-        return Frames(np.frombuffer(b"".join(lines), dtype=np.uint8), ends, ends - len(self.format.line_end) - 1)
-
-    def power_on(self) -> bytes:
-        """Return nothing."""
-        return b""
-
-    def hear(self, data: bytes) -> Answer:  # noqa: ARG002 - what is not heard is not answered
-        """Return nothing."""
-        return Answer()
-
-    def jump_counter(self, by: int) -> None:
-        """Let the counter column, if there is one, jump."""
-        self._offset += by
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,7 +72,7 @@ class Stim300Device:
         self.baud = baud
         self._encoder = Stim300Encoder(self.format)
         self.memory_writes: list[bytes] = []  # Commands that would have changed memory that outlives the power.
-        self._found = self.format
+        self._saved = self.format  # In flash: what a power-on finds.
         self._mode = "normal"
         self._heard = b""
 
@@ -197,7 +99,7 @@ class Stim300Device:
     def power_on(self) -> bytes:
         """Return part number, serial number and configuration datagrams."""
         self._mode = "normal"
-        self._use(self._found)
+        self._use(self._saved)
         return self._part_number() + self._serial_number() + self._configuration()
 
     def jump_counter(self, by: int) -> None:
@@ -209,7 +111,7 @@ class Stim300Device:
         *commands, rest = (self._heard + data).split(COMMAND_END)
         self._heard = rest[-_LONGEST_COMMAND:]
         answers = [self.answer(command.strip(b"\n")) for command in commands]
-        return Answer(b"".join(one.data for one in answers), any(one.resets for one in answers))
+        return Answer(b"".join(answer.data for answer in answers), any(answer.resets for answer in answers))
 
     def answer(self, command: bytes) -> Answer:
         """Return the answer to a command in the present mode; unknown ones are passed over in normal mode."""
@@ -222,14 +124,15 @@ class Stim300Device:
         if command in (b"SERVICEMODE", b"UTILITYMODE"):
             self._mode = command[:7].decode().lower()
             return Answer(b"\r>" if command == b"SERVICEMODE" else utility_message("#UTILITYMODE"))
+        # Bias trim and extended error: zeros, which stand for no trim and no error.
         datagrams = {
-            b"N": self._part_number,
-            b"I": self._serial_number,
-            b"C": self._configuration,
-            b"T": self._bias_trim,
-            b"E": self._extended_error,
+            b"N": self._part_number(),
+            b"I": self._serial_number(),
+            b"C": self._configuration(),
+            b"T": self._special(0xD1, 0xD2, bytes(35)),
+            b"E": self._special(0xBE, 0xBF, bytes(16)),
         }
-        return Answer(datagrams[command]()) if command in datagrams else Answer()
+        return Answer(datagrams.get(command, b""))
 
     def _answer_service(self, command: bytes) -> Answer:
         echo = command + b"\r"
@@ -252,7 +155,12 @@ class Stim300Device:
         if name == "save":
             self.memory_writes.append(command)
         if name.startswith("sm,"):
-            return self._set_rate(name)
+            rates = {str(code): rate_hz for rate_hz, code in _RATE_CODES.items()}
+            rate_hz = rates.get(name.removeprefix("sm,"))
+            if rate_hz is None:
+                return Answer(utility_message(f"#sm,{_UTILITY_VALUE_ERROR}"))
+            self._use(replace(self.format, rate_hz=rate_hz))
+            return Answer(utility_message("#sm,0"))
         known = {
             "isn": f"N{self.identity.serial_number}",
             "ix": f"{self.identity.part_number},{self.identity.revision}",
@@ -262,15 +170,8 @@ class Stim300Device:
             return Answer(utility_message(f"#{name},{_UTILITY_ERROR}"))
         return Answer(utility_message(f"#{name},0,{known[name]}"))
 
-    def _set_rate(self, name: str) -> Answer:
-        rates = {str(code): rate_hz for rate_hz, code in _RATE_CODES.items()}
-        rate_hz = rates.get(name.removeprefix("sm,"))
-        if rate_hz is None:
-            return Answer(utility_message(f"#sm,{_UTILITY_VALUE_ERROR}"))
-        self._use(replace(self.format, rate_hz=rate_hz))
-        return Answer(utility_message("#sm,0"))
-
     def _use(self, settings: Stim300Format) -> None:
+        # The counter goes on where it is.
         if settings != self.format:
             offset = self._encoder.counter_offset
             self.format, self._encoder = settings, Stim300Encoder(settings)
@@ -299,6 +200,7 @@ class Stim300Device:
         content = (
             (use.auxiliary != "none") << 4 | use.temperature << 3 | use.inclinometer << 2 | use.accelerometer << 1 | use.crlf
         )
+        # Bytes 4 to 12: active axes and output unit of each cluster, and the codes of its filters.
         body = bytearray(21)
         body[0:2] = self.identity.hardware_revision.encode("ascii") + bytes([self.identity.firmware_revision])
         body[2] = _RATE_CODES.get(round(use.rate_hz), 5) << 5 | content
@@ -311,12 +213,6 @@ class Stim300Device:
         body[13] = 0x08 if use.auxiliary == "pps" else 0
         body[16], body[17] = range_code << 4 | range_code, range_code << 4
         return self._special(0xBC, 0xBD, bytes(body))
-
-    def _bias_trim(self) -> bytes:
-        return self._special(0xD1, 0xD2, bytes(35))
-
-    def _extended_error(self) -> bytes:
-        return self._special(0xBE, 0xBF, bytes(16))
 
 
 class _UtilityCrc(Crc8Base):  # type: ignore[misc]

@@ -6,9 +6,9 @@ from functools import reduce
 from operator import xor
 
 from imufield.simulate.instruments.scripted import ScriptedInstrument, nearest
-from imufield.simulate.wire.wire_forms import WireForm
+from imufield.simulate.wire.forms import WireForm
 
-_IMU_HZ = 800
+_IMU_HZ = 800  # A binary output divides this rate.
 _FLASH = ("VNWNV", "VNRFS")
 _BINARY_OFF = "0,0"
 _RATES_HZ = (1, 2, 4, 5, 10, 20, 25, 40, 50, 100, 200)
@@ -60,10 +60,11 @@ class VectorNavInstrument(ScriptedInstrument):
         return sentence(f"{name},{number:02d},{self.registers[number]}")
 
     def _write(self, number: int, values: list[str]) -> bool:
-        """Take a rate; return whether it is one."""
-        held = self.registers[number].split(",")
+        """Write a rate; return whether it is valid."""
+        before = self.registers[number].split(",")
+        # Register 75 has port, divider of the rate, groups and fields; register 7 the rate alone.
         at = 1 if number == 75 else 0
-        same = values[:at] + values[at + 1 :] == held[:at] + held[at + 1 :]
+        same = values[:at] + values[at + 1 :] == before[:at] + before[at + 1 :]
         if number != self.writable or not same or not values[at].isdecimal() or int(values[at]) == 0:
             return False
         if number == 7 and int(values[0]) not in _RATES_HZ:

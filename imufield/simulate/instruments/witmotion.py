@@ -5,12 +5,12 @@ from __future__ import annotations
 import struct
 
 from imufield.simulate.instruments.scripted import ScriptedInstrument, nearest
-from imufield.simulate.wire.wire_forms import WireForm
+from imufield.simulate.wire.forms import WireForm
 
 _SAVE = 0x00
 _RATE = 0x03
 _READ = 0x27
-_KEY = 0x69
+_KEY = 0x69  # Registers are read-only until _OPEN is written here.
 _OPEN = 0xB588
 _RATES_HZ = {1: 0.2, 2: 0.5, 3: 1.0, 4: 2.0, 5: 5.0, 6: 10.0, 7: 20.0, 8: 50.0, 9: 100.0, 0x0A: 125.0, 0x0B: 200.0}
 
@@ -30,6 +30,7 @@ class WitMotionInstrument(ScriptedInstrument):
         begin = heard.find(b"\xff\xaa")
         if begin < 0 or len(heard) < begin + 5:
             return None, heard
+        # No checksum: any five bytes behind the sync are a command.
         return heard[begin : begin + 5], heard[begin + 5 :]
 
     def _answer(self, command: bytes) -> bytes:

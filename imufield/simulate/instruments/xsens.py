@@ -5,29 +5,28 @@ from __future__ import annotations
 import struct
 
 from imufield.simulate.instruments.scripted import ScriptedInstrument
-from imufield.simulate.wire.wire_forms import WireForm
+from imufield.simulate.wire.forms import WireForm
 
-_ANYWHERE = {0x30, 0x10, 0x40}
+_ANYWHERE = {0x30, 0x10, 0x40}  # GoToConfig, GoToMeasurement and Reset are taken in measurement state, too.
 _INVALID_MESSAGE = 0x04
 
 
 class XsensInstrument(ScriptedInstrument):
     """Answers requests in configuration state alone, as the real one; its output configuration is kept over power-off."""
 
+    sync = b"\xfa\xff"
+    length_at = 3
+    overhead = 5
+
     def __init__(self, rate_hz: float, form: WireForm) -> None:
         super().__init__(rate_hz)
         self.product_code = "MTi-30-2A8G4"
         self.device_id = 0x0368248C
         self.firmware = bytes([1, 8, 2]) + bytes(8)
-        self.outputs = b"".join(struct.pack(">HH", one, round(rate_hz)) for one in form.frames[0].fields)
+        self.outputs = b"".join(struct.pack(">HH", identifier, round(rate_hz)) for identifier in form.frames[0].fields)
 
-    def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
-        begin = heard.find(b"\xfa\xff")
-        if begin < 0 or len(heard) < begin + 5 + (heard[begin + 3] if len(heard) > begin + 3 else 0):
-            return None, heard
-        end = begin + 5 + heard[begin + 3]
-        frame = heard[begin:end]
-        return (frame, heard[end:]) if sum(frame[1:]) % 256 == 0 else (b"", heard[begin + 1 :])
+    def _is_whole(self, command: bytes) -> bool:
+        return sum(command[1:]) % 256 == 0
 
     def _answer(self, command: bytes) -> bytes:
         if not command:

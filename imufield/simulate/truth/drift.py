@@ -22,7 +22,7 @@ from imufield.samples import FloatArray
 
 ANCHOR_S = 0.1
 ANCHORS_PER_BLOCK = 64
-_SPACING = math.sqrt(10.0)
+_SPACING = math.sqrt(10.0)  # r of the derivation above: two time constants a decade.
 TIME_CONSTANTS_S = 0.5 * _SPACING ** np.arange(9)
 """0.5 s to 5000 s: faster flicker drowns in white noise, slower looks constant over one session."""
 
@@ -43,7 +43,9 @@ class BiasDrift:
         decay = np.exp(-ANCHOR_S / TIME_CONSTANTS_S)
         self._carry_over = decay[:, np.newaxis] ** np.arange(1, ANCHORS_PER_BLOCK + 1)
         self._response = _impulse_responses(decay)
+        # v = B^2 ln(r) / pi, see above.
         stationary = np.asarray(bias_instability) * math.sqrt(math.log(_SPACING) / math.pi)
+        # A shock of this size keeps the variance of x[k+1] = exp(-dt / tau) x[k] + shock at v.
         self._innovation = np.sqrt(1 - decay**2)[:, np.newaxis] * stationary
         self._walk_step = np.asarray(random_walk) * math.sqrt(ANCHOR_S)
         self._state = stationary * rng.standard_normal((len(decay), len(stationary)))
@@ -56,6 +58,7 @@ class BiasDrift:
         position = time_s / ANCHOR_S
         lower = np.floor(position).astype(np.int64)
         missing = int(lower[-1]) + 2 - self._first - len(self._anchors)
+        # Whole blocks only: the draws do not depend on the times asked for.
         blocks = [self._next_block() for _ in range(math.ceil(missing / ANCHORS_PER_BLOCK))]
         self._anchors = np.concatenate([self._anchors, *blocks])
         forget = max(0, int(lower[0]) - self._first)

@@ -77,144 +77,88 @@ class Grade:
     units: SampleUnits = SampleUnits()  # noqa: RUF009 - frozen, so one default may be shared
 
 
+def _triads(**figures: tuple[float, float, float, float]) -> tuple[TriadGrade, ...]:
+    """Return the triad of each grade from a table with one row for a figure and one column for a grade."""
+    return tuple(TriadGrade(**dict(zip(figures, column, strict=True))) for column in zip(*figures.values(), strict=True))
+
+
+# Columns of both tables: navigation, tactical, industrial, MEMS.
+#
+# Navigation: quartz flexure accelerometer (class of Honeywell QA-2000): 70 to 100 ug noise in 10 Hz to 500 Hz, a few ug of
+# instability; before calibration 1 mg, 200 ppm and 0.2 mrad remain of the assembly.
+# Tactical: STIM300 datasheet, 10 g range: 0.07 m/s/sqrt(h), 50 ug, 2^-19 g per step; bias 0.75 mg from year to year.
+# Industrial: better MEMS modules (class of Xsens MTi-100, ADIS16495): 60 ug/sqrt(Hz), 15 ug, left uncalibrated.
+# MEMS: consumer chips (class of ICM-20948, MPU-9250): 230 to 300 ug/sqrt(Hz), tens of mg of offset, 16 bit over 4 g.
+_ACCELEROMETERS = _triads(
+    noise_density=(5 * MICRO_G_M_S2, 0.07 / 60, 60 * MICRO_G_M_S2, 250 * MICRO_G_M_S2),
+    bias_instability=(3 * MICRO_G_M_S2, 50 * MICRO_G_M_S2, 15 * MICRO_G_M_S2, 40 * MICRO_G_M_S2),
+    random_walk=(0.02 * MICRO_G_M_S2, 1 * MICRO_G_M_S2, 2 * MICRO_G_M_S2, 5 * MICRO_G_M_S2),
+    bias=(1000 * MICRO_G_M_S2, 750 * MICRO_G_M_S2, 3000 * MICRO_G_M_S2, 30000 * MICRO_G_M_S2),
+    scale_ppm=(200.0, 200.0, 1000.0, 8000.0),
+    misalignment_rad=(0.0002, 0.001, 0.003, 0.006),
+    bias_per_degc=(5 * MICRO_G_M_S2, 20 * MICRO_G_M_S2, 100 * MICRO_G_M_S2, 500 * MICRO_G_M_S2),
+    scale_ppm_per_degc=(5.0, 10.0, 50.0, 200.0),
+    range_si=(25 * STANDARD_GRAVITY_M_S2, 10 * STANDARD_GRAVITY_M_S2, 8 * STANDARD_GRAVITY_M_S2, 4 * STANDARD_GRAVITY_M_S2),
+    lsb_si=(1e-07, STANDARD_GRAVITY_M_S2 / 2**19, STANDARD_GRAVITY_M_S2 / 2**18, STANDARD_GRAVITY_M_S2 / 8192),
+)
+# Navigation: ring laser gyroscope: random walk 0.002 deg/sqrt(h), 0.003 deg/h.
+# Tactical: STIM300 datasheet: 0.15 deg/sqrt(h), 0.3 deg/h, 400 deg/s, 2^-14 deg/s per step; bias some 10 deg/h after
+# temperature.
+# Industrial: the modules above: 0.01 deg/s/sqrt(Hz), 10 deg/h, 0.2 deg/s of bias.
+# MEMS: the chips above: 0.015 deg/s/sqrt(Hz), about 10 to 20 deg/h, a few deg/s of offset, 16 bit over 500 deg/s.
+_GYROSCOPES = _triads(
+    noise_density=(0.002 * DEG_PER_ROOT_HOUR, 0.15 * DEG_PER_ROOT_HOUR, 0.01 * DEG, 0.015 * DEG),
+    bias_instability=(0.003 * DEG_PER_HOUR, 0.3 * DEG_PER_HOUR, 10 * DEG_PER_HOUR, 15 * DEG_PER_HOUR),
+    random_walk=(1e-06 * DEG_PER_HOUR, 0.005 * DEG_PER_HOUR, 0.05 * DEG_PER_HOUR, 0.2 * DEG_PER_HOUR),
+    bias=(0.02 * DEG_PER_HOUR, 10 * DEG_PER_HOUR, 0.2 * DEG, 2 * DEG),
+    scale_ppm=(10.0, 500.0, 1000.0, 8000.0),
+    misalignment_rad=(5e-05, 0.001, 0.003, 0.006),
+    bias_per_degc=(0.0005 * DEG_PER_HOUR, 0.5 * DEG_PER_HOUR, 0.002 * DEG, 0.03 * DEG),
+    scale_ppm_per_degc=(0.1, 10.0, 50.0, 200.0),
+    range_si=(450 * DEG, 400 * DEG, 450 * DEG, 500 * DEG),
+    lsb_si=(1e-09, DEG / 2**14, DEG / 2**14, DEG / 65.536),
+)
 NAVIGATION = Grade(
     name="navigation",
-    # Quartz flexure accelerometer (class of Honeywell QA-2000): 70 to 100 ug noise in 10 Hz to 500 Hz, a few ug of
-    # instability; before calibration 1 mg, 200 ppm and 0.2 mrad remain of the assembly.
-    accelerometer=TriadGrade(
-        noise_density=5 * MICRO_G_M_S2,
-        bias_instability=3 * MICRO_G_M_S2,
-        random_walk=0.02 * MICRO_G_M_S2,
-        bias=1000 * MICRO_G_M_S2,
-        scale_ppm=200.0,
-        misalignment_rad=2e-4,
-        bias_per_degc=5 * MICRO_G_M_S2,
-        scale_ppm_per_degc=5.0,
-        range_si=25 * STANDARD_GRAVITY_M_S2,
-        lsb_si=1e-7,
-    ),
-    # Ring laser gyroscope: random walk 0.002 deg/sqrt(h), 0.003 deg/h.
-    gyroscope=TriadGrade(
-        noise_density=0.002 * DEG_PER_ROOT_HOUR,
-        bias_instability=0.003 * DEG_PER_HOUR,
-        random_walk=1e-6 * DEG_PER_HOUR,
-        bias=0.02 * DEG_PER_HOUR,
-        scale_ppm=10.0,
-        misalignment_rad=5e-5,
-        bias_per_degc=0.0005 * DEG_PER_HOUR,
-        scale_ppm_per_degc=0.1,
-        range_si=450 * DEG,
-        lsb_si=1e-9,
-    ),
-    quadratic_g_per_g2=15e-6,  # same class: 10 to 20 ug/g^2
+    accelerometer=_ACCELEROMETERS[0],
+    gyroscope=_GYROSCOPES[0],
+    quadratic_g_per_g2=1.5e-05,  # same class: 10 to 20 ug/g^2
     g_sensitivity=0.0005 * DEG_PER_HOUR / STANDARD_GRAVITY_M_S2,
     clock_error_ppm=1.0,
-    triad_delay_s=1e-4,
+    triad_delay_s=0.0001,
     warm_up_degc=8.0,
     warm_up_s=1200.0,
 )
 TACTICAL = Grade(
     name="tactical",
-    # After the STIM300 datasheet, 10 g range: 0.07 m/s/sqrt(h), 50 ug, 2^-19 g per step; bias 0.75 mg from year to year.
-    accelerometer=TriadGrade(
-        noise_density=0.07 / 60,
-        bias_instability=50 * MICRO_G_M_S2,
-        random_walk=1 * MICRO_G_M_S2,
-        bias=750 * MICRO_G_M_S2,
-        scale_ppm=200.0,
-        misalignment_rad=1e-3,
-        bias_per_degc=20 * MICRO_G_M_S2,
-        scale_ppm_per_degc=10.0,
-        range_si=10 * STANDARD_GRAVITY_M_S2,
-        lsb_si=STANDARD_GRAVITY_M_S2 / 2**19,
-    ),
-    # Same datasheet: 0.15 deg/sqrt(h), 0.3 deg/h, 400 deg/s, 2^-14 deg/s per step; bias some 10 deg/h after temperature.
-    gyroscope=TriadGrade(
-        noise_density=0.15 * DEG_PER_ROOT_HOUR,
-        bias_instability=0.3 * DEG_PER_HOUR,
-        random_walk=0.005 * DEG_PER_HOUR,
-        bias=10 * DEG_PER_HOUR,
-        scale_ppm=500.0,
-        misalignment_rad=1e-3,
-        bias_per_degc=0.5 * DEG_PER_HOUR,
-        scale_ppm_per_degc=10.0,
-        range_si=400 * DEG,
-        lsb_si=DEG / 2**14,
-    ),
-    quadratic_g_per_g2=50e-6,  # 100 ppm of non-linearity over the range, mostly quadratic at small input
+    accelerometer=_ACCELEROMETERS[1],
+    gyroscope=_GYROSCOPES[1],
+    quadratic_g_per_g2=5e-05,  # 100 ppm of non-linearity over the range, mostly quadratic at small input
     g_sensitivity=1.0 * DEG_PER_HOUR / STANDARD_GRAVITY_M_S2,
     clock_error_ppm=20.0,
-    triad_delay_s=5e-4,
+    triad_delay_s=0.0005,
     warm_up_degc=10.0,
     warm_up_s=600.0,
 )
 INDUSTRIAL = Grade(
     name="industrial",
-    # Better MEMS modules (class of Xsens MTi-100, ADIS16495): 60 ug/sqrt(Hz), 15 ug, left uncalibrated.
-    accelerometer=TriadGrade(
-        noise_density=60 * MICRO_G_M_S2,
-        bias_instability=15 * MICRO_G_M_S2,
-        random_walk=2 * MICRO_G_M_S2,
-        bias=3000 * MICRO_G_M_S2,
-        scale_ppm=1000.0,
-        misalignment_rad=3e-3,
-        bias_per_degc=100 * MICRO_G_M_S2,
-        scale_ppm_per_degc=50.0,
-        range_si=8 * STANDARD_GRAVITY_M_S2,
-        lsb_si=STANDARD_GRAVITY_M_S2 / 2**18,
-    ),
-    # Same class: 0.01 deg/s/sqrt(Hz), 10 deg/h, 0.2 deg/s of bias.
-    gyroscope=TriadGrade(
-        noise_density=0.01 * DEG,
-        bias_instability=10 * DEG_PER_HOUR,
-        random_walk=0.05 * DEG_PER_HOUR,
-        bias=0.2 * DEG,
-        scale_ppm=1000.0,
-        misalignment_rad=3e-3,
-        bias_per_degc=0.002 * DEG,
-        scale_ppm_per_degc=50.0,
-        range_si=450 * DEG,
-        lsb_si=DEG / 2**14,
-    ),
-    quadratic_g_per_g2=100e-6,
+    accelerometer=_ACCELEROMETERS[2],
+    gyroscope=_GYROSCOPES[2],
+    quadratic_g_per_g2=0.0001,
     g_sensitivity=0.003 * DEG / STANDARD_GRAVITY_M_S2,
     clock_error_ppm=30.0,
-    triad_delay_s=1e-3,
+    triad_delay_s=0.001,
     warm_up_degc=8.0,
     warm_up_s=400.0,
 )
 MEMS = Grade(
     name="mems",
-    # Consumer chips (class of ICM-20948, MPU-9250): 230 to 300 ug/sqrt(Hz), tens of mg of offset, 16 bit over 4 g.
-    accelerometer=TriadGrade(
-        noise_density=250 * MICRO_G_M_S2,
-        bias_instability=40 * MICRO_G_M_S2,
-        random_walk=5 * MICRO_G_M_S2,
-        bias=30000 * MICRO_G_M_S2,
-        scale_ppm=8000.0,
-        misalignment_rad=6e-3,
-        bias_per_degc=500 * MICRO_G_M_S2,
-        scale_ppm_per_degc=200.0,
-        range_si=4 * STANDARD_GRAVITY_M_S2,
-        lsb_si=STANDARD_GRAVITY_M_S2 / 8192,
-    ),
-    # Same class: 0.015 deg/s/sqrt(Hz), about 10 to 20 deg/h, a few deg/s of offset, 16 bit over 500 deg/s.
-    gyroscope=TriadGrade(
-        noise_density=0.015 * DEG,
-        bias_instability=15 * DEG_PER_HOUR,
-        random_walk=0.2 * DEG_PER_HOUR,
-        bias=2 * DEG,
-        scale_ppm=8000.0,
-        misalignment_rad=6e-3,
-        bias_per_degc=0.03 * DEG,
-        scale_ppm_per_degc=200.0,
-        range_si=500 * DEG,
-        lsb_si=DEG / 65.536,
-    ),
-    quadratic_g_per_g2=500e-6,
+    accelerometer=_ACCELEROMETERS[3],
+    gyroscope=_GYROSCOPES[3],
+    quadratic_g_per_g2=0.0005,
     g_sensitivity=0.01 * DEG / STANDARD_GRAVITY_M_S2,
     clock_error_ppm=100.0,
-    triad_delay_s=2e-3,
+    triad_delay_s=0.002,
     warm_up_degc=5.0,
     warm_up_s=200.0,
 )
@@ -257,12 +201,14 @@ def find_grade(name: str) -> Grade:
 
 def draw_truth(grade: Grade, rng: np.random.Generator) -> TrueInstrument:
     """Draw one instrument of a grade, every parameter normally distributed about its nominal value."""
+    # The order of the draws is fixed: a seed stands for one instrument.
     a, g = grade.accelerometer, grade.gyroscope
     accelerometer_scale = grade.accelerometer_scale * (1 + 1e-6 * a.scale_ppm * rng.standard_normal(3))
     accelerometer = AccelerometerParameters(
         scale=accelerometer_scale,
         bias_m_s2=a.bias * rng.standard_normal(3),
         misalignment_rad=_draw_off_diagonals(a.misalignment_rad, rng),
+        # K2 / K is given in g per g^2: one division by g makes it 1 / (m/s^2).
         quadratic=accelerometer_scale * (grade.quadratic_g_per_g2 / STANDARD_GRAVITY_M_S2) * rng.standard_normal(3),
     )
     gyroscope_scale = grade.gyroscope_scale * (1 + 1e-6 * g.scale_ppm * rng.standard_normal(3))
@@ -302,5 +248,6 @@ def perfect_instrument(grade: Grade) -> TrueInstrument:
 
 
 def _draw_off_diagonals(sigma: float, rng: np.random.Generator) -> FloatArray:
+    # The diagonal of T is 1; the scale factors carry what it would say.
     matrix: FloatArray = sigma * rng.standard_normal((3, 3)) * (1 - np.eye(3))
     return matrix

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from imufield.calibrate.model.models import predict, predict_gyroscope
 from imufield.errors import UsageError
-from imufield.samples import FloatArray, IntArray, Samples, Status, no_samples
+from imufield.samples import FloatArray, Samples, Status, no_samples
 from imufield.simulate.truth.drift import BiasDrift
-from imufield.simulate.truth.grades import REFERENCE_TEMPERATURE_DEGC, TriadGrade, TrueInstrument
+from imufield.simulate.truth.grades import REFERENCE_TEMPERATURE_DEGC, TrueInstrument
 from imufield.simulate.truth.motion import TrueMotion
 
 MAXIMUM_TRIAD_DELAY_S = 0.01
@@ -63,26 +63,35 @@ class Imu:
 
     def __init__(self, instrument: TrueInstrument, seed: int, settings: ImuSettings | None = None) -> None:
         self.instrument = instrument
-        self.settings = settings or ImuSettings()
-        _check(self.settings, instrument)
         self.samples_lost = 0
-        grade = instrument.grade
-        streams = [np.random.default_rng([seed, stream]) for stream in (101, 102, 103)]
-        self._noise_rng, drift_rng, self._loss_rng = streams
-        instability = _six(grade.accelerometer.bias_instability, grade.gyroscope.bias_instability)
-        walk = _six(grade.accelerometer.random_walk, grade.gyroscope.random_walk)
-        self._drift = BiasDrift(instability, walk, drift_rng)
+        # A stream for each effect: switching one off leaves the draws of the others as they are.
+        self._noise_rng, drift_rng, self._loss_rng = (np.random.default_rng([seed, stream]) for stream in (101, 102, 103))
+        a, g = instrument.grade.accelerometer, instrument.grade.gyroscope
+        self._drift = BiasDrift(_six(a.bias_instability, g.bias_instability), _six(a.random_walk, g.random_walk), drift_rng)
         self._drift_sum = np.zeros(6)
         self._next = 0
         self._gap = False
-        self._begin()
+        self._use(settings or ImuSettings())
 
-    def _begin(self) -> None:
-        """Prepare what depends on the rate."""
-        grade, rate_hz = self.instrument.grade, self.settings.rate_hz
+    def _use(self, settings: ImuSettings) -> None:
+        """Check the settings and prepare what depends on the rate."""
+        grade, rate_hz, delay_s = self.instrument.grade, settings.rate_hz, self.instrument.triad_delay_s
+        if not 0 < rate_hz <= 1e5:
+            raise UsageError(f"sample rate {rate_hz:g} Hz is outside 0 to 100000 Hz; give the instrument's rate")
+        if not 0 <= settings.loss_probability < 1:
+            raise UsageError(f"loss probability {settings.loss_probability:g} is outside 0 to 1; give a fraction")
+        if not abs(delay_s) <= MAXIMUM_TRIAD_DELAY_S:
+            raise UsageError(
+                f"delay {delay_s:g} s of the gyroscope is outside -{MAXIMUM_TRIAD_DELAY_S:g} to "
+                f"{MAXIMUM_TRIAD_DELAY_S:g} s; choose less"
+            )
+        self.settings = settings
+        # A noise density N gives a standard deviation of N sqrt(rate) per sample (IEEE Std 952).
         self._sigma = np.sqrt(rate_hz) * _six(grade.accelerometer.noise_density, grade.gyroscope.noise_density)
-        self._units = replace(grade.units, interval_s=1 / rate_hz) if _increments(self.instrument) else grade.units
-        late = self.instrument.triad_delay_s / self.interval_s
+        sends_increments = grade.units.accelerometer_is_increment or grade.units.gyroscope_is_increment
+        self._units = replace(grade.units, interval_s=1 / rate_hz) if sends_increments else grade.units
+        # One of the two delays is zero: samples carry the time of the triad that is ahead.
+        late = delay_s / self.interval_s
         self._gyroscope_delay, self._accelerometer_delay = _Delay(max(late, 0.0)), _Delay(max(-late, 0.0))
         self._carry = np.zeros(6)
 
@@ -94,14 +103,11 @@ class Imu:
         UsageError
             If the rate makes no sense.
         """
-        settings = replace(self.settings, rate_hz=rate_hz)
-        _check(settings, self.instrument)
         to_new = rate_hz / self.settings.rate_hz
+        self._use(replace(self.settings, rate_hz=rate_hz))
         before, self._next = self._next, int(np.ceil(self._next * to_new - _ROUNDING))
         # The mean of the drift goes on as that of the time so far.
         self._drift_sum *= self._next / max(before, 1)
-        self.settings = settings
-        self._begin()
         return self._next
 
     @property
@@ -126,37 +132,41 @@ class Imu:
         n = len(motion)
         if n == 0:
             return no_samples(self._units)
+        settings, grade = self.settings, self.instrument.grade
         index = np.arange(self._next, self._next + n)
         self._next += n
-        time_s = index / self.settings.rate_hz
-        warm_degc = self._temperature(time_s) - REFERENCE_TEMPERATURE_DEGC
+        time_s = index / settings.rate_hz
+        temperature = settings.temperature_degc + settings.temperature_slope_degc_s * time_s
+        if settings.warm_up:
+            temperature = temperature - grade.warm_up_degc * np.exp(-time_s / grade.warm_up_s)
+        warm_degc = temperature - REFERENCE_TEMPERATURE_DEGC
         output = self._respond(motion, warm_degc[:, np.newaxis])
         output += self._disturbance(time_s)
         status = np.zeros(n, dtype=np.uint32)
         raw = self._digitise(output, status)
-        temperature = warm_degc + REFERENCE_TEMPERATURE_DEGC
         samples = Samples(
             time_s=time_s,
             accelerometer=raw[:, :3],
             gyroscope=raw[:, 3:],
-            temperature_degc=temperature,
+            temperature_degc=warm_degc + REFERENCE_TEMPERATURE_DEGC,
             counter=index.astype(np.int64),
             status=status,
             units=self._units,
         )
-        return self._lose(samples, index)
-
-    def _temperature(self, time_s: FloatArray) -> FloatArray:
-        settings, grade = self.settings, self.instrument.grade
-        temperature = settings.temperature_degc + settings.temperature_slope_degc_s * time_s
-        if settings.warm_up:
-            temperature = temperature - grade.warm_up_degc * np.exp(-time_s / grade.warm_up_s)
-        return temperature
+        if settings.loss_probability == 0:
+            return samples
+        lost = self._loss_rng.random(n) < settings.loss_probability
+        # The first sample after a loss tells of it; so does the first of this block after a loss at the end of the last.
+        after_gap = np.concatenate([[self._gap], lost[:-1]]) & ~lost
+        samples.status[after_gap] |= np.uint32(Status.AFTER_GAP)
+        self._gap = bool(lost[-1])
+        self.samples_lost += int(np.count_nonzero(lost))
+        return samples[~lost]
 
     def _respond(self, motion: TrueMotion, warm_degc: FloatArray) -> FloatArray:
         """Return the noise-free outputs of both triads in raw units per second, shape (n, 6)."""
         unit = self.instrument
-        output = np.empty((len(motion), 6))
+        # The measurement equations of imufield/__init__.py, with the true parameters.
         accelerometer = predict(unit.accelerometer, self._accelerometer_delay.feed(motion.specific_force))
         rate = self._gyroscope_delay.feed(motion.angular_rate)
         gyroscope = predict_gyroscope(unit.gyroscope, rate, motion.specific_force)
@@ -167,10 +177,10 @@ class Imu:
             accelerometer += unit.accelerometer.scale * unit.accelerometer_bias_per_degc * warm_degc
             gyroscope = gyroscope * (1 + unit.gyroscope_scale_per_degc * warm_degc)
             gyroscope += unit.gyroscope.scale * unit.gyroscope_bias_per_degc * warm_degc
-        output[:, :3], output[:, 3:] = accelerometer, gyroscope
-        return output
+        return np.hstack([accelerometer, gyroscope])
 
     def _disturbance(self, time_s: FloatArray) -> FloatArray:
+        """Return white noise and drift in raw units per second, shape (n, 6)."""
         disturbance = np.zeros((len(time_s), 6))
         if self.settings.noise:
             disturbance += self._sigma * self._noise_rng.standard_normal((len(time_s), 6))
@@ -178,44 +188,34 @@ class Imu:
             drift = self._drift.at(time_s)
             self._drift_sum += drift.sum(axis=0)
             disturbance += drift
-        scaled: FloatArray = disturbance * self._raw_per_si
+        # Noise and drift of a grade are in SI; the converter sees them as raw units.
+        scaled: FloatArray = disturbance * np.concatenate(
+            [self.instrument.accelerometer.scale, self.instrument.gyroscope.scale]
+        )
         return scaled
-
-    @property
-    def _raw_per_si(self) -> FloatArray:
-        return np.concatenate([self.instrument.accelerometer.scale, self.instrument.gyroscope.scale])
 
     def _digitise(self, output: FloatArray, status: NDArray[np.uint32]) -> FloatArray:
         """Limit to the ranges (setting status flags), integrate where increments are sent, and quantise."""
-        grade = self.instrument.grade
-        zero = self.instrument.accelerometer.raw_zero
+        grade, units, zero = self.instrument.grade, self._units, self.instrument.accelerometer.raw_zero
+        a, g = grade.accelerometer, grade.gyroscope
         raw = np.empty_like(output)
-        for triad, columns, scale, centre, flag, increment in (
-            (
-                grade.accelerometer,
-                slice(0, 3),
-                grade.accelerometer_scale,
-                zero,
-                Status.ACCELEROMETER_SATURATED,
-                self._units.accelerometer_is_increment,
-            ),
-            (
-                grade.gyroscope,
-                slice(3, 6),
-                grade.gyroscope_scale,
-                0.0,
-                Status.GYROSCOPE_SATURATED,
-                self._units.gyroscope_is_increment,
-            ),
+        for first, triad, scale, centre, flag, increment in (
+            (0, a, grade.accelerometer_scale, zero, Status.ACCELEROMETER_SATURATED, units.accelerometer_is_increment),
+            (3, g, grade.gyroscope_scale, 0.0, Status.GYROSCOPE_SATURATED, units.gyroscope_is_increment),
         ):
+            columns = slice(first, first + 3)
             values = output[:, columns] - centre
             if self.settings.saturate:
-                values = _saturate(values, triad.range_si * abs(scale), flag, status)
-            raw[:, columns] = self._quantise(values, triad, abs(scale), increment, columns=columns) + centre
+                limit = triad.range_si * abs(scale)
+                clipped = np.clip(values, -limit, limit)
+                status[np.any(clipped != values, axis=1)] |= np.uint32(flag)
+                values = clipped
+            raw[:, columns] = self._quantise(values, triad.lsb_si * abs(scale), increment, columns) + centre
         return raw
 
-    def _quantise(self, values: FloatArray, triad: TriadGrade, scale: float, increment: bool, *, columns: slice) -> FloatArray:
-        step = triad.lsb_si * scale if self.settings.quantise else 0.0
+    def _quantise(self, values: FloatArray, step: float, increment: bool, columns: slice) -> FloatArray:
+        """Round rates to whole steps; sum increments up and send the whole steps of the sum."""
+        step = step if self.settings.quantise else 0.0
         if not increment:
             return values if step == 0 else step * np.rint(values / step)
         values = values / self.settings.rate_hz
@@ -227,16 +227,6 @@ class Imu:
         counted = step * np.floor(total / step)
         self._carry[columns] = total[-1] - counted[-1]
         return np.diff(counted, axis=0, prepend=np.zeros((1, 3)))
-
-    def _lose(self, samples: Samples, index: IntArray) -> Samples:
-        if self.settings.loss_probability == 0:
-            return samples
-        lost = self._loss_rng.random(len(index)) < self.settings.loss_probability
-        after_gap = np.concatenate([[self._gap], lost[:-1]]) & ~lost
-        samples.status[after_gap] |= np.uint32(Status.AFTER_GAP)
-        self._gap = bool(lost[-1])
-        self.samples_lost += int(np.count_nonzero(lost))
-        return samples[~lost]
 
 
 class _Delay:
@@ -251,6 +241,7 @@ class _Delay:
         # The six lie about the moment asked for as far as the newest sample allows.
         newest = max(int(np.floor(samples)) - self._POINTS // 2 + 1, 0)
         self._past = 0 if samples == 0 else newest + self._POINTS - 1
+        # Lagrange's polynomial: the share of point i is the product of (since - j) / (i - j) over the other points j.
         k, since = np.arange(self._POINTS), samples - newest
         self._shares = [(newest + i, np.prod([(since - j) / (i - j) for j in k if j != i])) for i in k]
         self._history: FloatArray | None = None
@@ -267,31 +258,6 @@ class _Delay:
         for age, share in self._shares:
             delayed += share * joined[self._past - age : self._past - age + n]
         return delayed
-
-
-def _saturate(values: FloatArray, limit: float, flag: Status, status: NDArray[np.uint32]) -> FloatArray:
-    clipped = np.clip(values, -limit, limit)
-    if np.array_equal(clipped, values):
-        return values
-    status[np.any(clipped != values, axis=1)] |= np.uint32(flag)
-    return clipped
-
-
-def _check(settings: ImuSettings, instrument: TrueInstrument) -> None:
-    if not 0 < settings.rate_hz <= 1e5:
-        raise UsageError(f"sample rate {settings.rate_hz:g} Hz is outside 0 to 100000 Hz; give the instrument's rate")
-    if not 0 <= settings.loss_probability < 1:
-        raise UsageError(f"loss probability {settings.loss_probability:g} is outside 0 to 1; give a fraction")
-    if not abs(instrument.triad_delay_s) <= MAXIMUM_TRIAD_DELAY_S:
-        raise UsageError(
-            f"delay {instrument.triad_delay_s:g} s of the gyroscope is outside -{MAXIMUM_TRIAD_DELAY_S:g} to "
-            f"{MAXIMUM_TRIAD_DELAY_S:g} s; choose less"
-        )
-
-
-def _increments(instrument: TrueInstrument) -> bool:
-    units = instrument.grade.units
-    return units.accelerometer_is_increment or units.gyroscope_is_increment
 
 
 def _six(accelerometer: float, gyroscope: float) -> FloatArray:

@@ -123,11 +123,14 @@ def sample_motion(path: Path, first: int, count: int, interval_s: float, *, site
     if resting is not None:
         return _resting_motion(resting, grid_s[2:-2:2], site)
     quaternion = path.attitude(grid_s)
+    # The body turns against inertial space: its own turn in the interval and that of the Earth.
     earth_turn = exponential(site.earth_rate_n * interval_s)
     turn = multiply(conjugate(quaternion[1:-2:2]), multiply(earth_turn, quaternion[3::2]))
     centre = quaternion[2:-2:2]
+    # Sensor from the pivot, C_nb r; its second derivative has the tangential and the centripetal acceleration.
     arm = rotate(quaternion, path.lever_arm_m)
     acceleration = path.acceleration(grid_s[2:-2:2]) + _second_derivative(arm, half)
+    # Specific force f = C_bn (a - g).
     force = rotate(conjugate(centre), acceleration - site.gravity_n)
     return TrueMotion(grid_s[2:-2:2], centre, logarithm(turn) / interval_s, force)
 
@@ -145,6 +148,7 @@ def _resting_motion(quaternion: FloatArray, time_s: FloatArray, site: Site) -> T
 
 def _second_derivative(values: FloatArray, step: float) -> FloatArray:
     """Five-point central difference at every second inner point, shape (2n + 3, 3) to (n, 3)."""
+    # f'' = (-f[-2] + 16 f[-1] - 30 f[0] + 16 f[1] - f[2]) / (12 h^2), error h^4 f^(6) / 90.
     far = values[0:-4:2] + values[4::2]
     near = values[1:-3:2] + values[3:-1:2]
     return (16 * near - far - 30 * values[2:-2:2]) / (12 * step * step)

@@ -1,10 +1,11 @@
 """A virtual person who turns the unit by hand from position to position.
 
-The motion is a chain of pieces (``pieces.py``), planned one visit ahead and drawn from a stream of random numbers of that
-visit's own, so what happens in a visit depends on the seed and the visit's number only. The operator knows what he did:
-``stills`` and ``moves`` are the truth a detector is held against.
+The motion is a chain of pieces (``pieces.py``), planned one visit ahead. Each visit draws from its own stream of random
+numbers, so what happens in a visit depends on the seed and the number of the visit only. ``stills`` and ``moves`` record what
+the operator did: the truth that a detector is compared with.
 
-Left alone, he stays ``hold_s`` in each position and goes on. With ``waits=True`` he stays until ``accepted`` is called.
+By default the operator stays ``hold_s`` in each position and goes on. With ``waits=True`` it stays until ``accepted`` is
+called.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ DEG = math.radians(1.0)
 SPIN_S = (3.0, 4.0)
 SPIN_REST_S = 5.0
 NO_POSITION = -1
-"""``StillInterval.position`` where the unit lies in no planned position."""
+"""``StillInterval.position`` of a unit that is in no planned position."""
 
 StillKind = Literal["placed", "held"]
 BumpKind = Literal["knock", "shift"]
@@ -147,7 +148,8 @@ class Operator:
         self._finished_s: float | None = None
         self._stills: list[StillInterval] = []
         self._moves: list[TrueMove] = []
-        self._hand = self._draw_hand()
+        habits, rng = self.settings, np.random.default_rng([seed, 201])
+        self._hand = draw_hand(rng, habits.tremor_rad, habits.sway_rad, habits.sway_m, tremor_band_hz=habits.tremor_band_hz)
         self._pieces: list[Piece] = []
         self._lie_down()
 
@@ -193,7 +195,7 @@ class Operator:
         """Return the true motion at samples ``first`` to ``first + count - 1``."""
         while self._heard:
             self._leave(self._heard.popleft())
-        # Two samples more than asked: differences reach over the end of the block.
+        # Two samples more than asked: the differences of ``sample_motion`` reach over the end of the block.
         self._generated_s = max(self._generated_s, (first + count + 2) * interval_s)
         self.plan(self._generated_s)
         return sample_motion(self, first, count, interval_s, site=self.site)
@@ -220,28 +222,25 @@ class Operator:
         return list(zip(self._pieces[first : last + 1], np.split(time_s, cuts), strict=True))
 
     def _rng(self) -> np.random.Generator:
+        # One stream for each visit: what happens in a visit does not depend on how much was drawn before it.
         return np.random.default_rng([self._seed, 202, self._visit_number])
 
-    def _draw_hand(self) -> Hand:
-        settings = self.settings
-        rng = np.random.default_rng([self._seed, 201])
-        return draw_hand(rng, settings.tremor_rad, settings.sway_rad, settings.sway_m, tremor_band_hz=settings.tremor_band_hz)
-
     def _lie_down(self) -> None:
-        """Begin: the unit lies on the table, the first position up."""
-        rng = self._rng()
+        """Begin: the unit is on the table, the first position up."""
         direction = self.directions[0] if len(self.directions) else np.array([0.0, 0.0, 1.0])
-        level = np.array([1.0, 0.0, 0.0, 0.0])
-        quaternion = self._target(level, direction, rng)
+        quaternion = self._target(np.array([1.0, 0.0, 0.0, 0.0]), direction, self._rng())
         end_s, position = self.settings.initial_still_s if self._agenda else math.inf, NO_POSITION
         if self._agenda and self.settings.begins_in_first_position:
             end_s, position = end_s + self.settings.hold_s, self._agenda.pop(0).position
-        # The first differences reach to before time zero.
-        self._pieces.append(_rest(-1.0, end_s, quaternion))
+        # The differences of the first sample reach to before time zero.
+        self._be_still(_rest(-1.0, end_s, quaternion), position, "placed")
+
+    def _be_still(self, piece: Piece, position: int, kind: StillKind, *, bumped: bool = False) -> None:
+        """Add a piece without motion and note it among the true still intervals."""
+        self._pieces.append(piece)
+        up, start_s = up_direction(piece.quaternion_nb), max(piece.start_s, 0.0)
         self._stills.append(
-            StillInterval(
-                start_s=0.0, end_s=end_s, direction=up_direction(quaternion), position=position, kind="placed", bumped=False
-            )
+            StillInterval(start_s=start_s, end_s=piece.end_s, direction=up, position=position, kind=kind, bumped=bumped)
         )
 
     def _stay_for_ever(self) -> None:
@@ -250,37 +249,22 @@ class Operator:
             return
         self._finished_s = last.end_s
         self._stills[-1] = replace(self._stills[-1], end_s=math.inf)
-        rest = _rest(last.end_s, math.inf, last.final_quaternion)
-        self._pieces.append(replace(rest, hand=last.hand, hand_at_start=True, hand_at_end=True))
+        self._pieces.append(_rest(last.end_s, math.inf, last.final_quaternion, last.hand))
 
     def _next_visit(self) -> None:
         self._visit_number += 1
         rng = self._rng()
-        if self._agenda[0].spin_rad is not None:
-            self._spin(self._agenda.pop(0).spin_rad, rng)
+        spin_rad = self._agenda[0].spin_rad
+        if spin_rad is None:
+            visit = self._choose(rng)
+            self._turn_to(visit, rng)
+            self._hold(visit, rng)
             return
-        visit = self._choose(rng)
-        self._turn_to(visit, rng)
-        self._hold(visit, rng)
-
-    def _spin(self, spin_rad: FloatArray | None, rng: np.random.Generator) -> None:
-        """Turn the unit once around, put it down where it was, and let it rest."""
-        last = self._pieces[-1]
-        end_s = last.end_s + rng.uniform(*SPIN_S)
-        self._pieces.append(
-            Piece(
-                start_s=last.end_s,
-                end_s=end_s,
-                quaternion_nb=last.final_quaternion,
-                turn_rad=np.zeros(3) if spin_rad is None else spin_rad,
-                wobble_rad=0.3 * self.settings.wobble_rad * rng.standard_normal(3),
-                wobble_hz=rng.uniform(0.7, 2.0),
-                lift_m=rng.uniform(*self.settings.lift_m),
-            )
-        )
-        self._moves.append(TrueMove(last.end_s, end_s, "turn"))
+        # A whole turn: turn the unit once around, put it down where it was, and let it rest.
+        self._agenda.pop(0)
+        self._pieces.append(self._turn(spin_rad, rng.uniform(*SPIN_S), 0.3 * self.settings.wobble_rad, rng))
         self._put_down(rng)
-        self._still(NO_POSITION, SPIN_REST_S, bumped=False)
+        self._hold_still(NO_POSITION, SPIN_REST_S)
 
     def _choose(self, rng: np.random.Generator) -> _Visit:
         if rng.random() < self.settings.wrong_probability:
@@ -292,53 +276,55 @@ class Operator:
         return self._agenda.pop(0)
 
     def _target(self, quaternion: FloatArray, direction: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return the attitude with ``direction`` up, as near as possible but for placement error and heading."""
+        """Return the attitude with ``direction`` up that is nearest to ``quaternion``, with placement error and heading."""
         limit, bearing = self.settings.placement_error_rad, rng.uniform(0, 2 * math.pi)
         # The square root spreads the tilts evenly over the disc.
         tilt = limit * math.sqrt(rng.random()) * np.array([math.cos(bearing), math.sin(bearing), 0.0])
-        missed = rotate(
-            exponential(shortest_turn([0.0, 0.0, 1.0], direction)), rotate(exponential(tilt), np.array([0.0, 0.0, 1.0]))
-        )
+        tilted = rotate(exponential(tilt), np.array([0.0, 0.0, 1.0]))
+        missed = rotate(exponential(shortest_turn([0.0, 0.0, 1.0], direction)), tilted)
         turned = multiply(quaternion, conjugate(exponential(shortest_turn(up_direction(quaternion), missed))))
         heading = rng.uniform(-math.pi, math.pi) if self.settings.random_headings else 0.0
         return multiply(exponential(np.array([0.0, 0.0, heading])), turned)
 
+    def _turn(self, turn_rad: FloatArray, duration_s: float, wobble_rad: float, rng: np.random.Generator) -> Piece:
+        """Note a turn that begins where the last piece ends, and return its piece."""
+        last = self._pieces[-1]
+        end_s = last.end_s + duration_s
+        self._moves.append(TrueMove(last.end_s, end_s, "turn"))
+        return Piece(
+            start_s=last.end_s,
+            end_s=end_s,
+            quaternion_nb=last.final_quaternion,
+            turn_rad=turn_rad,
+            wobble_rad=wobble_rad * rng.standard_normal(3),
+            wobble_hz=rng.uniform(0.7, 2.0),
+            lift_m=rng.uniform(*self.settings.lift_m),
+        )
+
     def _turn_to(self, visit: _Visit, rng: np.random.Generator) -> None:
         settings, last = self.settings, self._pieces[-1]
-        start = last.final_quaternion
-        turn = logarithm(multiply(conjugate(start), self._target(start, visit.direction, rng)))
-        # A minimum-jerk turn peaks at 15/8 of its mean rate.
-        shortest_s = 15 / 8 * float(np.linalg.norm(turn)) / settings.peak_rate_rad_s
-        end_s = last.end_s + max(rng.uniform(*settings.turn_s), shortest_s)
-        held = settings.style == "held"
-        self._pieces.append(
-            Piece(
-                start_s=last.end_s,
-                end_s=end_s,
-                quaternion_nb=start,
-                turn_rad=turn,
-                wobble_rad=settings.wobble_rad * rng.standard_normal(3),
-                wobble_hz=rng.uniform(0.7, 2.0),
-                lift_m=rng.uniform(*settings.lift_m),
-                travel_m=(*(0.05 * rng.standard_normal(2)), 0.0),
-                hand=self._hand,
-                hand_at_start=last.hand is not None,
-                hand_at_end=held,
-            )
-        )
-        self._moves.append(TrueMove(last.end_s, end_s, "turn"))
-        if not held:
+        start, in_hand = last.final_quaternion, settings.style == "held"
+        turn_rad = logarithm(multiply(conjugate(start), self._target(start, visit.direction, rng)))
+        # A minimum-jerk turn peaks at 15/8 of its mean rate: d/du (10 u^3 - 15 u^4 + 6 u^5) at u = 1/2.
+        shortest_s = 15 / 8 * float(np.linalg.norm(turn_rad)) / settings.peak_rate_rad_s
+        piece = self._turn(turn_rad, max(rng.uniform(*settings.turn_s), shortest_s), settings.wobble_rad, rng)
+        # 5 cm (1 sigma) to the side: where one puts a thing down is not where one picked it up.
+        travel_m = (*(0.05 * rng.standard_normal(2)), 0.0)
+        at_start = last.hand is not None
+        self._pieces.append(replace(piece, travel_m=travel_m, hand=self._hand, hand_at_start=at_start, hand_at_end=in_hand))
+        if not in_hand:
             self._put_down(rng)
 
     def _put_down(self, rng: np.random.Generator) -> None:
+        """Add the shock of a unit that is put on the table; it belongs to the turn before it."""
         last = self._pieces[-1]
         shock = self._draw_shock(last.end_s, self.settings.put_down_m_s2, rng)
-        piece = replace(_rest(last.end_s, shock.end_s, last.final_quaternion), shocks=(shock,))
-        self._pieces.append(piece)
+        self._pieces.append(replace(_rest(last.end_s, shock.end_s, last.final_quaternion), shocks=(shock,)))
         self._moves[-1] = replace(self._moves[-1], end_s=shock.end_s)
 
     def _draw_shock(self, start_s: float, peak_m_s2: float, rng: np.random.Generator) -> Shock:
         acceleration = peak_m_s2 * rng.uniform(0.3, 1.0) * _random_direction(rng)
+        # The unit turns as well, by up to 1e-4 rad for 1 m/s^2: chosen small against the tremor of a hand (7e-4 rad).
         rotation = 1e-4 * peak_m_s2 * rng.uniform(0.3, 1.0) * _random_direction(rng)
         return Shock(
             start_s=start_s,
@@ -354,60 +340,46 @@ class Operator:
         if rng.random() < settings.pause_probability:
             duration_s += rng.uniform(*settings.pause_s)
         if rng.random() < settings.bump_probability:
-            self._still(visit.position, duration_s * rng.uniform(0.2, 0.8), bumped=True)
+            self._hold_still(visit.position, duration_s * rng.uniform(0.2, 0.8), bumped=True)
             self._bump(rng)
-            self._still(visit.position, 0.5 * duration_s, bumped=True)
+            self._hold_still(visit.position, 0.5 * duration_s, bumped=True)
             if settings.repeats_after_bump and visit.position != NO_POSITION:
                 self._agenda.insert(0, visit)
             return
+        # Nobody accepts a wrong side, so an operator who waits does not wait there.
         waiting = settings.waits and visit.position != NO_POSITION
-        self._still(visit.position, math.inf if waiting else duration_s, bumped=False)
+        self._hold_still(visit.position, math.inf if waiting else duration_s)
 
-    def _still(self, position: int, duration_s: float, *, bumped: bool) -> None:
-        last, held = self._pieces[-1], self.settings.style == "held"
-        start_s, quaternion = last.end_s, last.final_quaternion
-        end_s = start_s + duration_s
-        hand = self._hand if held else None
-        self._pieces.append(replace(_rest(start_s, end_s, quaternion), hand=hand, hand_at_start=True, hand_at_end=True))
-        self._stills.append(
-            StillInterval(
-                start_s=start_s,
-                end_s=end_s,
-                direction=up_direction(quaternion),
-                position=position,
-                kind=self.settings.style,
-                bumped=bumped,
-            )
-        )
+    def _hold_still(self, position: int, duration_s: float, *, bumped: bool = False) -> None:
+        last, kind = self._pieces[-1], self.settings.style
+        hand = self._hand if kind == "held" else None
+        piece = _rest(last.end_s, last.end_s + duration_s, last.final_quaternion, hand)
+        self._be_still(piece, position, kind, bumped=bumped)
 
     def _bump(self, rng: np.random.Generator) -> None:
         last = self._pieces[-1]
         kind = self.settings.bump_kinds[int(rng.integers(len(self.settings.bump_kinds)))]
         shock = self._draw_shock(last.end_s, rng.uniform(0.5, 5.0), rng)
         turn = rng.uniform(0.1, 1.0) * DEG * _random_direction(rng) if kind == "shift" else np.zeros(3)
-        piece = replace(last, start_s=last.end_s, end_s=shock.end_s, quaternion_nb=last.final_quaternion, turn_rad=turn)
-        self._pieces.append(replace(piece, shocks=(shock,)))
+        start = last.final_quaternion
+        piece = replace(last, start_s=last.end_s, end_s=shock.end_s, quaternion_nb=start, turn_rad=turn, shocks=(shock,))
+        self._pieces.append(piece)
         self._moves.append(TrueMove(piece.start_s, piece.end_s, kind))
 
     def _leave(self, next_position: int | None) -> None:
-        """End the hold after a reaction time, if waiting; the last one only comes to be known as finished."""
+        """End the hold after a reaction time, if waiting; the last hold does not end, but the plan is finished."""
         last = self._pieces[-1]
         if math.isfinite(last.end_s) or self._generated_s < last.start_s:
             return
         if not self._agenda:
             self._finished_s = self._finished_s or self._generated_s
             return
-        if next_position is not None:
-            self._move_to_front(next_position)
+        # Without a visit to that position the agenda stays as it is.
+        place = next((k for k, visit in enumerate(self._agenda) if visit.position == next_position), 0)
+        self._agenda.insert(0, self._agenda.pop(place))
         end_s = self._generated_s + self._rng().uniform(*self.settings.reaction_s)
         self._pieces[-1] = replace(last, end_s=end_s)
         self._stills[-1] = replace(self._stills[-1], end_s=end_s)
-
-    def _move_to_front(self, position: int) -> None:
-        for index, visit in enumerate(self._agenda):
-            if visit.position == position:
-                self._agenda.insert(0, self._agenda.pop(index))
-                return
 
 
 def _spins(kind: str | None) -> list[_Visit]:
@@ -420,8 +392,17 @@ def _spins(kind: str | None) -> list[_Visit]:
     return visits
 
 
-def _rest(start_s: float, end_s: float, quaternion_nb: FloatArray) -> Piece:
-    return Piece(start_s=start_s, end_s=end_s, quaternion_nb=quaternion_nb, turn_rad=np.zeros(3), wobble_rad=np.zeros(3))
+def _rest(start_s: float, end_s: float, quaternion_nb: FloatArray, hand: Hand | None = None) -> Piece:
+    return Piece(
+        start_s=start_s,
+        end_s=end_s,
+        quaternion_nb=quaternion_nb,
+        turn_rad=np.zeros(3),
+        wobble_rad=np.zeros(3),
+        hand=hand,
+        hand_at_start=True,
+        hand_at_end=True,
+    )
 
 
 def _random_direction(rng: np.random.Generator) -> FloatArray:

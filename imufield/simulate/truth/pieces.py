@@ -22,7 +22,7 @@ from imufield.guide.stillness.turn_fit import minimum_jerk
 from imufield.samples import FloatArray
 
 RING_DECAYS = 12.0
-"""A ring-down is cut after so many decay times, where 2e-4 of its peak is left."""
+"""Decay times after which a ring-down is cut: 2e-4 of its peak is left there."""
 _HAND_FADE = 0.25  # Share of a turn in which the hand takes hold of the unit, or lets go.
 
 
@@ -73,6 +73,7 @@ class Hand:
 
     def acceleration(self, time_s: FloatArray) -> FloatArray:
         """Return the linear acceleration, local level frame, shape (n, 3), m/s^2."""
+        # Second derivative of A sin(w t + phase): -A w^2 sin(w t + phase).
         return _sines(time_s, -self.shift_m * (2 * math.pi * self.shift_hz) ** 2, self.shift_hz, self.shift_phase)
 
 
@@ -83,9 +84,11 @@ def draw_hand(
 
     Sway lies at 0.1 to 2 Hz (rotation) and 0.1 to 1 Hz (shift), amplitudes falling as 1/f.
     """
+    # Six sines of tremor (8 to 12 Hz [2]_) and five each of sway and shift: enough that the sum does not look periodic.
     tremor_hz = _spread(rng, *tremor_band_hz, 6)
     sway_hz = _spread(rng, 0.1, 2.0, 5)
     shift_hz = _spread(rng, 0.1, 1.0, 5)
+    # A sine of amplitude A has the RMS A / sqrt(2), so six of them with A = RMS sqrt(2 / 6) have the RMS asked for.
     rotation = np.concatenate([np.full((6, 3), tremor_rad * math.sqrt(2 / 6)), _falling(sway_hz, sway_rad)])
     hz = np.concatenate([tremor_hz, sway_hz])
     phase = rng.uniform(0, 2 * math.pi, (16, 3))
@@ -134,9 +137,11 @@ class Piece:
     def attitude(self, time_s: FloatArray) -> FloatArray:
         """Return ``quaternion_nb``, shape (n, 4)."""
         u = self._relative(time_s)
+        # Body vectors turn by the planned rotation first, then by the small ones: q0 exp(turn s(u)) exp(w).
         planned = multiply(self.quaternion_nb, exponential(minimum_jerk(u)[:, np.newaxis] * self.turn_rad))
-        small = bell(u)[:, np.newaxis] * np.sin(2 * math.pi * self.wobble_hz * (time_s - self.start_s))[:, np.newaxis]
-        rotation = small * self.wobble_rad
+        # The bell 64 u^3 (1-u)^3 is 0 at both ends with two derivatives, 1 in the middle.
+        small = 64 * (u * (1 - u)) ** 3 * np.sin(2 * math.pi * self.wobble_hz * (time_s - self.start_s))
+        rotation = small[:, np.newaxis] * self.wobble_rad
         if self.hand is not None:
             rotation = rotation + self._grip(u)[:, np.newaxis] * self.hand.rotation(time_s)
         for shock in self.shocks:
@@ -149,9 +154,13 @@ class Piece:
         duration = self.end_s - self.start_s
         acceleration = np.zeros((len(time_s), 3))
         if math.isfinite(duration):
-            # Height follows the bell 64 u^3 (1-u)^3, travel the minimum-jerk profile; both end at rest.
-            acceleration[:, 2] -= self.lift_m * _bell_curvature(u) / duration**2
-            acceleration += np.outer(_minimum_jerk_curvature(u), self.travel_m) / duration**2
+            # Height follows the bell 64 u^3 (1-u)^3, travel the minimum-jerk profile [1]_; both end at rest. These are their
+            # second derivatives by u; down is positive in the local level frame, so lifting is negative.
+            inner = u * (1 - u)
+            bell_curvature = 64 * inner * (6 * (1 - 2 * u) ** 2 - 6 * inner)
+            jerk_curvature = 60 * u * (1 + u * (2 * u - 3))
+            acceleration[:, 2] -= self.lift_m * bell_curvature / duration**2
+            acceleration += np.outer(jerk_curvature, self.travel_m) / duration**2
         if self.hand is not None:
             acceleration += self._grip(u)[:, np.newaxis] * self.hand.acceleration(time_s)
         for shock in self.shocks:
@@ -159,6 +168,7 @@ class Piece:
         return acceleration
 
     def _relative(self, time_s: FloatArray) -> FloatArray:
+        # Without an end nothing but the hand moves, and the hand does not depend on u.
         if not math.isfinite(self.end_s):
             return np.zeros(len(time_s))
         return (time_s - self.start_s) / (self.end_s - self.start_s)
@@ -170,23 +180,6 @@ class Piece:
         if not self.hand_at_end:
             grip *= minimum_jerk(np.clip((1 - u) / _HAND_FADE, 0.0, 1.0))
         return grip
-
-
-def bell(u: FloatArray) -> FloatArray:
-    """Return 64 u^3 (1 - u)^3: 0 at both ends with two derivatives, 1 in the middle."""
-    profile: FloatArray = 64 * (u * (1 - u)) ** 3
-    return profile
-
-
-def _minimum_jerk_curvature(u: FloatArray) -> FloatArray:
-    curvature: FloatArray = 60 * u * (1 + u * (2 * u - 3))
-    return curvature
-
-
-def _bell_curvature(u: FloatArray) -> FloatArray:
-    product = u * (1 - u)
-    curvature: FloatArray = 64 * product * (6 * (1 - 2 * u) ** 2 - 6 * product)
-    return curvature
 
 
 def _spread(rng: np.random.Generator, low_hz: float, high_hz: float, count: int) -> FloatArray:

@@ -17,7 +17,7 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.protocol.samples_and_clock import ClockRule
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
-from imufield.simulate.wire.can_encode import CanEncoder
+from imufield.simulate.wire.can_frames import CanEncoder
 from tests.acquire.plain_frames import pack_frames
 from tests.simulate.accounting import random_samples
 
@@ -372,7 +372,7 @@ def test_a_counter_that_stands_still_numbers_nothing_and_time_runs_on() -> None:
     sent = random_samples(protocol, 100.0, 0, 300)
     sent.counter[:] = 7
     decoder = Decoder(protocol)
-    got = concatenate([decoder.feed(pack_frames(one.frame for one in CanEncoder(protocol).encode(sent))), decoder.flush()])
+    got = concatenate([decoder.feed(pack_frames(CanEncoder(protocol).encode(sent))), decoder.flush()])
     assert len(got) == 300
     assert np.diff(got.time_s).min() > 0
     assert got.time_s[-1] - got.time_s[0] == pytest.approx(2.99, abs=0.05)

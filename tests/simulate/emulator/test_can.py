@@ -21,9 +21,9 @@ from imufield.acquire.registry import load_driver
 from imufield.errors import UsageError
 from imufield.samples import Samples, Status, concatenate, make_samples
 from imufield.simulate.emulator.can import CanEmulator
+from imufield.simulate.emulator.core import EmulatorSettings
 from imufield.simulate.emulator.faults import CanFaultInjector, CanFaults
-from imufield.simulate.emulator.serial import EmulatorSettings
-from imufield.simulate.wire.can_encode import CanEncoder
+from imufield.simulate.wire.can_frames import CanEncoder
 
 NUMBERS = itertools.count()
 RATE_HZ = 200.0
@@ -32,7 +32,7 @@ import sys
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.simulate.emulator.can import CanEmulator
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
-from imufield.simulate.emulator.serial import EmulatorSettings
+from imufield.simulate.emulator.core import EmulatorSettings
 source = make_virtual_imu(Emulation(device="text", rate_hz=200.0))
 settings = EmulatorSettings(duration_s=2.0)
 with CanEmulator(load_protocol("j1939_imu"), source, sys.argv[1], settings) as emulator:
@@ -193,7 +193,7 @@ def test_bus_off_is_silence_and_a_gap(channel: str) -> None:
 
 def test_reordered_frames_change_places() -> None:
     encoder = CanEncoder(load_protocol("j1939_imu"))
-    frames = [one.frame for one in encoder.encode(Ramp().next_block(500))]
+    frames = encoder.encode(Ramp().next_block(500))
     injector = CanFaultInjector(CanFaults(reordered_frame_probability=0.1), seed=1)
     damaged = injector.damage(frames, 1.0, 1.0)
     assert sorted(damaged, key=lambda frame: frame.time_s) == frames

@@ -15,6 +15,7 @@ import pytest
 from imufield.cli.options import LARGEST_SEED
 from imufield.errors import UsageError
 from imufield.samples import Samples, concatenate
+from imufield.simulate.emulator.core import EmulatorSettings
 from imufield.simulate.emulator.emulate import (
     Emulation,
     choose_wire,
@@ -25,7 +26,7 @@ from imufield.simulate.emulator.emulate import (
     truth_document,
 )
 from imufield.simulate.emulator.faults import CanFaults, Faults
-from imufield.simulate.emulator.serial import Emulator, EmulatorSettings
+from imufield.simulate.emulator.serial import Emulator
 from imufield.simulate.instruments.stim300 import Stim300Device, Stim300Identity
 from imufield.simulate.truth.operator import OperatorSettings
 from tests.simulate.accounting import serial_wires
@@ -123,7 +124,7 @@ def test_another_day_is_another_session_of_the_same_instrument() -> None:
     np.testing.assert_array_equal(first_samples(first).accelerometer, first_samples(again).accelerometer)
     assert not np.any(first_samples(first).accelerometer == first_samples(other).accelerometer)
     assert not np.any(first_samples(replace(OPTIONS, day=2)).accelerometer == first_samples(other).accelerometer)
-    truths = [truth_document(options, make_virtual_imu(options)) for options in (first, other)]
+    truths = [json.loads(json.dumps(truth_document(options, make_virtual_imu(options)))) for options in (first, other)]
     for name in ("scale", "bias_m_s2", "misalignment_rad", "quadratic"):
         assert truths[0]["accelerometer"][name] == truths[1]["accelerometer"][name]
     assert [truth["day"] for truth in truths] == [0, 1]

@@ -12,14 +12,17 @@ import numpy as np
 import pytest
 
 from imufield.errors import UsageError
+from imufield.simulate.emulator.core import EmulatorSettings
 from imufield.simulate.emulator.faults import Faults
 from imufield.simulate.emulator.port import PseudoTerminal
-from imufield.simulate.emulator.serial import Emulator, EmulatorSettings, VirtualImu
-from imufield.simulate.instruments.stim300 import Stim300Device, TextDevice, utility_message
+from imufield.simulate.emulator.serial import Emulator
+from imufield.simulate.instruments.stim300 import Stim300Device, utility_message
+from imufield.simulate.instruments.text import TextDevice
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator
-from imufield.simulate.wire.encode import Stim300Format
+from imufield.simulate.truth.source import VirtualImu
+from imufield.simulate.wire.stim300 import Stim300Format
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux or macOS")
 

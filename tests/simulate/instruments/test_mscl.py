@@ -10,10 +10,11 @@ import pytest
 
 from imufield.acquire.decoder import Decoder
 from imufield.samples import Samples, concatenate
+from imufield.simulate.emulator.core import EmulatorSettings
 from imufield.simulate.emulator.emulate import Emulation, WireChoice, choose_wire
-from imufield.simulate.emulator.serial import Emulator, EmulatorSettings
+from imufield.simulate.emulator.serial import Emulator
+from imufield.simulate.instruments.device import Frames
 from imufield.simulate.instruments.protocol_device import ProtocolDevice
-from imufield.simulate.instruments.stim300 import Frames
 from tests.simulate.accounting import random_samples
 
 mscl: Any = pytest.importorskip("mscl", reason="the maker's library is not installed: pip install pymscl")

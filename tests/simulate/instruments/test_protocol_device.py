@@ -14,11 +14,11 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import Protocol, load_protocol, parse_protocol
 from imufield.errors import ProtocolError, UsageError
 from imufield.samples import Samples, Status, concatenate
-from imufield.simulate.emulator.core import SampleSource
 from imufield.simulate.emulator.emulate import OWN_RATE_HZ, Emulation, choose_wire, make_device
+from imufield.simulate.instruments.device import Device
 from imufield.simulate.instruments.protocol_device import InProtocolUnits, ProtocolDevice
-from imufield.simulate.instruments.stim300 import Device
-from imufield.simulate.wire.wire_forms import choose_form, wire_forms
+from imufield.simulate.truth.source import SampleSource
+from imufield.simulate.wire.forms import choose_form, wire_forms
 from tests.simulate.accounting import Wire, random_samples, serial_wires
 
 G = 9.80665

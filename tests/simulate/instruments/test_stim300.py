@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 from imufield.samples import SampleUnits, Status, make_samples
-from imufield.simulate.instruments.stim300 import Answer, Stim300Device, Stim300Identity, TextDevice, utility_message
-from imufield.simulate.wire.encode import Stim300Format, TextFormat
+from imufield.simulate.instruments.device import Answer
+from imufield.simulate.instruments.stim300 import Stim300Device, Stim300Identity, utility_message
+from imufield.simulate.instruments.text import TextDevice
+from imufield.simulate.wire.lines import TextFormat
+from imufield.simulate.wire.stim300 import Stim300Format
 
 LENGTHS = {b"N": 20, b"I": 20, b"C": 26, b"T": 40, b"E": 21}
 PLAIN_IDS = {b"N": 0xB1, b"I": 0xB5, b"C": 0xBC, b"T": 0xD1, b"E": 0xBE}

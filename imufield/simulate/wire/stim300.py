@@ -1,4 +1,4 @@
-"""Bytes of the wire from samples, for whole blocks at once: STIM300 normal datagrams and lines of text.
+"""Samples to STIM300 normal datagrams, for whole blocks at once.
 
 Written from the facts of the wire alone and independently of the decoder, so that each can test the other.
 
@@ -13,7 +13,6 @@ one word for each byte, found in a table of that byte's place. So n frames cost 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -24,9 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, IntArray, Samples, Status
-
-Bytes = NDArray[np.uint8]
+from imufield.samples import FloatArray, IntArray, Samples, Status
+from imufield.simulate.wire.frames import Bytes, bytes_of
 
 INTERNAL_RATE_HZ = 2000
 """The datagram counter counts samples of this rate, modulo 256."""
@@ -39,19 +37,9 @@ INCLINOMETER_RANGE_G = 1.7
 Auxiliary = Literal["none", "aux", "pps"]
 OutputUnit = Literal["rate", "increment", "average"]
 
-# (accelerometer, inclinometer, temperatures) -> id without AUX or PPS; with AUX it is 8 more.
-_PLAIN_IDS = {
-    (False, False, False): 0x90,
-    (True, False, False): 0x91,
-    (False, True, False): 0x92,
-    (True, True, False): 0x93,
-    (False, False, True): 0x94,
-    (True, False, True): 0xA5,
-    (False, True, True): 0xA6,
-    (True, True, True): 0xA7,
-}
-_PPS_IDS = {plain: 0xF0 + number for number, plain in enumerate((0x90, 0x91, 0x92, 0x93, 0x94, 0xA5, 0xA6, 0xA7))}
-
+# By accelerometer + 2 inclinometer + 4 temperatures, without AUX or PPS; with AUX it is 8 more, with PPS 0xF0 + index.
+_PLAIN_IDS = (0x90, 0x91, 0x92, 0x93, 0x94, 0xA5, 0xA6, 0xA7)
+# Status byte: bits of the whole cluster; the lowest three name the axes x, y, z.
 _STATUS_INTEGRITY = 0x80
 _STATUS_START_UP = 0x40
 _STATUS_OVERLOAD = 0x10
@@ -78,8 +66,8 @@ class Stim300Format:
     @property
     def datagram_id(self) -> int:
         """First byte of the datagram, which tells its content."""
-        plain = _PLAIN_IDS[self.accelerometer, self.inclinometer, self.temperature]
-        return {"none": plain, "aux": plain + 8, "pps": _PPS_IDS[plain]}[self.auxiliary]
+        index = self.accelerometer + 2 * self.inclinometer + 4 * self.temperature
+        return {"none": _PLAIN_IDS[index], "aux": _PLAIN_IDS[index] + 8, "pps": 0xF0 + index}[self.auxiliary]
 
     @property
     def counter_step(self) -> int:
@@ -126,20 +114,17 @@ def stim300_frames(datagram_id: int, raw: Stim300Raw, *, crlf: bool) -> Bytes:
         (None if raw.auxiliary is None else raw.auxiliary[:, np.newaxis], raw.auxiliary_status, 3),
     ):
         if values is not None:
-            columns += [big_endian(values, width), _column(status, len(values))]
-    columns += [_column(raw.counter & 0xFF, len(raw.counter)), big_endian(_whole(raw.latency_us, len(raw.counter)), 2)]
-    return _close(columns, crlf=crlf)
+            columns += [bytes_of(values, width, True), _column(status, len(values))]
+    count = len(raw.counter)
+    latency_us = np.broadcast_to(np.asarray(raw.latency_us, dtype=np.int64), (count,))
+    columns += [_column(raw.counter & 0xFF, count), bytes_of(latency_us[:, np.newaxis], 2, True)]
+    return close_datagrams(np.concatenate(columns, axis=1), crlf=crlf)
 
 
 def close_datagrams(body: Bytes, *, crlf: bool) -> Bytes:
     """Append CRC (and CR LF) to n datagram bodies, shape (n, length)."""
-    return _close([body], crlf=crlf)
-
-
-def _close(columns: list[Bytes], *, crlf: bool) -> Bytes:
-    body = np.concatenate(columns, axis=1)
     end = [np.broadcast_to(np.frombuffer(CRLF, dtype=np.uint8), (len(body), 2))] if crlf else []
-    return np.concatenate([body, big_endian(crc32_mpeg2(body)[:, np.newaxis].astype(np.int64), 4), *end], axis=1)
+    return np.concatenate([body, bytes_of(crc32_mpeg2(body)[:, np.newaxis].astype(np.int64), 4, True), *end], axis=1)
 
 
 def crc32_mpeg2(messages: Bytes) -> NDArray[np.uint32]:
@@ -158,17 +143,12 @@ def _place_tables(length: int) -> tuple[NDArray[np.uint32], np.uint32]:
     tables = np.zeros((length, 256), dtype=np.uint32)
     for place in range(length):
         for bit in range(8):
+            # The CRC is affine: what one bit changes does not depend on the others.
             message = bytearray(length + dummy)
             message[place] = 1 << bit
             with_bit = (np.arange(256) >> bit) & 1 == 1
             tables[place, with_bit] ^= np.uint32(Crc32Mpeg2.calc(message) ^ zero)
     return tables, np.uint32(zero)
-
-
-def big_endian(values: IntArray, width: int) -> Bytes:
-    """Return the low ``width`` bytes of integers, two's complement, shape (n, k) to (n, k * width)."""
-    wide = np.ascontiguousarray(values, dtype=">i8").view(np.uint8).reshape(len(values), -1, 8)
-    return wide[:, :, 8 - width :].reshape(len(values), -1)
 
 
 class Stim300Encoder:
@@ -195,20 +175,33 @@ class Stim300Encoder:
 
     def encode(self, samples: Samples) -> Bytes:
         """Return the datagrams of a block, shape (n, length)."""
-        use, count = self.format, len(samples)
-        acceleration_g = samples.accelerometer_rate() / STANDARD_GRAVITY_M_S2
+        use, count, places = self.format, len(samples), ACCELEROMETER_BITS[self.format.accelerometer_range_g]
+        rate_m_s2, rate_deg_s = samples.accelerometer_rate(), np.degrees(samples.gyroscope_rate())
+        rate_g = rate_m_s2 / STANDARD_GRAVITY_M_S2
+        # Binary places of one step (TS1524, table of output units): 2^-14 deg/s or 2^-21 deg; 2^-22 g of the inclinometer,
+        # which stops at its own range; 2^-8 degree C.
+        if use.gyroscope_output == "increment":
+            gyroscope = _to_integer(rate_deg_s / use.rate_hz, 21, _INT24)
+        else:
+            gyroscope = _to_integer(rate_deg_s, 14, _INT24)
+        if use.accelerometer_output == "increment":
+            accelerometer = _to_integer(rate_m_s2 / use.rate_hz, places + 3, _INT24)
+        else:
+            accelerometer = _to_integer(rate_g, places, _INT24)
+        inclinometer = _to_integer(np.clip(rate_g, -INCLINOMETER_RANGE_G, INCLINOMETER_RANGE_G), 22, _INT24)
         three_degc = np.repeat(samples.temperature_degc[:, np.newaxis], 3, axis=1)
         temperature = _to_integer(three_degc, 8, _INT16) if use.temperature else None
-        acceleration = self._accelerometer(samples) if use.accelerometer else None
-        inclinometer = self._inclinometer(acceleration_g) if use.inclinometer else None
+        # An axis counts as saturated from 99.9 % of its range on.
+        fast = np.abs(rate_deg_s) >= 0.999 * GYROSCOPE_RANGE_DEG_S
+        strong = np.abs(rate_m_s2) >= 0.999 * use.accelerometer_range_g * STANDARD_GRAVITY_M_S2
         raw = Stim300Raw(
             counter=samples.counter * use.counter_step + self.counter_offset,
             latency_us=use.latency_us,
-            gyroscope=self._gyroscope(samples),
-            gyroscope_status=gyroscope_status(samples),
-            accelerometer=acceleration,
-            accelerometer_status=accelerometer_status(samples, use.accelerometer_range_g),
-            inclinometer=inclinometer,
+            gyroscope=gyroscope,
+            gyroscope_status=_status(samples, Status.GYROSCOPE_SATURATED, Status.GYROSCOPE_INVALID, fast),
+            accelerometer=accelerometer if use.accelerometer else None,
+            accelerometer_status=_status(samples, Status.ACCELEROMETER_SATURATED, Status.ACCELEROMETER_INVALID, strong),
+            inclinometer=inclinometer if use.inclinometer else None,
             inclinometer_status=_start_up(samples),
             gyroscope_temperature=temperature,
             accelerometer_temperature=temperature if use.accelerometer else None,
@@ -216,34 +209,6 @@ class Stim300Encoder:
             auxiliary=None if use.auxiliary == "none" else np.zeros(count, dtype=np.int64),
         )
         return stim300_frames(use.datagram_id, raw, crlf=use.crlf)
-
-    def _gyroscope(self, samples: Samples) -> IntArray:
-        rate = np.degrees(samples.gyroscope_rate())
-        if self.format.gyroscope_output == "increment":
-            return _to_integer(rate / self.format.rate_hz, 21, _INT24)
-        return _to_integer(rate, 14, _INT24)
-
-    def _accelerometer(self, samples: Samples) -> IntArray:
-        bits = ACCELEROMETER_BITS[self.format.accelerometer_range_g]
-        rate = samples.accelerometer_rate()
-        if self.format.accelerometer_output == "increment":
-            return _to_integer(rate / self.format.rate_hz, bits + 3, _INT24)
-        return _to_integer(rate / STANDARD_GRAVITY_M_S2, bits, _INT24)
-
-    def _inclinometer(self, acceleration_g: FloatArray) -> IntArray:
-        return _to_integer(np.clip(acceleration_g, -INCLINOMETER_RANGE_G, INCLINOMETER_RANGE_G), 22, _INT24)
-
-
-def gyroscope_status(samples: Samples) -> Bytes:
-    """Return the gyroscope's status byte of each sample."""
-    axes = np.abs(np.degrees(samples.gyroscope_rate())) >= 0.999 * GYROSCOPE_RANGE_DEG_S
-    return _status(samples, Status.GYROSCOPE_SATURATED, Status.GYROSCOPE_INVALID, axes)
-
-
-def accelerometer_status(samples: Samples, range_g: float) -> Bytes:
-    """Return the accelerometer's status byte of each sample."""
-    axes = np.abs(samples.accelerometer_rate()) >= 0.999 * range_g * STANDARD_GRAVITY_M_S2
-    return _status(samples, Status.ACCELEROMETER_SATURATED, Status.ACCELEROMETER_INVALID, axes)
 
 
 def _status(samples: Samples, saturated: Status, invalid: Status, at_limit: NDArray[np.bool_]) -> Bytes:
@@ -271,56 +236,5 @@ def _to_integer(values: FloatArray, binary_places: int, limits: tuple[int, int])
     return np.clip(np.rint(np.ldexp(values, binary_places)), *limits).astype(np.int64)
 
 
-def _whole(values: ArrayLike, count: int) -> IntArray:
-    return np.broadcast_to(np.asarray(values, dtype=np.int64), (count,))[:, np.newaxis]
-
-
 def _column(values: ArrayLike, count: int) -> Bytes:
     return np.broadcast_to(np.asarray(values).astype(np.uint8), (count,))[:, np.newaxis]
-
-
-TEXT_COLUMNS = ("time", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS)
-"""What a line of text holds unless told otherwise; ``counter`` and ``temperature`` may be added."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TextFormat:
-    """Lines of numbers as home-made systems print them.
-
-    Raises
-    ------
-    UsageError
-        If a column has no such name.
-    """
-
-    columns: tuple[str, ...] = TEXT_COLUMNS
-    separator: str = ","
-    prefix: str = ""
-    line_end: str = "\r\n"
-    decimals: int = 9
-    """Places after the point; 0 for counts and pulses."""
-
-    def __post_init__(self) -> None:
-        known = (*TEXT_COLUMNS, "counter", "temperature")
-        unknown = [name for name in self.columns if name not in known]
-        if unknown:
-            raise UsageError(f"there is no column {unknown[0]!r} of text; choose among {', '.join(known)}", column=unknown[0])
-
-
-def encode_text(samples: Samples, settings: TextFormat) -> list[bytes]:
-    """Return the lines of a block, values in the unit of the samples; what is not available is left empty."""
-    values = {
-        "time": samples.time_s,
-        "counter": samples.counter,
-        **dict(zip(ACCELEROMETER_COLUMNS, samples.accelerometer.T, strict=True)),
-        **dict(zip(GYROSCOPE_COLUMNS, samples.gyroscope.T, strict=True)),
-        "temperature": samples.temperature_degc,
-    }
-    columns = [_print_column(name, values[name], settings.decimals) for name in settings.columns]
-    rows = zip(*columns, strict=True)
-    return [(settings.prefix + settings.separator.join(row) + settings.line_end).encode("ascii") for row in rows]
-
-
-def _print_column(name: str, values: FloatArray | IntArray, decimals: int) -> list[str]:
-    places = {"time": 6, "counter": 0, "temperature": 2}.get(name, decimals)
-    return ["" if math.isnan(value) else f"{value:.{places}f}" for value in values.tolist()]

@@ -9,7 +9,7 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import load_protocol, protocol_names
 from imufield.errors import UsageError
 from imufield.samples import Samples, Status, concatenate, make_samples
-from imufield.simulate.wire.can_encode import CanEncoder
+from imufield.simulate.wire.can_frames import CanEncoder
 from tests.acquire.plain_frames import pack_frames
 
 NAMES = [name for name in protocol_names() if load_protocol(name).can is not None]
@@ -35,7 +35,7 @@ def test_round_trip(name: str) -> None:
     assert rule is not None
     sent = make(name)
     decoder = Decoder(protocol)
-    data = pack_frames(one.frame for one in CanEncoder(protocol).encode(sent))
+    data = pack_frames(CanEncoder(protocol).encode(sent))
     got = concatenate([decoder.feed(data), decoder.flush()])
     assert len(got) == len(sent)
     # Half a step of the coarsest signal.
@@ -55,7 +55,7 @@ def test_invalid_samples_become_codes() -> None:
     sent = make("j1939_imu", 50)
     sent.accelerometer[7, 1] = np.nan
     sent.status[9] |= np.uint32(Status.GYROSCOPE_INVALID)
-    frames = [one.frame for one in CanEncoder(protocol).encode(sent)]
+    frames = CanEncoder(protocol).encode(sent)
     assert frames[14].data[2:4] == b"\xff\xff"
     assert frames[19].data[:6] == b"\xff" * 6
     assert frames[0].text.startswith("08F02D80#"), "priority of the file, address of the instrument"
@@ -65,7 +65,7 @@ def test_values_stop_at_the_last_that_is_no_code() -> None:
     protocol = load_protocol("j1939_imu")
     sent = make("j1939_imu", 2)
     sent.accelerometer[:] = 1e6, -1e6, 0
-    frame = CanEncoder(protocol).encode(sent)[0].frame
+    frame = CanEncoder(protocol).encode(sent)[0]
     assert frame.data[:4] == b"\xff\xfa\x00\x00"
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.toml import Source, Table, near, spell
@@ -38,12 +37,12 @@ class WireFrame:
 
 @dataclass(frozen=True, slots=True)
 class WireForm:
-    """One way to run the instrument."""
+    """One way to run the instrument: its frames, and the settings a reader needs for them."""
 
     name: str
     rate_hz: float
     settings: Mapping[str, object]
-    """Of the protocol, without which this form is not read rightly."""
+    """Settings of the protocol that a reader of this form needs."""
     frames: tuple[WireFrame, ...]
 
 
@@ -71,7 +70,10 @@ def choose_form(protocol: Protocol, name: str | None, given: Mapping[str, object
     """
     forms = wire_forms(protocol)
     if name is None:
-        agreeing = (form for form in forms if all(_agree(given.get(key), value) for key, value in form.settings.items()))
+        told = {key: spell(value) for key, value in given.items() if value is not None}
+        agreeing = (
+            form for form in forms if all(told.get(key, spell(own)) == spell(own) for key, own in form.settings.items())
+        )
         return next(agreeing, forms[0])
     found = next((form for form in forms if form.name == name), None)
     if found is None:
@@ -80,10 +82,6 @@ def choose_form(protocol: Protocol, name: str | None, given: Mapping[str, object
             f"{protocol.name} has no form {name!r} to send{near(name, names)}; choose one of {', '.join(names)}", form=name
         )
     return found
-
-
-def _agree(given: object, value: object) -> bool:
-    return given is None or spell(given) == spell(value)
 
 
 def number_template(column: str, ticks_per_s: float = 1.0, *, whole: bool = False) -> str:
@@ -102,6 +100,7 @@ def number_template(column: str, ticks_per_s: float = 1.0, *, whole: bool = Fals
     if name == "":
         return "0"
     if name == "time":
+        # Microseconds, whatever the unit of the ticks.
         return f"{{:.{max(0, 6 - round(math.log10(ticks_per_s)))}f}}"
     return {"counter": "{:d}", "temperature": "{:.2f}"}.get(name, "{:.0f}" if whole else "{:.9f}")
 
@@ -112,38 +111,35 @@ def _first_frame(protocol: Protocol) -> WireFrame:
     wanted = {*protocol.samples.accelerometer.fields, *protocol.samples.gyroscope.fields}
     for form in protocol.frame.forms if protocol.frame else ():
         for key, layout in form.layouts.items():
-            if not layout.is_message and any(one.name in wanted for one in layout.fields):
+            if not layout.is_message and any(field.name in wanted for field in layout.fields):
                 return WireFrame(start=form.sync, key=key)
     triads = {*ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS}
     rule = protocol.lines
-    for sentence in rule.sentences if rule else ():
-        if rule and rule.checksums and triads & {column.removeprefix("-") for column in sentence.columns}:
+    for sentence in rule.sentences if rule and rule.checksums else ():
+        if rule and triads & {column.removeprefix("-") for column in sentence.columns}:
             cells = [number_template(column, protocol.clock.time_ticks_per_s) for column in sentence.columns]
             head = f"{rule.markers[0]}{sentence.name},{rule.header_end}"
+            # Two hexadecimal digits for each byte of the checksum.
             return WireFrame(line=f"{head}{','.join(cells)}*{{:0{2 * rule.checksums[0].size}X}}")
     raise UsageError(f"protocol {protocol.name} does not say what to send; add a table [[emulate]] to its file")
 
 
 def _read_form(table: Table) -> WireForm:
-    form = WireForm(
-        table.text("name"),
-        table.number("rate_hz", DEFAULT_RATE_HZ),
-        table.table("settings").values,
-        tuple(_read_frame(each) for each in table.tables("frames")),
-    )
+    frames = []
+    name, rate_hz = table.text("name"), table.number("rate_hz", DEFAULT_RATE_HZ)
+    settings: Mapping[str, object] = table.table("settings").values
+    for each in table.tables("frames"):
+        values: Mapping[str, float] = each.table("values").values
+        frames.append(
+            WireFrame(
+                start=each.hexadecimal("start"),
+                key=int(each.text("key", "0x0"), 16),
+                fields=tuple(int(str(identifier), 16) for identifier in each.items("fields", [])),
+                masks=each.hexadecimal("masks"),
+                values=values,
+                line=each.text("line", ""),
+            )
+        )
+        each.finish()
     table.finish()
-    return form
-
-
-def _read_frame(table: Table) -> WireFrame:
-    values: dict[str, Any] = table.table("values").values
-    frame = WireFrame(
-        start=table.hexadecimal("start"),
-        key=int(table.text("key", "0x0"), 16),
-        fields=tuple(int(str(each), 16) for each in table.items("fields", [])),
-        masks=table.hexadecimal("masks"),
-        values=values,
-        line=table.text("line", ""),
-    )
-    table.finish()
-    return frame
+    return WireForm(name, rate_hz, settings, tuple(frames))

@@ -14,15 +14,14 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import UsageError
 from imufield.samples import Samples, SampleUnits, Status, make_samples
-from imufield.simulate.wire.encode import (
+from imufield.simulate.wire.lines import TextFormat, encode_text
+from imufield.simulate.wire.stim300 import (
     Auxiliary,
     OutputUnit,
     Stim300Encoder,
     Stim300Format,
     Stim300Raw,
-    TextFormat,
     crc32_mpeg2,
-    encode_text,
     stim300_frames,
 )
 

@@ -1,8 +1,8 @@
-"""Samples to bytes of any protocol, by the same description that decodes them, for whole blocks at once.
+"""Samples to binary frames of any protocol, by the same description that decodes them, for whole blocks at once.
 
-A frame is a template of zeros with its header in place; the layout that the decoder finds in it says where the values go. What
-means nothing in a sample stays 0. Values outside the range of a field stop at its end; what is not available is NaN in a
-field that knows it, else 0, and the flag of the sample says so where the protocol has one.
+A frame is a template of zeros with its header in place; the layout that the decoder finds in it says where the values go.
+Fields without a meaning in a sample stay 0. Values outside the range of a field are set to its end. A value that is not
+available is NaN in a field of floating point, else 0, and the flag of the sample says so where the protocol has one.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from imufield.acquire.protocol.layout import NUMBER_BYTES, Field
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, IntArray, Samples
-from imufield.simulate.wire.wire_forms import WireFrame
+from imufield.simulate.wire.forms import WireFrame
 
 Bytes = NDArray[np.uint8]
 Numbers = FloatArray | IntArray
-_ANY_SIZE = 1 << 16
+_ANY_SIZE = 1 << 16  # Of the rest of a body: no field is left out for lack of room.
 _WHOLE_TURN = 1 << 53  # Wrap of stamps of 64 bits: 104 days of ns, and every number below is exact.
 
 
@@ -43,9 +43,9 @@ class WireClock:
 
     def counter(self, samples: Samples, modulus: int) -> IntArray:
         """Return the counter of each sample; it counts samples, or time."""
-        per_sample = self.protocol.clock.counter_ticks_per_s / self.rate_hz or 1.0
-        if self.protocol.lines is not None:
-            per_sample = 1.0
+        # A counter of lines counts them, whatever the clock makes of it.
+        counts_lines = self.protocol.lines is not None
+        per_sample = 1.0 if counts_lines else self.protocol.clock.counter_ticks_per_s / self.rate_hz or 1.0
         ticks = np.rint(samples.counter * per_sample).astype(np.int64) + self.counter_offset
         wrapped: IntArray = ticks % (self.protocol.clock.counter_modulus or modulus or _WHOLE_TURN)
         return wrapped
@@ -94,7 +94,7 @@ class FrameEncoder:
         fields = () if shape is None else shape.layout.fields
         if not fields:
             raise UsageError(f"protocol {protocol.name} has no frame with key {frame.key:#x}; correct its table [[emulate]]")
-        self._fields: dict[str, Field] = {one.name: one for one in fields}
+        self._fields: dict[str, Field] = {field.name: field for field in fields}
         self._constant = {name: value for name, value in frame.values.items() if name in self._fields}
         self.has_counter = protocol.clock.counter_field in self._fields
         self.length = len(self._template)
@@ -110,7 +110,7 @@ class FrameEncoder:
         if checksum is not None:
             at = until - checksum.size
             value = checksum.of_rows(rows[:, self._form.checksum_from : at])
-            rows[:, at:until] = _bytes_of(value[:, np.newaxis].astype(np.int64), checksum.size, self._form.checksum_big_endian)
+            rows[:, at:until] = bytes_of(value[:, np.newaxis].astype(np.int64), checksum.size, self._form.checksum_big_endian)
         return rows
 
     def _raw(self, samples: Samples) -> dict[str, Numbers]:
@@ -118,7 +118,20 @@ class FrameEncoder:
         clock = self._protocol.clock
         raw: dict[str, Numbers] = {name: np.full(len(samples), value) for name, value in self._constant.items()}
         raw |= self._triad("accelerometer", samples.accelerometer) | self._triad("gyroscope", samples.gyroscope)
-        raw |= self._temperature(samples) | self._flags(samples)
+        rules = self._protocol.samples
+        named = next((name for name in rules.temperature.fields if name in self._fields), None)
+        if named is not None:
+            field = self._fields[named]
+            degc = (samples.temperature_degc - field.offset) / field.factor
+            raw[named] = degc if field.count == 1 else np.repeat(degc[:, np.newaxis], field.count, axis=1)
+        # Several flags may share a field, which may have constant bits besides; nothing else is written to such a field.
+        flags: dict[str, Numbers] = {}
+        for rule in rules.flags:
+            if rule.field in self._fields:
+                is_set = ((samples.status & np.uint32(rule.flag)) != 0) ^ rule.when_clear
+                before = flags.get(rule.field, np.full(len(samples), self._constant.get(rule.field, 0)))
+                flags[rule.field] = before.astype(np.int64) | np.where(is_set, rule.mask, 0)
+        raw |= flags
         if self.has_counter:
             raw[clock.counter_field] = self._clock.counter(samples, self._fields[clock.counter_field].modulus)
         for name, (ticks_per_s, modulus) in self._clock.stamps().items():
@@ -130,30 +143,10 @@ class FrameEncoder:
         rule = getattr(self._protocol.samples, part)
         found = [self._fields[name] for name in rule.fields if name in self._fields]
         factor = self._protocol.factor(part, found[0]) if found else 1.0
-        if found and found[0].count == 3:
-            return {found[0].name: (values / factor - found[0].offset) / found[0].factor}
-        return {
-            one.name: (values[:, axis] / factor - one.offset) / one.factor
-            for axis, one in enumerate(found[:3])
-            if len(found) >= 3
-        }
-
-    def _temperature(self, samples: Samples) -> dict[str, Numbers]:
-        found = (name for name in self._protocol.samples.temperature.fields if name in self._fields)
-        one = self._fields.get(next(found, ""))
-        if one is None:
-            return {}
-        raw = (samples.temperature_degc - one.offset) / one.factor
-        return {one.name: raw if one.count == 1 else np.repeat(raw[:, np.newaxis], one.count, axis=1)}
-
-    def _flags(self, samples: Samples) -> dict[str, Numbers]:
-        raw: dict[str, Numbers] = {}
-        for rule in self._protocol.samples.flags:
-            if rule.field in self._fields:
-                is_set = ((samples.status & np.uint32(rule.flag)) != 0) ^ rule.when_clear
-                before = raw.get(rule.field, np.full(len(samples), self._constant.get(rule.field, 0)))
-                raw[rule.field] = before.astype(np.int64) | np.where(is_set, rule.mask, 0)
-        return raw
+        # One field with three numbers, or three fields.
+        columns = [values] if found and found[0].count == 3 else list(values.T) if len(found) >= 3 else []
+        triad = zip(found, columns, strict=False)
+        return {field.name: (column / factor - field.offset) / field.factor for field, column in triad}
 
 
 def _find_form(protocol: Protocol, frame: WireFrame) -> FrameForm:
@@ -169,7 +162,7 @@ def _template(protocol: Protocol, form: FrameForm, frame: WireFrame) -> bytes:
     """Return a frame with header and zeros."""
     if form.masks:
         fields = form.masks.fields(frame.masks) or []
-        body = frame.masks + bytes(sum(one.size for one in fields))
+        body = frame.masks + bytes(sum(field.size for field in fields))
         return form.sync.ljust(form.masks.at, b"\0") + body + bytes(form.tail - len(form.end)) + form.end
     if form.fields and frame.fields:
         body = b"".join(_field(form.fields, frame.key, number) for number in frame.fields)
@@ -192,7 +185,7 @@ def _template(protocol: Protocol, form: FrameForm, frame: WireFrame) -> bytes:
 
 def _field(rule: FieldsRule, key: int, number: int) -> bytes:
     """Return one field of a body, all zeros behind id and size."""
-    size = sum(one.size for one in rule.fields_of(key, number, _ANY_SIZE))
+    size = sum(field.size for field in rule.fields_of(key, number, _ANY_SIZE))
     header = bytearray(rule.header)
     order = _order(rule.big_endian)
     header[rule.id_at : rule.id_at + rule.id_size] = number.to_bytes(rule.id_size, order)
@@ -206,6 +199,7 @@ def _order(big_endian: bool) -> Literal["big", "little"]:
 
 
 def _stamp(field: Field, ticks: FloatArray, modulus: float) -> Numbers:
+    # A wrap of 0 in the protocol is the wrap of the field itself; a float has none.
     if field.type[0] == "f":
         wrapped: FloatArray = ticks % modulus if modulus else ticks
         return wrapped
@@ -224,7 +218,7 @@ def _put(rows: Bytes, field: Field, raw: Numbers) -> None:
         data = _bytes_of_48(_whole(values, 48, signed=True), field.big_endian)
     else:
         size = NUMBER_BYTES[field.type]
-        data = _bytes_of(_whole(values, 8 * size, signed=field.type[0] == "i"), size, field.big_endian)
+        data = bytes_of(_whole(values, 8 * size, signed=field.type[0] == "i"), size, field.big_endian)
     rows[:, field.at : field.at + field.size] = data.reshape(len(rows), -1)
 
 
@@ -235,14 +229,15 @@ def _whole(values: Numbers, bits: int, *, signed: bool) -> IntArray:
     return np.clip(np.rint(np.nan_to_num(values)), low, high).astype(np.int64)
 
 
-def _bytes_of(values: IntArray, size: int, big_endian: bool) -> Bytes:
+def bytes_of(values: IntArray, size: int, big_endian: bool) -> Bytes:
     """Return the low ``size`` bytes of whole numbers, shape (n, k) to (n, k * size)."""
+    # All eight bytes of each number, the most significant first; the low ones are the last.
     wide = np.ascontiguousarray(values, dtype=">i8").view(np.uint8).reshape(*values.shape, 8)[:, :, 8 - size :]
     return (wide if big_endian else wide[:, :, ::-1]).reshape(len(values), -1)
 
 
 def _bytes_of_48(values: IntArray, big_endian: bool) -> Bytes:
     """Return numbers of 48 bits as Xsens sends them: the 32 bits of the fraction, then the 16 bits of the whole number."""
-    fraction = _bytes_of(values & 0xFFFFFFFF, 4, big_endian).reshape(*values.shape, 4)
-    whole = _bytes_of(values >> 32, 2, big_endian).reshape(*values.shape, 2)
+    fraction = bytes_of(values & 0xFFFFFFFF, 4, big_endian).reshape(*values.shape, 4)
+    whole = bytes_of(values >> 32, 2, big_endian).reshape(*values.shape, 2)
     return np.concatenate([fraction, whole], axis=2).reshape(len(values), -1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,14 +16,6 @@ from imufield.samples import FloatArray, IntArray, Samples, Status
 DEFAULT_ADDRESS = 0x80
 FRAME_SPACING_S = 0.00025
 """Between the frames of one sample: one frame takes about this long at 500 kbit/s."""
-
-
-@dataclass(frozen=True, slots=True)
-class EncodedFrame:
-    """One frame, and which sample it belongs to."""
-
-    frame: Frame
-    sample: int
 
 
 class CanEncoder:
@@ -57,14 +48,14 @@ class CanEncoder:
         self._kinds = sorted(self._rule.kinds, key=lambda kind: self._rule.dbc.identifier(kind.message.name))
         self.counter_offset = 0  # Added to the counter: jumps of a faulty unit.
 
-    def encode(self, samples: Samples) -> list[EncodedFrame]:
+    def encode(self, samples: Samples) -> list[Frame]:
         """Return the frames of a block in the order of the bus; a frame's time is that of its sample and a little more."""
         columns = [self._raw(kind, samples) for kind in self._kinds]
         frames = []
         for sample, time_s in enumerate(samples.time_s.tolist()):
             for place, kind in enumerate(self._kinds):
                 raw = {name: values[sample].item() for name, values in columns[place].items()}
-                frames.append(EncodedFrame(self.frame(kind.message.name, raw, time_s + place * FRAME_SPACING_S), sample))
+                frames.append(self.frame(kind.message.name, raw, time_s + place * FRAME_SPACING_S))
         return frames
 
     def frame(self, message: str, raw: Mapping[str, float], time_s: float = 0.0) -> Frame:

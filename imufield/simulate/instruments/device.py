@@ -1,0 +1,71 @@
+"""What every emulated instrument on a serial line does: it encodes samples and answers commands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from imufield.samples import Samples
+from imufield.simulate.wire.frames import Bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Encoded frames of a block."""
+
+    data: Bytes
+    """Shape (n,)."""
+    ends: np.ndarray[tuple[int], np.dtype[np.int64]]
+    """Where each frame ends in it, ascending. Shape (m,)."""
+    checksum_at: np.ndarray[tuple[int], np.dtype[np.int64]]
+    """Place of one byte of the checksum of each frame; of any byte where the form has no checksum."""
+
+
+class Device(Protocol):
+    """An instrument on the other end of the wire."""
+
+    baud: int
+    start_up_s: float
+    """Samples of this time after power-on are flagged ``Status.START_UP``."""
+
+    @property
+    def streaming(self) -> bool:
+        """Whether samples are sent in the present mode."""
+        ...
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Output rate that commands have set; None: that of its samples."""
+        ...
+
+    @property
+    def answers_replace_samples(self) -> bool:
+        """Whether an answer takes the place of a sample; otherwise it comes between two."""
+        ...
+
+    def encode(self, samples: Samples) -> Frames:
+        """Return the frames of a block of samples."""
+        ...
+
+    def power_on(self) -> bytes:
+        """Return what is sent at power-on before the first sample."""
+        ...
+
+    def hear(self, data: bytes) -> Answer:
+        """Return the answer to bytes of the host, whole commands or parts of them."""
+        ...
+
+    def jump_counter(self, by: int) -> None:
+        """Let the counter jump."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Answer to a command."""
+
+    data: bytes = b""
+    resets: bool = False
+    """The instrument starts anew."""

@@ -1,0 +1,171 @@
+"""Samples to lines of text: by the columns of a protocol, as sentences (``$NAME,number,...*checksum``), or home-made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imufield.acquire.formats.table_columns import quantity_of
+from imufield.acquire.protocol.protocol import Protocol
+from imufield.errors import UsageError
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, IntArray, Samples
+from imufield.simulate.wire.forms import WireFrame, number_template
+from imufield.simulate.wire.frames import WireClock
+
+LINE_END = "\r\n"
+RAW_UNITS = ("count", "pulse")
+_SEPARATORS = {"comma": ",", "semicolon": ";", "whitespace": " "}
+
+
+class LineEncoder:
+    """Encodes one line of numbers for each sample.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        Of kind "text" without sentences.
+    clock : WireClock
+    """
+
+    def __init__(self, protocol: Protocol, clock: WireClock) -> None:
+        assert protocol.lines is not None  # noqa: S101  checked by the caller
+        rule, ticks_per_s = protocol.lines, protocol.clock.time_ticks_per_s
+        raw = {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope}
+        whole = [raw.get(quantity_of(name)) in RAW_UNITS for name in rule.columns]
+        cells = [number_template(name, ticks_per_s, whole=count) for name, count in zip(rule.columns, whole, strict=True)]
+        self._table = _Table(protocol, clock, rule.columns, cells)
+        self._separator = _SEPARATORS.get(rule.delimiter, ",")
+        self._head = rule.prefix + self._separator if rule.prefix else ""
+        self.has_counter = "counter" in rule.columns
+
+    def encode(self, samples: Samples) -> list[bytes]:
+        """Return the lines of a block."""
+        return [(self._head + self._separator.join(row) + LINE_END).encode("ascii") for row in self._table.rows(samples)]
+
+
+class SentenceEncoder:
+    """Encodes one sentence for each sample.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        Of kind "text" with sentences.
+    frame : WireFrame
+        With a line.
+    clock : WireClock
+
+    Raises
+    ------
+    UsageError
+        If the template does not fit the sentence.
+    """
+
+    def __init__(self, protocol: Protocol, frame: WireFrame, clock: WireClock) -> None:
+        assert protocol.lines is not None  # noqa: S101  checked by the caller
+        rule, line = protocol.lines, frame.line
+        # MARKER name,header END number,number*checksum: the numbers begin behind the end of the header, or the name.
+        body, _, self._check = line[1:].rpartition("*")
+        separator = rule.header_end or ","
+        head, _, numbers = body.partition(separator)
+        self._marker, self._head, cells = line[:1].encode(), head + separator, numbers.split(",")
+        sentence = next((known for known in rule.sentences if known.name == self._head.partition(",")[0]), None)
+        if sentence is None or len(cells) != len(sentence.columns):
+            raise UsageError(f"line {line!r} is no sentence of {protocol.name}; correct its table [[emulate]]")
+        self._table = _Table(protocol, clock, sentence.columns, cells)
+        # Two hexadecimal digits for each byte of the checksum.
+        self._checksum = next(known for known in rule.checksums if 2 * known.size == len(self._check.format(0)))
+        self.has_counter = "counter" in sentence.columns
+
+    def encode(self, samples: Samples) -> list[bytes]:
+        """Return the lines of a block."""
+        lines = []
+        for row in self._table.rows(samples):
+            body = (self._head + ",".join(row)).encode("ascii")
+            value = int(self._checksum.of_rows(np.frombuffer(body, dtype=np.uint8).reshape(1, -1))[0])
+            lines.append(self._marker + body + f"*{self._check.format(value)}{LINE_END}".encode())
+        return lines
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """Columns of a line, each with the template that prints its numbers."""
+
+    protocol: Protocol
+    clock: WireClock
+    columns: Sequence[str]
+    templates: Sequence[str]
+
+    def rows(self, samples: Samples) -> Iterable[tuple[str, ...]]:
+        """Return the printed numbers of each sample."""
+        printed = []
+        for column, template in zip(self.columns, self.templates, strict=True):
+            values = self._values(column, samples)
+            # A template without a number is printed as it is.
+            printed.append(
+                [template] * len(samples) if values is None else [template.format(value) for value in values.tolist()]
+            )
+        return zip(*printed, strict=True)
+
+    def _values(self, column: str, samples: Samples) -> FloatArray | IntArray | None:
+        """Return the numbers of one column as they are printed; None for one that means nothing in a sample."""
+        name, factors, rule = column.removeprefix("-"), self.protocol.factors, self.protocol.clock
+        sign = -1.0 if column.startswith("-") else 1.0
+        if name in ACCELEROMETER_COLUMNS:
+            return sign * samples.accelerometer[:, ACCELEROMETER_COLUMNS.index(name)] / factors["accelerometer"]
+        if name in GYROSCOPE_COLUMNS:
+            return sign * samples.gyroscope[:, GYROSCOPE_COLUMNS.index(name)] / factors["gyroscope"]
+        if name == "temperature":
+            return samples.temperature_degc
+        if name == "time":
+            ticks = self.clock.time_s(samples) * rule.time_ticks_per_s
+            return ticks % rule.time_modulus if rule.time_modulus else ticks
+        return self.clock.counter(samples, 0) if name == "counter" else None
+
+
+TEXT_COLUMNS = ("time", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS)
+"""What a line of text holds unless told otherwise; ``counter`` and ``temperature`` may be added."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TextFormat:
+    """Lines of numbers as home-made systems print them.
+
+    Raises
+    ------
+    UsageError
+        If a column has no such name.
+    """
+
+    columns: tuple[str, ...] = TEXT_COLUMNS
+    separator: str = ","
+    prefix: str = ""
+    line_end: str = "\r\n"
+    decimals: int = 9
+    """Places after the point; 0 for counts and pulses."""
+
+    def __post_init__(self) -> None:
+        known = (*TEXT_COLUMNS, "counter", "temperature")
+        unknown = [name for name in self.columns if name not in known]
+        if unknown:
+            raise UsageError(f"there is no column {unknown[0]!r} of text; choose among {', '.join(known)}", column=unknown[0])
+
+
+def encode_text(samples: Samples, settings: TextFormat) -> list[bytes]:
+    """Return the lines of a block, values in the unit of the samples; what is not available is left empty."""
+    values = {
+        "time": samples.time_s,
+        "counter": samples.counter,
+        **dict(zip(ACCELEROMETER_COLUMNS, samples.accelerometer.T, strict=True)),
+        **dict(zip(GYROSCOPE_COLUMNS, samples.gyroscope.T, strict=True)),
+        "temperature": samples.temperature_degc,
+    }
+    places = {"time": 6, "counter": 0, "temperature": 2}
+    columns = []
+    for name in settings.columns:
+        decimals = places.get(name, settings.decimals)
+        columns.append(["" if math.isnan(value) else f"{value:.{decimals}f}" for value in values[name].tolist()])
+    rows = zip(*columns, strict=True)
+    return [(settings.prefix + settings.separator.join(row) + settings.line_end).encode("ascii") for row in rows]
