@@ -13,6 +13,8 @@ from target_formulas import DIAGONAL, FORMULAS, pyins_module
 from imufield.deliver.exports import TARGETS, export_parameters
 from imufield.deliver.parameters.file import load
 
+pytestmark = pytest.mark.numerical
+
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 FRACTION = r"[-+]?\d+(?:\.\d*(?:[eE][-+]?\d+)?|[eE][-+]?\d+)"
 LAST_DIGITS = 1e-12  # relative: the last binary digit of a product depends on the processor's kernel

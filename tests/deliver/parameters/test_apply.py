@@ -20,6 +20,8 @@ from imufield.deliver.parameters.schema import first_fault
 from imufield.errors import CalibrationError, ParameterFileError, Reason
 from imufield.samples import SampleUnits, make_samples
 
+pytestmark = pytest.mark.numerical
+
 RNG = np.random.default_rng(11)
 FORCE = RNG.uniform(-20, 20, (50, 3))
 RATE = RNG.uniform(-3, 3, (50, 3))

@@ -10,6 +10,8 @@ from imufield.guide.stillness.noise_floor import measure_floor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import SampleUnits, make_samples
 
+pytestmark = pytest.mark.numerical
+
 SETTINGS = StillnessSettings()
 
 
