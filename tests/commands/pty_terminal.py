@@ -86,7 +86,10 @@ class Terminal:
             self.read()
         self.read()
         code = self.process.wait(WAIT_S)
-        assert code < 0 or termios.tcgetattr(self._slave) == self._before, "the terminal is not as it was"
+        after = termios.tcgetattr(self._slave)
+        assert code < 0 or after == self._before, (
+            f"the terminal is not as it was: {self._before} became {after}, exit code {code}"
+        )
         return code
 
     def close(self) -> None:

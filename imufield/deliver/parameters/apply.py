@@ -92,9 +92,10 @@ def correct_both(accelerometer: AccelerometerParameters, gyroscope: GyroscopePar
     rate = _inverse(gyroscope.scale, gyroscope.misalignment_rad)
     matrix = np.block([[force, np.zeros((3, 3))], [-rate @ gyroscope.g_sensitivity @ force, rate]])
     offset = np.concatenate([accelerometer.raw_zero + accelerometer.scale * accelerometer.bias_m_s2, gyroscope.bias])
+    _affine(matrix, offset, raw, out=corrected)
     with np.errstate(invalid="ignore"):
-        _affine(matrix, offset, raw, out=corrected)
-    if not np.isfinite(corrected.sum()):
+        finite = np.isfinite(corrected.sum())
+    if not finite:
         # Zero times NaN is NaN: what one triad lacks must not spoil the other.
         spoilt = np.flatnonzero(~np.isfinite(corrected).all(axis=1))
         corrected[spoilt] = _by_triads(accelerometer, gyroscope, raw[spoilt], corrected[spoilt])
@@ -130,13 +131,16 @@ def _affine(
     product = np.empty((min(_ROWS_AT_ONCE, len(rows)), columns))
     # Rows of the constant written out: subtracting equal shapes is three times as fast as spreading one row.
     shift = np.tile(inverse @ offset, (len(product), 1))
-    for start in range(0, len(rows), _ROWS_AT_ONCE):
-        part = slice(start, start + _ROWS_AT_ONCE)
-        piece = target[part]
-        np.dot(rows[part], matrix, out=product[: len(piece)])
-        np.subtract(product[: len(piece)], shift[: len(piece)], out=piece)
-        if less is not None:
-            piece -= less[1].reshape(-1, 3)[part] @ less[0].T
+    # Kernels for AVX-512 fill the width of a register with zeros, and an infinite value times a zero that nobody reads
+    # raises "invalid value" although the product is right. Where the product itself is no number, NaN in it tells so.
+    with np.errstate(invalid="ignore"):
+        for start in range(0, len(rows), _ROWS_AT_ONCE):
+            part = slice(start, start + _ROWS_AT_ONCE)
+            piece = target[part]
+            np.dot(rows[part], matrix, out=product[: len(piece)])
+            np.subtract(product[: len(piece)], shift[: len(piece)], out=piece)
+            if less is not None:
+                piece -= less[1].reshape(-1, 3)[part] @ less[0].T
     return out
 
 

@@ -29,6 +29,8 @@ from imufield.earth import Gravity, choose_gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
 
+pytestmark = pytest.mark.numerical
+
 EXACT = Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=1e-9, source="typed")
 MG = 9.80665e-3
 

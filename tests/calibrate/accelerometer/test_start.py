@@ -11,6 +11,8 @@ from imufield.calibrate.model.gauge import change_gauge
 from imufield.calibrate.model.models import to_vector
 from imufield.errors import CalibrationError, Reason
 
+pytestmark = pytest.mark.numerical
+
 ONES = np.ones(3)
 NO_DIRECTION = np.full((24, 3), np.nan)
 

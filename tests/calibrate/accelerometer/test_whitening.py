@@ -13,6 +13,8 @@ from imufield.samples import FloatArray
 from imufield.study.instruments import BSAS_GRAVITY_M_S2 as G
 from imufield.study.instruments import BSAS_TRUTH, bsas_outputs
 
+pytestmark = pytest.mark.numerical
+
 
 @pytest.fixture(scope="module")
 def raw() -> FloatArray:

@@ -13,6 +13,8 @@ from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, join_slots
 from imufield.calibrate.model.rotation import exponential, multiply
 from imufield.samples import FloatArray, Samples, SampleUnits, Status, make_samples
 
+pytestmark = pytest.mark.numerical
+
 RATE_HZ = 1000.0
 STILLS = np.array([[0.0, 2.0], [4.0, 2.0], [8.0, 2.0]])
 """Start and duration of three stills; moves from 2 to 4 s and from 6 to 8 s."""

@@ -15,6 +15,8 @@ from imufield.earth import EARTH_RATE_RAD_S, Gravity
 from imufield.errors import CalibrationError
 from imufield.samples import FloatArray
 
+pytestmark = pytest.mark.numerical
+
 BIAS = np.array([12.0, -7.0, 3.0])
 SCALE = 5000.0
 

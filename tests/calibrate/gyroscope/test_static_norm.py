@@ -15,6 +15,8 @@ from imufield.calibrate.gyroscope.static import (
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.samples import FloatArray
 
+pytestmark = pytest.mark.numerical
+
 DEG_PER_HOUR = np.radians(1.0) / 3600
 FACES = np.concatenate([np.eye(3), -np.eye(3)])
 EDGES = np.array([[a, b, 0.0] for a in (1, -1) for b in (1, -1)])

@@ -12,6 +12,8 @@ from imufield.calibrate.solvers.evolution import DeSettings, solve_ide
 from imufield.errors import CalibrationError
 from imufield.samples import FloatArray
 
+pytestmark = pytest.mark.numerical
+
 M = np.array([[1.002, 0.003, -0.001], [0.002, 0.997, 0.004], [-0.003, 0.001, 1.005]])
 BIAS = np.array([0.01, -0.02, 0.005])
 

@@ -20,6 +20,8 @@ from imufield.calibrate.model.result import Gauge, GyroscopeParameters
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
 
+pytestmark = pytest.mark.numerical
+
 ALL: tuple[Gauge, ...] = ("lower", "upper", "symmetric", "preset")
 
 

@@ -20,6 +20,8 @@ from imufield.calibrate.model.models import (
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, AccelerometerParameters, GyroscopeParameters, QuadraticAxes
 from imufield.errors import CalibrationError, Reason
 
+pytestmark = pytest.mark.numerical
+
 BOTH: tuple[QuadraticAxes, ...] = ("sensing", "body")
 
 

@@ -11,6 +11,8 @@ from imufield.calibrate.model.observability import Observability, observe, requi
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
+pytestmark = pytest.mark.numerical
+
 
 def seen_from(directions: FloatArray, *, quadratic: bool = True, seed: int = 1, tilt_rad: float = 0.03) -> Observability:
     rng = np.random.default_rng(seed)

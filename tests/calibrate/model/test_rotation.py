@@ -19,6 +19,8 @@ from imufield.calibrate.model.rotation import (
     skew,
 )
 
+pytestmark = pytest.mark.numerical
+
 RNG = np.random.default_rng(5)
 VECTORS = np.concatenate([RNG.standard_normal((40, 3)), 1e-9 * RNG.standard_normal((3, 3)), np.zeros((1, 3))])
 

@@ -23,6 +23,8 @@ from imufield.calibrate.model.uncertainty import (
     within_variance,
 )
 
+pytestmark = pytest.mark.numerical
+
 LINEAR = LOWER_GAUGE_COLUMNS[:9]
 
 

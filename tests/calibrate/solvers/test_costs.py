@@ -16,6 +16,8 @@ from imufield.calibrate.solvers.costs import CostName, NormProblem
 from imufield.samples import FloatArray
 from imufield.study.instruments import BSAS_GRAVITY_M_S2, BSAS_TRUTH, bsas_outputs
 
+pytestmark = pytest.mark.numerical
+
 STEP = np.concatenate([np.full(3, 1e-2), np.full(3, 1e-3), np.full(6, 1e-4), np.full(3, 1e-4)])
 
 

@@ -11,6 +11,8 @@ from imufield.calibrate.solvers.base import Solver, SolverStatus
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.samples import FloatArray
 
+pytestmark = pytest.mark.numerical
+
 
 @dataclass
 class Line:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
 from imufield.calibrate.solvers.costs import NormProblem
@@ -13,6 +14,8 @@ from imufield.calibrate.solvers.staged import (
 )
 from imufield.samples import FloatArray
 from imufield.study.instruments import BSAS_AXES, BSAS_GRAVITY_M_S2, BSAS_TRUTH, PresetError, bsas_outputs, bsas_preset
+
+pytestmark = pytest.mark.numerical
 
 
 def staged_problem(preset: FloatArray, raw: FloatArray) -> NormProblem:

@@ -10,6 +10,8 @@ from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem
 from imufield.samples import FloatArray
 from imufield.study.instruments import GYROSCOPE_TRUTH, IDE_GRAVITY_M_S2, IDE_TRUTH, gyroscope_turns_problem, ide_problem
 
+pytestmark = pytest.mark.numerical
+
 
 def numeric_jacobian(residuals: Callable[[FloatArray], FloatArray], z: FloatArray, step: FloatArray) -> FloatArray:
     return np.stack(

@@ -9,6 +9,8 @@ from imufield.calibrate.model.models import predict
 from imufield.calibrate.model.result import AccelerometerParameters
 from imufield.deliver.exports.conventions import Correction, linearised, rotation_times_triangle, rotation_to, rotation_vector
 
+pytestmark = pytest.mark.numerical
+
 RNG = np.random.default_rng(3)
 CORRECTION = Correction(np.eye(3) + RNG.normal(scale=0.01, size=(3, 3)), RNG.normal(size=3))
 RAW = RNG.uniform(-20, 20, (30, 3))

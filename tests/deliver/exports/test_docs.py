@@ -13,7 +13,11 @@ from target_formulas import DIAGONAL, FORMULAS, pyins_module
 from imufield.deliver.exports import TARGETS, export_parameters
 from imufield.deliver.parameters.file import load
 
+pytestmark = pytest.mark.numerical
+
 DOCS = Path(__file__).resolve().parents[3] / "docs"
+FRACTION = r"[-+]?\d+(?:\.\d*(?:[eE][-+]?\d+)?|[eE][-+]?\d+)"
+LAST_DIGITS = 1e-12  # relative: the last binary digit of a product depends on the processor's kernel
 RAW = (np.array([[1.0, -2.0, 9.5]]), np.array([[0.1, -0.2, 0.3]]))
 
 
@@ -24,6 +28,16 @@ def page(target: str) -> str:
 def worked(text: str, quantity: str) -> list[float] | None:
     found = re.search(rf"^\| {quantity}, [^|]*\| [^|]*\| \(([^)]*)\) \|$", text, re.MULTILINE)
     return None if found is None else [float(value) for value in found[1].split(",")]
+
+
+def is_written(quoted: str, text: str) -> bool:
+    """Whether a text contains the quoted one letter by letter, and the same numbers but for the last digits."""
+    numbers = [float(number) for number in re.findall(FRACTION, quoted)]
+    like = f"({FRACTION})".join(map(re.escape, re.split(FRACTION, quoted)))
+    return any(
+        numbers == pytest.approx([float(number) for number in there.groups()], rel=LAST_DIGITS, abs=1e-15)
+        for there in re.finditer(like, text)
+    )
 
 
 def test_every_target_has_its_page_and_is_in_the_list() -> None:
@@ -45,9 +59,17 @@ def test_page_quotes_the_files_and_sentences_of_the_export(target: str) -> None:
             name, _, values = line.partition(": ")
             if files.lstrip().startswith("{"):
                 quoted = json.dumps(json.loads(values))[1:-1]
-                assert quoted in re.sub(r"\s+", " ", files).replace("[ ", "[").replace(" ]", "]"), name
+                assert is_written(quoted, re.sub(r"\s+", " ", files).replace("[ ", "[").replace(" ]", "]")), name
             else:
-                assert line in files
+                assert is_written(line, files), line
+
+
+def test_numbers_are_compared_and_text_is_exact() -> None:
+    line = "scale: [1.002, -0.0010019999999999999], axis 1"
+    assert is_written(line, f"first\n{line.replace('10019999999999999', '1002')}\nlast")
+    assert not is_written(line, line.replace("1.002", "1.0021"))
+    assert not is_written(line, line.replace("axis 1", "axis 2"))
+    assert not is_written(line, line.replace("scale", "bias"))
 
 
 @pytest.mark.parametrize("target", TARGETS)

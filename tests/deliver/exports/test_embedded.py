@@ -18,6 +18,8 @@ from imufield.deliver.exports.binary import SIZE, unpack
 from imufield.deliver.parameters.file import Parameters
 from imufield.errors import ParameterFileError, Reason, UsageError
 
+pytestmark = pytest.mark.numerical
+
 GCC, GXX = shutil.which("gcc"), shutil.which("g++")
 FLAGS = ["-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic", "-O1"]
 needs_gcc = pytest.mark.skipif(GCC is None, reason="gcc is not installed; install it to test the C export")

@@ -37,6 +37,8 @@ from imufield.deliver.parameters.file import Parameters
 from imufield.errors import ParameterFileError
 from imufield.guide.positions import scheme
 
+pytestmark = pytest.mark.numerical
+
 
 def samples(seed: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)

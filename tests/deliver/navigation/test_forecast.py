@@ -14,6 +14,8 @@ from imufield.deliver.navigation.forecast import RandomErrors, Scene, forecast, 
 from imufield.deliver.navigation.mechanise import Mechanisation
 from imufield.samples import FloatArray
 
+pytestmark = pytest.mark.numerical
+
 HOUR_S = 3600.0
 NOTHING = RandomErrors(np.zeros(6), np.zeros(6), np.zeros(6))
 

@@ -15,6 +15,8 @@ from imufield.deliver.navigation.mechanise import Mechanisation, load_pyins
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray, Samples
 
+pytestmark = pytest.mark.numerical
+
 EQUATOR_RADIUS_M = 6378137.0
 
 

@@ -9,6 +9,8 @@ from imufield.deliver.navigation.rest import IntervalMeans, allan_variance, fill
 from imufield.samples import FloatArray
 from imufield.simulate.truth.drift import BiasDrift
 
+pytestmark = pytest.mark.numerical
+
 RNG_SEED = 3
 
 

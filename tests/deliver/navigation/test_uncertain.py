@@ -12,6 +12,8 @@ from imufield.calibrate.model.models import from_vector, predict, recover, to_ve
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES
 from imufield.deliver.navigation.uncertain import draw_parameters
 
+pytestmark = pytest.mark.numerical
+
 FORCE, RATE = np.array([1.0, -2.0, 9.5]), np.array([1e-5, 2e-5, -3e-5])
 
 

@@ -20,6 +20,8 @@ from imufield.deliver.parameters.schema import first_fault
 from imufield.errors import CalibrationError, ParameterFileError, Reason
 from imufield.samples import SampleUnits, make_samples
 
+pytestmark = pytest.mark.numerical
+
 RNG = np.random.default_rng(11)
 FORCE = RNG.uniform(-20, 20, (50, 3))
 RATE = RNG.uniform(-3, 3, (50, 3))
@@ -171,3 +173,16 @@ def test_six_columns_of_a_linear_model_are_one_map() -> None:
     np.testing.assert_allclose(
         correct_both(accelerometer, FULL_GYROSCOPE, raw), np.hstack([force, rate]), rtol=1e-12, atol=1e-12
     )
+
+
+@pytest.mark.parametrize("columns", [(0,), (4,), (1, 2), (0, 3, 5)], ids=str)
+def test_infinite_outputs_warn_on_no_processor(columns: tuple[int, ...]) -> None:
+    """What comes of them is not finite, the other rows are what they are, and no kernel says "invalid value"."""
+    accelerometer = AccelerometerParameters(scale=np.ones(3), bias_m_s2=np.zeros(3), misalignment_rad=2e-3 * (1 - np.eye(3)))
+    raw = RNG.uniform(-20, 20, (9, 6))
+    clean = correct_both(accelerometer, FULL_GYROSCOPE, raw)
+    raw[3, columns] = [np.inf, -np.inf, np.inf][: len(columns)]
+    raw[5, columns] = [np.inf, np.inf, -np.inf][: len(columns)]
+    corrected = correct_both(accelerometer, FULL_GYROSCOPE, raw)
+    assert not np.isfinite(corrected[[3, 5]][:, columns]).any()
+    np.testing.assert_allclose(np.delete(corrected, [3, 5], axis=0), np.delete(clean, [3, 5], axis=0), rtol=1e-12)

@@ -16,6 +16,8 @@ from imufield.deliver.parameters.numbers import (
 )
 from imufield.earth import MICRO_G_M_S2
 
+pytestmark = pytest.mark.numerical
+
 
 @pytest.mark.parametrize(
     ("sigma", "expected"),

@@ -31,6 +31,8 @@ from imufield.deliver.verification.result import (
 )
 from imufield.errors import UsageError
 
+pytestmark = pytest.mark.numerical
+
 MICRO_G = 9.80665e-6
 
 

@@ -11,6 +11,8 @@ from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import Samples
 
+pytestmark = pytest.mark.numerical
+
 ORDER = ([0, 0, 1], [1, 0, 0], [0, -1, 0.3], [0, 0, -1], [-1, 0.4, 0], [0.2, 1, 0], [0, 0.1, 1])
 
 

@@ -11,6 +11,8 @@ from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.view.plain import known_words
 from imufield.simulate.truth.grades import GRADES, draw_truth
 
+pytestmark = pytest.mark.numerical
+
 G = 9.80665
 SI = RoughScale(1.0, 1.0)
 BUMPED = 16

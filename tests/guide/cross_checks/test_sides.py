@@ -10,6 +10,8 @@ from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
 from imufield.guide.view.plain import line
 
+pytestmark = pytest.mark.numerical
+
 ASKED = np.array([[1.0, 0, 0], [0, 0.7071, 0.7071], [0, -1, 0], [0.5774, -0.5774, 0.5774], [0, 0, -1]])
 
 

@@ -22,6 +22,8 @@ from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
 from imufield.simulate.truth.pieces import Shock
 
+pytestmark = pytest.mark.numerical
+
 MICRO_G = 9.80665e-6
 QUIET = np.zeros(3)
 SI = RoughScale(1.0, 1.0)

@@ -10,6 +10,8 @@ from imufield.guide.stillness.noise_floor import measure_floor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import SampleUnits, make_samples
 
+pytestmark = pytest.mark.numerical
+
 
 def limits_for(cells: Any) -> Any:
     return noise_limits(measure_floor(cells), RoughScale(1.0, 1.0))

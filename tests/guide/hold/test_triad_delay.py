@@ -9,6 +9,8 @@ from imufield.guide.hold.triad_delay import USUAL_S, TriadDelay, triad_delay
 from imufield.samples import IntArray, Samples
 from tests.guide.hands import HeldUnit, trembling
 
+pytestmark = pytest.mark.numerical
+
 DELAYS_S = (-0.002, -0.0007, 0.0, 0.0013, 0.002)
 ARM_M = (0.03, -0.04, 0.05)
 

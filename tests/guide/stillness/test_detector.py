@@ -12,6 +12,8 @@ from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Phase
 from imufield.samples import SampleUnits, Status
 
+pytestmark = pytest.mark.numerical
+
 SI = RoughScale(1.0, 1.0)
 
 

@@ -13,6 +13,8 @@ from imufield.simulate.truth.grades import INDUSTRIAL, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings, TrueMove
 
+pytestmark = pytest.mark.numerical
+
 LIMIT = np.repeat([0.5, math.radians(10)], 3)
 
 

@@ -6,6 +6,8 @@ import pytest
 
 from imufield.guide.stillness.turn_fit import REACH, Sway, cells_of_turn, sway_of
 
+pytestmark = pytest.mark.numerical
+
 Array = np.ndarray[Any, Any]
 LEAST = math.radians(0.2)
 LENGTH = 150
