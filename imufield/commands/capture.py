@@ -28,8 +28,8 @@ from imufield.commands.terminal.questions import ask
 from imufield.commands.terminal.views import LinkState, LiveStatus, Manner, View, ViewName, make_view
 from imufield.deliver.parameters.file import Parameters, load
 from imufield.deliver.parameters.numbers import beside
-from imufield.errors import ImufieldError, UsageError
-from imufield.files import read_small_file, write_atomically
+from imufield.errors import ImufieldError, RecordingError, UsageError
+from imufield.files import read_small_file, typed_write_errors, write_atomically
 from imufield.guide.events import Advice, Event, Topic
 from imufield.guide.lead.turns import HORIZONTAL, VERTICAL
 from imufield.guide.positions import SCHEMES, scheme
@@ -170,7 +170,8 @@ def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions
     else:
         session = Session.create(options.root, connected.model, metadata)
     if positions is not None:
-        write_atomically(session.folder / SCHEME_FILE, positions)
+        with typed_write_errors(session.folder, RecordingError):
+            write_atomically(session.folder / SCHEME_FILE, positions)
     return session
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import math
 import os
 import re
@@ -20,7 +19,7 @@ import tomli_w
 
 from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M
 from imufield.errors import Reason, RecordingError
-from imufield.files import read_small_file, sync_folder, write_atomically
+from imufield.files import read_small_file, sync_folder, typed_write_errors, write_atomically
 from imufield.samples import ACCELEROMETER_COLUMNS, LARGEST_OUTPUT
 from imufield.version import __version__
 
@@ -103,10 +102,8 @@ class Session:
         """
         moment = now or datetime.now(UTC)
         content = _new_metadata(model, metadata or {}, moment)
-        try:
+        with typed_write_errors(root, RecordingError):
             folder = _make_folder(Path(root), model, moment)
-        except OSError as error:
-            raise _cannot_write(Path(root), error) from error
         return cls._written(folder, content)
 
     @classmethod
@@ -120,11 +117,9 @@ class Session:
         """
         folder = Path(folder)
         content = _new_metadata(model, metadata or {}, datetime.now(UTC))
-        try:
+        with typed_write_errors(folder, RecordingError):
             folder.mkdir(parents=True, exist_ok=True)
             is_empty = not any(folder.iterdir())
-        except OSError as error:
-            raise _cannot_write(folder, error) from error
         if not is_empty:
             what = "holds a session already" if (folder / SETTINGS_FILE).exists() else "is not empty"
             raise RecordingError(
@@ -251,10 +246,8 @@ class Session:
             Another program holds it (``LOCKED``).
         """
         path = self.folder / LOCK_FILE
-        try:
+        with typed_write_errors(path, RecordingError):
             file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-        except OSError as error:
-            raise _cannot_write(path, error) from error
         try:
             self._take_lock(file)
             yield
@@ -293,10 +286,8 @@ class Session:
 
     def _write(self) -> None:
         path = self.folder / SETTINGS_FILE
-        try:
+        with typed_write_errors(path, RecordingError):
             write_atomically(path, tomli_w.dumps(self.metadata).encode())
-        except OSError as error:
-            raise _cannot_write(path, error) from error
 
 
 def _new_metadata(model: str, metadata: Mapping[str, object], moment: datetime) -> dict[str, Any]:
@@ -426,15 +417,6 @@ def _check_numbers(content: Mapping[str, Any], path: Path) -> None:
                 path=str(path),
                 key=key,
             )
-
-
-def _cannot_write(path: Path, error: OSError) -> RecordingError:
-    return RecordingError(
-        f"{path} cannot be written ({error.strerror}): check the disk space and the permissions of the folder.",
-        Reason.DISK_FULL if error.errno in (errno.ENOSPC, errno.EFBIG) else Reason.DAMAGED,
-        path=str(path),
-        errno=error.errno,
-    )
 
 
 if sys.platform == "win32":

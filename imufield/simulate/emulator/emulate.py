@@ -18,7 +18,7 @@ from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.registry import load_driver
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
-from imufield.files import write_atomically
+from imufield.files import typed_write_errors, write_atomically
 from imufield.simulate.emulator.core import EmulatorCore
 from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
 from imufield.simulate.emulator.serial import Emulator, EmulatorSettings, VirtualImu
@@ -287,7 +287,8 @@ def write_truth(options: Emulation, source: VirtualImu) -> None:
         return
     document = truth_document(options, source)
     text = json.dumps(document, indent=1) if options.truth.suffix == ".json" else tomli_w.dumps(document)
-    write_atomically(options.truth, text.encode())
+    with typed_write_errors(options.truth):
+        write_atomically(options.truth, text.encode())
 
 
 class _TruthKeeper:
