@@ -11,11 +11,14 @@ import errno
 import os
 import re
 import tempfile
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TypeVar
 
-from imufield.errors import UsageError
+from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
+
+AnError = TypeVar("AnError", bound=ImufieldError)
 
 # Names of what a session was recorded as; no command computes them again.
 _RECORDED = re.compile(r"part-\d+\.mcap|session\.toml|positions\.toml")
@@ -23,6 +26,66 @@ _RECORDED = re.compile(r"part-\d+\.mcap|session\.toml|positions\.toml")
 
 SMALL_FILE_LIMIT_BYTES = 1 << 24
 """A thousand positions take half a mebibyte; what is read whole is never larger than this."""
+
+
+# What a failed write means: error numbers of the system, reason for programs, and words and remedy for people.
+_WRITE_FAULTS: tuple[tuple[frozenset[int], Reason, str, str], ...] = (
+    # EDQUOT is the quota of one user; Windows has it under the same name.
+    (frozenset({errno.ENOSPC, errno.EDQUOT}), Reason.DISK_FULL, "the disk or its quota is full", "free some space"),
+    (
+        # A limit of the file system (4 GiB on FAT) or of the process (ulimit -f); the disk itself may have space.
+        frozenset({errno.EFBIG}),
+        Reason.DISK_FULL,
+        "a limit on the size of files is reached and nothing more fits",
+        "raise the limit, free some space, or choose another place",
+    ),
+    (
+        frozenset({errno.EACCES, errno.EPERM, errno.EROFS}),
+        Reason.NO_PERMISSION,
+        "nothing may be written there",
+        "change the permissions, or choose another place",
+    ),
+    (
+        # The system gives ENOENT for a name below /proc, too, though that folder exists.
+        frozenset({errno.ENOENT, errno.ENOTDIR}),
+        Reason.FOREIGN,
+        "its folder is not there, was deleted or takes no files",
+        "check the name, or choose another folder",
+    ),
+    (frozenset({errno.EEXIST, errno.EISDIR}), Reason.FOREIGN, "nothing is overwritten there", "choose another name"),
+    (frozenset({errno.ENAMETOOLONG}), Reason.USAGE, "no file can have so long a name", "choose a shorter one"),
+)
+
+
+def write_error(path: str | Path, error: OSError, kind: type[AnError], *, advice: str = "") -> AnError:
+    """Return the error that a failed write is, one sentence with its cause and remedy.
+
+    Parameters
+    ----------
+    path : str or Path
+        What could not be written.
+    error : OSError
+        As the system reports it.
+    kind : type of ImufieldError
+        ``RecordingError`` for recordings and samples, ``ParameterFileError`` for all else: the exit code follows from it.
+    advice : str
+        What else the person can do, appended to the sentence.
+    """
+    cause = error.strerror or str(error)
+    reason, words = Reason.DAMAGED, "check the disk, or choose another place"
+    for numbers, its_reason, what, remedy in _WRITE_FAULTS:
+        if error.errno in numbers:
+            reason, words = its_reason, f"{what}; {remedy}"
+    return kind(f"{path} cannot be written ({cause}): {words}{advice}", reason, path=str(path), errno=error.errno)
+
+
+@contextmanager
+def typed_write_errors(path: str | Path, kind: type[ImufieldError] = ParameterFileError) -> Iterator[None]:
+    """Raise the ``write_error`` of an OSError that comes up inside the block."""
+    try:
+        yield
+    except OSError as error:
+        raise write_error(path, error, kind) from error
 
 
 def read_small_file(path: str | Path) -> bytes:

@@ -1,10 +1,12 @@
+import errno
 import os
 import stat
 from pathlib import Path
 
 import pytest
 
-from imufield.files import keep_previous, read_small_file, write_atomically
+from imufield.errors import ParameterFileError, Reason, RecordingError
+from imufield.files import keep_previous, read_small_file, typed_write_errors, write_atomically, write_error
 
 
 def test_content_is_replaced_and_nothing_else_stays(tmp_path: Path) -> None:
@@ -60,3 +62,53 @@ def test_a_file_without_end_is_not_read_whole() -> None:
 def test_a_small_file_is_read_whole(tmp_path: Path) -> None:
     (tmp_path / "small").write_bytes(b"a\x00b")
     assert read_small_file(tmp_path / "small") == b"a\x00b"
+
+
+@pytest.mark.parametrize(
+    ("number", "reason"),
+    [
+        (errno.ENOSPC, Reason.DISK_FULL),
+        (errno.EDQUOT, Reason.DISK_FULL),
+        (errno.EFBIG, Reason.DISK_FULL),
+        (errno.EACCES, Reason.NO_PERMISSION),
+        (errno.EPERM, Reason.NO_PERMISSION),
+        (errno.EROFS, Reason.NO_PERMISSION),
+        (errno.ENOENT, Reason.FOREIGN),
+        (errno.ENOTDIR, Reason.FOREIGN),
+        (errno.EISDIR, Reason.FOREIGN),
+        (errno.EEXIST, Reason.FOREIGN),
+        (errno.ENAMETOOLONG, Reason.USAGE),
+        (errno.EIO, Reason.DAMAGED),
+    ],
+    ids=lambda value: errno.errorcode[value] if isinstance(value, int) else "",
+)
+def test_what_a_failed_write_means(number: int, reason: Reason) -> None:
+    failed = OSError(number, os.strerror(number))
+    for kind in (ParameterFileError, RecordingError):
+        error = write_error("a/b.toml", failed, kind, advice="; resume")
+        assert type(error) is kind
+        assert (error.reason, error.values) == (reason, {"path": "a/b.toml", "errno": number})
+        assert error.message.startswith(f"a/b.toml cannot be written ({os.strerror(number)}): ")
+        assert error.message.endswith("; resume")
+        assert ("free some space" in error.message) == (reason is Reason.DISK_FULL)
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder in which nobody can make files")
+def test_a_place_that_takes_no_files_is_no_full_disk() -> None:
+    with pytest.raises(ParameterFileError) as caught, typed_write_errors("/proc/nowhere.txt"):
+        write_atomically("/proc/nowhere.txt", b"x")
+    assert caught.value.reason is Reason.FOREIGN
+
+
+def test_a_real_place_in_each_state(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    places = {
+        tmp_path: Reason.FOREIGN,
+        tmp_path / "file" / "below": Reason.FOREIGN,
+        tmp_path / "gone" / "below": Reason.FOREIGN,
+        tmp_path / ("n" * 300): Reason.USAGE,
+    }
+    for place, reason in places.items():
+        with pytest.raises(RecordingError) as caught, typed_write_errors(place, RecordingError):
+            write_atomically(place, b"x")
+        assert caught.value.reason is reason, place

@@ -15,7 +15,8 @@ import typer
 
 from imufield.cli import EXIT_INTERRUPTED
 from imufield.cli.app import app
-from imufield.errors import ImufieldError, RecordingError, UsageError
+from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
+from imufield.files import write_error
 
 RECORDING_COMMANDS = ("capture", "record", "demo")
 
@@ -47,10 +48,11 @@ def run(arguments: list[str]) -> int:
         return _run(arguments)
     except OSError as error:
         # Files and ports have errors of their own kind: what comes here is about standard output.
-        if error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT):
+        failure = write_error("standard output", error, RecordingError)
+        if failure.reason is Reason.DISK_FULL:
             _forget(sys.stdout)
-            _complain(f"standard output cannot be written ({error.strerror}); free some space, or send it elsewhere")
-            return RecordingError.exit_code
+            _complain(failure.message)
+            return failure.exit_code
         # Whether a name is there is asked in many places, and the answer to this one is always the same.
         if error.errno == errno.ENAMETOOLONG:
             _complain(f"{str(error.filename)[:60]}... is longer than the name of a file can be; check what was typed")

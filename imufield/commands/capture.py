@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from imufield.acquire.instrument.connect import Connected, ConnectOptions, check
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.acquire.link.reconnect import PatientLink
 from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.document import GuideRecord
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import DEFAULT_ROOT, Session
@@ -27,10 +28,10 @@ from imufield.commands.terminal.connection import say_assumed
 from imufield.commands.terminal.output import before_recording, say
 from imufield.commands.terminal.questions import ask
 from imufield.commands.terminal.views import LinkState, LiveStatus, Manner, View, ViewName, make_view
-from imufield.deliver.parameters.file import Parameters, load
+from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.numbers import beside
-from imufield.errors import ImufieldError, UsageError
-from imufield.files import read_small_file, write_atomically
+from imufield.errors import ImufieldError, RecordingError, UsageError
+from imufield.files import read_small_file, typed_write_errors, write_atomically
 from imufield.guide.events import Advice, Event, Topic
 from imufield.guide.lead.turns import HORIZONTAL, VERTICAL
 from imufield.guide.positions import SCHEMES, scheme
@@ -105,7 +106,7 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
     interactive = options.view == "auto" and sys.stdout.isatty()
     clock = clock or SystemClock()
     scheme(options.positions or DEFAULT_SCHEME)
-    asked = _guide_options(options)
+    asked = _guide_record(options)
     with before_recording():
         earlier = find_unfinished(options.session, options.root, resume=options.resume, interactive=interactive)
         if earlier is not None:
@@ -123,7 +124,7 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
         stack.enter_context(session.lock())
         if earlier is not None:
             check_instrument(session, connected)
-            session.update(site=site.table(), finished=False)
+            session.update(site=site.record(), finished=False)
         captured = _capture(session, connected, clock, options)
     _farewell(captured, options.view, clock)
     return captured
@@ -160,29 +161,25 @@ def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions
     _check_preset(options.preset, connected)
     name = options.positions or DEFAULT_SCHEME
     positions = None if name in SCHEMES else _read_positions(name)
+    guide = replace(_guide_record(options), revisit_first=True if len(scheme(name)) >= REVISIT_FROM else None)
     metadata = {
         **connected.session_tables(),
         "kind": "capture",
         "scheme": name if positions is None else SCHEME_FILE,
-        "guide": _guide_table(options),
-        "site": site.table(),
+        "guide": guide,
+        "site": site.record(),
     }
     if options.session is not None:
         session = Session.create_in(options.session, connected.model, metadata)
     else:
         session = Session.create(options.root, connected.model, metadata)
     if positions is not None:
-        write_atomically(session.folder / SCHEME_FILE, positions)
+        with typed_write_errors(session.folder, RecordingError):
+            write_atomically(session.folder / SCHEME_FILE, positions)
     return session
 
 
-def _guide_table(options: CaptureOptions) -> dict[str, object]:
-    """Return what a new session keeps of the options of the guide."""
-    long = len(scheme(options.positions or DEFAULT_SCHEME)) >= REVISIT_FROM
-    return _guide_options(options) | ({"revisit_first": True} if long else {})
-
-
-def _guide_options(options: CaptureOptions) -> dict[str, object]:
+def _guide_record(options: CaptureOptions) -> GuideRecord:
     """Return what was given of the options of the guide, as a session keeps it.
 
     Raises
@@ -194,22 +191,20 @@ def _guide_options(options: CaptureOptions) -> dict[str, object]:
     """
     if options.rotations is not None and options.rotations not in ROTATIONS:
         raise UsageError(f"--rotations {options.rotations!r} is unknown; choose one of {', '.join(ROTATIONS)}")
-    values = {
-        "hold_s": options.hold_s,
-        "target_bias_ug": options.target_bias_ug,
-        "target_scale_ppm": options.target_scale_ppm,
-        "rotations": None if options.rotations is None else ROTATIONS[options.rotations],
-    }
-    given: dict[str, object] = {key: value for key, value in values.items() if value is not None}
-    return given if options.preset is None else given | _scale_of(load(options.preset))
-
-
-def _scale_of(preset: Parameters) -> dict[str, object]:
-    """Return the common scale of an earlier calibration, and its relative 1 sigma where it has one."""
-    found = preset.calibration.intrinsic
-    sigma = float(np.max(found.scale_sigma / np.abs(found.scale)))
-    common: dict[str, object] = {"earlier_scale_raw": float(np.exp(np.mean(np.log(np.abs(found.scale)))))}
-    return common | ({"earlier_scale_sigma": sigma} if sigma > 0 else {})
+    scale, sigma = None, None
+    if options.preset is not None:
+        # The common scale of the earlier calibration: what a wrong gravity shows against.
+        earlier = load(options.preset).calibration.intrinsic
+        scale = float(np.exp(np.mean(np.log(np.abs(earlier.scale)))))
+        sigma = float(np.max(earlier.scale_sigma / np.abs(earlier.scale)))
+    return GuideRecord(
+        hold_s=options.hold_s,
+        target_bias_ug=options.target_bias_ug,
+        target_scale_ppm=options.target_scale_ppm,
+        rotations=None if options.rotations is None else ROTATIONS[options.rotations],
+        earlier_scale_raw=scale,
+        earlier_scale_sigma=sigma if sigma is not None and sigma > 0 else None,
+    )
 
 
 def _check_preset(path: Path | None, connected: Connected) -> None:

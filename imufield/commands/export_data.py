@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.commands.terminal.output import say
@@ -20,7 +19,7 @@ from imufield.deliver.samples.export_data import FORMATS, export_samples, facts_
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting
 from imufield.pipeline.chain import recorded_protocol, session_samples
-from imufield.samples import FloatArray, Samples, SampleUnits, Status
+from imufield.samples import Samples, SampleUnits, Status
 
 
 class RowCount:
@@ -76,10 +75,12 @@ def run_export_data(folder: Path | None, to: str, output: Path | None) -> None:
     path = output or session.folder / f"samples.{FORMATS[to].suffix}"
     refuse_overwriting(path, session.parts)
     protocol = recorded_protocol({}, session)
+    stated = session.record.nominal.raw_zero
+    raw_zero = protocol.nominal.raw_zero if stated is None else np.array(stated)
     damage: list[Damage] = []
     count = RowCount()
     blocks = count.through(session_samples(session, damage))
-    rows = export_samples(blocks, path, to, facts_of(protocol, _raw_zero(session, protocol)))
+    rows = export_samples(blocks, path, to, facts_of(protocol, raw_zero))
     for one in damage:
         say(one.what, err=True)
     typer.echo(beside(f"{rows} samples in", path))
@@ -90,8 +91,3 @@ def run_export_data(folder: Path | None, to: str, output: Path | None) -> None:
     flags = count.flags(has_status=not FORMATS[to].lacks)
     if flags:
         typer.echo(hanging("", flags))
-
-
-def _raw_zero(session: Session, protocol: Protocol) -> FloatArray:
-    stated = session.metadata.get("nominal", {}).get("raw_zero")
-    return protocol.nominal.raw_zero if stated is None else np.asarray(stated, dtype=np.float64)

@@ -347,7 +347,7 @@ def _in_place_of_earlier(options: ImportOptions) -> Iterator[None]:
 def _refuse_replacing(folder: Path) -> None:
     """Refuse to replace anything that cannot be imported again from its files; raises as ``_in_place_of_earlier``."""
     earlier = Session.open(folder)
-    kind = earlier.metadata.get("kind")
+    kind = earlier.record.kind
     if kind != "import":
         raise UsageError(f"--replace goes for imports alone, and {folder} is a {kind}; choose a new folder")
     own = {SETTINGS_FILE, LOCK_FILE, *(part.name for part in earlier.parts)}
@@ -388,7 +388,7 @@ def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTabl
         "settings": {name: {"value": one.value, "origin": one.origin} for name, one in protocol.settings.items()},
         "units": {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope},
         # What is a default of its own today says nothing about where files of another program were recorded.
-        "site": {} if options.site.is_default else options.site.table(),
+        "site": {} if options.site.is_default else options.site.record(),
         "import": {"files": [str(path) for path in options.files]},
     }
     if table is not None:

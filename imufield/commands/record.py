@@ -73,7 +73,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
 
 
 def _new_session(options: RecordOptions, connected: Connected) -> Session:
-    metadata = {**connected.session_tables(), "kind": "record", "site": options.site.table()}
+    metadata = {**connected.session_tables(), "kind": "record", "site": options.site.record()}
     if options.session is not None:
         return Session.create_in(options.session, connected.model, metadata)
     return Session.create(options.root, connected.model, metadata)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import typer
 
+from imufield.acquire.recording.document import SettingRecord
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.commands.solve import session_sha256
@@ -160,23 +161,22 @@ def _replay(session: Session, parameters: Parameters, preset: Parameters | None)
     return _Replayed(trace.finish(), closed, tuple(one.what for one in damage))
 
 
-def _setting(name: str, value: object, origin: str) -> str:
+def _setting(name: str, setting: SettingRecord) -> str:
     """Return a setting and where it came from; a rate of zero stands for one that only the recording tells."""
-    if name == "rate_hz" and value == 0:
+    if name == "rate_hz" and setting.value == 0:
         return "rate_hz measured on the recording"
-    return f"{name} = {value} ({origin})"
+    return f"{name} = {setting.value} ({setting.origin})"
 
 
 def _provenance(path: Path, parameters: Parameters, session: Session | None) -> Iterator[tuple[str, str]]:
     converted = "" if parameters.version == VERSION else f", converted from version {parameters.version}"
     yield "Parameter file", f"{path}{converted}"
     if session is not None:
-        protocol = session.metadata.get("protocol", {})
-        yield "Protocol", f"{protocol.get('name', '')}, SHA-256 {protocol.get('sha256', 'not known')}"
-        settings = session.metadata.get("settings", {})
-        if settings:
-            yield "Settings", "; ".join(_setting(name, **one) for name, one in settings.items())
-        yield "Recorded by", str(session.metadata.get("software", "not known"))
+        record = session.record
+        yield "Protocol", f"{record.protocol.name}, SHA-256 {record.protocol.sha256}"
+        if record.settings:
+            yield "Settings", "; ".join(_setting(name, entry) for name, entry in record.settings.items())
+        yield "Recorded by", record.software
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "matplotlib", "jinja2"))
     yield "Report by", f"imufield {__version__}, Python {platform.python_version()}, {packages}"
     yield "Command", shlex.join(["imufield", *sys.argv[1:]])

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 from imufield.acquire.instrument.connect import Connected, ConnectOptions
+from imufield.acquire.recording.document import GuideRecord
 from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import driver_names
 from imufield.commands.terminal.questions import confirm
@@ -58,7 +58,7 @@ def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactiv
     if session.finished:
         _check_finished(session, resume=resume)
         return session
-    if not session.metadata.get("scheme"):
+    if not session.record.scheme:
         raise UsageError(f"{session.folder} is a plain recording without a guide; name a new folder")
     if not resume and not (interactive and confirm(f"Go on with the unfinished session {session.folder}?")):
         raise RecordingError(
@@ -77,7 +77,7 @@ def _check_finished(session: Session, *, resume: bool) -> None:
     UsageError
         If nothing is left to measure, or nobody said that it should go on.
     """
-    early = session.metadata.get("scheme") is not None and _was_finished_early(session)
+    early = session.record.scheme is not None and _was_finished_early(session)
     if early and resume:
         return
     command = f"imufield solve {shlex.quote(str(session.folder))}"
@@ -97,7 +97,7 @@ def _newest_unfinished(root: Path) -> Session:
         # A damaged session.toml of another session is no reason not to go on with this one.
         with suppress(RecordingError):
             session = Session.open(folder)
-            if session.metadata.get("scheme") and not session.finished:
+            if session.record.scheme and not session.finished:
                 return session
     raise UsageError(
         f"there is no unfinished session in {root} to resume; name its folder with --session, or "
@@ -105,15 +105,15 @@ def _newest_unfinished(root: Path) -> Session:
     )
 
 
-def check_plan(session: Session, scheme_name: str | None, asked: Mapping[str, object]) -> None:
+def check_plan(session: Session, scheme_name: str | None, asked: GuideRecord) -> None:
     """Refuse a plan that is not the session's: it was chosen when the session began, and a replay follows it from the start.
 
     Parameters
     ----------
     session : Session
     scheme_name : str or None
-    asked : mapping
-        What was given of the options that the session keeps in its table ``guide``, as it would keep it.
+    asked : GuideRecord
+        What was given of the options that the session keeps.
 
     Raises
     ------
@@ -123,11 +123,11 @@ def check_plan(session: Session, scheme_name: str | None, asked: Mapping[str, ob
     planned = str(ReadingPlan.of(session).scheme)
     if scheme_name is not None and _positions(scheme_name) != _positions(planned):
         raise UsageError(f"{session.folder} goes through {planned}, not {scheme_name}; leave out --positions, or begin anew")
-    begun = session.metadata.get("guide", {})
     for key, (option, words) in _KEPT.items():
-        if key in asked and asked[key] != begun.get(key):
-            now = words.format(asked[key])
-            before = f"with {words.format(begun[key])}, not {now}" if key in begun else f"without {option}"
+        wanted, begun = getattr(asked, key), getattr(session.record.guide, key)
+        if wanted is not None and wanted != begun:
+            now = words.format(wanted)
+            before = f"without {option}" if begun is None else f"with {words.format(begun)}, not {now}"
             raise UsageError(f"{session.folder} was begun {before}; leave out {option}, or begin a new session with {now}")
 
 
@@ -137,26 +137,25 @@ def _positions(name: str) -> list[tuple[str, list[float]]]:
 
 def connect_as_before(options: ConnectOptions, session: Session) -> ConnectOptions:
     """Return the options with port or bus, bit rate, driver and settings of the session where they are not given."""
-    link, metadata = session.metadata.get("link", {}), session.metadata
+    record, link = session.record, session.record.link
     driver, text = options.driver, None
     if driver is None and options.protocol is None and options.dbc is None:
-        recorded = metadata.get("instrument", {}).get("driver")
-        if recorded in driver_names():
-            driver = recorded
+        if record.instrument.driver in driver_names():
+            driver = record.instrument.driver
         else:
-            text = metadata.get("protocol", {}).get("text")
-    given = {name: str(one["value"]) for name, one in metadata.get("settings", {}).items() if one.get("origin") == "given"}
+            text = record.protocol.text or None
+    given = {name: str(setting.value) for name, setting in record.settings.items() if setting.origin == "given"}
     elsewhere = options.port is not None or options.bus is not None
-    same_place = (options.port, options.bus) == (link.get("port"), link.get("bus"))
+    same_place = (options.port, options.bus) == (link.port, link.bus)
     return replace(
         options,
-        port=options.port if elsewhere else link.get("port"),
-        bus=options.bus if elsewhere else link.get("bus"),
-        baud=options.baud or (None if elsewhere and not same_place else link.get("baud", link.get("bit_rate"))),
+        port=options.port if elsewhere else link.port,
+        bus=options.bus if elsewhere else link.bus,
+        baud=options.baud or (None if elsewhere and not same_place else link.baud or link.bit_rate),
         driver=driver,
         settings={**(given if options.protocol is None else {}), **options.settings},
         protocol_text=text,
-        rate_hz=options.rate_hz or link.get("rate_hz"),
+        rate_hz=options.rate_hz or link.rate_hz,
     )
 
 
@@ -168,9 +167,9 @@ def check_instrument(session: Session, connected: Connected) -> None:
     RecordingError
         If driver or serial number differ, as far as both are known.
     """
-    recorded, found = session.metadata.get("instrument", {}), connected.session_tables()["instrument"]
+    found = connected.session_tables()["instrument"]
     for key in _IDENTITY:
-        before, now = recorded.get(key), found.get(key)
+        before, now = getattr(session.record.instrument, key), found.get(key)
         if before and now and before != now:
             raise RecordingError(
                 f"{session.folder} was begun with {key.replace('_', ' ')} {before}, but {now} is on {connected.link.name}; "
@@ -183,4 +182,4 @@ def check_instrument(session: Session, connected: Connected) -> None:
 
 def site_as_before(site: SiteOptions, session: Session) -> SiteOptions:
     """Return the site that was given, else the one the session knows."""
-    return site.over(session.metadata.get("site", {}))
+    return site.over(session.record.site)

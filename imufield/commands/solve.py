@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import get_args
 
@@ -152,7 +152,7 @@ def solve_session(session: Session, options: SolveOptions, progress: ProgressLin
         observations, axes, refused, saturated = _observations(chain, refusals)
         if axes.error is not None:
             raise axes.error
-        where = "are missing in the file" if session.metadata.get("kind") == "import" else "were lost on the wire"
+        where = "are missing in the file" if session.record.kind == "import" else "were lost on the wire"
         reasons = (axes.words, *saturated, *chain.notes, *_loss_sentences(chain, damage, where))
         found = _measured(session, chain, observations, moves, site=options.site, reasons=reasons)
         with _naming_saturation(saturated):
@@ -191,15 +191,14 @@ def _measured(
     site: SiteOptions,
     reasons: tuple[str, ...],
 ) -> Measured:
-    metadata = session.metadata
-    instrument = InstrumentFacts(**{key: str(value) for key, value in metadata.get("instrument", {}).items()})
+    instrument = InstrumentFacts(**asdict(session.record.instrument))
     facts = SessionFacts(session.name, session_sha256(session), _true_rate_hz(chain), chain.temperature_degc)
     nominal = chain.protocol.nominal if chain.protocol is not None else None
     rests = chain.turn_rests()
     between = moves.between(observations, rests)
     return Measured(
         observations=observations,
-        gravity=site.gravity(metadata.get("site")),
+        gravity=site.gravity(session.record.site),
         context=Context(instrument=instrument, session=facts),
         moves=between,
         rests=rests,

@@ -9,6 +9,7 @@ import typer
 
 from imufield.commands.terminal.output import replace_only
 from imufield.errors import UsageError
+from imufield.files import typed_write_errors
 from imufield.study.context import StudyContext
 from imufield.study.report import StudyReport, as_text
 from imufield.study.run import TITLE, run_study, write_document
@@ -49,12 +50,8 @@ def _check_places(folder: Path | None, document: Path | None) -> None:
     if folder is not None and folder.exists() and not folder.is_dir():
         raise UsageError(f"--output {folder} is no folder, and a study writes several files; choose a folder")
     if folder is not None:
-        try:
+        with typed_write_errors(folder, UsageError):
             folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise UsageError(
-                f"--output {folder} cannot be made ({error.strerror}); choose a folder that can be written"
-            ) from error
     if document is None:
         return
     if document.is_dir() or not document.parent.is_dir():

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import typer
 from rich.console import Console
 
 from imufield.acquire.protocol.protocol import Protocol
+from imufield.acquire.recording.document import SiteRecord
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.observations import Observations
@@ -150,9 +150,8 @@ def _task(options: VerifyOptions) -> _Task:
     session = Session.newest() if options.session is None else Session.open(options.session)
     for one in filter(None, (parameters, preset)):
         one.check_instrument(session.serial_number)
-    recorded = session.metadata.get("site")
     is_its_own = _is_its_own(parameters, session)
-    gravity, latitude_deg = _site(options, parameters, recorded, is_its_own=is_its_own)
+    gravity, latitude_deg = _site(options, parameters, session.record.site, is_its_own=is_its_own)
     task = _Task(
         options=options,
         session=session,
@@ -173,13 +172,13 @@ def _is_its_own(parameters: Parameters, session: Session) -> bool:
 
 
 def _site(
-    options: VerifyOptions, parameters: Parameters, recorded: Mapping[str, Any] | None, *, is_its_own: bool
+    options: VerifyOptions, parameters: Parameters, recorded: SiteRecord, *, is_its_own: bool
 ) -> tuple[Gravity, float | None]:
     """Return gravity at the place of the session, and its latitude."""
     own = parameters.calibration.gravity
     # Where a session does not say where it was taken, what was typed to solve it goes before a default.
     is_typed = options.site.is_known and not (options.site.is_default and is_its_own and own.source != "assumed")
-    known = is_typed or bool(recorded)
+    known = is_typed or recorded != SiteRecord()
     gravity = options.site.gravity(recorded) if known else own
     latitude = gravity.latitude_deg if gravity.latitude_deg is not None else options.site.latitude_deg
     return gravity, own.latitude_deg if latitude is None else latitude
@@ -298,7 +297,7 @@ class _Navigation:
         self._task = task
         self._problems = problems
         self._check: StaticNavigation | None = None
-        self._off = task.session.metadata.get("scheme") is not None and not task.wants_navigation
+        self._off = task.session.record.scheme is not None and not task.wants_navigation
 
     def feed(self, samples: Samples) -> None:
         if self._off:

@@ -15,6 +15,7 @@ import numpy as np
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import Protocol, parse_protocol
+from imufield.acquire.recording.document import SessionRecord
 from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.observations import Observations
@@ -51,34 +52,27 @@ class ReadingPlan:
 
     @classmethod
     def of(cls, session: Session) -> ReadingPlan:
-        """Return the plan written in ``session.toml``; positions of the user's own lie beside it."""
-        name = session.metadata.get("scheme") or None
-        raw_zero = session.metadata.get("nominal", {}).get("raw_zero")
+        """Return the plan written in ``session.toml``; positions of the user's own stand beside it."""
+        record = session.record
+        name = record.scheme or None
         return cls(
-            str(session.folder / SCHEME_FILE) if name == SCHEME_FILE else name,
-            guide_settings(session.metadata),
-            None if raw_zero is None else tuple(raw_zero),
+            str(session.folder / SCHEME_FILE) if name == SCHEME_FILE else name, guide_settings(record), record.nominal.raw_zero
         )
 
 
-def guide_settings(metadata: Mapping[str, Any]) -> GuideSettings:
+def guide_settings(record: SessionRecord) -> GuideSettings:
     """Return the settings of the guide written in ``session.toml``."""
-    table = metadata.get("guide", {})
-
-    def number(key: str) -> float | None:
-        return None if table.get(key) is None else float(table[key])
-
-    site = metadata.get("site", {})
-    gravity = choose_gravity(site.get("gravity_m_s2"), site.get("latitude_deg"), site.get("height_m"))
+    guide, site = record.guide, record.site
+    gravity = choose_gravity(site.gravity_m_s2, site.latitude_deg, site.height_m)
     return GuideSettings(
-        hold_s=number("hold_s"),
-        target_bias_ug=number("target_bias_ug"),
-        target_scale_ppm=number("target_scale_ppm"),
-        revisit_first=bool(table.get("revisit_first", False)),
-        rotations=table.get("rotations"),
+        hold_s=guide.hold_s,
+        target_bias_ug=guide.target_bias_ug,
+        target_scale_ppm=guide.target_scale_ppm,
+        revisit_first=bool(guide.revisit_first),
+        rotations=guide.rotations,
         gravity_m_s2=gravity.gravity_m_s2,
-        earlier_scale_raw=number("earlier_scale_raw"),
-        earlier_scale_sigma=number("earlier_scale_sigma") or 0.0,
+        earlier_scale_raw=guide.earlier_scale_raw,
+        earlier_scale_sigma=guide.earlier_scale_sigma or 0.0,
     )
 
 
@@ -264,12 +258,13 @@ def recorded_protocol(metadata: Mapping[str, Any], session: Session) -> Protocol
     RecordingError
         If neither holds one.
     """
-    text = metadata.get("protocol_text") or session.metadata.get("protocol", {}).get("text")
+    text = metadata.get("protocol_text") or session.record.protocol.text
     if not text:
         raise RecordingError(f"{session.folder} does not hold the protocol it was recorded with; restore session.toml")
-    recorded = {name: entry["value"] for name, entry in session.metadata.get("settings", {}).items()}
     try:
-        return parse_protocol(text, metadata.get("settings") or recorded, label=f"protocol of {session.name}")
+        return parse_protocol(
+            text, metadata.get("settings") or session.record.setting_values, label=f"protocol of {session.name}"
+        )
     except SettingError as error:
         # Nobody typed it: it stands in the recording.
         raise ProtocolError(error.message, error.reason, **error.values) from error
@@ -278,11 +273,10 @@ def recorded_protocol(metadata: Mapping[str, Any], session: Session) -> Protocol
 def _edited_settings(part: PartStart, session: Session) -> list[str]:
     """Say which settings in ``session.toml`` are not those the bytes of a part were recorded with, which are used."""
     recorded = part.metadata.get("settings", {})
-    written = {name: entry["value"] for name, entry in session.metadata.get("settings", {}).items()}
     return [
         f"session.toml says {name} = {value}, but {part.path.name} was recorded with {recorded[name]}, which is used: what is "
         "edited there changes nothing"
-        for name, value in written.items()
+        for name, value in session.record.setting_values.items()
         if name in recorded and recorded[name] != value
     ]
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
+from imufield.acquire.recording.document import SiteRecord
 from imufield.earth import Gravity, choose_gravity
 from imufield.errors import UsageError
 
@@ -29,13 +28,13 @@ class SiteOptions:
         """Whether gravity follows from these."""
         return self.gravity_m_s2 is not None or self.latitude_deg is not None
 
-    def gravity(self, recorded: Mapping[str, Any] | None = None) -> Gravity:
+    def gravity(self, recorded: SiteRecord | None = None) -> Gravity:
         """Return gravity from the options, else from what the session recorded, else the assumed value.
 
         Parameters
         ----------
-        recorded : mapping, optional
-            The session's ``site`` table.
+        recorded : SiteRecord, optional
+            What the session knows.
 
         Raises
         ------
@@ -44,33 +43,31 @@ class SiteOptions:
         """
         if self.height_m is not None and not (self.is_known or self.is_default):
             raise UsageError(f"a height of {self.height_m:g} m alone tells no gravity; give --latitude too, or --gravity")
-        site = self.over(recorded or {})
+        site = self.over(recorded or SiteRecord())
         sigma_m_s2 = None if site.gravity_m_s2 is None else site.gravity_sigma_m_s2
         return choose_gravity(site.gravity_m_s2, site.latitude_deg, site.height_m, sigma_m_s2)
 
-    def over(self, recorded: Mapping[str, Any]) -> SiteOptions:
+    def over(self, recorded: SiteRecord) -> SiteOptions:
         """Return these, or what a session recorded where that goes before them.
 
         A value of gravity does not tell the place: latitude and height of the session stay known with it.
         """
-        known = SiteOptions(
-            gravity_m_s2=recorded.get("gravity_m_s2"),
-            latitude_deg=recorded.get("latitude_deg"),
-            height_m=recorded.get("height_m"),
-            gravity_sigma_m_s2=recorded.get("gravity_sigma_m_s2"),
-        )
-        if known.is_known and (self.is_default or not self.is_known):
-            return known
+        if recorded.is_known and (self.is_default or not self.is_known):
+            return SiteOptions(
+                gravity_m_s2=recorded.gravity_m_s2,
+                latitude_deg=recorded.latitude_deg,
+                height_m=recorded.height_m,
+                gravity_sigma_m_s2=recorded.gravity_sigma_m_s2,
+            )
         if self.gravity_m_s2 is not None and self.latitude_deg is None:
-            return replace(self, latitude_deg=known.latitude_deg, height_m=self.height_m or known.height_m)
+            return replace(self, latitude_deg=recorded.latitude_deg, height_m=self.height_m or recorded.height_m)
         return self
 
-    def table(self) -> dict[str, float]:
-        """Return the session's ``site`` table: what was typed, nothing computed."""
-        pairs = {
-            "gravity_m_s2": self.gravity_m_s2,
-            "gravity_sigma_m_s2": self.gravity_sigma_m_s2,
-            "latitude_deg": self.latitude_deg,
-            "height_m": self.height_m,
-        }
-        return {key: value for key, value in pairs.items() if value is not None}
+    def record(self) -> SiteRecord:
+        """Return what a session keeps: what was typed, nothing computed."""
+        return SiteRecord(
+            gravity_m_s2=self.gravity_m_s2,
+            gravity_sigma_m_s2=self.gravity_sigma_m_s2,
+            latitude_deg=self.latitude_deg,
+            height_m=self.height_m,
+        )

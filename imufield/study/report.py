@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from imufield.deliver.parameters.numbers import WIDTH, hanging
 from imufield.errors import Reason, UsageError
-from imufield.files import write_atomically
+from imufield.files import typed_write_errors, write_atomically
 from imufield.samples import FloatArray
 
 if TYPE_CHECKING:
@@ -155,7 +155,8 @@ def save(report: StudyReport, folder: Path, *, plot: bool = True) -> tuple[Path,
     UsageError
         If a plot is wanted and matplotlib is not installed.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    with typed_write_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     written = [folder / f"{report.name}.csv"]
     comparisons = tuple((c.what, c.paper, c.ours) for c in report.comparisons)
     _write_csv(written[0], CsvTable("", report.columns, comparisons))
@@ -173,7 +174,8 @@ def _write_csv(path: Path, table: CsvTable) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table.columns)
     writer.writerows(table.rows)
-    write_atomically(path, text.getvalue().encode())
+    with typed_write_errors(path):
+        write_atomically(path, text.getvalue().encode())
 
 
 def _write_plot(report: StudyReport, path: Path) -> None:
@@ -191,4 +193,5 @@ def _write_plot(report: StudyReport, path: Path) -> None:
     figure.suptitle(f"{report.name}: {report.title}", fontsize=10)
     image = io.BytesIO()
     figure.savefig(image, format="png")
-    write_atomically(path, image.getvalue())
+    with typed_write_errors(path):
+        write_atomically(path, image.getvalue())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from imufield.files import write_atomically
+from imufield.files import typed_write_errors, write_atomically
 from imufield.study.context import StudyContext
 from imufield.study.registry import find_studies, load_study
 from imufield.study.report import StudyReport, as_markdown, save
@@ -64,4 +64,5 @@ def write_document(reports: Iterable[StudyReport], path: Path, context: StudyCon
     size = "a quick run, too few runs to quote" if context.quick else "a full run"
     head = _HEAD.format(title=TITLE, size=size, seed=context.seed, version=__version__)
     sections = [as_markdown(report) for report in reports]
-    write_atomically(path, "\n".join([head, *sections]).encode())
+    with typed_write_errors(path):
+        write_atomically(path, "\n".join([head, *sections]).encode())

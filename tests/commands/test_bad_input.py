@@ -253,7 +253,7 @@ def test_disk_full_while_recording(program: Program) -> None:
     ended = program.run(*arguments, preexec_fn=limit_file_size(1_000_000))
     assert ended.returncode == RECORDING
     sentence = one_sentence(ended.stderr)
-    assert all(word in sentence for word in ("part-001.mcap", "full", "free some space")), sentence
+    assert all(word in sentence for word in ("part-001.mcap", "free some space")), sentence
     assert bytes_on_disk(only_session(program.folder)) > 300_000
 
 
@@ -292,7 +292,8 @@ def test_a_folder_deleted_while_it_is_written(program: Program, command: str) ->
     shutil.rmtree(only_session(program.folder).folder)
     _, error = process.communicate(timeout=120)
     assert process.returncode == RECORDING
-    assert "part-001.mcap is not there or was deleted while recording" in one_sentence(error)
+    sentence = one_sentence(error)
+    assert all(word in sentence for word in ("part-001.mcap cannot be written", "was deleted")), sentence
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that nobody may write to, root included")

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import tomli_w
 
+from imufield.acquire.recording.document import SiteRecord
 from imufield.cli.run import run
 from imufield.commands.verify import VerifyOptions, _task
 from imufield.pipeline.site import SiteOptions
@@ -55,16 +56,16 @@ def test_a_value_that_is_not_that_of_the_place_is_said_with_both(session: Path) 
 
 
 def test_a_typed_value_leaves_the_session_its_place() -> None:
-    recorded = {"latitude_deg": 48.0, "height_m": 300.0}
+    recorded = SiteRecord(latitude_deg=48.0, height_m=300.0)
     gravity = SiteOptions(gravity_m_s2=9.80798).gravity(recorded)
     assert (gravity.source, gravity.latitude_deg, gravity.height_m) == ("typed", 48.0, 300.0)
-    gravity = SiteOptions(latitude_deg=10.0).gravity({"gravity_m_s2": 9.81})
+    gravity = SiteOptions(latitude_deg=10.0).gravity(SiteRecord(gravity_m_s2=9.81))
     assert (gravity.source, gravity.latitude_deg) == ("normal", 10.0)
 
 
 def test_a_session_keeps_the_digits() -> None:
-    table = SiteOptions(gravity_m_s2=9.81, gravity_sigma_m_s2=1e-4).table()
-    assert SiteOptions().gravity(table).sigma_m_s2 == pytest.approx(1e-4)
+    record = SiteOptions(gravity_m_s2=9.81, gravity_sigma_m_s2=1e-4).record()
+    assert SiteOptions().gravity(record).sigma_m_s2 == pytest.approx(1e-4)
 
 
 def test_settings_edited_afterwards_are_said(session: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -28,8 +28,8 @@ from imufield.acquire.recording.mcap_format import (
     link_message,
     start_of_part,
 )
-from imufield.errors import Reason, RecordingError
-from imufield.files import sync_folder
+from imufield.errors import RecordingError
+from imufield.files import sync_folder, write_error
 
 SYNC_INTERVAL_S = 0.3
 """With the time of one fsync, well below the one second that a crash may cost."""
@@ -40,7 +40,7 @@ BACKLOG_LIMIT_BYTES = 16 << 20
 MESSAGE_LIMIT_BYTES = CHUNK_LIMIT_BYTES - BLOCK_BYTES
 """One message more must not lift a block over what the reader accepts."""
 
-_FULL = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
+_ADVICE = "; what was recorded more than a second before is safe, resume the session when it can be written again"
 
 
 class Recorder:
@@ -59,7 +59,7 @@ class Recorder:
     Raises
     ------
     RecordingError
-        If the file cannot be created (``DISK_FULL``, ``DAMAGED``).
+        If the file cannot be created.
     """
 
     def __init__(self, path: str | Path, metadata: Mapping[str, object], *, clock: HostClock | None = None) -> None:
@@ -219,17 +219,6 @@ def _blocks(messages: list[bytes]) -> Iterator[list[bytes]]:
 
 
 def _cannot_write(path: Path, error: OSError) -> RecordingError:
-    if error.errno in _FULL:
-        return RecordingError(
-            f"{path} cannot grow, the disk or its quota is full ({error.strerror}): free some space and resume the session; "
-            "everything before the last second is safe.",
-            Reason.DISK_FULL,
-            path=str(path),
-        )
-    if isinstance(error, FileExistsError):
-        what = "exists already and a recording is never overwritten: choose another session folder"
-    elif isinstance(error, FileNotFoundError):
-        what = "is not there or was deleted while recording: check the folder and start a new session"
-    else:
-        what = f"cannot be written ({error.strerror}): check the disk and the permissions of the folder"
-    return RecordingError(f"{path} {what}.", Reason.DAMAGED, path=str(path), errno=error.errno)
+    # A folder that was deleted, or a part that stands there already, leaves nothing to resume.
+    nothing_to_resume = isinstance(error, FileNotFoundError | FileExistsError)
+    return write_error(path, error, RecordingError, advice="" if nothing_to_resume else _ADVICE)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import math
 import os
 import re
 import sys
@@ -11,61 +9,19 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
-from enum import Enum
-from pathlib import Path, PurePath
-from typing import Any, Self
+from pathlib import Path
+from typing import Self
 
-import numpy as np
 import tomli_w
 
-from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M
+from imufield.acquire.recording.document import FORMAT, VERSION, SessionRecord, Table, plain_table
 from imufield.errors import Reason, RecordingError
-from imufield.files import read_small_file, sync_folder, write_atomically
-from imufield.samples import ACCELEROMETER_COLUMNS, LARGEST_OUTPUT
+from imufield.files import read_small_file, sync_folder, typed_write_errors, write_atomically
 from imufield.version import __version__
 
-FORMAT = "imufield-session"
-VERSION = 1
 SETTINGS_FILE = "session.toml"
 LOCK_FILE = "session.lock"
 DEFAULT_ROOT = Path("imufield-sessions")
-
-KEYS: Mapping[str, type | tuple[type, ...]] = {
-    "format": str,
-    "version": int,
-    "created": str,
-    "software": str,
-    "model": str,
-    "name": str,
-    "kind": str,
-    "finished": bool,
-    "scheme": str,
-    "notes": list,
-    "instrument": dict,
-    "link": dict,
-    "protocol": dict,
-    "settings": dict,
-    "units": dict,
-    "nominal": dict,
-    "guide": dict,
-    "site": dict,
-    "import": dict,
-}
-"""What ``session.toml`` may hold: ``kind`` is "capture", "record" or "import"; tables are filled by those who use them."""
-
-NUMBERS: Mapping[str, tuple[str, ...]] = {
-    "site": ("gravity_m_s2", "gravity_sigma_m_s2", "latitude_deg", "height_m"),
-    "guide": ("hold_s", "target_bias_ug", "target_scale_ppm", "earlier_scale_raw", "earlier_scale_sigma"),
-}
-"""Keys inside the tables that a person may edit and a program computes with; those of the guide are larger than zero."""
-
-RANGES: Mapping[str, tuple[float, float]] = {
-    "site.gravity_m_s2": GRAVITY_RANGE_M_S2,
-    "site.latitude_deg": (-90.0, 90.0),
-    "site.height_m": HEIGHT_RANGE_M,
-    "nominal.raw_zero": (-LARGEST_OUTPUT, LARGEST_OUTPUT),
-}
-INSTRUMENT_KEYS = ("driver", "model", "serial_number", "firmware")
 
 _PART = re.compile(r"part-(\d{3,})\.mcap")
 _FOLDER = re.compile(r"\d{8}T\d{6}Z-.+")
@@ -79,16 +35,22 @@ class Session:
     ----------
     folder : Path
     metadata : dict
-        Content of ``session.toml``.
+        Content of ``session.toml``, which is what is written.
+
+    Attributes
+    ----------
+    record : SessionRecord
+        The same checked and typed, which is what is read.
 
     Notes
     -----
     Made by ``create``, ``open`` and ``newest``.
     """
 
-    def __init__(self, folder: Path, metadata: dict[str, Any]) -> None:
+    def __init__(self, folder: Path, metadata: Table) -> None:
         self.folder = folder
         self.metadata = metadata
+        self.record = SessionRecord.read(metadata, folder / SETTINGS_FILE)
 
     @classmethod
     def create(
@@ -103,10 +65,8 @@ class Session:
         """
         moment = now or datetime.now(UTC)
         content = _new_metadata(model, metadata or {}, moment)
-        try:
+        with typed_write_errors(root, RecordingError):
             folder = _make_folder(Path(root), model, moment)
-        except OSError as error:
-            raise _cannot_write(Path(root), error) from error
         return cls._written(folder, content)
 
     @classmethod
@@ -120,11 +80,9 @@ class Session:
         """
         folder = Path(folder)
         content = _new_metadata(model, metadata or {}, datetime.now(UTC))
-        try:
+        with typed_write_errors(folder, RecordingError):
             folder.mkdir(parents=True, exist_ok=True)
             is_empty = not any(folder.iterdir())
-        except OSError as error:
-            raise _cannot_write(folder, error) from error
         if not is_empty:
             what = "holds a session already" if (folder / SETTINGS_FILE).exists() else "is not empty"
             raise RecordingError(
@@ -135,9 +93,9 @@ class Session:
         return cls._written(folder, content)
 
     @classmethod
-    def _written(cls, folder: Path, content: dict[str, Any]) -> Self:
+    def _written(cls, folder: Path, content: Table) -> Self:
         session = cls(folder, content)
-        session._write()
+        session.write()
         sync_folder(folder.parent)
         return session
 
@@ -168,7 +126,6 @@ class Session:
             raise RecordingError(
                 f"{path} cannot be read ({error.strerror}): check its permissions.", Reason.DAMAGED, path=str(path)
             ) from error
-        _check(content, path)
         return cls(folder, content)
 
     @classmethod
@@ -209,13 +166,12 @@ class Session:
     @property
     def finished(self) -> bool:
         """Whether the session was ended by its program; an unfinished one can be resumed."""
-        return bool(self.metadata.get("finished", False))
+        return self.record.finished
 
     @property
     def serial_number(self) -> str:
         """Of the instrument; empty where it is not known."""
-        instrument = self.metadata.get("instrument", {})
-        return str(instrument.get("serial_number", "")) if isinstance(instrument, dict) else ""
+        return self.record.instrument.serial_number
 
     def add_part(self) -> Path:
         """Return the path of the next part; the recorder creates it and refuses to overwrite."""
@@ -230,14 +186,9 @@ class Session:
         RecordingError
             A key is unknown, or the file cannot be written; nothing has changed then.
         """
-        content = _plain_table({**self.metadata, **(changes or {}), **more})
-        _check(content, self.folder / SETTINGS_FILE)
-        before, self.metadata = self.metadata, content
-        try:
-            self._write()
-        except RecordingError:
-            self.metadata = before
-            raise
+        changed = type(self)(self.folder, plain_table({**self.metadata, **(changes or {}), **more}))
+        changed.write()
+        self.metadata, self.record = changed.metadata, changed.record
 
     @contextmanager
     def lock(self) -> Iterator[None]:
@@ -251,10 +202,8 @@ class Session:
             Another program holds it (``LOCKED``).
         """
         path = self.folder / LOCK_FILE
-        try:
+        with typed_write_errors(path, RecordingError):
             file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-        except OSError as error:
-            raise _cannot_write(path, error) from error
         try:
             self._take_lock(file)
             yield
@@ -291,16 +240,15 @@ class Session:
         found = ((_PART.fullmatch(path.name), path.name) for path in self.folder.iterdir())
         return [(int(match.group(1)), name) for match, name in found if match]
 
-    def _write(self) -> None:
+    def write(self) -> None:
+        """Write ``session.toml`` in one step; raises RecordingError."""
         path = self.folder / SETTINGS_FILE
-        try:
+        with typed_write_errors(path, RecordingError):
             write_atomically(path, tomli_w.dumps(self.metadata).encode())
-        except OSError as error:
-            raise _cannot_write(path, error) from error
 
 
-def _new_metadata(model: str, metadata: Mapping[str, object], moment: datetime) -> dict[str, Any]:
-    content = {
+def _new_metadata(model: str, metadata: Mapping[str, object], moment: datetime) -> Table:
+    content: Mapping[str, object] = {
         "format": FORMAT,
         "version": VERSION,
         "created": moment.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
@@ -309,26 +257,9 @@ def _new_metadata(model: str, metadata: Mapping[str, object], moment: datetime) 
         "finished": False,
         **metadata,
     }
-    content = _plain_table(content)
-    _check(content, Path(SETTINGS_FILE))
+    content = plain_table(content)
+    SessionRecord.read(content, Path(SETTINGS_FILE))
     return content
-
-
-def _plain_table(table: Mapping[str, object]) -> dict[str, Any]:
-    """Return the table with values TOML knows: no NumPy types, and no None, which is left out."""
-    return {str(key): _plain(value) for key, value in table.items() if value is not None}
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, Mapping):
-        return _plain_table(value)
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, Enum):
-        return value.value
-    return str(value) if isinstance(value, PurePath) else value
 
 
 def _make_folder(root: Path, model: str, moment: datetime) -> Path:
@@ -344,97 +275,6 @@ def _make_folder(root: Path, model: str, moment: datetime) -> Path:
                 folder.mkdir()
                 return folder
         moment += timedelta(seconds=1)
-
-
-def _check(content: Mapping[str, Any], path: Path) -> None:
-    """Refuse what is foreign, newer or unknown."""
-    if content.get("format") != FORMAT:
-        raise RecordingError(
-            f'{path} is no session file, its format is {content.get("format")!r} and not "{FORMAT}": name another folder.',
-            Reason.FOREIGN,
-            path=str(path),
-        )
-    version = content.get("version")
-    if not isinstance(version, int) or version > VERSION:
-        raise RecordingError(
-            f"{path} is of version {version}, this imufield reads up to {VERSION}: update imufield.",
-            Reason.NEWER,
-            path=str(path),
-            version=version,
-            limit=VERSION,
-        )
-    for key, value in content.items():
-        if key not in KEYS:
-            raise RecordingError(f"{path} has the unknown key `{key}`: remove it.", Reason.UNKNOWN_KEY, path=str(path), key=key)
-        if not isinstance(value, KEYS[key]):
-            raise RecordingError(
-                f"{path} has a value of the wrong type under `{key}`: {value!r}; correct it.",
-                Reason.DAMAGED,
-                path=str(path),
-                key=key,
-            )
-    for key in ("created", "model", "finished"):
-        if key not in content:
-            raise RecordingError(f"{path} lacks the key `{key}`: restore it.", Reason.DAMAGED, path=str(path), key=key)
-    _check_instrument(content, path)
-    _check_numbers(content, path)
-    _check_settings(content, path)
-
-
-def _check_instrument(content: Mapping[str, Any], path: Path) -> None:
-    for key in content.get("instrument", {}):
-        if key not in INSTRUMENT_KEYS:
-            raise RecordingError(
-                f"{path} has the unknown key `instrument.{key}`; known are {', '.join(INSTRUMENT_KEYS)}: remove it.",
-                Reason.UNKNOWN_KEY,
-                path=str(path),
-                key=key,
-            )
-
-
-def _is_triad(value: object) -> bool:
-    return isinstance(value, list) and len(value) == len(ACCELEROMETER_COLUMNS)
-
-
-def _check_settings(content: Mapping[str, Any], path: Path) -> None:
-    for key, value in content.get("settings", {}).items():
-        if not isinstance(value, dict) or "value" not in value:
-            raise RecordingError(
-                f"{path} has {value!r} under `settings.{key}`, which is a table with value and origin: restore it.",
-                Reason.DAMAGED,
-                path=str(path),
-                key=key,
-            )
-
-
-def _check_numbers(content: Mapping[str, Any], path: Path) -> None:
-    """Refuse what nothing can be computed with."""
-    entries = [(f"{table}.{key}", content.get(table, {}).get(key)) for table, keys in NUMBERS.items() for key in keys]
-    zero = content.get("nominal", {}).get("raw_zero")
-    if zero is not None:
-        entries += [("nominal.raw_zero", value) for value in (zero if _is_triad(zero) else [zero])]
-    for key, value in entries:
-        if value is None:
-            continue
-        is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        low, high = RANGES.get(key, (-math.inf, math.inf))
-        limits = f" ({low:g} to {high:g})" if key in RANGES else ""
-        if not is_number or not low <= value <= high or (key.startswith("guide.") and value <= 0):
-            raise RecordingError(
-                f"{path} has {value!r} under `{key}`, which is no possible value{limits}: correct it, or remove the line.",
-                Reason.DAMAGED,
-                path=str(path),
-                key=key,
-            )
-
-
-def _cannot_write(path: Path, error: OSError) -> RecordingError:
-    return RecordingError(
-        f"{path} cannot be written ({error.strerror}): check the disk space and the permissions of the folder.",
-        Reason.DISK_FULL if error.errno in (errno.ENOSPC, errno.EFBIG) else Reason.DAMAGED,
-        path=str(path),
-        errno=error.errno,
-    )
 
 
 if sys.platform == "win32":

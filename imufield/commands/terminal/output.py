@@ -11,8 +11,8 @@ from pathlib import Path
 
 import typer
 
-from imufield.errors import ParameterFileError, Reason, UsageError
-from imufield.files import refuse_overwriting, write_atomically
+from imufield.errors import UsageError
+from imufield.files import refuse_overwriting, typed_write_errors, write_atomically
 
 _HEAD_BYTES = 512
 
@@ -44,14 +44,8 @@ def write_output(path: Path, data: bytes) -> None:
     ParameterFileError
         If it cannot be written; what stood there is intact.
     """
-    try:
+    with typed_write_errors(path):
         write_atomically(path, data)
-    except OSError as error:
-        raise ParameterFileError(
-            f"{path} cannot be written ({error.strerror}); choose another place, or free some space",
-            Reason.NO_PERMISSION,
-            path=str(path),
-        ) from error
 
 
 def replace_only(path: Path, mark: str, what: str) -> None:

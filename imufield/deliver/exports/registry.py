@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from imufield.deliver.exports.target import Exported, ExportOptions, Target
-from imufield.errors import ParameterFileError, Reason, UsageError
-from imufield.files import refuse_overwriting, write_keeping
+from imufield.errors import UsageError
+from imufield.files import refuse_overwriting, typed_write_errors, write_keeping
 
 if TYPE_CHECKING:  # the parameter file needs NumPy and SciPy; a list of targets does not
     from imufield.deliver.parameters.file import Parameters
@@ -148,12 +148,6 @@ def write_exported(exported: Exported, output: str | Path | None = None, *, inpu
         refuse_overwriting(path, inputs)
     written = []
     for path, content in zip(paths, exported.files.values(), strict=True):
-        try:
+        with typed_write_errors(path):
             written.append(Written(path, write_keeping(path, content)))
-        except OSError as error:
-            raise ParameterFileError(
-                f"{path} cannot be written ({error.strerror}); check the folder, its permissions and the disk space",
-                Reason.DISK_FULL,
-                path=str(path),
-            ) from error
     return written

@@ -6,7 +6,6 @@ as canonical JSON (keys sorted, no blanks, NaN as null), so comments and layout 
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 from collections.abc import Iterator
@@ -17,8 +16,8 @@ from imufield.calibrate.model.result import Calibration
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.document import to_document
 from imufield.deliver.parameters.schema import Document, first_fault, json_ready
-from imufield.errors import ParameterFileError, Reason
-from imufield.files import write_keeping
+from imufield.errors import ParameterFileError
+from imufield.files import typed_write_errors, write_keeping
 
 EDITED = "edited"
 """Stands in place of the hash where a person changed the file on purpose."""
@@ -105,16 +104,8 @@ def write_document(path: Path | str, document: Document) -> Path | None:
     """
     path = Path(path)
     text = to_toml(document)
-    try:
+    with typed_write_errors(path):
         return write_keeping(path, text.encode("utf-8"))
-    except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
-        remedy = "free some space there" if full else "choose another place with --output"
-        raise ParameterFileError(
-            f"{path} cannot be written ({error.strerror}); {remedy}",
-            Reason.DISK_FULL if full else Reason.NO_PERMISSION,
-            where=str(path),
-        ) from error
 
 
 def _table_lines(table: Document, name: str) -> Iterator[str]:

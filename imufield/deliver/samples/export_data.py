@@ -18,8 +18,8 @@ import numpy as np
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.deliver.samples.export_ros2 import write_ros2
 from imufield.deliver.samples.export_tables import write_hdf5, write_parquet
-from imufield.errors import Reason, RecordingError
-from imufield.files import refuse_what_is_no_file
+from imufield.errors import RecordingError
+from imufield.files import refuse_what_is_no_file, typed_write_errors
 from imufield.samples import NO_COUNTER, SAMPLE_COLUMNS, FloatArray, Samples, concatenate
 
 _ROWS_AT_ONCE = 8192  # Text made at a time: about 1 MB, however large the blocks are.
@@ -65,23 +65,19 @@ def export_samples(blocks: Iterable[Samples], path: str | Path, to: str = "csv",
         The package for the format is not installed, or it cannot hold these samples.
     """
     path = Path(path)
-    try:
+    with typed_write_errors(path, RecordingError):
         refuse_what_is_no_file(path)
         descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".new", dir=path.parent)
         os.close(descriptor)
-    except OSError as error:
-        raise _cannot_write(path, error) from error
-    try:
-        rows = FORMATS[to].write(in_large_blocks(blocks), Path(name), facts or {})
-        mask = os.umask(0)
-        os.umask(mask)
-        Path(name).chmod(0o666 & ~mask)
-        Path(name).replace(path)
-    except OSError as error:
-        raise _cannot_write(path, error) from error
-    finally:
-        with suppress(FileNotFoundError):
-            Path(name).unlink()
+        try:
+            rows = FORMATS[to].write(in_large_blocks(blocks), Path(name), facts or {})
+            mask = os.umask(0)
+            os.umask(mask)
+            Path(name).chmod(0o666 & ~mask)
+            Path(name).replace(path)
+        finally:
+            with suppress(FileNotFoundError):
+                Path(name).unlink()
     return rows
 
 
@@ -166,12 +162,3 @@ def _floats(values: FloatArray) -> list[str]:
     for row in np.flatnonzero(missing):
         texts[row] = ""
     return texts
-
-
-def _cannot_write(path: Path, error: OSError) -> RecordingError:
-    return RecordingError(
-        f"{path} cannot be written ({error.strerror}): check the folder, its permissions and the disk space.",
-        Reason.DISK_FULL,
-        path=str(path),
-        errno=error.errno,
-    )

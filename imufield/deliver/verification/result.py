@@ -25,8 +25,8 @@ from imufield.deliver.parameters.numbers import acceleration_unit
 from imufield.deliver.parameters.write import content_sha256
 from imufield.deliver.verification.held_out import HeldOut
 from imufield.earth import MICRO_G_M_S2
-from imufield.errors import ParameterFileError, Reason, UsageError
-from imufield.files import read_small_file, write_atomically
+from imufield.errors import UsageError
+from imufield.files import read_small_file, typed_write_errors, write_atomically
 from imufield.samples import FloatArray
 from imufield.version import __version__
 
@@ -230,14 +230,8 @@ def write_verification(path: Path, document: Document) -> None:
     kept = read_verification(path, document["parameters_sha256"]) or {}
     merged = {key: kept[key] for key in ("positions", "navigation") if key in kept} | document
     whole = merged | {"integrity": {"sha256": content_sha256(merged)}}
-    try:
+    with typed_write_errors(path):
         write_atomically(path, (json.dumps(json_ready(whole)) + "\n").encode("ascii"))
-    except OSError as error:
-        raise ParameterFileError(
-            f"{path} cannot be written ({error.strerror}); choose another place with --output",
-            Reason.NO_PERMISSION,
-            path=str(path),
-        ) from error
 
 
 def read_verification(path: Path, parameters_sha256: str) -> Document | None:

@@ -19,7 +19,7 @@ from imufield.acquire.registry import load_driver
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
-from imufield.files import write_atomically
+from imufield.files import typed_write_errors, write_atomically
 from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
 from imufield.simulate.emulator.serial import Emulator
@@ -292,7 +292,8 @@ def _truth_writer(options: Emulation, source: VirtualImu) -> Callable[[], None] 
             written = known
             document = truth_document(options, source)
             text = json.dumps(document, indent=1) if path.suffix == ".json" else tomli_w.dumps(document)
-            write_atomically(path, text.encode())
+            with typed_write_errors(path):
+                write_atomically(path, text.encode())
 
     return write
 

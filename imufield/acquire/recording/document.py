@@ -1,0 +1,292 @@
+"""What ``session.toml`` holds, typed: the one place where it is checked and read, and the classes it is written from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from enum import Enum
+from pathlib import Path, PurePath
+from typing import Any, TypeVar
+
+import numpy as np
+
+from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M
+from imufield.errors import Reason, RecordingError
+from imufield.samples import ACCELEROMETER_COLUMNS, LARGEST_OUTPUT
+
+FORMAT = "imufield-session"
+VERSION = 1
+
+KEYS: Mapping[str, type] = {
+    "format": str,
+    "version": int,
+    "created": str,
+    "software": str,
+    "model": str,
+    "name": str,
+    "kind": str,
+    "finished": bool,
+    "scheme": str,
+    "notes": list,
+    "instrument": dict,
+    "link": dict,
+    "protocol": dict,
+    "settings": dict,
+    "units": dict,
+    "nominal": dict,
+    "guide": dict,
+    "site": dict,
+    "import": dict,
+}
+"""What ``session.toml`` may hold: ``kind`` is "capture", "record" or "import"; tables are filled by those who use them."""
+
+Table = dict[str, Any]  # Of a TOML document: values of all types that TOML knows.
+ARecord = TypeVar("ARecord")
+
+
+def _number(low: float = -math.inf, high: float = math.inf, *, positive: bool = False) -> float | None:
+    """Declare a number that a person may edit and a program computes with; the limits are part of the sentence."""
+    return field(default=None, metadata={"low": low, "high": high, "positive": positive})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InstrumentRecord:
+    """Table ``instrument``: empty where not known."""
+
+    driver: str = ""
+    model: str = ""
+    serial_number: str = ""
+    firmware: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkRecord:
+    """Table ``link``: the port with its baud rate, or the bus with its bit rate."""
+
+    port: str | None = None
+    bus: str | None = None
+    baud: int | None = None
+    bit_rate: int | None = None
+    rate_hz: float | None = None
+    rate_before_hz: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProtocolRecord:
+    """Table ``protocol``: the definition that the bytes were recorded with, whole."""
+
+    name: str = ""
+    sha256: str = "not known"
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SettingRecord:
+    """One setting of the protocol; ``origin`` is "given" for what the user typed."""
+
+    value: Any  # A number or a text, as the protocol declares it.
+    origin: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NominalRecord:
+    """Table ``nominal``."""
+
+    raw_zero: tuple[float, ...] | None = None
+    """Accelerometer output at no input, one value for each axis."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuideRecord:
+    """Table ``guide``: what was chosen when a guided session began, in the order in which it is written."""
+
+    hold_s: float | None = _number(positive=True)
+    target_bias_ug: float | None = _number(positive=True)
+    target_scale_ppm: float | None = _number(positive=True)
+    rotations: str | None = None
+    earlier_scale_raw: float | None = _number(positive=True)
+    earlier_scale_sigma: float | None = _number(positive=True)
+    revisit_first: bool | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SiteRecord:
+    """Table ``site``: what was typed, nothing computed."""
+
+    gravity_m_s2: float | None = _number(*GRAVITY_RANGE_M_S2)
+    gravity_sigma_m_s2: float | None = _number()
+    latitude_deg: float | None = _number(-90.0, 90.0)
+    height_m: float | None = _number(*HEIGHT_RANGE_M)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether gravity follows from these."""
+        return self.gravity_m_s2 is not None or self.latitude_deg is not None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionRecord:
+    """Content of ``session.toml``.
+
+    Tables that programs of others may read and imufield never does (``units``, ``import``) are in the file alone.
+    """
+
+    created: str
+    model: str
+    finished: bool
+    software: str = "not known"
+    kind: str = ""
+    scheme: str | None = None
+    instrument: InstrumentRecord = InstrumentRecord()
+    link: LinkRecord = LinkRecord()
+    protocol: ProtocolRecord = ProtocolRecord()
+    settings: Mapping[str, SettingRecord] = field(default_factory=dict)
+    nominal: NominalRecord = NominalRecord()
+    guide: GuideRecord = GuideRecord()
+    site: SiteRecord = SiteRecord()
+
+    @property
+    def setting_values(self) -> dict[str, Any]:
+        """Values of the protocol's settings, whatever their origin."""
+        return {name: setting.value for name, setting in self.settings.items()}
+
+    @classmethod
+    def read(cls, content: Table, path: Path) -> SessionRecord:
+        """Check the content of ``session.toml`` and return it.
+
+        Raises
+        ------
+        RecordingError
+            It is of another format (``FOREIGN``) or a newer version (``NEWER``), has an unknown key (``UNKNOWN_KEY``), or lacks
+            a key or has an impossible value (``DAMAGED``).
+        """
+        _check_keys(content, path)
+        for name in content.get("instrument", {}):
+            if name not in {entry.name for entry in fields(InstrumentRecord)}:
+                known = ", ".join(entry.name for entry in fields(InstrumentRecord))
+                raise RecordingError(
+                    f"{path} has the unknown key `instrument.{name}`; known are {known}: remove it.",
+                    Reason.UNKNOWN_KEY,
+                    path=str(path),
+                    key=name,
+                )
+        instrument = {key: str(value) for key, value in content.get("instrument", {}).items()}
+        site = _read_table(SiteRecord, "site", content, path)
+        guide = _read_table(GuideRecord, "guide", content, path)
+        zero = content.get("nominal", {}).get("raw_zero")
+        zeros = zero if isinstance(zero, list) and len(zero) == len(ACCELEROMETER_COLUMNS) else [zero]
+        for value in zeros:
+            _check_number("nominal.raw_zero", value, path, low=-LARGEST_OUTPUT, high=LARGEST_OUTPUT)
+        for key, value in content.get("settings", {}).items():
+            if not isinstance(value, dict) or "value" not in value:
+                raise RecordingError(
+                    f"{path} has {value!r} under `settings.{key}`, which is a table with value and origin: restore it.",
+                    Reason.DAMAGED,
+                    path=str(path),
+                    key=key,
+                )
+        return cls(
+            **{key: content[key] for key in ("created", "model", "finished", "software", "kind", "scheme") if key in content},
+            instrument=InstrumentRecord(**instrument),
+            link=_read_table(LinkRecord, "link", content, path),
+            protocol=_read_table(ProtocolRecord, "protocol", content, path),
+            settings={
+                name: SettingRecord(entry["value"], str(entry.get("origin", "")))
+                for name, entry in content.get("settings", {}).items()
+            },
+            # One number stands for all axes.
+            nominal=NominalRecord(
+                raw_zero=None if zero is None else tuple(float(value) for value in zeros * (3 // len(zeros)))
+            ),
+            guide=guide,
+            site=site,
+        )
+
+
+def plain_table(table: Mapping[str, object]) -> Table:
+    """Return the table with values TOML knows: no NumPy types, no records, and no None, which is left out."""
+    return {str(key): _plain(value) for key, value in table.items() if value is not None}
+
+
+def plain_record(record: object) -> Table:
+    """Return the table that a record is written as: its fields in their order, those that are None left out."""
+    return plain_table(asdict(record))  # type: ignore[call-overload]  # records alone come here
+
+
+def _plain(value: object) -> object:
+    if is_dataclass(value):
+        return plain_record(value)
+    if isinstance(value, Mapping):
+        return plain_table(value)
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, Enum):
+        return value.value
+    return str(value) if isinstance(value, PurePath) else value
+
+
+def _read_table(kind: Callable[..., ARecord], name: str, content: Table, path: Path) -> ARecord:
+    """Return a table as a record; its numbers are checked, keys that nothing reads stay in the file."""
+    table = content.get(name, {})
+    values = {}
+    for entry in fields(kind):  # type: ignore[arg-type]  # a class of records
+        if entry.name in table:
+            value = table[entry.name]
+            if entry.metadata:
+                _check_number(f"{name}.{entry.name}", value, path, **entry.metadata)
+                # Typed by hand it may be a whole number.
+                value = float(value)
+            values[entry.name] = value
+    return kind(**values)
+
+
+def _check_number(
+    key: str, value: object, path: Path, *, low: float = -math.inf, high: float = math.inf, positive: bool = False
+) -> None:
+    """Refuse what nothing can be computed with."""
+    if value is None:
+        return
+    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    limits = f" ({low:g} to {high:g})" if high < math.inf else ""
+    if not is_number or not low <= value <= high or (positive and value <= 0):  # type: ignore[operator]  # a number by now
+        raise RecordingError(
+            f"{path} has {value!r} under `{key}`, which is no possible value{limits}: correct it, or remove the line.",
+            Reason.DAMAGED,
+            path=str(path),
+            key=key,
+        )
+
+
+def _check_keys(content: Table, path: Path) -> None:
+    """Refuse what is foreign, newer or unknown, and what lacks the keys that every session has."""
+    if content.get("format") != FORMAT:
+        raise RecordingError(
+            f'{path} is no session file, its format is {content.get("format")!r} and not "{FORMAT}": name another folder.',
+            Reason.FOREIGN,
+            path=str(path),
+        )
+    version = content.get("version")
+    if not isinstance(version, int) or version > VERSION:
+        raise RecordingError(
+            f"{path} is of version {version}, this imufield reads up to {VERSION}: update imufield.",
+            Reason.NEWER,
+            path=str(path),
+            version=version,
+            limit=VERSION,
+        )
+    for key, value in content.items():
+        if key not in KEYS:
+            raise RecordingError(f"{path} has the unknown key `{key}`: remove it.", Reason.UNKNOWN_KEY, path=str(path), key=key)
+        if not isinstance(value, KEYS[key]):
+            raise RecordingError(
+                f"{path} has a value of the wrong type under `{key}`: {value!r}; correct it.",
+                Reason.DAMAGED,
+                path=str(path),
+                key=key,
+            )
+    for key in ("created", "model", "finished"):
+        if key not in content:
+            raise RecordingError(f"{path} lacks the key `{key}`: restore it.", Reason.DAMAGED, path=str(path), key=key)

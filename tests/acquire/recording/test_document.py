@@ -1,0 +1,115 @@
+import tomllib
+from pathlib import Path
+
+import pytest
+import tomli_w
+
+from imufield.acquire.recording.document import GuideRecord, SessionRecord, SettingRecord, SiteRecord
+from imufield.acquire.recording.session import Session
+from imufield.errors import Reason, RecordingError
+
+PATH = Path("session.toml")
+WHOLE = """
+format = "imufield-session"
+version = 1
+created = "2026-03-01T12:00:00Z"
+software = "imufield 0.1.0"
+model = "STIM300"
+finished = false
+kind = "capture"
+scheme = "paper24"
+
+[instrument]
+driver = "stim300"
+serial_number = 1234
+
+[link]
+port = "/dev/ttyUSB0"
+baud = 921600
+
+[protocol]
+name = "stim300"
+sha256 = "ab"
+text = "[protocol]"
+
+[settings.range_g]
+value = 10
+origin = "given"
+
+[units]
+accelerometer = "g"
+
+[nominal]
+raw_zero = [1, 2.5, 0]
+rate_hz = 500.0
+
+[guide]
+hold_s = 8
+rotations = "horizontal"
+revisit_first = true
+
+[site]
+gravity_m_s2 = 9.81
+"""
+
+
+def test_the_whole_document_is_typed() -> None:
+    record = SessionRecord.read(tomllib.loads(WHOLE), PATH)
+    assert (record.model, record.kind, record.scheme, record.finished) == ("STIM300", "capture", "paper24", False)
+    assert (record.instrument.driver, record.instrument.serial_number, record.instrument.firmware) == ("stim300", "1234", "")
+    assert (record.link.port, record.link.bus, record.link.baud) == ("/dev/ttyUSB0", None, 921600)
+    assert record.settings == {"range_g": SettingRecord(10, "given")}
+    assert record.nominal.raw_zero == (1.0, 2.5, 0.0)
+    assert record.guide == GuideRecord(hold_s=8.0, rotations="horizontal", revisit_first=True)
+    assert record.site == SiteRecord(gravity_m_s2=9.81)
+
+
+def test_what_is_not_there_is_none() -> None:
+    content = tomllib.loads(WHOLE.partition("kind")[0])
+    record = SessionRecord.read(content, PATH)
+    assert (record.scheme, record.guide, record.site, record.nominal.raw_zero) == (None, GuideRecord(), SiteRecord(), None)
+    assert (record.software, record.protocol.sha256) == ("imufield 0.1.0", "not known")
+
+
+def test_one_zero_stands_for_all_axes() -> None:
+    content = {**tomllib.loads(WHOLE), "nominal": {"raw_zero": 32768}}
+    assert SessionRecord.read(content, PATH).nominal.raw_zero == (32768.0, 32768.0, 32768.0)
+
+
+def test_records_are_written_in_their_order_without_what_is_none(tmp_path: Path) -> None:
+    guide = GuideRecord(revisit_first=True, hold_s=8.0, earlier_scale_raw=1.5)
+    session = Session.create(tmp_path, "imu", {"guide": guide, "site": SiteRecord(latitude_deg=45.0)})
+    text = (session.folder / "session.toml").read_text()
+    tables = "[guide]\nhold_s = 8.0\nearlier_scale_raw = 1.5\nrevisit_first = true\n\n[site]\nlatitude_deg = 45.0\n"
+    assert text.endswith(tables)
+    assert Session.open(session.folder).record.guide == guide
+
+
+def test_what_nothing_reads_stays_in_the_file(tmp_path: Path) -> None:
+    content = tomllib.loads(WHOLE)
+    content["site"]["hut"] = "Refuge"
+    (tmp_path / "session.toml").write_text(tomli_w.dumps(content))
+    Session.open(tmp_path).update(finished=True)
+    assert (tmp_path / "session.toml").read_text() == tomli_w.dumps({**content, "finished": True})
+
+
+@pytest.mark.parametrize(
+    ("table", "reason"),
+    [
+        ({"instrument": {"colour": "red"}}, Reason.UNKNOWN_KEY),
+        ({"guide": {"hold_s": 0}}, Reason.DAMAGED),
+        ({"guide": {"hold_s": "8"}}, Reason.DAMAGED),
+        ({"guide": {"earlier_scale_raw": float("nan")}}, Reason.DAMAGED),
+        ({"site": {"gravity_m_s2": 98.1}}, Reason.DAMAGED),
+        ({"site": {"latitude_deg": True}}, Reason.DAMAGED),
+        ({"nominal": {"raw_zero": [1.0, 2.0]}}, Reason.DAMAGED),
+        ({"nominal": {"raw_zero": [1.0, 2.0, float("inf")]}}, Reason.DAMAGED),
+        ({"settings": {"range_g": 10}}, Reason.DAMAGED),
+        ({"settings": {"range_g": {"origin": "given"}}}, Reason.DAMAGED),
+    ],
+)
+def test_a_damaged_table_is_refused(table: dict[str, object], reason: Reason) -> None:
+    (name,) = table
+    with pytest.raises(RecordingError, match=name) as caught:
+        SessionRecord.read({**tomllib.loads(WHOLE), **table}, PATH)
+    assert caught.value.reason is reason
