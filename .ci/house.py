@@ -190,13 +190,16 @@ def any_in_annotations(module: Module) -> int:
 
 def positional_calls(found: list[Module]) -> list[str]:
     """Return the calls with many arguments without a name, of what imufield or a driver defines."""
-    kinds = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
-    defined = {node.name for module in found for node in ast.walk(module.tree) if isinstance(node, kinds)}
+    functions = ast.FunctionDef | ast.AsyncFunctionDef
+    classes = [node for module in found for node in ast.walk(module.tree) if isinstance(node, ast.ClassDef)]
+    methods = {node.name for owner in classes for node in owner.body if isinstance(node, functions)}
+    plain = {node.name for module in found for node in ast.walk(module.tree) if isinstance(node, functions)} - methods
+    known = {ast.Name: plain | {owner.name for owner in classes}, ast.Attribute: methods}
     return [
         f"{module.path.relative_to(PROJECT)}:{node.lineno}"
         for module in found
         for node in ast.walk(module.tree)
-        if isinstance(node, ast.Call) and len(node.args) >= POSITIONAL and _called(node) in defined
+        if isinstance(node, ast.Call) and len(node.args) >= POSITIONAL and _called(node) in known.get(type(node.func), ())
     ]
 
 
