@@ -89,8 +89,6 @@ class CanClock:
 
     def push(self, block: RawBlock, arrivals: Arrivals) -> Samples | None:  # noqa: ARG002  frames have their own stamps
         """Return the samples whose time is settled now, None if there are none."""
-        if len(block) == 0:
-            return None
         self._pending.append(replace(block, stamp_s=self._continuous(block.stamp_s)))
         return self._release(last=False)
 

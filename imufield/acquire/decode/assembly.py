@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from imufield.acquire.protocol.frame_schema import JoinRule
 from imufield.acquire.protocol.layout import MessageValue
-from imufield.samples import INSTRUMENT_STATUS_SHIFT, FloatArray, IntArray, Status
+from imufield.samples import INSTRUMENT_STATUS_SHIFT, FloatArray, IntArray
 
 Flags = NDArray[np.bool_]
 Message = Mapping[str, MessageValue]
@@ -114,12 +114,6 @@ def frame_table(kinds: NDArray[np.signedinteger], sample: IntArray, places: IntA
     # By one index: with two NumPy chooses the order in which equal ones are written.
     table[sample * shape[1] + kinds] = places
     return table.reshape(shape)
-
-
-def flag_where(raw: IntArray, flag: Status, *, mask: int, when_clear: bool, values: tuple[int, ...] = ()) -> NDArray[np.uint32]:
-    """Return ``flag`` where a status field has one of ``values``, or any bit of ``mask``; elsewhere 0. Shape (n,)."""
-    is_set = np.isin(raw, values) if values else (raw & mask) != 0
-    return np.where(is_set ^ when_clear, np.uint32(flag), np.uint32(0))
 
 
 def instrument_bits(raw: IntArray, shift: int) -> NDArray[np.uint32]:

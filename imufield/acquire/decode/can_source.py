@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.acquire.decode.assembly import NO_FRAME, Keep, RawBlock, flag_where, instrument_bits
+from imufield.acquire.decode.assembly import NO_FRAME, Keep, RawBlock, instrument_bits
 from imufield.acquire.decode.can_assembly import Assembler, SampleFrames
 from imufield.acquire.decode.statistics import LEFT_OUT, DecoderStatistics
 from imufield.acquire.protocol.can_dbc import CanSignal
@@ -20,15 +20,16 @@ from imufield.acquire.protocol.can_frames import ERROR, REMOTE, CanFrames, Unpac
 from imufield.acquire.protocol.can_protocol import (
     ANY_ADDRESS,
     TEMPERATURE,
-    CanFlag,
     CanKind,
     CanRule,
     Column,
     with_source_address,
 )
 from imufield.acquire.protocol.layout import Numbers
+from imufield.acquire.protocol.samples_and_clock import FlagRule
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Status
 
+_Flag = tuple[CanSignal, FlagRule]
 _NO_KIND = -1
 _SHORT = -2
 _VALUES = TEMPERATURE + 1
@@ -199,7 +200,7 @@ class CanSource:
                     group[mine] = reader.kind.group.raw(reader.data(frames, places[mine])).astype(np.int64)
         return SampleFrames(own, frames.time_s if whole else frames.time_s[places], is_repeated, group)
 
-    def _values(self, frames: CanFrames, rows: IntArray, is_complete: bool) -> RawBlock:
+    def _values(self, frames: CanFrames, rows: IntArray, is_complete: bool) -> RawBlock | None:
         """Read the frames of n samples; ``rows`` has one column per kind."""
         n = len(rows)
         values = np.full((_VALUES, n), np.nan)
@@ -230,7 +231,8 @@ class CanSource:
         if is_complete:
             return block
         # What carries neither acceleration nor rate is no sample.
-        return block[np.asarray((rows[:, self._inertial] >= 0).any(axis=1))]
+        block = block[np.asarray((rows[:, self._inertial] >= 0).any(axis=1))]
+        return block if len(block) else None
 
     def _read_slower(self, frames: CanFrames, number: int, samples_each: int, which: IntArray, *, into: Rows) -> bool:
         """Read the frames of a kind that comes with some samples only; between them its values stand, and are flagged so."""
@@ -348,18 +350,18 @@ def _may_be_code(signal: CanSignal, raw: Numbers) -> bool:
     return bool(raw.max() >= min(code.low for code in signal.codes))
 
 
-def _flag_tables(flags: list[CanFlag]) -> tuple[list[tuple[int, NDArray[np.uint32]]], list[CanFlag]]:
+def _flag_tables(flags: list[_Flag]) -> tuple[list[tuple[int, NDArray[np.uint32]]], list[_Flag]]:
     """Return tables of 256 flags for the bytes that hold whole signals, and the flags that need more than a byte."""
-    small = [flag for flag in flags if flag.signal.bytes_needed == flag.signal.first_byte + 1]
+    small = [(signal, rule) for signal, rule in flags if signal.bytes_needed == signal.first_byte + 1]
     tables = []
-    for at in sorted({flag.signal.first_byte for flag in small}):
+    for at in sorted({signal.first_byte for signal, _ in small}):
         every = np.zeros((256, at + 1), dtype=np.uint8)
         every[:, at] = np.arange(256)
-        here = [_flagged(flag, every) for flag in small if flag.signal.first_byte == at]
+        here = [_flagged(flag, every) for flag in small if flag[0].first_byte == at]
         tables.append((at, np.bitwise_or.reduce(here)))
     return tables, [flag for flag in flags if flag not in small]
 
 
-def _flagged(flag: CanFlag, data: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    raw = flag.signal.raw(data).astype(np.int64)
-    return flag_where(raw, flag.flag, mask=flag.mask, when_clear=flag.when_clear, values=flag.values)
+def _flagged(flag: _Flag, data: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    signal, rule = flag
+    return rule.bits(signal.raw(data).astype(np.int64))

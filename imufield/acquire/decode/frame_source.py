@@ -15,7 +15,6 @@ from imufield.acquire.decode.assembly import (
     Keep,
     RawBlock,
     Ticks,
-    flag_where,
     instrument_bits,
     join,
 )
@@ -216,7 +215,7 @@ class _StatusReader:
     def _translate(self, raw: IntArray) -> NDArray[np.uint32]:
         status = np.zeros(len(raw), dtype=np.uint32)
         for flag in self._flags:
-            status |= flag_where(raw, flag.flag, mask=flag.mask, when_clear=flag.when_clear)
+            status |= flag.bits(raw)
         return status if self._shift is None else status | instrument_bits(raw, self._shift)
 
 

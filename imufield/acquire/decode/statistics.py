@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 from imufield.samples import Status
 
@@ -51,7 +50,7 @@ class DecoderStatistics:
         """Samples that are missing, counted and estimated."""
         return self.samples_lost + self.losses_estimated
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain values."""
         return asdict(self)
 

@@ -161,6 +161,10 @@ class CanSignal:
         return missing, fault
 
 
+Selectors = tuple[tuple[CanSignal, tuple[int, ...]], ...]
+"""Multiplexer signals and the values they must have."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CanMessage:
     """One message of a DBC file, or one multiplexed form of it."""
@@ -171,11 +175,11 @@ class CanMessage:
     mask: int
     """Bits of an identifier that must agree."""
     is_j1939: bool
-    selectors: tuple[tuple[CanSignal, tuple[int, ...]], ...] = ()
+    selectors: Selectors = ()
     """Multiplexer signals and the values they must have."""
 
     @classmethod
-    def of(cls, message: Message, selectors: tuple[tuple[CanSignal, tuple[int, ...]], ...], is_j1939: bool) -> Self:
+    def of(cls, message: Message, selectors: Selectors, is_j1939: bool) -> Self:
         """Return a message of cantools."""
         number = message.frame_id
         if not is_j1939:
@@ -323,7 +327,7 @@ def compile_signal(signal: Signal, is_j1939: bool = False) -> CanSignal:
     )
 
 
-def _selectors(message: Message, signal: Signal) -> tuple[tuple[CanSignal, tuple[int, ...]], ...]:
+def _selectors(message: Message, signal: Signal) -> Selectors:
     """Return the multiplexers above a signal, outermost last."""
     found = []
     while signal.multiplexer_signal and signal.multiplexer_ids is not None:

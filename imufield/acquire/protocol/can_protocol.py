@@ -10,21 +10,20 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
-from imufield.acquire.protocol.can_dbc import CanMessage, CanSignal, DbcFile
-from imufield.acquire.protocol.samples_and_clock import ClockRule
+from imufield.acquire.protocol.can_dbc import CanMessage, CanSignal, DbcFile, Selectors
+from imufield.acquire.protocol.samples_and_clock import ClockRule, FlagRule, read_flag, read_shift, sample_units
 from imufield.acquire.protocol.toml import Table, near
-from imufield.acquire.protocol.units import TO_SI
+from imufield.acquire.protocol.units import TO_SI, UNITS_OF
 from imufield.errors import ProtocolError, Reason
-from imufield.samples import SampleUnits, Status
+from imufield.samples import SampleUnits
 
 ANY_ADDRESS = 255
 """Source address that stands for the first one heard; no node may send from it (J1939-81)."""
 TEMPERATURE = 6
 """Place of the temperature among the values of a sample, behind three of the accelerometer and three of the gyroscope."""
 _PLACES = {"accelerometer": 0, "gyroscope": 3}
-_MEANING = {"accelerometer": ("m/s^2", "m/s", "count", "pulse"), "gyroscope": ("rad/s", "rad", "count", "pulse")}
 _TICKS_PER_S = {"s": 1.0, "sec": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "ns": 1e9}
 _ABSOLUTE_ZERO_DEGC = -273.15
 _LONGEST_LIMIT_S = 10.0
@@ -58,25 +57,13 @@ class Column:
     offset: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CanFlag:
-    """A status signal that sets a flag of the sample."""
-
-    signal: CanSignal
-    flag: Status
-    values: tuple[int, ...] = ()
-    """Values that set it; or, where empty, any bit of the mask."""
-    mask: int = 0
-    when_clear: bool = False
-
-
 @dataclass(slots=True, kw_only=True)
 class CanKind:
     """One kind of frame that belongs to a sample: a message, or one multiplexed form of it."""
 
     message: CanMessage
     columns: list[Column] = field(default_factory=list)
-    flags: list[CanFlag] = field(default_factory=list)
+    flags: list[tuple[CanSignal, FlagRule]] = field(default_factory=list)
     status: list[tuple[CanSignal, int]] = field(default_factory=list)
     """Signals of the instrument's status and by how many bits they are shifted in the upper half of the flags."""
     counter: CanSignal | None = None
@@ -93,17 +80,10 @@ class CanKind:
     @property
     def bytes_needed(self) -> int:
         """Data bytes without which a frame is of no use."""
-        return max(signal.bytes_needed for signal in self._signals())
-
-    def _signals(self) -> list[CanSignal]:
-        optional = [one for one in (self.counter, self.time, self.group) if one is not None]
-        values = [column.signal for column in self.columns] + [flag.signal for flag in self.flags]
-        return [
-            *values,
-            *(signal for signal, _ in self.status),
-            *optional,
-            *(selector for selector, _ in self.message.selectors),
-        ]
+        pairs = [*self.flags, *self.status, *self.message.selectors]
+        optional = [signal for signal in (self.counter, self.time, self.group) if signal is not None]
+        signals = [*(column.signal for column in self.columns), *(signal for signal, _ in pairs), *optional]
+        return max(signal.bytes_needed for signal in signals)
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,14 +174,14 @@ def read_can(top: Table) -> CanParts:
     if not any(units_of.values()):
         raise mapped.table.error("", f"maps neither accelerometer nor gyroscope; signals that may be meant: {_candidates(dbc)}")
     clock_rule = _read_clock(clock, mapped)
-    units = _units(clock, units_of, clock_rule)
+    units = sample_units(clock, clock_rule, units_of["accelerometer"] or "m/s^2", units_of["gyroscope"] or "rad/s")
     rule = CanRule(
         dbc=dbc,
         kinds=tuple(mapped.kinds.values()),
         assembly=_read_assembly(assembly, mapped, dbc),
         messages=tuple(_in_file(can, "messages", dbc.message, str(name)) for name in can.items("messages", [])),
         source_address=can.integer("source_address", 0, ANY_ADDRESS, ANY_ADDRESS),
-        bit_rate=can.integer("bit_rate", 1, 20_000_000) if can.has("bit_rate") else None,
+        bit_rate=can.optional_integer("bit_rate", 1, 20_000_000),
     )
     for table in (can, assembly, clock, mapped.table):
         table.finish()
@@ -235,7 +215,7 @@ class _Mapping:
 
     def __init__(self, table: Table, dbc: DbcFile) -> None:
         self.table = table
-        self.kinds: dict[tuple[Any, ...], CanKind] = {}
+        self.kinds: dict[tuple[str, Selectors], CanKind] = {}
         self.counter_modulus = 0
         self.ticks_per_s = 1.0
         self.time_modulus = 0
@@ -256,7 +236,7 @@ class _Mapping:
 
     def _axis(self, part: str, axis: int, name: str) -> str:
         kind, signal = self._find(part, name.lstrip("-"))
-        unit, factor = self._unit(part, signal, _MEANING[part])
+        unit, factor = self._unit(part, signal, UNITS_OF[part])
         factor = -factor if name.startswith("-") else factor
         kind.columns.append(Column(_PLACES[part] + axis, signal, signal.factor * factor, signal.offset * factor))
         return unit
@@ -291,11 +271,10 @@ class _Mapping:
             self.time_modulus = 0 if never_wraps else self._modulus("time", signal)
         for each in self.table.tables("flags"):
             kind, signal = self._find("flags", each.text("signal"))
-            kind.flags.append(_read_flag(each, signal))
+            kind.flags.append((signal, read_flag(each, "signal")))
         for each in self.table.tables("instrument_status"):
             kind, signal = self._find("instrument_status", each.text("signal"))
-            kind.status.append((signal, each.integer("shift", 0, 15, 0)))
-            each.finish()
+            kind.status.append((signal, read_shift(each, "signal")[1]))
 
     def group(self, key: str, table: Table, name: str) -> None:
         """Note a counter that the messages of one sample share."""
@@ -333,21 +312,6 @@ class _Mapping:
         if signal.is_float or signal.is_signed:
             raise self.table.error(key, f"signal {signal.name} is not an unsigned whole number, so it cannot count")
         return 1 << min(signal.length, _MOST_BITS)
-
-
-def _read_flag(table: Table, signal: CanSignal) -> CanFlag:
-    names = {flag.name.lower(): flag for flag in Status if flag.name}
-    flag = CanFlag(
-        signal=signal,
-        flag=names[table.choice("flag", names)],
-        values=tuple(int(value) for value in table.items("values", [])),
-        mask=table.integer("mask", 1, (1 << 64) - 1) if table.has("mask") else 0,
-        when_clear=table.choice("when", ("set", "clear"), "set") == "clear",
-    )
-    if bool(flag.values) == bool(flag.mask):
-        raise table.error("values", "a flag needs either values or a mask")
-    table.finish()
-    return flag
 
 
 def _read_assembly(table: Table, mapped: _Mapping, dbc: DbcFile) -> AssemblyRule:
@@ -389,23 +353,9 @@ def _read_clock(table: Table, mapped: _Mapping) -> ClockRule:
     )
 
 
-def _units(clock: Table, units_of: dict[str, str], rule: ClockRule) -> SampleUnits:
-    accelerometer, gyroscope = units_of["accelerometer"] or "m/s^2", units_of["gyroscope"] or "rad/s"
-    increments = accelerometer == "m/s", gyroscope == "rad"
-    if any(increments) and not rule.rate_hz:
-        raise clock.error("rate_hz", "increments need the sample rate, which is 0 (not known); give it, e.g. --set rate_hz=100")
-    return SampleUnits(
-        accelerometer=accelerometer,
-        gyroscope=gyroscope,
-        accelerometer_is_increment=increments[0],
-        gyroscope_is_increment=increments[1],
-        interval_s=1 / rule.rate_hz if any(increments) else None,
-    )
-
-
 def _candidates(dbc: DbcFile) -> str:
     """Name the signals whose unit is one of an accelerometer or a gyroscope."""
-    units = {si for meaning in _MEANING.values() for si in meaning} - {"rad", "m/s"}
+    units = {si for part in _PLACES for si in UNITS_OF[part]} - {"rad", "m/s"}
     found = [
         f"{message.name}.{signal.name}"
         for message, signal in dbc.signals()

@@ -14,7 +14,7 @@ from __future__ import annotations
 import difflib
 from abc import ABC, abstractmethod
 from functools import cache, cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import crccheck.crc
 import numpy as np
@@ -33,6 +33,26 @@ _LONGEST_TABLE = 2048
 _TABLES_KEPT = 32  # Noise makes false frames of any length, each with its table.
 # Rows looked up together: keeps the index array (8 bytes for each byte of a frame) in the second-level cache.
 _ROWS_AT_ONCE = 1024
+
+
+class _Parameters(Protocol):
+    """A class of ``crccheck.crc``."""
+
+    _names: tuple[str, ...]
+    _width: int
+    _poly: int
+    _initvalue: int
+    _reflect_input: bool
+    _reflect_output: bool
+    _xor_output: int
+
+
+class _Tables(NamedTuple):
+    """What the CRC of messages of one length is looked up in."""
+
+    left: NDArray[np.unsignedinteger]  # Flat: what each byte value leaves at each place.
+    offsets: NDArray[np.intp]  # Where the part of each place begins.
+    constant: np.unsignedinteger  # What start value and final XOR leave.
 
 
 class _Ragged(NamedTuple):
@@ -100,7 +120,7 @@ class Crc(Checksum):
         Start value and final XOR instead of those of the catalogue.
     """
 
-    def __init__(self, parameters: Any, pad_to: int = 1, start: int | None = None, final: int | None = None) -> None:
+    def __init__(self, parameters: _Parameters, pad_to: int = 1, start: int | None = None, final: int | None = None) -> None:
         self._width = int(parameters._width)  # noqa: SLF001  crccheck publishes its catalogue only so
         self._polynomial = int(parameters._poly)  # noqa: SLF001
         self._start = int(parameters._initvalue) if start is None else start  # noqa: SLF001
@@ -110,7 +130,7 @@ class Crc(Checksum):
         self.size = self._width // 8
         self._left = np.empty((0, 256), dtype=np.uint64)
         self._start_left = np.array([self._start_register()], dtype=np.uint64)
-        self._by_length: dict[int, tuple[NDArray[Any], NDArray[np.intp], Any]] = {}
+        self._by_length: dict[int, _Tables] = {}
 
     def _rows(self, rows: Bytes) -> Values:
         count, length = rows.shape
@@ -132,17 +152,18 @@ class Crc(Checksum):
         found: Values = np.bitwise_xor.reduceat(left, span.first) ^ self._start_left[lengths + pad] ^ np.uint64(self._final)
         return found
 
-    def _tables_of(self, length: int) -> tuple[NDArray[Any], NDArray[np.intp], Any]:
+    def _tables_of(self, length: int) -> _Tables:
         """Return the flat table, the place of each column in it and the constant part for messages of one length."""
         found = self._by_length.get(length)
         if found is None:
             padded = length + -length % self._pad_to
             self._grow(padded)
-            kind = np.uint32 if self._width <= 32 else np.uint64  # half the size: the tables of a frame stay in cache
-            table = self._left[:padded][::-1][:length].astype(kind).ravel()
+            # Half the size where it will do: the tables of a frame stay in cache.
+            kind: type[np.uint32 | np.uint64] = np.uint32 if self._width <= 32 else np.uint64
+            table: NDArray[np.unsignedinteger] = self._left[:padded][::-1][:length].astype(kind).ravel()
             if len(self._by_length) >= _TABLES_KEPT:
                 self._by_length.clear()
-            found = (table, np.arange(length, dtype=np.intp) * 256, kind(int(self._start_left[padded]) ^ self._final))
+            found = _Tables(table, np.arange(length, dtype=np.intp) * 256, kind(int(self._start_left[padded]) ^ self._final))
             self._by_length[length] = found
         return found
 
@@ -284,9 +305,9 @@ _PLAIN = {
 
 
 @cache
-def _catalogue() -> dict[str, Any]:
+def _catalogue() -> dict[str, _Parameters]:
     """Return every CRC of the catalogue that works on whole bytes, by name."""
-    found: dict[str, Any] = {}
+    found: dict[str, _Parameters] = {}
     for parameters in crccheck.crc.ALLCRCCLASSES:
         whole_bytes = parameters._width % 8 == 0 and parameters._width <= 64  # noqa: SLF001
         if whole_bytes and parameters._reflect_input == parameters._reflect_output:  # noqa: SLF001

@@ -5,15 +5,13 @@ Every limit is far above what instruments use (the longest known body is 4096 by
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import cast
 
-from imufield.acquire.protocol.checksum import Checksum, make_checksum
 from imufield.acquire.protocol.frame_forms import FieldsRule, FrameForm, LengthRule, MasksRule
 from imufield.acquire.protocol.layout import NUMBER_BYTES, TEXT_TYPES, Bits, Field, Layout
+from imufield.acquire.protocol.samples_and_clock import read_checksum
 from imufield.acquire.protocol.toml import Table
-from imufield.errors import ProtocolError
 
 LONGEST_FRAME = 65536
 ANY_KEY = "any"
@@ -52,54 +50,55 @@ class FrameRule:
 
     def all_fields(self) -> list[Field]:
         """Return every field a frame may have."""
-        return [one for form in self.forms for one in form.all_fields()]
+        return [field for form in self.forms for field in form.all_fields()]
 
 
 def read_frames(top: Table) -> FrameRule:
     """Read everything that describes frames."""
     big_endian = top.choice("byte_order", ("big", "little")) == "big"
     parts = {name: _read_fields(top.table("parts"), name, big_endian) for name in top.table("parts").values}
-    forms = tuple(_read_form(top, table, parts, big_endian) for table in _form_tables(top) if table.flag("enabled", True))
+    several = isinstance(top.plain("frame"), list)
+    tables = top.tables("frame") if several else [top.table("frame")]
+    forms = tuple(_read_form(top, table, parts, big_endian) for table in tables if table.flag("enabled", True))
     if not 1 <= len(forms) <= _FORMS:
         raise top.error("frame", f"a protocol needs 1 to {_FORMS} forms of frames, not {len(forms)}")
-    trailer = b"" if isinstance(top.plain("frame"), list) else _read_trailer(top.table("frame"))
+    trailer = b""
+    if not several:
+        with top.table("frame").table("trailer") as table:
+            trailer = table.hexadecimal("bytes")
+            if trailer and not table.flag("optional"):
+                raise table.error("optional", "a trailer that must be there is not supported; write optional = true")
     if trailer and any(trailer[0] in _first_bytes(form) for form in forms):
         raise top.table("frame").error("trailer", "the trailer begins like a frame, so the two cannot be told apart")
-    for name in ("fields", "masks", "join"):
+    for name in ("fields", "masks"):
         top.has(name)
     return FrameRule(forms, trailer, _read_join(top.table("join")))
-
-
-def _form_tables(top: Table) -> Iterator[Table]:
-    if isinstance(top.plain("frame"), list):
-        yield from top.tables("frame")
-    else:
-        yield top.table("frame")
 
 
 def _read_join(table: Table) -> JoinRule | None:
     if not table.values:
         return None
-    starts_with, needs = table.text("starts_with"), tuple(str(kind) for kind in table.items("needs"))
-    table.finish()
+    with table:
+        starts_with, needs = table.text("starts_with"), tuple(str(kind) for kind in table.items("needs"))
     if starts_with not in needs:
         raise table.error("needs", f"the kind a sample starts with, {starts_with!r}, must be among those it needs")
     return JoinRule(starts_with, needs) if len(needs) > 1 else None
 
 
 def _read_form(top: Table, frame: Table, parts: dict[str, tuple[Field, ...]], big_endian: bool) -> FrameForm:
-    key = frame.table("key")
-    key_size = NUMBER_BYTES[key.choice("type", _UNSIGNED)] if frame.has("key") else 0
-    key_at = key.integer("at", 0, 64, 0) if key_size else 0
-    key_big_endian = _byte_order(key, big_endian)
-    key.finish()
+    with frame.table("key") as key:
+        key_size = NUMBER_BYTES[key.choice("type", _UNSIGNED)] if frame.has("key") else 0
+        key_at = key.integer("at", 0, 64, 0) if key_size else 0
+        key_big_endian = _byte_order(key, big_endian)
     sync, end = frame.hexadecimal("sync"), frame.hexadecimal("end")
-    checksum, covered_from, checksum_big_endian = _read_checksum(frame, big_endian)
+    checksum, covered_from, checksum_big_endian = None, 0, True
+    if frame.has("checksum"):
+        with frame.table("checksum") as table:
+            checksum = read_checksum(table, table.integer("pad_to", 1, 64, 1))
+            covered_from, checksum_big_endian = table.integer("from", 0, 64, 0), _byte_order(table, big_endian)
     length = _read_length(frame, big_endian)
     if key_size and key_at < len(sync):
         raise frame.error("key", f"the key begins at byte {key_at}, inside the {len(sync)} sync bytes")
-    fields = _read_fields_rule(top, frame, big_endian)
-    masks = _read_masks(top, frame, big_endian)
     form = FrameForm(
         sync=sync,
         key_at=key_at,
@@ -111,11 +110,11 @@ def _read_form(top: Table, frame: Table, parts: dict[str, tuple[Field, ...]], bi
         end=end,
         length=length,
         layouts={},
-        fields=fields,
-        masks=masks,
+        fields=_read_fields_rule(top, frame, big_endian),
+        masks=_read_masks(top, frame, big_endian),
     )
     form = replace(form, layouts=_read_layouts(top, frame, form, parts, big_endian=big_endian))
-    if length is None and masks is None and fields is not None:
+    if length is None and form.masks is None and form.fields is not None:
         raise frame.error("length", "frames made of fields need a field that tells their length")
     for known in ("trailer", "enabled", "name", "message"):
         frame.has(known)
@@ -133,50 +132,21 @@ def _byte_order(table: Table, default_big: bool) -> bool:
     return table.choice("byte_order", ("big", "little"), "big" if default_big else "little") == "big"
 
 
-def _read_checksum(frame: Table, big_endian: bool) -> tuple[Checksum | None, int, bool]:
-    if not frame.has("checksum"):
-        return None, 0, True
-    table = frame.table("checksum")
-    algorithm, pad_to = table.text("algorithm"), table.integer("pad_to", 1, 64, 1)
-    start = table.integer("start", 0, (1 << 64) - 1) if table.has("start") else None
-    final = table.integer("final", 0, (1 << 64) - 1) if table.has("final") else None
-    try:
-        checksum = make_checksum(algorithm, pad_to, start=start, final=final)
-    except ProtocolError as error:
-        raise table.error("algorithm", error.message) from error
-    covered_from, order = table.integer("from", 0, 64, 0), _byte_order(table, big_endian)
-    table.finish()
-    return checksum, covered_from, order
-
-
 def _read_length(frame: Table, big_endian: bool) -> LengthRule | None:
     if not frame.has("length"):
         return None
-    table = frame.table("length")
-    size = NUMBER_BYTES[table.choice("type", _UNSIGNED)]
-    largest = min((1 << 8 * size) - 1, LONGEST_FRAME)
-    extended = table.table("extended")
-    rule = LengthRule(
-        at=table.integer("at", 0, 64),
-        size=size,
-        big_endian=_byte_order(table, big_endian),
-        add=table.integer("add", 0, 256, 0),
-        maximum=table.integer("maximum", 0, LONGEST_FRAME, largest),
-        extended_when=extended.integer("when", 0, largest) if table.has("extended") else -1,
-        extended_size=NUMBER_BYTES[extended.choice("type", _UNSIGNED)] if table.has("extended") else 0,
-    )
-    extended.finish()
-    table.finish()
-    return rule
-
-
-def _read_trailer(frame: Table) -> bytes:
-    table = frame.table("trailer")
-    trailer = table.hexadecimal("bytes")
-    if trailer and not table.flag("optional"):
-        raise table.error("optional", "a trailer that must be there is not supported; write optional = true")
-    table.finish()
-    return trailer
+    with frame.table("length") as table, table.table("extended") as extended:
+        size = NUMBER_BYTES[table.choice("type", _UNSIGNED)]
+        largest = min((1 << 8 * size) - 1, LONGEST_FRAME)
+        return LengthRule(
+            at=table.integer("at", 0, 64),
+            size=size,
+            big_endian=_byte_order(table, big_endian),
+            add=table.integer("add", 0, 256, 0),
+            maximum=table.integer("maximum", 0, LONGEST_FRAME, largest),
+            extended_when=extended.integer("when", 0, largest) if table.has("extended") else -1,
+            extended_size=NUMBER_BYTES[extended.choice("type", _UNSIGNED)] if table.has("extended") else 0,
+        )
 
 
 def _read_layouts(
@@ -184,34 +154,31 @@ def _read_layouts(
 ) -> dict[int, Layout]:
     header = max(len(form.sync), form.key_at + form.key_size, form.length.header if form.length else 0)
     header = frame.integer("body_at", header, 256, header)
-    layouts: dict[int, Layout] = {}
     if frame.has("content"):
-        name = frame.text("name")
-        layout = _place(name, _fields_of(frame, "content", frame.items("content"), parts), header, form.tail)
-        layouts[0] = replace(layout, is_message=frame.flag("message"))
-        return layouts
+        fields = _fields_of(frame, "content", frame.items("content"), parts)
+        return {0: replace(_place(frame.text("name"), fields, header, form.tail), is_message=frame.flag("message"))}
+    layouts: dict[int, Layout] = {}
     frames = top.table("frames")
     for name in frames.values:
         fields = _fields_of(frames, name, frames.items(name), parts)
         _add(layouts, frames, name, name, layout=_place(name, fields, header, form.tail), key_size=form.key_size)
     messages = top.table("messages")
     for name in messages.values:
-        table = messages.table(name)
-        fields = _read_fields(table, "fields", big_endian) if form.length is None or table.has("fields") else ()
-        layout = replace(_place(name, fields, header, form.tail), is_message=True)
-        for key in table.items("keys"):
-            _add(layouts, table, "keys", key, layout=layout, key_size=form.key_size)
-        table.finish()
+        with messages.table(name) as table:
+            fields = _read_fields(table, "fields", big_endian) if form.length is None or table.has("fields") else ()
+            layout = replace(_place(name, fields, header, form.tail), is_message=True)
+            for key in table.items("keys"):
+                _add(layouts, table, "keys", key, layout=layout, key_size=form.key_size)
     if not (layouts or form.fields or form.masks):
         raise top.error("frames", "a protocol needs at least one frame")
     return layouts
 
 
-def _fields_of(table: Table, key: str, used: list[Any], parts: dict[str, tuple[Field, ...]]) -> tuple[Field, ...]:
+def _fields_of(table: Table, key: str, used: list[object], parts: dict[str, tuple[Field, ...]]) -> tuple[Field, ...]:
     unknown = next((part for part in used if part not in parts), None)
     if unknown is not None:
         raise table.error(key, f"there is no part {unknown!r}; [parts] has: {', '.join(parts)}")
-    return tuple(one for part in used for one in parts[part])
+    return tuple(field for part in used for field in parts[str(part)])
 
 
 def _add(layouts: dict[int, Layout], table: Table, at: str, key: object, *, layout: Layout, key_size: int) -> None:
@@ -237,38 +204,33 @@ def _hexadecimal_key(table: Table, at: str, key: object) -> int:
 
 def _place(kind: str, fields: tuple[Field, ...], header: int, tail: int) -> Layout:
     at, placed = header, []
-    for one in fields:
-        placed.append(replace(one, at=at))
-        at += one.size
+    for field in fields:
+        placed.append(replace(field, at=at))
+        at += field.size
     return Layout(kind, tuple(placed), at + tail)
 
 
 def _read_fields_rule(top: Table, frame: Table, big_endian: bool) -> FieldsRule | None:
     if not frame.has("fields"):
         return None
-    table = frame.table("fields")
-    number, size = table.table("id"), table.table("size")
-    keys = frozenset(_hexadecimal_key(table, "keys", key) for key in table.items("keys")) if table.has("keys") else None
-    kinds = tuple(_format_type(table, kind, big_endian) for kind in table.items("formats", []))
-    messages = {_hexadecimal_key(table, "messages", key): name for key, name in table.table("messages").values.items()}
-    table.has("messages")
-    rule = FieldsRule(
-        at=table.integer("at", 0, 64),
-        id_at=number.integer("at", 0, 64),
-        id_size=NUMBER_BYTES[number.choice("type", _UNSIGNED)],
-        size_at=size.integer("at", 0, 64),
-        size_size=NUMBER_BYTES[size.choice("type", _UNSIGNED)],
-        size_counts_header=size.flag("counts_header"),
-        big_endian=big_endian,
-        keys=keys,
-        ignored_bits=table.integer("ignored_id_bits", 0, (1 << 32) - 1, 0),
-        format_types=kinds,
-        known=_known_fields(top, big_endian),
-        messages=messages,
-    )
-    for each in (number, size, table):
-        each.finish()
-    return rule
+    with frame.table("fields") as table, table.table("id") as number, table.table("size") as size:
+        keys = frozenset(_hexadecimal_key(table, "keys", key) for key in table.items("keys")) if table.has("keys") else None
+        kinds = tuple(_format_type(table, kind, big_endian) for kind in table.items("formats", []))
+        messages = table.table("messages").values
+        return FieldsRule(
+            at=table.integer("at", 0, 64),
+            id_at=number.integer("at", 0, 64),
+            id_size=NUMBER_BYTES[number.choice("type", _UNSIGNED)],
+            size_at=size.integer("at", 0, 64),
+            size_size=NUMBER_BYTES[size.choice("type", _UNSIGNED)],
+            size_counts_header=size.flag("counts_header"),
+            big_endian=big_endian,
+            keys=keys,
+            ignored_bits=table.integer("ignored_id_bits", 0, (1 << 32) - 1, 0),
+            format_types=kinds,
+            known=_known_fields(top, big_endian),
+            messages={_hexadecimal_key(table, "messages", key): str(name) for key, name in messages.items()},
+        )
 
 
 def _format_type(table: Table, kind: object, big_endian: bool) -> Field:
@@ -291,20 +253,20 @@ def _known_fields(top: Table, big_endian: bool) -> dict[int | None, dict[int, tu
 def _read_masks(top: Table, frame: Table, big_endian: bool) -> MasksRule | None:
     if not frame.has("masks"):
         return None
-    table, masks = frame.table("masks"), top.table("masks")
-    at = table.integer("at", 0, 64)
-    table.finish()
+    with frame.table("masks") as table:
+        at = table.integer("at", 0, 64)
+    masks = top.table("masks")
     groups: dict[int, tuple[tuple[Field, ...], ...]] = {}
     for bit in masks.values:
         if bit not in tuple("01234567"):
             raise masks.error(bit, "a group is called by the number of its bit, 0 to 7")
-        groups[int(bit)] = tuple(_mask_fields(masks, bit, found, big_endian) for found in masks.items(bit))
+        # A bit stands for one field or for several.
+        bits = [found if isinstance(found, list) else [found] for found in masks.items(bit)]
+        groups[int(bit)] = tuple(
+            tuple(_read_field(masks.below(field, bit, number), big_endian) for number, field in enumerate(fields))
+            for fields in bits
+        )
     return MasksRule(at, groups)
-
-
-def _mask_fields(masks: Table, bit: str, found: object, big_endian: bool) -> tuple[Field, ...]:
-    each = found if isinstance(found, list) else [found]
-    return tuple(_read_field(masks.below(one, bit, number), big_endian) for number, one in enumerate(each))
 
 
 def _read_fields(table: Table, key: str, big_endian: bool) -> tuple[Field, ...]:
@@ -315,35 +277,31 @@ def _read_fields(table: Table, key: str, big_endian: bool) -> tuple[Field, ...]:
 
 
 def _read_field(table: Table, default_big: bool) -> Field:
-    name, kind = table.text("name"), table.choice("type", (*NUMBER_BYTES, "fp12.20", FORMAT, *TEXT_TYPES))
-    if kind in TEXT_TYPES:
-        size = 0 if table.flag("rest") else table.integer("size", 1, LONGEST_FRAME)
-        repeat = table.integer("repeat", 0, 256, 0)
-        table.finish()
-        return Field(name=name, type=kind, at=0, size=size, repeat=repeat)
-    count = table.integer("count", 1, 256, 1)
-    kind, fraction_bits = _FIXED_POINT.get(kind, (kind, 0))
-    field = Field(
-        name=name,
-        type=kind,
-        at=0,
-        count=count,
-        size=(1 if kind == FORMAT else NUMBER_BYTES[kind]) * count,
-        big_endian=_byte_order(table, default_big),
-        factor=table.number("scale", 1.0) / 2.0 ** table.integer("fraction_bits", 0, 64, fraction_bits),
-        offset=table.number("offset", 0.0),
-        unit=table.text("unit", ""),
-        bits=tuple(_read_bits(each) for each in table.tables("bits")),
-    )
-    if field.bits and (count != 1 or kind[0] != "u"):
-        raise table.error("bits", f"bits belong to one unsigned number, not to {count} of type {kind}")
-    table.finish()
-    return field
+    with table:
+        name, kind = table.text("name"), table.choice("type", (*NUMBER_BYTES, "fp12.20", FORMAT, *TEXT_TYPES))
+        if kind in TEXT_TYPES:
+            size = 0 if table.flag("rest") else table.integer("size", 1, LONGEST_FRAME)
+            return Field(name=name, type=kind, at=0, size=size, repeat=table.integer("repeat", 0, 256, 0))
+        count = table.integer("count", 1, 256, 1)
+        kind, fraction_bits = _FIXED_POINT.get(kind, (kind, 0))
+        field = Field(
+            name=name,
+            type=kind,
+            at=0,
+            count=count,
+            size=(1 if kind == FORMAT else NUMBER_BYTES[kind]) * count,
+            big_endian=_byte_order(table, default_big),
+            factor=table.number("scale", 1.0) / 2.0 ** table.integer("fraction_bits", 0, 64, fraction_bits),
+            offset=table.number("offset", 0.0),
+            unit=table.text("unit", ""),
+            bits=tuple(_read_bits(each) for each in table.tables("bits")),
+        )
+        if field.bits and (count != 1 or kind[0] != "u"):
+            raise table.error("bits", f"bits belong to one unsigned number, not to {count} of type {kind}")
+        return field
 
 
 def _read_bits(table: Table) -> Bits:
-    bits = Bits(
-        table.text("name"), table.integer("from", 0, 63), table.integer("size", 1, 64, 1), tuple(table.items("values", []))
-    )
-    table.finish()
-    return bits
+    with table:
+        name, start, size = table.text("name"), table.integer("from", 0, 63), table.integer("size", 1, 64, 1)
+        return Bits(name, start, size, cast("tuple[str | int | float, ...]", tuple(table.items("values", []))))

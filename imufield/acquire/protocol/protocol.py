@@ -18,6 +18,7 @@ import numpy as np
 from imufield.acquire.protocol.frame_schema import FrameRule, read_frames
 from imufield.acquire.protocol.layout import Field
 from imufield.acquire.protocol.samples_and_clock import (
+    PARTS,
     ClockRule,
     Quantity,
     SampleRule,
@@ -25,10 +26,11 @@ from imufield.acquire.protocol.samples_and_clock import (
     read_clock,
     read_samples,
     read_text,
+    sample_units,
 )
 from imufield.acquire.protocol.settings import Setting, choose_settings, read_rules
 from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES, Source, Table, near
-from imufield.acquire.protocol.units import SI_UNITS, TO_SI
+from imufield.acquire.protocol.units import SI_UNITS, TO_SI, UNITS_OF
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 from imufield.samples import FloatArray, SampleUnits
 
@@ -40,15 +42,9 @@ VERIFIED = "verified on real bytes"
 DOCUMENT_ONLY = "document only"
 FOLDER = "imufield.protocols"
 
-_INCREMENT_UNITS = ("m/s", "rad")
 _CAN_KIND = re.compile(r'^kind\s*=\s*"can"', re.MULTILINE)
 DBC_LIMIT_BYTES = 1 << 22
 """The largest public DBC files, of whole vehicles, are about 2 MiB."""
-_MEANING = {
-    "accelerometer": ("m/s^2", "m/s", "count", "pulse"),
-    "gyroscope": ("rad/s", "rad", "count", "pulse"),
-    "temperature": ("degC",),
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -214,84 +210,52 @@ def decode_dbc(content: bytes, name: str) -> str:
         return content.decode("cp1252", "replace")
 
 
-def _build_can(top: Table, settings: dict[str, Setting]) -> Protocol:
-    from imufield.acquire.protocol.can_protocol import read_can
-
-    name, title, manual = top.text("name"), top.text("title"), top.text("manual")
-    parts = read_can(top)
-    nominal = _read_nominal(top, parts.units, parts.clock)
-    status = top.choice("status", (VERIFIED, DOCUMENT_ONLY), VERIFIED)
-    for key in ("format", "version", "settings", "nominal", "can", "map", "assembly", "clock", "dbc", "emulate"):
-        top.has(key)
-    top.finish()
-    samples = SampleRule(
-        accelerometer=Quantity(fields=()),
-        gyroscope=Quantity(fields=()),
-        temperature=Quantity(fields=()),
-        flags=(),
-        instrument_status=(),
-    )
-    digest = hashlib.sha256(top.source.text.encode()).hexdigest()
-    ones = dict.fromkeys(_MEANING, 1.0)
-    return Protocol(
-        name=name,
-        title=title,
-        manual=manual,
-        text=top.source.text,
-        sha256=digest,
-        settings=settings,
-        frame=None,
-        lines=None,
-        samples=samples,
-        clock=parts.clock,
-        units=parts.units,
-        factors=ones,
-        nominal=nominal,
-        can=parts.rule,
-        status=status,
-    )
-
-
 def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
-    kind = top.choice("kind", ("frames", "text", "can"))
-    if kind == "can":
-        return _build_can(top, settings)
-    text = kind == "text"
-    name, title, manual = top.text("name"), top.text("title"), top.text("manual")
-    frame = None if text else read_frames(top)
-    lines = read_text(top) if text else None
-    samples, clock = read_samples(top), read_clock(top)
-    parts = {part: _unit_of(top, part, frame, samples) for part in _MEANING}
-    units = _units(top, parts, samples, clock)
-    nominal = _read_nominal(top, units, clock)
-    _check_fields(top, frame, samples, clock)
-    for key in ("format", "version", "settings", "samples", "clock", "nominal", "emulate"):
-        top.has(key)
-    if not text:
-        for key in ("frame", "parts", "frames", "messages"):
+    with top:
+        kind = top.choice("kind", ("frames", "text", "can"))
+        name, title, manual = top.text("name"), top.text("title"), top.text("manual")
+        frame, lines, can = None, None, None
+        if kind == "can":
+            # cantools, which reads DBC files, is imported only where one is needed.
+            from imufield.acquire.protocol.can_protocol import read_can
+
+            parts = read_can(top)
+            can, units, clock = parts.rule, parts.units, parts.clock
+            nothing = Quantity(fields=())
+            samples = SampleRule(accelerometer=nothing, gyroscope=nothing, temperature=nothing, flags=(), instrument_status=())
+            factors = dict.fromkeys(PARTS, 1.0)
+        else:
+            frame = read_frames(top) if kind == "frames" else None
+            lines = read_text(top) if kind == "text" else None
+            samples, clock = read_samples(top), read_clock(top)
+            units_of = {part: _unit_of(top, part, frame, samples) for part in PARTS}
+            factors = {part: factor for part, (_, factor) in units_of.items()}
+            accelerometer, gyroscope = units_of["accelerometer"][0], units_of["gyroscope"][0]
+            increments = samples.accelerometer.increment, samples.gyroscope.increment
+            units = sample_units(top.table("clock"), clock, accelerometer, gyroscope, increments=increments)
+        nominal = _read_nominal(top, units, clock)
+        if frame is not None:
+            _check_fields(top, frame, samples, clock)
+        # What the emulator reads, and frames of instruments whose protocol has only fields or masks.
+        for key in ("emulate", *(("frame", "parts", "frames", "messages") if frame else ())):
             top.has(key)
-    if text:
-        top.has("text")
-    top.has("status")
-    top.finish()
-    digest = hashlib.sha256(top.source.text.encode()).hexdigest()
-    factors = {part: factor for part, (_, factor) in parts.items()}
-    return Protocol(
-        name=name,
-        title=title,
-        manual=manual,
-        text=top.source.text,
-        sha256=digest,
-        settings=settings,
-        frame=frame,
-        lines=lines,
-        samples=samples,
-        clock=clock,
-        units=units,
-        factors=factors,
-        nominal=nominal,
-        status=top.choice("status", (VERIFIED, DOCUMENT_ONLY), VERIFIED),
-    )
+        return Protocol(
+            name=name,
+            title=title,
+            manual=manual,
+            text=top.source.text,
+            sha256=hashlib.sha256(top.source.text.encode()).hexdigest(),
+            settings=settings,
+            frame=frame,
+            lines=lines,
+            samples=samples,
+            clock=clock,
+            units=units,
+            factors=factors,
+            nominal=nominal,
+            can=can,
+            status=top.choice("status", (VERIFIED, DOCUMENT_ONLY), VERIFIED),
+        )
 
 
 def _unit_of(top: Table, part: str, frame: FrameRule | None, samples: SampleRule) -> tuple[str, float]:
@@ -301,13 +265,13 @@ def _unit_of(top: Table, part: str, frame: FrameRule | None, samples: SampleRule
     fields = {field.name: field for field in reversed(frame.all_fields())} if frame else {}
     units = list(dict.fromkeys(fields[name].unit for name in quantity.fields if name in fields))
     if written is None:
-        written = units[0] if units else _MEANING[part][0]
+        written = units[0] if units else UNITS_OF[part][0]
     table = top.table("samples")
     unit, factor = TO_SI.get(written, ("", 0.0))
-    if unit not in _MEANING[part]:
-        known = ", ".join(name for name, (si, _) in TO_SI.items() if si in _MEANING[part])
+    if unit not in UNITS_OF[part]:
+        known = ", ".join(name for name, (si, _) in TO_SI.items() if si in UNITS_OF[part])
         raise table.error(part, f"{written!r} is no unit of this{near(written, TO_SI)}; use one of {known}")
-    other = next((one for one in units if TO_SI.get(one, ("",))[0] != unit), None) if quantity.unit is None else None
+    other = next((name for name in units if TO_SI.get(name, ("",))[0] != unit), None) if quantity.unit is None else None
     if other is not None:
         raise table.error(part, f"its fields are in {written!r} and {other!r}, which cannot be one sample")
     if quantity.increment and unit in ("m/s^2", "rad/s"):
@@ -315,57 +279,34 @@ def _unit_of(top: Table, part: str, frame: FrameRule | None, samples: SampleRule
     return unit, factor * quantity.scale
 
 
-def _units(top: Table, parts: dict[str, tuple[str, float]], samples: SampleRule, clock: ClockRule) -> SampleUnits:
-    accelerometer, gyroscope = parts["accelerometer"][0], parts["gyroscope"][0]
-    by_velocity = accelerometer in _INCREMENT_UNITS or samples.accelerometer.increment
-    by_angle = gyroscope in _INCREMENT_UNITS or samples.gyroscope.increment
-    if (by_velocity or by_angle) and not clock.rate_hz:
-        raise top.table("clock").error(
-            "rate_hz", "increments need the sample rate, which is 0 (not known); give it, e.g. --set rate_hz=100"
-        )
-    interval_s = 1 / clock.rate_hz if by_velocity or by_angle else None
-    return SampleUnits(
-        accelerometer=accelerometer,
-        gyroscope=gyroscope,
-        accelerometer_is_increment=by_velocity,
-        gyroscope_is_increment=by_angle,
-        interval_s=interval_s,
-    )
-
-
 def _read_nominal(top: Table, units: SampleUnits, clock: ClockRule) -> Nominal:
-    table = top.table("nominal")
     scales: list[float | None] = []
     ranges: list[float | None] = []
-    for part, unit in (("accelerometer", units.accelerometer), ("gyroscope", units.gyroscope)):
-        scales.append(table.number(f"{part}_scale") if table.has(f"{part}_scale") else 1.0 if unit in SI_UNITS else None)
-        _, factor = TO_SI[table.choice(f"{part}_range_unit", TO_SI, _MEANING[part][0])]
-        ranges.append(table.number(f"{part}_range") * factor if table.has(f"{part}_range") else None)
-    raw_zero = np.full(3, table.number("raw_zero", 0.0))
-    table.finish()
-    return Nominal(
-        accelerometer_scale=scales[0],
-        gyroscope_scale=scales[1],
-        raw_zero=raw_zero,
-        accelerometer_range_m_s2=ranges[0],
-        gyroscope_range_rad_s=ranges[1],
-        rate_hz=clock.rate_hz or None,
-    )
+    with top.table("nominal") as table:
+        for part, unit in (("accelerometer", units.accelerometer), ("gyroscope", units.gyroscope)):
+            scale, largest = table.optional_number(f"{part}_scale"), table.optional_number(f"{part}_range")
+            _, factor = TO_SI[table.choice(f"{part}_range_unit", TO_SI, UNITS_OF[part][0])]
+            scales.append(1.0 if scale is None and unit in SI_UNITS else scale)
+            ranges.append(None if largest is None else largest * factor)
+        return Nominal(
+            accelerometer_scale=scales[0],
+            gyroscope_scale=scales[1],
+            raw_zero=np.full(3, table.number("raw_zero", 0.0)),
+            accelerometer_range_m_s2=ranges[0],
+            gyroscope_range_rad_s=ranges[1],
+            rate_hz=clock.rate_hz or None,
+        )
 
 
-def _check_fields(top: Table, frame: FrameRule | None, samples: SampleRule, clock: ClockRule) -> None:
+def _check_fields(top: Table, frame: FrameRule, samples: SampleRule, clock: ClockRule) -> None:
     """Refuse a name in [samples] or [clock] that no frame has: a typing error would silently lose the value."""
-    if frame is None:
-        return
     known = {field.name for field in frame.all_fields()}
-    table = top.table("samples")
-    for part in _MEANING:
-        for name in samples.quantity(part).fields:
-            if name not in known:
-                raise table.error(part, f"no frame has a field {name!r}{near(name, known)}")
-    for name in [rule.field for rule in samples.flags] + [name for name, _ in samples.instrument_status]:
+    table, times = top.table("samples"), top.table("clock")
+    stamps = (clock.counter_field, clock.time_field, *(time.field for time in clock.times))
+    used = [(table, part, name) for part in PARTS for name in samples.quantity(part).fields]
+    used += [(table, "flags", flag.field) for flag in samples.flags]
+    used += [(table, "flags", name) for name, _ in samples.instrument_status]
+    used += [(times, "", name) for name in stamps if name]
+    for where, key, name in used:
         if name not in known:
-            raise table.error("flags", f"no frame has a field {name!r}{near(name, known)}")
-    for name in (clock.counter_field, clock.time_field, *(time.field for time in clock.times)):
-        if name and name not in known:
-            raise top.table("clock").error("", f"no frame has a field {name!r}{near(name, known)}")
+            raise where.error(key, f"no frame has a field {name!r}{near(name, known)}")

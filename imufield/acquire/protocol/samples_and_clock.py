@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from imufield.acquire.protocol.checksum import Checksum, make_checksum
 from imufield.acquire.protocol.toml import Table
 from imufield.errors import ProtocolError
-from imufield.samples import INSTRUMENT_STATUS_SHIFT, Status
+from imufield.samples import INSTRUMENT_STATUS_SHIFT, IntArray, SampleUnits, Status
 
 NANOSECONDS = 1e9
+PARTS = ("accelerometer", "gyroscope", "temperature")
+"""Of a sample."""
 COLUMNS = ("time", "counter", "ax", "ay", "az", "gx", "gy", "gz", "temperature", "-")
 """What a number of a line may be; "-" is passed over."""
 
@@ -78,14 +83,23 @@ class Quantity:
     scale_when: ScaleWhen | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FlagRule:
     """Status bits of the instrument that set flags of a sample."""
 
     field: str
-    mask: int
+    """Field of a frame, or signal of a bus."""
     flag: Status
+    mask: int
+    """Any of these bits sets it; 0 where ``values`` tell."""
     when_clear: bool = False
+    values: tuple[int, ...] = ()
+    """Numbers that set it; signals of a bus only."""
+
+    def bits(self, raw: IntArray) -> NDArray[np.uint32]:
+        """Return the flag where a status field sets it, elsewhere 0. Shape (n,)."""
+        is_set = np.isin(raw, self.values) if self.values else (raw & self.mask) != 0
+        return np.where(is_set ^ self.when_clear, np.uint32(self.flag), np.uint32(0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,162 +144,176 @@ class ClockRule:
 
 def read_text(top: Table) -> TextRule:
     """Read ``[text]``."""
-    table = top.table("text")
-    if table.has("sentences"):
-        return _read_sentences(table)
-    names = tuple(name.strip() for name in table.text("columns").split(","))
-    for name in names:
-        if name not in COLUMNS or (name != "-" and names.count(name) > 1):
-            raise table.error("columns", f"{name!r} is not known or stands there twice; columns are: {', '.join(COLUMNS)}")
-    if not {"ax", "ay", "az"} <= set(names):
-        raise table.error("columns", f"ax, ay and az must be among the columns, but these are: {', '.join(names)}")
-    rule = TextRule(
-        columns=names,
-        delimiter=table.choice("delimiter", ("auto", "comma", "semicolon", "whitespace"), "auto"),
-        prefix=table.text("prefix", ""),
-        comments=tuple(str(comment) for comment in table.items("comments", [])),
-    )
-    table.finish()
-    return rule
+    with top.table("text") as table:
+        if table.has("sentences"):
+            return _read_sentences(table)
+        names = tuple(name.strip() for name in table.text("columns").split(","))
+        for name in names:
+            if name not in COLUMNS or (name != "-" and names.count(name) > 1):
+                raise table.error("columns", f"{name!r} is not known or stands there twice; columns are: {', '.join(COLUMNS)}")
+        if not {"ax", "ay", "az"} <= set(names):
+            raise table.error("columns", f"ax, ay and az must be among the columns, but these are: {', '.join(names)}")
+        return TextRule(
+            columns=names,
+            delimiter=table.choice("delimiter", ("auto", "comma", "semicolon", "whitespace"), "auto"),
+            prefix=table.text("prefix", ""),
+            comments=tuple(str(comment) for comment in table.items("comments", [])),
+        )
 
 
 def _read_sentences(table: Table) -> TextRule:
-    sentences = tuple(_read_sentence(each) for each in table.tables("sentences"))
+    sentences = []
+    for each in table.tables("sentences"):
+        with each:
+            columns = tuple(name.strip() for name in each.text("columns").split(","))
+            for name in columns:
+                if name.removeprefix("-") not in (*COLUMNS, ""):
+                    known = f"columns are: {', '.join(COLUMNS)}, a minus before turns them"
+                    raise each.error("columns", f"{name!r} is not known; {known}")
+            sentences.append(Sentence(each.text("name"), columns))
     used = {name.lstrip("-") for sentence in sentences for name in sentence.columns}
+    checksums = []
+    for each in table.tables("checksums"):
+        with each:
+            checksums.append(read_checksum(each))
     rule = TextRule(
         columns=tuple(name for name in COLUMNS if name in used and name != "-"),
         delimiter="comma",
         prefix="",
         comments=(),
-        sentences=sentences,
+        sentences=tuple(sentences),
         markers=table.text("markers", "$"),
         header_end=table.text("header_end", ""),
-        checksums=tuple(_read_text_checksum(each) for each in table.tables("checksums")),
+        checksums=tuple(checksums),
     )
     if not rule.markers:
         raise table.error("markers", "a sentence begins with a marker, e.g. $, but there is none")
     if not rule.checksums:
         raise table.error("checksums", "sentences need at least one checksum, e.g. XOR-8")
-    table.finish()
     return rule
 
 
-def _read_sentence(table: Table) -> Sentence:
-    columns = tuple(name.strip() for name in table.text("columns").split(","))
-    for name in columns:
-        if name.removeprefix("-") not in (*COLUMNS, ""):
-            raise table.error("columns", f"{name!r} is not known; columns are: {', '.join(COLUMNS)}, a minus before turns them")
-    sentence = Sentence(table.text("name"), columns)
-    table.finish()
-    return sentence
-
-
-def _read_text_checksum(table: Table) -> Checksum:
-    start = table.integer("start", 0, (1 << 64) - 1) if table.has("start") else None
-    final = table.integer("final", 0, (1 << 64) - 1) if table.has("final") else None
+def read_checksum(table: Table, pad_to: int = 1) -> Checksum:
+    """Read the algorithm of a checksum, and its start and final value where they differ from the catalogue's."""
+    start = table.optional_integer("start", 0, (1 << 64) - 1)
+    final = table.optional_integer("final", 0, (1 << 64) - 1)
     try:
-        checksum = make_checksum(table.text("algorithm"), start=start, final=final)
+        return make_checksum(table.text("algorithm"), pad_to, start=start, final=final)
     except ProtocolError as error:
         raise table.error("algorithm", error.message) from error
-    table.finish()
-    return checksum
 
 
 def read_samples(top: Table) -> SampleRule:
     """Read ``[samples]``."""
-    table = top.table("samples")
-    status = tuple(_read_shift(each) for each in table.tables("instrument_status"))
-    rule = SampleRule(
-        accelerometer=_read_quantity(table.table("accelerometer")),
-        gyroscope=_read_quantity(table.table("gyroscope")),
-        temperature=_read_quantity(table.table("temperature")),
-        flags=tuple(_read_flag(each) for each in table.tables("flags")),
-        instrument_status=status,
-    )
-    for key in ("accelerometer", "gyroscope", "temperature"):
-        table.has(key)
-    table.finish()
-    return rule
+    with top.table("samples") as table:
+        status = tuple(read_shift(each, "field") for each in table.tables("instrument_status"))
+        return SampleRule(
+            accelerometer=_read_quantity(table.table("accelerometer")),
+            gyroscope=_read_quantity(table.table("gyroscope")),
+            temperature=_read_quantity(table.table("temperature")),
+            flags=tuple(read_flag(each, "field") for each in table.tables("flags")),
+            instrument_status=status,
+        )
 
 
 def _read_quantity(table: Table) -> Quantity:
-    quantity = Quantity(
-        fields=tuple(str(name) for name in table.items("fields", [])),
-        unit=table.text("unit") if table.has("unit") else None,
-        increment=table.flag("increment"),
-        scale=table.number("scale", 1.0),
-        scale_when=_read_scale_when(table.table("scale_when")) if table.has("scale_when") else None,
-    )
-    table.finish()
-    return quantity
+    with table:
+        scale_when = None
+        if table.has("scale_when"):
+            with table.table("scale_when") as when:
+                scale_when = ScaleWhen(when.text("field"), when.integer("mask", 1, (1 << 63) - 1), when.number("scale"))
+        return Quantity(
+            fields=tuple(str(name) for name in table.items("fields", [])),
+            unit=table.optional_text("unit"),
+            increment=table.flag("increment"),
+            scale=table.number("scale", 1.0),
+            scale_when=scale_when,
+        )
 
 
-def _read_scale_when(table: Table) -> ScaleWhen:
-    rule = ScaleWhen(table.text("field"), table.integer("mask", 1, (1 << 63) - 1), table.number("scale"))
-    table.finish()
-    return rule
-
-
-def _read_flag(table: Table) -> FlagRule:
+def read_flag(table: Table, source: str) -> FlagRule:
+    """Read a flag; key ``source`` names the field or signal. Signals of a bus may have values instead of a mask."""
     names = {flag.name.lower(): flag for flag in Status if flag.name}
-    rule = FlagRule(
-        table.text("field"),
-        table.integer("mask", 1, (1 << 64) - 1),
-        names[table.choice("flag", names)],
-        table.choice("when", ("set", "clear"), "set") == "clear",
-    )
-    table.finish()
-    return rule
+    may_have_values = source == "signal"
+    values = table.items("values", []) if may_have_values else []
+    with table:
+        rule = FlagRule(
+            field=table.text(source),
+            mask=0 if may_have_values and not table.has("mask") else table.integer("mask", 1, (1 << 64) - 1),
+            flag=names[table.choice("flag", names)],
+            when_clear=table.choice("when", ("set", "clear"), "set") == "clear",
+            values=tuple(int(value) for value in values if isinstance(value, int | float | str)),
+        )
+        if bool(rule.values) == bool(rule.mask):
+            raise table.error("values", "a flag needs either values or a mask")
+        return rule
 
 
-def _read_shift(table: Table) -> tuple[str, int]:
-    found = table.text("field"), table.integer("shift", 0, 31 - INSTRUMENT_STATUS_SHIFT, 0)
-    table.finish()
-    return found
+def read_shift(table: Table, source: str) -> tuple[str, int]:
+    """Read a status field or signal and by how many bits it is shifted."""
+    with table:
+        return table.text(source), table.integer("shift", 0, 31 - INSTRUMENT_STATUS_SHIFT, 0)
 
 
 def read_clock(top: Table) -> ClockRule:
     """Read ``[clock]``."""
-    table = top.table("clock")
-    counter = table.table("counter")
-    several = isinstance(table.plain("time"), list)
-    times = [_read_time(each) for each in (table.tables("time") if several else [table.table("time")])]
-    if several and not all(each.field for each in times):
-        raise table.error("time", "each of several time stamps needs its field")
-    time = _in_nanoseconds(times) if several else times[0]
-    rule = ClockRule(
-        counter_field=counter.text("field", ""),
-        counter_modulus=counter.integer("modulus", 0, 1 << 53, 0),
-        counter_ticks_per_s=counter.number("ticks_per_s", 0.0),
-        counter_steps=tuple(step for step in counter.items("steps", [1]) if isinstance(step, int) and step > 0),
-        time_field=time.field,
-        time_modulus=time.modulus,
-        time_ticks_per_s=time.ticks_per_s,
-        rate_hz=table.number("rate_hz", 0.0),
-        counter_jitter=counter.integer("jitter", 0, 1 << 16, 0),
-        counter_counts_others=counter.flag("counts_others"),
-        times=tuple(times) if several else (),
-        gaps_told=table.flag("gaps_told"),
-    )
-    if rule.counter_ticks_per_s < 0 or rule.rate_hz < 0:
-        raise table.error("ticks_per_s", "rates must be positive")
-    counter.finish()
-    table.finish()
-    return rule
+    with top.table("clock") as table, table.table("counter") as counter:
+        several = isinstance(table.plain("time"), list)
+        times = [_read_time(each) for each in (table.tables("time") if several else [table.table("time")])]
+        if several and not all(each.field for each in times):
+            raise table.error("time", "each of several time stamps needs its field")
+        # What several have in common: the first field, the longest wrap, ns.
+        longest = max(round(each.modulus * NANOSECONDS / each.ticks_per_s) for each in times)
+        time = TimeRule(times[0].field, longest, NANOSECONDS) if several else times[0]
+        rule = ClockRule(
+            counter_field=counter.text("field", ""),
+            counter_modulus=counter.integer("modulus", 0, 1 << 53, 0),
+            counter_ticks_per_s=counter.number("ticks_per_s", 0.0),
+            counter_steps=tuple(step for step in counter.items("steps", [1]) if isinstance(step, int) and step > 0),
+            time_field=time.field,
+            time_modulus=time.modulus,
+            time_ticks_per_s=time.ticks_per_s,
+            rate_hz=table.number("rate_hz", 0.0),
+            counter_jitter=counter.integer("jitter", 0, 1 << 16, 0),
+            counter_counts_others=counter.flag("counts_others"),
+            times=tuple(times) if several else (),
+            gaps_told=table.flag("gaps_told"),
+        )
+        if rule.counter_ticks_per_s < 0 or rule.rate_hz < 0:
+            raise table.error("ticks_per_s", "rates must be positive")
+        return rule
 
 
 def _read_time(table: Table) -> TimeRule:
-    rule = TimeRule(table.text("field", ""), table.integer("modulus", 0, 1 << 53, 0), table.number("ticks_per_s", 1.0))
-    if not _LEAST_TICKS_PER_S <= rule.ticks_per_s <= _MOST_TICKS_PER_S:
-        raise table.error(
-            "ticks_per_s",
-            f"{rule.ticks_per_s:g} is not between {_LEAST_TICKS_PER_S:g} and {_MOST_TICKS_PER_S:g} ticks per second",
-        )
-    table.finish()
-    return rule
+    with table:
+        rule = TimeRule(table.text("field", ""), table.integer("modulus", 0, 1 << 53, 0), table.number("ticks_per_s", 1.0))
+        if not _LEAST_TICKS_PER_S <= rule.ticks_per_s <= _MOST_TICKS_PER_S:
+            limits = f"{_LEAST_TICKS_PER_S:g} and {_MOST_TICKS_PER_S:g} ticks per second"
+            raise table.error("ticks_per_s", f"{rule.ticks_per_s:g} is not between {limits}")
+        return rule
 
 
-def _in_nanoseconds(times: list[TimeRule]) -> TimeRule:
-    """Return what several time stamps have in common: the first field, the longest wrap, ns."""
-    longest = max(round(each.modulus * NANOSECONDS / each.ticks_per_s) for each in times)
-    return TimeRule(times[0].field, longest, NANOSECONDS)
+def sample_units(
+    table: Table, clock: ClockRule, accelerometer: str, gyroscope: str, *, increments: tuple[bool, bool] = (False, False)
+) -> SampleUnits:
+    """Return the units of a sample; ``table`` is ``[clock]``, which must have the rate where values are increments.
+
+    Parameters
+    ----------
+    table : Table
+    clock : ClockRule
+    accelerometer, gyroscope : str
+        Their units; those of velocity and angle are increments in any case.
+    increments : tuple of bool
+        Whether accelerometer and gyroscope send increments in a unit that does not say so.
+    """
+    by_velocity, by_angle = accelerometer == "m/s" or increments[0], gyroscope == "rad" or increments[1]
+    if (by_velocity or by_angle) and not clock.rate_hz:
+        raise table.error("rate_hz", "increments need the sample rate, which is 0 (not known); give it, e.g. --set rate_hz=100")
+    return SampleUnits(
+        accelerometer=accelerometer,
+        gyroscope=gyroscope,
+        accelerometer_is_increment=by_velocity,
+        gyroscope_is_increment=by_angle,
+        interval_s=1 / clock.rate_hz if by_velocity or by_angle else None,
+    )

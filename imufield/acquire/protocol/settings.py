@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal, cast
 
 from imufield.acquire.protocol.toml import Source, Table, near, spell
 from imufield.errors import ProtocolError, Reason, SettingError
@@ -95,7 +95,7 @@ def _read_rule(name: str, table: Table) -> SettingRule:
     default = table.plain("default")
     if not isinstance(default, (str, int, float, bool)):
         raise table.error("default", "needs a default: a text, a number, or true or false")
-    choices = tuple(table.items("choices", []))
+    choices = cast("tuple[Value, ...]", tuple(table.items("choices", [])))
     rule = SettingRule(
         name=name,
         default=default,
@@ -138,7 +138,7 @@ def choose_settings(
     chosen: dict[str, Setting] = {}
     for name, rule in rules.items():
         origin: Origin = "given" if name in given else "read" if name in read else "assumed"
-        wanted: Any = {"given": given, "read": read}.get(origin, {}).get(name, rule.default)
+        wanted = given.get(name, read.get(name, rule.default))
         try:
             chosen[name] = Setting(rule.convert(wanted), origin)
         except ValueError as error:

@@ -14,9 +14,9 @@ import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Self
 
-from imufield.errors import ProtocolError
+from imufield.errors import ProtocolError, Reason
 
 FILE_LIMIT_BYTES = 1 << 20
 """The largest shipped protocol is below 20 kB; 1 MiB leaves room and keeps a wrong file from filling memory."""
@@ -34,10 +34,10 @@ class Source:
     label: str
     text: str
 
-    def error(self, path: Path, problem: str, **values: Any) -> ProtocolError:
+    def error(self, path: Path, problem: str, reason: Reason | None = None) -> ProtocolError:
         """Return the error for the value at ``path``."""
         key = ".".join(str(part) for part in path) or "(whole file)"
-        return ProtocolError(f"{self.label} line {self.line_of(path)}, key `{key}`: {problem}", key=key, **values)
+        return ProtocolError(f"{self.label} line {self.line_of(path)}, key `{key}`: {problem}", reason, key=key)
 
     def line_of(self, path: Path) -> int:
         """Return the number of the line, from 1, where the value at ``path`` is written, as near as it can be found."""
@@ -50,7 +50,7 @@ class Source:
             at, column = found
         return at + 1
 
-    def parse(self) -> dict[str, Any]:
+    def parse(self) -> dict[str, object]:
         """Parse the text as TOML.
 
         Raises
@@ -92,29 +92,32 @@ def _find_element(lines: list[str], at: int, column: int, index: int) -> tuple[i
 
 @dataclass(slots=True, kw_only=True)
 class Table:
-    """One TOML table being read: every key is taken once, with its type checked; what is left over is refused."""
+    """One TOML table being read: every key is taken once, with its type checked; what is left over is refused.
 
-    values: dict[str, Any]
+    As a context manager it refuses at the end of the block.
+    """
+
+    values: dict[str, object]
     path: Path
     source: Source
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, object] = field(default_factory=dict)
     _known: set[str] = field(default_factory=set)
 
-    def error(self, key: str, problem: str, **values: Any) -> ProtocolError:
+    def error(self, key: str, problem: str, reason: Reason | None = None) -> ProtocolError:
         """Return the error for ``key`` of this table."""
-        return self.source.error((*self.path, key) if key else self.path, problem, **values)
+        return self.source.error((*self.path, key) if key else self.path, problem, reason)
 
     def has(self, key: str) -> bool:
         """Whether the key is there."""
         self._known.add(key)
         return key in self.values
 
-    def plain(self, key: str, default: Any = None) -> Any:
+    def plain(self, key: str, default: object = None) -> object:
         """Return the value as written."""
         self._known.add(key)
         return self.values.get(key, default)
 
-    def value(self, key: str, default: Any = None) -> Any:
+    def value(self, key: str, default: object = None) -> object:
         """Return the value, taken from a setting where it says so."""
         found = self.plain(key, default)
         if not (isinstance(found, dict) and "setting" in found):
@@ -168,7 +171,7 @@ class Table:
             raise self.error(key, f"needs one of {', '.join(options)}, not {_shown(found)}{near(found, options)}")
         return found
 
-    def items(self, key: str, default: list[Any] | None = None) -> list[Any]:
+    def items(self, key: str, default: list[object] | None = None) -> list[object]:
         """Return an array."""
         found = self.value(key, default)
         if not isinstance(found, list):
@@ -183,6 +186,18 @@ class Table:
         except ValueError:
             raise self.error(key, f'needs bytes in hexadecimal such as "0D 0A", not {_shown(found)}') from None
 
+    def optional_text(self, key: str) -> str | None:
+        """Return a string, None where the key is absent."""
+        return self.text(key) if self.has(key) else None
+
+    def optional_number(self, key: str) -> float | None:
+        """Return a finite number, None where the key is absent."""
+        return self.number(key) if self.has(key) else None
+
+    def optional_integer(self, key: str, low: int, high: int) -> int | None:
+        """Return a whole number from ``low`` to ``high``, None where the key is absent."""
+        return self.integer(key, low, high) if self.has(key) else None
+
     def table(self, key: str) -> Table:
         """Return a table below this one, empty where the key is absent."""
         return self.below(self.plain(key, {}), key)
@@ -192,11 +207,18 @@ class Table:
         for index, found in enumerate(self.items(key, [])):
             yield self.below(found, key, index)
 
-    def below(self, found: Any, *path: str | int) -> Table:
+    def below(self, found: object, *path: str | int) -> Table:
         """Return a table from a value that must be one."""
         if not isinstance(found, dict):
             raise self.source.error((*self.path, *path), f"needs a table in braces, not {_shown(found)}")
         return Table(values=found, path=(*self.path, *path), source=self.source, settings=self.settings)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self.finish()
 
     def finish(self) -> None:
         """Refuse keys that nobody took."""

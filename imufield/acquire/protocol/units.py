@@ -24,6 +24,12 @@ TO_SI = {
     "degC": ("degC", 1.0),
 }
 """Units a protocol may name: what a sample holds, and by what the number is multiplied."""
+UNITS_OF = {
+    "accelerometer": ("m/s^2", "m/s", "count", "pulse"),
+    "gyroscope": ("rad/s", "rad", "count", "pulse"),
+    "temperature": ("degC",),
+}
+"""What each part of a sample may be in; the first where nothing else is known."""
 SI_UNITS = ("m/s^2", "m/s", "rad/s", "rad")
 
 

@@ -81,15 +81,15 @@ class CanEncoder:
         }
         for column in kind.columns:
             raw[column.signal.name] = _to_raw(column, _values(samples, column.place), _invalid(samples, column.place))
-        for flag in kind.flags:
+        for signal, flag in kind.flags:
             is_set = ((samples.status & np.uint32(flag.flag)) != 0) ^ flag.when_clear
             value = flag.values[0] if flag.values else flag.mask & -flag.mask
-            before = raw.get(flag.signal.name, np.zeros(n, dtype=np.int64)).astype(np.int64)
-            raw[flag.signal.name] = before | np.where(is_set, value, 0)
+            before = raw.get(signal.name, np.zeros(n, dtype=np.int64)).astype(np.int64)
+            raw[signal.name] = before | np.where(is_set, value, 0)
         count = samples.counter * self._counter_step + self.counter_offset
-        for signal in (kind.counter, kind.group):
-            if signal is not None:
-                raw[signal.name] = count % (1 << signal.length)
+        for counter in (kind.counter, kind.group):
+            if counter is not None:
+                raw[counter.name] = count % (1 << counter.length)
         if kind.time is not None:
             ticks = np.rint(samples.time_s * self._ticks_per_s).astype(np.int64)
             raw[kind.time.name] = ticks % (1 << kind.time.length)
