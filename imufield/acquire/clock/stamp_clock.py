@@ -67,8 +67,8 @@ class StepRule:
             positive = steps[steps > _SHORTEST_S]
             self.step = float(np.median(positive)) if len(positive) else 0.0
             return
-        seen = [int(np.count_nonzero(np.abs(steps - step) <= self._jitter)) for step in self._allowed]
-        self.step = float(self._allowed[int(np.argmax(seen))])
+        counts = [int(np.count_nonzero(np.abs(steps - step) <= self._jitter)) for step in self._allowed]
+        self.step = float(self._allowed[int(np.argmax(counts))])
 
     def examine(self, steps: FloatArray) -> Steps:
         """Judge n steps, shape (n,), in order."""

@@ -293,8 +293,8 @@ class FrameCheck:
         Where parts of frames may differ, a good frame has the key and the shape of the first one. Elsewhere there are several
         shapes if keys differ, and ``NO_SHAPE`` is returned.
         """
-        one = len(self._forms) == 1
-        form = self._forms[0 if one else int(self._form_of(rows[0], np.zeros(1, dtype=np.intp))[0])]
+        only = len(self._forms) == 1
+        form = self._forms[0 if only else int(self._form_of(rows[0], np.zeros(1, dtype=np.intp))[0])]
         good = form.same_length(rows)
         if form.form.has_structure:
             number = self._shape_of_first(form, rows)

@@ -159,11 +159,13 @@ class Crc(Checksum):
             padded = length + -length % self._pad_to
             self._grow(padded)
             # Half the size where it will do: the tables of a frame stay in cache.
-            kind: type[np.uint32 | np.uint64] = np.uint32 if self._width <= 32 else np.uint64
-            table: NDArray[np.unsignedinteger] = self._left[:padded][::-1][:length].astype(kind).ravel()
+            flat = self._left[:padded][::-1][:length].ravel()
+            table: NDArray[np.unsignedinteger] = flat.astype(np.uint32 if self._width <= 32 else np.uint64)
             if len(self._by_length) >= _TABLES_KEPT:
                 self._by_length.clear()
-            found = _Tables(table, np.arange(length, dtype=np.intp) * 256, kind(int(self._start_left[padded]) ^ self._final))
+            found = _Tables(
+                table, np.arange(length, dtype=np.intp) * 256, table.dtype.type(int(self._start_left[padded]) ^ self._final)
+            )
             self._by_length[length] = found
         return found
 
@@ -184,18 +186,18 @@ class Crc(Checksum):
     @cached_property
     def _first(self) -> Values:
         """What each byte value leaves when no byte follows it: 8 steps of the shift register, shape (256,)."""
-        one = np.uint64(1)
+        bit = np.uint64(1)
         if self._reflected:
             register = np.arange(256, dtype=np.uint64)
             polynomial = np.uint64(_reversed(self._polynomial, self._width))
             for _ in range(8):
-                register = (register >> one) ^ (register & one) * polynomial
+                register = (register >> bit) ^ (register & bit) * polynomial
             return register
         top = np.uint64(self._width - 1)
         register = np.arange(256, dtype=np.uint64) << np.uint64(self._width - 8)
         mask = np.uint64((1 << self._width) - 1)
         for _ in range(8):
-            register = ((register << one) & mask) ^ (register >> top) * np.uint64(self._polynomial)
+            register = ((register << bit) & mask) ^ (register >> top) * np.uint64(self._polynomial)
         return register
 
     def _after_zero_byte(self, register: Values) -> Values:
