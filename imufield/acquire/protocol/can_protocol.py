@@ -247,11 +247,11 @@ class _Mapping:
         unit, factor = TO_SI.get(unit_name(written) or "", ("", 0.0))
         if unit not in allowed:
             known = ", ".join(name for name, (si, _) in TO_SI.items() if si in allowed)
-            shown = repr(written) if written else "no unit"
+            shown = f"{written!r}" if written else "no unit"
             raise self.table.error(
                 f"{part}_unit" if given else part,
-                f"signal {signal.name} has {shown}, which is no unit of the {part}; choose another signal, or state its unit as "
-                f"{part}_unit (one of {known})",
+                f"signal {signal.name} has {shown}, which is no unit of the {part}; choose another signal, or state its unit "
+                f"as {part}_unit (one of {known})",
                 reason=Reason.UNITS,
             )
         return unit, factor
