@@ -155,6 +155,7 @@ class CanClock:
             phase.burst = math.ceil(delay_s / period_s)
             if self._last_counter is None:
                 self._statistics.least_loss_s = max(self._statistics.least_loss_s, phase.visible_s)
+        # An adapter or a log without time: nothing can be seen as missing, and nothing is waited for.
         if block.stamp_s[-1] <= block.stamp_s[0]:
             phase.is_blind, phase.base_s = True, 0.0
         return phase
@@ -205,6 +206,7 @@ class CanClock:
         if span_s >= 2 * LEARN_S:
             self._statistics.rate_hz = (phase.number + self._statistics.losses_estimated - self._begin[0]) / span_s
         self._last_time_s = phase.last_time_s
+        # A wrong period moves the phase at every sample; it is learned anew, with time going on where it was.
         if estimated is not None and self._rate_changed(moved_s, phase):
             self._phase = None
         return samples

@@ -185,6 +185,7 @@ class SampleClock:
             time_s = stamped.time_s
             flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
             self._statistics.clock_resets += int(np.count_nonzero(stamped.reset))
+            # The counter is exact but goes round; the stamps beside it tell how often it did.
             steps = self._add_wraps(steps, stamped.step_s) if self._has_counter else stamped.step_s
         else:
             total = self._ticks + np.cumsum(ticks)
@@ -197,6 +198,7 @@ class SampleClock:
             return TimedBlock(block=block, time_s=time_s, flags=flags, fault=no_fault, arrival_s=math.nan)
         flags[found.irregular & ~found.inexact] |= np.uint32(Status.AFTER_GAP)
         flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
+        # A gap as long as the bytes that were passed over there needs no other explanation.
         unaccounted = np.abs(block.skipped_before - found.lost) > _HALF_A_SAMPLE
         fault = unaccounted & (found.irregular | (block.skipped_before > 0))
         self._statistics.gaps += int(np.count_nonzero(flags))

@@ -86,6 +86,7 @@ class CanSource:
         if groups.keep_from < len(places):
             first = int(places[groups.keep_from])
             self._put_back = len(frames) - first
+            # Bytes, not arrays, go back: a block begins with them as if they came in one read.
             self._unpacker.put_back(frames, first)
         self._note_skipped(groups.left_out)
         rows = groups.rows
@@ -93,6 +94,7 @@ class CanSource:
             return None
         is_complete = bool(rows.min() >= 0)
         if len(places) < len(frames):
+            # The assembler counts frames of samples only; from here on all frames of the block count.
             rows = places[rows] if is_complete else np.where(rows == NO_FRAME, NO_FRAME, places[rows])
         return self._values(frames, rows, is_complete)
 
@@ -104,6 +106,7 @@ class CanSource:
         masked: dict[int, NDArray[np.uint32]] = {}
         for number, reader in enumerate(self._kinds):
             bits = int(reader.mask)
+            # Messages of one form have one mask; the identifiers are masked once for all of them.
             if bits not in masked:
                 masked[bits] = frames.can_id & reader.mask
             hit = masked[bits] == reader.can_id
