@@ -120,7 +120,7 @@ class Decoder:
 def _parts(protocol: Protocol, statistics: DecoderStatistics, keep: Keep) -> tuple[Source, Clock]:
     """Return the source that reads this protocol, and the clock that takes its blocks."""
     if protocol.can is not None:
-        # Imported where a bus is used: cantools takes a third of a second to import.
+        # Imported where a bus is used: cantools is slow to import.
         from imufield.acquire.clock.can_clock import CanClock
         from imufield.acquire.decode.can_source import CanSource
 

@@ -37,6 +37,7 @@ Golden = Callable[..., None]
 # Of the times in a golden file: a wrong clock moves nearly all of them, so that a few show it.
 TIMES_KEPT = 10
 ONE_UNIT = 2.0**-52
+RATES = ("nominal_rate_hz", "rate_hz", "least_loss_s")
 SECONDS = 10
 MOST_HZ = 500
 OPTIONS: dict[str, dict[str, object]] = {
@@ -118,7 +119,9 @@ def summary(runs: Iterable[Run]) -> list[object]:
         samples = concatenate(run.blocks) if run.blocks else None
         exact.update(b"" if samples is None else values_of(samples))
         statistics = run.decoder.statistics.to_dict()
-        rates += [statistics.pop(name) for name in ("nominal_rate_hz", "rate_hz", "least_loss_s")]
+        found = run.decoder.statistics
+        rates += [found.nominal_rate_hz, found.rate_hz, found.least_loss_s]
+        statistics = {name: value for name, value in statistics.items() if name not in RATES}
         sizes = [len(block) for block in run.blocks]
         count += sum(sizes)
         rest = [sizes, statistics, run.decoder.messages(), run.error]

@@ -135,8 +135,8 @@ class CanClock:
         known = block.counter >= 0
         if np.count_nonzero(known) > len(known) / 2 and self._rule.counter_modulus:
             steps = np.diff(block.counter)[known[1:] & known[:-1]] % self._rule.counter_modulus
-            seen = [int(np.count_nonzero(steps == step)) for step in self._rule.counter_steps]
-            self._counter_step = self._rule.counter_steps[int(np.argmax(seen))]
+            counts = [int(np.count_nonzero(steps == step)) for step in self._rule.counter_steps]
+            self._counter_step = self._rule.counter_steps[int(np.argmax(counts))]
             first = int(np.argmax(known))
             self._last_counter = int(block.counter[first]) - (first + 1) * self._counter_step
         steps = self._steps(block.counter, remember=False)
@@ -155,6 +155,7 @@ class CanClock:
             phase.burst = math.ceil(delay_s / period_s)
             if self._last_counter is None:
                 self._statistics.least_loss_s = max(self._statistics.least_loss_s, phase.visible_s)
+        # An adapter or a log without time: nothing can be seen as missing, and nothing is waited for.
         if block.stamp_s[-1] <= block.stamp_s[0]:
             phase.is_blind, phase.base_s = True, 0.0
         return phase
@@ -179,7 +180,7 @@ class CanClock:
         return np.where(back, 1.0, np.rint(steps))
 
     def _time(self, block: RawBlock, ready: int, phase: _Phase) -> Samples:
-        """Give the first ``ready`` samples of the held block their time."""
+        """Give the first ``ready`` samples of the block their time."""
         number, steps = self._numbers(block, ready, phase)
         lag_s = block.stamp_s - number * phase.period_s
         envelope_s = np.zeros(ready) if phase.is_blind else _minimum_ahead(lag_s, block.stamp_s, phase.window_s)[:ready]
@@ -199,18 +200,23 @@ class CanClock:
         phase.before_s = np.concatenate([phase.before_s, envelope_s])[-phase.burst - 1 :]
         self._begin = self._begin or (float(number[0]) + self._statistics.losses_estimated, float(time_s[0]))
         samples = self._samples(block[:ready], time_s, steps, estimated)
-        self._measure(phase, *self._begin)
+        # The rate as learned, and as measured since the first sample.
+        self._statistics.nominal_rate_hz = self._rule.rate_hz or 1 / phase.period_s
+        span_s = phase.last_time_s - self._begin[1]
+        if span_s >= 2 * LEARN_S:
+            self._statistics.rate_hz = (phase.number + self._statistics.losses_estimated - self._begin[0]) / span_s
         self._last_time_s = phase.last_time_s
+        # A wrong period moves the phase at every sample; it is learned anew, with time going on where it was.
         if estimated is not None and self._rate_changed(moved_s, phase):
             self._phase = None
         return samples
 
     def _numbers(self, block: RawBlock, ready: int, phase: _Phase) -> tuple[FloatArray, FloatArray | None]:
-        """Return the numbers of all samples held, and the steps of the first ``ready`` where there is a counter."""
+        """Return the numbers of all samples of the block, and the steps of the first ``ready`` where there is a counter."""
         if self._last_counter is None:
             return np.arange(phase.number + 1, phase.number + len(block) + 0.5), None
         number = phase.number + np.cumsum(self._steps(block.counter, remember=False))
-        # What stays held is counted again in the next call.
+        # What is not ready is counted again in the next call.
         return number, self._steps(block.counter[:ready])
 
     def _samples(self, block: RawBlock, time_s: FloatArray, steps: FloatArray | None, estimated: IntArray | None) -> Samples:
@@ -228,13 +234,6 @@ class CanClock:
             gaps = gaps | (estimated > 0)
         statistics.gaps += int(np.count_nonzero(gaps))
         return samples_of(block, time_s, flags, self._units)
-
-    def _measure(self, phase: _Phase, first: float, first_s: float) -> None:
-        """Write the rate into the statistics: learned, and measured since the first sample."""
-        self._statistics.nominal_rate_hz = self._rule.rate_hz or 1 / phase.period_s
-        span_s = phase.last_time_s - first_s
-        if span_s >= 2 * LEARN_S:
-            self._statistics.rate_hz = (phase.number + self._statistics.losses_estimated - first) / span_s
 
     def _rate_changed(self, moved_s: FloatArray, phase: _Phase) -> bool:
         """Whether the phase runs away, which a wrong period makes it do."""

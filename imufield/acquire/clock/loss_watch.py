@@ -9,7 +9,7 @@ above the line of earliest arrivals. Its least value over a while is free of the
 * rises on and on where the instrument runs slow;
 * stands where samples are missing, and where a cable has become slower for good.
 
-So blocks that come late are held back, and a loss is believed when the least lag has stood still for a while and
+So blocks that come late are kept back, and a loss is believed when the least lag has stood still for a while and
 
 * the stream itself shows a place where samples are missing that the bytes there do not account for, and the lag is a whole
   number of units or began with a silence as long as itself (an instrument that was restarted); or
@@ -20,7 +20,7 @@ So blocks that come late are held back, and a loss is believed when the least la
 Otherwise the lag is no loss and the line begins anew. An arrival that is earlier than a loss allows disproves it: the count
 is taken back. The time of samples is not, as it cannot run backwards; it has a flagged gap at that place.
 
-How far arrival at the host lags behind the sample clock, compared with how far it must.
+``HostBaseline`` is how far arrival at the host lags behind the sample clock, compared with how far it must.
 
 Arrival is never early, but often late: the operating system hands over old data in bursts. The lowest of
 (arrival - sample clock) in each quarter second is therefore the true relation of the two clocks, and the slope of those
@@ -108,7 +108,7 @@ class HostBaseline:
 _PROOF_WITH_FAULT_S = 1.0
 _PROOF_S = 3.0
 _PROOF_SPREADS = 20.0  # With a fault, wait for so many times the usual jitter, but no longer than without.
-# A lag that stands that long without being a loss is none; nothing is longer held back, but for late data coming in.
+# A lag that stands that long without being a loss is none; nothing is longer kept back, but for late data coming in.
 _GIVE_UP_S = 4.0
 _AT_END_S = 0.25  # How long, where nothing will follow.
 _SILENCE = 0.75  # Part of the loss that must have been silence; the rest allows for a read that was under way.
@@ -162,18 +162,18 @@ class LossWatch:
         self.gaps = 0  # Gaps found that were not flagged before.
         self._unit_s = unit_s
         self._smallest_s = smallest_s
-        self._held: list[tuple[TimedBlock, float]] = []
+        self._pending: list[tuple[TimedBlock, float]] = []
         self._last_arrival_s = math.nan
         self._silence_s = 0.0
         self._believed = 0  # Units found missing that an early arrival would disprove.
 
     def passes(self, arrival_s: float, last_s: float) -> bool:
-        """Take note of a block up to ``last_s`` if it is in time and nothing is held back; return whether it was.
+        """Take note of a block up to ``last_s`` if it is in time and nothing is kept back; return whether it was.
 
         The same as ``push`` for nearly all blocks, without making them.
         """
-        if self._held or not math.isfinite(arrival_s):
-            return not self._held
+        if self._pending or not math.isfinite(arrival_s):
+            return not self._pending
         if not abs(self.baseline.lag_s(arrival_s, last_s)) <= self._smallest_s:
             return False
         self._last_arrival_s = arrival_s
@@ -186,35 +186,41 @@ class LossWatch:
             return [*self.finish(), timed]
         last_s = float(timed.time_s[-1])
         lag_s = self.baseline.lag_s(timed.arrival_s, last_s)
-        if not self._held:
+        if not self._pending:
             self._silence_s = timed.arrival_s - self._last_arrival_s
         self._last_arrival_s = timed.arrival_s
         if lag_s <= self._smallest_s:
-            self._disprove(lag_s)
+            if self._believed and lag_s < -self._smallest_s:
+                # Bytes arrive earlier than the losses found would allow, so these cannot have been: take them back.
+                units_back = min(round(-lag_s / self._unit_s), self._believed)
+                self._believed -= units_back
+                self.units_taken_back += units_back
             self.baseline.add(timed.arrival_s, last_s)
             return [*self._release(), timed]
-        self._held.append((timed, lag_s))
+        self._pending.append((timed, lag_s))
         units = self._units_lost()
         return [] if units is None else self._settle(units)
 
     def finish(self) -> list[TimedBlock]:
-        """Return what is held back; nothing with an arrival time will follow."""
-        if not self._held:
+        """Return what is kept back; nothing with an arrival time will follow."""
+        if not self._pending:
             return []
         units = self._units_lost(at_end=True)
         return self._settle(units) if units else self._release()
 
     def _release(self) -> list[TimedBlock]:
-        held, self._held = self._held, []
-        return [timed for timed, _ in held]
+        pending, self._pending = self._pending, []
+        return [timed for timed, _ in pending]
 
     def _units_lost(self, *, at_end: bool = False) -> int | None:
-        """Return how many units are missing in what is held back; None while it cannot be told."""
+        """Return how many units are missing in what is kept back; None while it cannot be told."""
         place = self._fault()
-        since = self._held[0 if place is None else place[0] :]
+        since = self._pending[0 if place is None else place[0] :]
         now_s = since[-1][0].arrival_s
         waited_s = now_s - since[0][0].arrival_s
-        proof_s = self._proof_s(has_fault=place is not None)
+        proof_s = _PROOF_S
+        if place is not None:
+            proof_s = min(max(_PROOF_SPREADS * self.baseline.spread_s, _PROOF_WITH_FAULT_S), _PROOF_S)
         if at_end:
             proof_s = max(min(proof_s, waited_s), _AT_END_S if place is not None else _PROOF_S)
         if waited_s < proof_s:
@@ -228,11 +234,6 @@ class LossWatch:
         is_coming_in = lag_s < before_s - jitter_s
         return 0 if waited_s >= _GIVE_UP_S and not is_coming_in else None
 
-    def _proof_s(self, *, has_fault: bool) -> float:
-        if not has_fault:
-            return _PROOF_S
-        return min(max(_PROOF_SPREADS * self.baseline.spread_s, _PROOF_WITH_FAULT_S), _PROOF_S)
-
     def _is_loss(self, lag_s: float, tolerance_s: float, *, has_fault: bool) -> bool:
         """Whether a lag that stands still is a loss."""
         units = round(lag_s / self._unit_s)
@@ -245,45 +246,34 @@ class LossWatch:
         return units > 0 and is_whole and was_silent and can_tell
 
     def _settle(self, units: int) -> list[TimedBlock]:
-        """Let go what is held back: with a loss in it, or with a clock that has changed."""
-        place = self._fault() or (0, 0)
-        held = self._release()
+        """Let go what is kept back: with a loss in it, or with a clock that has changed."""
+        number, row = self._fault() or (0, 0)
+        pending = self._release()
         if units:
-            self._insert(held, place, units)
+            # All samples from the place of the loss on come later by it.
+            for timed in pending[number:]:
+                timed.time_s[row if timed is pending[number] else 0 :] += units * self._unit_s
+            flags = pending[number].flags
+            self.gaps += int(flags[row] & np.uint32(Status.AFTER_GAP | Status.GAP_ESTIMATED) == 0)
+            flags[row] = flags[row] & ~np.uint32(Status.AFTER_GAP) | np.uint32(Status.GAP_ESTIMATED)
+            self.lost_units += units
             self._believed += units
         else:
             self.baseline = HostBaseline()
             self._believed = 0
-        for timed in held:
+        for timed in pending:
             self.baseline.add(timed.arrival_s, float(timed.time_s[-1]))
-        return held
-
-    def _insert(self, held: list[TimedBlock], place: tuple[int, int], units: int) -> None:
-        """Move all samples from ``place`` on by the loss."""
-        number, row = place
-        for timed in held[number:]:
-            timed.time_s[row if timed is held[number] else 0 :] += units * self._unit_s
-        flags = held[number].flags
-        self.gaps += int(flags[row] & np.uint32(Status.AFTER_GAP | Status.GAP_ESTIMATED) == 0)
-        flags[row] = flags[row] & ~np.uint32(Status.AFTER_GAP) | np.uint32(Status.GAP_ESTIMATED)
-        self.lost_units += units
-
-    def _disprove(self, lag_s: float) -> None:
-        """Take back losses that cannot have been, as bytes arrive earlier than they would allow."""
-        if self._believed and lag_s < -self._smallest_s:
-            units = min(round(-lag_s / self._unit_s), self._believed)
-            self._believed -= units
-            self.units_taken_back += units
+        return pending
 
     def _fault(self) -> tuple[int, int] | None:
-        """Return block and sample of the first fault in what is held; None where there is none."""
-        for number, (timed, _) in enumerate(self._held):
+        """Return block and sample of the first fault in what is kept back; None where there is none."""
+        for number, (timed, _) in enumerate(self._pending):
             rows = np.flatnonzero(timed.fault)
             if len(rows):
                 return number, int(rows[0])
         return None
 
 
-def _least(held: list[tuple[TimedBlock, float]], begin_s: float, end_s: float) -> float:
+def _least(pending: list[tuple[TimedBlock, float]], begin_s: float, end_s: float) -> float:
     """Return the least lag of what arrived in a stretch of time, infinity where nothing did."""
-    return min((lag_s for timed, lag_s in held if begin_s <= timed.arrival_s < end_s), default=math.inf)
+    return min((lag_s for timed, lag_s in pending if begin_s <= timed.arrival_s < end_s), default=math.inf)

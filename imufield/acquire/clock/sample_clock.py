@@ -4,7 +4,7 @@ Three sources, in this order of trust:
 
 * a *time stamp* of the instrument, unwrapped;
 * a *counter* of known rate, unwrapped: fewer losses than one wrap of it are counted exactly. More cannot be seen in it
-  (256 counts at 2000 Hz are 128 ms). They show as a lag against the host clock that does not go away; samples are held
+  (256 counts at 2000 Hz are 128 ms). They show as a lag against the host clock that does not go away; samples are kept
   back until it is clear whether the lag is a burst of late data (nothing is missing) or whole wraps are;
 * the *host clock*: samples in even steps at the measured rate, kept to the line of earliest arrivals.
 
@@ -92,7 +92,7 @@ class SampleClock:
         return self._emit(done)
 
     def flush(self) -> Samples | None:
-        """Return what is still held back; nothing will follow."""
+        """Return what is still kept back; nothing will follow."""
         done = [] if self._started or not self._early else self._start_blocks()
         done += self._watch.finish()
         self._count_losses(np.empty(0))
@@ -136,7 +136,7 @@ class SampleClock:
         elif self._has_time:
             self._steps.learn(first_steps_s)
         else:
-            self._start_without_device_time()
+            self._start_by_host()
         self._ticks = -int(self._steps.step)
         self._unit_ticks = self._rule.counter_modulus if self._has_counter else 1
         unit_s = self._unit_ticks / self._tick_rate_hz
@@ -145,22 +145,17 @@ class SampleClock:
         early, self._early = self._early, []
         return [timed for block, arrival_s in early for timed in self._settle(block, [(len(block), arrival_s)])]
 
-    def _start_without_device_time(self) -> None:
-        self._steps.step = 1.0
-        self._tick_rate_hz = self._rate_at_host()
-        block, arrival_s = self._early[0]
-        if math.isfinite(arrival_s):
-            self._origin_s = arrival_s - (len(block) - 1) / self._tick_rate_hz
-
-    def _rate_at_host(self) -> float:
-        """Return the sample rate over the first blocks; the nominal one where the host clock says nothing."""
+    def _start_by_host(self) -> None:
+        """Take the sample rate of the first blocks by the host's clock; the nominal one where that tells nothing."""
         (first, begin_s), (_, end_s) = self._early[0], self._early[-1]
         count = sum(len(block) for block, _ in self._early) - len(first)
         nominal = self._rule.rate_hz or 1.0
-        if not end_s - begin_s >= _MEASURE_RATE_S or count == 0:
-            return nominal
-        measured = count / (end_s - begin_s)
-        return nominal if abs(measured / nominal - 1) < 2 * _SLEW else measured
+        measured = count / (end_s - begin_s) if end_s - begin_s >= _MEASURE_RATE_S and count else nominal
+        # Near the nominal rate the first half second measures worse than the maker's crystal.
+        self._tick_rate_hz = nominal if abs(measured / nominal - 1) < 2 * _SLEW else measured
+        self._steps.step = 1.0
+        if math.isfinite(begin_s):
+            self._origin_s = begin_s - (len(first) - 1) / self._tick_rate_hz
 
     def _check_interval(self, learned_from: int) -> None:
         """Refuse a wrong sample interval of increments: every value would be wrong by that factor."""
@@ -190,6 +185,7 @@ class SampleClock:
             time_s = stamped.time_s
             flags[stamped.reset] |= np.uint32(Status.GAP_ESTIMATED)
             self._statistics.clock_resets += int(np.count_nonzero(stamped.reset))
+            # The counter is exact but goes round; the stamps beside it tell how often it did.
             steps = self._add_wraps(steps, stamped.step_s) if self._has_counter else stamped.step_s
         else:
             total = self._ticks + np.cumsum(ticks)
@@ -198,11 +194,11 @@ class SampleClock:
         found = self._steps.examine(steps)
         if self._rule.gaps_told:
             self._count_told(block.status, found.lost)
-            return TimedBlock(
-                block=block, time_s=time_s, flags=flags, fault=np.zeros(len(block), dtype=np.bool_), arrival_s=math.nan
-            )
+            no_fault = np.zeros(len(block), dtype=np.bool_)
+            return TimedBlock(block=block, time_s=time_s, flags=flags, fault=no_fault, arrival_s=math.nan)
         flags[found.irregular & ~found.inexact] |= np.uint32(Status.AFTER_GAP)
         flags[found.inexact] |= np.uint32(Status.GAP_ESTIMATED)
+        # A gap as long as the bytes that were passed over there needs no other explanation.
         unaccounted = np.abs(block.skipped_before - found.lost) > _HALF_A_SAMPLE
         fault = unaccounted & (found.irregular | (block.skipped_before > 0))
         self._statistics.gaps += int(np.count_nonzero(flags))

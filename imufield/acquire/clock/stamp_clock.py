@@ -67,8 +67,8 @@ class StepRule:
             positive = steps[steps > _SHORTEST_S]
             self.step = float(np.median(positive)) if len(positive) else 0.0
             return
-        seen = [int(np.count_nonzero(np.abs(steps - step) <= self._jitter)) for step in self._allowed]
-        self.step = float(self._allowed[int(np.argmax(seen))])
+        counts = [int(np.count_nonzero(np.abs(steps - step) <= self._jitter)) for step in self._allowed]
+        self.step = float(self._allowed[int(np.argmax(counts))])
 
     def examine(self, steps: FloatArray) -> Steps:
         """Judge n steps, shape (n,), in order."""
@@ -162,6 +162,7 @@ class StampClock:
     def start(self, stamps: Ticks) -> FloatArray:
         """Begin with the first of the first n time stamps; return the n - 1 steps between them, s."""
         stamps = self._without_garbage(stamps)
+        # Without any stamp before it a first one that is missing is still ``NO_TICKS``, too far back to compute with.
         self._last = max(stamps[0].item(), -_LARGEST_TIME_S * self._ticks_per_s)
         self._time_s = self._raw_s = self._last / self._ticks_per_s
         return np.diff(stamps) / self._ticks_per_s

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from operator import attrgetter
 from typing import Protocol
 
 import numpy as np
@@ -73,18 +74,20 @@ class RawBlock:
         return len(self.status)
 
     def __getitem__(self, rows: slice | Flags | NDArray[np.intp]) -> RawBlock:
-        return RawBlock(**{name: part[rows] if len(part := getattr(self, name)) else part for name in _PARTS})
+        parts = zip(_NAMES, _parts_of(self), strict=True)
+        return RawBlock(**{name: part[rows] if len(part) else part for name, part in parts})
 
 
-_PARTS = tuple(part.name for part in fields(RawBlock))
+_NAMES = tuple(part.name for part in fields(RawBlock))
+_parts_of = attrgetter(*_NAMES)  # Blocks are cut and joined for every read: this is twice as fast as one getattr after another.
 
 
 def join(blocks: Sequence[RawBlock]) -> RawBlock:
     """Join at least one block."""
     if len(blocks) == 1:
         return blocks[0]
-    columns = {name: [getattr(block, name) for block in blocks] for name in _PARTS}
-    return RawBlock(**{name: np.concatenate(parts) if any(map(len, parts)) else parts[0] for name, parts in columns.items()})
+    columns = zip(_NAMES, zip(*map(_parts_of, blocks), strict=True), strict=True)
+    return RawBlock(**{name: np.concatenate(parts) if any(map(len, parts)) else parts[0] for name, parts in columns})
 
 
 class Source(Protocol):

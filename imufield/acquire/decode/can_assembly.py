@@ -134,6 +134,7 @@ class Assembler:
             return Groups(np.arange(len(frames))[:, np.newaxis], 0, len(frames))
         groups = self._by_order(frames, last) if frames.group is None else self._by_counter(frames, frames.group, last)
         lacking = np.zeros(len(groups.rows), dtype=np.bool_)
+        # What lacks a kind that the protocol names is no sample at all; whatever else is missing is only not available.
         for kind in self._rule.needs:
             lacking |= groups.rows[:, kind] == NO_FRAME
         return groups if not lacking.any() else Groups(groups.rows[~lacking], groups.left_out, groups.keep_from)

@@ -16,7 +16,7 @@ from imufield.acquire.decode.assembly import NO_FRAME, Keep, RawBlock, instrumen
 from imufield.acquire.decode.can_assembly import Assembler, SampleFrames
 from imufield.acquire.decode.statistics import LEFT_OUT, DecoderStatistics
 from imufield.acquire.protocol.can_dbc import CanSignal
-from imufield.acquire.protocol.can_frames import ERROR, REMOTE, CanFrames, Unpacker
+from imufield.acquire.protocol.can_frames import ERROR, EXTENDED, REMOTE, CanFrames, Unpacker
 from imufield.acquire.protocol.can_protocol import (
     ANY_ADDRESS,
     TEMPERATURE,
@@ -25,7 +25,6 @@ from imufield.acquire.protocol.can_protocol import (
     Column,
     with_source_address,
 )
-from imufield.acquire.protocol.layout import Numbers
 from imufield.acquire.protocol.samples_and_clock import FlagRule
 from imufield.samples import NO_COUNTER, FloatArray, IntArray, Status
 
@@ -87,6 +86,7 @@ class CanSource:
         if groups.keep_from < len(places):
             first = int(places[groups.keep_from])
             self._put_back = len(frames) - first
+            # Bytes, not arrays, go back: a block begins with them as if they came in one read.
             self._unpacker.put_back(frames, first)
         self._note_skipped(groups.left_out)
         rows = groups.rows
@@ -94,6 +94,7 @@ class CanSource:
             return None
         is_complete = bool(rows.min() >= 0)
         if len(places) < len(frames):
+            # The assembler counts frames of samples only; from here on all frames of the block count.
             rows = places[rows] if is_complete else np.where(rows == NO_FRAME, NO_FRAME, places[rows])
         return self._values(frames, rows, is_complete)
 
@@ -105,6 +106,7 @@ class CanSource:
         masked: dict[int, NDArray[np.uint32]] = {}
         for number, reader in enumerate(self._kinds):
             bits = int(reader.mask)
+            # Messages of one form have one mask; the identifiers are masked once for all of them.
             if bits not in masked:
                 masked[bits] = frames.can_id & reader.mask
             hit = masked[bits] == reader.can_id
@@ -164,15 +166,13 @@ class CanSource:
             hit = (can_id & bits) == np.uint32(message.can_id)
             taken = taken | hit
             for place in others[hit].tolist():
-                self._hand_out(frames, place, message.name)
+                data = frames.data(np.array([place]), 64)[0, : int(frames.size[place])].tobytes()
+                self._add(message.name, 1)
+                # The lowest byte of an extended identifier of J1939 is who sent it.
+                can_id_here = int(frames.can_id[place])
+                address = {"source_address": can_id_here & 0xFF} if can_id_here & EXTENDED else {}
+                self._keep({"kind": message.name, **address, **self._rule.dbc.describe(message.name, data)})
         self._add("other", int(len(others) - np.count_nonzero(taken)))
-
-    def _hand_out(self, frames: CanFrames, place: int, name: str) -> None:
-        size = int(frames.size[place])
-        data = frames.data(np.array([place]), 64)[0, :size].tobytes()
-        self._add(name, 1)
-        address = {"source_address": int(frames.can_id[place]) & 0xFF} if int(frames.can_id[place]) >> 31 else {}
-        self._keep({"kind": name, **address, **self._rule.dbc.describe(name, data)})
 
     def _add(self, name: str, count: int) -> None:
         if count:
@@ -335,7 +335,7 @@ def _read_column(column: Column, data: NDArray[np.uint8], into: Rows, rows: slic
     if column.offset:
         scaled += column.offset
     # One comparison finds that there is nothing to do, which is nearly always so.
-    is_suspect = signal.is_float or (bool(signal.codes) and _may_be_code(signal, raw))
+    is_suspect = signal.is_float or bool(signal.codes and raw.max() >= min(code.low for code in signal.codes))
     if is_suspect:
         missing, fault = signal.gaps(raw)
         scaled[missing] = np.nan
@@ -344,10 +344,6 @@ def _read_column(column: Column, data: NDArray[np.uint8], into: Rows, rows: slic
     if not isinstance(rows, slice):
         into.values[column.place, rows] = scaled
     return is_suspect
-
-
-def _may_be_code(signal: CanSignal, raw: Numbers) -> bool:
-    return bool(raw.max() >= min(code.low for code in signal.codes))
 
 
 def _flag_tables(flags: list[_Flag]) -> tuple[list[tuple[int, NDArray[np.uint32]]], list[_Flag]]:

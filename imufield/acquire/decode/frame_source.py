@@ -68,6 +68,7 @@ class FrameSource:
         readers = {key: reader for key in keys if (reader := self._reader(key)) is not None}
         if len(readers) < len(keys):
             self._read_others(block, [key for key in keys if key not in readers])
+        # Nearly always: one kind of frame, whose rows are a view and need no sorting.
         if len(keys) == len(readers) == 1 and self._join is None:
             return self._read_kind(block, readers[keys[0]], None)
         if not readers:
@@ -76,6 +77,7 @@ class FrameSource:
         parts = [self._read_kind(block, reader, place) for reader, place in zip(readers.values(), places, strict=True)]
         if self._join is None and len(parts) == 1:
             return parts[0]
+        # Read kind by kind, the samples go back to the order of the stream.
         order = np.argsort(np.concatenate(places), kind="stable")
         if self._join is None:
             return join(parts)[order]
@@ -230,6 +232,7 @@ class _TickReader:
         for time in reversed(rule.times):
             if found := layout.field(time.field):
                 self._field, self._factor = found, NANOSECONDS / time.ticks_per_s
+        # What stands for a missing stamp must fit the type of those that are there: the block has one array of them.
         known = protocol.frame.all_fields() if protocol.frame and not rule.times else []
         fractions = any(field.name == rule.time_field and field.type[0] == "f" for field in known)
         self._missing: float | int = np.nan if fractions else NO_TICKS

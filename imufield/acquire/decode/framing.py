@@ -178,6 +178,7 @@ class Framer:
             return int(run.starts[0])
         if limit < len(run.good):
             self._run = _FIRST_RUN
+            # Frames of another length follow: from now on headers are followed from one to the next.
             self._is_mixed = self._check.mixes_lengths and not self._rule.trailer
         count = taken[-1] + 1
         before, after = taken[:-1], taken[1:]

@@ -1,4 +1,4 @@
-"""Counts of what a decoder has seen, and what a person should be told of them."""
+"""Counts of frames, samples and losses of a decoder, and the sentences that tell a person what they mean."""
 
 from __future__ import annotations
 
@@ -67,9 +67,9 @@ def remarks(parts: Sequence[DecoderStatistics]) -> list[str]:
             "; where one message comes less than about every twentieth time, or many are lost, samples that begin with the"
             " rarer one (starts_with) are whole"
         )
-        said = f"{share:.0f}" if share >= 10 else f"{share:.2g}"
+        percent = f"{share:.0f}" if share >= 10 else f"{share:.2g}"
         found.append(
-            f"{incomplete} of {samples} samples ({said} %) lack acceleration or rate, and enter no mean"
+            f"{incomplete} of {samples} samples ({percent} %) lack acceleration or rate, and enter no mean"
             f"{remedy if share >= _MANY_PERCENT else ''}"
         )
     standing = sum(part.samples_standing for part in parts)

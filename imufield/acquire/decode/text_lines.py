@@ -48,12 +48,7 @@ class SentenceReader:
         self._by_name = {sentence.name.encode(): _places(rule, sentence) for sentence in rule.sentences}
         self._checksums = {2 * checksum.size: checksum for checksum in rule.checksums}
         self._markers = rule.markers.encode()
-        self._lost = 0
-
-    def take_lost(self) -> int:
-        """Return how many samples were lost since the last call."""
-        lost, self._lost = self._lost, 0
-        return lost
+        self.lost = 0  # Samples lost since the reader of lines last set it back.
 
     def read(self, text: bytes, needed: list[int]) -> list[float] | None:
         """Return the numbers of a sample in the order of the columns, None where the line is none.
@@ -79,7 +74,7 @@ class SentenceReader:
             return None
         row = self._numbers(body, *known)
         if row is None or not all(abs(row[place]) < LARGEST_NUMBER for place in needed):
-            self._lost += 1
+            self.lost += 1
             return None
         return row
 
@@ -96,7 +91,7 @@ class SentenceReader:
             good = int(checksum.of_rows(row)[0]) == int(sent, 16)
         if not good:
             self._statistics.frames_bad_checksum += 1
-            self._lost += any(body.startswith(name) for name in self._by_name)
+            self.lost += any(body.startswith(name) for name in self._by_name)
             return None
         return body
 
@@ -151,6 +146,7 @@ class LineReader:
         self._statistics = statistics
         self._sentences = SentenceReader(rule, statistics, keep) if rule.sentences else None
         self._factors = protocol.factors
+        # What is needed for a sample: an instrument may leave its temperature out now and then.
         self._column = {name: index for index, name in enumerate(rule.columns) if name != "-"}
         self._needed = [index for name, index in self._column.items() if name != "temperature"]
         self._delimiter = _DELIMITERS.get(rule.delimiter)
@@ -164,7 +160,11 @@ class LineReader:
     def feed(self, data: bytes) -> RawBlock | None:
         """Return the samples of the lines that are complete now."""
         if self._too_long:
-            data = self._behind_long_line(data)
+            # The line goes on to its end, wherever that is; only what follows may be numbers again.
+            end = data.find(b"\n")
+            self._too_long = end < 0
+            self._pass_over(len(data) if end < 0 else end + 1)
+            data = b"" if end < 0 else data[end + 1 :]
         *lines, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > LONGEST_LINE:
             self._too_long = True
@@ -178,12 +178,6 @@ class LineReader:
         rest, self._rest = self._rest, b""
         return self._read([rest] if rest else [])
 
-    def _behind_long_line(self, data: bytes) -> bytes:
-        end = data.find(b"\n")
-        self._too_long = end < 0
-        self._pass_over(len(data) if end < 0 else end + 1)
-        return b"" if end < 0 else data[end + 1 :]
-
     def _pass_over(self, count: int) -> None:
         self._offset += count
         self._statistics.bytes_skipped += count
@@ -195,27 +189,24 @@ class LineReader:
         for line in lines:
             text = line.strip()
             self._offset += len(line) + 1
-            row = None if not text or text.startswith(self._comments) else self._row(text)
+            row = None
+            if text and not text.startswith(self._comments):
+                row = self._sentences.read(text, self._needed) if self._sentences else self._numbers(text)
             if row is None:
                 self._statistics.bytes_skipped += len(line) + 1
                 continue
             rows.append(row)
-            lost.append(self._lost)
+            lost.append(self._lost + (self._sentences.lost if self._sentences else 0))
             ends.append(self._offset)
             self._lost = 0
+            if self._sentences:
+                self._sentences.lost = 0
         if not rows:
             return None
         if self._sentences is None:
             self._statistics.frames += len(rows)
             self._statistics.by_kind["line"] = self._statistics.by_kind.get("line", 0) + len(rows)
         return self._block(np.array(rows), np.array(lost, dtype=np.int64), np.array(ends, dtype=np.int64))
-
-    def _row(self, text: bytes) -> list[float] | None:
-        if self._sentences is None:
-            return self._numbers(text)
-        row = self._sentences.read(text, self._needed)
-        self._lost += self._sentences.take_lost()
-        return row
 
     def _numbers(self, text: bytes) -> list[float] | None:
         """Return the numbers of one line, None for a line to pass over, which is counted as lost unless it is a header."""
@@ -238,6 +229,7 @@ class LineReader:
         """Return the line without prefix and checksum; None if either is wrong."""
         body, star, sent = text.rpartition(b"*")
         if star:
+            # As in NMEA 0183, the mark that begins the line is not covered.
             covered = body.removeprefix(b"$")
             try:
                 good = int(sent, 16) == reduce(xor, covered, 0) and len(sent) == 2

@@ -213,6 +213,7 @@ class DbcFile:
         self.label = label
         self._identifiers = identifiers
         try:
+            # Makers' files often have signals that overlap or end behind their message: what is used of them is checked below.
             found = cantools.database.load_string(text, database_format="dbc", strict=False)
         # cantools raises its own errors, and others where a file is damaged in a place it did not think of.
         except (cantools.Error, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:

@@ -69,7 +69,8 @@ def pack_frame(can_id: int, data: bytes, time_s: float = 0.0, flags: int = 0) ->
     size = len(data)
     if size > MOST_DATA:
         raise ValueError(f"a CAN frame has at most {MOST_DATA} bytes, not {size}")
-    first = _HEADER.pack(can_id, size, flags, MARK, time_s, data[:_FIRST])
+    header = (can_id, size, flags, MARK, time_s, data[:_FIRST])
+    first = _HEADER.pack(*header)
     if size <= _FIRST:
         return first
     more = (_MORE.pack(_CONTINUATION, data[at : at + _FURTHER]) for at in range(_FIRST, size, _FURTHER))

@@ -152,7 +152,7 @@ def embed_dbc(text: str, read: Callable[[str], str]) -> str:
 def dbc_table(content: str) -> str:
     """Return a DBC file as the table ``[dbc]`` of a protocol."""
     # TOML has no control characters, and reads a carriage return as the end of a line.
-    content = "".join(" " if ord(one) < 32 and one not in "\n\t" else one for one in content.replace("\r\n", "\n"))
+    content = "".join(" " if ord(mark) < 32 and mark not in "\n\t" else mark for mark in content.replace("\r\n", "\n"))
     # Three quotes, which end the text, stand in comments if anywhere.
     content = content.replace("'''", "'' '").replace("\x7f", " ")
     return f"\n\n[dbc]\ntext = '''\n{content}'''\n"
@@ -247,11 +247,11 @@ class _Mapping:
         unit, factor = TO_SI.get(unit_name(written) or "", ("", 0.0))
         if unit not in allowed:
             known = ", ".join(name for name, (si, _) in TO_SI.items() if si in allowed)
-            said = f"{written!r}" if written else "no unit"
+            shown = f"{written!r}" if written else "no unit"
             raise self.table.error(
                 f"{part}_unit" if given else part,
-                f"signal {signal.name} has {said}, which is no unit of the {part}; choose another signal, or state its unit as "
-                f"{part}_unit (one of {known})",
+                f"signal {signal.name} has {shown}, which is no unit of the {part}; choose another signal, or state its unit "
+                f"as {part}_unit (one of {known})",
                 reason=Reason.UNITS,
             )
         return unit, factor
@@ -280,8 +280,8 @@ class _Mapping:
         """Note a counter that the messages of one sample share."""
         found, signal = _in_file(table, key, self._dbc.find, name)
         # A signal outside all multiplexed forms is part of each.
-        kinds = [one for one in self.kinds.values() if one.message.name == found.name]
-        kinds = [one for one in kinds if not found.selectors or one.message.selectors == found.selectors]
+        kinds = [kind for kind in self.kinds.values() if kind.message.name == found.name]
+        kinds = [kind for kind in kinds if not found.selectors or kind.message.selectors == found.selectors]
         if not kinds:
             raise table.error(key, f"message {found.name} of {name!r} has no signal in [map]")
         self._modulus(key, signal)

@@ -76,6 +76,7 @@ class Checksum(ABC):
     size: int
     """Bytes of the value on the wire."""
 
+    @abstractmethod
     def of_rows(self, rows: Bytes) -> Values:
         """Return the values of n messages of one length.
 
@@ -88,7 +89,6 @@ class Checksum(ABC):
         -------
         ndarray of unsigned integers, shape (n,)
         """
-        return self._rows(rows)
 
     def of(self, message: bytes) -> int:
         """Return the value of one message."""
@@ -99,9 +99,6 @@ class Checksum(ABC):
         if len(starts) == 0:
             return np.empty(0, dtype=np.uint64)
         return self._spans(_ragged(data, starts, lengths), lengths)
-
-    @abstractmethod
-    def _rows(self, rows: Bytes) -> Values: ...
 
     @abstractmethod
     def _spans(self, span: _Ragged, lengths: Positions) -> Values: ...
@@ -123,16 +120,18 @@ class Crc(Checksum):
     def __init__(self, parameters: _Parameters, pad_to: int = 1, start: int | None = None, final: int | None = None) -> None:
         self._width = int(parameters._width)  # noqa: SLF001  crccheck publishes its catalogue only so
         self._polynomial = int(parameters._poly)  # noqa: SLF001
-        self._start = int(parameters._initvalue) if start is None else start  # noqa: SLF001
+        value = int(parameters._initvalue) if start is None else start  # noqa: SLF001
         self._reflected = bool(parameters._reflect_input)  # noqa: SLF001
         self._final = int(parameters._xor_output) if final is None else final  # noqa: SLF001
         self._pad_to = pad_to
         self.size = self._width // 8
         self._left = np.empty((0, 256), dtype=np.uint64)
-        self._start_left = np.array([self._start_register()], dtype=np.uint64)
+        # A reflected register has its bits mirrored; crccheck gives the start value as the catalogue prints it.
+        register = _reversed(value, self._width) if self._reflected else value
+        self._start_left = np.array([register], dtype=np.uint64)
         self._by_length: dict[int, _Tables] = {}
 
-    def _rows(self, rows: Bytes) -> Values:
+    def of_rows(self, rows: Bytes) -> Values:  # noqa: D102  as the base class has it
         count, length = rows.shape
         if length > _LONGEST_TABLE:
             whole = np.ascontiguousarray(rows).reshape(-1)
@@ -159,11 +158,13 @@ class Crc(Checksum):
             padded = length + -length % self._pad_to
             self._grow(padded)
             # Half the size where it will do: the tables of a frame stay in cache.
-            kind: type[np.uint32 | np.uint64] = np.uint32 if self._width <= 32 else np.uint64
-            table: NDArray[np.unsignedinteger] = self._left[:padded][::-1][:length].astype(kind).ravel()
+            flat = self._left[:padded][::-1][:length].ravel()
+            table: NDArray[np.unsignedinteger] = flat.astype(np.uint32 if self._width <= 32 else np.uint64)
             if len(self._by_length) >= _TABLES_KEPT:
                 self._by_length.clear()
-            found = _Tables(table, np.arange(length, dtype=np.intp) * 256, kind(int(self._start_left[padded]) ^ self._final))
+            found = _Tables(
+                table, np.arange(length, dtype=np.intp) * 256, table.dtype.type(int(self._start_left[padded]) ^ self._final)
+            )
             self._by_length[length] = found
         return found
 
@@ -184,18 +185,18 @@ class Crc(Checksum):
     @cached_property
     def _first(self) -> Values:
         """What each byte value leaves when no byte follows it: 8 steps of the shift register, shape (256,)."""
-        one = np.uint64(1)
+        bit = np.uint64(1)
         if self._reflected:
             register = np.arange(256, dtype=np.uint64)
             polynomial = np.uint64(_reversed(self._polynomial, self._width))
             for _ in range(8):
-                register = (register >> one) ^ (register & one) * polynomial
+                register = (register >> bit) ^ (register & bit) * polynomial
             return register
         top = np.uint64(self._width - 1)
         register = np.arange(256, dtype=np.uint64) << np.uint64(self._width - 8)
         mask = np.uint64((1 << self._width) - 1)
         for _ in range(8):
-            register = ((register << one) & mask) ^ (register >> top) * np.uint64(self._polynomial)
+            register = ((register << bit) & mask) ^ (register >> top) * np.uint64(self._polynomial)
         return register
 
     def _after_zero_byte(self, register: Values) -> Values:
@@ -206,10 +207,6 @@ class Crc(Checksum):
         mask = np.uint64((1 << self._width) - 1)
         moved: Values = ((register << eight) & mask) ^ self._first[register >> np.uint64(self._width - 8)]
         return moved
-
-    def _start_register(self) -> int:
-        # A reflected register holds its bits mirrored; crccheck gives the start value as the catalogue prints it.
-        return _reversed(self._start, self._width) if self._reflected else self._start
 
 
 class Sum(Checksum):
@@ -230,7 +227,7 @@ class Sum(Checksum):
         self._negated = negated
         self._words = words
 
-    def _rows(self, rows: Bytes) -> Values:
+    def of_rows(self, rows: Bytes) -> Values:  # noqa: D102  as the base class has it
         if self.size == 1:
             return self._finish(np.add.reduce(rows, axis=1, dtype=np.uint8).astype(np.uint64))
         total = rows.sum(axis=1, dtype=np.uint64)
@@ -255,7 +252,7 @@ class Xor(Checksum):
 
     size = 1
 
-    def _rows(self, rows: Bytes) -> Values:
+    def of_rows(self, rows: Bytes) -> Values:  # noqa: D102  as the base class has it
         return np.asarray(np.bitwise_xor.reduce(rows, axis=1), dtype=np.uint64)
 
     def _spans(self, span: _Ragged, lengths: Positions) -> Values:  # noqa: ARG002  an XOR needs no length
@@ -268,7 +265,7 @@ class Fletcher(Checksum):
 
     size = 2
 
-    def _rows(self, rows: Bytes) -> Values:
+    def of_rows(self, rows: Bytes) -> Values:  # noqa: D102  as the base class has it
         weights = np.arange(rows.shape[1], 0, -1, dtype=np.uint64)
         if rows.shape[1] <= _EXACT_IN_SINGLE:
             both = np.stack([np.ones(len(weights)), weights], axis=1).astype(np.float32)

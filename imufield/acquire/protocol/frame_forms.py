@@ -8,7 +8,8 @@ and all frames of that shape are recognised by comparing those bytes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from dataclasses import field as dataclass_field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,19 +81,19 @@ class FieldsRule:
         for table in (self.known.get(key, {}), self.known.get(None, {})):
             found = table.get(number, table.get(number & ~self.ignored_bits))
             if found is not None:
-                fields = tuple(self._formatted(one, number) for one in found)
-                spare = size - sum(one.size for one in fields)
+                fields = tuple(self._formatted(field, number) for field in found)
+                spare = size - sum(field.size for field in fields)
                 # An instrument may append to a field what it did not have before; a last part of no size takes the rest.
                 if spare > 0 and fields[-1].size == 0:
                     fields = (*fields[:-1], replace(fields[-1], size=spare))
                 return fields if spare >= 0 else ()
         return ()
 
-    def _formatted(self, one: Field, number: int) -> Field:
-        if one.type != "format":
-            return one
+    def _formatted(self, field: Field, number: int) -> Field:
+        if field.type != "format":
+            return field
         kind = self.format_types[number % len(self.format_types)]
-        return replace(one, type=kind.type, size=kind.size * one.count, factor=one.factor * kind.factor)
+        return replace(field, type=kind.type, size=kind.size * field.count, factor=field.factor * kind.factor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +103,7 @@ class MasksRule:
     at: int
     groups: dict[int, tuple[tuple[Field, ...], ...]]
     """By bit of the group byte: the fields of each bit of its mask."""
-    lengths: dict[bytes, tuple[int, int, int]] = field(default_factory=dict, compare=False)
+    lengths: dict[bytes, tuple[int, int, int]] = dataclass_field(default_factory=dict, compare=False)
     """For headers met so far: length, then where the byte stands that makes it longer, and by how much for each unit."""
 
     def header_at(self, data: Bytes, at: int) -> bytes | None:
@@ -122,7 +123,7 @@ class MasksRule:
             known = self.groups.get(bit, ())
             if mask >> len(known):
                 return None
-            found += [one for number, fields in enumerate(known) if mask >> number & 1 for one in fields]
+            found += [field for number, fields in enumerate(known) if mask >> number & 1 for field in fields]
         return found or None
 
     def length(self, data: Bytes, at: int, tail: int) -> int:
@@ -142,11 +143,11 @@ class MasksRule:
     def _measure(self, header: bytes, tail: int) -> tuple[int, int, int]:
         at, count_at, repeat = self.at + len(header), 0, 0
         fields = self.fields(header)
-        for one in fields or []:
-            if one.repeat:
+        for field in fields or []:
+            if field.repeat:
                 # A second such field could only be found through the first; no instrument sends two.
-                count_at, repeat = (at, one.repeat) if repeat == 0 else (0, -1)
-            at += one.size
+                count_at, repeat = (at, field.repeat) if repeat == 0 else (0, -1)
+            at += field.size
         return (NONE, 0, 0) if fields is None or repeat < 0 else (at + tail, count_at, repeat)
 
 
@@ -201,11 +202,11 @@ class FrameForm:
 
     def all_fields(self) -> list[Field]:
         """Return every field a frame of this form may have."""
-        found = [one for layout in self.layouts.values() for one in layout.fields]
+        found = [field for layout in self.layouts.values() for field in layout.fields]
         if self.fields:
-            found += [one for table in self.fields.known.values() for fields in table.values() for one in fields]
+            found += [field for table in self.fields.known.values() for fields in table.values() for field in fields]
         if self.masks:
-            found += [one for bits in self.masks.groups.values() for fields in bits for one in fields]
+            found += [field for bits in self.masks.groups.values() for fields in bits for field in fields]
         return found
 
     def key_of(self, row: bytes) -> int:
@@ -222,7 +223,9 @@ class FrameForm:
         layout = self.layouts.get(key)
         if layout is None or layout.length > len(row):
             layout = Layout(self._name(key), (), len(row))
-        stretched = tuple(replace(one, size=len(row) - self.tail - one.at) if one.size == 0 else one for one in layout.fields)
+        stretched = tuple(
+            replace(field, size=len(row) - self.tail - field.at) if field.size == 0 else field for field in layout.fields
+        )
         return _shape(replace(layout, fields=stretched, length=len(row)), [], row)
 
     def _name(self, key: int) -> str:
@@ -235,12 +238,12 @@ class FrameForm:
             return None
         columns = list(range(rule.at, rule.at + len(header)))
         at, placed = rule.at + len(header), []
-        for one in fields:
-            size = one.size
-            if one.repeat:
+        for field in fields:
+            size = field.size
+            if field.repeat:
                 columns.append(at)
-                size += one.repeat * row[at]
-            placed.append(replace(one, at=at, size=size))
+                size += field.repeat * row[at]
+            placed.append(replace(field, at=at, size=size))
             at += size
         return _shape(Layout("masks " + header.hex(" ").upper(), tuple(placed), len(row)), columns, row)
 
@@ -269,9 +272,9 @@ class FrameForm:
 
 def _put(placed: dict[str, Field], fields: tuple[Field, ...], at: int) -> None:
     """Place fields one behind another; of fields of one name the first counts."""
-    for one in fields:
-        placed.setdefault(one.name, replace(one, at=at))
-        at += one.size
+    for field in fields:
+        placed.setdefault(field.name, replace(field, at=at))
+        at += field.size
 
 
 def _shape(layout: Layout, columns: list[int], row: bytes) -> Shape:

@@ -103,6 +103,7 @@ class Field:
         """Return a field that is no number, from one frame."""
         part = row[self.at : self.at + self.size]
         if self.type == "ascii":
+            # Texts of fixed length are filled up with zeros by some makers, with spaces by others.
             return part.decode("ascii", "replace").strip("\x00 ")
         return part.hex()
 

@@ -128,6 +128,7 @@ def load_protocol(
     if _CAN_KIND.search(text):
         from imufield.acquire.protocol.can_protocol import embed_dbc
 
+        # A recording keeps this text, which must hold all that decodes it.
         text = embed_dbc(text, lambda name: _read_beside(name_or_path, name))
     return parse_protocol(text, settings, read=read, label=label)
 
@@ -147,6 +148,7 @@ def parse_protocol(
     version = top.integer("version", 1, 1 << 31)
     if version > SCHEMA_VERSION:
         raise top.error("version", f"version {version} is newer than {SCHEMA_VERSION}, the newest known; update imufield")
+    # Settings first: every other value of the file may be taken from one.
     chosen = choose_settings(read_rules(top.table("settings")), settings or {}, read or {}, source)
     top.settings = {name: setting.value for name, setting in chosen.items()}
     return _build(top, chosen)

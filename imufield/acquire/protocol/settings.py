@@ -59,6 +59,7 @@ class SettingRule:
             return given if isinstance(given, str) else None
         if isinstance(self.default, bool):
             return {"true": True, "false": False}.get(str(given).strip().lower())
+        # True is the number 1 in Python, but no number that a person means.
         if isinstance(given, bool) or not isinstance(given, (int, float, str)):
             return None
         try:
@@ -71,7 +72,7 @@ class SettingRule:
 
     def _in_range(self, value: float) -> bool:
         low = float("-inf") if self.minimum is None else self.minimum
-        high = 1e300 if self.maximum is None else self.maximum
+        high = 1e300 if self.maximum is None else self.maximum  # Infinity and NaN are no setting.
         return low <= value <= high
 
 
