@@ -113,6 +113,7 @@ def read_log(path: str | Path, *, channel: str | None = None, losses: list[str] 
     pieces: list[bytes] = []
     begin_s = last_s = 0.0
     for message in _messages(Path(path), channel, losses):
+        # Stamps that go back by more than jitter begin a new chunk, too.
         if pieces and (message.timestamp - begin_s > CHUNK_S or len(pieces) >= CHUNK_FRAMES or message.timestamp < last_s - 1):
             yield _chunk(pieces, last_s)
             pieces = []

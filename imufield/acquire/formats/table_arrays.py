@@ -210,6 +210,7 @@ def _table(path: Path, arrays: Arrays, stated: Mapping[str, str]) -> ArrayTable:
     if any(units):
         said.append(f"{path.name}: dates count in seconds from the first row.")
     values = np.hstack(columns)
+    # A single matrix has a name for itself and none for its columns.
     if len(used) == 1 and values.shape[1] > 1:
         return ArrayTable(path=path, header=None, values=values, assumptions=tuple(said))
     settings, raw_zero = _stated(stated)
@@ -227,6 +228,7 @@ def _table(path: Path, arrays: Arrays, stated: Mapping[str, str]) -> ArrayTable:
 def _without_group(names: list[str]) -> list[str]:
     """Leave out the groups or structures that all names are in: ``imu0.acc`` and ``imu0.gyr`` are ``acc`` and ``gyr``."""
     parts = [name.split(".") for name in names]
+    # The last part is the column's own name.
     depth = min(len(each) for each in parts) - 1
     shared = next((level for level in range(depth) if len({each[level] for each in parts}) > 1), depth)
     return [".".join(each[shared:]) for each in parts]

@@ -60,6 +60,7 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
     )
     fitting = [name for name, scale in TIME_SCALE.items() if low <= step * scale <= high]
     if not fitting:
+        # In seconds it would be plausible: then it is the rate that is wrong.
         if rate_hz is not None and SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
             _check_rate(path, step, rate_hz)
         named = "give it with --set time_unit=..., or the rate with --rate-hz, or other --columns"
@@ -116,6 +117,7 @@ def choose_unit(
         unit, factor = _CONVERTED.get(stated[quantity], (stated[quantity], 1.0))
         return unit, factor, f"{quantity} is converted from {stated[quantity]} to {unit}." if factor != 1.0 else ""
     is_whole = ~np.isnan(values).any(axis=1)
+    # A triad without values has any unit.
     if not is_whole.any():
         return ("m/s^2" if quantity == "accelerometer" else "rad/s"), 1.0, ""
     # Neither one damaged number nor a gap decides for all the others.

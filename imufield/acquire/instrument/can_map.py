@@ -81,6 +81,7 @@ def protocol_from_dbc(path: str | Path, mapping: Mapping[str, str], settings: Ma
     path = Path(path)
     try:
         with path.open("rb") as file:
+            # One byte more than allowed, so that a file which is too long shows.
             content = file.read(DBC_LIMIT_BYTES + 1)
     except OSError as error:
         raise ProtocolError(f"DBC file {path} cannot be read: {error.strerror}; check the path", path=str(path)) from error
@@ -93,10 +94,12 @@ def protocol_text(name: str, dbc: str, mapping: Mapping[str, str]) -> str:
     identifiers = mapping.get("identifiers", "auto")
     if identifiers not in _IDENTIFIERS:
         raise UsageError(f"--map identifiers={identifiers} is not one of {', '.join(_IDENTIFIERS)}", identifiers=identifiers)
+    # Names of protocols are words of small letters.
     word = re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_") or "dbc"
     triads = []
     for triad, keys in _TRIAD_KEYS.items():
         missing = [key for key in keys if key not in mapping]
+        # A triad that is not named at all is not there; half a triad is a mistake.
         if 0 < len(missing) < len(keys):
             raise UsageError(f"--map has no {' and no '.join(missing)}: a triad needs all three axes", missing=missing)
         if not missing:

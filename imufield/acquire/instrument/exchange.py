@@ -52,6 +52,7 @@ class Exchange:
         answers: list[Message] = []
         is_deaf = False
         for command in commands:
+            # Every further question would cost its full time-out.
             if is_deaf:
                 # Should the instrument hear but not be heard, it goes on all the same.
                 if command.is_last:
@@ -76,6 +77,7 @@ class Exchange:
         answers: list[Message] = []
         failure: LinkError | None = None
         for command in commands:
+            # What is half done must not go on, but what was begun is ended.
             if failure is not None and not command.is_last:
                 continue
             answer = self._ask(command)

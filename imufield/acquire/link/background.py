@@ -81,6 +81,7 @@ class BackgroundLink:
 
     def close(self) -> None:
         """Give the link back; may be called again."""
+        # The thread first: a link that is closed while it reads fails in ways of its own.
         self._stop()
         self._link.close()
 
