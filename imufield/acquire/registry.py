@@ -14,7 +14,7 @@ from imufield.acquire.protocol.toml import near
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 
 GROUP = "imufield.drivers"
-# What every driver says of its instrument.
+# What every driver states of its instrument.
 _STATED = ("name", "title", "protocol", "default_baud", "bauds", "status", "manual")
 
 

@@ -1,4 +1,4 @@
-"""Columns of numbers from files of arrays: MATLAB, HDF5, Parquet, NumPy.
+"""Read columns of numbers from files of arrays: MATLAB, HDF5, Parquet, NumPy.
 
 What a file starts with decides what it is, not its name. Vectors become columns by their names; a matrix of three columns
 is a triad (``acc`` gives ``acc_x``, ``acc_y``, ``acc_z``), a single matrix is a table without a header.
@@ -162,10 +162,10 @@ def _handed_over(reader: subprocess.Popen[bytes]) -> tuple[Arrays, dict[str, str
         raise ImportError(head["missing"])
     if "names" not in head:
         raise ValueError(head.get("error", f"its reader broke down with {reader.wait()}"))
-    # NumPy would seek in what it takes for a file.
+    # An object with this method alone: NumPy would seek in a real file.
     pipe = cast("IO[bytes]", SimpleNamespace(read=output.read))
     arrays: Arrays = {name: np.lib.format.read_array(pipe, allow_pickle=False) for name in head["names"]}
-    # What is no numbers stays behind; its name is said.
+    # Arrays of other things are not transferred; their names are reported as ignored.
     return arrays | dict.fromkeys(head["others"], np.empty(0, "U1")), head["stated"]
 
 

@@ -57,7 +57,7 @@ def join_by_time(paths: Sequence[Path], files: Sequence[Fields]) -> tuple[dict[s
 
 
 def _covered(time: FloatArray, other: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Tell which times lie between two samples of the other file that are neighbours, or within half a sample of one."""
+    """Mark the times between two neighbouring samples of the other file, or within half a sample of one."""
     if len(other) < 2:
         return np.zeros(len(time), dtype=bool)
     # A file with gaps still has its usual step.

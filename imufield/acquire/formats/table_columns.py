@@ -1,6 +1,6 @@
-"""What the columns of a table mean: by their header, by the user's word, or by how many there are.
+"""Find what the columns of a table mean: by their header, by the names the user gives, or by their number.
 
-Nothing is guessed in silence: whatever a header does not say itself is returned as a sentence.
+Every assumption that the header does not state is returned as a sentence.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Numbers from text: CSV or columns separated by blanks, packed by gzip or not, with or without a header.
+"""Read numbers from text files: CSV or columns separated by blanks, with or without a header, also packed by gzip.
 
 A file is read in blocks of whole lines, each of which NumPy's C parser turns into numbers (4 million a second); single lines
 are examined only to name the one that is wrong.

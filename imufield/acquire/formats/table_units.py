@@ -1,4 +1,4 @@
-"""The unit of time and of the triads of a table, where its header does not say."""
+"""Choose the units of time, acceleration and rate of a table where its header does not state them."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ unit of time at most."""
 _RATE_TOLERANCE = 0.2
 
 _CONVERTED = {"mg": ("g", 1e-3)}  # Units that protocol ``rows_f64`` does not know: what they become, and the factor.
-_FAST = 0.999  # Of all outputs; what lies beyond may be damage.
+_FAST = 0.999  # Of all outputs; larger ones may be damage.
 _STANDS_FOR_G = (0.8, 1.25)
-_STANDS_FOR_M_S2 = (8.0, 12.0)  # Where the median norm of an accelerometer lies that stands still most of the time.
+_STANDS_FOR_M_S2 = (8.0, 12.0)  # Median norm of an accelerometer that is at rest most of the time.
 
 
 def given_time_unit(settings: Mapping[str, object]) -> str | None:
@@ -32,7 +32,7 @@ def given_time_unit(settings: Mapping[str, object]) -> str | None:
     Raises
     ------
     UsageError
-        If it is none.
+        If it is no unit of time.
     """
     unit = settings.get(TIME_UNIT)
     if unit is not None and unit not in TIME_SCALE:

@@ -1,4 +1,4 @@
-"""What reads a CAN bus: a driver, a protocol, or a user's DBC file with the names of its signals.
+"""Choose the protocol of a CAN bus: of a driver, of a protocol file, or made from a user's DBC file and signal names.
 
 ``--dbc FILE --map accelerometer.x=SIGNAL ...`` is written as the text of a protocol. ``open_can`` is the one call for programs
 of others that opens a bus with everything to decode it.
@@ -37,7 +37,7 @@ KEYS = (
     "time.ticks_per_s",
     "identifiers",
 )
-"""What ``--map`` takes."""
+"""Keys of ``--map``."""
 
 
 def parse_map(texts: Iterable[str]) -> dict[str, str]:

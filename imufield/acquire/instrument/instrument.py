@@ -1,4 +1,4 @@
-"""One instrument at the other end of an open link: ask who it is, set its rate, and leave it as it was found."""
+"""Send the commands of a driver to one instrument: ask who it is, set its rate, and put it back as it was found."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def usable(wire: Wire, ways: Callable[[type[Driver]], Iterable[Candidate]], say:
             driver = load_driver(name)
             found += ways(driver) if driver.wire == wire else ()
         except SettingError:
-            # The user typed a value that no driver takes: that is said, not passed over.
+            # The user typed a value that no driver takes: an error, and no driver is passed over for it.
             raise
         except ProtocolError as error:
             # A broken driver of another distribution must not keep the others from working.

@@ -78,7 +78,7 @@ class Finding:
     share : float
         Of the bytes, in good frames.
     checksum_ratio : float or None
-        Good frames among those whose checksum was looked at; None without any.
+        Good frames among those whose checksum was checked; None without any.
     rate_hz : float or None
         Samples for each second of the host.
     norm_m_s2 : float or None

@@ -1,4 +1,4 @@
-"""A link that is opened again after it was lost: a loose plug ends neither a session nor hours of standstill."""
+"""Open a lost link again, so that a loose plug does not end a session."""
 
 from __future__ import annotations
 
