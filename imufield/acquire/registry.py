@@ -14,7 +14,7 @@ from imufield.acquire.protocol.toml import near
 from imufield.errors import ProtocolError, Reason, UnknownNameError
 
 GROUP = "imufield.drivers"
-# What every driver says of its instrument.
+# What every driver states of its instrument.
 _STATED = ("name", "title", "protocol", "default_baud", "bauds", "status", "manual")
 
 
@@ -35,6 +35,7 @@ def load_driver(name: str) -> type[Driver]:
     """
     points = tuple(entry_points(group=GROUP, name=name))
     shipped = name in shipped_names()
+    # Which of two is meant, nobody can tell; the order of installation must not decide.
     if shipped + len(points) > 1:
         owners = ", ".join([*(["imufield"] if shipped else []), *(_owner(point) for point in points)])
         raise ProtocolError(
@@ -80,6 +81,7 @@ def _load(point: EntryPoint) -> type[Driver]:
             Reason.DRIVER_FAILED,
             name=point.name,
         )
+    # Else it would fail later, in the middle of a session.
     missing = [name for name in _STATED if not hasattr(found, name)]
     if missing:
         raise ProtocolError(

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 Arrays = dict[str, Array]
 Content = tuple[Arrays, Mapping[str, object]]
-"""Arrays by name, and what the file states besides."""
+"""Arrays by name, and the attributes of the file."""
 
 MEMORY_LIMIT_BYTES = 1 << 30
 """For the libraries and small files: pyarrow maps 0.2 GB as it loads, and the pages and copies of a small file take a few
@@ -178,7 +178,7 @@ def write_arrays(kind: str, path: Path) -> None:
     except DAMAGE as error:
         numbers, head = [], {"error": first_line(error)}
     output.write(json.dumps(head).encode() + b"\n")
-    # NumPy would seek in what it takes for a file.
+    # An object with this method alone: NumPy would seek in a real file.
     pipe = cast("IO[bytes]", SimpleNamespace(write=output.write))
     for name in numbers:
         np.lib.format.write_array(pipe, arrays[name], allow_pickle=False)

@@ -1,4 +1,4 @@
-"""Logs of CAN buses in, recordings out to a bus: candump, Vector ASC and BLF, PEAK TRC, and what else python-can reads."""
+"""Read logs of CAN buses (candump, Vector ASC and BLF, PEAK TRC, MF4, CSV), and replay recordings to a bus."""
 
 from __future__ import annotations
 
@@ -113,6 +113,7 @@ def read_log(path: str | Path, *, channel: str | None = None, losses: list[str] 
     pieces: list[bytes] = []
     begin_s = last_s = 0.0
     for message in _messages(Path(path), channel, losses):
+        # Stamps that go back by more than jitter begin a new chunk, too.
         if pieces and (message.timestamp - begin_s > CHUNK_S or len(pieces) >= CHUNK_FRAMES or message.timestamp < last_s - 1):
             yield _chunk(pieces, last_s)
             pieces = []
@@ -214,7 +215,7 @@ class _Reader:
     def cut(self, count: int) -> str:
         """Say what is missing at the end of a BLF or MF4 file that was read to its end with ``count`` frames; "" for nothing.
 
-        Its reader stops without a word where a file ends in the middle. What the whole file holds stands in its head, or
+        The reader stops without an error where a file ends in the middle. What the whole file holds stands in its head, or
         nothing does where the logger was never stopped.
         """
         ended = 0 if self._process is None else self._process.wait()
@@ -275,7 +276,7 @@ def replay_to_bus(
     bus : str
         ``INTERFACE:CHANNEL``.
     pace : float, optional
-        1 sends as it was recorded, 8 eight times faster, None as fast as the bus takes it.
+        1 keeps the recorded pace, 8 is eight times faster, None as fast as the bus accepts frames.
     bit_rate : int, optional
     on_chunk : callable, optional
         Told the number of frames sent so far after each chunk.

@@ -1,4 +1,4 @@
-"""Recordings of ROS: ``sensor_msgs/Imu`` in bags of ROS 1, bags of ROS 2 and MCAP files, read through rosbags.
+"""Read messages ``sensor_msgs/Imu`` from recordings of ROS 1 and ROS 2 (bags and MCAP files) through rosbags.
 
 By REP 103 and REP 145 values are in m/s^2 and rad/s, and a covariance that begins with -1 says that there is no such value.
 """
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 _MAGIC = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\0")
-# Stamps beyond 1973 count from 1970: whole seconds of the first are taken off, since a float holds only 0.2 us there.
+# Stamps beyond 1973 count from 1970: whole seconds of the first are subtracted, since a float holds only 0.2 us there.
 _EPOCH_S = 100_000_000
 _BATCH = 1 << 14
 

@@ -1,4 +1,4 @@
-"""Columns of numbers from files of arrays: MATLAB, HDF5, Parquet, NumPy.
+"""Read columns of numbers from files of arrays: MATLAB, HDF5, Parquet, NumPy.
 
 What a file starts with decides what it is, not its name. Vectors become columns by their names; a matrix of three columns
 is a triad (``acc`` gives ``acc_x``, ``acc_y``, ``acc_z``), a single matrix is a table without a header.
@@ -162,10 +162,10 @@ def _handed_over(reader: subprocess.Popen[bytes]) -> tuple[Arrays, dict[str, str
         raise ImportError(head["missing"])
     if "names" not in head:
         raise ValueError(head.get("error", f"its reader broke down with {reader.wait()}"))
-    # NumPy would seek in what it takes for a file.
+    # An object with this method alone: NumPy would seek in a real file.
     pipe = cast("IO[bytes]", SimpleNamespace(read=output.read))
     arrays: Arrays = {name: np.lib.format.read_array(pipe, allow_pickle=False) for name in head["names"]}
-    # What is no numbers stays behind; its name is said.
+    # Arrays of other things are not transferred; their names are reported as ignored.
     return arrays | dict.fromkeys(head["others"], np.empty(0, "U1")), head["stated"]
 
 
@@ -210,6 +210,7 @@ def _table(path: Path, arrays: Arrays, stated: Mapping[str, str]) -> ArrayTable:
     if any(units):
         said.append(f"{path.name}: dates count in seconds from the first row.")
     values = np.hstack(columns)
+    # A single matrix has a name for itself and none for its columns.
     if len(used) == 1 and values.shape[1] > 1:
         return ArrayTable(path=path, header=None, values=values, assumptions=tuple(said))
     settings, raw_zero = _stated(stated)
@@ -227,6 +228,7 @@ def _table(path: Path, arrays: Arrays, stated: Mapping[str, str]) -> ArrayTable:
 def _without_group(names: list[str]) -> list[str]:
     """Leave out the groups or structures that all names are in: ``imu0.acc`` and ``imu0.gyr`` are ``acc`` and ``gyr``."""
     parts = [name.split(".") for name in names]
+    # The last part is the column's own name.
     depth = min(len(each) for each in parts) - 1
     shared = next((level for level in range(depth) if len({each[level] for each in parts}) > 1), depth)
     return [".".join(each[shared:]) for each in parts]

@@ -57,9 +57,10 @@ def join_by_time(paths: Sequence[Path], files: Sequence[Fields]) -> tuple[dict[s
 
 
 def _covered(time: FloatArray, other: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Tell which times lie between two samples of the other file that are neighbours, or within half a sample of one."""
+    """Mark the times between two neighbouring samples of the other file, or within half a sample of one."""
     if len(other) < 2:
         return np.zeros(len(time), dtype=bool)
+    # A file with gaps still has its usual step.
     step = float(np.median(np.diff(other)))
     after = np.clip(np.searchsorted(other, time), 1, len(other) - 1)
     before = after - 1
@@ -91,6 +92,7 @@ def join_by_row(
             rows=sizes,
         )
     joined: dict[str, FloatArray] = {}
+    # Of a time in several files the first counts.
     for file in files:
         joined = {**file, **joined}
     if TIME in joined:

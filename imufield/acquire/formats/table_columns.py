@@ -1,6 +1,6 @@
-"""What the columns of a table mean: by their header, by the user's word, or by how many there are.
+"""Find what the columns of a table mean: by their header, by the names the user gives, or by their number.
 
-Nothing is guessed in silence: whatever a header does not say itself is returned as a sentence.
+Every assumption that the header does not state is returned as a sentence.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _TIME_NAMES = _names("t time timestamp ts stamp epoch unixtime elapsed elapsedti
 _TEMPERATURE_NAMES = _names("temp temperature")
 _ACCELEROMETER_NAMES = _names("a acc accel accelerometer acceleration linearacceleration specificforce f")
 _GYROSCOPE_NAMES = _names("g w gyr gyro gyroscope omega rate rot angularrate angularvelocity angvel turnrate")
-_NOISE_WORDS = _names("imu sensor data field msg calibrated")
+_NOISE_WORDS = _names("imu sensor data field msg calibrated")  # They say nothing of which quantity it is.
 _HEADERLESS = {
     3: ACCELEROMETER_COLUMNS,
     6: (*ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS),
@@ -138,6 +138,7 @@ def _words(text: str) -> list[str]:
 
 def _field_of(words: Sequence[str]) -> tuple[str | None, Sequence[str]]:
     """Find the field, and the words behind it, which may be a unit: "time s" is a time in seconds and not "times"."""
+    # The shortest name first: what follows it may be a unit.
     for end in range(1, len(words) + 1):
         field = _field_of_name("".join(words[:end]))
         tail = words[end:]
@@ -195,6 +196,7 @@ def columns_by_header(path: Path, header: Sequence[str], units: Sequence[str] | 
     """
     below = units if units is not None and len(units) == len(header) else [None] * len(header)
     named = [named_column(name, index, unit) for index, (name, unit) in enumerate(zip(header, below, strict=True))]
+    # Only an export of our own has all of these; columns of these names mean other things elsewhere.
     if set(SAMPLE_COLUMNS) <= set(header):
         for name in (STATUS, COUNTER):
             named[header.index(name)] = TableColumn(header.index(name), name)
@@ -211,6 +213,7 @@ def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning
     UsageError
         That many columns have no usual order.
     """
+    # Programs that write a file for each sensor write the accelerometer first.
     triad = (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS)[min(number, 1)]
     if number > 1:
         raise UsageError(f"{path} has no header and is file {number + 1}: name its columns with --columns.", path=str(path))

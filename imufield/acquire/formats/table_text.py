@@ -1,4 +1,4 @@
-"""Numbers from text: CSV or columns separated by blanks, packed by gzip or not, with or without a header.
+"""Read numbers from text files: CSV or columns separated by blanks, with or without a header, also packed by gzip.
 
 A file is read in blocks of whole lines, each of which NumPy's C parser turns into numbers (4 million a second); single lines
 are examined only to name the one that is wrong.
@@ -105,6 +105,7 @@ class TextTable:
 
     def _clean(self, block: bytes) -> str:
         """Bring what C parsers do not know into a form they do: quotes, decimal commas, empty cells."""
+        # Most files have none of these; a search is faster than a copy.
         if b'"' in block:
             block = block.replace(b'"', b"")
         if self.decimal_comma:
@@ -122,6 +123,7 @@ class TextTable:
         return (block + b"nan" if block.endswith(mark) else block).decode("latin-1")
 
     def _parse(self, rows: list[str], columns: Sequence[int], lines_before: int) -> FloatArray:
+        # Without a choice NumPy notices rows that are longer than the first, too.
         use = None if list(columns) == list(range(self.width)) else tuple(columns)
         try:
             values = np.loadtxt(rows, delimiter=self.delimiter, ndmin=2, usecols=use)
@@ -186,6 +188,7 @@ def open_table(path: str | Path) -> TextTable:
                     lines_before=number,
                     decimal_comma=decimal_comma,
                 )
+            # Lines before the first number are the heading.
             names.append([cell.strip('" ') for cell in cells])
     raise _bad(path, "holds no rows of numbers", "check that it is the right file")
 
@@ -198,6 +201,7 @@ def _header(
         raise _bad(path, f"starts with {len(names)} lines that are no numbers, {_shown(' '.join(names[0]))}", "remove them")
     if names:
         return tuple(names[0]), tuple(names[1]) if len(names) > 1 else None
+    # Comments may hold anything; the one right above the numbers is the likeliest heading.
     for line in reversed(marked):
         for delimiter in (_delimiter(line)[0], None):
             cells = _split(line, delimiter)
@@ -227,6 +231,7 @@ def _is_row(line: str) -> bool:
 
 def _is_number(text: str) -> bool:
     """Tell whether NumPy reads a cell as a number; an empty cell counts as one."""
+    # Python reads 1_000 as a number, NumPy does not.
     if "_" in text:
         return False
     try:

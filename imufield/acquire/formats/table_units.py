@@ -1,4 +1,4 @@
-"""The unit of time and of the triads of a table, where its header does not say."""
+"""Choose the units of time, acceleration and rate of a table where its header does not state them."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ unit of time at most."""
 _RATE_TOLERANCE = 0.2
 
 _CONVERTED = {"mg": ("g", 1e-3)}  # Units that protocol ``rows_f64`` does not know: what they become, and the factor.
-_FAST = 0.999  # Of all outputs; what lies beyond may be damage.
+_FAST = 0.999  # Of all outputs; larger ones may be damage.
 _STANDS_FOR_G = (0.8, 1.25)
-_STANDS_FOR_M_S2 = (8.0, 12.0)  # Where the median norm of an accelerometer lies that stands still most of the time.
+_STANDS_FOR_M_S2 = (8.0, 12.0)  # Median norm of an accelerometer that is at rest most of the time.
 
 
 def given_time_unit(settings: Mapping[str, object]) -> str | None:
@@ -32,7 +32,7 @@ def given_time_unit(settings: Mapping[str, object]) -> str | None:
     Raises
     ------
     UsageError
-        If it is none.
+        If it is no unit of time.
     """
     unit = settings.get(TIME_UNIT)
     if unit is not None and unit not in TIME_SCALE:
@@ -60,6 +60,7 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
     )
     fitting = [name for name, scale in TIME_SCALE.items() if low <= step * scale <= high]
     if not fitting:
+        # In seconds it would be plausible: then it is the rate that is wrong.
         if rate_hz is not None and SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
             _check_rate(path, step, rate_hz)
         named = "give it with --set time_unit=..., or the rate with --rate-hz, or other --columns"
@@ -116,6 +117,7 @@ def choose_unit(
         unit, factor = _CONVERTED.get(stated[quantity], (stated[quantity], 1.0))
         return unit, factor, f"{quantity} is converted from {stated[quantity]} to {unit}." if factor != 1.0 else ""
     is_whole = ~np.isnan(values).any(axis=1)
+    # A triad without values has any unit.
     if not is_whole.any():
         return ("m/s^2" if quantity == "accelerometer" else "rad/s"), 1.0, ""
     # Neither one damaged number nor a gap decides for all the others.

@@ -164,6 +164,7 @@ def read_tables(
     if not paths:
         raise UsageError("no file to import: name at least one.")
     parts = [None] if columns is None else columns.split(";")
+    # One description holds for every file.
     if len(parts) == 1:
         parts *= len(paths)
     if len(parts) != len(paths):
@@ -190,6 +191,7 @@ def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[
         As ``read_tables``.
     """
     source = _open(Path(path), None)
+    # Arrays are in memory already, however they are handed on.
     if isinstance(source, ArrayTable):
         yield read_tables([path], rate_hz=rate_hz)
         return
@@ -212,6 +214,7 @@ def stream_table(path: str | Path, *, rate_hz: float | None = None) -> Iterator[
         # The row before stands in front, so that what must not change between two rows is seen here, too.
         file = _file_of(source, meaning, np.concatenate([last, values]), done - 1, known=known)
         table = _table([file], rate_hz, settings=decided)
+        # Each piece would count its time from 0.
         if rate_hz is not None and TIME not in file.fields:
             table.rows[:, 0] = (done - 1 + np.arange(len(table.rows))) / rate_hz
         yield table[1:]
@@ -233,6 +236,7 @@ def _pieces(source: TextTable, meaning: Meaning) -> Iterator[FloatArray]:
 def _late(source: TextTable, meaning: Meaning, head: FloatArray) -> dict[str, FloatArray]:
     """Return the first numbers, enough to guess a unit by, of each column that has none in the head and some behind it."""
     late: dict[str, FloatArray] = {}
+    # Then the head is the whole file.
     if len(head) < _ROWS_TO_GUESS_BY:
         return late
     for group in (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, (STATUS,)):
@@ -281,6 +285,7 @@ def _table(
         said += [sentence] if sentence else []
     if rate_hz is not None:
         found["rate_hz"] = float(rate_hz)
+    # The user knows better than the file.
     stated_zero = next((file.raw_zero for file in files if file.raw_zero is not None), None)
     raw_zero = stated_zero if zero is None and stated_zero is not None else _parse_zero(zero)
     status = joined[STATUS].astype(np.uint32) if STATUS in joined else None
@@ -371,12 +376,14 @@ def _file_of(source: Source, meaning: Meaning, values: FloatArray, first_row: in
     Columns that are ``known`` have numbers in other rows of the file, if not in these.
     """
     path = source.path
+    # One row has no rate.
     if len(values) < 2:
         raise RecordingError(f"{path}: 1 row is no recording: check the file.", Reason.BAD_DATA, path=str(path))
     fields = {column.field: values[:, place] for place, column in enumerate(meaning.columns)}
     kept = {name: column for name, column in fields.items() if name == COUNTER or name in known or not is_empty(column)}
     if not kept.keys() - {COUNTER}:
         raise RecordingError(f"{path} has no number in any of its columns: check the file.", Reason.BAD_DATA, path=str(path))
+    # A column without a number may be left out; half a triad may not.
     check_whole_triads(path, fields, kept)
     check_whole_numbers(source, kept, first_row)
     for name, column in kept.items():
@@ -407,6 +414,7 @@ def _join(
         if TIME in fields:
             scale, sentence = choose_time_scale(file.path, fields[TIME], time_unit or file.units.get(TIME), rate_hz)
             said += [sentence] if sentence else []
+            # Seconds stay as they are, to the last bit.
             if scale != 1.0:
                 fields[TIME] = fields[TIME] * scale
     names = [file.path for file in files]

@@ -1,4 +1,4 @@
-"""The instrument at the other end: found, recognised, asked, started and set."""
+"""Find the instrument on a port or bus, recognise it, and send it commands: identity, start, stop, output rate."""
 
 from __future__ import annotations
 

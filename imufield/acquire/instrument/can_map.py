@@ -1,4 +1,4 @@
-"""What reads a CAN bus: a driver, a protocol, or a user's DBC file with the names of its signals.
+"""Choose the protocol of a CAN bus: of a driver, of a protocol file, or made from a user's DBC file and signal names.
 
 ``--dbc FILE --map accelerometer.x=SIGNAL ...`` is written as the text of a protocol. ``open_can`` is the one call for programs
 of others that opens a bus with everything to decode it.
@@ -37,7 +37,7 @@ KEYS = (
     "time.ticks_per_s",
     "identifiers",
 )
-"""What ``--map`` takes."""
+"""Keys of ``--map``."""
 
 
 def parse_map(texts: Iterable[str]) -> dict[str, str]:
@@ -81,6 +81,7 @@ def protocol_from_dbc(path: str | Path, mapping: Mapping[str, str], settings: Ma
     path = Path(path)
     try:
         with path.open("rb") as file:
+            # One byte more than allowed, so that a file which is too long shows.
             content = file.read(DBC_LIMIT_BYTES + 1)
     except OSError as error:
         raise ProtocolError(f"DBC file {path} cannot be read: {error.strerror}; check the path", path=str(path)) from error
@@ -93,10 +94,12 @@ def protocol_text(name: str, dbc: str, mapping: Mapping[str, str]) -> str:
     identifiers = mapping.get("identifiers", "auto")
     if identifiers not in _IDENTIFIERS:
         raise UsageError(f"--map identifiers={identifiers} is not one of {', '.join(_IDENTIFIERS)}", identifiers=identifiers)
+    # Names of protocols are words of small letters.
     word = re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_") or "dbc"
     triads = []
     for triad, keys in _TRIAD_KEYS.items():
         missing = [key for key in keys if key not in mapping]
+        # A triad that is not named at all is not there; half a triad is a mistake.
         if 0 < len(missing) < len(keys):
             raise UsageError(f"--map has no {' and no '.join(missing)}: a triad needs all three axes", missing=missing)
         if not missing:

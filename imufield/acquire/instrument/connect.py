@@ -133,12 +133,14 @@ def check_files(options: ConnectOptions) -> None:
         from imufield.acquire.instrument.connect_can import bus_candidates
 
         bus_candidates(options)
+    # Without either, all drivers are tried; those that cannot be used are named then.
     elif options.protocol is not None or options.driver is not None:
         _candidates(options)
 
 
 def _candidates(options: ConnectOptions, say: Say | None = None) -> list[Candidate]:
     """Return the ways to read the port: the one that was given, else those of every driver."""
+    # A protocol goes before a driver, which may be a default.
     if options.protocol is not None or options.protocol_text is not None:
         if options.protocol is not None:
             protocol = load_protocol(options.protocol, options.settings)
@@ -156,6 +158,7 @@ def _candidates(options: ConnectOptions, say: Say | None = None) -> list[Candida
 
 def _woken(result: Search, clock: HostClock, say: Say) -> Instrument | None:
     """Tell a silent instrument to send, where the user said which it is, and listen again."""
+    # With several candidates nobody knows which commands it understands.
     listeners = result.last.listeners
     driver = listeners[0].candidate.driver if len(listeners) == 1 else None
     if result.last.byte_count or driver is None or "start and stop" not in driver.abilities:
@@ -182,10 +185,12 @@ def _introduced(
         say(f"driver {candidate.name} (recognised: {listener.finding().evidence()} of {candidate.title})")
         for name, value in candidate.variant.items():
             say(f"{name} = {value} (recognised)")
+    # An address has no baud rate that anybody could set.
     if options.baud is None and "://" not in port:
         say(f"baud rate {baud} (assumed)")
     protocol, identity, rate_before_hz = candidate.protocol, {}, None
     if instrument is not None:
+        # Which questions it understands may depend on what it sends.
         instrument.heard = set(listener.decoder.statistics.by_kind)
         messages = ask_identity(instrument, result.link, chunks, listener.messages())
         identity = instrument.driver.identity(messages)
@@ -216,6 +221,7 @@ def _introduced(
 
 def _set_rate(instrument: Instrument, result: Search, listener: Listener, rate_hz: float, *, say: Say) -> float:
     """Set the output rate; return what it was."""
+    # Addresses and pseudo-terminals carry any rate.
     if not has_no_baud(result.link.name):
         check_capacity(listener, rate_hz, result.last.baud)
     before_hz = instrument.set_rate(result.link, rate_hz)

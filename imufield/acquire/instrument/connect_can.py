@@ -182,6 +182,7 @@ def bus_candidates(options: ConnectOptions, say: Say | None = None) -> list[Cand
 
     def candidates(driver: type[Driver]) -> list[Candidate]:
         known = driver.load_protocol().settings
+        # Settings go to the drivers that have them.
         settings = {key: value for key, value in options.settings.items() if key in known}
         return [bus_candidate(driver=driver.name, settings=settings)]
 
@@ -212,6 +213,7 @@ def _best(bus: str, chunks: Iterable[Chunk], listeners: list[BusListener]) -> Bu
     good = [listener for listener in listeners if listener.samples >= FEWEST_SAMPLES]
     if not good:
         raise _nothing_understood(bus, chunks, listeners)
+    # Drivers of one family understand parts of what the others send.
     most = max(listener.frames for listener in good)
     best = [listener for listener in good if listener.frames == most]
     if len(best) > 1:
@@ -246,6 +248,7 @@ def _nothing_understood(bus: str, chunks: Iterable[Chunk], listeners: list[BusLi
             error_frames=len(frames),
         )
     known = max(listeners, key=lambda listener: listener.frames)
+    # The frames are known and yet make no samples: then it is not the driver that is wrong.
     if known.frames >= len(frames) / 2:
         return LinkError(
             f"{bus} carries frames of {known.candidate.name}, but {known.frames} of them could be joined in time to "

@@ -31,7 +31,7 @@ class ConnectOptions:
     protocol: Path | None = None
     settings: Mapping[str, str] = field(default_factory=dict)
     protocol_text: str | None = None
-    """A protocol that a session holds, where neither driver nor file is given."""
+    """Text of the protocol that a session was recorded with, where neither driver nor file is given."""
     bus: str | None = None
     """A CAN bus instead of a port, ``INTERFACE:CHANNEL``; ``baud`` is its bit rate then."""
     dbc: Path | None = None

@@ -1,6 +1,6 @@
 """Commands to an instrument, and their answers out of the stream it keeps sending.
 
-An instrument answers between its samples or in place of some, so an answer is looked for in everything that arrives. Waiting
+An instrument answers between its samples or in place of some, so everything that arrives is searched for the answer. Waiting
 ends by the clock of the host: a cable whose sending half is not connected costs a second, not the session.
 """
 
@@ -21,7 +21,7 @@ ANSWER_S = 0.5
 """Wait for an answer: instruments answer within some 50 ms, at 9600 bit/s after up to 100 ms of samples on their way."""
 TRIES = 2
 """A command is sent again once: its first bytes may have met the end of a sleep or a busy instrument."""
-_LONGEST_ANSWER = 1 << 16  # Bytes kept while a text answer is looked for: 0.5 s at 1.3 Mbit/s.
+_LONGEST_ANSWER = 1 << 16  # Bytes kept while a text answer is awaited: 0.5 s at 1.3 Mbit/s.
 
 
 class Exchange:
@@ -48,10 +48,11 @@ class Exchange:
         self.chunks: list[Chunk] = []
 
     def gather(self, commands: Iterable[Command]) -> list[Message]:
-        """Return the answers there are; where the first command is not answered only the last ones are sent besides."""
+        """Return the answers there are; where the first command is not answered only the last ones are sent, too."""
         answers: list[Message] = []
         is_deaf = False
         for command in commands:
+            # Every further question would cost its full time-out.
             if is_deaf:
                 # Should the instrument hear but not be heard, it goes on all the same.
                 if command.is_last:
@@ -76,6 +77,7 @@ class Exchange:
         answers: list[Message] = []
         failure: LinkError | None = None
         for command in commands:
+            # What is half done must not go on, but what was begun is ended.
             if failure is not None and not command.is_last:
                 continue
             answer = self._ask(command)

@@ -1,4 +1,4 @@
-"""One instrument at the other end of an open link: ask who it is, set its rate, and leave it as it was found."""
+"""Send the commands of a driver to one instrument: ask who it is, set its rate, and put it back as it was found."""
 
 from __future__ import annotations
 
@@ -98,6 +98,7 @@ class Instrument:
             self.driver.rate_orders(rate_hz, ())
         state = self._read_state(link)
         before_hz = self.driver.rate_hz(state)
+        # Nothing is changed that could not be put back.
         if before_hz is None:
             raise LinkError(
                 f"{self.driver.title} on {link.name} does not tell its output rate, so it could not be put back; leave out "
@@ -105,6 +106,7 @@ class Instrument:
                 Reason.SILENCE,
                 port=link.name,
             )
+        # Before the comparison, so that a rate which the instrument does not have is refused in any case.
         orders = self.driver.rate_orders(rate_hz, state)
         if abs(before_hz - rate_hz) <= _SAME * rate_hz:
             return before_hz
@@ -140,12 +142,14 @@ class Instrument:
         LinkError
             The instrument is gone or does not take it; the next power-off brings it back all the same.
         """
+        # Taken at once: a failure here is not tried again when the program ends.
         undo, self._undo = self._undo, []
         failure: LinkError | None = None
         for orders in reversed(undo):
             try:
                 self._play(link, orders, is_order=True)
             except LinkError as error:
+                # The other changes are undone all the same; the first failure is reported.
                 failure = failure or error
         before_hz, self._rate_before_hz = self._rate_before_hz, None
         if failure is not None:

@@ -72,8 +72,10 @@ def usable(wire: Wire, ways: Callable[[type[Driver]], Iterable[Candidate]], say:
             driver = load_driver(name)
             found += ways(driver) if driver.wire == wire else ()
         except SettingError:
+            # The user typed a value that no driver takes: an error, and no driver is passed over for it.
             raise
         except ProtocolError as error:
+            # A broken driver of another distribution must not keep the others from working.
             if say is not None:
                 say(f"passed over: {error.message}")
     return found
@@ -86,6 +88,7 @@ def driver_candidates(
     known = load_protocol(driver.protocol).settings
     given = {key: value for key, value in settings.items() if key in known or not only_known}
     for variant in ({}, *(driver.variants if variants else ())):
+        # What the user gave decides the form of the stream; other forms are not tried.
         if not given.keys() & variant.keys():
             protocol = driver.load_protocol({**given, **variant})
             yield Candidate(
@@ -99,6 +102,7 @@ def bauds_to_try(candidates: list[Candidate], port: str, baud: int | None) -> li
         return [baud]
     if has_no_baud(port):
         return [candidates[0].bauds[0]]
+    # Everybody's likeliest first, then everybody's second.
     in_order = chain.from_iterable(zip_longest(*(candidate.bauds for candidate in candidates)))
     return [baud for baud in dict.fromkeys(in_order) if baud is not None]
 
@@ -132,6 +136,7 @@ def search(port: str, candidates: list[Candidate], bauds: list[int], clock: Host
     try:
         end_s = clock.monotonic_s() + patience_s(clock, SEARCH_S)
         for baud in bauds:
+            # The one baud rate was set as the port was opened.
             if len(bauds) > 1 and not _is_set(link, baud):
                 continue
             listeners = [
@@ -151,6 +156,7 @@ def search(port: str, candidates: list[Candidate], bauds: list[int], clock: Host
 
 def listen_again(result: Search, clock: HostClock) -> None:
     """Listen once more at the last baud rate, to an instrument that was told to send in between."""
+    # New listeners: the old ones have counted the silence.
     before = result.last
     result.hearings.append(
         Hearing(before.baud, [], [Listener(listener.candidate, is_given=True) for listener in before.listeners])
@@ -172,6 +178,7 @@ def _is_set(link: SerialLink, baud: int) -> bool:
 def _listen(result: Search, clock: HostClock, quiet_s: float, *, end_s: float) -> None:
     """Read until one candidate is certain, or the patience is over: ``quiet_s`` without a frame, longer with some."""
     hearing = result.last
+    # Patience counts in real seconds: an emulated instrument may be fast, the machine is not.
     begin_s, real = clock.monotonic_s(), patience_s(clock, 1.0)
     while not any(listener.is_certain for listener in hearing.listeners):
         elapsed_s = (clock.monotonic_s() - begin_s) / real
@@ -208,6 +215,7 @@ def nothing_recognised(port: str, result: Search) -> LinkError:
             waited_s=waited_s,
         )
     listeners = [listener for hearing in result.hearings for listener in hearing.listeners]
+    # The closest one helps to see what is wrong: a baud rate, a setting, a damaged line.
     finding = max(listeners, key=lambda listener: (listener.decoder.statistics.frames, listener.accelerations)).finding()
     names = ", ".join(dict.fromkeys(listener.candidate.name for listener in listeners))
     hint = f"; closest is {finding.name}: {finding.reason}" if finding.frames else ""

@@ -21,22 +21,22 @@ from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import ProtocolError
 from imufield.samples import Samples
 
-FEWEST_SAMPLES = 5
+FEWEST_SAMPLES = 5  # Five strong frames by chance take 2^120 tries.
 CERTAIN_SAMPLES = 20
 """Samples that end the listening."""
 RATE_S = 0.3
 """Least listening where the rate is to be told, in chunks of 20 ms."""
-STRONG_BITS = 24
+STRONG_BITS = 24  # Two sync bytes and a checksum of one byte, the least of binary protocols that have one.
 STRONG_SHARE = 0.5
 """Share of the bytes in good frames: text of a receiver or a damaged line may take the rest."""
 WEAK_SHARE = 0.9
 """The same without strong frames: bit errors of 1e-4 damage up to 1 % of lines of 100 bytes."""
 GRAVITY_M_S2 = (4.0, 20.0)
 """Median size of the acceleration in the hand or on a table, calibrated or not; values in g give 1, counts thousands."""
-_STEADY_SHARE = 0.15
 # Departure from an even pace that chunks of 20 ms and a busy machine explain, in share of all frames and in frames.
+_STEADY_SHARE = 0.15
 _STEADY_FRAMES = 3
-_NORMS_KEPT = 4000
+_NORMS_KEPT = 4000  # More would not move their median.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +78,7 @@ class Finding:
     share : float
         Of the bytes, in good frames.
     checksum_ratio : float or None
-        Good frames among those whose checksum was looked at; None without any.
+        Good frames among those whose checksum was checked; None without any.
     rate_hz : float or None
         Samples for each second of the host.
     norm_m_s2 : float or None
@@ -142,6 +142,7 @@ class Listener:
 
     def __init__(self, candidate: Candidate, *, is_given: bool = False) -> None:
         self._is_given = is_given
+        # Kept, since a rate that is missing shows only while decoding, and decoding then begins again.
         self._chunks: list[Chunk] = []
         self._begin(candidate)
 
@@ -154,7 +155,7 @@ class Listener:
         self._arrivals: list[tuple[float, int]] = []
         self._messages: list[Message] = []
         self._fault = ""
-        # Bad frames and skipped bytes before the end of the listening cut a frame.
+        # Bad frames and skipped bytes before the end of the listening cut a frame; None while it goes on.
         self._before_end: tuple[int, int] | None = None
 
     def feed(self, chunk: Chunk) -> None:
@@ -165,6 +166,7 @@ class Listener:
     def close(self) -> None:
         """Count the samples that the decoder kept back; nothing will follow."""
         counts = self.decoder.statistics
+        # A frame that the end cuts is no fault of the candidate.
         self._before_end = (counts.frames_bad_checksum, counts.bytes_skipped)
         self._decode([], is_last=True)
 
@@ -197,6 +199,7 @@ class Listener:
     @property
     def is_promising(self) -> bool:
         """Whether longer listening is worth it."""
+        # One frame may be a coincidence.
         return self.decoder.statistics.frames >= 2
 
     def finding(self) -> Finding:
@@ -229,10 +232,12 @@ class Listener:
         """Whether listening longer would add nothing."""
         if self.decoder.statistics.samples < CERTAIN_SAMPLES:
             return False
+        # The rate is part of the evidence; a user who named the instrument need not wait for it.
         heard_s = self._arrivals[-1][0] - self._arrivals[0][0] if self._arrivals else 0.0
         return (self._is_given or heard_s >= RATE_S) and self.finding().found
 
     def _count(self, samples: Samples) -> None:
+        # Messages of rates alone have no acceleration to judge by.
         finite = np.isfinite(samples.accelerometer).all(axis=1)
         self.accelerations += int(finite.sum())
         units = samples.units
@@ -271,6 +276,7 @@ class Listener:
 
     def _pace(self) -> tuple[float | None, bool]:
         """Return frames of samples for each second of the host, and whether they come evenly."""
+        # A line through two points fits any pace.
         if len(self._arrivals) < 3:
             return None, False
         time_s, frames = np.array(self._arrivals, dtype=np.float64).T
@@ -279,7 +285,9 @@ class Listener:
         slope, offset = np.polyfit(time_s - time_s[0], frames, 1)
         departure = np.abs(frames - offset - slope * (time_s - time_s[0])).max()
         counts = self.decoder.statistics
+        # Frames may hold several samples, or several make one.
         each = counts.samples / counts.frames if counts.frames else math.nan
+        # The rate that the protocol knows is exact; the slope has the jitter of the host.
         rate_hz = counts.nominal_rate_hz or (slope * each if each > 0 else None)
         return rate_hz, bool(departure <= max(_STEADY_FRAMES / max(each, 1e-9), _STEADY_SHARE * (frames[-1] - frames[0])))
 
@@ -297,5 +305,6 @@ def checked_bits(protocol: Protocol) -> int:
     if protocol.lines is None or not protocol.lines.sentences:
         return 0
     rule = protocol.lines
+    # Of a sentence its "$", its name and the checksum are fixed.
     shortest = min(len(sentence.name) for sentence in rule.sentences)
     return 8 * (1 + shortest + min((checksum.size for checksum in rule.checksums), default=0))

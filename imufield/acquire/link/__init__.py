@@ -1,4 +1,4 @@
-"""Where raw chunks come from: serial port, TCP, CAN bus; opened again after a fault."""
+"""Sources of raw bytes: serial port, TCP address and CAN bus, their clocks and errors, and reconnecting."""
 
 from __future__ import annotations
 

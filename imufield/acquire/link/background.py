@@ -1,6 +1,6 @@
-"""A link that is read by a thread of its own, so that nothing on the wire is lost while the program is busy.
+"""Read a link in a background thread, so that no byte is lost while the program is busy.
 
-The system keeps about 68 KiB of a serial port: at 80 kB/s that is less than a second, and a terminal that stands still
+The system keeps about 68 KiB of a serial port: at 80 kB/s that is less than a second, and a terminal that is stopped
 (Ctrl-S, a slow remote connection) or a long computation may take longer. Chunks keep the arrival time they had.
 """
 
@@ -81,6 +81,7 @@ class BackgroundLink:
 
     def close(self) -> None:
         """Give the link back; may be called again."""
+        # The thread first: a link that is closed while it reads fails in ways of its own.
         self._stop()
         self._link.close()
 

@@ -1,4 +1,4 @@
-"""CAN buses as links: every interface python-can has, by a text such as ``socketcan:can0``.
+"""Open a CAN bus through python-can by an address such as ``socketcan:can0``, and read frames from it in chunks.
 
 ``INTERFACE:CHANNEL``, with options of the interface behind a question mark::
 
@@ -6,7 +6,7 @@
     slcan:/dev/ttyACM0@115200              vector:0?app_name=imufield&bitrate=500000
     virtual:bench                          udp_multicast:239.0.0.1       (or 239.0.0.1:43113)
 
-A read waits for the first frame, lets the driver collect for 20 ms, and takes what is there. A chunk holds packed frames
+A read waits for the first frame, lets the driver collect for 20 ms, and returns what is there. A chunk holds packed frames
 (``can_frames``), so that the recorder and everything behind it see bytes, as of a serial port. Time stamps of the host's clock
 are put on its monotonic clock; those of an adapter stay as they are.
 """
@@ -139,7 +139,7 @@ def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
     ----------
     address : BusAddress
     bit_rate : int, optional
-        Where the address does not give it and the interface takes one.
+        Where the address does not give it and the interface sets one.
 
     Raises
     ------

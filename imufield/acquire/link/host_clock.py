@@ -1,4 +1,4 @@
-"""The clocks of the host: when did bytes arrive. Only links, the recorder and commands read them.
+"""Clocks of the host computer, which stamp the arrival of bytes. Only links, the recorder and commands read them.
 
 Monotonic time orders and measures, UTC names the moment. A ``ScaledClock`` lets an emulated instrument that runs 8 times
 faster than real be read as if an hour had passed in seven and a half minutes.
@@ -29,7 +29,7 @@ class HostClock(Protocol):
 
 
 def patience_s(clock: HostClock, duration_s: float) -> float:
-    """Return so many real seconds as seconds of a clock: an emulated instrument may be fast, the machine it runs on is not."""
+    """Convert real seconds to seconds of a clock: an emulated instrument may be fast, the machine it runs on is not."""
     return duration_s * max(float(getattr(clock, "speed", 1.0)), 1.0)
 
 

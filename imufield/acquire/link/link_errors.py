@@ -1,7 +1,7 @@
-"""What went wrong when a port was opened, in one sentence with its remedy.
+"""Turn the errors of opening a serial port into one sentence that names cause and remedy.
 
 pyserial reports every failure as ``SerialException``, sometimes with ``errno``, sometimes (sockets, Windows) with the cause in
-the text only, and two kinds not at all: ``termios.error`` and ``ValueError`` come through raw.
+the text only, and two kinds not at all: ``termios.error`` and ``ValueError`` come through unchanged.
 """
 
 from __future__ import annotations

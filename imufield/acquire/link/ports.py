@@ -1,4 +1,4 @@
-"""Serial ports and CAN channels of this machine, for ``imufield devices`` and for error messages that name what is there."""
+"""List the serial ports and CAN channels of this machine, for ``imufield devices`` and for error messages."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class SerialPort:
     Attributes
     ----------
     device : str
-        What ``--port`` takes.
+        Name of the port, the value of ``--port``.
     description : str
         What the system or the USB adapter calls itself.
     vendor_id, product_id : int or None
@@ -53,7 +53,7 @@ def serial_ports() -> list[SerialPort]:
 
 @dataclass(frozen=True, slots=True)
 class CanChannel:
-    """A CAN interface of the system: what ``--bus`` takes, and whether it is up."""
+    """A CAN interface of the system: the value of ``--bus``, and whether it is up or down."""
 
     bus: str
     state: str

@@ -1,4 +1,4 @@
-"""A link that is opened again after it was lost: a loose plug ends neither a session nor hours of standstill."""
+"""Open a lost link again, so that a loose plug does not end a session."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.serial import Chunk
 from imufield.errors import LinkError
 
-RECONNECT_EVERY_S = 0.5
-_WAIT_S = 0.1
+RECONNECT_EVERY_S = 0.5  # A plug is back within seconds; opening a port takes some milliseconds.
+_WAIT_S = 0.1  # Between two tries the caller still sees Ctrl-C and draws its screen.
 
 
 class PatientLink:

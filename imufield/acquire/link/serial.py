@@ -1,4 +1,4 @@
-"""Links: where raw chunks come from. Serial ports and everything else pyserial can open by its address.
+"""Open a serial port, or a TCP address that pyserial knows, and read bytes from it in chunks with arrival times.
 
 ``/dev/ttyUSB0``, ``COM5``, ``socket://192.168.1.5:4001``, ``rfc2217://host:2217``, ``loop://`` and ``spy:///dev/ttyUSB0`` all
 work. A read waits for the first byte, then lets the operating system collect for 20 ms, so that an instrument of 2000
