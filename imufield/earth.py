@@ -124,21 +124,16 @@ def choose_gravity(
                 Reason.GRAVITY,
                 gravity_m_s2=gravity_m_s2,
             )
-        sigma = sigma_of_digits(repr(float(gravity_m_s2))) if sigma_m_s2 is None else sigma_m_s2
-        return Gravity(
-            gravity_m_s2=gravity_m_s2, sigma_m_s2=sigma, source="typed", latitude_deg=latitude_deg, height_m=height_m
-        )
-    if latitude_deg is not None:
-        value = normal_gravity(latitude_deg, height_m or 0.0)
-        return Gravity(
-            gravity_m_s2=value,
-            sigma_m_s2=NORMAL_GRAVITY_SIGMA_M_S2 if sigma_m_s2 is None else sigma_m_s2,
-            source="normal",
-            latitude_deg=latitude_deg,
-            height_m=height_m or 0.0,
-        )
+        value, sigma, source = gravity_m_s2, sigma_of_digits(repr(float(gravity_m_s2))), "typed"
+    elif latitude_deg is not None:
+        height_m = height_m or 0.0
+        value, sigma, source = normal_gravity(latitude_deg, height_m), NORMAL_GRAVITY_SIGMA_M_S2, "normal"
+    else:
+        value, sigma, source, height_m = STANDARD_GRAVITY_M_S2, ASSUMED_GRAVITY_SIGMA_M_S2, "assumed", None
     return Gravity(
-        gravity_m_s2=STANDARD_GRAVITY_M_S2,
-        sigma_m_s2=ASSUMED_GRAVITY_SIGMA_M_S2 if sigma_m_s2 is None else sigma_m_s2,
-        source="assumed",
+        gravity_m_s2=value,
+        sigma_m_s2=sigma if sigma_m_s2 is None else sigma_m_s2,
+        source=source,
+        latitude_deg=latitude_deg,
+        height_m=height_m,
     )

@@ -201,7 +201,12 @@ def require_space(raw: FloatArray) -> None:
     values, directions = np.linalg.svd(raw - raw.mean(axis=0), full_matrices=len(raw) < 3)[1:]
     flatness = float(values[2] / values[0])
     axis = int(np.argmin(spread))
-    if spread[axis] <= _DEAD * widest and not _is_circle(np.delete(raw, axis, axis=1)):
+    # Two axes that stay in a vertical plane keep their distance to a centre.
+    others = np.delete(raw, axis, axis=1)
+    centre = (others.max(axis=0) + others.min(axis=0)) / 2
+    distance = np.linalg.norm((others - centre) / np.maximum(np.ptp(others, axis=0), np.finfo(float).tiny), axis=1)
+    is_circle = np.ptp(distance) < _ROUND * distance.max()
+    if spread[axis] <= _DEAD * widest and not is_circle:
         raise CalibrationError(
             f"axis {AXES[axis]} gives {raw[0, axis]:g} at every position (spread {spread[axis]:g}, other axes {widest:g}): it "
             "is saturated or dead; check range and wiring",
@@ -216,10 +221,3 @@ def require_space(raw: FloatArray) -> None:
             Reason.UNOBSERVABLE,
             thickness=flatness,
         )
-
-
-def _is_circle(outputs: FloatArray) -> bool:
-    """Tell whether the outputs of two axes keep their distance to a centre, as they do when both stay in a vertical plane."""
-    centre = (outputs.max(axis=0) + outputs.min(axis=0)) / 2
-    distance = np.linalg.norm((outputs - centre) / np.maximum(np.ptp(outputs, axis=0), np.finfo(float).tiny), axis=1)
-    return bool(np.ptp(distance) < _ROUND * distance.max())
