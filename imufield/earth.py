@@ -59,13 +59,14 @@ class Gravity:
 def normal_gravity(latitude_deg: float, height_m: float = 0.0) -> float:
     """Return WGS-84 normal gravity in m/s^2 ([1]_ eq. 4-1 and 4-3)."""
     sin2 = math.sin(math.radians(latitude_deg)) ** 2
-    surface = _GRAVITY_EQUATOR_M_S2 * (1 + _SOMIGLIANA_K * sin2) / math.sqrt(1 - _ECCENTRICITY_SQUARED * sin2)
-    ratio = height_m / _SEMI_MAJOR_AXIS_M
+    surface = _GRAVITY_EQUATOR_M_S2 * (1 + _SOMIGLIANA_K * sin2) / math.sqrt(1 - _ECCENTRICITY_SQUARED * sin2)  # eq. 4-1
+    ratio = height_m / _SEMI_MAJOR_AXIS_M  # eq. 4-3
     return surface * (1 - 2 * ratio * (1 + _FLATTENING + _M - 2 * _FLATTENING * sin2) + 3 * ratio**2)
 
 
 def sigma_of_digits(text: str) -> float:
     """Return 1 sigma in m/s^2 of gravity typed as ``text``: anything that rounds to it is as likely, but 1e-5 at least."""
+    # A value is as likely anywhere in its last digit: width over the root of 12.
     decimals = len(text.partition(".")[2].rstrip()) if "e" not in text.lower() else 0
     return max(10.0**-decimals / math.sqrt(12), MEASURED_GRAVITY_SIGMA_M_S2)
 

@@ -148,6 +148,7 @@ _ARRAYS = tuple(field.name for field in fields(Samples) if field.name != "units"
 
 
 def _as_rate(values: FloatArray, is_increment: bool, interval_s: float | None) -> FloatArray:
+    # A rate needs no interval; an increment is a rate only by its interval.
     if not is_increment:
         return values
     if interval_s is None:

@@ -57,6 +57,7 @@ def closed_form_start(raw: FloatArray, gravity_m_s2: float, sign: FloatArray, *,
     CalibrationError
         If no ellipsoid fits.
     """
+    # The ellipsoid is symmetric: with the signs taken out its scales are positive.
     signed = raw * sign
     order = (misalignment, not misalignment)
     fits = (_ellipsoid(signed, full=full) for full in order if not full or len(raw) >= FEWEST_FOR_MISALIGNMENT)
@@ -140,6 +141,7 @@ def find_signs(raw: FloatArray, direction: FloatArray, preset_scale: FloatArray 
 
 def _signs_of_directions(raw: FloatArray, direction: FloatArray) -> FloatArray:
     design = np.column_stack([direction, np.ones(len(direction))])
+    # Raw output by direction, bias beside it: its diagonal has the signs.
     slope = np.linalg.lstsq(design, raw, rcond=None)[0][:3].T
     follows = np.argmax(np.abs(slope), axis=1)
     for axis in range(3):

@@ -66,6 +66,7 @@ def observable_basis(
     _require_rank(observed, complement, columns)
     _, D, Vt = np.linalg.svd(observed, full_matrices=False)
     basis = np.zeros((PARAMETERS, complement.shape[1]))
+    # S C V D^-1
     basis[columns] = scale[columns, None] * (complement @ (Vt.T / D))
     return basis
 
@@ -103,6 +104,7 @@ def whitened_problem(
             norm_m_s2=middle,
             gravity_m_s2=gravity_m_s2,
         )
+    # A preset that is exact already still needs a step of some size.
     unit = max(float(np.linalg.norm(norm - gravity_m_s2)), 1e-9 * gravity_m_s2)
     basis = unit * observable_basis(vector, raw, gravity_m_s2, quadratic_axes, free=free)
     sigma = np.ones(len(raw)) if sigma_m_s2 is None else sigma_m_s2

@@ -194,6 +194,7 @@ def random_walk(time_s: FloatArray) -> FloatArray:
     """Return the covariance of a random walk of 1 per sqrt(s) about its own mean, shape (s, s)."""
     elapsed = time_s - time_s.min()
     centring = np.eye(len(elapsed)) - 1 / len(elapsed)
+    # The covariance of a walk at two times is the earlier of them.
     walk: FloatArray = centring @ np.minimum(elapsed[:, None], elapsed) @ centring
     return walk
 
@@ -214,6 +215,7 @@ def _by_force(evaluation: Evaluation, data: GyroscopeData, H: FloatArray) -> Flo
     """Return d residual / d specific force of each still, shape (rows, s, 3)."""
     m, s, rows = evaluation.moves, len(data.force), len(evaluation.residual)
     up, size = data.up, np.linalg.norm(data.force, axis=1)
+    # d (a / norm(a)) / d a
     to_up = (np.eye(3) - up[:, :, None] * up[:, None, :]) / size[:, None, None]
     result = np.zeros((rows, s, 3))
     for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
@@ -229,6 +231,7 @@ def _by_drift(evaluation: Evaluation, data: GyroscopeData, to_tangent: FloatArra
     """Return d residual / d drift (rad/s) of each still, shape (rows, 3 s)."""
     m, s = evaluation.moves, len(data.force)
     result = np.zeros((len(evaluation.residual), 3 * s))
+    # A move has the mean of the biases of its two stills.
     effect = to_tangent @ evaluation.turns.duration / 2
     for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
         for still in (i, j):
@@ -249,8 +252,8 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     components = (parts.drift, parts.wander, parts.turn)
     products = [P @ V for V in components]
     Pr = P @ residual
-    score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])
-    information = np.array([[np.sum(a * b.T) for b in products] for a in products])
+    score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])  # 2 s_k
+    information = np.array([[np.sum(a * b.T) for b in products] for a in products])  # tr(P V_k P V_l)
     now = np.array(scatter.sizes) ** 2
     step = _bounded_step(now, score, information)
     # The least variance that a scatter of size one gives to a residual it touches at all; infinite where it touches none.

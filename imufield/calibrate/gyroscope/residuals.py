@@ -127,7 +127,7 @@ def chains_of(stills: int, before: IntArray, after: IntArray) -> IntArray:
     """Return the chain of each still: stills joined by moves share one."""
     chain = np.arange(stills)
     for first, second in zip(before, after, strict=True):
-        chain[chain == chain[second]] = chain[first]
+        chain[chain == chain[second]] = chain[first]  # the two chains are one
     return np.unique(chain, return_inverse=True)[1].astype(np.int64)
 
 
@@ -200,6 +200,7 @@ def _move_rows(
     # u_pred' = exp(-d turn) u_pred, so d u_pred = u_pred x d turn.
     rows[:, :, :PARAMETERS] = -tangent @ skew(predicted) @ turns.jacobian
     duration = np.add.reduceat(data.slots.duration_s, data.slots.first)
+    # exp([(w_e + d) T]) u = exp([w_e T]) u + T d x u to first order
     by_earth = tangent @ carry @ skew(data.up[data.before]) * duration[:, None, None]
     by_horizontal = by_earth @ Q[data.before]
     for k in range(m):

@@ -167,7 +167,7 @@ class StaticFit:
 def seen_latitude_deg(vertical_rad_s: float, sigma_rad_s: float) -> tuple[float, float]:
     """Return the latitude of a vertical Earth rate, and its sigma."""
     sine = float(np.clip(vertical_rad_s / EARTH_RATE_RAD_S, -1, 1))
-    cosine = math.sqrt(max(1 - sine**2, 1e-6))
+    cosine = math.sqrt(max(1 - sine**2, 1e-6))  # near a pole the latitude hardly moves the sine
     return math.degrees(math.asin(sine)), math.degrees(sigma_rad_s / EARTH_RATE_RAD_S / cosine)
 
 
@@ -185,6 +185,7 @@ def latitude_words(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: floa
 
 def sees_earth(covariance_raw: FloatArray, A: FloatArray) -> bool:
     """Whether the position means (covariance (s, 3, 3)) are known well below the Earth's rate."""
+    # Median of the positions: one that was touched must not hide the Earth from the others.
     variance = np.trace(A @ covariance_raw @ A.T, axis1=1, axis2=2) / 3
     return bool(np.sqrt(np.median(variance)) < SEES_EARTH * EARTH_RATE_RAD_S)
 
@@ -225,6 +226,7 @@ def static_columns(free: StaticFree) -> list[int]:
 def static_start(data: StaticData, A: FloatArray, latitude_deg: float) -> FloatArray:
     """Return A, the bias with the vertical Earth rate taken off, and that rate, shape (13,)."""
     vertical_rad_s = EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg))
+    # The horizontal part averages out over headings, near enough to start from.
     bias = (data.rate_raw @ A.T - vertical_rad_s * data.up).mean(axis=0)
     return np.concatenate([A.ravel(), bias, [vertical_rad_s]])
 

@@ -101,6 +101,7 @@ def whole_stops(
     """
     missed = closures(evaluation, data)[moves]
     noise = np.sqrt(np.einsum("mi,mij,mj->m", data.up[data.after], evaluation.turns.spread, data.up[data.after]))[moves]
+    # Beyond noise and repeatability, and beyond what a hand can tell.
     allowed = np.maximum(NOT_WHOLE_RAD, NOT_WHOLE_SIGMAS * np.hypot(sigma, noise))
     return np.abs(missed) <= allowed, missed
 

@@ -73,6 +73,7 @@ def change_gauge(vector: FloatArray, gauge: Gauge, preset: FloatArray | None = N
     rotation = _rotation_to(vector, gauge, preset)
     turned, jacobian = turn(vector, rotation)
     G = generators(turned)
+    # d p' = (I - G (C G)^-1 C) A d p: R changes so that the constraints stay met
     C = constraint_jacobian(turned, gauge, preset)
     jacobian = jacobian - G @ np.linalg.solve(C @ G, C @ jacobian)
     return GaugeChange(turned, rotation, jacobian)
@@ -129,6 +130,7 @@ def constraint_jacobian(vector: FloatArray, gauge: Gauge, preset: FloatArray | N
             du = (np.eye(3)[j] - u[i] * u[i, j]) / length[i]
             C[:, 6 + k] = np.cross(du, p[i])
         return C
+    # lower: upper entries zero; upper: lower entries zero; symmetric: their difference zero
     if gauge in ("lower", "symmetric"):
         C[range(3), _UPPER_ENTRIES] = 1.0
     if gauge in ("upper", "symmetric"):
@@ -184,6 +186,7 @@ def _rotation_to(vector: FloatArray, gauge: Gauge, preset: FloatArray | None) ->
 def _kabsch(unit: FloatArray, target: FloatArray) -> FloatArray:
     """Return the rotation R that brings the rows of ``unit`` nearest to those of ``target``: u_i' = R u_i."""
     left, _, right = np.linalg.svd(target.T @ unit)
+    # [1]_: the smallest singular direction is reversed where the best fit would be a reflection
     fix = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     rotation: FloatArray = left @ fix @ right
     return rotation
@@ -212,6 +215,7 @@ def intrinsic(vector: FloatArray, quadratic_axes: QuadraticAxes = "sensing") -> 
     length = np.linalg.norm(T, axis=1)
     u = T / length[:, None]
     K, b, K2 = vector[SCALE], vector[BIAS], vector[QUADRATIC]
+    # K2 by itself changes with the gauge; along the unit sensing axis it does not.
     power = length**2 if quadratic_axes == "sensing" else np.ones(3)
     pairs = ((0, 1), (0, 2), (1, 2))
     cosines = np.array([u[i] @ u[j] for i, j in pairs])

@@ -91,9 +91,9 @@ def generators(vector: FloatArray) -> FloatArray:
         d = np.diag(dM)
         dT = dM - d[:, None] * T
         result[SCALE, axis] = vector[SCALE] * d
-        result[BIAS, axis] = -vector[BIAS] * d
+        result[BIAS, axis] = -vector[BIAS] * d  # b' = D^-1 b
         result[MISALIGNMENT, axis] = dT[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS]
-        result[QUADRATIC, axis] = 2 * vector[QUADRATIC] * d
+        result[QUADRATIC, axis] = 2 * vector[QUADRATIC] * d  # K2' = K2 D^2
     return result
 
 
@@ -113,9 +113,11 @@ def observe(derivatives: NormDerivatives, vector: FloatArray, gravity_m_s2: floa
     gauge_free = [column for column in LOWER_GAUGE_COLUMNS if column in columns]
     scale = parameter_scale(vector, gravity_m_s2)
     scaled = (derivatives.jacobian * scale)[:, columns]
+    # The three flat directions are taken out before rank and condition are judged.
     turns = (generators(vector) / scale[:, None])[columns]
     complement = np.linalg.qr(turns, mode="complete")[0][:, 3:]
     values = np.asarray(np.linalg.svd(scaled @ complement, compute_uv=False), dtype=np.float64)
+    # Faces alone leave misalignment and quadratic term to the accident of placement, see FACE_COSINE.
     faces_only = bool(np.all(np.abs(derivatives.a).max(axis=1) > FACE_COSINE * derivatives.norm))
     sought = gauge_free[:6] if faces_only else gauge_free
     lengths = unexplained_lengths(scaled[:, sought], WEAKEST_COLUMN)
@@ -198,6 +200,7 @@ def require_space(raw: FloatArray) -> None:
     """
     spread = np.ptp(raw, axis=0)
     widest = float(spread.max())
+    # Fewer than three rows have no third direction unless it is asked for.
     values, directions = np.linalg.svd(raw - raw.mean(axis=0), full_matrices=len(raw) < 3)[1:]
     flatness = float(values[2] / values[0])
     axis = int(np.argmin(spread))

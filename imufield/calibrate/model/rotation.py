@@ -53,6 +53,7 @@ def exponential(rotation_rad: FloatArray) -> FloatArray:
 
 def logarithm(quaternion: FloatArray) -> FloatArray:
     """Return rotation vectors of at most pi, shape (..., 4) -> (..., 3)."""
+    # q and -q are one turn: take the one of at most pi.
     short = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
     sine = np.linalg.norm(short[..., 1:], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(sine, short[..., :1])
@@ -69,6 +70,7 @@ def conjugate(quaternion: FloatArray) -> FloatArray:
 def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
     """Return vectors turned by quaternions, shape (..., 4) and (..., 3) to (..., 3)."""
     w, v = quaternion[..., :1], quaternion[..., 1:]
+    # q v q* without the two quaternion products
     twice = 2 * cross(v, vector)
     return vector + w * twice + cross(v, twice)
 
@@ -137,6 +139,6 @@ def running_turns(quaternion: FloatArray, first: IntArray) -> FloatArray:
     while step < longest:
         later = np.flatnonzero(place >= step)
         running[later] = multiply(running[later - step], running[later])
-        step *= 2
+        step *= 2  # each pass doubles how far every product reaches
     running /= np.linalg.norm(running, axis=-1, keepdims=True)
     return running

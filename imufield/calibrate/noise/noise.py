@@ -286,6 +286,7 @@ class _Stretch:
     def follow(self, mean: FloatArray) -> None:
         """Let the reference follow the mean of a second."""
         self._seconds = min(self._seconds + 1, int(REFERENCE_S))
+        # A mean over the first minute, then an exponential one.
         before = mean if self._reference is None else self._reference
         self._reference = before + (mean - before) / self._seconds
 
@@ -295,7 +296,7 @@ class _Stretch:
             return
         change = np.abs(np.diff(rows, axis=0))
         self.squares += np.sum(change**2, axis=0)
-        change[change == 0] = np.inf
+        change[change == 0] = np.inf  # the smallest step is that of an output that changed
         self.step = np.minimum(self.step, change.min(axis=0, initial=np.inf))
         self.stream.feed(rows)
 
@@ -329,6 +330,7 @@ def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit
     deviation, freedom = allan.deviation[:, column], degrees_of_freedom(allan, column)
     low, high = deviation_limits_95(deviation, freedom)
     step = float(best.step[column])
+    # Differences of neighbours have twice the variance of a sample, and no drift.
     sigma = math.sqrt(best.squares[column] / max(2 * (best.stream.samples - 1), 1))
     quantised = math.isfinite(step) and sigma < QUANTISED * step
     model = None

@@ -101,6 +101,7 @@ def compare(
     for method in methods:
         costs: tuple[CostName, CostName] = (find_method(method).cost_name, "weighted")
         for found_by, cost_name in zip((own, one), costs, strict=True):
+            # Own cost first, then the cost that all share.
             found_by[method], why = attempt(method, cost_name)
             if why:
                 open_runs.append(f"{method} did not converge ({why})")
@@ -116,6 +117,7 @@ def compare(
 def _largest(found: Mapping[str, FloatArray], names: Sequence[str], sigma: FloatArray) -> MethodDifference:
     methods = list(found)
     largest = MethodDifference(0.0, "", (methods[0], methods[-1]))
+    # A number that is not fitted has no sigma, and rounding apart the same value everywhere.
     fitted = sigma > 1e-9 * np.maximum(np.abs(found[methods[0]]), np.finfo(float).tiny)
     for i, first in enumerate(methods):
         for second in methods[i + 1 :]:

@@ -83,7 +83,7 @@ def solve_bas(
     x = np.asarray(problem.start, dtype=np.float64)
     record.offer(x, float(record.cost(x[None])[0]))
     s, d = settings.s, settings.d
-    smelled = np.inf
+    smelled = np.inf  # nothing yet
     for _ in range(settings.k_max):
         u = _directions(rng, 1, len(x))
         towards, smelled = _antennae(record, problem, x, u, d=d)
@@ -147,15 +147,15 @@ def solve_bsas(
 
 def _directions(rng: np.random.Generator, beetles: int, n: int) -> FloatArray:
     """Return random unit vectors, shape (m, n) (eq. 1)."""
-    u = rng.standard_normal((beetles, n))
+    u = rng.standard_normal((beetles, n))  # eq. 1
     u /= np.sqrt(np.einsum("mn,mn->m", u, u))[:, None]
     return u
 
 
 def _antennae(record: Record, problem: Problem, x: FloatArray, u: FloatArray, *, d: float) -> tuple[FloatArray, float]:
     """Return which antenna has the larger cost, shape (m,): +1 right, -1 left; and the largest difference (eq. 2, 3)."""
-    tips = into_bounds(problem, np.concatenate([x + d * u, x - d * u]))
-    right, left = record.cost(tips).reshape(2, -1)
+    tips = into_bounds(problem, np.concatenate([x + d * u, x - d * u]))  # eq. 2
+    right, left = record.cost(tips).reshape(2, -1)  # eq. 3
     # Where the model cannot be inverted the cost is infinite, so compare and do not subtract.
     towards = (right > left).astype(np.float64) - (right < left)
     finite = np.isfinite(right) & np.isfinite(left)

@@ -90,6 +90,7 @@ def solve_stages(
     """Run a solver on each category in turn; one result per stage, with all coordinates in its ``x``."""
     x = np.asarray(problem.start, dtype=np.float64)
     stages: list[SolverResult] = []
+    # Section 3.4 of [1]_, steps 1 to 4, each from where the one before ended.
     for members in categories * rounds:
         part = CategoryProblem(problem, x, members)
         tell = None if callback is None else partial(_tell, callback, part, sum(len(stage.history) for stage in stages))
@@ -141,6 +142,7 @@ def join_stages(
     record.offer(stages[-1].x, stages[-1].cost)
     if stages[-1].status is SolverStatus.STOPPED:
         return record.stopped()
+    # Earlier rounds may stop early: only the last has to converge.
     last_round = stages[-(len(stages) // settings.rounds) :]
     open_stages = [stage for stage in last_round if not stage.converged]
     if open_stages:
