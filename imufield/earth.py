@@ -32,7 +32,7 @@ NORMAL_GRAVITY_SIGMA_M_S2 = 5e-4
 MEASURED_GRAVITY_SIGMA_M_S2 = 1e-5
 """Least 1 sigma of a value the user typed: a gravimeter or a geodetic survey, 1 mGal."""
 GRAVITIES_DIFFER_SIGMA = 3.0
-"""A typed value further from that of the latitude than this is said."""
+"""A typed value further from that of the latitude than this is reported."""
 ASSUMED_GRAVITY_SIGMA_M_S2 = 0.018
 """1 sigma where nothing is known: gravity runs from 9.764 to 9.834 m/s^2 over the Earth's surface."""
 

@@ -132,8 +132,7 @@ class Samples:
     @property
     def usable(self) -> NDArray[np.bool_]:
         """Which samples may enter a mean, shape (n,)."""
-        usable: NDArray[np.bool_] = (self.status & np.uint32(UNUSABLE)) == 0
-        return usable
+        return np.asarray((self.status & np.uint32(UNUSABLE)) == 0)
 
     def accelerometer_rate(self) -> FloatArray:
         """Accelerometer as rates: raw unit, per second for increments. Shape (n, 3)."""

@@ -11,7 +11,7 @@ for the linear model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,19 +26,18 @@ from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
 _FIRST_QUADRATIC = QUADRATIC.start
-_NO_DOUBT = np.zeros((PARAMETERS, 0))
 _MISALIGNMENT_ENTRIES = range(MISALIGNMENT.start, MISALIGNMENT.stop)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Chosen:
+class ChosenModel:
     """The model that was kept, in the lower gauge."""
 
     fit: Fit
     free: tuple[int, ...]
     """Fitted parameters, indices into ACCELEROMETER_NAMES."""
     quadratic: bool
-    doubt: FloatArray
+    hidden_root: FloatArray = field(default_factory=lambda: np.zeros((PARAMETERS, 0)))
     """Root of the covariance that a rejected quadratic term adds, in columns, shape (15, k)."""
     sentence: str
 
@@ -62,7 +61,7 @@ def find_origin(
     Raises
     ------
     CalibrationError
-        If not even scale and bias of each axis can be seen.
+        If not even scale and bias of each axis can be observed.
     """
     origin = closed_form_start(data.raw, data.gravity_m_s2, sign, misalignment=False)
     if preset is not None:
@@ -96,7 +95,7 @@ def find_origin(
     return origin, observability
 
 
-def choose_model(data: FitData, origin: FloatArray, observability: Observability, model: ModelChoice) -> Chosen:
+def choose_model(data: FitData, origin: FloatArray, observability: Observability, model: ModelChoice) -> ChosenModel:
     """Fit what was asked for, or, with "auto", what is significant.
 
     Raises
@@ -119,22 +118,22 @@ def choose_model(data: FitData, origin: FloatArray, observability: Observability
     quadratic = fit(data, origin, column_basis(origin, observability.free, data.gravity_m_s2))
     if model == "quadratic":
         sentence = "the quadratic term is fitted, as asked"
-        return Chosen(fit=quadratic, free=observability.free, quadratic=True, doubt=_NO_DOUBT, sentence=sentence)
+        return ChosenModel(fit=quadratic, free=observability.free, quadratic=True, sentence=sentence)
     return _decide(data, origin, observability, quadratic, entries=quadratic_free)
 
 
-def _linear(data: FitData, origin: FloatArray, observability: Observability, sentence: str) -> Chosen:
-    # Zero where the term could be fitted and is not wanted; the preset's value where it cannot be seen.
+def _linear(data: FitData, origin: FloatArray, observability: Observability, sentence: str) -> ChosenModel:
+    # Zero where the term could be fitted and is not wanted; the preset's value where it cannot be observed.
     plain = origin.copy()
     plain[[k for k in observability.free if k >= _FIRST_QUADRATIC]] = 0.0
     free = tuple(k for k in observability.free if k < _FIRST_QUADRATIC)
     fitted = fit(data, plain, column_basis(plain, free, data.gravity_m_s2))
-    return Chosen(fit=fitted, free=free, quadratic=False, doubt=_NO_DOUBT, sentence=sentence)
+    return ChosenModel(fit=fitted, free=free, quadratic=False, sentence=sentence)
 
 
 def _decide(
     data: FitData, origin: FloatArray, observability: Observability, quadratic: Fit, *, entries: tuple[int, ...]
-) -> Chosen:
+) -> ChosenModel:
     """Keep the quadratic term where it is significant; else add what it may hide to the covariance of the linear model."""
     n = len(entries)
     # The last n coordinates of the fit move the entries of the term.
@@ -149,7 +148,7 @@ def _decide(
     figures = f"F = {F_shown}, 95 % limit {F_most}; largest {t_shown} sigma, limit {t_most}"
     if F_limit < F or t_limit < t:
         sentence = f"the quadratic term is kept: it is significant ({figures})"
-        return Chosen(fit=quadratic, free=observability.free, quadratic=True, doubt=_NO_DOUBT, sentence=sentence)
+        return ChosenModel(fit=quadratic, free=observability.free, quadratic=True, sentence=sentence)
     sentence = (
         f"the quadratic term is left out: it is not significant ({figures}); what it may hide in scale and bias is in "
         "their uncertainty"
@@ -157,6 +156,6 @@ def _decide(
     linear = _linear(data, origin, observability, sentence)
     # The other coordinates hang on the last n by -C_rl C_ll^-1, so of their covariance C_rl C_ll^-1 C_lr is from those.
     root = np.linalg.solve(np.linalg.cholesky(C[-n:, -n:]), C[-n:, :-n]).T
-    doubt = np.column_stack([quadratic.vector - linear.fit.vector, quadratic.basis[:, :-n] @ root])
-    doubt[list(entries)] = 0.0
-    return replace(linear, doubt=doubt)
+    hidden_root = np.column_stack([quadratic.vector - linear.fit.vector, quadratic.basis[:, :-n] @ root])
+    hidden_root[list(entries)] = 0.0
+    return replace(linear, hidden_root=hidden_root)

@@ -1,4 +1,4 @@
-"""The covariance of everything that moves and stills say, shared sources counted once.
+"""Covariance of the residuals of the gyroscope fit: every source of error, shared sources counted once.
 
 Sources, all independent: noise of the accelerometer mean of each still (enters the two moves that share it, and, through the
 calibration, every other), the rest of the accelerometer's uncertainty, noise of the gyroscope mean of each still, its noise
@@ -195,8 +195,7 @@ def random_walk(time_s: FloatArray) -> FloatArray:
     elapsed = time_s - time_s.min()
     centring = np.eye(len(elapsed)) - 1 / len(elapsed)
     # The covariance of a walk at two times is the earlier of them.
-    walk: FloatArray = centring @ np.minimum(elapsed[:, None], elapsed) @ centring
-    return walk
+    return np.asarray(centring @ np.minimum(elapsed[:, None], elapsed) @ centring)
 
 
 def _add_blocks(target: FloatArray, blocks: FloatArray, start: int) -> None:
@@ -283,5 +282,4 @@ def _bounded_step(now: FloatArray, score: FloatArray, information: FloatArray) -
 def accelerometer_force(parameters: AccelerometerParameters, mean_raw: FloatArray) -> FloatArray:
     """Return the specific force of slot means without the quadratic term, shape (k, 3): enough for g-sensitivity in a move."""
     s = (mean_raw - parameters.raw_zero) / parameters.scale - parameters.bias_m_s2
-    force: FloatArray = s @ np.linalg.inv(np.eye(3) + parameters.misalignment_rad).T
-    return force
+    return np.asarray(s @ np.linalg.inv(np.eye(3) + parameters.misalignment_rad).T)

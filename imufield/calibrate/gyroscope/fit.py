@@ -1,6 +1,6 @@
-"""One weighted fit of everything that moves and stills say about a gyroscope, and its covariance.
+"""Fit of a gyroscope's bias, scale, misalignment and g-sensitivity, and the covariance of what is fitted.
 
-Gauss-Newton on the residuals of ``gyroscope_model`` with the full covariance ``S`` of ``gyroscope_noise``, the Earth's rate as
+Gauss-Newton on the residuals of ``residuals`` with their full covariance ``S`` of ``covariance``, the Earth's rate as
 prior knowledge. The two scatters of S are estimated along the way. Half of a step is tried where the whole one does not help.
 """
 
@@ -56,7 +56,7 @@ class JointFit:
     """The end of a fit."""
 
     p: FloatArray
-    """See ``gyroscope_model``."""
+    """See ``residuals``."""
     free: IntArray
     """Which of ``p`` were fitted."""
     covariance: FloatArray

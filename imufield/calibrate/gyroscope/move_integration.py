@@ -117,8 +117,7 @@ def rotation_vectors(x: FloatArray, slots: CentredSlots) -> FloatArray:
     # cof(A) = det(A) A^-T, see moves: A x x A y = cof(A) (x x y)
     cofactor = np.linalg.det(A) * M.T
     coning = slots.area + cross(T * slots.turn - 2 * slots.moment, M @ b)
-    vectors: FloatArray = slots.turn @ A.T - b * T - slots.velocity_m_s @ H.T + 0.5 * coning @ cofactor.T
-    return vectors
+    return np.asarray(slots.turn @ A.T - b * T - slots.velocity_m_s @ H.T + 0.5 * coning @ cofactor.T)
 
 
 def integrate(x: FloatArray, slots: CentredSlots, noise_density_raw: FloatArray) -> Turns:
@@ -141,8 +140,7 @@ def integrate(x: FloatArray, slots: CentredSlots, noise_density_raw: FloatArray)
     W = to_end @ right_jacobian(vectors)
 
     def total(values: FloatArray) -> FloatArray:
-        summed: FloatArray = np.add.reduceat(values, slots.first, axis=0)
-        return summed
+        return np.asarray(np.add.reduceat(values, slots.first, axis=0))
 
     T = slots.duration_s
     by_inverse = total((W[:, :, :, None] * slots.turn[:, None, None, :]).reshape(-1, 3, 9))

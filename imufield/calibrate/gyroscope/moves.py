@@ -365,8 +365,7 @@ class Moves:
         """Shape (m,)."""
         if not len(self):
             return np.empty(0)
-        duration: FloatArray = np.add.reduceat(self.slots.duration_s, self.first)
-        return duration
+        return np.asarray(np.add.reduceat(self.slots.duration_s, self.first))
 
 
 class MoveCollector:

@@ -80,8 +80,7 @@ class GyroscopeData:
     @property
     def up(self) -> FloatArray:
         """Unit vectors, shape (s, 3)."""
-        up: FloatArray = self.force / np.linalg.norm(self.force, axis=1)[:, None]
-        return up
+        return np.asarray(self.force / np.linalg.norm(self.force, axis=1)[:, None])
 
     @property
     def chains(self) -> int:
@@ -119,8 +118,7 @@ class Evaluation:
     def angle_error_rad(self, up_after: FloatArray) -> FloatArray:
         """Return the angle between measured and predicted direction of each move, shape (m,)."""
         sine = np.linalg.norm(cross(self.predicted, up_after), axis=1)
-        error: FloatArray = np.arctan2(sine, np.sum(self.predicted * up_after, axis=1))
-        return error
+        return np.asarray(np.arctan2(sine, np.sum(self.predicted * up_after, axis=1)))
 
 
 def chains_of(stills: int, before: IntArray, after: IntArray) -> IntArray:

@@ -88,8 +88,7 @@ def find_stops(stops: Sequence[Stop], start_s: FloatArray, end_s: FloatArray) ->
 
 def closures(evaluation: Evaluation, data: GyroscopeData) -> FloatArray:
     """Return by how much each move misses returning to its attitude about the vertical, shape (m,), rad within pi."""
-    missed: FloatArray = np.sum(logarithm(from_matrix(evaluation.carry)) * data.up[data.after], axis=1)
-    return missed
+    return np.asarray(np.sum(logarithm(from_matrix(evaluation.carry)) * data.up[data.after], axis=1))
 
 
 def whole_stops(

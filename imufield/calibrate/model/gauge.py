@@ -146,8 +146,7 @@ def _required(preset: FloatArray | None) -> FloatArray:
 
 def _unit_rows(vector: FloatArray) -> FloatArray:
     T = alignment_matrix(vector)
-    unit: FloatArray = T / np.linalg.norm(T, axis=1)[:, None]
-    return unit
+    return np.asarray(T / np.linalg.norm(T, axis=1)[:, None])
 
 
 def _rotation_to(vector: FloatArray, gauge: Gauge, preset: FloatArray | None) -> FloatArray:
@@ -188,8 +187,7 @@ def _kabsch(unit: FloatArray, target: FloatArray) -> FloatArray:
     left, _, right = np.linalg.svd(target.T @ unit)
     # [1]_: the smallest singular direction is reversed where the best fit would be a reflection
     fix = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    rotation: FloatArray = left @ fix @ right
-    return rotation
+    return np.asarray(left @ fix @ right)
 
 
 def _triangular_frame(unit: FloatArray) -> FloatArray:

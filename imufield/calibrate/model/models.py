@@ -83,8 +83,7 @@ def predict(parameters: AccelerometerParameters, a: FloatArray) -> FloatArray:
     """Return raw outputs, ``raw_zero`` included, for specific forces in m/s^2, both of shape (..., 3)."""
     s = a + a @ parameters.misalignment_rad.T
     squared = s if parameters.quadratic_axes == "sensing" else a
-    output: FloatArray = parameters.scale * (s + parameters.bias_m_s2) + parameters.quadratic * squared**2 + parameters.raw_zero
-    return output
+    return np.asarray(parameters.scale * (s + parameters.bias_m_s2) + parameters.quadratic * squared**2 + parameters.raw_zero)
 
 
 def recover(parameters: AccelerometerParameters, raw: FloatArray) -> FloatArray:
@@ -119,8 +118,7 @@ def recover_vectors(vector: FloatArray, raw: FloatArray, quadratic_axes: Quadrat
     """
     inverse = np.asarray(np.swapaxes(np.linalg.inv(alignment_matrix(vector)), -1, -2), dtype=np.float64)
     if quadratic_axes == "sensing":
-        recovered: FloatArray = _sensing_input(vector, raw) @ inverse
-        return recovered
+        return np.asarray(_sensing_input(vector, raw) @ inverse)
     K, b, K2 = (vector[..., None, part] for part in (SCALE, BIAS, QUADRATIC))
     a: FloatArray = (raw / K - b) @ inverse
     if not np.any(K2):
@@ -142,8 +140,7 @@ def _sensing_input(vector: FloatArray, raw: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore"):
         root = np.sqrt(K**2 + 4 * K2 * unbiased)
     # The root that goes to N / K - b for a vanishing K2, in the form without cancellation.
-    s: FloatArray = 2 * unbiased / (K + np.copysign(root, K))
-    return s
+    return np.asarray(2 * unbiased / (K + np.copysign(root, K)))
 
 
 def _not_recoverable(parameters: AccelerometerParameters, raw: FloatArray, row: int) -> CalibrationError:

@@ -145,7 +145,7 @@ def unexplained_lengths(columns: FloatArray, least: float = 0.0) -> list[float]:
     return lengths
 
 
-def require_scale_and_bias(seen: Observability) -> None:
+def require_scale_and_bias(observability: Observability) -> None:
     """Refuse positions that do not even show scale and bias of each axis.
 
     Raises
@@ -153,7 +153,7 @@ def require_scale_and_bias(seen: Observability) -> None:
     CalibrationError
         Naming the axis and the positions that are missing.
     """
-    missing = sorted({ACCELEROMETER_NAMES[column][-1] for column in range(6) if column not in seen.free})
+    missing = sorted({ACCELEROMETER_NAMES[column][-1] for column in range(6) if column not in observability.free})
     if missing:
         axes = " and ".join(missing)
         raise CalibrationError(

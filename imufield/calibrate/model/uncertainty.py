@@ -47,8 +47,7 @@ def known_covariance(covariance_raw: FloatArray) -> bool:
 
 def within_variance(raw_gradient: FloatArray, covariance_raw: FloatArray) -> FloatArray:
     """Return the variance of each norm from the covariance of its mean output, shape (m,), (m/s^2)^2."""
-    variance: FloatArray = np.einsum("mi,mij,mj->m", raw_gradient, covariance_raw, raw_gradient)
-    return variance
+    return np.asarray(np.einsum("mi,mij,mj->m", raw_gradient, covariance_raw, raw_gradient))
 
 
 def between_position_sigma(residual: FloatArray, jacobian: FloatArray, within: FloatArray) -> float:
@@ -85,8 +84,7 @@ def between_position_sigma(residual: FloatArray, jacobian: FloatArray, within: F
 def _refitted(residual: FloatArray, jacobian: FloatArray, root_weight: FloatArray) -> FloatArray:
     Q = np.linalg.qr(jacobian * root_weight[:, None])[0]
     weighted = residual * root_weight
-    refitted: FloatArray = weighted - Q @ (Q.T @ weighted)
-    return refitted
+    return np.asarray(weighted - Q @ (Q.T @ weighted))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,8 +140,7 @@ def jackknife_sigma(shift: FloatArray) -> FloatArray:
         return np.full(shift.shape[1], np.nan)
     m = len(shift)
     # (m - 1) / m times the sum of squares: the delete-one jackknife
-    sigma: FloatArray = np.sqrt((m - 1) / m * np.sum((possible - possible.mean(axis=0)) ** 2, axis=0))
-    return sigma
+    return np.asarray(np.sqrt((m - 1) / m * np.sum((possible - possible.mean(axis=0)) ** 2, axis=0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,8 +254,7 @@ def bounded_cross_covariance(cross: FloatArray, ours: FloatArray, theirs: FloatA
     left, correlation, right = np.linalg.svd(to_ours @ cross @ to_theirs.T, full_matrices=False)
     if np.all(correlation <= 1.0):
         return cross
-    bounded: FloatArray = from_ours @ (left * np.minimum(correlation, 1.0)) @ right @ from_theirs.T
-    return bounded
+    return np.asarray(from_ours @ (left * np.minimum(correlation, 1.0)) @ right @ from_theirs.T)
 
 
 def _whitening(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:

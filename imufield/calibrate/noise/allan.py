@@ -223,8 +223,7 @@ class AllanStream:
                 if octave >= self._first(number) and len(rest[number]):
                     self._measure(level, number, rest[number], [octave])
                 if octave in level.terms:
-                    variance: FloatArray = level.square[octave] / level.terms[octave]
-                    return variance
+                    return np.asarray(level.square[octave] / level.terms[octave])
                 return None
             if number + 1 < len(rest) and len(rest[number]):
                 # What was left below goes up once, when the first octave of the next level is asked for.

@@ -28,7 +28,7 @@ from imufield.samples import AXES, FloatArray, Samples, SampleUnits
 MOVED = 0.005
 """Change of the mean output of a second, over the length of the accelerometer's mean: 5 mg. More is a unit that was moved."""
 REFERENCE_S = 60.0
-"""The mean that a second is held against follows the last minute: warm-up passes, a touch does not."""
+"""The mean that a second is compared with follows the last minute: warm-up passes, a touch does not."""
 LEAST_SAMPLES = 1000
 """The deviation at one sample interval is then known to 3 %."""
 LEAST_S = 60.0
@@ -351,7 +351,7 @@ def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit
         sentences.append(f"{name} is too short to identify anything; record longer")
     elif model is not None and math.isfinite(step):
         for kind, figure, per in (("bias instability", model.instability, ""), ("random walk", model.walk, "/sqrt(s)")):
-            if not figure.seen:
+            if not figure.observed:
                 sentences.append(
                     f"{best.duration_s / _HOURS:.2g} h are too short to see the {kind} of {name}: below {figure.high:.3g} "
                     f"{unit}{per}"

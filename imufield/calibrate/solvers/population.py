@@ -1,4 +1,4 @@
-"""What every swarm method shares: the record of the best point ever seen, checks of the start, and the honest ending.
+"""Record, checks and ending of the swarm methods: the best point ever, the start within its bounds, and a probe at the end.
 
 A swarm has no gradient to show that it has arrived, so it is asked twice. First its own sign: the antennae of the beetles
 smell no difference any more, or the costs of the population agree. Then a probe: points around the best one, on rings from the
