@@ -83,9 +83,14 @@ def read_observations(path: str | Path, *, units: SampleUnits | None = None) -> 
 
 
 def _read_table(path: Path) -> _Table:
-    numbered = [
-        (k, line) for k, line in enumerate(_text(path).splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")
-    ]
+    try:
+        whole = read_small_file(path).decode("utf-8-sig")
+    except OSError as error:
+        what = f"{path} cannot be read ({error.strerror}); check the file name and its permissions"
+        raise RecordingError(what, Reason.NOT_A_RECORDING, path=str(path)) from error
+    except UnicodeDecodeError as error:
+        raise _refuse(path, None, f"it is no UTF-8 text (byte {error.start}); save the means as CSV") from error
+    numbered = [(k, line) for k, line in enumerate(whole.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]
     if not numbered:
         raise _refuse(path, None, "it is empty; give a header with ax,ay,az and one row per position")
     lines = [k for k, _ in numbered]
@@ -109,16 +114,6 @@ def _read_table(path: Path) -> _Table:
             for row in rows
         ]
     return _Table(path, header, rows[1:], lines[1:])
-
-
-def _text(path: Path) -> str:
-    try:
-        return read_small_file(path).decode("utf-8-sig")
-    except OSError as error:
-        what = f"{path} cannot be read ({error.strerror}); check the file name and its permissions"
-        raise RecordingError(what, Reason.NOT_A_RECORDING, path=str(path)) from error
-    except UnicodeDecodeError as error:
-        raise _refuse(path, None, f"it is no UTF-8 text (byte {error.start}); save the means as CSV") from error
 
 
 def _refuse(path: Path, line: int | None, what: str, column: str | None = None) -> RecordingError:

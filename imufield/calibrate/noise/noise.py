@@ -38,7 +38,7 @@ QUANTISED = 0.5
 _IDENTIFIED_POINTS = 6  # Octaves that tell the five kinds of noise of ``noise_fit`` apart: one more than there are kinds.
 _FIRST_BLOCK = 3  # Samples that tell the interval where nothing else does.
 _HOURS = 3600.0
-_SPLITS_NAMED = 3  # Disturbances that are told one by one; the others are counted.
+_SPLITS_NAMED = 3  # Disturbances that are named one by one; the others are counted.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

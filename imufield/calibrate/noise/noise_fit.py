@@ -98,7 +98,11 @@ def identify(tau_s: FloatArray, deviation: FloatArray, freedom: FloatArray) -> N
 
     first = first_falling(tau_s, deviation)
     X, q = terms(tau_s[first:]), deviation[first:] ** 2
-    relative, L = np.sqrt(2 / freedom[first:]), np.linalg.cholesky(_correlation(q))
+    # Correlation of any two points: the product of the steps between them.
+    step = np.where(np.diff(q) < 0, CORRELATION_FALLING, CORRELATION_RISING)
+    reach = np.concatenate([[0.0], np.cumsum(np.log(step))])
+    L = np.linalg.cholesky(np.exp(-np.abs(reach[:, None] - reach)))
+    relative = np.sqrt(2 / freedom[first:])
     squares, expected = np.zeros(_TERMS), q
     A: FloatArray = X
     for _ in range(_PASSES):
@@ -125,12 +129,6 @@ def first_falling(tau_s: FloatArray, deviation: FloatArray) -> int:
     slope = np.diff(np.log(deviation)) / np.diff(np.log(tau_s))
     falling = np.flatnonzero(slope <= _FALLING)
     return int(falling[0]) if len(falling) and falling[0] < len(tau_s) // 2 else 0
-
-
-def _correlation(variance: FloatArray) -> FloatArray:
-    step = np.where(np.diff(variance) < 0, CORRELATION_FALLING, CORRELATION_RISING)
-    reach = np.concatenate([[0.0], np.cumsum(np.log(step))])
-    return np.asarray(np.exp(-np.abs(reach[:, None] - reach)))
 
 
 def _sigma(A: FloatArray, squares: FloatArray) -> FloatArray:

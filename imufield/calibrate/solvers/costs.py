@@ -114,17 +114,17 @@ class NormProblem:
         """Return norm(a)^2, shape (c, 15) -> (c, m)."""
         with np.errstate(all="ignore"):
             inverse = inverse_matrices(unit_diagonal_matrices(vectors[:, MISALIGNMENT]))
-            a = self._sensing(vectors, inverse) if self.quadratic_axes == "sensing" else self._body(vectors, inverse)
+            if self.quadratic_axes == "sensing":
+                K, b, K2 = (vectors[:, part, None] for part in (SCALE, BIAS, QUADRATIC))
+                unbiased = self.raw.T - K * b
+                root = np.sqrt(K**2 + 4 * K2 * unbiased)
+                # As in models.recover_vectors, for all candidates at once.
+                a = inverse @ (2 * unbiased / (K + np.copysign(root, K)))
+            else:
+                a = self._body_input(vectors, inverse)
             return np.asarray(np.einsum("cim,cim->cm", a, a))
 
-    def _sensing(self, vectors: FloatArray, inverse: FloatArray) -> FloatArray:
-        K, b, K2 = (vectors[:, part, None] for part in (SCALE, BIAS, QUADRATIC))
-        unbiased = self.raw.T - K * b
-        root = np.sqrt(K**2 + 4 * K2 * unbiased)
-        s = 2 * unbiased / (K + np.copysign(root, K))
-        return np.asarray(inverse @ s)
-
-    def _body(self, vectors: FloatArray, inverse: FloatArray) -> FloatArray:
+    def _body_input(self, vectors: FloatArray, inverse: FloatArray) -> FloatArray:
         K = vectors[:, SCALE]
         input_b = self.raw.T / K[:, :, None]
         input_b -= vectors[:, BIAS, None]
