@@ -22,7 +22,7 @@ from imufield.calibrate.gyroscope.input import GyroscopeInput, make_data
 from imufield.calibrate.gyroscope.move_integration import rough_inverse
 from imufield.calibrate.gyroscope.moves import MoveCollector
 from imufield.calibrate.gyroscope.report import GYROSCOPE_NAMES
-from imufield.calibrate.gyroscope.static import StaticData, StaticFree, fit_static, seen_latitude_deg
+from imufield.calibrate.gyroscope.static import StaticData, StaticFree, fit_static, observed_latitude_deg
 from imufield.calibrate.gyroscope.turntable import TurntableRun, pair_runs
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.model.result import GyroscopeParameters
@@ -172,7 +172,7 @@ def navigation(count: int = 100) -> None:
             found = np.linalg.inv(fitted.x[:9].reshape(3, 3)) @ fitted.x[9:12]
             errors.append((found - bias) / DEG_PER_HOUR)
             wrong = fit_static(data, A, 45.5, free)
-            latitude, sigma = seen_latitude_deg(wrong.vertical_rad_s, wrong.vertical_sigma_rad_s)
+            latitude, sigma = observed_latitude_deg(wrong.vertical_rad_s, wrong.vertical_sigma_rad_s)
             contradiction.append(abs(latitude - 45.5) / sigma)
         rms = np.sqrt(np.mean(np.square(errors)))
         print(

@@ -32,7 +32,7 @@ NORMAL_GRAVITY_SIGMA_M_S2 = 5e-4
 MEASURED_GRAVITY_SIGMA_M_S2 = 1e-5
 """Least 1 sigma of a value the user typed: a gravimeter or a geodetic survey, 1 mGal."""
 GRAVITIES_DIFFER_SIGMA = 3.0
-"""A typed value further from that of the latitude than this is said."""
+"""A typed value further from that of the latitude than this is reported."""
 ASSUMED_GRAVITY_SIGMA_M_S2 = 0.018
 """1 sigma where nothing is known: gravity runs from 9.764 to 9.834 m/s^2 over the Earth's surface."""
 
@@ -59,13 +59,14 @@ class Gravity:
 def normal_gravity(latitude_deg: float, height_m: float = 0.0) -> float:
     """Return WGS-84 normal gravity in m/s^2 ([1]_ eq. 4-1 and 4-3)."""
     sin2 = math.sin(math.radians(latitude_deg)) ** 2
-    surface = _GRAVITY_EQUATOR_M_S2 * (1 + _SOMIGLIANA_K * sin2) / math.sqrt(1 - _ECCENTRICITY_SQUARED * sin2)
-    ratio = height_m / _SEMI_MAJOR_AXIS_M
+    surface = _GRAVITY_EQUATOR_M_S2 * (1 + _SOMIGLIANA_K * sin2) / math.sqrt(1 - _ECCENTRICITY_SQUARED * sin2)  # eq. 4-1
+    ratio = height_m / _SEMI_MAJOR_AXIS_M  # eq. 4-3
     return surface * (1 - 2 * ratio * (1 + _FLATTENING + _M - 2 * _FLATTENING * sin2) + 3 * ratio**2)
 
 
 def sigma_of_digits(text: str) -> float:
     """Return 1 sigma in m/s^2 of gravity typed as ``text``: anything that rounds to it is as likely, but 1e-5 at least."""
+    # A value is as likely anywhere in its last digit: width over the root of 12.
     decimals = len(text.partition(".")[2].rstrip()) if "e" not in text.lower() else 0
     return max(10.0**-decimals / math.sqrt(12), MEASURED_GRAVITY_SIGMA_M_S2)
 
@@ -124,21 +125,16 @@ def choose_gravity(
                 Reason.GRAVITY,
                 gravity_m_s2=gravity_m_s2,
             )
-        sigma = sigma_of_digits(repr(float(gravity_m_s2))) if sigma_m_s2 is None else sigma_m_s2
-        return Gravity(
-            gravity_m_s2=gravity_m_s2, sigma_m_s2=sigma, source="typed", latitude_deg=latitude_deg, height_m=height_m
-        )
-    if latitude_deg is not None:
-        value = normal_gravity(latitude_deg, height_m or 0.0)
-        return Gravity(
-            gravity_m_s2=value,
-            sigma_m_s2=NORMAL_GRAVITY_SIGMA_M_S2 if sigma_m_s2 is None else sigma_m_s2,
-            source="normal",
-            latitude_deg=latitude_deg,
-            height_m=height_m or 0.0,
-        )
+        value, sigma, source = gravity_m_s2, sigma_of_digits(repr(float(gravity_m_s2))), "typed"
+    elif latitude_deg is not None:
+        height_m = height_m or 0.0
+        value, sigma, source = normal_gravity(latitude_deg, height_m), NORMAL_GRAVITY_SIGMA_M_S2, "normal"
+    else:
+        value, sigma, source, height_m = STANDARD_GRAVITY_M_S2, ASSUMED_GRAVITY_SIGMA_M_S2, "assumed", None
     return Gravity(
-        gravity_m_s2=STANDARD_GRAVITY_M_S2,
-        sigma_m_s2=ASSUMED_GRAVITY_SIGMA_M_S2 if sigma_m_s2 is None else sigma_m_s2,
-        source="assumed",
+        gravity_m_s2=value,
+        sigma_m_s2=sigma if sigma_m_s2 is None else sigma_m_s2,
+        source=source,
+        latitude_deg=latitude_deg,
+        height_m=height_m,
     )

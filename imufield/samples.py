@@ -132,8 +132,7 @@ class Samples:
     @property
     def usable(self) -> NDArray[np.bool_]:
         """Which samples may enter a mean, shape (n,)."""
-        usable: NDArray[np.bool_] = (self.status & np.uint32(UNUSABLE)) == 0
-        return usable
+        return np.asarray((self.status & np.uint32(UNUSABLE)) == 0)
 
     def accelerometer_rate(self) -> FloatArray:
         """Accelerometer as rates: raw unit, per second for increments. Shape (n, 3)."""
@@ -148,6 +147,7 @@ _ARRAYS = tuple(field.name for field in fields(Samples) if field.name != "units"
 
 
 def _as_rate(values: FloatArray, is_increment: bool, interval_s: float | None) -> FloatArray:
+    # A rate needs no interval; an increment is a rate only by its interval.
     if not is_increment:
         return values
     if interval_s is None:

@@ -1,1 +1,1 @@
-"""Error models, observations, solvers, uncertainty."""
+"""From observations to parameters: error models, the two triads, solvers, uncertainty, noise."""

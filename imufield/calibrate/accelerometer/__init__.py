@@ -1,1 +1,1 @@
-"""The accelerometer from still positions: start, fit, choice of the model, quality."""
+"""The accelerometer from still positions: start, fit of bias, scale and misalignment, choice of the model, quality."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.fit import Fit, FitData, fit, summarise
-from imufield.calibrate.accelerometer.model_choice import Chosen, choose_model, find_origin
+from imufield.calibrate.accelerometer.model_choice import ChosenModel, choose_model, find_origin
 from imufield.calibrate.accelerometer.quality import Evidence, common_scale_ratio, judge, refuse_saturation
 from imufield.calibrate.accelerometer.start import (
     FEWEST_FOR_MISALIGNMENT,
@@ -120,7 +120,7 @@ def calibrate_accelerometer(  # noqa: PLR0913 (the settings of `solve`, by keywo
     wanted: Gauge = gauge or ("lower" if preset is None else "preset")
     fitted, to_gauge = _in_gauge(data, chosen, wanted, before)
     spread = influence(fitted.residual_m_s2 / fitted.sigma_m_s2, fitted.jacobian / fitted.sigma_m_s2[:, None])
-    covariance, factors = _joint_covariance(fitted, spread, data, gravity, doubt=to_gauge @ chosen.doubt)
+    covariance, factors = _joint_covariance(fitted, spread, data, gravity, hidden_root=to_gauge @ chosen.hidden_root)
 
     scale = parameter_scale(fitted.vector, gravity.gravity_m_s2)
     left_out = [k for k in LOWER_GAUGE_COLUMNS if k not in chosen.free]
@@ -228,7 +228,7 @@ def _checked_preset(preset: AccelerometerParameters) -> FloatArray:
     return vector
 
 
-def _in_gauge(data: FitData, chosen: Chosen, gauge: Gauge, before: FloatArray | None) -> tuple[Fit, FloatArray]:
+def _in_gauge(data: FitData, chosen: ChosenModel, gauge: Gauge, before: FloatArray | None) -> tuple[Fit, FloatArray]:
     change = change_gauge(chosen.fit.vector, gauge, before)
     basis = change.jacobian @ chosen.fit.basis
     if data.quadratic_axes == "body" and np.any(change.vector[12:]) and gauge != "lower":
@@ -238,11 +238,11 @@ def _in_gauge(data: FitData, chosen: Chosen, gauge: Gauge, before: FloatArray | 
 
 
 def _joint_covariance(
-    fitted: Fit, spread: Influence, data: FitData, gravity: Gravity, *, doubt: FloatArray
+    fitted: Fit, spread: Influence, data: FitData, gravity: Gravity, *, hidden_root: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance of 15 parameters and gravity, and the factors by which coordinates were raised.
 
-    ``doubt`` is the root of what a rejected quadratic term adds, in columns.
+    ``hidden_root`` is the root of what a rejected quadratic term adds, in columns.
     """
     factors = np.ones(fitted.basis.shape[1])
     covariance = spread.covariance
@@ -254,5 +254,5 @@ def _joint_covariance(
     # Gravity is a common scale: its sigma moves all parameters together.
     t = np.append(gravity_sensitivity(fitted.vector, gravity.gravity_m_s2), 1.0)
     joint = np.outer(t, t) * gravity.sigma_m_s2**2
-    joint[:PARAMETERS, :PARAMETERS] += fitted.basis @ covariance @ fitted.basis.T + doubt @ doubt.T
+    joint[:PARAMETERS, :PARAMETERS] += fitted.basis @ covariance @ fitted.basis.T + hidden_root @ hidden_root.T
     return joint, factors

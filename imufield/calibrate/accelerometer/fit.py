@@ -104,6 +104,7 @@ def fit(data: FitData, origin: FloatArray, basis: FloatArray) -> Fit:
         basis=basis,
         quadratic_axes=data.quadratic_axes,
     )
+    # Unweighted first: within needs parameters to carry raw covariances to the norm.
     solved = solve_least_squares(problem, loss="linear")
     current = _evaluate(data, problem, solved)
     evaluations = solved.evaluations

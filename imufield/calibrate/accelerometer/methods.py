@@ -68,6 +68,7 @@ class Restart:
         at_fit = norm_derivatives(self.vector, self.problem.raw, self.problem.quadratic_axes)
         change = change_gauge(self.problem.origin, self.calibration.gauge, self.preset)
         basis = change.jacobian @ self.problem.basis
+        # Covariance of the fit alone, (A^T A)^-1, carried to the gauge-free numbers.
         A = (at_fit.jacobian @ basis) / self.problem.sigma_m_s2[:, None]
         J = intrinsic(self.vector, self.problem.quadratic_axes)[1] @ basis
         return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", J, np.linalg.inv(A.T @ A), J)))

@@ -1,4 +1,4 @@
-"""Which of the 15 parameters are fitted: what the positions can show, and what the data need.
+"""Choice of the accelerometer model: which of the 15 parameters the positions can show, and which the data need.
 
 The model choice "auto" keeps the quadratic term where it is significant: an F test on its entries together, or a t test on
 the largest of them (Bonferroni), says 95 %. Where it is not, the term may still be there, hidden in scale and bias. What is
@@ -11,14 +11,14 @@ for the linear model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import Fit, FitData, column_basis, fit
 from imufield.calibrate.accelerometer.start import FEWEST_FOR_MISALIGNMENT, FEWEST_FOR_QUADRATIC, closed_form_start
 from imufield.calibrate.model.gauge import change_gauge
-from imufield.calibrate.model.models import MISALIGNMENT, PARAMETERS, QUADRATIC, NormDerivatives, norm_derivatives
+from imufield.calibrate.model.models import MISALIGNMENT, PARAMETERS, QUADRATIC, norm_derivatives
 from imufield.calibrate.model.observability import Observability, observe, require_scale_and_bias
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, ModelChoice
 from imufield.calibrate.model.uncertainty import f_limit_95, influence, student_factor, told_apart
@@ -26,19 +26,18 @@ from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
 
 _FIRST_QUADRATIC = QUADRATIC.start
-_NO_DOUBT = np.zeros((PARAMETERS, 0))
 _MISALIGNMENT_ENTRIES = range(MISALIGNMENT.start, MISALIGNMENT.stop)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Chosen:
+class ChosenModel:
     """The model that was kept, in the lower gauge."""
 
     fit: Fit
     free: tuple[int, ...]
     """Fitted parameters, indices into ACCELEROMETER_NAMES."""
     quadratic: bool
-    doubt: FloatArray
+    hidden_root: FloatArray = field(default_factory=lambda: np.zeros((PARAMETERS, 0)))
     """Root of the covariance that a rejected quadratic term adds, in columns, shape (15, k)."""
     sentence: str
 
@@ -62,32 +61,16 @@ def find_origin(
     Raises
     ------
     CalibrationError
-        If not even scale and bias of each axis can be seen.
+        If not even scale and bias of each axis can be observed.
     """
-    origin = _rough_origin(data, sign, preset, model)
-    derivatives = norm_derivatives(origin, data.raw, data.quadratic_axes)
-    _require_forces(derivatives, data)
-    seen = observe(derivatives, origin, data.gravity_m_s2, quadratic=model != "linear")
-    require_scale_and_bias(seen)
-    seen = _enough_positions(seen, len(data.raw))
-    if sum(k in _MISALIGNMENT_ENTRIES for k in seen.free) == 3:
-        full = closed_form_start(data.raw, data.gravity_m_s2, sign)
-        origin = np.concatenate([full[:_FIRST_QUADRATIC], origin[QUADRATIC]])
-    return origin, seen
-
-
-def _rough_origin(data: FitData, sign: FloatArray, preset: FloatArray | None, model: ModelChoice) -> FloatArray:
     origin = closed_form_start(data.raw, data.gravity_m_s2, sign, misalignment=False)
     if preset is not None:
         lower = change_gauge(preset, "lower").vector
         origin[MISALIGNMENT] = lower[MISALIGNMENT]
         if model != "linear":
             origin[QUADRATIC] = lower[QUADRATIC]
-    return origin
-
-
-def _require_forces(derivatives: NormDerivatives, data: FitData) -> None:
-    """Refuse outputs that are far from what a still accelerometer gives, so far that the model has no inverse there."""
+    derivatives = norm_derivatives(origin, data.raw, data.quadratic_axes)
+    # Outputs so far from what a still accelerometer gives that the model has no inverse there.
     for row in np.flatnonzero(~np.isfinite(derivatives.jacobian).all(axis=1)):
         raise CalibrationError(
             f"position {row + 1} of {len(data.raw)} has the output {data.raw[row].tolist()}, which no specific force near "
@@ -95,21 +78,24 @@ def _require_forces(derivatives: NormDerivatives, data: FitData) -> None:
             Reason.BOUNDS,
             position=int(row) + 1,
         )
-
-
-def _enough_positions(seen: Observability, positions: int) -> Observability:
-    """Take out what this number of positions can at best fit without a single one to spare for it."""
+    observability = observe(derivatives, origin, data.gravity_m_s2, quadratic=model != "linear")
+    require_scale_and_bias(observability)
+    # This number of positions could at best fit these without a single one to spare.
     missing: set[int] = set()
-    if positions < FEWEST_FOR_MISALIGNMENT:
+    if len(data.raw) < FEWEST_FOR_MISALIGNMENT:
         missing.update(_MISALIGNMENT_ENTRIES)
-    if positions < FEWEST_FOR_QUADRATIC:
+    if len(data.raw) < FEWEST_FOR_QUADRATIC:
         missing.update(range(_FIRST_QUADRATIC, PARAMETERS))
-    names = tuple(ACCELEROMETER_NAMES[k] for k in seen.free if k in missing)
-    free = tuple(k for k in seen.free if k not in missing)
-    return replace(seen, free=free, unobservable=(*seen.unobservable, *names))
+    names = tuple(ACCELEROMETER_NAMES[k] for k in observability.free if k in missing)
+    free = tuple(k for k in observability.free if k not in missing)
+    observability = replace(observability, free=free, unobservable=(*observability.unobservable, *names))
+    if sum(k in _MISALIGNMENT_ENTRIES for k in free) == 3:
+        full = closed_form_start(data.raw, data.gravity_m_s2, sign)
+        origin = np.concatenate([full[:_FIRST_QUADRATIC], origin[QUADRATIC]])
+    return origin, observability
 
 
-def choose_model(data: FitData, origin: FloatArray, seen: Observability, model: ModelChoice) -> Chosen:
+def choose_model(data: FitData, origin: FloatArray, observability: Observability, model: ModelChoice) -> ChosenModel:
     """Fit what was asked for, or, with "auto", what is significant.
 
     Raises
@@ -117,9 +103,9 @@ def choose_model(data: FitData, origin: FloatArray, seen: Observability, model: 
     CalibrationError
         If the quadratic model was asked for and the positions cannot show it.
     """
-    quadratic_free = tuple(k for k in seen.free if k >= _FIRST_QUADRATIC)
+    quadratic_free = tuple(k for k in observability.free if k >= _FIRST_QUADRATIC)
     if model == "quadratic" and len(quadratic_free) < 3:
-        hidden = tuple(name for name in seen.unobservable if "quadratic" in name)
+        hidden = tuple(name for name in observability.unobservable if "quadratic" in name)
         raise CalibrationError(
             f"{len(data.raw)} positions cannot show {', '.join(hidden)}: that takes at least {FEWEST_FOR_QUADRATIC} with faces "
             "and edges or corners; add such positions, or use the linear model",
@@ -128,65 +114,48 @@ def choose_model(data: FitData, origin: FloatArray, seen: Observability, model: 
         )
     if not quadratic_free:
         reason = "as asked" if model == "linear" else "because the positions do not show more"
-        return _linear(data, origin, seen, f"the model is linear, {reason}")
-    quadratic = fit(data, origin, column_basis(origin, seen.free, data.gravity_m_s2))
+        return _linear(data, origin, observability, f"the model is linear, {reason}")
+    quadratic = fit(data, origin, column_basis(origin, observability.free, data.gravity_m_s2))
     if model == "quadratic":
-        return Chosen(
-            fit=quadratic, free=seen.free, quadratic=True, doubt=_NO_DOUBT, sentence="the quadratic term is fitted, as asked"
-        )
-    return _decide(data, origin, seen, quadratic, entries=quadratic_free)
+        sentence = "the quadratic term is fitted, as asked"
+        return ChosenModel(fit=quadratic, free=observability.free, quadratic=True, sentence=sentence)
+    return _decide(data, origin, observability, quadratic, entries=quadratic_free)
 
 
-def _linear(data: FitData, origin: FloatArray, seen: Observability, sentence: str) -> Chosen:
-    # Zero where the term could be fitted and is not wanted; the preset's value where it cannot be seen.
+def _linear(data: FitData, origin: FloatArray, observability: Observability, sentence: str) -> ChosenModel:
+    # Zero where the term could be fitted and is not wanted; the preset's value where it cannot be observed.
     plain = origin.copy()
-    plain[[k for k in seen.free if k >= _FIRST_QUADRATIC]] = 0.0
-    free = tuple(k for k in seen.free if k < _FIRST_QUADRATIC)
+    plain[[k for k in observability.free if k >= _FIRST_QUADRATIC]] = 0.0
+    free = tuple(k for k in observability.free if k < _FIRST_QUADRATIC)
     fitted = fit(data, plain, column_basis(plain, free, data.gravity_m_s2))
-    return Chosen(fit=fitted, free=free, quadratic=False, doubt=_NO_DOUBT, sentence=sentence)
+    return ChosenModel(fit=fitted, free=free, quadratic=False, sentence=sentence)
 
 
-def _decide(data: FitData, origin: FloatArray, seen: Observability, quadratic: Fit, *, entries: tuple[int, ...]) -> Chosen:
-    change, covariance = _estimate(quadratic, entries)
-    F = float(change @ np.linalg.solve(covariance, change)) / len(entries)
-    t = float(np.max(np.abs(change) / np.sqrt(np.diag(covariance))))
+def _decide(
+    data: FitData, origin: FloatArray, observability: Observability, quadratic: Fit, *, entries: tuple[int, ...]
+) -> ChosenModel:
+    """Keep the quadratic term where it is significant; else add what it may hide to the covariance of the linear model."""
+    n = len(entries)
+    # The last n coordinates of the fit move the entries of the term.
+    change = quadratic.vector[list(entries)] / quadratic.basis[list(entries), range(-n, 0)]
+    sigma = quadratic.sigma_m_s2
+    C = influence(quadratic.residual_m_s2 / sigma, quadratic.jacobian / sigma[:, None]).covariance
+    F = float(change @ np.linalg.solve(C[-n:, -n:], change)) / n
+    t = float(np.max(np.abs(change) / np.sqrt(np.diag(C[-n:, -n:]))))
     freedom = quadratic.degrees_of_freedom
-    F_limit, t_limit = f_limit_95(len(entries), freedom), student_factor(freedom, of=len(entries))
+    F_limit, t_limit = f_limit_95(n, freedom), student_factor(freedom, of=n)
     (F_shown, F_most), (t_shown, t_most) = told_apart(F, F_limit), told_apart(t, t_limit)
     figures = f"F = {F_shown}, 95 % limit {F_most}; largest {t_shown} sigma, limit {t_most}"
     if F_limit < F or t_limit < t:
         sentence = f"the quadratic term is kept: it is significant ({figures})"
-        return Chosen(fit=quadratic, free=seen.free, quadratic=True, doubt=_NO_DOUBT, sentence=sentence)
+        return ChosenModel(fit=quadratic, free=observability.free, quadratic=True, sentence=sentence)
     sentence = (
         f"the quadratic term is left out: it is not significant ({figures}); what it may hide in scale and bias is in "
         "their uncertainty"
     )
-    linear = _linear(data, origin, seen, sentence)
-    return replace(linear, doubt=_hidden(quadratic, linear.fit, entries))
-
-
-def _covariance(fitted: Fit) -> FloatArray:
-    """Return the covariance of the coordinates of a fit."""
-    sigma = fitted.sigma_m_s2
-    covariance: FloatArray = influence(fitted.residual_m_s2 / sigma, fitted.jacobian / sigma[:, None]).covariance
-    return covariance
-
-
-def _estimate(fitted: Fit, entries: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
-    """Return the last coordinates of the fit, which move ``entries``, and their covariance."""
-    n = len(entries)
-    z: FloatArray = fitted.vector[list(entries)] / fitted.basis[list(entries), range(-n, 0)]
-    return z, _covariance(fitted)[-n:, -n:]
-
-
-def _hidden(quadratic: Fit, linear: Fit, entries: tuple[int, ...]) -> FloatArray:
-    """Return the root of what leaving out ``entries`` adds to the covariance of the rest, in columns, shape (15, n + 1).
-
-    The other coordinates hang on the last n by ``-C_rl C_ll^-1``, so of their covariance ``C_rl C_ll^-1 C_lr`` is from those.
-    """
-    n = len(entries)
-    covariance = _covariance(quadratic)
-    root = np.linalg.solve(np.linalg.cholesky(covariance[-n:, -n:]), covariance[-n:, :-n]).T
-    columns = np.column_stack([quadratic.vector - linear.vector, quadratic.basis[:, :-n] @ root])
-    columns[list(entries)] = 0.0
-    return columns
+    linear = _linear(data, origin, observability, sentence)
+    # The other coordinates hang on the last n by -C_rl C_ll^-1, so of their covariance C_rl C_ll^-1 C_lr is from those.
+    root = np.linalg.solve(np.linalg.cholesky(C[-n:, -n:]), C[-n:, :-n]).T
+    hidden_root = np.column_stack([quadratic.vector - linear.fit.vector, quadratic.basis[:, :-n] @ root])
+    hidden_root[list(entries)] = 0.0
+    return replace(linear, hidden_root=hidden_root)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imufield.calibrate.accelerometer.fit import Fit, FitData
-from imufield.calibrate.accelerometer.model_choice import Chosen
+from imufield.calibrate.accelerometer.model_choice import ChosenModel
 from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.observability import Observability
 from imufield.calibrate.model.observations import Observations
@@ -47,7 +47,7 @@ class Evidence:
     observations: Observations
     gravity: Gravity
     data: FitData
-    chosen: Chosen
+    chosen: ChosenModel
     fitted: Fit
     """In the wanted gauge; that of ``chosen`` is in the lower one."""
     spread: Influence

@@ -25,6 +25,8 @@ FEWEST_FOR_QUADRATIC = 12
 """One position for each unknown: three scales and three biases, three angles, three quadratic terms."""
 
 _REFITS = 3  # An algebraic fit depends on its origin: each is about the centre that the one before found.
+# Square over that of the outputs: an ellipsoid so much larger than what should lie on it is a flat quadric in disguise.
+_LARGEST_SHAPE = 100
 _DIRECTION_RANGE = 0.2  # An axis whose planned directions vary less than this (unit vectors) says nothing about its sign.
 
 
@@ -55,6 +57,7 @@ def closed_form_start(raw: FloatArray, gravity_m_s2: float, sign: FloatArray, *,
     CalibrationError
         If no ellipsoid fits.
     """
+    # The ellipsoid is symmetric: with the signs taken out its scales are positive.
     signed = raw * sign
     order = (misalignment, not misalignment)
     fits = (_ellipsoid(signed, full=full) for full in order if not full or len(raw) >= FEWEST_FOR_MISALIGNMENT)
@@ -80,32 +83,28 @@ def _ellipsoid(raw: FloatArray, *, full: bool) -> tuple[FloatArray, FloatArray] 
     """Return centre and shape S of (N - c)^T S^-1 (N - c) = 1, or None where the best quadric is no ellipsoid."""
     centre = (raw.max(axis=0) + raw.min(axis=0)) / 2
     size = np.ptp(raw, axis=0) / 2
-    shape = None
+    shape = np.zeros((3, 3))
     for _ in range(_REFITS):
-        quadric = _quadric((raw - centre) / size, full=full)
-        if quadric is None:
+        # x^T A x + 2 h^T x = 1, linear in the entries of A and h
+        x = (raw - centre) / size
+        columns = [x**2, 2 * x]
+        if full:
+            columns.append(2 * x[:, (0, 0, 1)] * x[:, (1, 2, 2)])
+        coefficients = np.linalg.lstsq(np.hstack(columns), np.ones(len(x)), rcond=None)[0]
+        A = np.diag(coefficients[:3])
+        if full:
+            A[(0, 0, 1), (1, 2, 2)] = A[(1, 2, 2), (0, 0, 1)] = coefficients[6:]
+        if np.linalg.eigvalsh(A)[0] <= 0:
             return None
-        offset, unit_shape = quadric
-        centre = centre + size * offset
+        # c = -A^-1 h,  S = (1 + h^T A^-1 h) A^-1
+        h = coefficients[3:6]
+        inverse = np.linalg.inv(A)
+        unit_shape = (1 + h @ inverse @ h) * inverse
+        if not np.diag(unit_shape).max() < _LARGEST_SHAPE:
+            return None
+        centre = centre + size * (-inverse @ h)
         shape = unit_shape * np.outer(size, size)
-    return None if shape is None else (centre, shape)
-
-
-def _quadric(x: FloatArray, *, full: bool) -> tuple[FloatArray, FloatArray] | None:
-    columns = [x**2, 2 * x]
-    if full:
-        columns.append(2 * x[:, (0, 0, 1)] * x[:, (1, 2, 2)])
-    coefficients = np.linalg.lstsq(np.hstack(columns), np.ones(len(x)), rcond=None)[0]
-    A = np.diag(coefficients[:3])
-    if full:
-        A[(0, 0, 1), (1, 2, 2)] = A[(1, 2, 2), (0, 0, 1)] = coefficients[6:]
-    if np.linalg.eigvalsh(A)[0] <= 0:
-        return None
-    h = coefficients[3:6]
-    inverse = np.linalg.inv(A)
-    shape = (1 + h @ inverse @ h) * inverse
-    # An ellipsoid much larger than the outputs that should lie on it is a flat quadric in disguise.
-    return (-inverse @ h, shape) if np.diag(shape).max() < 100 else None
+    return centre, shape
 
 
 def find_signs(raw: FloatArray, direction: FloatArray, preset_scale: FloatArray | None) -> Signs:
@@ -142,6 +141,7 @@ def find_signs(raw: FloatArray, direction: FloatArray, preset_scale: FloatArray 
 
 def _signs_of_directions(raw: FloatArray, direction: FloatArray) -> FloatArray:
     design = np.column_stack([direction, np.ones(len(direction))])
+    # Raw output by direction, bias beside it: its diagonal has the signs.
     slope = np.linalg.lstsq(design, raw, rcond=None)[0][:3].T
     follows = np.argmax(np.abs(slope), axis=1)
     for axis in range(3):

@@ -59,13 +59,14 @@ def observable_basis(
     scale = parameter_scale(vector, gravity_m_s2)
     complement = np.eye(len(columns))
     if set(range(MISALIGNMENT.start, MISALIGNMENT.stop)) <= set(columns):
-        # A turn moves K, b and K2 a little too; what it moves of a held parameter is left out.
+        # A turn moves K, b and K2 a little too; what it moves of a parameter that is not free is left out.
         turns = (generators(vector) / scale[:, None])[columns]
         complement = np.linalg.qr(turns, mode="complete")[0][:, 3:]
-    seen = (norm_derivatives(vector, raw, quadratic_axes).jacobian * scale)[:, columns] @ complement
-    _require_rank(seen, complement, columns)
-    _, D, Vt = np.linalg.svd(seen, full_matrices=False)
+    observed = (norm_derivatives(vector, raw, quadratic_axes).jacobian * scale)[:, columns] @ complement
+    _require_rank(observed, complement, columns)
+    _, D, Vt = np.linalg.svd(observed, full_matrices=False)
     basis = np.zeros((PARAMETERS, complement.shape[1]))
+    # S C V D^-1
     basis[columns] = scale[columns, None] * (complement @ (Vt.T / D))
     return basis
 
@@ -92,7 +93,18 @@ def whitened_problem(
         If the preset does not belong to these outputs, or the positions do not show what is asked for.
     """
     norm = norm_derivatives(vector, raw, quadratic_axes).norm
-    refuse_foreign_start(norm, gravity_m_s2)
+    middle = float(np.median(norm)) if np.isfinite(norm).all() else float("nan")
+    if not abs(middle / gravity_m_s2 - 1) <= _WORST_START:
+        raise CalibrationError(
+            f"with the preset the norm of the specific force is {middle:.4g} m/s^2 where gravity is {gravity_m_s2:.6g} m/s^2 "
+            f"(at most {_WORST_START:.0%} off is accepted): accelerometer.scale is in another unit or of another instrument; "
+            "check it",
+            Reason.UNITS,
+            parameter="accelerometer.scale",
+            norm_m_s2=middle,
+            gravity_m_s2=gravity_m_s2,
+        )
+    # A preset that is exact already still needs a step of some size.
     unit = max(float(np.linalg.norm(norm - gravity_m_s2)), 1e-9 * gravity_m_s2)
     basis = unit * observable_basis(vector, raw, gravity_m_s2, quadratic_axes, free=free)
     sigma = np.ones(len(raw)) if sigma_m_s2 is None else sigma_m_s2
@@ -108,29 +120,8 @@ def whitened_problem(
     )
 
 
-def refuse_foreign_start(norm_m_s2: FloatArray, gravity_m_s2: float) -> None:
-    """Refuse a preset with which the norms are nothing like gravity.
-
-    Raises
-    ------
-    CalibrationError
-        Naming the parameter that is most likely in another unit.
-    """
-    middle = float(np.median(norm_m_s2)) if np.isfinite(norm_m_s2).all() else float("nan")
-    if abs(middle / gravity_m_s2 - 1) <= _WORST_START:
-        return
-    raise CalibrationError(
-        f"with the preset the norm of the specific force is {middle:.4g} m/s^2 where gravity is {gravity_m_s2:.6g} m/s^2 (at "
-        f"most {_WORST_START:.0%} off is accepted): accelerometer.scale is in another unit or of another instrument; check it",
-        Reason.UNITS,
-        parameter="accelerometer.scale",
-        norm_m_s2=middle,
-        gravity_m_s2=gravity_m_s2,
-    )
-
-
-def _require_rank(seen: FloatArray, complement: FloatArray, columns: list[int]) -> None:
-    m, n = seen.shape
+def _require_rank(observed: FloatArray, complement: FloatArray, columns: list[int]) -> None:
+    m, n = observed.shape
     if m < n:
         raise CalibrationError(
             f"{m} positions are fewer than the {n} parameters to be found; take at least {n} positions, or hold "
@@ -139,12 +130,12 @@ def _require_rank(seen: FloatArray, complement: FloatArray, columns: list[int]) 
             positions=m,
             needed=n,
         )
-    if not np.isfinite(seen).all():
+    if not np.isfinite(observed).all():
         raise CalibrationError(
             "the outputs or the preset hold a value that is not finite; remove that position, or complete the preset",
             Reason.NOT_FINITE,
         )
-    values, Vt = np.linalg.svd(seen, full_matrices=False)[1:]
+    values, Vt = np.linalg.svd(observed, full_matrices=False)[1:]
     if values[-1] * _WORST_CONDITION < values[0]:
         weakest = ACCELEROMETER_NAMES[columns[int(np.argmax(np.abs(complement @ Vt[-1])))]]
         raise CalibrationError(

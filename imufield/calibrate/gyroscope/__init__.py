@@ -1,1 +1,1 @@
-"""The gyroscope from stills, moves between them, whole turns or a turntable."""
+"""The gyroscope from stills, moves, whole turns or a turntable: fit, choice of the model, covariance of the residuals."""

@@ -1,4 +1,4 @@
-"""The covariance of everything that moves and stills say, shared sources counted once.
+"""Covariance of the residuals of the gyroscope fit: every source of error, shared sources counted once.
 
 Sources, all independent: noise of the accelerometer mean of each still (enters the two moves that share it, and, through the
 calibration, every other), the rest of the accelerometer's uncertainty, noise of the gyroscope mean of each still, its noise
@@ -194,8 +194,8 @@ def random_walk(time_s: FloatArray) -> FloatArray:
     """Return the covariance of a random walk of 1 per sqrt(s) about its own mean, shape (s, s)."""
     elapsed = time_s - time_s.min()
     centring = np.eye(len(elapsed)) - 1 / len(elapsed)
-    walk: FloatArray = centring @ np.minimum(elapsed[:, None], elapsed) @ centring
-    return walk
+    # The covariance of a walk at two times is the earlier of them.
+    return np.asarray(centring @ np.minimum(elapsed[:, None], elapsed) @ centring)
 
 
 def _add_blocks(target: FloatArray, blocks: FloatArray, start: int) -> None:
@@ -214,6 +214,7 @@ def _by_force(evaluation: Evaluation, data: GyroscopeData, H: FloatArray) -> Flo
     """Return d residual / d specific force of each still, shape (rows, s, 3)."""
     m, s, rows = evaluation.moves, len(data.force), len(evaluation.residual)
     up, size = data.up, np.linalg.norm(data.force, axis=1)
+    # d (a / norm(a)) / d a
     to_up = (np.eye(3) - up[:, :, None] * up[:, None, :]) / size[:, None, None]
     result = np.zeros((rows, s, 3))
     for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
@@ -229,6 +230,7 @@ def _by_drift(evaluation: Evaluation, data: GyroscopeData, to_tangent: FloatArra
     """Return d residual / d drift (rad/s) of each still, shape (rows, 3 s)."""
     m, s = evaluation.moves, len(data.force)
     result = np.zeros((len(evaluation.residual), 3 * s))
+    # A move has the mean of the biases of its two stills.
     effect = to_tangent @ evaluation.turns.duration / 2
     for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
         for still in (i, j):
@@ -249,8 +251,8 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     components = (parts.drift, parts.wander, parts.turn)
     products = [P @ V for V in components]
     Pr = P @ residual
-    score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])
-    information = np.array([[np.sum(a * b.T) for b in products] for a in products])
+    score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])  # 2 s_k
+    information = np.array([[np.sum(a * b.T) for b in products] for a in products])  # tr(P V_k P V_l)
     now = np.array(scatter.sizes) ** 2
     step = _bounded_step(now, score, information)
     # The least variance that a scatter of size one gives to a residual it touches at all; infinite where it touches none.
@@ -280,5 +282,4 @@ def _bounded_step(now: FloatArray, score: FloatArray, information: FloatArray) -
 def accelerometer_force(parameters: AccelerometerParameters, mean_raw: FloatArray) -> FloatArray:
     """Return the specific force of slot means without the quadratic term, shape (k, 3): enough for g-sensitivity in a move."""
     s = (mean_raw - parameters.raw_zero) / parameters.scale - parameters.bias_m_s2
-    force: FloatArray = s @ np.linalg.inv(np.eye(3) + parameters.misalignment_rad).T
-    return force
+    return np.asarray(s @ np.linalg.inv(np.eye(3) + parameters.misalignment_rad).T)

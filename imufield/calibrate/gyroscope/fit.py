@@ -1,6 +1,6 @@
-"""One weighted fit of everything that moves and stills say about a gyroscope, and its covariance.
+"""Fit of a gyroscope's bias, scale, misalignment and g-sensitivity, and the covariance of what is fitted.
 
-Gauss-Newton on the residuals of ``gyroscope_model`` with the full covariance ``S`` of ``gyroscope_noise``, the Earth's rate as
+Gauss-Newton on the residuals of ``residuals`` with their full covariance ``S`` of ``covariance``, the Earth's rate as
 prior knowledge. The two scatters of S are estimated along the way. Half of a step is tried where the whole one does not help.
 """
 
@@ -56,7 +56,7 @@ class JointFit:
     """The end of a fit."""
 
     p: FloatArray
-    """See ``gyroscope_model``."""
+    """See ``residuals``."""
     free: IntArray
     """Which of ``p`` were fitted."""
     covariance: FloatArray
@@ -137,6 +137,7 @@ def fit_jointly(
         To start from.
     """
     p = start.copy()
+    # Known where the latitude is; without one it is fitted from zero.
     p[VERTICAL] = earth.vertical_rad_s
     nuisance = [] if earth.vertical_sigma_rad_s == 0 else [VERTICAL]
     columns = np.array([*free, *nuisance, *range(FIRST_HORIZONTAL, data.parameters)], dtype=np.int64)
@@ -221,7 +222,7 @@ def first_scatter(evaluation: Evaluation) -> Scatter:
     moves, stills = evaluation.residual[: 2 * m], evaluation.residual[2 * m : 2 * m + 3 * evaluation.stills]
     turn = float(np.sqrt(np.mean(moves**2))) if m else 0.0
     drift = float(np.sqrt(np.mean(stills**2)))
-    return Scatter(drift, drift / _SESSION_ROOT_S, min(turn, 0.1))
+    return Scatter(drift, drift / _SESSION_ROOT_S, min(turn, 0.1))  # 6 deg: a start far off must not excuse every move
 
 
 def _root(covariance: FloatArray) -> FloatArray:
@@ -252,6 +253,7 @@ def _linear_step(
     prior_residual, prior_jacobian = prior.rows(p, free)
     residual = np.concatenate([whitened[:, 0], prior_residual])
     jacobian = np.vstack([whitened[:, 1:], prior_jacobian])
+    # Columns of one length: units of A, b and H differ by ten powers of ten.
     size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     inverse = np.linalg.pinv(jacobian / size) / size[:, None]
     change = -inverse @ residual

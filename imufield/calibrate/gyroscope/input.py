@@ -71,8 +71,7 @@ class GyroscopeInput:
     @property
     def rest_raw(self) -> FloatArray:
         """Mean output over the stills, shape (3,)."""
-        rest: FloatArray = self.observations.gyroscope_mean_raw.mean(axis=0)
-        return rest
+        return np.asarray(self.observations.gyroscope_mean_raw.mean(axis=0))
 
     @property
     def force_m_s2(self) -> FloatArray:

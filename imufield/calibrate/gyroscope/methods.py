@@ -118,7 +118,7 @@ def searched_fit(result: GyroscopeResult) -> SearchedFit | None:
     if isinstance(solution, JointSolution):
         fit = solution.chosen.fit
         start, free, covariance = fit.p.copy(), fit.free, fit.parts.total(fit.scatter)
-        start[:PARAMETERS] = solution.start[:PARAMETERS]
+        start[:PARAMETERS] = solution.start[:PARAMETERS]  # azimuths stay as fitted
         p = fit.p
     else:
         start, free = solution.start, np.array(solution.columns, dtype=np.int64)
@@ -199,6 +199,7 @@ def rows_problem(fitted: SearchedFit, x: FloatArray, cost_name: CostName) -> Row
     size = np.maximum(np.linalg.norm(jacobian, axis=0), np.finfo(float).tiny)
     U, D, Vt = np.linalg.svd(jacobian / size, full_matrices=False)
     visible = _INVISIBLE * D[0] < D
+    # A unit is at least a sigma, or a fit without residuals would leave no room to search.
     unit = max(float(np.linalg.norm(residual)), 1.0)
     return RowsProblem(
         residual=residual,

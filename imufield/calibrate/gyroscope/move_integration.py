@@ -95,7 +95,7 @@ def centre(moves: Moves, rest_raw: FloatArray, force_m_s2: FloatArray) -> Centre
     return CentredSlots(
         duration_s=slots.duration_s,
         turn=slots.turn - rest_raw * T,
-        moment=slots.moment - rest_raw * T**2 / 2,
+        moment=slots.moment - rest_raw * T**2 / 2,  # a constant over the slot has the moment T^2 / 2
         area=slots.area + cross(T * slots.turn - 2 * slots.moment, rest_raw),
         velocity_m_s=force_m_s2 * T,
         bridge=slots.bridge,
@@ -114,10 +114,10 @@ def rotation_vectors(x: FloatArray, slots: CentredSlots) -> FloatArray:
     A, b, H = inverse_matrix(x), x[BIAS], x[SENSITIVITY].reshape(3, 3)
     T = slots.duration_s[:, None]
     M = np.linalg.inv(A)
+    # cof(A) = det(A) A^-T, see moves: A x x A y = cof(A) (x x y)
     cofactor = np.linalg.det(A) * M.T
     coning = slots.area + cross(T * slots.turn - 2 * slots.moment, M @ b)
-    vectors: FloatArray = slots.turn @ A.T - b * T - slots.velocity_m_s @ H.T + 0.5 * coning @ cofactor.T
-    return vectors
+    return np.asarray(slots.turn @ A.T - b * T - slots.velocity_m_s @ H.T + 0.5 * coning @ cofactor.T)
 
 
 def integrate(x: FloatArray, slots: CentredSlots, noise_density_raw: FloatArray) -> Turns:
@@ -135,22 +135,24 @@ def integrate(x: FloatArray, slots: CentredSlots, noise_density_raw: FloatArray)
     last = slots.first + slots.length - 1
     end = running[last]
     C = matrix(running)
+    # W_k = (turn from slot k to the end)^T Jr(vector of slot k)
     to_end = np.swapaxes(np.repeat(C[last], slots.length, axis=0), 1, 2) @ C
     W = to_end @ right_jacobian(vectors)
 
     def total(values: FloatArray) -> FloatArray:
-        summed: FloatArray = np.add.reduceat(values, slots.first, axis=0)
-        return summed
+        return np.asarray(np.add.reduceat(values, slots.first, axis=0))
 
     T = slots.duration_s
     by_inverse = total((W[:, :, :, None] * slots.turn[:, None, None, :]).reshape(-1, 3, 9))
     duration = total(W * T[:, None, None])
     by_force = total((W[:, :, :, None] * slots.velocity_m_s[:, None, None, :]).reshape(-1, 3, 9))
     A = inverse_matrix(x)
+    # White noise of density n gives each slot the variance n^2 T.
     noise = W @ (A * noise_density_raw)
     bridged = W @ A
     spread = noise @ np.swapaxes(noise, 1, 2) * T[:, None, None]
     if slots.bridge.any():
+        # A rate that changes anywhere in a gap, evenly likely: a third of the square of the largest error.
         spread += bridged @ np.swapaxes(bridged, 1, 2) * (slots.bridge / 3)[:, None, None]
     return Turns(
         quaternion=end,
@@ -173,9 +175,11 @@ def rough_inverse(slots: CentredSlots, window_s: float = 0.1) -> FloatArray:
     force = np.add.reduceat(slots.velocity_m_s, starts) / T[:, None]
     turn = np.add.reduceat(slots.turn, starts)
     between = np.searchsorted(slots.first, starts, side="right")
+    # Three windows in a row must belong to one move.
     same = between[2:] == between[:-2]
     change = (force[2:] - force[:-2])[same]
     middle, gained = force[1:-1][same], ((turn[:-2] + turn[2:]) / 2 + turn[1:-1])[same]
+    # Windows in which the hand accelerates the unit count less.
     weight = 1 / (1 + np.abs(np.linalg.norm(middle, axis=1) - np.median(np.linalg.norm(middle, axis=1))))
     rows = np.zeros((len(middle), 3, 9))
     for axis in range(3):

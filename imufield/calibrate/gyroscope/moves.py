@@ -79,21 +79,17 @@ def stretch_stills(
             continue
         before = int(high[k - 1]) if k else 0
         after = int(low[k + 1]) if k + 1 < len(stills) else len(cell_s)
-        left, right = _reach(cells, int(low[k]), int(high[k]), before, after=after)
+        # Cells near the mean of those inside look calm; the stretch ends a guard before the first that does not.
+        inside = cells[low[k] : high[k]]
+        calm = np.all(np.abs(cells[before:after] - inside.mean(axis=0)) <= _SIGMAS * inside.std(axis=0), axis=1)
+        later, earlier = calm[high[k] - before :], calm[: low[k] - before][::-1]
+        forward = len(later) if later.all() else int(np.argmin(later))
+        backward = len(earlier) if earlier.all() else int(np.argmin(earlier))
+        left = int(low[k]) - max(backward - GUARD_CELLS, 0)
+        right = int(high[k]) + max(forward - GUARD_CELLS, 0)
         stretched[k, 0] = min(stills[k, 0], cell_s[min(left, len(cell_s) - 1)])
         stretched[k, 1] = max(stills[k, 1], cell_s[min(right, len(cell_s) - 1)])
     return stretched
-
-
-def _reach(cells: FloatArray, low: int, high: int, before: int, *, after: int) -> tuple[int, int]:
-    """Return the cells at which a still can begin and end, guard included."""
-    inside = cells[low:high]
-    allowed = _SIGMAS * inside.std(axis=0)
-    calm = np.all(np.abs(cells[before:after] - inside.mean(axis=0)) <= allowed, axis=1)
-    later, earlier = calm[high - before :], calm[: low - before][::-1]
-    forward = len(later) if later.all() else int(np.argmin(later))
-    backward = len(earlier) if earlier.all() else int(np.argmin(earlier))
-    return low - max(backward - GUARD_CELLS, 0), high + max(forward - GUARD_CELLS, 0)
 
 
 SLOT_S = 0.005
@@ -365,12 +361,11 @@ class Moves:
         """Shape (m,)."""
         if not len(self):
             return np.empty(0)
-        duration: FloatArray = np.add.reduceat(self.slots.duration_s, self.first)
-        return duration
+        return np.asarray(np.add.reduceat(self.slots.duration_s, self.first))
 
 
 class MoveCollector:
-    """Collects the moves of a recording from a stream of samples; the still intervals are told at the end.
+    """Collects the moves of a recording from a stream of samples; the still intervals are given at the end.
 
     Parameters
     ----------

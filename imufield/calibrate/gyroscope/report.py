@@ -148,6 +148,7 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     own = np.zeros((PARAMETERS, PARAMETERS))
     places = np.flatnonzero(fitted.free < PARAMETERS)
     columns = fitted.free[places]
+    # Parameters that were not fitted have no variance of their own.
     own[np.ix_(columns, columns)] = fitted.covariance[np.ix_(places, places)]
     own += np.outer(chosen.hidden_change[:PARAMETERS], chosen.hidden_change[:PARAMETERS])
     # An error of the accelerometer moves the residuals, and the fit follows with -gain.
@@ -252,7 +253,7 @@ def forward(x: FloatArray, rest_raw: FloatArray) -> tuple[FloatArray, FloatArray
     for k in range(PARAMETERS):
         unit = np.zeros(PARAMETERS)
         unit[k] = 1.0
-        dM = -M @ unit[INVERSE].reshape(3, 3) @ M
+        dM = -M @ unit[INVERSE].reshape(3, 3) @ M  # d A^-1 = -A^-1 dA A^-1
         dK = np.diag(dM)
         dE = (dM[rows, columns] - M[rows, columns] * dK[rows] / K[rows]) / K[rows]
         dG = dM @ H + M @ unit[SENSITIVITY].reshape(3, 3)

@@ -80,8 +80,7 @@ class GyroscopeData:
     @property
     def up(self) -> FloatArray:
         """Unit vectors, shape (s, 3)."""
-        up: FloatArray = self.force / np.linalg.norm(self.force, axis=1)[:, None]
-        return up
+        return np.asarray(self.force / np.linalg.norm(self.force, axis=1)[:, None])
 
     @property
     def chains(self) -> int:
@@ -119,15 +118,14 @@ class Evaluation:
     def angle_error_rad(self, up_after: FloatArray) -> FloatArray:
         """Return the angle between measured and predicted direction of each move, shape (m,)."""
         sine = np.linalg.norm(cross(self.predicted, up_after), axis=1)
-        error: FloatArray = np.arctan2(sine, np.sum(self.predicted * up_after, axis=1))
-        return error
+        return np.asarray(np.arctan2(sine, np.sum(self.predicted * up_after, axis=1)))
 
 
 def chains_of(stills: int, before: IntArray, after: IntArray) -> IntArray:
     """Return the chain of each still: stills joined by moves share one."""
     chain = np.arange(stills)
     for first, second in zip(before, after, strict=True):
-        chain[chain == chain[second]] = chain[first]
+        chain[chain == chain[second]] = chain[first]  # the two chains are one
     return np.unique(chain, return_inverse=True)[1].astype(np.int64)
 
 
@@ -200,6 +198,7 @@ def _move_rows(
     # u_pred' = exp(-d turn) u_pred, so d u_pred = u_pred x d turn.
     rows[:, :, :PARAMETERS] = -tangent @ skew(predicted) @ turns.jacobian
     duration = np.add.reduceat(data.slots.duration_s, data.slots.first)
+    # exp([(w_e + d) T]) u = exp([w_e T]) u + T d x u to first order
     by_earth = tangent @ carry @ skew(data.up[data.before]) * duration[:, None, None]
     by_horizontal = by_earth @ Q[data.before]
     for k in range(m):

@@ -123,7 +123,7 @@ StaticFree = Literal["bias", "all"]
 SEES_EARTH = 0.1
 """Sigma of a position mean over the Earth's rate below which an instrument sees the Earth turn."""
 CONTRADICTED = 4.0
-"""Sigmas between the latitude given and seen: once in 16 000 good sessions."""
+"""Sigmas between the latitude that is given and the one that is observed: once in 16 000 good sessions."""
 # Steps before it says that it did not converge; Gauss-Newton on a nearly linear problem, the scatters settle last.
 _ITERATIONS = 40
 _SETTLED = 1e-10  # Sum of squared changes in sigma at which it stops: a hundred-thousandth of a sigma.
@@ -164,27 +164,28 @@ class StaticFit:
     converged: bool
 
 
-def seen_latitude_deg(vertical_rad_s: float, sigma_rad_s: float) -> tuple[float, float]:
+def observed_latitude_deg(vertical_rad_s: float, sigma_rad_s: float) -> tuple[float, float]:
     """Return the latitude of a vertical Earth rate, and its sigma."""
     sine = float(np.clip(vertical_rad_s / EARTH_RATE_RAD_S, -1, 1))
-    cosine = math.sqrt(max(1 - sine**2, 1e-6))
+    cosine = math.sqrt(max(1 - sine**2, 1e-6))  # near a pole the latitude hardly moves the sine
     return math.degrees(math.asin(sine)), math.degrees(sigma_rad_s / EARTH_RATE_RAD_S / cosine)
 
 
 def latitude_words(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) -> tuple[str, ...]:
     """Return what u . w says about the latitude that was given."""
-    seen, seen_sigma = seen_latitude_deg(vertical_rad_s, sigma_rad_s)
-    if abs(seen - latitude_deg) > CONTRADICTED * seen_sigma:
+    observed, latitude_sigma = observed_latitude_deg(vertical_rad_s, sigma_rad_s)
+    if abs(observed - latitude_deg) > CONTRADICTED * latitude_sigma:
         sentence = (
-            f"the latitude {latitude_deg:g} deg contradicts the gyroscope, which sees {seen:.2f} deg ({seen_sigma:.2f} deg "
-            "1 sigma) in the specific force times the Earth's rate: check it"
+            f"the latitude {latitude_deg:g} deg contradicts the gyroscope, which sees {observed:.2f} deg "
+            f"({latitude_sigma:.2f} deg 1 sigma) in the specific force times the Earth's rate: check it"
         )
         return (sentence,)
-    return (f"the gyroscope sees latitude {seen:.2f} deg ({seen_sigma:.2f} deg 1 sigma), given {latitude_deg:g} deg",)
+    return (f"the gyroscope sees latitude {observed:.2f} deg ({latitude_sigma:.2f} deg 1 sigma), given {latitude_deg:g} deg",)
 
 
 def sees_earth(covariance_raw: FloatArray, A: FloatArray) -> bool:
     """Whether the position means (covariance (s, 3, 3)) are known well below the Earth's rate."""
+    # Median of the positions: one that was touched must not hide the Earth from the others.
     variance = np.trace(A @ covariance_raw @ A.T, axis1=1, axis2=2) / 3
     return bool(np.sqrt(np.median(variance)) < SEES_EARTH * EARTH_RATE_RAD_S)
 
@@ -225,6 +226,7 @@ def static_columns(free: StaticFree) -> list[int]:
 def static_start(data: StaticData, A: FloatArray, latitude_deg: float) -> FloatArray:
     """Return A, the bias with the vertical Earth rate taken off, and that rate, shape (13,)."""
     vertical_rad_s = EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg))
+    # The horizontal part averages out over headings, near enough to start from.
     bias = (data.rate_raw @ A.T - vertical_rad_s * data.up).mean(axis=0)
     return np.concatenate([A.ravel(), bias, [vertical_rad_s]])
 

@@ -88,8 +88,7 @@ def find_stops(stops: Sequence[Stop], start_s: FloatArray, end_s: FloatArray) ->
 
 def closures(evaluation: Evaluation, data: GyroscopeData) -> FloatArray:
     """Return by how much each move misses returning to its attitude about the vertical, shape (m,), rad within pi."""
-    missed: FloatArray = np.sum(logarithm(from_matrix(evaluation.carry)) * data.up[data.after], axis=1)
-    return missed
+    return np.asarray(np.sum(logarithm(from_matrix(evaluation.carry)) * data.up[data.after], axis=1))
 
 
 def whole_stops(
@@ -101,6 +100,7 @@ def whole_stops(
     """
     missed = closures(evaluation, data)[moves]
     noise = np.sqrt(np.einsum("mi,mij,mj->m", data.up[data.after], evaluation.turns.spread, data.up[data.after]))[moves]
+    # Beyond noise and repeatability, and beyond what a hand can tell.
     allowed = np.maximum(NOT_WHOLE_RAD, NOT_WHOLE_SIGMAS * np.hypot(sigma, noise))
     return np.abs(missed) <= allowed, missed
 

@@ -8,7 +8,7 @@ The norm leaves the body frame free (``observability``), so a gauge fixes it by 
     preset     sum_i u_i x p_i = 0            unit sensing axes u nearest to the preset's p (Kabsch [1]_)
 
 To change the gauge is to turn by one rotation ``R``, accelerometer and gyroscope together. Its derivative has two parts: the
-turn with ``R`` held (matrix ``A``), and the change of ``R`` that keeps the constraints. With ``C = dc/dp`` and the generators
+turn with ``R`` fixed (matrix ``A``), and the change of ``R`` that keeps the constraints. With ``C = dc/dp`` and the generators
 ``G`` at the turned point
 
     d p' = (I - G (C G)^-1 C) A d p
@@ -73,19 +73,21 @@ def change_gauge(vector: FloatArray, gauge: Gauge, preset: FloatArray | None = N
     rotation = _rotation_to(vector, gauge, preset)
     turned, jacobian = turn(vector, rotation)
     G = generators(turned)
+    # d p' = (I - G (C G)^-1 C) A d p: R changes so that the constraints stay met
     C = constraint_jacobian(turned, gauge, preset)
     jacobian = jacobian - G @ np.linalg.solve(C @ G, C @ jacobian)
     return GaugeChange(turned, rotation, jacobian)
 
 
 def turn(vector: FloatArray, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return parameters for a body frame turned by a' = R a, and their derivative with R held."""
+    """Return parameters for a body frame turned by a' = R a, and their derivative with R fixed."""
     T = alignment_matrix(vector)
     M = T @ rotation.T
     D = np.diag(M).copy()
     K, b, K2 = vector[SCALE], vector[BIAS], vector[QUADRATIC]
     misalignment = (M / D[:, None])[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS]
     A = np.zeros((PARAMETERS, PARAMETERS))
+    # With D = diag(T R^T): K' = K D, b' = b / D, T' = D^-1 T R^T, K2' = K2 D^2.
     A[range(PARAMETERS), range(PARAMETERS)] = np.concatenate([D, 1 / D, np.zeros(6), D**2])
     for k, (i, j) in enumerate(zip(MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS, strict=True)):
         column = 6 + k
@@ -128,6 +130,7 @@ def constraint_jacobian(vector: FloatArray, gauge: Gauge, preset: FloatArray | N
             du = (np.eye(3)[j] - u[i] * u[i, j]) / length[i]
             C[:, 6 + k] = np.cross(du, p[i])
         return C
+    # lower: upper entries zero; upper: lower entries zero; symmetric: their difference zero
     if gauge in ("lower", "symmetric"):
         C[range(3), _UPPER_ENTRIES] = 1.0
     if gauge in ("upper", "symmetric"):
@@ -143,8 +146,7 @@ def _required(preset: FloatArray | None) -> FloatArray:
 
 def _unit_rows(vector: FloatArray) -> FloatArray:
     T = alignment_matrix(vector)
-    unit: FloatArray = T / np.linalg.norm(T, axis=1)[:, None]
-    return unit
+    return np.asarray(T / np.linalg.norm(T, axis=1)[:, None])
 
 
 def _rotation_to(vector: FloatArray, gauge: Gauge, preset: FloatArray | None) -> FloatArray:
@@ -164,15 +166,28 @@ def _rotation_to(vector: FloatArray, gauge: Gauge, preset: FloatArray | None) ->
     if gauge == "upper":
         # Reversing the order of axes turns the upper case into the lower one.
         return _triangular_frame(unit[::-1, ::-1])[::-1, ::-1]
-    return _symmetric_frame(vector)
+    # Symmetric: Newton steps on the antisymmetric part.
+    rotation = _kabsch(unit, np.eye(3))  # symmetric for equal row lengths; a near start for others
+    C = constraint_jacobian(vector, "symmetric")
+    for _ in range(_SYMMETRIC_PASSES):
+        turned = turn(vector, rotation)[0]
+        constraint = C @ turned
+        if np.abs(constraint).max() < 1e-15:
+            break
+        w = np.asarray(-np.linalg.solve(C @ generators(turned), constraint), dtype=np.float64)
+        # A proper rotation by about w, in Cayley form: orthogonal to rounding.
+        x, y, z = w / 2
+        half = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        rotation = np.asarray(np.linalg.solve(np.eye(3) - half, np.eye(3) + half), dtype=np.float64) @ rotation
+    return rotation
 
 
 def _kabsch(unit: FloatArray, target: FloatArray) -> FloatArray:
     """Return the rotation R that brings the rows of ``unit`` nearest to those of ``target``: u_i' = R u_i."""
     left, _, right = np.linalg.svd(target.T @ unit)
+    # [1]_: the smallest singular direction is reversed where the best fit would be a reflection
     fix = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    rotation: FloatArray = left @ fix @ right
-    return rotation
+    return np.asarray(left @ fix @ right)
 
 
 def _triangular_frame(unit: FloatArray) -> FloatArray:
@@ -182,28 +197,6 @@ def _triangular_frame(unit: FloatArray) -> FloatArray:
     y /= np.linalg.norm(y)
     z = unit[2] - (unit[2] @ x) * x - (unit[2] @ y) * y
     return np.array([x, y, z / np.linalg.norm(z)])
-
-
-def _symmetric_frame(vector: FloatArray) -> FloatArray:
-    """Return the rotation that makes T symmetric, by Newton steps on the antisymmetric part."""
-    unit = _unit_rows(vector)
-    rotation = _kabsch(unit, np.eye(3))  # symmetric for equal row lengths; a near start for others
-    C = constraint_jacobian(vector, "symmetric")
-    for _ in range(_SYMMETRIC_PASSES):
-        turned = turn(vector, rotation)[0]
-        constraint = C @ turned
-        if np.abs(constraint).max() < 1e-15:
-            break
-        w = np.asarray(-np.linalg.solve(C @ generators(turned), constraint), dtype=np.float64)
-        rotation = _small_rotation(w) @ rotation
-    return rotation
-
-
-def _small_rotation(w: FloatArray) -> FloatArray:
-    """Return a proper rotation by about ``w`` rad (Cayley form: orthogonal to rounding)."""
-    x, y, z = w / 2
-    half = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.linalg.solve(np.eye(3) - half, np.eye(3) + half), dtype=np.float64)
 
 
 def intrinsic(vector: FloatArray, quadratic_axes: QuadraticAxes = "sensing") -> tuple[FloatArray, FloatArray]:
@@ -220,6 +213,7 @@ def intrinsic(vector: FloatArray, quadratic_axes: QuadraticAxes = "sensing") -> 
     length = np.linalg.norm(T, axis=1)
     u = T / length[:, None]
     K, b, K2 = vector[SCALE], vector[BIAS], vector[QUADRATIC]
+    # K2 by itself changes with the gauge; along the unit sensing axis it does not.
     power = length**2 if quadratic_axes == "sensing" else np.ones(3)
     pairs = ((0, 1), (0, 2), (1, 2))
     cosines = np.array([u[i] @ u[j] for i, j in pairs])
@@ -243,6 +237,5 @@ def intrinsic(vector: FloatArray, quadratic_axes: QuadraticAxes = "sensing") -> 
 
 def make_intrinsic(values: FloatArray, sigma: FloatArray) -> Intrinsic:
     """Put the 12 gauge-free numbers and their sigmas into their record."""
-    return Intrinsic(
-        **dict(zip((field.name for field in fields(Intrinsic)), np.split(np.concatenate([values, sigma]), 8), strict=True))
-    )
+    names = (field.name for field in fields(Intrinsic))
+    return Intrinsic(**dict(zip(names, np.split(np.concatenate([values, sigma]), 8), strict=True)))

@@ -83,8 +83,7 @@ def predict(parameters: AccelerometerParameters, a: FloatArray) -> FloatArray:
     """Return raw outputs, ``raw_zero`` included, for specific forces in m/s^2, both of shape (..., 3)."""
     s = a + a @ parameters.misalignment_rad.T
     squared = s if parameters.quadratic_axes == "sensing" else a
-    output: FloatArray = parameters.scale * (s + parameters.bias_m_s2) + parameters.quadratic * squared**2 + parameters.raw_zero
-    return output
+    return np.asarray(parameters.scale * (s + parameters.bias_m_s2) + parameters.quadratic * squared**2 + parameters.raw_zero)
 
 
 def recover(parameters: AccelerometerParameters, raw: FloatArray) -> FloatArray:
@@ -119,9 +118,20 @@ def recover_vectors(vector: FloatArray, raw: FloatArray, quadratic_axes: Quadrat
     """
     inverse = np.asarray(np.swapaxes(np.linalg.inv(alignment_matrix(vector)), -1, -2), dtype=np.float64)
     if quadratic_axes == "sensing":
-        recovered: FloatArray = _sensing_input(vector, raw) @ inverse
-        return recovered
-    return _body_input(vector, raw, inverse)
+        return np.asarray(_sensing_input(vector, raw) @ inverse)
+    K, b, K2 = (vector[..., None, part] for part in (SCALE, BIAS, QUADRATIC))
+    a: FloatArray = (raw / K - b) @ inverse
+    if not np.any(K2):
+        return a
+    with np.errstate(over="ignore", invalid="ignore"):
+        change = np.inf
+        for _ in range(_CONTRACTION_PASSES):
+            previous, a = a, ((raw - K2 * a**2) / K - b) @ inverse  # [1]_ eq. 14
+            change = np.abs(a - previous).max(axis=-1) / np.abs(a).max(axis=-1)
+            if not np.any(change > _CONTRACTION_TOLERANCE):
+                break
+    stuck = np.asarray(~(change <= _CONTRACTION_ACCEPTED))
+    return np.where(stuck[..., None], np.nan, a)
 
 
 def _sensing_input(vector: FloatArray, raw: FloatArray) -> FloatArray:
@@ -129,24 +139,8 @@ def _sensing_input(vector: FloatArray, raw: FloatArray) -> FloatArray:
     unbiased = raw - K * b
     with np.errstate(invalid="ignore"):
         root = np.sqrt(K**2 + 4 * K2 * unbiased)
-    s: FloatArray = 2 * unbiased / (K + np.copysign(root, K))
-    return s
-
-
-def _body_input(vector: FloatArray, raw: FloatArray, inverse_transposed: FloatArray) -> FloatArray:
-    K, b, K2 = (vector[..., None, part] for part in (SCALE, BIAS, QUADRATIC))
-    a: FloatArray = (raw / K - b) @ inverse_transposed
-    if not np.any(K2):
-        return a
-    with np.errstate(over="ignore", invalid="ignore"):
-        change = np.inf
-        for _ in range(_CONTRACTION_PASSES):
-            previous, a = a, ((raw - K2 * a**2) / K - b) @ inverse_transposed
-            change = np.abs(a - previous).max(axis=-1) / np.abs(a).max(axis=-1)
-            if not np.any(change > _CONTRACTION_TOLERANCE):
-                break
-    stuck = np.asarray(~(change <= _CONTRACTION_ACCEPTED))
-    return np.where(stuck[..., None], np.nan, a)
+    # The root that goes to N / K - b for a vanishing K2, in the form without cancellation.
+    return np.asarray(2 * unbiased / (K + np.copysign(root, K)))
 
 
 def _not_recoverable(parameters: AccelerometerParameters, raw: FloatArray, row: int) -> CalibrationError:
@@ -199,7 +193,8 @@ def norm_derivatives(vector: FloatArray, raw: FloatArray, quadratic_axes: Quadra
         dN_da[:, range(3), range(3)] += 2 * K2 * a
     with np.errstate(invalid="ignore"):  # a position without any specific force has no direction: NaN
         u = a / norm[:, None]
-    v = np.linalg.solve(np.swapaxes(dN_da, 1, 2), u[:, :, None])[:, :, 0]
+    v = np.linalg.solve(np.swapaxes(dN_da, 1, 2), u[:, :, None])[:, :, 0]  # (dN/da)^-T u = d norm / dN
+    # d norm / dp = -v . dN/dp
     misalignment = (v * slope)[:, MISALIGNMENT_ROWS] * a[:, MISALIGNMENT_COLUMNS]
     squared = s**2 if sensing else a**2
     jacobian = -np.hstack([v * (s + b), v * K, misalignment, v * squared])

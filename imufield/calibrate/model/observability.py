@@ -91,9 +91,9 @@ def generators(vector: FloatArray) -> FloatArray:
         d = np.diag(dM)
         dT = dM - d[:, None] * T
         result[SCALE, axis] = vector[SCALE] * d
-        result[BIAS, axis] = -vector[BIAS] * d
+        result[BIAS, axis] = -vector[BIAS] * d  # b' = D^-1 b
         result[MISALIGNMENT, axis] = dT[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS]
-        result[QUADRATIC, axis] = 2 * vector[QUADRATIC] * d
+        result[QUADRATIC, axis] = 2 * vector[QUADRATIC] * d  # K2' = K2 D^2
     return result
 
 
@@ -113,9 +113,11 @@ def observe(derivatives: NormDerivatives, vector: FloatArray, gravity_m_s2: floa
     gauge_free = [column for column in LOWER_GAUGE_COLUMNS if column in columns]
     scale = parameter_scale(vector, gravity_m_s2)
     scaled = (derivatives.jacobian * scale)[:, columns]
+    # The three flat directions are taken out before rank and condition are judged.
     turns = (generators(vector) / scale[:, None])[columns]
     complement = np.linalg.qr(turns, mode="complete")[0][:, 3:]
     values = np.asarray(np.linalg.svd(scaled @ complement, compute_uv=False), dtype=np.float64)
+    # Faces alone leave misalignment and quadratic term to the accident of placement, see FACE_COSINE.
     faces_only = bool(np.all(np.abs(derivatives.a).max(axis=1) > FACE_COSINE * derivatives.norm))
     sought = gauge_free[:6] if faces_only else gauge_free
     lengths = unexplained_lengths(scaled[:, sought], WEAKEST_COLUMN)
@@ -143,7 +145,7 @@ def unexplained_lengths(columns: FloatArray, least: float = 0.0) -> list[float]:
     return lengths
 
 
-def require_scale_and_bias(seen: Observability) -> None:
+def require_scale_and_bias(observability: Observability) -> None:
     """Refuse positions that do not even show scale and bias of each axis.
 
     Raises
@@ -151,7 +153,7 @@ def require_scale_and_bias(seen: Observability) -> None:
     CalibrationError
         Naming the axis and the positions that are missing.
     """
-    missing = sorted({ACCELEROMETER_NAMES[column][-1] for column in range(6) if column not in seen.free})
+    missing = sorted({ACCELEROMETER_NAMES[column][-1] for column in range(6) if column not in observability.free})
     if missing:
         axes = " and ".join(missing)
         raise CalibrationError(
@@ -198,10 +200,16 @@ def require_space(raw: FloatArray) -> None:
     """
     spread = np.ptp(raw, axis=0)
     widest = float(spread.max())
+    # Fewer than three rows have no third direction unless it is asked for.
     values, directions = np.linalg.svd(raw - raw.mean(axis=0), full_matrices=len(raw) < 3)[1:]
     flatness = float(values[2] / values[0])
     axis = int(np.argmin(spread))
-    if spread[axis] <= _DEAD * widest and not _is_circle(np.delete(raw, axis, axis=1)):
+    # Two axes that stay in a vertical plane keep their distance to a centre.
+    others = np.delete(raw, axis, axis=1)
+    centre = (others.max(axis=0) + others.min(axis=0)) / 2
+    distance = np.linalg.norm((others - centre) / np.maximum(np.ptp(others, axis=0), np.finfo(float).tiny), axis=1)
+    is_circle = np.ptp(distance) < _ROUND * distance.max()
+    if spread[axis] <= _DEAD * widest and not is_circle:
         raise CalibrationError(
             f"axis {AXES[axis]} gives {raw[0, axis]:g} at every position (spread {spread[axis]:g}, other axes {widest:g}): it "
             "is saturated or dead; check range and wiring",
@@ -216,10 +224,3 @@ def require_space(raw: FloatArray) -> None:
             Reason.UNOBSERVABLE,
             thickness=flatness,
         )
-
-
-def _is_circle(outputs: FloatArray) -> bool:
-    """Tell whether the outputs of two axes keep their distance to a centre, as they do when both stay in a vertical plane."""
-    centre = (outputs.max(axis=0) + outputs.min(axis=0)) / 2
-    distance = np.linalg.norm((outputs - centre) / np.maximum(np.ptp(outputs, axis=0), np.finfo(float).tiny), axis=1)
-    return bool(np.ptp(distance) < _ROUND * distance.max())

@@ -9,7 +9,6 @@ of many countries write them; numbers may have a decimal comma then.
 from __future__ import annotations
 
 import csv
-import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -84,14 +83,24 @@ def read_observations(path: str | Path, *, units: SampleUnits | None = None) -> 
 
 
 def _read_table(path: Path) -> _Table:
-    numbered = [
-        (k, line) for k, line in enumerate(_text(path).splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")
-    ]
+    try:
+        whole = read_small_file(path).decode("utf-8-sig")
+    except OSError as error:
+        what = f"{path} cannot be read ({error.strerror}); check the file name and its permissions"
+        raise RecordingError(what, Reason.NOT_A_RECORDING, path=str(path)) from error
+    except UnicodeDecodeError as error:
+        raise _refuse(path, None, f"it is no UTF-8 text (byte {error.start}); save the means as CSV") from error
+    numbered = [(k, line) for k, line in enumerate(whole.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]
     if not numbered:
         raise _refuse(path, None, "it is empty; give a header with ax,ay,az and one row per position")
     lines = [k for k, _ in numbered]
-    separator = next((one for one in _SEPARATORS if one in numbered[0][1]), ",")
-    rows = [_cells(path, k, line, separator) for k, line in numbered]
+    separator = next((character for character in _SEPARATORS if character in numbered[0][1]), ",")
+    rows = []
+    for number, text in numbered:
+        try:
+            rows.append(next(csv.reader([text], delimiter=separator, strict=True)))
+        except csv.Error as error:
+            raise _refuse(path, number, f"it is no CSV ({error}); save the means as CSV") from error
     header = tuple(cell.strip() for cell in rows[0])
     _check_header(path, lines[0], header)
     for line, row in zip(lines[1:], rows[1:], strict=True):
@@ -107,26 +116,9 @@ def _read_table(path: Path) -> _Table:
     return _Table(path, header, rows[1:], lines[1:])
 
 
-def _text(path: Path) -> str:
-    try:
-        return read_small_file(path).decode("utf-8-sig")
-    except OSError as error:
-        what = f"{path} cannot be read ({error.strerror}); check the file name and its permissions"
-        raise RecordingError(what, Reason.NOT_A_RECORDING, path=str(path)) from error
-    except UnicodeDecodeError as error:
-        raise _refuse(path, None, f"it is no UTF-8 text (byte {error.start}); save the means as CSV") from error
-
-
 def _refuse(path: Path, line: int | None, what: str, column: str | None = None) -> RecordingError:
     where = str(path) + (f", line {line}" if line else "") + (f", column {column}" if column else "")
     return RecordingError(f"{where}: {what}", Reason.BAD_DATA, path=str(path), line=line, column=column)
-
-
-def _cells(path: Path, number: int, line: str, separator: str) -> list[str]:
-    try:
-        return next(csv.reader([line], delimiter=separator, strict=True))
-    except csv.Error as error:
-        raise _refuse(path, number, f"it is no CSV ({error}); save the means as CSV") from error
 
 
 def _check_header(path: Path, line: int, header: tuple[str, ...]) -> None:
@@ -153,22 +145,20 @@ def _column(table: _Table, column: str) -> FloatArray:
     if column not in table.header:
         return np.full(len(table.rows), np.nan)
     place = table.header.index(column)
-    cells = zip(table.lines, table.rows, strict=True)
-    return np.array([_number(table.path, line, column, row[place]) for line, row in cells], dtype=np.float64)
-
-
-def _number(path: Path, line: int, column: str, cell: str) -> float:
-    if not cell.strip() and column not in ACCELEROMETER_COLUMNS:
-        return math.nan
-    try:
-        value = float(cell)
-    except ValueError as error:
-        what = f"{cell.strip()[:_SHOWN]!r} is not a number; correct or remove the row"
-        raise _refuse(path, line, what, column) from error
-    possible = _SMALLEST_SIGMA <= value <= LARGEST_OUTPUT if column.startswith("sigma_") else abs(value) <= LARGEST_OUTPUT
-    if not possible:
-        raise _refuse(path, line, f"{cell.strip()[:_SHOWN]} is no possible value; correct or remove the row", column)
-    return value
+    least = _SMALLEST_SIGMA if column.startswith("sigma_") else -LARGEST_OUTPUT
+    values = np.full(len(table.rows), np.nan)
+    for k, (line, row) in enumerate(zip(table.lines, table.rows, strict=True)):
+        cell = row[place].strip()
+        if not cell and column not in ACCELEROMETER_COLUMNS:
+            continue
+        try:
+            values[k] = float(cell)
+        except ValueError as error:
+            what = f"{cell[:_SHOWN]!r} is not a number; correct or remove the row"
+            raise _refuse(table.path, line, what, column) from error
+        if not least <= values[k] <= LARGEST_OUTPUT:
+            raise _refuse(table.path, line, f"{cell[:_SHOWN]} is no possible value; correct or remove the row", column)
+    return values
 
 
 def _diagonal(sigma: FloatArray) -> FloatArray:

@@ -69,6 +69,7 @@ def count_repeats_once(observations: Observations) -> tuple[Observations, tuple[
     # NaN where there is no gyroscope: the same in every row.
     _, first, group = np.unique(np.nan_to_num(numbers), axis=0, return_index=True, return_inverse=True)
     original = first[group.ravel()]
+    # The first of equal rows stays.
     new = original == np.arange(len(observations))
     if new.all():
         return observations, ()

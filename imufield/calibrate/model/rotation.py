@@ -53,22 +53,22 @@ def exponential(rotation_rad: FloatArray) -> FloatArray:
 
 def logarithm(quaternion: FloatArray) -> FloatArray:
     """Return rotation vectors of at most pi, shape (..., 4) -> (..., 3)."""
+    # q and -q are one turn: take the one of at most pi.
     short = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
     sine = np.linalg.norm(short[..., 1:], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(sine, short[..., :1])
-    rotation: FloatArray = np.where(sine > 0, angle / np.where(sine > 0, sine, 1.0), 2.0) * short[..., 1:]
-    return rotation
+    return np.asarray(np.where(sine > 0, angle / np.where(sine > 0, sine, 1.0), 2.0) * short[..., 1:])
 
 
 def conjugate(quaternion: FloatArray) -> FloatArray:
     """Return the inverse of unit quaternions, shape (..., 4)."""
-    inverse: FloatArray = quaternion * np.array([1.0, -1.0, -1.0, -1.0])
-    return inverse
+    return np.asarray(quaternion * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
     """Return vectors turned by quaternions, shape (..., 4) and (..., 3) to (..., 3)."""
     w, v = quaternion[..., :1], quaternion[..., 1:]
+    # q v q* without the two quaternion products
     twice = 2 * cross(v, vector)
     return vector + w * twice + cross(v, twice)
 
@@ -94,8 +94,7 @@ def from_matrix(rotation: FloatArray) -> FloatArray:
     table = np.stack([w2, x, y, z, x, x2, xy, xz, y, xy, y2, yz, z, xz, yz, z2], axis=-1).reshape(*trace.shape, 4, 4)
     best = np.argmax(squares, axis=-1)[..., None, None]
     row = np.take_along_axis(table, np.broadcast_to(best, (*trace.shape, 1, 4)), axis=-2)[..., 0, :]
-    quaternion: FloatArray = row / np.linalg.norm(row, axis=-1, keepdims=True)
-    return quaternion
+    return np.asarray(row / np.linalg.norm(row, axis=-1, keepdims=True))
 
 
 def rotation_matrix(rotation_rad: FloatArray) -> FloatArray:
@@ -111,8 +110,7 @@ def right_jacobian(rotation_rad: FloatArray) -> FloatArray:
     first = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(safe)) / safe**2)
     second = np.where(small, 1 / 6 - angle**2 / 120, (safe - np.sin(safe)) / safe**3)
     S = skew(rotation_rad)
-    jacobian: FloatArray = np.eye(3) - first * S + second * (S @ S)
-    return jacobian
+    return np.asarray(np.eye(3) - first * S + second * (S @ S))
 
 
 def running_turns(quaternion: FloatArray, first: IntArray) -> FloatArray:
@@ -137,6 +135,6 @@ def running_turns(quaternion: FloatArray, first: IntArray) -> FloatArray:
     while step < longest:
         later = np.flatnonzero(place >= step)
         running[later] = multiply(running[later - step], running[later])
-        step *= 2
+        step *= 2  # each pass doubles how far every product reaches
     running /= np.linalg.norm(running, axis=-1, keepdims=True)
     return running

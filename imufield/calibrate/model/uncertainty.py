@@ -47,8 +47,7 @@ def known_covariance(covariance_raw: FloatArray) -> bool:
 
 def within_variance(raw_gradient: FloatArray, covariance_raw: FloatArray) -> FloatArray:
     """Return the variance of each norm from the covariance of its mean output, shape (m,), (m/s^2)^2."""
-    variance: FloatArray = np.einsum("mi,mij,mj->m", raw_gradient, covariance_raw, raw_gradient)
-    return variance
+    return np.asarray(np.einsum("mi,mij,mj->m", raw_gradient, covariance_raw, raw_gradient))
 
 
 def between_position_sigma(residual: FloatArray, jacobian: FloatArray, within: FloatArray) -> float:
@@ -66,6 +65,7 @@ def between_position_sigma(residual: FloatArray, jacobian: FloatArray, within: F
     freedom = len(residual) - jacobian.shape[1]
     if freedom < 1:
         return 0.0
+    # The residuals may be those of parameters near the solution: each weighting is refitted here, linearly.
     square = float(np.sum(_refitted(residual, jacobian, np.ones(len(residual))) ** 2)) / freedom
     if not np.any(within):
         return float(np.sqrt(square))
@@ -74,18 +74,17 @@ def between_position_sigma(residual: FloatArray, jacobian: FloatArray, within: F
     for _ in range(_NEWTON_STEPS):
         weight = 1 / (within + tau2)
         weighted = _refitted(residual, jacobian, np.sqrt(weight))
-        excess = float(np.sum(weighted**2)) - freedom
+        excess = float(np.sum(weighted**2)) - freedom  # [1]_: sum (r / s)^2 may not exceed the degrees of freedom
         if excess <= 1e-9 * freedom:
             break
-        tau2 += excess / float(np.sum(weighted**2 * weight))
+        tau2 += excess / float(np.sum(weighted**2 * weight))  # d sum (r / s)^2 / d tau^2 = - sum r^2 / s^4
     return float(np.sqrt(tau2))
 
 
 def _refitted(residual: FloatArray, jacobian: FloatArray, root_weight: FloatArray) -> FloatArray:
     Q = np.linalg.qr(jacobian * root_weight[:, None])[0]
     weighted = residual * root_weight
-    refitted: FloatArray = weighted - Q @ (Q.T @ weighted)
-    return refitted
+    return np.asarray(weighted - Q @ (Q.T @ weighted))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,6 +116,7 @@ def influence(residual: FloatArray, jacobian: FloatArray) -> Influence:
     Q, R = np.linalg.qr(jacobian)
     inverse = np.linalg.inv(R)
     leverage = np.sum(Q**2, axis=1)
+    # r_i / (1 - h_i) without fitting again
     rest = np.where(leverage < NOT_LEFT_OUT, 1 - leverage, np.nan)
     without = residual / rest
     covariance = inverse @ inverse.T
@@ -139,8 +139,8 @@ def jackknife_sigma(shift: FloatArray) -> FloatArray:
     if not len(possible):
         return np.full(shift.shape[1], np.nan)
     m = len(shift)
-    sigma: FloatArray = np.sqrt((m - 1) / m * np.sum((possible - possible.mean(axis=0)) ** 2, axis=0))
-    return sigma
+    # (m - 1) / m times the sum of squares: the delete-one jackknife
+    return np.asarray(np.sqrt((m - 1) / m * np.sum((possible - possible.mean(axis=0)) ** 2, axis=0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +171,7 @@ def single_position_factors(spread: Influence, singles: tuple[SinglePosition, ..
     ratio = jackknife_sigma(spread.shift) / np.sqrt(np.diag(spread.covariance))
     for single in singles:
         rows = list(single.coordinates)
-        factors[rows] = np.fmax(factors[rows], ratio[rows])
+        factors[rows] = np.fmax(factors[rows], ratio[rows])  # NaN where the jackknife has nothing to say
     return factors
 
 
@@ -254,14 +254,14 @@ def bounded_cross_covariance(cross: FloatArray, ours: FloatArray, theirs: FloatA
     left, correlation, right = np.linalg.svd(to_ours @ cross @ to_theirs.T, full_matrices=False)
     if np.all(correlation <= 1.0):
         return cross
-    bounded: FloatArray = from_ours @ (left * np.minimum(correlation, 1.0)) @ right @ from_theirs.T
-    return bounded
+    return np.asarray(from_ours @ (left * np.minimum(correlation, 1.0)) @ right @ from_theirs.T)
 
 
 def _whitening(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return what makes parameters independent and of variance one, shape (r, n), and the way back, shape (n, r)."""
     size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     known = np.flatnonzero(size > 0)
+    # As a correlation matrix: parameters differ in unit by ten powers of ten.
     values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)] / np.outer(size[known], size[known]))
     kept = values > _NO_VARIANCE
     root, vectors = np.sqrt(values[kept]), vectors[:, kept]

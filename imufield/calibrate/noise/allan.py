@@ -59,7 +59,7 @@ class EvenGrid:
             values = np.concatenate([self._last[1][None], values])
         self._last = (float(time_s[-1]), values[-1])
         between = np.diff(time_s)
-        steps = np.rint(between / self.interval_s).astype(np.int64)
+        steps = np.rint(between / self.interval_s).astype(np.int64)  # an unsteady clock is no loss
         breaks = np.flatnonzero((between > BRIDGED_S) | (between <= 0)) + 1
         runs = []
         for number, rows in enumerate(np.split(np.arange(len(time_s)), breaks)):
@@ -135,6 +135,7 @@ class _Level:
     def add(self, octave: int, variance: FloatArray, terms: float) -> None:
         """Add the variance of one chunk."""
         self.square[octave] = self.square.get(octave, np.zeros(len(variance))) + terms * variance
+        # Each chunk counts by its number of terms.
         self.terms[octave] = self.terms.get(octave, 0.0) + terms
 
     def take(self) -> FloatArray:
@@ -222,8 +223,7 @@ class AllanStream:
                 if octave >= self._first(number) and len(rest[number]):
                     self._measure(level, number, rest[number], [octave])
                 if octave in level.terms:
-                    variance: FloatArray = level.square[octave] / level.terms[octave]
-                    return variance
+                    return np.asarray(level.square[octave] / level.terms[octave])
                 return None
             if number + 1 < len(rest) and len(rest[number]):
                 # What was left below goes up once, when the first octave of the next level is asked for.
@@ -283,7 +283,7 @@ def degrees_of_freedom(deviation: AllanDeviation, column: int) -> FloatArray:
         return np.ones(n)
     slope = np.gradient(np.log(np.maximum(sigma, 1e-300)), np.log(deviation.tau_s))
     # Power law of the rate's spectrum: -1/2 white (0), 0 flicker (-1), +1/2 random walk (-2).
-    power = np.clip(np.rint(-1 - 2 * slope), -2, 0).astype(int)
+    power = np.clip(np.rint(-1 - 2 * slope), -2, 0).astype(int)  # the formula of [Greenhall, Riley] wants a whole power law
     freedom = [
         ci.edf_greenhall(int(alpha), 2, int(m), deviation.samples + 1, overlapping=True, modified=False)
         for alpha, m in zip(power, deviation.factor, strict=True)

@@ -28,7 +28,7 @@ from imufield.samples import AXES, FloatArray, Samples, SampleUnits
 MOVED = 0.005
 """Change of the mean output of a second, over the length of the accelerometer's mean: 5 mg. More is a unit that was moved."""
 REFERENCE_S = 60.0
-"""The mean that a second is held against follows the last minute: warm-up passes, a touch does not."""
+"""The mean that a second is compared with follows the last minute: warm-up passes, a touch does not."""
 LEAST_SAMPLES = 1000
 """The deviation at one sample interval is then known to 3 %."""
 LEAST_S = 60.0
@@ -38,7 +38,7 @@ QUANTISED = 0.5
 _IDENTIFIED_POINTS = 6  # Octaves that tell the five kinds of noise of ``noise_fit`` apart: one more than there are kinds.
 _FIRST_BLOCK = 3  # Samples that tell the interval where nothing else does.
 _HOURS = 3600.0
-_SPLITS_NAMED = 3  # Disturbances that are told one by one; the others are counted.
+_SPLITS_NAMED = 3  # Disturbances that are named one by one; the others are counted.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -286,6 +286,7 @@ class _Stretch:
     def follow(self, mean: FloatArray) -> None:
         """Let the reference follow the mean of a second."""
         self._seconds = min(self._seconds + 1, int(REFERENCE_S))
+        # A mean over the first minute, then an exponential one.
         before = mean if self._reference is None else self._reference
         self._reference = before + (mean - before) / self._seconds
 
@@ -295,7 +296,7 @@ class _Stretch:
             return
         change = np.abs(np.diff(rows, axis=0))
         self.squares += np.sum(change**2, axis=0)
-        change[change == 0] = np.inf
+        change[change == 0] = np.inf  # the smallest step is that of an output that changed
         self.step = np.minimum(self.step, change.min(axis=0, initial=np.inf))
         self.stream.feed(rows)
 
@@ -329,6 +330,7 @@ def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit
     deviation, freedom = allan.deviation[:, column], degrees_of_freedom(allan, column)
     low, high = deviation_limits_95(deviation, freedom)
     step = float(best.step[column])
+    # Differences of neighbours have twice the variance of a sample, and no drift.
     sigma = math.sqrt(best.squares[column] / max(2 * (best.stream.samples - 1), 1))
     quantised = math.isfinite(step) and sigma < QUANTISED * step
     model = None
@@ -349,7 +351,7 @@ def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit
         sentences.append(f"{name} is too short to identify anything; record longer")
     elif model is not None and math.isfinite(step):
         for kind, figure, per in (("bias instability", model.instability, ""), ("random walk", model.walk, "/sqrt(s)")):
-            if not figure.seen:
+            if not figure.observed:
                 sentences.append(
                     f"{best.duration_s / _HOURS:.2g} h are too short to see the {kind} of {name}: below {figure.high:.3g} "
                     f"{unit}{per}"

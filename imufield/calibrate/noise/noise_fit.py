@@ -8,7 +8,7 @@ Q quantisation, N white noise (angle or velocity random walk), B bias instabilit
 are fitted to q at octaves of t, never negative, each point weighted by its equivalent degrees of freedom [2]_ (a variance with
 f of them is known to sqrt(2 / f)). Estimates at neighbouring octaves share data: their correlation (from octave to octave 0.5
 on white noise and 0.87 on a random walk, measured) goes into weights and intervals. A term that is not twice its own
-sigma is not *seen*: of B and K that means that the recording is too short for it, and what is returned is an upper limit.
+sigma is not *observed*: of B and K that means that the recording is too short for it, and what is returned is an upper limit.
 
 A sensor with a low-pass filter shows less than N^2 / t at short times; the points before the deviation falls by at least
 t^-0.4 are left out.
@@ -34,7 +34,7 @@ FLICKER = 2 * math.log(2) / math.pi
 CORRELATION_FALLING = 0.5
 CORRELATION_RISING = 0.87
 """Of estimates one octave apart, where the deviation falls and where it rises; further apart their product."""
-SEEN_SIGMAS = 2.0
+OBSERVED_SIGMAS = 2.0
 """A square of fewer sigmas is an upper limit."""
 # The linear theory's intervals held the truth in 82 to 90 % of 60 simulated recordings; so much wider, in 93 to 97 %.
 _WIDER = 1.4
@@ -46,12 +46,12 @@ _Q, _N, _B, _K, _R = range(_TERMS)
 
 @dataclass(frozen=True, slots=True)
 class NoiseFigure:
-    """One noise figure with its 95 % interval; ``seen`` is False where it is an upper limit only (``value`` NaN)."""
+    """One noise figure with its 95 % interval; ``observed`` is False where it is an upper limit only (``value`` NaN)."""
 
     value: float
     low: float
     high: float
-    seen: bool
+    observed: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,8 +75,7 @@ class NoiseModel:
 
     def deviation(self, tau_s: FloatArray) -> FloatArray:
         """Return the modelled Allan deviation."""
-        deviation: FloatArray = np.sqrt(terms(tau_s) @ self.squares)
-        return deviation
+        return np.asarray(np.sqrt(terms(tau_s) @ self.squares))
 
 
 def terms(tau_s: FloatArray) -> FloatArray:
@@ -99,7 +98,11 @@ def identify(tau_s: FloatArray, deviation: FloatArray, freedom: FloatArray) -> N
 
     first = first_falling(tau_s, deviation)
     X, q = terms(tau_s[first:]), deviation[first:] ** 2
-    relative, L = np.sqrt(2 / freedom[first:]), np.linalg.cholesky(_correlation(q))
+    # Correlation of any two points: the product of the steps between them.
+    step = np.where(np.diff(q) < 0, CORRELATION_FALLING, CORRELATION_RISING)
+    reach = np.concatenate([[0.0], np.cumsum(np.log(step))])
+    L = np.linalg.cholesky(np.exp(-np.abs(reach[:, None] - reach)))
+    relative = np.sqrt(2 / freedom[first:])
     squares, expected = np.zeros(_TERMS), q
     A: FloatArray = X
     for _ in range(_PASSES):
@@ -128,13 +131,6 @@ def first_falling(tau_s: FloatArray, deviation: FloatArray) -> int:
     return int(falling[0]) if len(falling) and falling[0] < len(tau_s) // 2 else 0
 
 
-def _correlation(variance: FloatArray) -> FloatArray:
-    step = np.where(np.diff(variance) < 0, CORRELATION_FALLING, CORRELATION_RISING)
-    reach = np.concatenate([[0.0], np.cumsum(np.log(step))])
-    matrix: FloatArray = np.exp(-np.abs(reach[:, None] - reach))
-    return matrix
-
-
 def _sigma(A: FloatArray, squares: FloatArray) -> FloatArray:
     """Return 1 sigma of the squares, beside the three figures that are reported and whatever else is not zero."""
     active = squares > 0
@@ -151,6 +147,6 @@ def _sigma(A: FloatArray, squares: FloatArray) -> FloatArray:
 
 def _figure(square: float, sigma: float) -> NoiseFigure:
     low, high = max(square - NORMAL_FACTOR_95 * sigma, 0.0), square + NORMAL_FACTOR_95 * sigma
-    if square < SEEN_SIGMAS * sigma:
+    if square < OBSERVED_SIGMAS * sigma:
         return NoiseFigure(math.nan, 0.0, math.sqrt(high), False)
     return NoiseFigure(math.sqrt(square), math.sqrt(low), math.sqrt(high), True)

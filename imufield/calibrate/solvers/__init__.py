@@ -1,1 +1,1 @@
-"""Solvers with one interface."""
+"""Solvers with one interface (``base``), their names (``registry``), costs, and their agreement."""

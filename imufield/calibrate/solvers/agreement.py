@@ -60,13 +60,13 @@ class CrossCheck:
     @property
     def sentence(self) -> str:
         """The outcome in words."""
-        own, one = self.own_costs, self.one_cost
+        own, shared = self.own_costs, self.one_cost
         verdict = "the methods prove one another" if self.agree else "the methods do NOT prove one another"
         failed = f"; {'; '.join(self.not_converged)}" if self.not_converged else ""
         own_words = f"{own.sigma:.2g} sigma ({own.parameter}, {own.methods[0]} against {own.methods[1]})"
         return (
             f"cross-check of the {self.what} by {', '.join(self.found)}: {verdict}; largest disagreement {own_words} with the "
-            f"cost of each paper, {one.sigma:.2g} sigma with one cost{failed}"
+            f"cost of each paper, {shared.sigma:.2g} sigma with one cost{failed}"
         )
 
 
@@ -96,18 +96,19 @@ def compare(
         If there is no such method.
     """
     own: dict[str, FloatArray] = {}
-    one: dict[str, FloatArray] = {}
+    shared: dict[str, FloatArray] = {}
     open_runs: list[str] = []
     for method in methods:
         costs: tuple[CostName, CostName] = (find_method(method).cost_name, "weighted")
-        for found_by, cost_name in zip((own, one), costs, strict=True):
+        for found_by, cost_name in zip((own, shared), costs, strict=True):
+            # Own cost first, then the cost that all share.
             found_by[method], why = attempt(method, cost_name)
             if why:
                 open_runs.append(f"{method} did not converge ({why})")
     return CrossCheck(
         what=what,
         own_costs=_largest(own, names, sigma),
-        one_cost=_largest(one, names, sigma),
+        one_cost=_largest(shared, names, sigma),
         not_converged=tuple(dict.fromkeys(open_runs)),
         found=own,
     )
@@ -116,6 +117,7 @@ def compare(
 def _largest(found: Mapping[str, FloatArray], names: Sequence[str], sigma: FloatArray) -> MethodDifference:
     methods = list(found)
     largest = MethodDifference(0.0, "", (methods[0], methods[-1]))
+    # A number that is not fitted has no sigma, and rounding apart the same value everywhere.
     fitted = sigma > 1e-9 * np.maximum(np.abs(found[methods[0]]), np.finfo(float).tiny)
     for i, first in enumerate(methods):
         for second in methods[i + 1 :]:

@@ -83,7 +83,7 @@ def solve_bas(
     x = np.asarray(problem.start, dtype=np.float64)
     record.offer(x, float(record.cost(x[None])[0]))
     s, d = settings.s, settings.d
-    smelled = np.inf
+    smelled = np.inf  # nothing yet
     for _ in range(settings.k_max):
         u = _directions(rng, 1, len(x))
         towards, smelled = _antennae(record, problem, x, u, d=d)
@@ -127,9 +127,10 @@ def solve_bsas(
         beetles = into_bounds(problem, x - s * towards[:, None] * u)  # eq. 7, minimising
         costs = record.cost(beetles)
         better = np.flatnonzero(costs < f)
-        if len(better):
-            x, f = _next_start(beetles, costs, better, record, settings=settings, rng=rng)
-            invalid = 0
+        if len(better):  # Algorithm 2, lines 8 to 14
+            record.offer_best(beetles, costs)
+            chosen = int(np.argmin(costs)) if rng.random() < settings.p_pos else int(rng.choice(better))
+            x, f, invalid = beetles[chosen], float(costs[chosen]), 0
         else:
             invalid += 1
             if rng.random() < settings.p_st or invalid > settings.n_st:  # Algorithm 2, line 16
@@ -137,22 +138,24 @@ def solve_bsas(
                 invalid = 0
         if record.end_of_iteration():
             return record.stopped()
-        if not len(better) and _arrived(smelled, f, s, settings):
+        # The antennae smell no difference, or the step is down at the resolution of eq. 6.
+        at_resolution = s <= 1.01 * settings.s_0 / (1 - settings.c_s)
+        if not len(better) and (smelled <= settings.tolerance * f or at_resolution):
             return record.result(*_ending(True, settings), settings.s, rng)
     return record.result(*_ending(False, settings), settings.s, rng)
 
 
 def _directions(rng: np.random.Generator, beetles: int, n: int) -> FloatArray:
     """Return random unit vectors, shape (m, n) (eq. 1)."""
-    u = rng.standard_normal((beetles, n))
+    u = rng.standard_normal((beetles, n))  # eq. 1
     u /= np.sqrt(np.einsum("mn,mn->m", u, u))[:, None]
     return u
 
 
 def _antennae(record: Record, problem: Problem, x: FloatArray, u: FloatArray, *, d: float) -> tuple[FloatArray, float]:
     """Return which antenna has the larger cost, shape (m,): +1 right, -1 left; and the largest difference (eq. 2, 3)."""
-    tips = into_bounds(problem, np.concatenate([x + d * u, x - d * u]))
-    right, left = record.cost(tips).reshape(2, -1)
+    tips = into_bounds(problem, np.concatenate([x + d * u, x - d * u]))  # eq. 2
+    right, left = record.cost(tips).reshape(2, -1)  # eq. 3
     # Where the model cannot be inverted the cost is infinite, so compare and do not subtract.
     towards = (right > left).astype(np.float64) - (right < left)
     finite = np.isfinite(right) & np.isfinite(left)
@@ -160,31 +163,9 @@ def _antennae(record: Record, problem: Problem, x: FloatArray, u: FloatArray, *,
     return towards, smelled
 
 
-def _next_start(
-    beetles: FloatArray,
-    costs: FloatArray,
-    better: np.ndarray[tuple[int], np.dtype[np.intp]],
-    record: Record,
-    *,
-    settings: BsasSettings,
-    rng: np.random.Generator,
-) -> tuple[FloatArray, float]:
-    """Return the beetle from which the next round starts (Algorithm 2, lines 8 to 14)."""
-    chosen = best = int(np.argmin(costs))
-    record.offer(beetles[best], float(costs[best]))
-    if rng.random() >= settings.p_pos:
-        chosen = int(rng.choice(better))
-    return beetles[chosen], float(costs[chosen])
-
-
 def _attenuate(s: float, d: float, settings: BasSettings) -> tuple[float, float]:
     """Return the next step and distance (eq. 6 and 4)."""
     return settings.c_s * s + settings.s_0, settings.c_d * d + settings.d_0
-
-
-def _arrived(smelled: float, f: float, s: float, settings: BasSettings) -> bool:
-    """Whether the antennae smell no difference, or the step is down at the resolution of eq. 6."""
-    return smelled <= settings.tolerance * f or s <= 1.01 * settings.s_0 / (1 - settings.c_s)
 
 
 def _ending(finished: bool, settings: BasSettings) -> tuple[SolverStatus, str]:

@@ -122,6 +122,7 @@ class _Weights:
         b = 2 * t / settings.EG - (t / settings.EG) ** 2  # eq. 16
         if strategy != "adaptive":
             return cls(b, settings.F)
+        # eq. 17 with 1 / f_min - 1 / f_max = L_max - L_min; without a largest cost F stays up
         finite = costs[np.isfinite(costs)]
         spread = float(finite.max() - finite.min()) if len(finite) == len(costs) else np.inf
         damping = 1 + settings.alpha * spread + settings.beta * (1 - t / settings.EG)

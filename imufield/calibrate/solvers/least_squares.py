@@ -63,6 +63,7 @@ def solve_least_squares(
 
     check_start(problem)
     start = problem.start
+    # MINPACK takes neither a robust loss nor fewer residuals than coordinates.
     plain = loss == "linear" and len(problem.residuals(start)) >= len(start)
     try:
         fit = scipy.optimize.least_squares(

@@ -63,7 +63,7 @@ def solve_with_pymoo(
     algorithm.setup(
         adapted(n_var=len(lower), n_obj=1, xl=lower, xu=upper),
         termination=("n_gen", settings.generations),
-        seed=int(rng.integers(2**31)),
+        seed=int(rng.integers(2**31)),  # pymoo has a generator of its own
         verbose=False,
     )
     while algorithm.has_next():

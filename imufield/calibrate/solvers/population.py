@@ -1,4 +1,4 @@
-"""What every swarm method shares: the record of the best point ever seen, checks of the start, and the honest ending.
+"""Record, checks and ending of the swarm methods: the best point ever, the start within its bounds, and a probe at the end.
 
 A swarm has no gradient to show that it has arrived, so it is asked twice. First its own sign: the antennae of the beetles
 smell no difference any more, or the costs of the population agree. Then a probe: points around the best one, on rings from the
@@ -46,6 +46,7 @@ class Record:
     def offer(self, candidate: FloatArray, cost: float) -> None:
         """Keep a point if it is the best ever."""
         if cost < self.best_cost:
+            # A copy: the swarm moves its candidates in place.
             self.best_cost, self.best = cost, candidate.copy()
 
     def offer_best(self, members: FloatArray, costs: FloatArray) -> None:
@@ -79,6 +80,7 @@ class Record:
         if status is SolverStatus.CONVERGED:
             found = lowest_nearby(self._problem, self.best, reach, rng)
             self.evaluations += found.evaluations
+            # A cost of zero cannot be bettered.
             gain = 1 - found.cost / self.best_cost if self.best_cost > 0 else 0.0
             if gain > _CLEARLY_BETTER:
                 status = SolverStatus.STALLED
@@ -119,6 +121,7 @@ def lowest_nearby(problem: Problem, x: FloatArray, reach: float | FloatArray, rn
     n = len(x)
     random = rng.standard_normal((_DIRECTIONS_PER_COORDINATE * n, n))
     random /= np.linalg.norm(random, axis=1, keepdims=True)
+    # Along the coordinates themselves too: an edge of an absolute cost often lies along one.
     directions = np.concatenate([np.eye(n), -np.eye(n), random]) * reach
     rings = np.geomspace(_SMALLEST_RING, 1.0, _RINGS)
     cloud = into_bounds(problem, (x + rings[:, None, None] * directions).reshape(-1, n))

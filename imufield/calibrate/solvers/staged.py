@@ -1,7 +1,7 @@
 """BSAS as [1]_ uses it: the parameters in four categories, one after the other, as often as wanted.
 
 Every beetle takes one step size in all its coordinates, so the paper optimises scale factors, biases, misalignments and
-quadratic terms in turn, in their own units, the other three held (section 3.4, steps 1 to 4). That is coordinate descent on a
+quadratic terms in turn, in their own units, the other three fixed (section 3.4, steps 1 to 4). That is coordinate descent on a
 cost with edges: each category can only reach what the errors of the other three leave it, and three of the six misalignments
 are turns of the body frame, which change nothing. It is here to reproduce the paper; ``beetles.solve_bsas`` is the one to use.
 
@@ -13,7 +13,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -37,22 +37,20 @@ class StagedSettings:
 
     swarm: BsasSettings = field(default_factory=BsasSettings)
     rounds: int = 1
-    categories: Categories | None = None
-    """None: the paper's, see ``default_categories``."""
 
 
 @dataclass(frozen=True, slots=True)
 class CategoryProblem:
-    """Some coordinates of a problem, the others held."""
+    """Some coordinates of a problem, the others fixed."""
 
     whole: Problem
-    held: FloatArray
+    fixed: FloatArray
     members: tuple[int, ...]
 
     @property
     def start(self) -> FloatArray:
-        """The held values of the members."""
-        return self.held[list(self.members)]
+        """Where the members are, shape (k,)."""
+        return self.fixed[list(self.members)]
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
@@ -62,8 +60,8 @@ class CategoryProblem:
 
     def fill(self, z: FloatArray) -> FloatArray:
         """Return all coordinates, shape (..., k) -> (..., n)."""
-        filled = np.empty((*z.shape[:-1], len(self.held)))
-        filled[...] = self.held
+        filled = np.empty((*z.shape[:-1], len(self.fixed)))
+        filled[...] = self.fixed
         filled[..., list(self.members)] = z
         return filled
 
@@ -92,36 +90,21 @@ def solve_stages(
     """Run a solver on each category in turn; one result per stage, with all coordinates in its ``x``."""
     x = np.asarray(problem.start, dtype=np.float64)
     stages: list[SolverResult] = []
+    # Section 3.4 of [1]_, steps 1 to 4, each from where the one before ended.
     for members in categories * rounds:
         part = CategoryProblem(problem, x, members)
-        tell = _Tell(part, callback, sum(len(stage.history) for stage in stages))
-        solved = solver(part, rng=rng, callback=tell if callback else None)
+        tell = None if callback is None else partial(_tell, callback, part, sum(len(stage.history) for stage in stages))
+        solved = solver(part, rng=rng, callback=tell)
         x = part.fill(solved.x)
-        stages.append(
-            SolverResult(
-                x=x,
-                cost=solved.cost,
-                status=solved.status,
-                message=solved.message,
-                evaluations=solved.evaluations,
-                history=solved.history,
-            )
-        )
+        stages.append(replace(solved, x=x))
         if solved.status is SolverStatus.STOPPED:
             break
     return tuple(stages)
 
 
-@dataclass(frozen=True, slots=True)
-class _Tell:
-    """Passes the callback of the whole the coordinates and the iteration of the whole."""
-
-    part: CategoryProblem
-    callback: Callback | None
-    before: int
-
-    def __call__(self, iteration: int, x: FloatArray, cost: float) -> bool:
-        return self.callback is not None and bool(self.callback(self.before + iteration, self.part.fill(x), cost))
+def _tell(callback: Callback, part: CategoryProblem, before: int, iteration: int, x: FloatArray, cost: float) -> bool:
+    """Call the callback of the whole with its coordinates and its iteration."""
+    return bool(callback(before + iteration, part.fill(x), cost))
 
 
 def solve_bsas_staged(
@@ -137,7 +120,7 @@ def solve_bsas_staged(
     rng = rng or np.random.default_rng(0)
 
     swarm = partial(solve_bsas, settings=settings.swarm)
-    categories = settings.categories or default_categories(len(problem.start))
+    categories = default_categories(len(problem.start))
     stages = solve_stages(problem, categories, rng=rng, callback=callback, rounds=settings.rounds, solver=swarm)
     return join_stages(problem, stages, settings, rng)
 
@@ -159,6 +142,7 @@ def join_stages(
     record.offer(stages[-1].x, stages[-1].cost)
     if stages[-1].status is SolverStatus.STOPPED:
         return record.stopped()
+    # Earlier rounds may stop early: only the last has to converge.
     last_round = stages[-(len(stages) // settings.rounds) :]
     open_stages = [stage for stage in last_round if not stage.converged]
     if open_stages:

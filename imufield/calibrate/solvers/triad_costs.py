@@ -95,6 +95,7 @@ class TriadProblem(_Bounded):
 
     def inputs(self, candidates: FloatArray) -> FloatArray:
         """Return w = (K E)^-1 (N - n0), shape (c, 12) -> (c, 3, m) (eq. 6 of [1]_)."""
+        # eq. 6: w = (K E)^-1 (N - n0), all candidates in one call
         unbiased = self.raw.T - candidates[:, 9:, None]
         unbiased /= candidates[:, :3, None]
         return np.asarray(inverse_matrices(unit_diagonal_matrices(candidates[:, 3:9])) @ unbiased)
@@ -103,7 +104,7 @@ class TriadProblem(_Bounded):
         """Return L of eq. 7 of [1]_ for a population, shape (c, 12) -> (c,)."""
         w = self.inputs(candidates)
         excess = np.einsum("cim,cim->cm", w, w)
-        excess -= self.reference**2
+        excess -= self.reference**2  # eq. 7
         return np.asarray(np.sqrt(np.einsum("cm,cm->c", excess, excess) / (len(self.raw) - 1)))
 
     def residuals(self, z: FloatArray) -> FloatArray:
@@ -117,6 +118,7 @@ class TriadProblem(_Bounded):
         KE = z[:3, None] * unit_diagonal_matrices(z[None, 3:9])[0]
         v = w @ np.linalg.inv(KE)  # d |w|^2 / dN = 2 w^T (K E)^-1
         rows, columns = np.divmod(_OFF_DIAGONAL, 3)
+        # d (K E w) / dK is E w, d (K E w) / dE_ij is K_i w_j
         scale = v * (w @ KE.T / z[:3])
         jacobian = -2 * np.hstack([scale, v[:, rows] * z[rows] * w[:, columns], v])
         return np.asarray(jacobian / np.sqrt(len(self.raw) - 1))
@@ -151,9 +153,9 @@ class TurnsProblem(_Bounded):
         turned = self.rate @ np.swapaxes(unit_diagonal_matrices(candidates[:, 3:]), 1, 2) * candidates[:, None, :3]
         J = len(self.rate)
         if self.form == "norm":
-            excess = (self.difference**2).sum(axis=1) - 4 * np.einsum("cji,cji->cj", turned, turned)
+            excess = (self.difference**2).sum(axis=1) - 4 * np.einsum("cji,cji->cj", turned, turned)  # eq. 26
             return np.asarray(excess / (self.unit**2 * np.sqrt(J - 1)))
-        terms = (self.difference / 2 - turned) / (self.unit * np.sqrt(max(3 * J - 9, 1)))
+        terms = (self.difference / 2 - turned) / (self.unit * np.sqrt(max(3 * J - 9, 1)))  # eq. 25, as vectors
         return np.asarray(terms.reshape(len(candidates), -1))
 
     def cost(self, candidates: FloatArray) -> FloatArray:
@@ -171,9 +173,10 @@ class TurnsProblem(_Bounded):
         turned = self.rate @ unit_diagonal_matrices(z[None, 3:])[0].T
         rows, columns = np.divmod(_OFF_DIAGONAL, 3)
         derivative = np.zeros((J, 3, 9))  # of K E w
-        derivative[:, range(3), range(3)] = turned
-        derivative[:, rows, range(3, 9)] = z[rows] * self.rate[:, columns]
+        derivative[:, range(3), range(3)] = turned  # by K
+        derivative[:, rows, range(3, 9)] = z[rows] * self.rate[:, columns]  # by E
         if self.form == "norm":
+            # d |K E 2 w|^2 = 8 (K E w) . d (K E w)
             KEw = turned * z[:3]
             return np.asarray(-8 * np.einsum("ji,jik->jk", KEw, derivative) / (self.unit**2 * np.sqrt(J - 1)))
         return np.asarray(-derivative.reshape(3 * J, 9) / (self.unit * np.sqrt(max(3 * J - 9, 1))))

@@ -9,7 +9,7 @@ from imufield.calibrate.gyroscope.static import (
     StaticData,
     fit_static,
     latitude_words,
-    seen_latitude_deg,
+    observed_latitude_deg,
     sees_earth,
 )
 from imufield.earth import EARTH_RATE_RAD_S
@@ -75,7 +75,7 @@ def test_a_wrong_latitude_is_seen() -> None:
     for seed in range(10):
         data, M, _ = stills(seed, 10.0)
         fitted = fit_static(data, np.asarray(np.linalg.inv(M)), 45.5)
-        latitude, sigma = seen_latitude_deg(fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)
+        latitude, sigma = observed_latitude_deg(fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)
         assert latitude == pytest.approx(45.0, abs=4 * sigma)
         assert "contradicts" in latitude_words(45.5, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)[0]
         assert "contradicts" not in latitude_words(45.0, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)[0]

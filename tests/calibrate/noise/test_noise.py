@@ -119,7 +119,7 @@ def test_quantisation_is_said() -> None:
     quantised = [axis for axis in result.axes if axis.quantised]
     assert {axis.name[0] for axis in quantised} == {"a"}
     assert "limited by quantisation" in quantised[0].sentences[0]
-    assert not quantised[0].density.seen
+    assert not quantised[0].density.observed
     assert quantised[0].density.high > DENSITY[0]
     dead = [axis for axis in result.axes if not np.isfinite(axis.step)]
     assert all("never changed" in axis.sentences[0] for axis in dead)
