@@ -157,6 +157,8 @@ def largest_activity(vibration: FloatArray, change: FloatArray, limits: Limits, 
     ----------
     vibration, change : ndarray, shape (6,)
         Ratios of each axis.
+    limits : Limits
+    scale : RoughScale
     """
     found: list[Activity] = []
     triads = (("accelerometer", scale.accelerometer, "m/s^2"), ("gyroscope", scale.gyroscope, "rad/s"))
