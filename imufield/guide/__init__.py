@@ -1,1 +1,1 @@
-"""Positions, stillness and the state table that leads the operator; views of its events."""
+"""The guide of a session: positions, stillness, the state table that leads the operator, and views of its events."""

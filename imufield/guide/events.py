@@ -1,6 +1,6 @@
-"""Events of the guide: what it has to say, to every front end alike (docs/events.md).
+"""Events of the guide, the same for every front end (docs/events.md).
 
-An event is a value; ``to_dict`` gives it for JSON lines, with ``version`` and ``event``. Within one version keys are only
+An event is a value; ``to_dict`` returns it for JSON lines, with ``version`` and ``event``. Within one version keys are only
 added. Times are of the sample clock. Terminal, plain lines, JSON lines and sound render these and nothing else.
 """
 
@@ -53,6 +53,10 @@ class RefusalCode(Enum):
     OTHER_SIDE = "other_side"
 
 
+EVENTS: dict[str, type[Event]] = {}
+"""All events by their name on the wire."""
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """Base of all events."""
@@ -61,6 +65,10 @@ class Event:
 
     time_s: float
     """Sample clock."""
+
+    def __init_subclass__(cls) -> None:
+        # A dataclass with slots is made twice; the second class is the one that is used.
+        EVENTS[cls.kind] = cls
 
     def to_dict(self) -> dict[str, object]:
         """Return the event as plain values for JSON; a value that is not finite becomes None."""
@@ -132,7 +140,7 @@ class Turning(Event):
 
 @dataclass(frozen=True, slots=True)
 class Hold(Event):
-    """The unit lies still at a pending position: leave it."""
+    """The unit is still at a pending position: leave it."""
 
     kind: ClassVar[str] = "hold"
 
@@ -177,18 +185,18 @@ class Accepted(Event):
     residual_m_s2: float | None = None
     """Of a fit to all positions so far; None until there are four."""
     forecast: dict[str, float] | None = None
-    """1 sigma that the parameters have now: bias_ug, scale_ppm, misalignment_urad, quadratic_ug_per_g2; what the positions have
-    not told yet is left out."""
+    """1 sigma of the parameters now: bias_ug, scale_ppm, misalignment_urad, quadratic_ug_per_g2; a group that the positions do
+    not show yet is left out."""
     leave_one_out_m_s2: float | None = None
     """Against a fit to all others; None likewise."""
     rank: int | None = None
-    """Parameters that the positions so far show, of 12."""
+    """Number of parameters that the positions so far show, of 12."""
     condition: float | None = None
     held: bool = False
-    """In the hand: every sample was turned into one frame with the gyroscope."""
+    """The unit was in the hand: every sample was turned into one frame with the gyroscope."""
     tremor_deg: float | None = None
     sway_deg: float | None = None
-    """Rms of each axis above and below 4 Hz, of a held unit."""
+    """Rms of each axis above and below 4 Hz, of a unit in the hand."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,7 +208,7 @@ class Rejected(Event):
     position: str | None
     reason: RefusalCode
     words: str
-    """What was found, one sentence."""
+    """The finding, one sentence."""
     remedy: str
     """What to do, one sentence."""
     measured: float
@@ -214,7 +222,7 @@ class Topic(Enum):
 
     DOUBTFUL = "doubtful"
     SETTLED = "settled"
-    """A doubt is withdrawn."""
+    """The position is no suspect any more."""
     TARGET_MET = "target_met"
     SCHEME = "scheme"
     DRIFT = "drift"
@@ -266,7 +274,7 @@ class Turned(Event):
     start_s: float
     end_s: float
     angle_deg: float
-    """As the uncalibrated gyroscope has it."""
+    """By the uncalibrated gyroscope."""
     tilt_deg: float
     """Between up before and up after."""
     done: int
@@ -275,7 +283,7 @@ class Turned(Event):
 
 @dataclass(frozen=True, slots=True)
 class Marked(Event):
-    """The operator said something and it was done (or could not be)."""
+    """An operator's mark was applied, or could not be."""
 
     kind: ClassVar[str] = "marked"
 
@@ -315,25 +323,3 @@ class Done(Event):
     skipped: tuple[str, ...]
     """Positions without an observation."""
     words: str
-
-
-EVENTS: dict[str, type[Event]] = {
-    event.kind: event
-    for event in (
-        NoiseFloorMeasured,
-        Move,
-        Turning,
-        Hold,
-        Holding,
-        Accepted,
-        Rejected,
-        Advice,
-        Turn,
-        Turned,
-        Marked,
-        LinkLost,
-        LinkBack,
-        Done,
-    )
-}
-"""All events by their name on the wire."""

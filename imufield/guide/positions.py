@@ -1,4 +1,4 @@
-"""Positions of a calibration: which side is up, in what order, and how to say it to a person.
+"""Positions of a calibration: which side is up, in which order, and in which words for a person.
 
 A position is the direction of "up" in the body frame; heading does not matter. The proposed order is not the scheme's
 own: drift of the bias over the session would look like the parameter whose column grows with the position number
@@ -22,8 +22,12 @@ from imufield.errors import UsageError
 from imufield.files import read_small_file
 from imufield.samples import AXES, FloatArray
 
-_SHUFFLES = 2000
-_SAME_DIRECTION_DEG = 1.0
+_SHUFFLES = 2000  # The best of more is hardly better, and it is improved afterwards.
+_SEED = 24  # The same order for the same scheme, today and tomorrow.
+_SAME_DIRECTION_DEG = 1.0  # Repeats of one direction differ by rounding, neighbours of a scheme by 30 degrees and more.
+_SAME_SIZE = 0.02  # Parts of a direction that differ by less are those of an edge or a corner.
+_APART = 1 / 3  # Of a session: repeats of one direction at least so far apart show a drift between them.
+_CLOSE_COSTS = 10  # Against terms that are at most 1.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,18 +77,18 @@ def angle_deg(first: FloatArray, second: FloatArray) -> float:
 
 
 def describe(direction: FloatArray) -> str:
-    """Say in words which side of the unit is up."""
+    """Return in words which side of the unit is up."""
     parts = [f"{'+' if direction[i] > 0 else '-'}{AXES[i]}" for i in np.argsort(-np.abs(direction), kind="stable")]
     size = np.sort(np.abs(direction))[::-1]
     if size[1] < math.sin(math.radians(_SAME_DIRECTION_DEG)):
         opposite = parts[0].translate(str.maketrans("+-", "-+"))
         return f"{parts[0]} up, standing on the {opposite} face"
     upright = sorted(parts[:2], key=lambda part: part[1])
-    if np.ptp(size[:2]) < 0.02 and size[2] < 0.02:
+    if np.ptp(size[:2]) < _SAME_SIZE and size[2] < _SAME_SIZE:
         return f"edge between {upright[0]} and {upright[1]} up"
-    if np.ptp(size) < 0.02:
+    if np.ptp(size) < _SAME_SIZE:
         return "corner " + " ".join(sorted(parts, key=lambda part: part[1])) + " up"
-    if size[2] < 0.02:
+    if size[2] < _SAME_SIZE:
         return f"{parts[0]} up, leaning {math.degrees(math.atan2(size[1], size[0])):.0f} deg towards {parts[1]}"
     lean = math.degrees(math.acos(min(size[0], 1.0)))
     return f"{parts[0]} up, leaning {lean:.0f} deg towards {parts[1]} and {parts[2]}"
@@ -108,7 +112,7 @@ def nearest_cube_direction(direction: FloatArray) -> str:
 
 
 def _turns(step_deg: int) -> list[Position]:
-    """Positions of the papers: one axis horizontal, the unit turned about it in steps; x, y, then z."""
+    """Return the positions of the papers: one axis horizontal, the unit turned about it in steps; x, y, then z."""
     found = []
     for axis in range(3):
         for angle in range(0, 360, step_deg):
@@ -121,34 +125,29 @@ def _turns(step_deg: int) -> list[Position]:
     return found
 
 
-def _named(names: list[str]) -> list[Position]:
-    """Positions on faces and corners; a repeated name gets a number."""
-    directions = cube_directions()
-    found: list[Position] = []
-    for i, name in enumerate(names):
-        times = names[:i].count(name)
-        unique = name if not times else f"{name} ({times + 1})"
-        found.append(Position(unique, directions[name], describe(directions[name])))
-    return found
-
-
 _FACES = ["+x", "-x", "+y", "-y", "+z", "-z"]
 _CORNERS = [f"{x}x{y}y{z}z" for x in "+-" for y in "+-" for z in "+-"]
-# Four corners of a regular tetrahedron are the ones seen twice: no direction is favoured.
+# The corners measured twice are those of a regular tetrahedron: no direction is favoured.
 _TWICE = ["+x+y+z", "+x-y-z", "-x+y-z", "-x-y+z"]
 
 SCHEMES = ("paper24", "paper36", "corners24", "faces6")
 
 
-def _interleaved_scheme(name: str) -> tuple[Position, ...]:
+@cache
+def _interleaved(name: str) -> tuple[Position, ...]:
     if name in ("paper24", "paper36"):
         positions = _turns(45 if name == "paper24" else 30)
         return tuple(positions[i] for i in interleave(np.array([position.direction for position in positions])))
     names = _FACES if name == "faces6" else _FACES * 2 + _CORNERS + _TWICE
     directions = cube_directions()
-    order = interleave(np.array([directions[name] for name in names]))
-    # Named in this order, so that "+x (2)" comes after "+x".
-    return tuple(_named([names[i] for i in order]))
+    names = [names[i] for i in interleave(np.array([directions[name] for name in names]))]
+    found: list[Position] = []
+    for i, side in enumerate(names):
+        # Numbered in this order, so that "+x (2)" comes after "+x".
+        times = names[:i].count(side)
+        unique = side if not times else f"{side} ({times + 1})"
+        found.append(Position(unique, directions[side], describe(directions[side])))
+    return tuple(found)
 
 
 def scheme(name_or_path: str | Path, *, revisit_first: bool = False) -> Scheme:
@@ -178,18 +177,13 @@ def scheme(name_or_path: str | Path, *, revisit_first: bool = False) -> Scheme:
     return Scheme(name, positions)
 
 
-@cache
-def _interleaved(name: str) -> tuple[Position, ...]:
-    return _interleaved_scheme(name)
-
-
-def interleave(directions: FloatArray, seed: int = 24) -> list[int]:
+def interleave(directions: FloatArray) -> list[int]:
     """Return an order of the directions (n, 3) that a drift cannot imitate; the same for the same input.
 
     The best of many shuffles is improved by exchanging two positions, the best exchange each time, until none helps.
     """
     n = len(directions)
-    orders = np.argsort(np.random.default_rng(seed).random((_SHUFFLES, n)), axis=1)
+    orders = np.argsort(np.random.default_rng(_SEED).random((_SHUFFLES, n)), axis=1)
     best = orders[np.argmin(_cost(directions, orders))]
     first, second = np.triu_indices(n, 1)
     rows = np.arange(len(first))
@@ -204,7 +198,7 @@ def interleave(directions: FloatArray, seed: int = 24) -> list[int]:
 
 
 def _cost(directions: FloatArray, orders: NDArray[np.intp]) -> FloatArray:
-    """Return what each order costs: how well a drift imitates the error terms, and repeats that are not far apart."""
+    """Return the cost of each order: correlation of a drift with the error terms, and repeats that are not far apart."""
     x, y, z = directions.T
     terms = np.stack([x, y, z, x * x, y * y, z * z, x * y, x * z, y * z, x**3, y**3, z**3], axis=1)
     terms = terms - terms.mean(axis=0)
@@ -213,18 +207,13 @@ def _cost(directions: FloatArray, orders: NDArray[np.intp]) -> FloatArray:
     time = np.linspace(-1, 1, len(directions))
     drifts = np.stack([time, time**2 - np.mean(time**2)])
     drifts /= np.maximum(np.linalg.norm(drifts, axis=1, keepdims=True), 1e-9)
-    cost: FloatArray = np.square(drifts @ terms[orders]).sum(axis=(1, 2)) + _repeats_close(directions, orders)
-    return cost
-
-
-def _repeats_close(directions: FloatArray, orders: NDArray[np.intp]) -> FloatArray:
-    """Return a penalty for each order: repeats of one direction nearer than a third of the session."""
     same = np.triu(directions @ directions.T > math.cos(math.radians(_SAME_DIRECTION_DEG)), 1)
     place = np.argsort(orders, axis=1)
     first, second = np.nonzero(same)
     apart = np.abs(place[:, first] - place[:, second]) / len(directions)
-    penalty: FloatArray = 10 * np.square(np.maximum(1 / 3 - apart, 0)).sum(axis=1)
-    return penalty
+    penalty = _CLOSE_COSTS * np.square(np.maximum(_APART - apart, 0)).sum(axis=1)
+    cost: FloatArray = np.square(drifts @ terms[orders]).sum(axis=(1, 2)) + penalty
+    return cost
 
 
 def read_positions(path: Path) -> tuple[tuple[Position, ...], str]:
@@ -266,7 +255,14 @@ def _read_position(table: object, where: str, taken: set[str]) -> Position:
     unknown = sorted(set(table) - {"name", "up", "words"})
     if unknown:
         raise UsageError(f"{where}: unknown key {unknown[0]!r}; a position has up, name and words", where=where, key=unknown[0])
-    direction = _read_up(table.get("up"), where)
+    up = table.get("up")
+    numbers = isinstance(up, list) and len(up) == 3 and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in up)
+    vector = np.array(up if numbers else [np.nan] * 3, dtype=np.float64)
+    norm = float(np.linalg.norm(vector))
+    if not math.isfinite(norm) or norm == 0:
+        message = f"{where}: up = {up!r} is no direction; give three numbers, the part of each body axis that points up"
+        raise UsageError(message, where=where, key="up")
+    direction = vector / norm
     name = table.get("name", nearest_cube_direction(direction))
     words = table.get("words", describe(direction))
     if not isinstance(name, str) or not isinstance(words, str) or not name:
@@ -274,16 +270,3 @@ def _read_position(table: object, where: str, taken: set[str]) -> Position:
     if name in taken:
         raise UsageError(f"{where}: the name {name!r} is used twice; give each position its own", where=where, key="name")
     return Position(name, direction, words)
-
-
-def _read_up(up: object, where: str) -> FloatArray:
-    numbers = isinstance(up, list) and len(up) == 3 and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in up)
-    vector = np.array(up if numbers else [np.nan] * 3, dtype=np.float64)
-    norm = float(np.linalg.norm(vector))
-    if not math.isfinite(norm) or norm == 0:
-        raise UsageError(
-            f"{where}: up = {up!r} is no direction; give three numbers, the part of each body axis that points up",
-            where=where,
-            key="up",
-        )
-    return vector / norm

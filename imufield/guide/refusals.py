@@ -77,7 +77,7 @@ def what_is_left(names: Sequence[str]) -> str:
 
 
 # A hold that ends by motion; the unit is that of the triad that moved.
-_MOVED = "it {what} after {held_s:.1f} of {hold_s:g} s: {triad} {axis} {found} (limit {allowed})"
+_MOVED = "it {what} after {lasted_s:.1f} of {hold_s:g} s: {triad} {axis} {found} (limit {allowed})"
 MOVED = Sentence(RefusalCode.MOVED, _MOVED, "hold again; only this hold is repeated")
 MOVED_AGAIN = Sentence(
     RefusalCode.MOVED,

@@ -1,1 +1,1 @@
-"""What the positions together show: running fit, exchanged axes, a dead axis or side."""
+"""Checks across positions: running fit, exchanged axes, wrong sides, a dead axis."""

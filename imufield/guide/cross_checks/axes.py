@@ -73,11 +73,11 @@ class AxesCheck:
 
     agrees: bool | None
     permutation: FloatArray
-    misfit_deg: float
-    best_misfit_deg: float
-    second_misfit_deg: float
-    gyroscope_scale: float
     words: str
+    misfit_deg: float = math.nan
+    best_misfit_deg: float = math.nan
+    second_misfit_deg: float = math.nan
+    gyroscope_scale: float = math.nan
     turns_ratio: float = 1.0
 
     @property
@@ -154,15 +154,8 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
         Raw per rad/s; None where it is not known.
     """
     if len(moves) < ENOUGH_MOVES:
-        return AxesCheck(
-            agrees=None,
-            permutation=np.eye(3),
-            misfit_deg=math.nan,
-            best_misfit_deg=math.nan,
-            second_misfit_deg=math.nan,
-            gyroscope_scale=math.nan,
-            words=f"axes not checked: {len(moves)} moves of more than {_LEAST_TURN_DEG:g} deg, {ENOUGH_MOVES} are needed",
-        )
+        few = f"axes not checked: {len(moves)} moves of more than {_LEAST_TURN_DEG:g} deg, {ENOUGH_MOVES} are needed"
+        return AxesCheck(agrees=None, permutation=np.eye(3), words=few)
     given = _arrange(moves, gyroscope_scale or _find_scale(moves))
     if gyroscope_scale is None or given.agrees is not None or given.misfit_deg <= _GOOD_DEG:
         return given

@@ -210,13 +210,6 @@ def running_fit(observations: list[Observation], scale: RoughScale, gravity_m_s2
     )
 
 
-def _sigma(residual: FloatArray, jacobian: FloatArray, own: FloatArray, prior: FloatArray) -> FloatArray:
-    """Return 1 sigma of each norm: of its mean, and between positions."""
-    between = EXPECTED_SCATTER_M_S2**2 * _scatter(residual, jacobian, own, prior)
-    sigma: FloatArray = np.sqrt(np.maximum(own, 0.0) + between)
-    return sigma
-
-
 def _minimise(
     start: FloatArray, raw: FloatArray, sigma: FloatArray, prior: FloatArray, *, gravity_m_s2: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -233,17 +226,19 @@ def _minimise(
     return vector, found.norm - gravity_m_s2, found.jacobian[:, columns], found.raw_gradient
 
 
-def _scatter(residual: FloatArray, jacobian: FloatArray, within: FloatArray, prior: FloatArray) -> float:
-    """Return the variance between positions over the expected one: from the residuals, pulled towards 1 while there are few.
+def _sigma(residual: FloatArray, jacobian: FloatArray, within: FloatArray, prior: FloatArray) -> FloatArray:
+    """Return 1 sigma of each norm: of its mean, and between positions.
 
-    The median keeps one bad position from raising the sigma of all.
+    The variance between positions comes from the residuals, pulled towards the expected one while there are few. The median
+    keeps one bad position from raising the sigma of all.
     """
-    freedom = max(len(residual) - _LINEAR, 0)
-    if freedom < 2:
-        return 1.0
-    sigma = np.sqrt(within + EXPECTED_SCATTER_M_S2**2)
-    weighted = np.vstack([jacobian / sigma[:, None], np.diag(1 / prior)])
-    leverage = np.einsum("mi,mi->m", weighted, np.linalg.pinv(weighted).T)[: len(residual)]
-    squares = (residual / EXPECTED_SCATTER_M_S2) ** 2 / np.maximum(1 - leverage, _LEAST_FREEDOM)
-    robust = float(np.median(squares)) / _MEDIAN_OF_SQUARES
-    return (_EXPECTED_FREEDOM + freedom * robust) / (_EXPECTED_FREEDOM + freedom)
+    scatter, freedom = 1.0, max(len(residual) - _LINEAR, 0)
+    if freedom >= 2:
+        sigma = np.sqrt(within + EXPECTED_SCATTER_M_S2**2)
+        weighted = np.vstack([jacobian / sigma[:, None], np.diag(1 / prior)])
+        leverage = np.einsum("mi,mi->m", weighted, np.linalg.pinv(weighted).T)[: len(residual)]
+        squares = (residual / EXPECTED_SCATTER_M_S2) ** 2 / np.maximum(1 - leverage, _LEAST_FREEDOM)
+        robust = float(np.median(squares)) / _MEDIAN_OF_SQUARES
+        scatter = (_EXPECTED_FREEDOM + freedom * robust) / (_EXPECTED_FREEDOM + freedom)
+    result: FloatArray = np.sqrt(np.maximum(within, 0.0) + EXPECTED_SCATTER_M_S2**2 * scatter)
+    return result

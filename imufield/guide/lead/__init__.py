@@ -1,1 +1,1 @@
-"""The guide itself: state table, actions, plan, turns, refusals and advice."""
+"""The guide itself: state table, actions, what it says, plan, holds, turns and advice."""

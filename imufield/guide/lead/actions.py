@@ -130,15 +130,7 @@ class GuideActions:
         if self._lingering.lasts(speaker.now_s, direction) and judgement.phase is Phase.MOVING:
             activity = self._detector.explain(judgement)
             if activity.ratio > 1 and speaker.due("not still", REMIND_S):
-                refusal = refusals.NOT_STILL.refusal(
-                    activity.measured,
-                    activity.limit,
-                    axis=activity.axis,
-                    unit=activity.unit,
-                    verb=activity.verb,
-                    triad=activity.triad,
-                )
-                speaker.reject(refusal)
+                speaker.reject(activity.refusal(refusals.NOT_STILL))
         if not speaker.due("turning", REPEAT_S):
             return
         nearest = self._plan.nearest(direction, pending=True) if np.isfinite(direction).all() else None
@@ -303,15 +295,12 @@ class GuideActions:
         elif lasted_s >= _SILENT_S:
             self._moved_in_a_row += 1
             sentence = refusals.MOVED if self._moved_in_a_row < _IN_A_ROW else refusals.MOVED_AGAIN
-            self._hold.refusal = sentence.refusal(
-                activity.measured,
-                LEAVE_FACTOR * activity.limit,
-                axis=activity.axis,
-                unit=activity.unit,
+            self._hold.refusal = activity.refusal(
+                sentence,
+                LEAVE_FACTOR,
                 what="shook" if activity.kind == "vibration" else "moved",
-                held_s=lasted_s,
+                lasted_s=lasted_s,
                 hold_s=self._hold.latest_s,
-                triad=activity.triad,
                 times=self._moved_in_a_row,
             )
             self._reject_hold()

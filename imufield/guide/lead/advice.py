@@ -12,7 +12,6 @@ import numpy as np
 from imufield.earth import MILLI_G_M_S2
 from imufield.guide.cross_checks.running_fit import EXPECTED_SCATTER_M_S2, Disagreement, RunningFit, running_fit
 from imufield.guide.events import Advice, Topic
-from imufield.guide.hold.observe import Observation
 from imufield.guide.lead.plan import Plan
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.stillness.scale import RoughScale
@@ -58,7 +57,11 @@ class Suspects:
         plan.wanted_again = {index for index in plan.wanted_again if plan.position(index).name not in asked}
         new = [suspect for suspect in self.now[:1] if suspect.name not in self._told]
         self._told.update(suspect.name for suspect in new)
-        return [*(_settled_advice(now_s, found) for found in settled), *(_suspect_advice(now_s, suspect) for suspect in new)]
+        return [
+            _disagreement_advice(now_s, found, settled=is_settled)
+            for some, is_settled in ((settled, True), (new, False))
+            for found in some
+        ]
 
     def ask_again(self) -> list[str]:
         """Return the suspects to be measured once more, each position once."""
@@ -107,7 +110,7 @@ class Adviser:
         for advice in (
             _target_advice(now_s, self.fit, self._settings),
             _scheme_advice(now_s, self.fit, self._plan),
-            _scale_advice(now_s, self.fit),
+            _nominal_scale_advice(now_s, self.fit),
         ):
             if advice is not None and advice.topic not in self._told:
                 self._told.add(advice.topic)
@@ -125,45 +128,76 @@ class Adviser:
             self._revisited, plan.revisiting = True, first
 
     def drift_advice(self, now_s: float, scale: RoughScale) -> list[Advice]:
-        """Return the result of the first position when it is shown again at the end."""
+        """Return the change of the norm from the first measurement of the first position to that at the end."""
         first, after = self._plan.first_accepted, self._plan.revisited
         if first is None or after is None:
             return []
-        return [_drift_advice(now_s, self._plan.accepted[first], after, scale, fit=self.fit)]
+        before = self._plan.accepted[first]
+        forces = [scale.specific_force(observation.mean_raw) for observation in (before, after)]
+        norms = [float(np.linalg.norm(force)) for force in forces]
+        directions = [force / norm for force, norm in zip(forces, norms, strict=True)]
+        # An uncalibrated norm changes with the placement; the gradient of the bias across it tells by how much.
+        placement = 0.0 if self.fit is None else float(np.linalg.norm(self.fit.vector[3:6])) * math.dist(*directions)
+        change = norms[1] - norms[0]
+        limit = _DRIFT_SIGMAS * math.hypot(EXPECTED_SCATTER_M_S2, placement)
+        minutes = (after.start_s - before.start_s) / 60
+        drifted = abs(change) > limit
+        found = "it has drifted" if drifted else f"no drift beyond {limit / MILLI_G_M_S2:.1f} mg"
+        advice = Advice(
+            time_s=now_s,
+            topic=Topic.DRIFT,
+            position=before.name,
+            words=f"{before.name} again after {minutes:.0f} min: {change / MILLI_G_M_S2:+.2f} mg, {found}",
+            remedy="let the unit warm up longer and measure again" if drifted else "nothing to do",
+            measured=abs(change),
+            limit=limit,
+            unit="m/s^2",
+        )
+        return [advice]
 
     def final_advice(self, now_s: float) -> list[Advice]:
-        """Return at the end the common scale against the earlier one, or the nominal one where that was not told."""
-        told = Topic.SCALE in self._told and self._settings.earlier_scale_raw is None
-        advice = None if self.fit is None or told else _final_scale_advice(now_s, self.fit, self._settings)
-        return [] if advice is None else [advice]
+        """Return at the end the common scale against an earlier calibration's, or the nominal one where that was not told.
+
+        Gravity and a common scale are one parameter: a wrong latitude shows here or nowhere.
+        """
+        fit, earlier = self.fit, self._settings.earlier_scale_raw
+        if fit is None or len(fit.names) < _FEWEST_FOR_SCALE or (Topic.SCALE in self._told and earlier is None):
+            return []
+        reference = earlier or (None if fit.scale.learned else fit.scale.accelerometer)
+        if reference is None:
+            return []
+        scale, own_sigma = fit.common_scale()
+        change = scale / reference - 1
+        sigma = math.hypot(own_sigma, self._settings.earlier_scale_sigma if earlier else 0.0)
+        limit = max(_EARLIER_SHARE if earlier else _SCALE_SHARE, _SCALE_SIGMAS * sigma)
+        whose = "the earlier calibration's" if earlier else "the instrument's nominal one"
+        if abs(change) > limit:
+            remedy = "check latitude, height and gravity: the residual cannot show a wrong one"
+        elif earlier:
+            remedy = "gravity and scale are what they were"
+        else:
+            remedy = "a wrong latitude (0.5 % from equator to pole) shows only against an earlier calibration: capture --preset"
+        words = f"the common scale is {1e6 * change:+.0f} ppm off {whose} (limit {1e6 * limit:.0f} ppm)"
+        return [_scale_advice(now_s, words, remedy, abs(change), limit=limit)]
 
 
-def _suspect_advice(now_s: float, found: Disagreement) -> Advice:
-    """Return the advice to look at a position again."""
-    value = abs(found.leave_one_out_m_s2) / MILLI_G_M_S2
+def _disagreement_advice(now_s: float, found: Disagreement, *, settled: bool) -> Advice:
+    """Return the advice to look at a suspect again, or the withdrawal of the suspicion."""
+    measured = abs(found.leave_one_out_m_s2)
+    value = f"{measured / MILLI_G_M_S2:.2g} mg"
+    if settled:
+        words = f"position {found.name} no longer disagrees with the others ({value}, {abs(found.sigmas):.1f} sigma)"
+        remedy = "the doubt is withdrawn"
+    else:
+        words = f"position {found.name} disagrees with the others by {value}, {abs(found.sigmas):.0f} sigma: moved or bumped"
+        remedy = "r retakes it now; otherwise it is asked for again at the end, if it disagrees then"
     return Advice(
         time_s=now_s,
-        topic=Topic.DOUBTFUL,
+        topic=Topic.SETTLED if settled else Topic.DOUBTFUL,
         position=found.name,
-        words=f"position {found.name} disagrees with the others by {value:.2g} mg, {abs(found.sigmas):.0f} sigma: "
-        "moved or bumped",
-        remedy="r retakes it now; otherwise it is asked for again at the end, if it disagrees then",
-        measured=abs(found.leave_one_out_m_s2),
-        limit=abs(found.leave_one_out_m_s2 / found.sigmas) * found.limit_sigmas,
-        unit="m/s^2",
-    )
-
-
-def _settled_advice(now_s: float, found: Disagreement) -> Advice:
-    """Return the withdrawal of a suspicion."""
-    value = abs(found.leave_one_out_m_s2) / MILLI_G_M_S2
-    return Advice(
-        time_s=now_s,
-        topic=Topic.SETTLED,
-        position=found.name,
-        words=f"position {found.name} no longer disagrees with the others ({value:.2g} mg, {abs(found.sigmas):.1f} sigma)",
-        remedy="the doubt is withdrawn",
-        measured=abs(found.leave_one_out_m_s2),
+        words=words,
+        remedy=remedy,
+        measured=measured,
         limit=abs(found.leave_one_out_m_s2 / found.sigmas) * found.limit_sigmas if found.sigmas else 0.0,
         unit="m/s^2",
     )
@@ -209,7 +243,7 @@ def _scheme_advice(now_s: float, fit: RunningFit, plan: Plan) -> Advice | None:
     )
 
 
-def _scale_advice(now_s: float, fit: RunningFit) -> Advice | None:
+def _nominal_scale_advice(now_s: float, fit: RunningFit) -> Advice | None:
     """Return a warning where the common scale is far from the instrument's nominal one: the residual cannot show it."""
     nominal = fit.scale.accelerometer
     if not nominal or fit.scale.learned or len(fit.names) < _FEWEST_FOR_SCALE:
@@ -218,72 +252,19 @@ def _scale_advice(now_s: float, fit: RunningFit) -> Advice | None:
     share = found / nominal - 1
     if abs(share) < max(_SCALE_SHARE, _SCALE_SIGMAS * sigma):
         return None
+    words = f"the common scale is {100 * share:+.1f} % off the instrument's nominal one (limit {100 * _SCALE_SHARE:g} %)"
+    remedy = "check range and unit settings, latitude and gravity: the residual cannot show this"
+    return _scale_advice(now_s, words, remedy, abs(share), limit=_SCALE_SHARE)
+
+
+def _scale_advice(now_s: float, words: str, remedy: str, measured: float, *, limit: float) -> Advice:
     return Advice(
         time_s=now_s,
         topic=Topic.SCALE,
         position=None,
-        words=f"the common scale is {100 * share:+.1f} % off the instrument's nominal one (limit {100 * _SCALE_SHARE:g} %)",
-        remedy="check range and unit settings, latitude and gravity: the residual cannot show this",
-        measured=abs(share),
-        limit=_SCALE_SHARE,
-        unit="1",
-    )
-
-
-def _final_scale_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Advice | None:
-    """Return the common scale against an earlier calibration's, or the nominal one; None where neither is known.
-
-    Gravity and a common scale are one parameter: a wrong latitude shows here or nowhere.
-    """
-    earlier = settings.earlier_scale_raw
-    nominal = None if fit.scale.learned else fit.scale.accelerometer
-    reference = earlier or nominal
-    if reference is None or len(fit.names) < _FEWEST_FOR_SCALE:
-        return None
-    scale, own_sigma = fit.common_scale()
-    change = scale / reference - 1
-    sigma = math.hypot(own_sigma, settings.earlier_scale_sigma if earlier else 0.0)
-    limit = max(_EARLIER_SHARE if earlier else _SCALE_SHARE, _SCALE_SIGMAS * sigma)
-    whose = "the earlier calibration's" if earlier else "the instrument's nominal one"
-    if abs(change) > limit:
-        remedy = "check latitude, height and gravity: the residual cannot show a wrong one"
-    elif earlier:
-        remedy = "gravity and scale are what they were"
-    else:
-        remedy = "a wrong latitude (0.5 % from equator to pole) shows only against an earlier calibration: capture --preset"
-    return Advice(
-        time_s=now_s,
-        topic=Topic.SCALE,
-        position=None,
-        words=f"the common scale is {1e6 * change:+.0f} ppm off {whose} (limit {1e6 * limit:.0f} ppm)",
+        words=words,
         remedy=remedy,
-        measured=abs(change),
+        measured=measured,
         limit=limit,
         unit="1",
-    )
-
-
-def _drift_advice(
-    now_s: float, before: Observation, after: Observation, scale: RoughScale, *, fit: RunningFit | None
-) -> Advice:
-    """Return the change of the norm from the first measurement of a position to the last."""
-    forces = [scale.specific_force(observation.mean_raw) for observation in (before, after)]
-    norms = [float(np.linalg.norm(force)) for force in forces]
-    directions = [force / norm for force, norm in zip(forces, norms, strict=True)]
-    # An uncalibrated norm changes with the placement; the gradient of the bias across it tells by how much.
-    placement = 0.0 if fit is None else float(np.linalg.norm(fit.vector[3:6])) * math.dist(*directions)
-    change = norms[1] - norms[0]
-    limit = _DRIFT_SIGMAS * math.hypot(EXPECTED_SCATTER_M_S2, placement)
-    minutes = (after.start_s - before.start_s) / 60
-    drifted = abs(change) > limit
-    found = "it has drifted" if drifted else f"no drift beyond {limit / MILLI_G_M_S2:.1f} mg"
-    return Advice(
-        time_s=now_s,
-        topic=Topic.DRIFT,
-        position=before.name,
-        words=f"{before.name} again after {minutes:.0f} min: {change / MILLI_G_M_S2:+.2f} mg, {found}",
-        remedy="let the unit warm up longer and measure again" if drifted else "nothing to do",
-        measured=abs(change),
-        limit=limit,
-        unit="m/s^2",
     )

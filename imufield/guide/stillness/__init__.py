@@ -1,1 +1,1 @@
-"""Still or moving: cells, noise floor, limits, stretches and their edges."""
+"""Stillness: is the unit still or moving? Cells, noise floor, limits, stretches and their edges."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imufield.guide.refusals import Refusal, Sentence
 from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
@@ -100,6 +101,11 @@ class Activity:
     limit: float
     unit: str
 
+    def refusal(self, sentence: Sentence, factor: float = 1.0, **values: float | str) -> Refusal:
+        """Return the refusal of this motion, beyond a multiple of its limit."""
+        values = {**values, "triad": self.triad, "verb": self.verb}
+        return sentence.refusal(self.measured, factor * self.limit, axis=self.axis, unit=self.unit, **values)
+
     @property
     def verb(self) -> str:
         """What the unit does."""
@@ -151,6 +157,8 @@ def largest_activity(vibration: FloatArray, change: FloatArray, limits: Limits, 
     ----------
     vibration, change : ndarray, shape (6,)
         Ratios of each axis.
+    limits : Limits
+    scale : RoughScale
     """
     found: list[Activity] = []
     triads = (("accelerometer", scale.accelerometer, "m/s^2"), ("gyroscope", scale.gyroscope, "rad/s"))

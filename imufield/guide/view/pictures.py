@@ -1,12 +1,13 @@
-"""A box in perspective-free 3-D, drawn with characters: how the unit is held, and how it should be.
+"""Pictures of the unit and big letters, drawn with characters.
 
-Gravity tells which way is up in the body, never the heading; so a heading is chosen and kept: from frame to frame the box turns
-by the shortest way that brings the new "up" to the top, and the goal is the shortest way from there.
+The picture is a box in 3-D without perspective, as the unit is now or as it should be. Gravity tells which way is up in the
+body, never the heading; so a heading is chosen and kept: from frame to frame the box turns by the shortest way that brings the
+new "up" to the top, and the goal is the shortest way from there.
 
 Lines are drawn on the 2 x 4 dots of a Braille character where the terminal knows Unicode, else on whole characters.
 Only faces towards the onlooker are drawn, so the box reads as solid; each bears the name of its axis.
 
-Letters that can be read from three metres: five by seven dots, two columns and one row each.
+Big letters are readable from three metres: five by seven dots, two columns and one row each.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ import numpy as np
 
 from imufield.samples import AXES, FloatArray
 
-DOT = "##"
-LETTER_WIDTH = 12
+_DOT = "##"  # A character is twice as high as wide.
+LETTER_WIDTH = 12  # Five dots and a gap.
 ROWS = 7
 
 # Five columns of each letter, the lowest bit on top: the shapes of common dot-matrix displays.
@@ -36,7 +37,7 @@ _COLUMNS = {
 
 
 def big_lines(text: str, width: int) -> list[str]:
-    """Return a word in big letters, cut off at the width; what has no shape is a space.
+    """Return a word in big letters, cut off at the width; a character without a shape becomes a space.
 
     Parameters
     ----------
@@ -47,17 +48,19 @@ def big_lines(text: str, width: int) -> list[str]:
     letters = text.upper()[: width // LETTER_WIDTH]
     columns = [bytes.fromhex(_COLUMNS.get(letter, "0000000000")) + b"\0" for letter in letters]
     dots = b"".join(columns)
-    blank = " " * len(DOT)
-    return ["".join(DOT if column >> row & 1 else blank for column in dots).rstrip() for row in range(ROWS)]
+    blank = " " * len(_DOT)
+    return ["".join(_DOT if column >> row & 1 else blank for column in dots).rstrip() for row in range(ROWS)]
 
 
-HALF_SIZE = (1.0, 0.72, 0.42)
-"""Of the box along body x, y, z: the three sides are told apart by their lengths."""
+_HALF_SIZE = (1.0, 0.72, 0.42)  # Of the box along body x, y, z: three lengths, so that the sides are distinct.
+# The onlooker looks a little from above and from one side, which shows three faces in almost every attitude.
 _PITCH = math.radians(24.0)
 _YAW = math.radians(33.0)
 _BRAILLE = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _REACH = 1.42  # Screen units from the middle to the edge: half the diagonal of the box and room for the cable.
-CABLE_LENGTH = 0.55
+_CABLE_LENGTH = 0.55
+_TOWARDS = -0.05  # Of a face's normal: one seen edge-on has no room for its name.
+_LABEL_WIDTH = 3  # Columns from one name to the next.
 
 
 def turn_shortest(attitude: FloatArray, up: FloatArray) -> FloatArray:
@@ -106,15 +109,15 @@ def draw_box(attitude: FloatArray, width: int, height: int, *, cable: str | None
     for axis in range(3):
         for sign in (1.0, -1.0):
             normal = sign * np.eye(3)[axis]
-            if (view @ normal)[1] < -0.05:  # towards the onlooker
+            if (view @ normal)[1] < _TOWARDS:
                 corners = _face(axis, sign) @ view.T
                 for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
                     canvas.line(start, end)
                 canvas.label(corners.mean(axis=0), f"{'+' if sign > 0 else '-'}{AXES[axis]}")
     if cable is not None:
         axis, sign = AXES.index(cable[1]), 1.0 if cable[0] == "+" else -1.0
-        foot = np.eye(3)[axis] * sign * HALF_SIZE[axis]
-        end = foot + np.eye(3)[axis] * sign * CABLE_LENGTH
+        foot = np.eye(3)[axis] * sign * _HALF_SIZE[axis]
+        end = foot + np.eye(3)[axis] * sign * _CABLE_LENGTH
         hidden = (view @ foot)[1] > 0
         canvas.line(view @ foot, view @ end, dashed=hidden)
         canvas.label(view @ end, "cable", free=True)
@@ -122,7 +125,7 @@ def draw_box(attitude: FloatArray, width: int, height: int, *, cable: str | None
 
 
 def _onlooker() -> FloatArray:
-    """Return the turn from the room to the onlooker: x right, y away, z up; he looks a little from above and from one side."""
+    """Return the turn from the room to the onlooker: x right, y away, z up."""
     cp, sp, cy, sy = math.cos(_PITCH), math.sin(_PITCH), math.cos(_YAW), math.sin(_YAW)
     yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
     pitch = np.array([[1.0, 0.0, 0.0], [0.0, cp, -sp], [0.0, sp, cp]])
@@ -133,9 +136,9 @@ def _face(axis: int, sign: float) -> FloatArray:
     """Return the four corners of a face in order, shape (4, 3)."""
     first, second = (axis + 1) % 3, (axis + 2) % 3
     corners = np.zeros((4, 3))
-    corners[:, axis] = sign * HALF_SIZE[axis]
-    corners[:, first] = np.array([1, -1, -1, 1]) * HALF_SIZE[first]
-    corners[:, second] = np.array([1, 1, -1, -1]) * HALF_SIZE[second]
+    corners[:, axis] = sign * _HALF_SIZE[axis]
+    corners[:, first] = np.array([1, -1, -1, 1]) * _HALF_SIZE[first]
+    corners[:, second] = np.array([1, 1, -1, -1]) * _HALF_SIZE[second]
     return corners
 
 
@@ -172,7 +175,7 @@ class _Canvas:
         row, column = self._place(point)
         line = min(max(round((row - self._down / 2 + 0.5) / self._down), 0), self._height - 1)
         place = min(max(round(column / self._across - len(text) / 2), 0), self._width - len(text))
-        if free or not any(one[0] == line and abs(one[1] - place) < 3 for one in self._labels):
+        if free or not any(line == other and abs(place - begin) < _LABEL_WIDTH for other, begin, _ in self._labels):
             self._labels.append((line, place, text))
 
     def lines(self) -> list[str]:
