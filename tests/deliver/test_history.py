@@ -14,10 +14,10 @@ import pytest
 
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
+from imufield.deliver.history import INDEX_FILE, find, one_instrument, plot_history, read_history, sentences, to_csv
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import write_parameters
 from imufield.deliver.parameters.gauge_free import numbers_of
-from imufield.deliver.history import INDEX_FILE, find, one_instrument, plot_history, read_history, sentences, to_csv
 from imufield.errors import ParameterFileError
 
 NOW = datetime(2026, 9, 1, tzinfo=UTC)

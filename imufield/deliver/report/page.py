@@ -266,7 +266,7 @@ def _check_figures(verification: Document) -> Iterator[Figure]:
     if positions and positions["forecast_rms_m_s2"] is not None and len(positions["name"]) > 1:
         yield Figure(
             "Held-out positions",
-            plots.held_out(positions),
+            plots.left_out(positions),
             f"Residuals of {positions['how']}, and what the stated uncertainty forecasts for them: "
             f"{_forecast_words(positions)}.",
             "Residuals of held-out positions",

@@ -232,8 +232,8 @@ def residuals(names: tuple[str, ...], residual_m_s2: FloatArray, leave_one_out_m
     return to_svg(drawn, "residuals")
 
 
-def held_out(document: Document) -> str:
-    """Draw residuals of held-out positions against their forecast."""
+def left_out(document: Document) -> str:
+    """Draw residuals of left-out positions against their forecast."""
     residual, sigma, before = (_numbers(document[key]) for key in ("residual_m_s2", "sigma_m_s2", "before_m_s2"))
     unit, size = acceleration_unit(float(np.nanmax(np.abs(np.concatenate([residual, 2 * sigma])), initial=0.0)))
     drawn = figure(2.5)
