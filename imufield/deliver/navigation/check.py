@@ -4,7 +4,7 @@ What it can show. Alignment takes every constant accelerometer error for a tilt,
 again: 100 ug that would make 0.9 nmi in five hours with a true attitude make half of it, and a gyroscope bias of 0.01
 deg/h makes 3.6 nmi. So a recording that is not touched says much of the gyroscope and little of the accelerometer. Turned
 over after the alignment, the tilt that was found has the wrong sign and the same error counts four times. The proof of the
-accelerometer remains held-out positions (``imufield.deliver.verification.left_out``).
+accelerometer remains left-out positions (``imufield.deliver.verification.left_out``).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from imufield.samples import FloatArray, Samples
 Apply = Callable[[Samples], Corrected]
 
 ALIGN_S = 600.0
-SHORTEST_ALIGN_S = 20.0
+SHORTEST_ALIGN_S = 20.0  # Fewer than 20 means of a second tell no noise from movement.
 SHORTEST_S = 60.0
 """Of navigation: a drift of less says nothing."""
 LONGEST_GAP_S = 5.0  # At rest a straight line over so long misses nothing but a hand.
@@ -115,6 +115,7 @@ class StaticNavigation:
 
     def feed(self, samples: Samples) -> None:
         """Take the next block."""
+        # What one block refuses, the next would refuse again; the caller reads on for the positions.
         if self.stopped is not None:
             return
         usable = samples.usable & np.isfinite(samples.accelerometer).all(axis=1) & np.isfinite(samples.gyroscope).all(axis=1)
@@ -222,6 +223,7 @@ class StaticNavigation:
         if alignment is None or tested.mechanisation is None:
             return None, ()
         instability = noise.instability if settings.instability is None else settings.instability
+        # A bias that is new at each start is as large as what it wanders, where nobody knows better.
         turn_on = np.nan_to_num(instability) if settings.turn_on is None else settings.turn_on
         random = RandomErrors(noise.density, instability, turn_on)
         drift, attitudes = tested.mechanisation.drift, tested.mechanisation.attitudes
@@ -263,6 +265,7 @@ class ParameterSet:
             return
         self._waiting.append(corrected)
         end_s = self._seconds.start_s + int(self._settings.align_s / SECOND_S) * SECOND_S
+        # A second more, so that the last mean of the alignment is complete.
         if corrected.time_s[-1] > end_s + SECOND_S:
             self._align(end_s)
 

@@ -71,6 +71,7 @@ def correct_gyroscope(
         raise ParameterFileError(
             "these gyroscope parameters contain a g-sensitivity; give the corrected specific force as well", Reason.USAGE
         )
+    # One force for many rates is allowed: an instrument at rest.
     force = np.broadcast_to(three_columns(specific_force, "specific force"), raw.shape)
     return _affine(inverse, parameters.bias, raw, (inverse @ parameters.g_sensitivity, force), out=out)
 
@@ -92,6 +93,7 @@ def correct_both(accelerometer: AccelerometerParameters, gyroscope: GyroscopePar
     rate = _inverse(gyroscope.scale, gyroscope.misalignment_rad)
     matrix = np.block([[force, np.zeros((3, 3))], [-rate @ gyroscope.g_sensitivity @ force, rate]])
     offset = np.concatenate([accelerometer.raw_zero + accelerometer.scale * accelerometer.bias_m_s2, gyroscope.bias])
+    # NaN of a sample that was lost is data, and no reason for a warning.
     with np.errstate(invalid="ignore"):
         _affine(matrix, offset, raw, out=corrected)
     if not np.isfinite(corrected.sum()):

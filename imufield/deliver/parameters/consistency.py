@@ -147,7 +147,7 @@ def _verdict(calibration: Calibration) -> Iterator[str]:
 
 
 def _possible(calibration: Calibration) -> Iterator[str]:
-    """Yield where the covariance matrix is none."""
+    """Yield where the covariance matrix is not positive semi-definite."""
     matrix = calibration.covariance
     sigma = np.sqrt(np.diagonal(matrix))
     free = np.isfinite(sigma) & (sigma > 0)

@@ -76,6 +76,7 @@ def export_samples(blocks: Iterable[Samples], path: str | Path, to: str = "csv",
         mask = os.umask(0)
         os.umask(mask)
         Path(name).chmod(0o666 & ~mask)
+        # The last step: whoever watches the folder never sees half a file.
         Path(name).replace(path)
     except OSError as error:
         raise _cannot_write(path, error) from error

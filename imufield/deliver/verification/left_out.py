@@ -48,7 +48,7 @@ FOREIGN = 10.0
 _SAME_GRAVITY_M_S2 = 1e-7  # Rounding of a file; two places that differ by less are one.
 _ROUNDING_M_S2 = 1e-9  # Where nothing is uncertain (simulations without noise), this keeps a comparison finite.
 _TINY = 1e-22  # Square of a nanogal, with which a covariance of zeros can be inverted.
-_NEWTON_STEPS = 20  # Of the scatter: it converges quadratically, in five or six.
+_NEWTON_STEPS = 20  # Of the scatter: it converges quadratically.
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
 """The results of a verification: requirements met or not, the file beside the parameters, and the text for a person.
 
-``parameters.verification.json`` holds the results of the last check of held-out positions and of the last static
+``parameters.verification.json`` holds the results of the last check of left-out positions and of the last static
 navigation; the report reads it. It belongs to one content of the parameter file, by its hash, and has a hash of its own: a
-verdict that was edited is none.
+verdict that was edited is not valid.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Verification:
 
     @property
     def objections(self) -> tuple[str, ...]:
-        """Sentences that make it fail whatever was measured: what the held-out positions and the file itself say."""
+        """Sentences that make it fail whatever was measured: from the left-out positions and from the file itself."""
         own = self.left_out.objection if self.left_out is not None else ""
         return tuple(filter(None, (own, doubt(self.parameters) if self.requirements else "")))
 
@@ -123,6 +123,7 @@ def judge(
     limits: Mapping[str, float], left_out: LeftOutPositions | None, navigation: NavigationResult | None
 ) -> tuple[Requirement, ...]:
     """Return every requirement with what was measured, NaN where it was not."""
+    # NaN meets no requirement: what was not measured is not proven.
     measured = dict.fromkeys(REQUIREMENTS, math.nan)
     if left_out is not None:
         measured["residual-ug"] = left_out.rms_m_s2 / MICRO_G_M_S2
@@ -211,6 +212,7 @@ def write_verification(path: Path, document: Document) -> None:
     ParameterFileError
         If the file cannot be written; one that stood there is intact.
     """
+    # Positions and navigation are two runs of the command, and the report shows both.
     kept = read_verification(path, document["parameters_sha256"]) or {}
     merged = {key: kept[key] for key in ("positions", "navigation") if key in kept} | document
     whole = merged | {"integrity": {"sha256": content_sha256(merged)}}
@@ -232,6 +234,7 @@ def read_verification(path: Path, parameters_sha256: str) -> Document | None:
         return None
     if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
         return None
+    # The hash covers the rest, as in the parameter file.
     whole = document.pop("integrity", None) == {"sha256": content_sha256(document)}
     return document if whole and document.get("parameters_sha256") == parameters_sha256 else None
 
