@@ -15,7 +15,7 @@ import numpy as np
 from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters
 from imufield.calibrate.model.rotation import exponential, multiply
-from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationResult, StaticNavigation, _OneSet
+from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationResult, ParameterSet, StaticNavigation
 from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.mechanise import load_pyins
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
@@ -163,7 +163,7 @@ def distance_mm(blocks: list[Samples], apply: Apply, drift: Drift) -> float:
     """Return the largest distance from python-ins run in one piece over the same corrected samples, same alignment."""
     pyins = load_pyins()
     settings = CheckSettings(latitude_deg=Site().latitude_deg)
-    one = _OneSet(apply, settings)
+    one = ParameterSet(apply, settings)
     for block in blocks:
         one.feed(block)
         if one.alignment is not None:

@@ -23,7 +23,7 @@ from imufield.deliver.navigation.check import ALIGN_S, Apply, CheckSettings, Nav
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.parameters.file import Corrected, Parameters, json_ready, load
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, to_ascii
-from imufield.deliver.verification.held_out import HeldOut, check_positions, contradiction, cross_validate
+from imufield.deliver.verification.left_out import LeftOutPositions, check_positions, contradiction, cross_validate
 from imufield.deliver.verification.result import (
     Verification,
     doubt,
@@ -126,17 +126,17 @@ def verify_session(task: _Task) -> Verification:
     chain = Chain(ReadingPlan.of(task.session), (navigation.feed,))
     replay_into(chain, task.session, damage)
     with naming_damage(task.session, damage):
-        held_out = _held_out(task, chain, problems)
+        left_out = _left_out(task, chain, problems)
         navigated = navigation.finish()
-        if held_out is None and navigated is None:
+        if left_out is None and navigated is None:
             raise problems[0] if problems else CalibrationError("the session holds nothing to check", Reason.TOO_FEW)
-    found = () if held_out is None else (*_gravity_notes(task, held_out), *_instrument_notes(task))
+    found = () if left_out is None else (*_gravity_notes(task, left_out), *_instrument_notes(task))
     notes = (*_file_notes(task), *chain.notes, *found, *(one.what for one in damage), *(one.message for one in problems))
-    requirements = judge(task.limits, held_out, navigated)
+    requirements = judge(task.limits, left_out, navigated)
     return Verification(
         parameters=task.parameters,
         session=task.session.name,
-        held_out=held_out,
+        left_out=left_out,
         navigation=navigated,
         requirements=requirements,
         notes=notes,
@@ -204,7 +204,7 @@ def _refuse_ignored(task: _Task) -> None:
         )
 
 
-def _held_out(task: _Task, chain: Chain, problems: list[ImufieldError]) -> HeldOut | None:
+def _left_out(task: _Task, chain: Chain, problems: list[ImufieldError]) -> LeftOutPositions | None:
     """Check the positions; what stands in the way goes to ``problems``, except where it is the user's mistake."""
     try:
         _check_unit(task, chain)
@@ -217,7 +217,7 @@ def _held_out(task: _Task, chain: Chain, problems: list[ImufieldError]) -> HeldO
         return None
 
 
-def _gravity_notes(task: _Task, found: HeldOut) -> Iterator[str]:
+def _gravity_notes(task: _Task, found: LeftOutPositions) -> Iterator[str]:
     """Yield what it looks like when the axes agree with one another and not with gravity."""
     residual = found.residual_m_s2
     one_sign = bool(np.all(residual > 0) or np.all(residual < 0))
@@ -255,7 +255,7 @@ def _instrument_notes(task: _Task) -> Iterator[str]:
     )
 
 
-def _check(task: _Task, observations: Observations, chain: Chain) -> HeldOut:
+def _check(task: _Task, observations: Observations, chain: Chain) -> LeftOutPositions:
     before = _before_accelerometer(task, chain.protocol)
     calibration = task.parameters.calibration
     if not task.is_its_own:

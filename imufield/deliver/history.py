@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 INDEX_FILE = ".imufield-history.sqlite"
 INDEX_VERSION = 5  # Of the index alone, which is made anew when it changes.
-STALE_DAYS = 365.0
+STALE_DAYS = 365.0  # The usual interval of calibration; --stale-days says another.
 MOVED_SIGMA = 3.0
 """A larger change is reported: by chance it comes in 1 of 370 numbers."""
 CSV_COLUMNS = (
@@ -48,7 +48,7 @@ CSV_COLUMNS = (
     "change_sigma",
     "remark",
 )
-_SAME_GRAVITY_M_S2 = 1e-7  # Below what any gravimeter in the field shows: a larger difference is another value.
+_SAME_GRAVITY_M_S2 = 1e-7  # Rounding of the figures in a file: a larger difference is another value.
 _COLORS = ("#111111", "#0b5394", "#b45f06")
 _MARKERS = "osD^v<>Px"
 # One row for each TOML file; ``fault`` says why it is no entry, and is empty where it was never meant to be one.
@@ -144,7 +144,7 @@ class InstrumentHistory:
         return min(reversed(self.entries), key=lambda entry: abs((entry.time - at).total_seconds()))
 
     def changes(self, since: int = -2) -> tuple[Change, ...]:
-        """Return what has changed from an earlier calibration to the newest; nothing where there is none."""
+        """Return what has changed from an earlier calibration to the newest; nothing for a single calibration."""
         if len(self.entries) < 2:
             return ()
         return compare(self.entries[since], self.entries[-1])
@@ -256,13 +256,14 @@ def compare(old: Entry, new: Entry) -> tuple[Change, ...]:
 
 
 def _open_index(folder: Path) -> sqlite3.Connection:
-    """Open the index; in memory where the folder cannot be written or the file is none of ours."""
+    """Open the index; in memory where the folder is read-only or the file is not an index."""
     for place in (folder / INDEX_FILE, ":memory:"):
         try:
             connection = sqlite3.connect(place)
         except sqlite3.Error:
             continue
         try:
+            # A file of another version, or of another program: its content is dropped, as the index can be made anew.
             version = connection.execute("PRAGMA user_version").fetchone()[0]
             if version != INDEX_VERSION:
                 connection.execute("DROP TABLE IF EXISTS entry")

@@ -78,10 +78,10 @@ def with_document(path: Path, target: Path, **changes: Any) -> Path:
 def test_own_session_is_cross_validated(solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "found.json"
     found = run_verify(VerifyOptions(parameters=solved / "parameters.toml", session=solved, output=output))
-    assert found.held_out is not None
-    assert len(found.held_out.name) == 24
-    assert "up to 4 at a time" in found.held_out.how
-    assert found.held_out.before_rms_m_s2 > 3 * found.held_out.rms_m_s2
+    assert found.left_out is not None
+    assert len(found.left_out.name) == 24
+    assert "up to 4 at a time" in found.left_out.how
+    assert found.left_out.before_rms_m_s2 > 3 * found.left_out.rms_m_s2
     assert found.navigation is None
     assert "as forecast" in capsys.readouterr().out
     assert json.loads(output.read_text())["positions"]["as_forecast"]

@@ -11,7 +11,7 @@ from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.samples import AXES
 
 INSTANCES = 5  # INS_MAX_INSTANCES, 3, and INS_AUX_INSTANCES, up to 2 (AP_InertialSensor_config.h).
-# @Range of ACCOFFS and ACCSCAL in AP_InertialSensor.cpp: a ground station refuses what is beyond.
+# @Range of ACCOFFS and ACCSCAL in AP_InertialSensor.cpp: values beyond are the sign of a wrong unit.
 OFFSET_LIMIT_M_S2 = 3.5
 SCALE_LIMITS = (0.8, 1.2)
 

@@ -11,6 +11,7 @@ from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import json_file
 from imufield.deliver.exports.vio import noise_figures
 
+# calib_bias.hpp, CalibAccelBias::getBiasAndScale: params 3 to 8 fill the lower triangle column by column.
 _LOWER_BY_COLUMNS = ((0, 1, 2, 1, 2, 2), (0, 0, 0, 1, 1, 2))
 # Its keys, by Kalibr's names of the noise figures.
 _NOISE = {

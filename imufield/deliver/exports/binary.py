@@ -32,6 +32,7 @@ from imufield.errors import ParameterFileError, Reason
 
 MAGIC = b"IMUFIELD"
 VERSION = 1
+# The table above; apply.h reads the same offsets.
 _LAYOUT = struct.Struct("<8sHHI16s16s32s24s45dI")
 SIZE = _LAYOUT.size + 4
 _SHAPES = {
@@ -88,11 +89,13 @@ def unpack(block: bytes) -> dict[str, object]:
     ParameterFileError
         If the block is cut, damaged, newer, or none of ours.
     """
+    # The magic first: a file of another kind is neither cut nor damaged.
     if block[:8] != MAGIC:
         raise ParameterFileError(f"this is no imufield block: it begins with {block[:8]!r} and not {MAGIC!r}", Reason.DAMAGED)
     if len(block) < SIZE:
         raise ParameterFileError(f"the imufield block is cut: {len(block)} of {SIZE} bytes; copy it again", Reason.DAMAGED)
     _, version, size, flags, *rest = _LAYOUT.unpack(block[: _LAYOUT.size])
+    # Before size and CRC, which a newer version may have elsewhere.
     if version > VERSION:
         raise ParameterFileError(
             f"the imufield block has version {version} and this program knows {VERSION}; update imufield", Reason.NEWER

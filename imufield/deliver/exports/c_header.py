@@ -19,6 +19,7 @@ def export(job: Job) -> Draft:
     name = job.options.name
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
         raise UsageError(f"name = {name!r} is no name in C; use letters, digits and underscores", name=name)
+    # Two meanings of one name would end in an error of the compiler that names neither this option nor this program.
     if re.search(rf"\b{name}\b", apply_header()):
         raise UsageError(f"name = {name!r} stands for something else in the header; choose another", name=name)
     model = whole_model(job)
@@ -58,6 +59,7 @@ def _initializer(values: FloatArray) -> str:
 def _example(job: Job, model: WholeModel) -> list[str]:
     """Return a worked number: what must come out for one raw sample."""
     calibration = job.parameters.calibration
+    # Through the model and back, so that the number lies in the instrument's range in whatever unit it has.
     force = np.array([[1.0, -2.0, 9.5]])
     raw = predict(calibration.accelerometer, force)
     corrected = job.parameters.apply_accelerometer(raw)

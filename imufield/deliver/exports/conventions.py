@@ -182,6 +182,7 @@ def rotation_to(parameters: AccelerometerParameters, frame: Frame) -> FloatArray
     if frame == "file":
         return np.eye(3)
     if frame == "sensor":
+        # A preset without misalignment has its body axes along the sensing axes.
         along_axes = vector.copy()
         along_axes[MISALIGNMENT] = 0.0
         return change_gauge(vector, "preset", along_axes).rotation
@@ -202,6 +203,7 @@ def rotation_times_triangle(matrix: FloatArray, triangle: Literal["lower", "uppe
     Q, R = np.linalg.qr(matrix[order, order])
     Q, R = Q[order, order], R[order, order]
     sign = np.where(np.diag(Q) < 0, -1.0, 1.0)
+    # A reflection is no body frame; the axis that is least certain of its sign gives way.
     if np.linalg.det(Q * sign) < 0:
         sign[np.argmin(np.abs(np.diag(Q)))] *= -1
     return np.asarray(Q * sign, dtype=np.float64), np.asarray(sign[:, None] * R, dtype=np.float64)

@@ -14,6 +14,7 @@ def export(job: Job) -> Draft:
         *comment([*job.heading(), *job.example(si)[:1]]),
         "dlio:",
         "  imu:",
+        # dlio.yaml: with true, DLIO averages the biases at the start and ignores the numbers below.
         "    calibration: false",
         "    intrinsics:",
         "      accel:",

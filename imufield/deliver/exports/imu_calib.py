@@ -12,6 +12,7 @@ def export(job: Job) -> Draft:
     si = job.in_si(corrections)
     lines = [
         *comment([*job.heading(), *job.example(si)[:1]]),
+        # accel_calib.cpp of dpkoch/imu_calib: loadCalib reads nine numbers of SM by rows, and applyCalib takes bias off last.
         f"SM: [{row(si.accelerometer.matrix.ravel())}]",
         f"bias: [{row(si.accelerometer.output_offset)}]",
     ]

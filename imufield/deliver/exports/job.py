@@ -165,6 +165,7 @@ class Job:
 
     def example(self, corrections: Corrections) -> list[str]:
         """Return a worked number for the file: what these corrections make of one raw sample in SI."""
+        # The same raw sample as on the pages of docs/exports.
         raw, rate = np.array([1.0, -2.0, 9.5]), np.array([0.1, -0.2, 0.3])
         force = corrections.apply_accelerometer(raw)
         lines = [f"example: accelerometer {_shown(raw)} m/s^2 -> {_shown(force)}"]

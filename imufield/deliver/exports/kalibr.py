@@ -21,6 +21,7 @@ def export(job: Job) -> Draft:
     lines = [
         *comment([*job.heading(), *bias_lines(si), *job.example(si)]),
         "imu0:",
+        # The first IMU of Kalibr is its reference: T_i_b is the identity.
         "  T_i_b:",
         *yaml_matrix(np.eye(4), 4),
         *noise,

@@ -12,7 +12,7 @@ from imufield.deliver.parameters.file import Parameters
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
 
-DIRECTIONS = 500
+DIRECTIONS = 500  # Of the sphere: the mean of a square over them is exact to a per mille.
 _NOTHING = 1e-9  # Relative difference that counts as none: what rounding in a text of 12 digits leaves.
 
 

@@ -30,7 +30,7 @@ def export(job: Job) -> Draft:
     matrices |= {"Ta": T, "R_IMUtoACC": R, "Tg": si.g_sensitivity}
     noise, unknown = noise_lines(job, 2)
     lines = [
-        "%YAML:1.0",
+        "%YAML:1.0",  # cv::FileStorage, which OpenVINS reads with, refuses a file without this line
         *comment([*job.heading(), *bias_lines(si), *job.example(si)]),
         "",
         "imu0:",

@@ -64,12 +64,14 @@ def export(job: Job) -> Draft:
     lines = [
         "function clbt = imufield_clbt()",
         *comment([*job.heading(), "imu = imuclbt(imu, imufield_clbt());"], "%"),
+        # imuclbt multiplies by sf before everything else: scale is in Kg and Ka already.
         "clbt.sf = [1.0; 1.0; 1.0; 1.0; 1.0; 1.0];",
         *_gyroscope(si),
         f"clbt.Ka = {_matrix(model.Ka)};",
         f"clbt.db = {_column(model.db)};",
         f"clbt.Ka2 = {_column(model.Ka2)};",
         "clbt.rx = [0.0; 0.0; 0.0]; clbt.ry = [0.0; 0.0; 0.0]; clbt.rz = [0.0; 0.0; 0.0];",
+        # Lever arms of the accelerometers and a delay between the triads are not part of our model.
         "clbt.tGA = 0.0;",
         "end",
     ]

@@ -24,6 +24,7 @@ def export(job: Job) -> Draft:
         for prefix in (f"CAL_ACC{instance}", f"CAL_GYRO{instance}")
     )
     lines = [
+        # Vehicle 1, component 1 (autopilot), name, value, type: the columns of a QGroundControl file.
         f"1\t1\t{name}\t{value}\t{_INT32}" if isinstance(value, int) else f"1\t1\t{name}\t{number(value)}\t{_REAL32}"
         for name, value in parameter_values(job, stack, accelerometer, gyroscope).items()
     ]

@@ -15,6 +15,7 @@ from imufield.files import refuse_overwriting, typed_write_errors, write_keeping
 if TYPE_CHECKING:  # the parameter file needs NumPy and SciPy; a list of targets does not
     from imufield.deliver.parameters.file import Parameters
 
+# What of the model a target holds, in the words of docs/exports.md.
 _LINEAR = "bias, scale and misalignment of both triads"
 _EVERYTHING = "the whole model"
 
@@ -49,7 +50,7 @@ def target(name: str) -> Target:
     Raises
     ------
     UsageError
-        If there is none.
+        If there is no such target.
     """
     if name not in TARGETS:
         raise UsageError(f"there is no export target {name!r}; there are: {', '.join(TARGETS)}", name=name)
@@ -106,6 +107,7 @@ def _value(name: str, kind: str, text: str) -> object:
             return text
         raise UsageError(f"export option {name} = {text!r} is none of {', '.join(choices)}", name=name, value=text)
     try:
+        # Base 0: device IDs are written in hexadecimal as well.
         return int(text, 0) if "int" in kind else float(text) if "float" in kind else text
     except ValueError as error:
         raise UsageError(f"export option {name} = {text!r} is not a number", name=name, value=text) from error
@@ -144,6 +146,7 @@ def write_exported(exported: Exported, output: str | Path | None = None, *, inpu
             f"this target has {len(exported.files)} files ({', '.join(exported.files)}) and {output} is not a folder; give a "
             "folder that exists"
         )
+    # All names before the first write: half an export is worse than none.
     for path in paths:
         refuse_overwriting(path, inputs)
     written = []

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, Protocol
 if TYPE_CHECKING:
     from imufield.samples import FloatArray
 
+# Not "preset": a preset is not in the file.
 ExportGauge = Literal["lower", "upper", "symmetric"]
 
 

@@ -56,6 +56,7 @@ def yaml_lines(table: Mapping[str, object], indent: int = 0) -> list[str]:
         start = f"{' ' * indent}{key}:"
         if isinstance(item, dict):
             lines += [start, *yaml_lines(item, indent + 2)]
+        # A matrix: one line for each row, as ROS tools and OpenCV lay it out.
         elif isinstance(item, list) and item and isinstance(item[0], list):
             lines += [start, *(f"{' ' * (indent + 2)}- {_scalar(entry)}" for entry in item)]
         else:

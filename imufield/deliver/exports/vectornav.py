@@ -11,6 +11,7 @@ from operator import xor
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import text_file
 
+# Manual UM001, 6.2: C by rows, then B.
 REGISTERS = {"accelerometer": 25, "gyroscope": 84}
 
 

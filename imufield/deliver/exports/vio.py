@@ -29,6 +29,7 @@ def noise_figures(job: Job) -> dict[str, float | None]:
         "accelerometer_random_walk": options.accelerometer_random_walk,
         "gyroscope_noise_density": None if noise is None else _rms(noise.gyroscope_density_rad_s_per_sqrt_hz),
         "gyroscope_random_walk": options.gyroscope_random_walk,
+        # NaN where the recording did not show its rate.
         "update_rate": rate_hz if np.isfinite(rate_hz) else None,
     }
 

@@ -46,6 +46,7 @@ def whole_model(job: Job) -> WholeModel:
     """
     calibration = job.parameters.calibration
     accelerometer, corrections = calibration.accelerometer, linear_corrections(calibration, job.free_frame)
+    # A zero term on body axes stays zero in every frame.
     on_body = accelerometer.quadratic_axes == "body" and bool(np.any(accelerometer.quadratic))
     if job.options.gauge is not None:
         if on_body:

@@ -40,8 +40,9 @@ LARGEST_LATITUDE_DEG = 85.0
 """Closer to a pole north has no use and longitude no measure."""
 _PASSES = 3  # The filter is linear about the coarse attitude; the second and third pass are linear about the result.
 _OPEN = 10.0  # Sigma before anything is known, rad. The coarse attitude comes from the same data and must not count twice.
+# Noise-free simulations have none, and a filter without noise divides by zero.
 _LEAST_FORCE_DENSITY = 1e-9
-_LEAST_RATE_DENSITY = 1e-13  # Noise-free simulations have none, and a filter without noise divides by zero.
+_LEAST_RATE_DENSITY = 1e-13
 STEEPEST_X_DEG = 80.0
 """Beyond, the horizontal part of the body x axis is too short to have a heading."""
 _RESPONSE_STEPS = np.repeat([1e-5, 1e-12], 3)  # m/s^2 and rad/s: far above rounding, far below what makes the response bend.
@@ -116,6 +117,7 @@ def coarse_attitude(force: FloatArray, rate: FloatArray) -> FloatArray:
         If one of the vectors is missing, or they point the same way.
     """
     length = float(np.linalg.norm(force))
+    # 1e-300 keeps a force of zero from dividing; the check below refuses it.
     north = rate - (rate @ force) / max(length, 1e-300) ** 2 * force
     if not (length > 0 and np.linalg.norm(north) > 0):
         raise RecordingError(
@@ -232,6 +234,7 @@ def _filter(
         H = np.array([[0.0, g, 0.0], [-g, 0.0, 0.0]])
         gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
         phi = phi + gain @ (measured[:2] - H @ phi)
+        # Joseph's form: the covariance stays symmetric and positive whatever rounding does to the gain.
         kept = np.eye(3) - gain @ H
         P = kept @ P @ kept.T + gain @ R @ gain.T
         phi, P = half @ phi, half @ P @ half.T + Q
@@ -256,5 +259,6 @@ def _response(
 
 
 def _orthonormal(matrix: FloatArray) -> FloatArray:
+    # The rotation nearest to the product of thousands, which rounding has bent.
     left, _, right = np.linalg.svd(matrix)
     return np.asarray(left @ right, dtype=np.float64)

@@ -4,15 +4,16 @@ What it can show. Alignment takes every constant accelerometer error for a tilt,
 again: 100 ug that would make 0.9 nmi in five hours with a true attitude make half of it, and a gyroscope bias of 0.01
 deg/h makes 3.6 nmi. So a recording that is not touched says much of the gyroscope and little of the accelerometer. Turned
 over after the alignment, the tilt that was found has the wrong sign and the same error counts four times. The proof of the
-accelerometer remains held-out positions (``imufield.deliver.verification.held_out``).
+accelerometer remains left-out positions (``imufield.deliver.verification.left_out``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imufield.calibrate.model.result import Calibration
 from imufield.deliver.navigation.alignment import Alignment, Heading, RestMeans, align
@@ -27,14 +28,14 @@ from imufield.samples import FloatArray, Samples
 Apply = Callable[[Samples], Corrected]
 
 ALIGN_S = 600.0
-SHORTEST_ALIGN_S = 20.0
+SHORTEST_ALIGN_S = 20.0  # Fewer than 20 means of a second tell no noise from movement.
 SHORTEST_S = 60.0
 """Of navigation: a drift of less says nothing."""
-LONGEST_GAP_S = 5.0
-LARGEST_LOSS = 0.01
+LONGEST_GAP_S = 5.0  # At rest a straight line over so long misses nothing but a hand.
+LARGEST_LOSS = 0.01  # More is no accident of the wire but a wrong protocol.
 TOUCHED_S = 3.0
 """Moving seconds that are forgiven: a door, a bump against the table."""
-TURNED_DEG = 20.0
+TURNED_DEG = 20.0  # Less is the table giving way, not somebody turning the instrument over.
 LARGEST_HEADING_SIGMA_RAD = 0.5
 """Beyond, the forecast's equations are not linear any more and the heading is a guess."""
 
@@ -64,7 +65,7 @@ class NavigationResult:
     """What a recording showed."""
 
     drifts: dict[str, Drift]
-    """By name of parameter set."""
+    """By name of parameter set, the one under test last."""
     forecast: Forecast | None
     """Of the parameter set under test; None where there is none, see ``notes``."""
     settings: CheckSettings
@@ -73,7 +74,12 @@ class NavigationResult:
     lost: int
     """Samples left out: flagged, or not a number."""
     noise: RestNoise
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+
+    @property
+    def tested(self) -> Drift:
+        """The drift of the parameter set under test."""
+        return list(self.drifts.values())[-1]
 
 
 class StaticNavigation:
@@ -101,7 +107,7 @@ class StaticNavigation:
         load_pyins()
         self.settings = settings
         self.stopped: ImufieldError | None = None  # Why this recording cannot be navigated; set at once, raised by ``finish``.
-        self._sets = {name: _OneSet(apply, settings) for name, apply in sets.items()}
+        self._sets = {name: ParameterSet(apply, settings) for name, apply in sets.items()}
         self._counts = np.zeros(2, dtype=np.int64)
         self._gap_s = 0.0
         self._start_s: float | None = None
@@ -109,6 +115,7 @@ class StaticNavigation:
 
     def feed(self, samples: Samples) -> None:
         """Take the next block."""
+        # What one block refuses, the next would refuse again; the caller reads on for the positions.
         if self.stopped is not None:
             return
         usable = samples.usable & np.isfinite(samples.accelerometer).all(axis=1) & np.isfinite(samples.gyroscope).all(axis=1)
@@ -121,8 +128,8 @@ class StaticNavigation:
         self._gap_s = max(self._gap_s, float(np.diff(kept.time_s, prepend=self._last_s).max()))
         self._last_s = float(kept.time_s[-1])
         try:
-            for one in self._sets.values():
-                one.feed(kept)
+            for parameter_set in self._sets.values():
+                parameter_set.feed(kept)
         except RecordingError as error:
             self.stopped = error
 
@@ -135,16 +142,16 @@ class StaticNavigation:
             If the recording is too short, was moved, or has holes or too many values that are no numbers.
         """
         self._check_whole()
-        drifts = {name: one.finish() for name, one in self._sets.items()}
+        drifts = {name: parameter_set.finish() for name, parameter_set in self._sets.items()}
         tested = list(self._sets.values())[-1]
         means = tested.means()
         moving = moving_seconds(means)
         self._check_moves(means, moving)
         noise = measure_noise(_longest_still(means, moving))
-        found, notes = self._forecast(tested, calibration, noise)
+        expected, notes = self._forecast(tested, calibration, noise)
         return NavigationResult(
             drifts=drifts,
-            forecast=found,
+            forecast=expected,
             settings=self.settings,
             navigated_s=float(drifts[next(iter(drifts))].time_s[-1]),
             samples=int(self._counts[0]),
@@ -182,19 +189,21 @@ class StaticNavigation:
                 gap_s=self._gap_s,
             )
 
-    def _check_moves(self, means: FloatArray, moving: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> None:
-        turned_deg = _turned_deg(means, moving)
-        at_s = int(np.argmax(moving)) * SECOND_S
-        if self.settings.turned:
-            if turned_deg < TURNED_DEG:
-                raise RecordingError(
-                    f"the instrument ends {turned_deg:.1f} deg from where it was aligned and --turned expects "
-                    f"{TURNED_DEG:g} deg or more; leave --turned out, or turn the instrument over after the alignment",
-                    Reason.BAD_DATA,
-                    turned_deg=turned_deg,
-                )
-            return
-        if moving.sum() > TOUCHED_S or turned_deg > TURNED_DEG:
+    def _check_moves(self, means: FloatArray, moving: NDArray[np.bool_]) -> None:
+        at_s, turned_deg = int(np.argmax(moving)) * SECOND_S, 0.0
+        still = fill_gaps(means)[~moving][:, :3]
+        if len(still) > 1:
+            # Between the first and the last still seconds.
+            first, last = (part.mean(axis=0) / np.linalg.norm(part.mean(axis=0)) for part in (still[:10], still[-10:]))
+            turned_deg = float(np.degrees(np.arccos(np.clip(first @ last, -1, 1))))
+        if self.settings.turned and turned_deg < TURNED_DEG:
+            raise RecordingError(
+                f"the instrument ends {turned_deg:.1f} deg from where it was aligned and --turned expects "
+                f"{TURNED_DEG:g} deg or more; leave --turned out, or turn the instrument over after the alignment",
+                Reason.BAD_DATA,
+                turned_deg=turned_deg,
+            )
+        if not self.settings.turned and (moving.sum() > TOUCHED_S or turned_deg > TURNED_DEG):
             raise RecordingError(
                 f"the instrument was moved {at_s:.0f} s after the start, for {moving.sum():d} s (at most {TOUCHED_S:g} s are "
                 "forgiven); leave it alone, or give --turned where it was turned over on purpose",
@@ -204,7 +213,7 @@ class StaticNavigation:
             )
 
     def _forecast(
-        self, tested: _OneSet, calibration: Calibration | None, noise: RestNoise
+        self, tested: ParameterSet, calibration: Calibration | None, noise: RestNoise
     ) -> tuple[Forecast | None, tuple[str, ...]]:
         if calibration is None:
             return None, ()
@@ -214,6 +223,7 @@ class StaticNavigation:
         if alignment is None or tested.mechanisation is None:
             return None, ()
         instability = noise.instability if settings.instability is None else settings.instability
+        # A bias that is new at each start is as large as what it wanders, where nobody knows better.
         turn_on = np.nan_to_num(instability) if settings.turn_on is None else settings.turn_on
         random = RandomErrors(noise.density, instability, turn_on)
         drift, attitudes = tested.mechanisation.drift, tested.mechanisation.attitudes
@@ -225,15 +235,15 @@ class StaticNavigation:
             time_s=drift.time_s,
             attitudes=attitudes,
         )
-        found = forecast(calibration, scene, random, np.random.default_rng(settings.seed), runs=settings.runs)
-        if found.heading_sigma_rad > LARGEST_HEADING_SIGMA_RAD:
-            sigma_deg = np.degrees(found.heading_sigma_rad)
+        expected = forecast(calibration, scene, random, np.random.default_rng(settings.seed), runs=settings.runs)
+        if expected.heading_sigma_rad > LARGEST_HEADING_SIGMA_RAD:
+            sigma_deg = np.degrees(expected.heading_sigma_rad)
             what = f"this gyroscope finds north to {sigma_deg:.0f} deg only, and the equations hold for small angles"
             return None, (f"no forecast: {what}; give --heading where it is known",)
-        return found, ()
+        return expected, ()
 
 
-class _OneSet:
+class ParameterSet:
     """Correct, align, mechanise with one parameter set."""
 
     def __init__(self, apply: Apply, settings: CheckSettings) -> None:
@@ -245,6 +255,7 @@ class _OneSet:
         self.mechanisation: Mechanisation | None = None
 
     def feed(self, samples: Samples) -> None:
+        """Take the next block of usable samples."""
         corrected = self._apply(samples)
         if self._seconds is None:
             self._seconds = IntervalMeans(float(samples.time_s[0]))
@@ -254,10 +265,12 @@ class _OneSet:
             return
         self._waiting.append(corrected)
         end_s = self._seconds.start_s + int(self._settings.align_s / SECOND_S) * SECOND_S
+        # A second more, so that the last mean of the alignment is complete.
         if corrected.time_s[-1] > end_s + SECOND_S:
             self._align(end_s)
 
     def finish(self) -> Drift:
+        """Return the drift of the whole recording."""
         assert self.mechanisation is not None  # noqa: S101  (the length of the recording was checked)
         self.mechanisation.finish()
         return self.mechanisation.drift
@@ -287,16 +300,7 @@ class _OneSet:
         self._waiting = []
 
 
-def _turned_deg(means: FloatArray, moving: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> float:
-    """Return the angle of the specific force between the first and the last still seconds."""
-    still = fill_gaps(means)[~moving][:, :3]
-    if len(still) < 2:
-        return 0.0
-    first, last = (part.mean(axis=0) / np.linalg.norm(part.mean(axis=0)) for part in (still[:10], still[-10:]))
-    return float(np.degrees(np.arccos(np.clip(first @ last, -1, 1))))
-
-
-def _longest_still(means: FloatArray, moving: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> FloatArray:
+def _longest_still(means: FloatArray, moving: NDArray[np.bool_]) -> FloatArray:
     """Return the longest run of still seconds."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], moving, [True]])))
     starts, ends = edges[::2], edges[1::2]

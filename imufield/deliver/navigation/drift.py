@@ -14,7 +14,7 @@ import numpy as np
 
 from imufield.samples import FloatArray
 
-NAUTICAL_MILE_M = 1852.0
+NAUTICAL_MILE_M = 1852.0  # By definition (International Hydrographic Conference, 1929).
 EARTH_RADIUS_M = 6371000.0
 """R of eq. 23: the mean radius."""
 QUANTITIES = ("latitude_deg", "longitude_deg", "north_velocity_m_s", "east_velocity_m_s")

@@ -14,7 +14,7 @@ import importlib
 import warnings
 from functools import cache
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,14 +22,17 @@ from imufield.deliver.navigation.drift import Drift, make_drift
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
 PIECE = 16384
 """Samples integrated at once: less makes more tables, more makes them larger."""
-OUTPUT_INTERVAL_S = 1.0
-_COLUMNS = ("lat", "lon", "VN", "VE")
+OUTPUT_INTERVAL_S = 1.0  # A Schuler oscillation takes 84 minutes: a second shows all of it.
+_COLUMNS = ("lat", "lon", "VN", "VE")  # Of a trajectory of python-ins, in the order of ``Drift``.
 
 
 @cache
-def load_pyins() -> Any:
+def load_pyins() -> SimpleNamespace:
     """Return the modules of python-ins in use, as ``earth``, ``strapdown``, ``transform``, ``util`` and ``pandas``.
 
     Raises
@@ -48,7 +51,7 @@ def load_pyins() -> Any:
         ) from error
 
 
-def integrate(state: FloatArray, start_s: float, increments: Any) -> Any:
+def integrate(state: FloatArray, start_s: float, increments: DataFrame) -> DataFrame:
     """Return the trajectory that increments make, both tables of python-ins; the vertical channel is off.
 
     Parameters
@@ -104,6 +107,7 @@ class Mechanisation:
     @property
     def drift(self) -> Drift:
         """Errors so far, about once a second; from the start, where they are zero."""
+        # At the start every error is zero, and the latitude the true one.
         rows = np.concatenate([np.zeros((1, 5)), *self._rows])
         rows[0, 1] = self._latitude_deg
         time_s = rows[:, 0]
@@ -127,6 +131,7 @@ class Mechanisation:
             return
         rows = np.concatenate([self._last, *self._waiting])
         self._waiting, self._count = [], 0
+        # The next piece begins with the last sample of this one: increments are between samples.
         self._last = rows[-1:]
         if len(rows) < 2:
             return
@@ -137,7 +142,7 @@ class Mechanisation:
         self._state = trajectory.iloc[-1].to_numpy()
         self._keep(trajectory)
 
-    def _keep(self, trajectory: Any) -> None:
+    def _keep(self, trajectory: DataFrame) -> None:
         """Keep the first row of each second."""
         time_s = trajectory.index.to_numpy() - self._start_s
         slot = np.floor(time_s / OUTPUT_INTERVAL_S)

@@ -39,11 +39,11 @@ class DrawnParameters:
         """Return the errors of corrected values at a true input, both of shape (3,); m/s^2 and rad/s, shape (m, 6)."""
         p = self.calibration.accelerometer
         raw = predict(p, force) - p.raw_zero
-        found = recover_vectors(self.vector, raw[None], p.quadratic_axes)[:, 0]
+        recovered = recover_vectors(self.vector, raw[None], p.quadratic_axes)[:, 0]
         errors = np.zeros((len(self.vector), 6))
-        errors[:, :3] = found - force
+        errors[:, :3] = recovered - force
         if self.calibration.gyroscope is not None and self.gyroscope:
-            errors[:, 3:] = self._rate(predict_gyroscope(self.calibration.gyroscope.parameters, rate, force), found) - rate
+            errors[:, 3:] = self._rate(predict_gyroscope(self.calibration.gyroscope.parameters, rate, force), recovered) - rate
         return errors
 
     def _rate(self, raw: FloatArray, force: FloatArray) -> FloatArray:
@@ -67,6 +67,7 @@ def draw_parameters(
     drawn = _gyroscope(calibration, count)
     for name, column in zip(names, offsets.T, strict=True):
         triad = name.partition(".")[0]
+        # Drawn all the same, so that the other triad gets the numbers it would get with both.
         if triad not in triads:
             continue
         if name in ACCELEROMETER_NAMES:
@@ -78,6 +79,7 @@ def draw_parameters(
 
 def _normal(covariance: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
     """Draw from a covariance that may have no full rank, shape (count, n); the diagonal may span 30 orders of magnitude."""
+    # In units of sigma first: eigenvalues of a bias in m/s^2 and of a scale in counts do not compare.
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     safe = np.where(sigma > 0, sigma, 1.0)
     value, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))

@@ -71,6 +71,7 @@ def correct_gyroscope(
         raise ParameterFileError(
             "these gyroscope parameters contain a g-sensitivity; give the corrected specific force as well", Reason.USAGE
         )
+    # One force for many rates is allowed: an instrument at rest.
     force = np.broadcast_to(three_columns(specific_force, "specific force"), raw.shape)
     return _affine(inverse, parameters.bias, raw, (inverse @ parameters.g_sensitivity, force), out=out)
 
@@ -93,6 +94,7 @@ def correct_both(accelerometer: AccelerometerParameters, gyroscope: GyroscopePar
     matrix = np.block([[force, np.zeros((3, 3))], [-rate @ gyroscope.g_sensitivity @ force, rate]])
     offset = np.concatenate([accelerometer.raw_zero + accelerometer.scale * accelerometer.bias_m_s2, gyroscope.bias])
     _affine(matrix, offset, raw, out=corrected)
+    # NaN of a sample that was lost is data, and no reason for a warning.
     with np.errstate(invalid="ignore"):
         finite = np.isfinite(corrected.sum())
     if not finite:

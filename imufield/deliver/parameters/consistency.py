@@ -42,6 +42,7 @@ def contradiction(document: Document, *, is_edited: bool = False) -> str:
 
 
 def _contradictions(document: Document, *, is_edited: bool) -> Iterator[str]:
+    # From what is typed most often to what only a program gets wrong: the first sentence is the one a person reads.
     calibration, table = calibration_from_document(document), document["accelerometer"]
     wanted = EQUATIONS[table["quadratic_axes"]]
     if table["equation"] != wanted:
@@ -146,7 +147,7 @@ def _verdict(calibration: Calibration) -> Iterator[str]:
 
 
 def _possible(calibration: Calibration) -> Iterator[str]:
-    """Yield where the covariance matrix is none."""
+    """Yield where the covariance matrix is not positive semi-definite."""
     matrix = calibration.covariance
     sigma = np.sqrt(np.diagonal(matrix))
     free = np.isfinite(sigma) & (sigma > 0)
@@ -165,20 +166,15 @@ def _sigma(calibration: Calibration, document: Document) -> Iterator[str]:
     """Yield standard deviations that are not those of the covariance."""
     sigma = np.sqrt(np.diagonal(calibration.covariance))
     for name, value in zip(calibration.covariance_names, sigma, strict=True):
-        stated = _stated_sigma(document, name)
-        if stated is None:
+        # The name of a parameter in the matrix says where the file states its standard deviation a second time.
+        triad, _, rest = name.partition(".")
+        key, _, axes = rest.partition(".")
+        stated = document.get(triad, {}).get("uncertainty", {}).get(key) if triad in UNITS else None
+        for axis in axes:
+            stated = stated[AXES.index(axis)] if isinstance(stated, list) and axis in AXES else None
+        if name == GRAVITY_NAME:
+            stated = document["site"]["gravity_sigma_m_s2"]
+        if not isinstance(stated, int | float):
             yield f"covariance.names has {name}, which is no parameter of this file"
         elif abs(stated - value) > _TYPED * max(value, stated):
             yield f"covariance.matrix gives {name} a standard deviation of {value:.6g}, and the file states {stated:.6g}"
-
-
-def _stated_sigma(document: Document, name: str) -> float | None:
-    """Return what the file says beside the matrix of a parameter's standard deviation, by its name in the matrix."""
-    if name == GRAVITY_NAME:
-        return float(document["site"]["gravity_sigma_m_s2"])
-    triad, _, rest = name.partition(".")
-    key, _, axes = rest.partition(".")
-    value = document.get(triad, {}).get("uncertainty", {}).get(key) if triad in UNITS else None
-    for axis in axes:
-        value = value[AXES.index(axis)] if isinstance(value, list) and axis in AXES else None
-    return value if isinstance(value, int | float) else None

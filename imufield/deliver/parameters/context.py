@@ -12,6 +12,7 @@ from imufield.version import __version__
 
 
 def _now() -> str:
+    # Without fractions and with Z: files sort by it as text.
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 

@@ -26,6 +26,7 @@ from imufield.deliver.parameters.schema import Document
 from imufield.earth import Gravity
 from imufield.samples import FloatArray
 
+# docs/parameter-file.md; VERSION rises where an old program would misread a new file.
 FORMAT = "imufield-parameters"
 VERSION = 1
 GYROSCOPE_EQUATION = "N = K E w + e + G a"

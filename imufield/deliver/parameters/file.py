@@ -161,6 +161,7 @@ class Parameters:
         units = samples.units
         self.check_unit("accelerometer", units.accelerometer_rate_unit)
         force = self.apply_accelerometer(samples.accelerometer_rate())
+        # A file without the gyroscope is still good for the accelerometer.
         if not self.gyroscope_is_complete:
             return Corrected(samples.time_s, force, np.full_like(force, np.nan))
         self.check_unit("gyroscope", units.gyroscope_rate_unit)
@@ -247,5 +248,5 @@ def load(path: str | Path) -> Parameters:
     """
     path = Path(path)
     path = path / PARAMETER_FILE if path.is_dir() else path
-    found = read_document(path)
-    return replace(from_document(found.document, path=path), version=found.version)
+    content = read_document(path)
+    return replace(from_document(content.document, path=path), version=content.version)

@@ -52,15 +52,15 @@ def numbers_of(calibration: Calibration) -> tuple[Number, ...]:
 
 
 def _accelerometer(calibration: Calibration) -> Iterator[Number]:
-    found, g = calibration.intrinsic, calibration.gravity
-    K, unit = found.scale, calibration.accelerometer_raw_unit
+    own, g = calibration.intrinsic, calibration.gravity
+    K, unit = own.scale, calibration.accelerometer_raw_unit
     common = np.abs(K) * g.sigma_m_s2 / g.gravity_m_s2
-    bias, spread = found.bias_raw / K, found.bias_raw_sigma / np.abs(K)
+    bias, spread = own.bias_raw / K, own.bias_raw_sigma / np.abs(K)
     size = STANDARD_GRAVITY_M_S2 / K * 1e6
     yield from _numbers("bias", AXES, "mg", bias / MILLI_G_M_S2, sigmas=spread / MILLI_G_M_S2)
-    yield from _numbers("scale", AXES, f"{unit} per m/s^2", K, sigmas=found.scale_sigma, common=common)
-    yield from _numbers("angle", _ANGLES, "mrad", found.angle_rad * 1e3, sigmas=found.angle_sigma_rad * 1e3)
-    yield from _numbers("quadratic", AXES, "ug/g^2", found.quadratic * size, sigmas=found.quadratic_sigma * np.abs(size))
+    yield from _numbers("scale", AXES, f"{unit} per m/s^2", K, sigmas=own.scale_sigma, common=common)
+    yield from _numbers("angle", _ANGLES, "mrad", own.angle_rad * 1e3, sigmas=own.angle_sigma_rad * 1e3)
+    yield from _numbers("quadratic", AXES, "ug/g^2", own.quadratic * size, sigmas=own.quadratic_sigma * np.abs(size))
 
 
 def _gyroscope(calibration: Calibration) -> Iterator[Number]:
@@ -82,6 +82,7 @@ def _numbers(
 ) -> Iterator[Number]:
     shared = np.zeros(len(values)) if common is None else common
     for place, value, sigma, part in zip(places, values, sigmas, shared, strict=True):
+        # Sigma 0 is fixed by the gauge, NaN was not estimated: neither can have changed.
         if sigma > 0 and math.isfinite(value):
             yield Number(
                 name=f"{what} {place}", unit=unit, value=float(value), sigma=float(sigma), common=min(float(part), float(sigma))

@@ -10,7 +10,7 @@ from imufield.earth import MICRO_G_M_S2, MILLI_G_M_S2
 
 ARC_MINUTE_RAD = math.pi / (180 * 60)
 DEG_PER_HOUR_RAD_S = math.pi / 180 / 3600
-MOST_DECIMALS = 9
+MOST_DECIMALS = 9  # Beyond, a number does not fit its column; with_sigma_within takes a power of ten out.
 WIDTH = 80
 """Columns where the width is not known: a pipe, a log file."""
 

@@ -35,8 +35,17 @@ def read_document(path: Path | str) -> VersionedDocument:
         If the file is not there, cut, damaged, newer than this program, not a parameter file, or edited by hand without
         saying so.
     """
-    path = Path(path)
-    return parse_document(_text(path), str(path))
+    try:
+        text = read_small_file(path).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ParameterFileError(f"{path} is no text file; check the file name, or {_REMEDY}", where=str(path)) from error
+    except OSError as error:
+        raise ParameterFileError(
+            f"{path} cannot be read ({error.strerror}); check the file name, or make it with imufield solve",
+            Reason.FOREIGN,
+            where=str(path),
+        ) from error
+    return parse_document(text, str(path))
 
 
 def parse_document(text: str, where: str = "parameter file") -> VersionedDocument:
@@ -44,57 +53,40 @@ def parse_document(text: str, where: str = "parameter file") -> VersionedDocumen
     try:
         document: Document = tomllib.loads(text)
         version = _check_format(document, where)
+        # Before anything else looks into it: what was changed by hand is not worth a closer look.
         _check_integrity(document, where)
-        document = _converted(document, version, where)
+        if version != VERSION:
+            try:
+                document = to_current(document, version)
+            except ParameterFileError as error:
+                raise ParameterFileError(f"{where}: {error.message}", error.reason, where=where, **error.values) from error
         _check(document, where)
     except ParameterFileError:
         raise
     except (ValueError, RecursionError) as error:
         # Besides bad TOML: nesting and whole numbers so large that Python gives up on them.
-        raise ParameterFileError(f"{where} is damaged or no TOML ({_line(error)}); {_REMEDY}", where=where) from error
+        line = " ".join(str(error).split())
+        raise ParameterFileError(f"{where} is damaged or no TOML ({line}); {_REMEDY}", where=where) from error
     return VersionedDocument(document, version)
 
 
-def _converted(document: Document, version: int, where: str) -> Document:
-    if version == VERSION:
-        return document
-    try:
-        return to_current(document, version)
-    except ParameterFileError as error:
-        raise ParameterFileError(f"{where}: {error.message}", error.reason, where=where, **error.values) from error
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())
-
-
 def _check(document: Document, where: str) -> None:
+    """Check the document against the schema, and against itself."""
     fault = first_fault(document)
     if fault is not None:
         raise ParameterFileError(f"{where}: {fault.key} {fault.what}; {_REMEDY}", fault.reason, where=where, key=fault.key)
-    _check_consistency(document, where)
+    what = _inconsistency(document)
+    if what:
+        raise ParameterFileError(f"{where}: {what}; {_REMEDY}", where=where)
     from imufield.deliver.parameters.consistency import contradiction  # late: a refused file needs no models
 
     is_edited = document["integrity"]["sha256"] == EDITED
     what = contradiction(document, is_edited=is_edited)
-    if not what:
-        return
-    remedy = _REMEDY
-    if is_edited:
+    if what:
         remedy = "in a file edited by hand change what follows from a value with it, or take a kept parameters-<n>.toml"
-    raise ParameterFileError(f"{where}: {what}; {remedy}", where=where, key=what.partition(" ")[0])
-
-
-def _text(path: Path) -> str:
-    try:
-        return read_small_file(path).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ParameterFileError(f"{path} is no text file; check the file name, or {_REMEDY}", where=str(path)) from error
-    except OSError as error:
-        remedy = "check the file name, or make it with imufield solve"
         raise ParameterFileError(
-            f"{path} cannot be read ({error.strerror}); {remedy}", Reason.FOREIGN, where=str(path)
-        ) from error
+            f"{where}: {what}; {remedy if is_edited else _REMEDY}", where=where, key=what.partition(" ")[0]
+        )
 
 
 def _check_format(document: Document, where: str) -> int:
@@ -128,20 +120,16 @@ def _check_integrity(document: Document, where: str) -> None:
         )
 
 
-def _check_consistency(document: Document, where: str) -> None:
-    """Check what a schema cannot say."""
+def _inconsistency(document: Document) -> str:
+    """Say what is wrong that a schema cannot state; empty where nothing is."""
     names, matrix = document["covariance"]["names"], document["covariance"]["matrix"]
     positions, tables = document["session"]["positions"], len(document["position"])
-    what = ""
     if positions != tables:
-        what = f"session.positions is {positions}, but there are {tables} [[position]] tables"
-    elif any(len(row) != len(names) for row in [matrix, *matrix]):
-        what = f"covariance.matrix is not {len(names)} by {len(names)} as covariance.names asks"
-    what = what or _covariance_fault(matrix)
-    for triad in ("accelerometer", "gyroscope"):
-        what = what or _triad_fault(document.get(triad), triad)
-    if what:
-        raise ParameterFileError(f"{where}: {what}; {_REMEDY}", where=where)
+        return f"session.positions is {positions}, but there are {tables} [[position]] tables"
+    if any(len(row) != len(names) for row in [matrix, *matrix]):
+        return f"covariance.matrix is not {len(names)} by {len(names)} as covariance.names asks"
+    triads = (_triad_fault(document[triad], triad) for triad in ("accelerometer", "gyroscope") if triad in document)
+    return _covariance_fault(matrix) or next(filter(None, triads), "")
 
 
 def _covariance_fault(rows: list[list[float]]) -> str:
@@ -160,9 +148,7 @@ def _covariance_fault(rows: list[list[float]]) -> str:
     return ""
 
 
-def _triad_fault(table: Document | None, triad: str) -> str:
-    if table is None:
-        return ""
+def _triad_fault(table: Document, triad: str) -> str:
     if 0 in table["scale"]:
         return f"{triad}.scale has a zero, with which nothing can be corrected"
     misalignment = np.array(table["misalignment_rad"], dtype=np.float64)

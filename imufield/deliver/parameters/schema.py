@@ -112,9 +112,11 @@ def _type_fault(value: object, rule: Document, key: str) -> Fault | None:
     if isinstance(value, float) and math.isinf(value):
         return Fault(key, "is infinite", Reason.NOT_FINITE)
     wanted = rule.get("type", ())
+    # A schema names one type, or several of which one must fit.
     checks = [_TYPE_CHECKS[name] for name in ([wanted] if isinstance(wanted, str) else wanted)]
     if not checks or any(fits(value) for _, fits in checks):
         return None
+    # None stands for NaN here (json_ready).
     if value is None:
         return Fault(key, "is nan where a number is needed", Reason.NOT_FINITE)
     return Fault(key, f"is {shown(value)} instead of {' or '.join(words for words, _ in checks)}", Reason.DAMAGED)

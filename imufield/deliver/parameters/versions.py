@@ -69,6 +69,7 @@ def to_current(document: Document, version: int) -> Document:
     ParameterFileError
         If it holds what its version did not have.
     """
+    # What the caller holds stays what the file said.
     converted = copy.deepcopy(document)
     for step in range(version, VERSION):
         converted = {**CONVERTERS[step](converted), "version": step + 1}

@@ -79,6 +79,7 @@ def to_toml(document: Document) -> str:
             fault.reason,
             key=fault.key,
         )
+    # The hash last, in a table of its own: a file cut short has none.
     complete = document | {"integrity": {"sha256": content_sha256(document)}}
     return "\n".join([_comment(_HEADER), *_table_lines(complete, "")]) + "\n"
 
@@ -103,6 +104,7 @@ def write_document(path: Path | str, document: Document) -> Path | None:
         If the document breaks the rules of the format, or the file cannot be written; a file that stood there is intact.
     """
     path = Path(path)
+    # Before the file is touched: a document that breaks the rules leaves the old file where it is.
     text = to_toml(document)
     with typed_write_errors(path):
         return write_keeping(path, text.encode("utf-8"))

@@ -33,6 +33,7 @@ class Correlations:
         """Return the pairs with the largest correlation, largest first."""
         rows, columns = np.tril_indices(len(self.names), -1)
         values = self.matrix[rows, columns]
+        # Stable: equal correlations come in the order of the file on every machine.
         order = np.argsort(-np.abs(values), kind="stable")[:count]
         return [(self.names[columns[k]], self.names[rows[k]], float(values[k])) for k in order]
 

@@ -86,6 +86,7 @@ class TraceCollector:
 
     def feed(self, samples: Samples) -> None:
         """Take the next block."""
+        # One sample that is not finite would make a whole cell NaN.
         kept = samples[samples.usable & np.isfinite(samples.accelerometer).all(axis=1)]
         if not len(kept):
             return
@@ -106,6 +107,7 @@ class TraceCollector:
         variance = np.maximum(means[:, 6:9] - means[:, :3] ** 2, 0.0)
         rate = means[:, 3:6] - np.nanmedian(means[:, 3:6], axis=0)
         size = np.linalg.norm(rate, axis=1)
+        # Without a scale the rates are no rates; the plot leaves the panel out.
         known = self._parameters.gyroscope_is_complete
         scatter = np.asarray(np.sqrt(variance.sum(axis=1)))
         return Trace(np.asarray(time_s, dtype=np.float64), scatter, np.where(known, size, np.nan))
@@ -114,7 +116,7 @@ class TraceCollector:
 class RestCollector:
     """Means of the gyroscope over the positions of a parameter file, from a stream of samples.
 
-    The file says when each position was held, so the recording need not be judged again; it does not hold the gyroscope.
+    The file states when each position was taken, so stillness is not evaluated again; the file has no means of the gyroscope.
     """
 
     def __init__(self, parameters: Parameters) -> None:
@@ -143,7 +145,7 @@ class RestCollector:
             self._square[k] += np.square(rate[first:last]).sum(axis=0)
 
     def finish(self) -> Observations:
-        """Return the file's observations with the gyroscope, NaN where nothing was held."""
+        """Return the file's observations with the gyroscope, NaN for a position without samples."""
         if self._centre is None:
             return self._observations
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -180,8 +182,9 @@ def convergence(
     observations: Observations, calibration: Calibration, preset: AccelerometerParameters | None, seed: int
 ) -> tuple[Convergence, ...]:
     """Solve again with the methods of the papers, from a start of their own, and return how they got there."""
-    found = []
+    runs = []
     for method in SHOWN_METHODS:
+        # A start of their own: from the result itself there would be no way to show.
         try:
             again = restart(observations, calibration, preset)
         except CalibrationError:
@@ -191,7 +194,7 @@ def convergence(
         if len(history) and history[-1] > 0:
             excess = history / history[-1] - 1
             iterations = np.arange(1.0, len(history) + 1)
-            found.append(
+            runs.append(
                 Convergence(
                     method=method,
                     iterations=iterations,
@@ -200,7 +203,7 @@ def convergence(
                     converged=result.converged,
                 )
             )
-    return tuple(found)
+    return tuple(runs)
 
 
 def closure(

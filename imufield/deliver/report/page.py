@@ -27,7 +27,7 @@ _GRAVITY_WORDS = {
     "assumed": "ASSUMED, because nobody said where this was",
 }
 UNKNOWN = "not known"
-_STRONGEST_SHOWN = 5
+_STRONGEST_SHOWN = 5  # As many as a caption can name.
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +102,7 @@ def _facts(data: ReportData) -> Document:
         "failed": verification.get("passed") is False,
         "passed": verification.get("passed"),
         "provenance": [*_provenance(data), *data.provenance],
+        # The record is one sheet: the two hashes, not the whole environment.
         "record_provenance": [*_provenance(data), *data.provenance[:2]],
         "operator": data.operator,
         "sha256": content_sha256(parameters.document),
@@ -266,7 +267,7 @@ def _check_figures(verification: Document) -> Iterator[Figure]:
     if positions and positions["forecast_rms_m_s2"] is not None and len(positions["name"]) > 1:
         yield Figure(
             "Held-out positions",
-            plots.held_out(positions),
+            plots.left_out(positions),
             f"Residuals of {positions['how']}, and what the stated uncertainty forecasts for them: "
             f"{_forecast_words(positions)}.",
             "Residuals of held-out positions",

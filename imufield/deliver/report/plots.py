@@ -62,9 +62,10 @@ _LABELS = {
 }
 LEAST_CORRELATION = 0.1
 """Weaker ones are not drawn: they change no sigma by more than half a per cent."""
-_LARGEST_MARKER = 260.0
+_LARGEST_MARKER = 260.0  # Points^2, as matplotlib measures marks.
 _LABEL_SIZE = 7.5  # Points; the smallest that is read on paper without a glass.
 _POINTS_PER_UNIT = 82.0  # Of the sphere map as it is laid out: labels need no more than a rough idea of it.
+# Just outside the unit circle of the map.
 _AXIS_NAMES = (("+x", 1.2, 0.0), ("-x", -1.2, 0.0), ("+y", 0.0, 1.24), ("-y", 0.0, -1.2))
 _NAMED = 6  # Positions named on the sphere map, the largest residuals first.
 
@@ -144,7 +145,7 @@ def sphere_map(up: FloatArray, residual_m_s2: FloatArray, names: tuple[str, ...]
         faces = [INK if residual >= 0 else "white" for residual in residual_m_s2[rows]]
         axes.scatter(*place.T, s=sizes, facecolor=faces, edgecolor=INK, linewidth=1.0, alpha=0.85)
         shown = [row for row, k in enumerate(rows) if k in named]
-        marks = np.vstack([place, *(one[1:] for one in _AXIS_NAMES)]) * _POINTS_PER_UNIT
+        marks = np.vstack([place, *(at for _, *at in _AXIS_NAMES)]) * _POINTS_PER_UNIT
         radius = np.append(np.sqrt(sizes) / 2, [_LABEL_SIZE / 2] * len(_AXIS_NAMES))
         offsets = label_offsets(marks, radius, {row: names[rows[row]] for row in shown})
         for row, offset in offsets.items():
@@ -170,22 +171,24 @@ def label_offsets(place: FloatArray, radius: FloatArray, names: dict[int, str]) 
         Of some of the rows.
     """
     taken = [np.array([*(at - half), *(at + half)]) for at, half in zip(place, radius, strict=True)]
-    found: dict[int, FloatArray] = {}
+    offsets: dict[int, FloatArray] = {}
+    # Above and below first, where names of one line cover least; then ever further aside.
     angles = np.radians(90 + 30 * np.array([0, 6, 1, -1, 5, -5, 2, -2, 4, -4, 3, -3]))
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
     for row, name in names.items():
         half = np.array([0.29 * len(name), 0.6]) * _LABEL_SIZE
         best, least = np.zeros(2), np.inf
+        # Points beside the mark; the first that covers nothing is taken.
         for reach in (1.0, 8.0, 16.0, 28.0):
             for direction in directions:
                 offset = direction * (radius[row] + reach + half)
                 box = np.array([*(place[row] + offset - half), *(place[row] + offset + half)])
-                covered = sum(_overlap(box, one) for one in taken)
+                covered = sum(_overlap(box, other) for other in taken)
                 if covered < least:
                     best, least = offset, covered
-        found[row] = best
+        offsets[row] = best
         taken.append(np.array([*(place[row] + best - half), *(place[row] + best + half)]))
-    return found
+    return offsets
 
 
 def _overlap(a: FloatArray, b: FloatArray) -> float:
@@ -232,8 +235,8 @@ def residuals(names: tuple[str, ...], residual_m_s2: FloatArray, leave_one_out_m
     return to_svg(drawn, "residuals")
 
 
-def held_out(document: Document) -> str:
-    """Draw residuals of held-out positions against their forecast."""
+def left_out(document: Document) -> str:
+    """Draw residuals of left-out positions against their forecast."""
     residual, sigma, before = (_numbers(document[key]) for key in ("residual_m_s2", "sigma_m_s2", "before_m_s2"))
     unit, size = acceleration_unit(float(np.nanmax(np.abs(np.concatenate([residual, 2 * sigma])), initial=0.0)))
     drawn = figure(2.5)
@@ -291,17 +294,17 @@ def _plain_ticks(*axes: Axis) -> None:
         axis.set_major_formatter("{x:g}")
 
 
-def convergence(found: tuple[Convergence, ...]) -> str:
+def convergence(runs: tuple[Convergence, ...]) -> str:
     """Draw how the methods of the papers came down to their best cost."""
     drawn = figure(2.3)
     axes = drawn.subplots()
-    for one, style, color in zip(found, ("-", "--", ":"), (INK, BLUE, ORANGE), strict=False):
+    for run, style, color in zip(runs, ("-", "--", ":"), (INK, BLUE, ORANGE), strict=False):
         axes.plot(
-            one.iterations,
-            np.maximum(one.excess, 1e-9),
+            run.iterations,
+            np.maximum(run.excess, 1e-9),
             style,
             color=color,
-            label=f"{one.method}, {one.evaluations} evaluations",
+            label=f"{run.method}, {run.evaluations} evaluations",
         )
     axes.set_xscale("log")
     axes.set_yscale("log")
@@ -312,15 +315,15 @@ def convergence(found: tuple[Convergence, ...]) -> str:
     return to_svg(drawn, "convergence")
 
 
-def closure(found: Closure) -> str:
+def closure(moves: Closure) -> str:
     """Draw how far each move ends from where gravity says."""
     drawn = figure(2.3)
     axes = drawn.subplots()
-    minutes = found.start_s / 60
-    if np.isfinite(found.before_deg).all():
-        axes.vlines(minutes, found.before_deg, found.after_deg, color=GREY, linewidth=0.8)
-        axes.plot(minutes, found.before_deg, "s", color=ORANGE, markerfacecolor="white", markersize=4.5, label="before")
-    axes.plot(minutes, found.after_deg, "o", color=INK, markersize=4.5, label="after")
+    minutes = moves.start_s / 60
+    if np.isfinite(moves.before_deg).all():
+        axes.vlines(minutes, moves.before_deg, moves.after_deg, color=GREY, linewidth=0.8)
+        axes.plot(minutes, moves.before_deg, "s", color=ORANGE, markerfacecolor="white", markersize=4.5, label="before")
+    axes.plot(minutes, moves.after_deg, "o", color=INK, markersize=4.5, label="after")
     axes.set_ylim(bottom=0)
     axes.set_xlabel("minutes, start of the move")
     axes.set_ylabel("angle error, °")
@@ -328,21 +331,21 @@ def closure(found: Closure) -> str:
     return to_svg(drawn, "closure")
 
 
-def correlations(found: Correlations) -> str:
+def correlations(pairs: Correlations) -> str:
     """Draw the correlation of each pair of parameters below the diagonal."""
-    n = len(found.names)
+    n = len(pairs.names)
     drawn = figure(min(0.17 * n + 1.4, _TALLEST_IN))
     axes = drawn.subplots()
     rows, columns = np.tril_indices(n, -1)
-    values = found.matrix[rows, columns]
+    values = pairs.matrix[rows, columns]
     shown = np.abs(values) >= LEAST_CORRELATION
     for positive, face in ((True, INK), (False, "white")):
         chosen = shown & ((values > 0) == positive)
         axes.scatter(
             columns[chosen], rows[chosen], 40 * np.abs(values[chosen]), facecolor=face, edgecolor=INK, linewidth=0.6, zorder=2
         )
-    axes.set_xticks(range(n), found.names, rotation=90, fontsize=_LABEL_SIZE)
-    axes.set_yticks(range(n), found.names, fontsize=_LABEL_SIZE)
+    axes.set_xticks(range(n), pairs.names, rotation=90, fontsize=_LABEL_SIZE)
+    axes.set_yticks(range(n), pairs.names, fontsize=_LABEL_SIZE)
     axes.set_ylim(n - 0.5, -0.5)
     axes.set_xlim(-0.5, n - 0.5)
     axes.set_aspect("equal")

@@ -52,6 +52,7 @@ class Row:
         """Preset with as many digits as the value; empty without one."""
         if math.isnan(self.preset):
             return ""
+        # Four decimals where sigma gives no measure: as many as a preset is usually quoted with.
         places = decimals(self.sigma) if self.sigma > 0 else 4
         return f"{self.preset:+.{max(places, 0)}f}"
 

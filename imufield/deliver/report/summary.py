@@ -40,6 +40,7 @@ _GAUGE_WORDS = {
     "symmetric": "body axes lie in the middle of the sensor's axes",
     "preset": "body axes are those of the preset",
 }
+# Three columns of each fit 80 characters.
 _BAR_WIDTH = 9
 _NUMBER_WIDTH = 18
 
@@ -195,6 +196,7 @@ def _short(value: float) -> str:
 
 
 def _in_columns(cells: list[tuple[str, Text, Text]], name_width: int) -> Table:
+    # Name, bar, number and their gaps; three columns at most, so that 24 positions take eight lines.
     columns = max(1, min(3, WIDTH // (name_width + _BAR_WIDTH + 10)))
     rows = -(-len(cells) // columns)
     table = Table.grid(padding=(0, 1, 0, 0))

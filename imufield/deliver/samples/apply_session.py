@@ -39,6 +39,7 @@ def apply_session(parameters: Parameters, blocks: Iterable[Samples], path: str |
     RecordingError
         If the file cannot be written. In every case what stood under ``path`` before is untouched.
     """
+    # Before the first block: the file must not begin with numbers of another instrument.
     parameters.check_instrument(serial_number)
     return export_csv(corrected_blocks(parameters, blocks), path)
 

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 
@@ -44,7 +43,7 @@ def export_samples(blocks: Iterable[Samples], path: str | Path, to: str = "csv",
     Parameters
     ----------
     blocks : iterable of Samples
-        In time order; only a few are held at a time.
+        In time order; only a few are in memory at a time.
     path : Path
         Replaced if it exists.
     to : str
@@ -71,9 +70,11 @@ def export_samples(blocks: Iterable[Samples], path: str | Path, to: str = "csv",
         os.close(descriptor)
         try:
             rows = FORMATS[to].write(in_large_blocks(blocks), Path(name), facts or {})
+            # mkstemp makes a file for its owner alone; the umask can only be read by setting it.
             mask = os.umask(0)
             os.umask(mask)
             Path(name).chmod(0o666 & ~mask)
+            # The last step: whoever watches the folder never sees half a file.
             Path(name).replace(path)
         finally:
             with suppress(FileNotFoundError):
@@ -83,14 +84,14 @@ def export_samples(blocks: Iterable[Samples], path: str | Path, to: str = "csv",
 
 def in_large_blocks(blocks: Iterable[Samples], rows: int = _ROWS_IN_A_BLOCK) -> Iterator[Samples]:
     """Join small blocks to some of at least ``rows``, so that each is worth a compressed piece of a file."""
-    held: list[Samples] = []
+    pending: list[Samples] = []
     for block in blocks:
-        held.append(block)
-        if sum(map(len, held)) >= rows:
-            yield concatenate(held)
-            held = []
-    if held:
-        yield concatenate(held)
+        pending.append(block)
+        if sum(map(len, pending)) >= rows:
+            yield concatenate(pending)
+            pending = []
+    if pending:
+        yield concatenate(pending)
 
 
 def facts_of(protocol: Protocol, raw_zero: FloatArray) -> dict[str, str]:
@@ -112,8 +113,15 @@ def export_csv(blocks: Iterable[Samples], path: str | Path) -> int:
 
 
 def _write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (CSV has no place for them)
+    """Write header and rows; return the number of rows."""
+    rows = 0
     with path.open("w", encoding="ascii", newline="") as file:
-        return write_csv(blocks, file)
+        file.write(",".join(SAMPLE_COLUMNS) + "\n")
+        for block in blocks:
+            for start in range(0, len(block), _ROWS_AT_ONCE):
+                file.write(_lines(block[start : start + _ROWS_AT_ONCE]))
+            rows += len(block)
+    return rows
 
 
 def _write_ros2(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (units of ROS are fixed)
@@ -127,18 +135,6 @@ FORMATS = {
     "hdf5": Format("h5", "HDF5, one dataset for each column (extra `hdf5`)", write_hdf5),
     "ros2": Format("mcap", "sensor_msgs/msg/Imu for ROS 2, Foxglove, PlotJuggler", _write_ros2, _LACKING),
 }
-
-
-def write_csv(blocks: Iterable[Samples], file: TextIO) -> int:
-    """Write header and rows to an open text file; return the number of rows."""
-    file.write(",".join(SAMPLE_COLUMNS) + "\n")
-    rows = 0
-    for block in blocks:
-        for start in range(0, len(block), _ROWS_AT_ONCE):
-            part = block[start : start + _ROWS_AT_ONCE]
-            file.write(_lines(part))
-            rows += len(part)
-    return rows
 
 
 def _lines(samples: Samples) -> str:

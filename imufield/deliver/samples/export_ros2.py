@@ -23,12 +23,12 @@ from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import UNUSABLE, FloatArray, Samples, SampleUnits, Status
 
-TOPIC = "/imu/data_raw"
+TOPIC = "/imu/data_raw"  # REP 145: data without orientation.
 _OF_ACCELEROMETER = Status.ACCELEROMETER_INVALID | Status.ACCELEROMETER_SATURATED
 _OF_GYROSCOPE = Status.GYROSCOPE_INVALID | Status.GYROSCOPE_SATURATED
 SCHEMA_NAME = "sensor_msgs/msg/Imu"
-_NOT_AVAILABLE = -1.0
-_LARGEST_S = 2**31 - 1
+_NOT_AVAILABLE = -1.0  # First element of a covariance (sensor_msgs/Imu.msg).
+_LARGEST_S = 2**31 - 1  # builtin_interfaces/Time has an int32.
 _PARTS = (
     ("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id"),
     ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec"),

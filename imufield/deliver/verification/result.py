@@ -1,8 +1,8 @@
-"""What a verification found: requirements met or not, the file beside the parameters, and the text for a person.
+"""The results of a verification: requirements met or not, the file beside the parameters, and the text for a person.
 
-``parameters.verification.json`` holds the results of the last check of held-out positions and of the last static
+``parameters.verification.json`` holds the results of the last check of left-out positions and of the last static
 navigation; the report reads it. It belongs to one content of the parameter file, by its hash, and has a hash of its own: a
-verdict that was edited is none.
+verdict that was edited is not valid.
 """
 
 from __future__ import annotations
@@ -11,26 +11,23 @@ import json
 import math
 import textwrap
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from imufield.deliver.navigation.check import NavigationResult
-from imufield.deliver.navigation.drift import QUANTITIES, Drift
+from imufield.deliver.navigation.drift import QUANTITIES
 from imufield.deliver.parameters.file import Parameters, json_ready
 from imufield.deliver.parameters.numbers import acceleration_unit
+from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import content_sha256
-from imufield.deliver.verification.held_out import HeldOut
+from imufield.deliver.verification.left_out import LeftOutPositions
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import UsageError
 from imufield.files import read_small_file, typed_write_errors, write_atomically
-from imufield.samples import FloatArray
 from imufield.version import __version__
-
-Document = dict[str, Any]
 
 FORMAT = "imufield-verification"
 VERSION = 1
@@ -59,11 +56,11 @@ class Requirement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verification:
-    """Everything one run of ``verify`` found."""
+    """The results of one run of ``verify``."""
 
     parameters: Parameters
     session: str
-    held_out: HeldOut | None = None
+    left_out: LeftOutPositions | None = None
     navigation: NavigationResult | None = None
     requirements: tuple[Requirement, ...] = ()
     notes: tuple[str, ...] = field(default=())
@@ -73,12 +70,12 @@ class Verification:
         """Whether all requirements are met and nothing objects to the parameters; None without either."""
         if self.objections:
             return False
-        return all(one.passed for one in self.requirements) if self.requirements else None
+        return all(requirement.passed for requirement in self.requirements) if self.requirements else None
 
     @property
     def objections(self) -> tuple[str, ...]:
-        """Sentences that make it fail whatever was measured: what the held-out positions and the file itself say."""
-        own = self.held_out.objection if self.held_out is not None else ""
+        """Sentences that make it fail whatever was measured: from the left-out positions and from the file itself."""
+        own = self.left_out.objection if self.left_out is not None else ""
         return tuple(filter(None, (own, doubt(self.parameters) if self.requirements else "")))
 
 
@@ -123,14 +120,15 @@ def parse_requirements(text: str | None) -> dict[str, float]:
 
 
 def judge(
-    limits: Mapping[str, float], held_out: HeldOut | None, navigation: NavigationResult | None
+    limits: Mapping[str, float], left_out: LeftOutPositions | None, navigation: NavigationResult | None
 ) -> tuple[Requirement, ...]:
     """Return every requirement with what was measured, NaN where it was not."""
+    # NaN meets no requirement: what was not measured is not proven.
     measured = dict.fromkeys(REQUIREMENTS, math.nan)
-    if held_out is not None:
-        measured["residual-ug"] = held_out.rms_m_s2 / MICRO_G_M_S2
+    if left_out is not None:
+        measured["residual-ug"] = left_out.rms_m_s2 / MICRO_G_M_S2
     if navigation is not None:
-        measured["nav-nmi-per-h"] = list(navigation.drifts.values())[-1].rate_nmi_per_h
+        measured["nav-nmi-per-h"] = navigation.tested.rate_nmi_per_h
     return tuple(Requirement(name, limit, measured[name]) for name, limit in limits.items())
 
 
@@ -144,38 +142,34 @@ def to_document(verification: Verification) -> Document:
         "parameters_sha256": content_sha256(verification.parameters.document),
         "session": verification.session,
         "passed": verification.passed,
-        "requirement": [
-            {"name": one.name, "limit": one.limit, "measured": one.measured, "passed": one.passed}
-            for one in verification.requirements
-        ],
+        "requirement": [asdict(requirement) | {"passed": requirement.passed} for requirement in verification.requirements],
         "objections": list(verification.objections),
         "notes": list(verification.notes),
     }
-    if verification.held_out is not None:
-        document["positions"] = _positions(verification.held_out) | {"session": verification.session}
+    if verification.left_out is not None:
+        document["positions"] = _positions(verification.left_out) | {"session": verification.session}
     if verification.navigation is not None:
         document["navigation"] = _navigation(verification.navigation) | {"session": verification.session}
     return document
 
 
-def _positions(held_out: HeldOut) -> Document:
+def _positions(left_out: LeftOutPositions) -> Document:
+    figures = ("rms_m_s2", "before_rms_m_s2", "forecast_rms_m_s2", "misfit", "misfit_limit", "as_forecast", "chance", "words")
+    arrays = ("up", "residual_m_s2", "before_m_s2", "sigma_m_s2")
     return {
-        "how": held_out.how,
-        "rms_m_s2": held_out.rms_m_s2,
-        "before_rms_m_s2": held_out.before_rms_m_s2,
-        "forecast_rms_m_s2": held_out.forecast_rms_m_s2,
-        "misfit": held_out.misfit,
-        "misfit_limit": held_out.misfit_limit,
-        "as_forecast": held_out.as_forecast,
-        "chance": held_out.chance,
-        "words": held_out.words,
-        "name": list(held_out.name),
-        **{key: getattr(held_out, key).tolist() for key in ("up", "residual_m_s2", "before_m_s2", "sigma_m_s2")},
+        **{key: getattr(left_out, key) for key in ("how", *figures)},
+        "name": list(left_out.name),
+        **{key: getattr(left_out, key).tolist() for key in arrays},
     }
 
 
 def _navigation(result: NavigationResult) -> Document:
-    settings = result.settings
+    settings, forecast = result.settings, result.forecast
+    drifts = {}
+    for name, drift in result.drifts.items():
+        rows = np.unique(np.linspace(0, len(drift.time_s) - 1, _POINTS).astype(np.int64))
+        curves = {key: getattr(drift, key)[rows].tolist() for key in ("time_s", *QUANTITIES, "position_nmi")}
+        drifts[name] = {"rate_nmi_per_h": drift.rate_nmi_per_h, "final_nmi": float(drift.position_nmi[-1]), **curves}
     document: Document = {
         "align_s": settings.align_s,
         "navigated_s": result.navigated_s,
@@ -188,34 +182,25 @@ def _navigation(result: NavigationResult) -> Document:
         "noise_density": result.noise.density.tolist(),
         "bias_instability": result.noise.instability.tolist(),
         "notes": list(result.notes),
-        "drift": {name: _drift(drift) for name, drift in result.drifts.items()},
+        "drift": drifts,
     }
-    found = result.forecast
-    if found is not None:
+    if forecast is not None:
+        figures = ("runs", "rate_median_nmi_per_h", "rate_95_nmi_per_h", "heading_sigma_rad")
         document["forecast"] = {
-            "runs": found.runs,
-            "rate_median_nmi_per_h": found.rate_median_nmi_per_h,
-            "rate_95_nmi_per_h": found.rate_95_nmi_per_h,
-            "heading_sigma_rad": found.heading_sigma_rad,
-            "sources_nmi_per_h": found.sources,
-            "as_forecast": found.holds(list(result.drifts.values())[-1]),
-            "time_s": found.time_s.tolist(),
-            "low": {name: found.low[name].tolist() for name in QUANTITIES},
-            "high": {name: found.high[name].tolist() for name in QUANTITIES},
-            "position_median_nmi": found.position_median_nmi.tolist(),
-            "position_95_nmi": found.position_95_nmi.tolist(),
+            **{key: getattr(forecast, key) for key in figures},
+            "sources_nmi_per_h": forecast.sources,
+            "as_forecast": forecast.holds(result.tested),
+            "time_s": forecast.time_s.tolist(),
+            "low": {name: forecast.low[name].tolist() for name in QUANTITIES},
+            "high": {name: forecast.high[name].tolist() for name in QUANTITIES},
+            "position_median_nmi": forecast.position_median_nmi.tolist(),
+            "position_95_nmi": forecast.position_95_nmi.tolist(),
         }
     return document
 
 
-def _drift(drift: Drift) -> Document:
-    rows = np.unique(np.linspace(0, len(drift.time_s) - 1, _POINTS).astype(np.int64))
-    curves = {key: getattr(drift, key)[rows].tolist() for key in ("time_s", *QUANTITIES, "position_nmi")}
-    return {"rate_nmi_per_h": drift.rate_nmi_per_h, "final_nmi": float(drift.position_nmi[-1]), **curves}
-
-
 def verification_path(parameter_file: Path) -> Path:
-    """Return where the results of a parameter file lie."""
+    """Return the path of the results for a parameter file."""
     return parameter_file.with_name(f"{parameter_file.stem}.verification.json")
 
 
@@ -227,6 +212,7 @@ def write_verification(path: Path, document: Document) -> None:
     ParameterFileError
         If the file cannot be written; one that stood there is intact.
     """
+    # Positions and navigation are two runs of the command, and the report shows both.
     kept = read_verification(path, document["parameters_sha256"]) or {}
     merged = {key: kept[key] for key in ("positions", "navigation") if key in kept} | document
     whole = merged | {"integrity": {"sha256": content_sha256(merged)}}
@@ -242,6 +228,7 @@ def read_verification(path: Path, parameters_sha256: str) -> Document | None:
         return None
     if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
         return None
+    # The hash covers the rest, as in the parameter file.
     whole = document.pop("integrity", None) == {"sha256": content_sha256(document)}
     return document if whole and document.get("parameters_sha256") == parameters_sha256 else None
 
@@ -259,39 +246,43 @@ def verification_note(path: Path, parameters_sha256: str) -> str:
 def verification_text(verification: Verification) -> str:
     """Return the results for a person at a terminal, 80 columns."""
     lines: list[str] = []
-    if verification.held_out is not None:
-        lines += [*_position_lines(verification.held_out), ""]
+    left_out = verification.left_out
+    if left_out is not None:
+        lines += [*_position_lines(left_out), ""]
     if verification.navigation is not None:
         lines += [*_navigation_lines(verification.navigation), ""]
     for note in verification.notes:
         lines += textwrap.wrap(f" · {note}", _WIDTH, subsequent_indent="   ")
-    held = verification.held_out
     for sentence in verification.objections:
-        if held is None or sentence != held.objection:  # which stands below its table
-            lines += textwrap.wrap(f"Objection: {sentence}", _WIDTH, subsequent_indent="  ")
-    for one in verification.requirements:
-        word = "met" if one.passed else "NOT MET"
-        measured = "not measured" if math.isnan(one.measured) else f"{one.measured:.4g}"
-        lines.append(f"Requirement {one.name} <= {one.limit:g}: {measured}, {word}")
+        if left_out is None or sentence != left_out.objection:  # which stands below its table
+            lines += _wrapped(f"Objection: {sentence}")
+    for requirement in verification.requirements:
+        word = "met" if requirement.passed else "NOT MET"
+        measured = "not measured" if math.isnan(requirement.measured) else f"{requirement.measured:.4g}"
+        lines.append(f"Requirement {requirement.name} <= {requirement.limit:g}: {measured}, {word}")
     if verification.passed is not None:
         lines.append(f"Verdict: {'PASS' if verification.passed else 'FAIL'}")
     return "\n".join(lines).rstrip("\n") + "\n"
 
 
-def _position_lines(found: HeldOut) -> Iterator[str]:
-    yield from textwrap.wrap(f"Held-out positions: {found.how}", _WIDTH, subsequent_indent="  ")
-    with_before = bool(np.isfinite(found.before_m_s2).all())
-    columns = [found.residual_m_s2, found.sigma_m_s2, *([found.before_m_s2] if with_before else [])]
-    unit, size = acceleration_unit(max(float(np.nanmax(np.abs(column), initial=0.0)) for column in columns[:2]))
-    width = max(8, *(len(name) for name in found.name))
+def _wrapped(sentence: str) -> list[str]:
+    return textwrap.wrap(sentence, _WIDTH, subsequent_indent="  ")
+
+
+def _position_lines(left_out: LeftOutPositions) -> Iterator[str]:
+    yield from _wrapped(f"Held-out positions: {left_out.how}")
+    with_before = bool(np.isfinite(left_out.before_m_s2).all())
+    largest = np.nanmax(np.abs([left_out.residual_m_s2, left_out.sigma_m_s2]), initial=0.0)
+    unit, size = acceleration_unit(float(largest))
+    width = max(8, *(len(name) for name in left_out.name))
     yield f"  {'position':<{width}} {'before' if with_before else '':>10} {'after':>10} {'forecast':>10}   {unit}"
-    for name, before, after, sigma in zip(found.name, found.before_m_s2, found.residual_m_s2, found.sigma_m_s2, strict=True):
-        yield f"  {name:<{width}} {_cell(before / size):>10} {_cell(after / size):>10} {_cell(sigma / size, '±'):>10}"
-    figures = [found.before_rms_m_s2, found.rms_m_s2, found.forecast_rms_m_s2]
-    before, after, sigma = (figure / size for figure in figures)
-    yield f"  {'RMS':<{width}} {_cell(before, ''):>10} {_cell(after, ''):>10} {_cell(sigma, ''):>10}"
-    if found.words:
-        yield from textwrap.wrap(f"  {found.words}", _WIDTH, subsequent_indent="  ")
+    columns = (left_out.before_m_s2 / size, left_out.residual_m_s2 / size, left_out.sigma_m_s2 / size)
+    for name, before, after, sigma in zip(left_out.name, *columns, strict=True):
+        yield f"  {name:<{width}} {_cell(before):>10} {_cell(after):>10} {_cell(sigma, '±'):>10}"
+    figures = (left_out.before_rms_m_s2, left_out.rms_m_s2, left_out.forecast_rms_m_s2)
+    yield f"  {'RMS':<{width}} " + " ".join(f"{_cell(figure / size, ''):>10}" for figure in figures)
+    if left_out.words:
+        yield from _wrapped(f"  {left_out.words}")
 
 
 def _cell(value: float, sign: str = "+") -> str:
@@ -302,19 +293,22 @@ def _cell(value: float, sign: str = "+") -> str:
 
 
 def _navigation_lines(result: NavigationResult) -> Iterator[str]:
-    turned = ", turned over after it" if result.settings.turned else ""
-    told = result.settings.heading
-    heading = "" if told is None else f", heading {math.degrees(told.angle_rad):g} deg as told"
-    how = f"{duration_words(result.navigated_s)} after an alignment of {result.settings.align_s:g} s{heading}{turned}"
-    yield from textwrap.wrap(f"Static navigation: {how}", _WIDTH, subsequent_indent="  ")
+    settings, forecast = result.settings, result.forecast
+    turned = ", turned over after it" if settings.turned else ""
+    heading = "" if settings.heading is None else f", heading {math.degrees(settings.heading.angle_rad):g} deg as told"
+    how = f"{duration_words(result.navigated_s)} after an alignment of {settings.align_s:g} s{heading}{turned}"
+    yield from _wrapped(f"Static navigation: {how}")
     yield f"  {'time':>8} {'latitude':>12} {'longitude':>12} {'v north':>9} {'v east':>9} {'position':>9}  95 %"
     unit, size_s = ("h", 3600) if result.navigated_s >= _HOURS_FROM_S else ("min", 60)
-    yield f"  {unit:>8} {'deg':>12} {'deg':>12} {'m/s':>9} {'m/s':>9} {'nmi':>9}  {'nmi' if result.forecast else ''}"
+    yield f"  {unit:>8} {'deg':>12} {'deg':>12} {'m/s':>9} {'m/s':>9} {'nmi':>9}  {'nmi' if forecast else ''}"
     for name, drift in result.drifts.items():
         yield f"  {name}"
-        last = name == list(result.drifts)[-1]
-        for row in _rows_shown(drift.time_s):
-            most = "" if result.forecast is None or not last else f"{_at(result, float(drift.time_s[row])):.3f}"
+        # Rows at six equal steps of time.
+        steps = np.linspace(0, drift.time_s[-1], 7)[1:]
+        for row in np.minimum(np.searchsorted(drift.time_s, steps), len(drift.time_s) - 1):
+            most = ""
+            if forecast is not None and drift is result.tested:
+                most = f"{np.interp(drift.time_s[row], forecast.time_s, forecast.position_95_nmi):.3f}"
             yield (
                 f"  {drift.time_s[row] / size_s:8.2f} {drift.latitude_deg[row]:+12.6f} {drift.longitude_deg[row]:+12.6f} "
                 f"{drift.north_velocity_m_s[row]:+9.4f} {drift.east_velocity_m_s[row]:+9.4f} "
@@ -322,22 +316,16 @@ def _navigation_lines(result: NavigationResult) -> Iterator[str]:
             )
     for name, drift in result.drifts.items():
         yield f"  drift {name}: {drift.rate_nmi_per_h:.3f} nmi/h"
-    yield from _forecast_lines(result)
-
-
-def _forecast_lines(result: NavigationResult) -> Iterator[str]:
-    found = result.forecast
-    if found is None:
+    if forecast is None:
         for note in result.notes:
-            yield from textwrap.wrap(f"  {note}", _WIDTH, subsequent_indent="  ")
+            yield from _wrapped(f"  {note}")
         return
-    drift = list(result.drifts.values())[-1]
-    word = "as forecast" if found.holds(drift) else "MORE THAN FORECAST"
-    most = f"with 95 % probability at most {found.rate_95_nmi_per_h:.3f} nmi/h; each source alone:"
-    yield from textwrap.wrap(f"  {word}: {most}", _WIDTH, subsequent_indent="  ")
-    for source, rate in sorted(found.sources.items(), key=lambda item: -item[1]):
+    word = "as forecast" if forecast.holds(result.tested) else "MORE THAN FORECAST"
+    most = f"with 95 % probability at most {forecast.rate_95_nmi_per_h:.3f} nmi/h; each source alone:"
+    yield from _wrapped(f"  {word}: {most}")
+    for source, rate in sorted(forecast.sources.items(), key=lambda item: -item[1]):
         yield f"    {source:<26}{rate:8.3f}"
-    if not result.settings.turned:
+    if not settings.turned:
         yield "  Alignment hides the accelerometer: held-out positions prove it, or turn over"
         yield "  after it (--turned)."
 
@@ -345,14 +333,3 @@ def _forecast_lines(result: NavigationResult) -> Iterator[str]:
 def duration_words(duration_s: float) -> str:
     """Return hours, or minutes where they have more digits."""
     return f"{duration_s / 3600:.2f} h" if duration_s >= _HOURS_FROM_S else f"{duration_s / 60:.1f} min"
-
-
-def _rows_shown(time_s: FloatArray) -> list[int]:
-    """Return rows at six equal steps of time."""
-    steps = np.linspace(0, time_s[-1], 7)[1:]
-    return [int(row) for row in np.minimum(np.searchsorted(time_s, steps), len(time_s) - 1)]
-
-
-def _at(result: NavigationResult, time_s: float) -> float:
-    found = result.forecast
-    return math.nan if found is None else float(np.interp(time_s, found.time_s, found.position_95_nmi))

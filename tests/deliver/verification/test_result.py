@@ -16,7 +16,7 @@ from imufield.deliver.navigation.rest import RestNoise
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import Parameters, from_document
 from imufield.deliver.parameters.file import to_document as parameter_document
-from imufield.deliver.verification.held_out import HeldOut
+from imufield.deliver.verification.left_out import LeftOutPositions
 from imufield.deliver.verification.result import (
     Requirement,
     Verification,
@@ -42,11 +42,11 @@ def loaded(calibration: Calibration, observations: Observations, context: Contex
 
 
 @pytest.fixture
-def held_out() -> HeldOut:
+def left_out() -> LeftOutPositions:
     residual = 40 * MICRO_G * np.array([1.0, -1.0, 1.0])
     sigma = np.full(3, 45 * MICRO_G)
     up = np.eye(3)
-    return HeldOut(
+    return LeftOutPositions(
         name=("+x", "+y", "+z"),
         up=up,
         residual_m_s2=residual,
@@ -91,16 +91,16 @@ def test_wrong_requirements_are_refused(text: str, message: str) -> None:
         parse_requirements(text)
 
 
-def test_what_was_not_measured_is_not_met(held_out: HeldOut) -> None:
-    found = judge({"residual-ug": 50.0, "nav-nmi-per-h": 1.0}, held_out, None)
+def test_what_was_not_measured_is_not_met(left_out: LeftOutPositions) -> None:
+    found = judge({"residual-ug": 50.0, "nav-nmi-per-h": 1.0}, left_out, None)
     assert [one.passed for one in found] == [True, False]
     assert found[0].measured == pytest.approx(40.0)
 
 
-def test_text_has_the_verdict_last(loaded: Parameters, held_out: HeldOut, navigation: NavigationResult) -> None:
-    requirements = judge({"residual-ug": 30.0}, held_out, navigation)
+def test_text_has_the_verdict_last(loaded: Parameters, left_out: LeftOutPositions, navigation: NavigationResult) -> None:
+    requirements = judge({"residual-ug": 30.0}, left_out, navigation)
     text = verification_text(
-        Verification(parameters=loaded, session="s", held_out=held_out, navigation=navigation, requirements=requirements)
+        Verification(parameters=loaded, session="s", left_out=left_out, navigation=navigation, requirements=requirements)
     )
     assert text.endswith("Requirement residual-ug <= 30: 40, NOT MET\nVerdict: FAIL\n")
     assert "as forecast (misfit 0.80" in text
@@ -109,13 +109,13 @@ def test_text_has_the_verdict_last(loaded: Parameters, held_out: HeldOut, naviga
 
 
 def test_file_keeps_the_other_check_of_the_same_parameters(
-    tmp_path: Path, loaded: Parameters, held_out: HeldOut, navigation: NavigationResult
+    tmp_path: Path, loaded: Parameters, left_out: LeftOutPositions, navigation: NavigationResult
 ) -> None:
     path = verification_path(tmp_path / "parameters.toml")
     assert path.name == "parameters.verification.json"
-    first = to_document(Verification(parameters=loaded, session="positions", held_out=held_out))
+    first = to_document(Verification(parameters=loaded, session="positions", left_out=left_out))
     write_verification(path, first)
-    write_verification(path, to_document(Verification(parameters=loaded, session="rest", held_out=None, navigation=navigation)))
+    write_verification(path, to_document(Verification(parameters=loaded, session="rest", left_out=None, navigation=navigation)))
     document = read_verification(path, first["parameters_sha256"])
     assert document is not None
     assert document["positions"]["session"] == "positions"
@@ -125,13 +125,13 @@ def test_file_keeps_the_other_check_of_the_same_parameters(
     assert read_verification(path, "0" * 64) is None
 
 
-def test_a_verdict_that_was_edited_is_none(tmp_path: Path, loaded: Parameters, held_out: HeldOut) -> None:
+def test_a_verdict_that_was_edited_is_none(tmp_path: Path, loaded: Parameters, left_out: LeftOutPositions) -> None:
     path = verification_path(tmp_path / "parameters.toml")
     document = to_document(
         Verification(
             parameters=loaded,
             session="s",
-            held_out=held_out,
+            left_out=left_out,
             navigation=None,
             requirements=(Requirement("residual-ug", 5.0, 9.0),),
         )
@@ -152,7 +152,7 @@ def test_what_is_no_verification_is_left_alone(tmp_path: Path, text: str) -> Non
     assert read_verification(path, "0" * 64) is None
 
 
-def test_document_is_json(loaded: Parameters, held_out: HeldOut, tmp_path: Path) -> None:
+def test_document_is_json(loaded: Parameters, left_out: LeftOutPositions, tmp_path: Path) -> None:
     path = tmp_path / "x.json"
-    write_verification(path, to_document(Verification(parameters=loaded, session="s", held_out=held_out)))
+    write_verification(path, to_document(Verification(parameters=loaded, session="s", left_out=left_out)))
     json.loads(path.read_text(), parse_constant=pytest.fail)

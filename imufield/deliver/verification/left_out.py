@@ -1,4 +1,4 @@
-"""Held-out positions: the proof of an accelerometer calibration on data it has not seen.
+"""Left-out positions (option --hold-out): the proof of an accelerometer calibration on data it has not seen.
 
 At rest the corrected specific force must be as long as gravity. How far it is off, ``r = norm(a) - g``, is compared with
 how far it may be off: with ``J = d norm / d parameters`` and the joint covariance ``C`` of parameters and gravity,
@@ -10,15 +10,13 @@ place, so its error, which went into every scale, cancels here: this check prove
 
 ``cross_validate`` needs no second session: each group of positions is predicted by a calibration from all the others.
 
-What is called large: for another session the F distribution with as many degrees of freedom as the calibration had residuals
-to spare (exact where the scatter rules, too wide where the noise within a hold does); for the own session simulated ones.
+A misfit is large by the F distribution for another session, with as many degrees of freedom as the calibration had residuals to
+spare (exact where the scatter between positions rules, too wide where the noise within a hold does).
 
-How large the misfit of held-out positions of its own session may be by chance.
-
-The calibrations that predict the groups share most of their positions, and each has a scatter tau of its own from the few
-residuals that its group leaves it: their pooled misfit has no textbook distribution (that of F is far too wide for a scatter
-well seen, and too narrow for 3 residuals to spare). So sessions are simulated that have the stated noise and nothing else, in
-the linearised model, and taken through the same steps.
+For positions of the own session the limit is simulated. The calibrations that predict the groups share most of their positions,
+and each has a scatter tau of its own from the few residuals that its group leaves it: their pooled misfit has no textbook
+distribution (F is far too wide for a scatter that is known well, and too narrow for 3 residuals to spare). So sessions that
+have the stated noise and nothing else go through the same steps, in the linearised model.
 """
 
 from __future__ import annotations
@@ -29,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
-from imufield.calibrate.model.models import norm_derivatives, to_vector
+from imufield.calibrate.model.models import NormDerivatives, norm_derivatives, to_vector
 from imufield.calibrate.model.observability import parameter_scale
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration
@@ -41,12 +39,20 @@ from imufield.samples import FloatArray
 
 RUNS = 4000
 """Four times what the rarest statement, 1 in 1000, needs."""
-_NEWTON_STEPS = 20
-_TINY = 1e-22  # Square of a nanogal, as in the misfit itself.
+FEWEST_LEFT = 6
+"""Positions that must be left to calibrate from."""
+STRONG = 1e-3
+"""A misfit less probable than this is called a defect; among fewer than a thousand checks it does not come by chance."""
+FOREIGN = 10.0
+"""Misfit of another session beyond this, three times the forecast: no uncertainty that was honest at all is so far off."""
+_SAME_GRAVITY_M_S2 = 1e-7  # Rounding of a file; two places that differ by less are one.
+_ROUNDING_M_S2 = 1e-9  # Where nothing is uncertain (simulations without noise), this keeps a comparison finite.
+_TINY = 1e-22  # Square of a nanogal, with which a covariance of zeros can be inverted.
+_NEWTON_STEPS = 20  # Of the scatter: it converges quadratically.
 
 
 @dataclass(frozen=True, slots=True)
-class Session:
+class LinearSession:
     """The linearised session: residual = jacobian z + noise."""
 
     jacobian: FloatArray
@@ -56,12 +62,12 @@ class Session:
     tau_m_s2: float
 
 
-def simulated_misfits(session: Session, groups: list[NDArray[np.bool_]], seed: int = 0) -> FloatArray:
+def simulated_misfits(session: LinearSession, groups: list[NDArray[np.bool_]], seed: int = 0) -> FloatArray:
     """Return the pooled misfit of simulated sessions whose noise is as stated, shape (RUNS,).
 
     Parameters
     ----------
-    session : Session
+    session : LinearSession
     groups : list of ndarray of bool, shape (m,)
         Positions left out together; every position in one of them.
     seed : int
@@ -69,26 +75,26 @@ def simulated_misfits(session: Session, groups: list[NDArray[np.bool_]], seed: i
     m = len(session.within)
     sigma = np.sqrt(session.within + session.tau_m_s2**2)
     noise = sigma * np.random.default_rng(seed).standard_normal((RUNS, m))
-    squares = [_squares(session, held, noise, sigma) for held in groups]
+    squares = [_squares(session, group, noise, sigma) for group in groups]
     return np.asarray(np.sum(squares, axis=0) / m)
 
 
-def _squares(session: Session, held: NDArray[np.bool_], noise: FloatArray, sigma: FloatArray) -> FloatArray:
+def _squares(session: LinearSession, group: NDArray[np.bool_], noise: FloatArray, sigma: FloatArray) -> FloatArray:
     """Return r^T S^-1 r of one group of every run, shape (RUNS,)."""
-    rest = ~held
-    J, H = session.jacobian[rest], session.jacobian[held]
+    rest = ~group
+    J, H = session.jacobian[rest], session.jacobian[group]
     # Q spans the weighted columns; the fit at the true weights stands for that at the estimated ones.
     Q, R = np.linalg.qr(J / sigma[rest, None])
     whitened = noise[:, rest] / sigma[rest]
     z = np.linalg.solve(R, Q.T @ whitened.T).T
     left = noise[:, rest] - z @ J.T
     tau2 = _scatter(left, session.within[rest], int(rest.sum()) - J.shape[1])
-    residual = noise[:, held] - z @ H.T
+    residual = noise[:, group] - z @ H.T
     weight = 1 / (session.within[rest] + tau2[:, None] + _TINY)
     normal = np.einsum("ai,ra,aj->rij", J, weight, J, optimize=True)
     S = H @ np.linalg.solve(normal, np.broadcast_to(H.T, (len(normal), *H.T.shape)))
     diagonal = np.arange(len(H))
-    S[:, diagonal, diagonal] += session.within[held] + tau2[:, None] + _TINY
+    S[:, diagonal, diagonal] += session.within[group] + tau2[:, None] + _TINY
     return np.asarray(np.einsum("rh,rh->r", residual, np.linalg.solve(S, residual[..., None])[..., 0]))
 
 
@@ -105,18 +111,8 @@ def _scatter(left: FloatArray, within: FloatArray, freedom: int) -> FloatArray:
     return tau2
 
 
-FEWEST_LEFT = 6
-"""Positions that must be left to calibrate from."""
-STRONG = 1e-3
-"""A misfit less probable than this is called a defect; among fewer than a thousand checks it does not come by chance."""
-FOREIGN = 10.0
-"""Misfit of another session beyond this, three times the forecast: no uncertainty that was honest at all is so far off."""
-_SAME_GRAVITY_M_S2 = 1e-7
-_ROUNDING_M_S2 = 1e-9
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HeldOut:
+class LeftOutPositions:
     """Residuals of m positions that the parameters have not seen, arrays of shape (m,)."""
 
     name: tuple[str, ...]
@@ -186,7 +182,7 @@ class HeldOut:
 
 def check_positions(
     calibration: Calibration, observations: Observations, gravity: Gravity, before: AccelerometerParameters | None = None
-) -> HeldOut:
+) -> LeftOutPositions:
     """Return what a calibration makes of positions of another session.
 
     Raises
@@ -198,7 +194,7 @@ def check_positions(
     residual, S = _residual(calibration, observations, gravity)
     m = len(observations)
     freedom, misfit = max(calibration.quality.degrees_of_freedom, 1), _misfit(residual, S)
-    return HeldOut(
+    return LeftOutPositions(
         name=observations.name,
         up=_up(calibration, observations),
         residual_m_s2=residual,
@@ -213,7 +209,7 @@ def check_positions(
 
 def contradiction(
     calibration: Calibration, observations: Observations, before: AccelerometerParameters | None = None
-) -> HeldOut | None:
+) -> LeftOutPositions | None:
     """Hold parameters against the positions they are said to come from; None where solving these again gives the same.
 
     Compared is the corrected specific force at each position, in sigma of the parameters solved again: that knows no gauge, and
@@ -226,28 +222,28 @@ def contradiction(
     """
     _require_finite(observations)
     gravity, again = calibration.gravity, _again(calibration, observations)
-    stated, solved = (_residual_of(one.accelerometer, observations, gravity) for one in (calibration, again))
-    sigma = np.sqrt(np.diag(_forecast(again, observations)))
+    stated, solved = (_residual_of(each.accelerometer, observations, gravity) for each in (calibration, again))
+    sigma = np.sqrt(np.diag(_forecast(again, _derivatives(again.accelerometer, observations))))
     known = np.where(np.isfinite(sigma), sigma, _rms(solved))
     apart = float(np.max(np.abs(stated - solved) / (known + _ROUNDING_M_S2)))
     # NaN, of parameters that give no specific force here, is no agreement.
     if apart <= AGREEMENT_SIGMA:
         return None
     m = len(observations)
-    left = f"{_rms(stated) / MICRO_G_M_S2:.0f} ug RMS at the {m} positions they are said to come from"
+    residuals = f"{_rms(stated) / MICRO_G_M_S2:.0f} ug RMS at the {m} positions they are said to come from"
     objection = (
-        f"NOT WHAT THIS SESSION GIVES: these parameters leave {left}, where solving again leaves "
+        f"NOT WHAT THIS SESSION GIVES: these parameters leave {residuals}, where solving again leaves "
         f"{_rms(solved) / MICRO_G_M_S2:.0f} ug, and are up to {apart:.0f} sigma away from that, {AGREEMENT_SIGMA:g} at most by "
         "another method: the file was changed, or its solver did not converge; solve the session again"
     )
     how = f"{m} positions of its own session, as the parameters under test leave them"
-    found = check_positions(calibration, observations, gravity, before)
-    return replace(found, how=how, misfit=float("nan"), chance=float("nan"), is_own=True, objection=objection)
+    as_stated = check_positions(calibration, observations, gravity, before)
+    return replace(as_stated, how=how, misfit=float("nan"), chance=float("nan"), is_own=True, objection=objection)
 
 
 def cross_validate(
     calibration: Calibration, observations: Observations, hold_out: int, before: AccelerometerParameters | None = None
-) -> HeldOut:
+) -> LeftOutPositions:
     """Return residuals of positions each predicted by a calibration that has not seen it.
 
     Parameters
@@ -268,17 +264,24 @@ def cross_validate(
     """
     _require_finite(observations)
     m = len(observations)
-    _require_enough(m, hold_out)
-    groups = -(-m // hold_out)
+    if not 1 <= hold_out <= m - FEWEST_LEFT:
+        raise UsageError(
+            f"--hold-out {hold_out} of {m} positions is not possible, {FEWEST_LEFT} must be left to calibrate from; give 1 to "
+            f"{max(m - FEWEST_LEFT, 1)}",
+            hold_out=hold_out,
+            positions=m,
+        )
+    count = -(-m // hold_out)
     residual, misfit, sigma = np.empty(m), 0.0, np.empty(m)
-    parts = [np.arange(m) % groups == first for first in range(groups)]
-    for held in parts:
-        left = _again(calibration, observations[~held])
-        residual[held], S = _residual(left, observations[held], calibration.gravity)
-        sigma[held] = np.sqrt(np.diag(S))
-        misfit += _misfit(residual[held], S) * int(held.sum()) / m
-    by_chance = simulated_misfits(_linearised(calibration, observations), parts)
-    return HeldOut(
+    # Every count-th position: neighbours in time, which drift alike, part ways.
+    groups = [np.arange(m) % count == first for first in range(count)]
+    for group in groups:
+        others = _again(calibration, observations[~group])
+        residual[group], S = _residual(others, observations[group], calibration.gravity)
+        sigma[group] = np.sqrt(np.diag(S))
+        misfit += _misfit(residual[group], S) * int(group.sum()) / m
+    by_chance = simulated_misfits(_linearised(calibration, observations), groups)
+    return LeftOutPositions(
         name=observations.name,
         up=_up(calibration, observations),
         residual_m_s2=residual,
@@ -292,18 +295,15 @@ def cross_validate(
     )
 
 
-def _linearised(calibration: Calibration, observations: Observations) -> Session:
+def _linearised(calibration: Calibration, observations: Observations) -> LinearSession:
     """Return the session as ``simulated_misfits`` takes it."""
     p, quality = calibration.accelerometer, calibration.quality
-    at = norm_derivatives(to_vector(p), observations.mean_raw - p.raw_zero, p.quadratic_axes)
+    at = _derivatives(p, observations)
     fitted = np.diag(_covariance(calibration))[:-1] > 0
     size = parameter_scale(to_vector(p), calibration.gravity.gravity_m_s2)
     # In most gauges columns hang together; as many as were fitted are independent.
     columns = np.linalg.svd((at.jacobian * size)[:, fitted], full_matrices=False)[0][:, : quality.parameters_fitted]
-    within = np.zeros(len(observations))
-    if known_covariance(observations.covariance_raw):
-        within = within_variance(at.raw_gradient, observations.covariance_raw)
-    return Session(columns, within, quality.between_position_sigma_m_s2)
+    return LinearSession(columns, _within(at, observations), quality.between_position_sigma_m_s2)
 
 
 def _rms(values: FloatArray) -> float:
@@ -322,16 +322,6 @@ def _require_finite(observations: Observations) -> None:
         )
 
 
-def _require_enough(m: int, hold_out: int) -> None:
-    if not 1 <= hold_out <= m - FEWEST_LEFT:
-        raise UsageError(
-            f"--hold-out {hold_out} of {m} positions is not possible, {FEWEST_LEFT} must be left to calibrate from; give 1 to "
-            f"{max(m - FEWEST_LEFT, 1)}",
-            hold_out=hold_out,
-            positions=m,
-        )
-
-
 def _again(calibration: Calibration, observations: Observations) -> Calibration:
     return calibrate_accelerometer(
         observations,
@@ -343,9 +333,12 @@ def _again(calibration: Calibration, observations: Observations) -> Calibration:
     )
 
 
+def _derivatives(parameters: AccelerometerParameters, observations: Observations) -> NormDerivatives:
+    return norm_derivatives(to_vector(parameters), observations.mean_raw - parameters.raw_zero, parameters.quadratic_axes)
+
+
 def _up(calibration: Calibration, observations: Observations) -> FloatArray:
-    p = calibration.accelerometer
-    a = norm_derivatives(to_vector(p), observations.mean_raw - p.raw_zero, p.quadratic_axes).a
+    a = _derivatives(calibration.accelerometer, observations).a
     up: FloatArray = a / np.linalg.norm(a, axis=1)[:, None]
     return up
 
@@ -353,29 +346,27 @@ def _up(calibration: Calibration, observations: Observations) -> FloatArray:
 def _residual_of(parameters: AccelerometerParameters | None, observations: Observations, gravity: Gravity) -> FloatArray:
     if parameters is None:
         return np.full(len(observations), np.nan)
-    raw = observations.mean_raw - parameters.raw_zero
-    norm = norm_derivatives(to_vector(parameters), raw, parameters.quadratic_axes).norm
-    return norm - gravity.gravity_m_s2
+    return _derivatives(parameters, observations).norm - gravity.gravity_m_s2
+
+
+def _within(at: NormDerivatives, observations: Observations) -> FloatArray:
+    """Return the variance of each mean's norm from the noise within its hold, shape (m,)."""
+    known = known_covariance(observations.covariance_raw)
+    return within_variance(at.raw_gradient, observations.covariance_raw) if known else np.zeros(len(observations))
 
 
 def _residual(calibration: Calibration, observations: Observations, gravity: Gravity) -> tuple[FloatArray, FloatArray]:
     """Return r, shape (m,), and S, shape (m, m)."""
-    p = calibration.accelerometer
-    at = norm_derivatives(to_vector(p), observations.mean_raw - p.raw_zero, p.quadratic_axes)
+    at = _derivatives(calibration.accelerometer, observations)
     one_place = abs(gravity.gravity_m_s2 - calibration.gravity.gravity_m_s2) < _SAME_GRAVITY_M_S2
-    S = _forecast(calibration, observations, one_place=one_place)
-    own = np.full(len(observations), calibration.quality.between_position_sigma_m_s2**2)
-    if known_covariance(observations.covariance_raw):
-        own = own + within_variance(at.raw_gradient, observations.covariance_raw)
-    S = S + np.diag(own) + (0.0 if one_place else gravity.sigma_m_s2**2)
+    own = calibration.quality.between_position_sigma_m_s2**2 + _within(at, observations)
+    S = _forecast(calibration, at, one_place=one_place) + np.diag(own) + (0.0 if one_place else gravity.sigma_m_s2**2)
     return at.norm - gravity.gravity_m_s2, S
 
 
-def _forecast(calibration: Calibration, observations: Observations, *, one_place: bool = True) -> FloatArray:
+def _forecast(calibration: Calibration, at: NormDerivatives, *, one_place: bool = True) -> FloatArray:
     """Return the covariance of the residuals as far as the parameters make them, shape (m, m)."""
-    p = calibration.accelerometer
-    at = norm_derivatives(to_vector(p), observations.mean_raw - p.raw_zero, p.quadratic_axes)
-    J = np.column_stack([at.jacobian, np.full(len(observations), -1.0 if one_place else 0.0)])
+    J = np.column_stack([at.jacobian, np.full(len(at.norm), -1.0 if one_place else 0.0)])
     covariance: FloatArray = J @ _covariance(calibration) @ J.T
     return covariance
 
@@ -393,5 +384,4 @@ def _covariance(calibration: Calibration) -> FloatArray:
 def _misfit(residual: FloatArray, S: FloatArray) -> float:
     if not np.isfinite(S).all():
         return float("nan")
-    # Where nothing at all is uncertain (simulations without noise) rounding decides; a nanogal keeps it harmless.
-    return float(residual @ np.linalg.solve(S + np.eye(len(S)) * 1e-22, residual)) / len(residual)
+    return float(residual @ np.linalg.solve(S + np.eye(len(S)) * _TINY, residual)) / len(residual)

@@ -11,7 +11,7 @@ from imufield.calibrate.accelerometer.accelerometer import calibrate_acceleromet
 from imufield.calibrate.model.models import predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.deliver.verification.held_out import check_positions, cross_validate
+from imufield.deliver.verification.left_out import check_positions, cross_validate
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, UsageError
 from imufield.guide.positions import scheme
