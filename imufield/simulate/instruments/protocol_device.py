@@ -101,9 +101,9 @@ class ProtocolDevice:
         """Return nothing."""
         return b""
 
-    def hear(self, data: bytes) -> Answer:
+    def receive(self, data: bytes) -> Answer:
         """Return what the script answers."""
-        answer = self.script.hear(data)
+        answer = self.script.receive(data)
         self._clock.rate_hz = self.script.rate_hz
         return Answer(answer)
 

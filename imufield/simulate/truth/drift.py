@@ -54,7 +54,7 @@ class BiasDrift:
         self._anchors: FloatArray = self._state.sum(axis=0)[np.newaxis]
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """Return the drift at rising times, shape (n,) to (n, c); what lies before ``time_s[0]`` is forgotten."""
+        """Return the drift at rising times, shape (n,) to (n, c); anchors before ``time_s[0]`` are dropped."""
         position = time_s / ANCHOR_S
         lower = np.floor(position).astype(np.int64)
         missing = int(lower[-1]) + 2 - self._first - len(self._anchors)

@@ -83,7 +83,7 @@ class OperatorSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StillInterval:
-    """A stretch in which the unit is still (placed) or as still as a hand is (held), true time.
+    """An interval, in true time, in which the unit is still (placed) or as still as a hand can be (held).
 
     ``bumped`` marks both sides of a bump; the bump itself belongs to no interval.
     """
@@ -91,7 +91,7 @@ class StillInterval:
     start_s: float
     end_s: float
     direction: FloatArray
-    """True "up" in the body frame, shape (3,); of a held unit, about which it trembles."""
+    """True "up" in the body frame, shape (3,); of a unit in the hand, the mean direction."""
     position: int
     """Number of the planned position, ``NO_POSITION`` for the initial still and wrong sides."""
     kind: StillKind
@@ -100,7 +100,7 @@ class StillInterval:
 
 @dataclass(frozen=True, slots=True)
 class TrueMove:
-    """A stretch of true motion, true time: a turn with its put-down, or a bump."""
+    """An interval of motion, in true time: a turn with its put-down, or a bump."""
 
     start_s: float
     end_s: float
@@ -111,7 +111,7 @@ class TrueMove:
 class _Visit:
     position: int
     direction: FloatArray
-    # Instead of a visit: a whole turn where the unit lies, rotation vector in the body frame.
+    # Instead of a visit: a whole turn where the unit is, rotation vector in the body frame.
     spin_rad: FloatArray | None = None
 
 
@@ -121,7 +121,7 @@ class Operator:
     Parameters
     ----------
     directions : array_like, shape (m, 3)
-        Planned directions of "up" in the body frame; empty for a unit that lies on the table for ever.
+        Planned directions of "up" in the body frame; empty for a unit that stays on the table.
     seed : int
     settings : OperatorSettings, optional
     site : Site, optional
@@ -209,7 +209,7 @@ class Operator:
         return np.concatenate([piece.acceleration(part) for piece, part in self._split(time_s)])
 
     def resting_attitude(self, start_s: float, end_s: float) -> FloatArray | None:
-        """Return the attitude if the unit lies still all the time."""
+        """Return the attitude if nothing moves from ``start_s`` to ``end_s``, otherwise None."""
         parts = self._split(np.array([start_s, end_s]))
         if len(parts) > 1 or not parts[0][0].is_rest:
             return None
