@@ -1,8 +1,8 @@
-"""Many independent runs, on all cores or on a Dask cluster, with results that do not depend on how many workers there are.
+"""Many independent runs, on all cores or on a Dask cluster; the results do not depend on the number of workers.
 
-Run ``i`` gets the ``i``-th child of one seed sequence, whoever does it and when. Runs go out in batches; a batch whose worker
-is killed is done again, with the same seeds, so the result is the same as if nothing had happened. Each process keeps to one
-BLAS thread: the matrices are 3 x 3, and two workers with two threads each would only get in each other's way.
+Run ``i`` gets the ``i``-th child of one seed sequence, whichever worker does it and when. Runs are sent in batches; a batch
+whose worker is killed is done again with the same seeds, so the result is the same. Each process uses one BLAS thread: the
+matrices are 3 x 3, and two workers with two threads each would compete for the cores.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""IDE Table 5 and Fig. 10: genetic algorithm, particle swarm and IDE; and navigation with what each of them found.
+"""IDE Table 5 and Fig. 10: genetic algorithm, particle swarm and IDE, and navigation with the parameters of each.
 
 References
 ----------

@@ -1,4 +1,4 @@
-"""Five hours at rest, simulated: what an instrument shows there, aligned by itself or told its attitude, and where it drifts.
+"""Simulated navigation at rest over five hours, with the attitude aligned or given: outputs of the instrument, and its drift.
 
 At rest the true specific force and rate in the body frame are constant; what the instrument's errors add is constant too, apart
 from noise. So a second a step is fine enough: with it the position after five hours agrees with steps of 0.1 s to 1e-6 deg.

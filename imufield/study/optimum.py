@@ -1,4 +1,4 @@
-"""What a solver is judged against: exact minima, global optima and the Cramér-Rao bound.
+"""References that solvers are compared with: exact minima, global optima and the Cramér-Rao bound.
 
 The minimum of eq. 13 of [1]_ is a linear programme once ``norm(a)`` is linear in the coordinates,
 

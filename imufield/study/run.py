@@ -1,4 +1,4 @@
-"""Run studies, save what they give, and write them up: the calls behind ``imufield study``."""
+"""Run studies, save their results, and write the document: the calls behind ``imufield study``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""BSAS Tables 1, 2 and 4, IDE Tables 1 and 3: what the papers put in, and what the simulations here take.
+"""BSAS Tables 1, 2 and 4, IDE Tables 1 and 3: inputs of the papers, and of the simulations here.
 
 These tables are inputs, so there is nothing to reproduce; they are here so that a reader finds every number in one place.
 """

@@ -1,4 +1,4 @@
-"""Any instrument whose protocol is a file: it sends one of the forms the file lists, and answers by its script."""
+"""An instrument described by a protocol file: it sends one of the forms of the file, and answers by a script."""
 
 from __future__ import annotations
 

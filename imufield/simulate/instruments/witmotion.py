@@ -1,4 +1,4 @@
-"""A WitMotion WT901: registers behind a key, frames of 11 bytes (WitStandardProtocol_JY901)."""
+"""A WitMotion WT901: registers that a key unlocks, frames of 11 bytes (WitStandardProtocol_JY901)."""
 
 from __future__ import annotations
 
