@@ -22,7 +22,7 @@ from imufield.acquire.registry import driver_names, load_driver
 from imufield.cli.app import app
 
 PROJECT = Path(__file__).resolve().parent.parent
-SCHEMAS = {"parameters.schema.json": "imufield.deliver", "events.schema.json": "imufield.guide"}
+SCHEMAS = {"parameters.schema.json": "imufield.deliver.parameters", "events.schema.json": "imufield.guide"}
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:

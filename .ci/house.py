@@ -83,7 +83,7 @@ APART = {
 }
 MANY_OF_A_KIND = ("commands", "deliver/exports", "study", "drivers", "protocols")  # Folders with a file for each thing.
 SETTINGS = ("GuideSettings",)
-POSITIONAL = 6  # So many arguments without a name are a riddle at the place of the call.
+POSITIONAL = 6  # From this number on, arguments without a name cannot be understood at the place of the call.
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Module:
 
     @property
     def room(self) -> str:
-        """The folder, or the file itself where it lies directly in a folder that holds rooms."""
+        """The folder, or the file itself where it is directly in a folder that holds rooms."""
         parts = self.name.split(".") if self.name else []
         if self.path.name == "__init__.py":
             return "/".join(parts)
@@ -178,7 +178,7 @@ def any_in_annotations(module: Module) -> int:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             given = node.args
             every = [*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg]
-            places += [one.annotation for one in every if one is not None]
+            places += [argument.annotation for argument in every if argument is not None]
             places.append(node.returns)
         elif isinstance(node, ast.AnnAssign):
             places.append(node.annotation)
@@ -244,12 +244,12 @@ def lines(module: Module) -> tuple[int, int]:
 
 def crowded(found: list[Module]) -> tuple[int, str]:
     """Return the most modules that one folder holds, and which; folders of many things of a kind aside."""
-    held: dict[str, int] = defaultdict(int)
+    count: dict[str, int] = defaultdict(int)
     for module in found:
         folder = module.path.parent.relative_to(PROJECT)
         if module.path.name != "__init__.py" and folder.as_posix().removeprefix("imufield/") not in MANY_OF_A_KIND:
-            held[folder.as_posix()] += 1
-    return max((number, folder) for folder, number in held.items())
+            count[folder.as_posix()] += 1
+    return max((number, folder) for folder, number in count.items())
 
 
 def main(folders: list[str]) -> int:

@@ -184,8 +184,10 @@ def long_rows(folder: Path) -> list[dict[str, Any]]:
     ended = [run_program(folder, "solve", session.folder, "--json") for _ in range(ROUNDS)]
     positions = len(json.loads(ended[0].output)["position"])
     return [
-        row(f"solve, 40 min at 2000 Hz ({size_mb:.0f} MB, {positions} positions)", min(one.wall_s for one in ended), "s"),
-        row("solve, 40 min at 2000 Hz: largest resident memory", max(one.memory_mib for one in ended), "MiB"),
+        row(
+            f"solve, 40 min at 2000 Hz ({size_mb:.0f} MB, {positions} positions)", min(program.wall_s for program in ended), "s"
+        ),
+        row("solve, 40 min at 2000 Hz: largest resident memory", max(program.memory_mib for program in ended), "MiB"),
     ]
 
 

@@ -77,18 +77,18 @@ def run() -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        start_s = {one: run_program(folder, one, "--help").cpu_s for one in COMMANDS}
+        start_s = {command: run_program(folder, command, "--help").cpu_s for command in COMMANDS}
         ended = {length: measured(folder, length) for length in LENGTHS}
-    for one in COMMANDS:
-        times = [ended[length][one].cpu_s for length in LENGTHS]
+    for command in COMMANDS:
+        times = [ended[length][command].cpu_s for length in LENGTHS]
         minutes = [f"{length * SHORTEST_S / 60:g} min" for length in LENGTHS]
-        rows += [{"name": f"{one}, {m}: processor", "value": t, "unit": "s"} for m, t in zip(minutes, times, strict=True)]
-        memory = [ended[length][one].memory_mib for length in LENGTHS]
-        rows += [{"name": f"{one}, {m}: memory", "value": v, "unit": "MiB"} for m, v in zip(minutes, memory, strict=True)]
-        above = [max(time - start_s[one], 1e-3) for time in times]
-        rows.append({"name": f"{one}: growth of time", "value": math.log10(above[2] / above[1]), "unit": "exponent"})
+        rows += [{"name": f"{command}, {m}: processor", "value": t, "unit": "s"} for m, t in zip(minutes, times, strict=True)]
+        memory = [ended[length][command].memory_mib for length in LENGTHS]
+        rows += [{"name": f"{command}, {m}: memory", "value": v, "unit": "MiB"} for m, v in zip(minutes, memory, strict=True)]
+        above = [max(time - start_s[command], 1e-3) for time in times]
+        rows.append({"name": f"{command}: growth of time", "value": math.log10(above[2] / above[1]), "unit": "exponent"})
         grown = math.log10(memory[2] / memory[1])
-        rows.append({"name": f"{one}: growth of memory", "value": grown, "unit": "exponent"})
+        rows.append({"name": f"{command}: growth of memory", "value": grown, "unit": "exponent"})
     return rows
 
 

@@ -163,10 +163,10 @@ def distance_mm(blocks: list[Samples], apply: Apply, drift: Drift) -> float:
     """Return the largest distance from python-ins run in one piece over the same corrected samples, same alignment."""
     pyins = load_pyins()
     settings = CheckSettings(latitude_deg=Site().latitude_deg)
-    one = ParameterSet(apply, settings)
+    navigated = ParameterSet(apply, settings)
     for block in blocks:
-        one.feed(block)
-        if one.alignment is not None:
+        navigated.feed(block)
+        if navigated.alignment is not None:
             break
     corrected = [apply(block) for block in blocks]
     time_s, force, rate = (np.concatenate([getattr(c, name) for c in corrected]) for name in Corrected._fields)
@@ -174,7 +174,7 @@ def distance_mm(blocks: list[Samples], apply: Apply, drift: Drift) -> float:
     first = int(np.searchsorted(time_s, start_s))
     columns = [*pyins.util.GYRO_COLS, *pyins.util.ACCEL_COLS]
     imu = pyins.pandas.DataFrame(np.hstack([rate, force])[first:], index=time_s[first:], columns=columns)
-    start = [settings.latitude_deg, 0.0, 0.0, 0.0, 0.0, 0.0, *pyins.transform.mat_to_rph(one.alignment.attitude)]
+    start = [settings.latitude_deg, 0.0, 0.0, 0.0, 0.0, 0.0, *pyins.transform.mat_to_rph(navigated.alignment.attitude)]
     state = pyins.pandas.Series(start, index=pyins.util.TRAJECTORY_COLS, name=float(time_s[first]))
     increments = pyins.strapdown.compute_increments_from_imu(imu, "rate")
     trajectory = pyins.strapdown.Integrator(state, with_altitude=False).integrate(increments)

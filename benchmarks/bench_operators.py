@@ -145,7 +145,7 @@ _LEAVE = (RefusalCode.ALREADY_DONE, RefusalCode.NOT_NEAR)
 
 def examine(run: Run, operator: Operator, imu: Imu, guide: Guide, played: Played) -> None:
     """Hold what the guide said against the truth."""
-    moves = [(imu.to_sample_clock(one.start_s), imu.to_sample_clock(one.end_s), one.kind) for one in operator.moves]
+    moves = [(imu.to_sample_clock(move.start_s), imu.to_sample_clock(move.end_s), move.kind) for move in operator.moves]
     edges = true_edges(operator, imu)
     run.accepted = len(guide.plan.accepted)
     bumped = []
@@ -195,7 +195,7 @@ def examine_edges(run: Run, guide: Guide, played: Played, edges: list[Edges]) ->
     placed_guard_s = guard_cells(guide.detector.limits) * CELL_S
     starts, used = [], []
     for event, _ in played.taken:
-        inside = [one for one in edges if one.begin_s[0] <= event.start_s + 0.01 and event.start_s < one.end_s[1]]
+        inside = [edge for edge in edges if edge.begin_s[0] <= event.start_s + 0.01 and event.start_s < edge.end_s[1]]
         if not inside or inside[-1].bumped:
             continue
         begin_s = inside[-1].begin_s
@@ -206,10 +206,10 @@ def examine_edges(run: Run, guide: Guide, played: Played, edges: list[Edges]) ->
     run.used = float(np.mean(used)) if used else math.nan
     run.used_worst = min(used, default=math.nan)
     found = []
-    for one in edges[1:]:
-        stretches = [pair for pair in played.watch.found if pair[0] < one.end_s[0] - 0.5 and pair[1] > one.begin_s[1] + 0.5]
-        if stretches and not one.bumped and math.isfinite(one.end_s[1]) and one.end_s[0] - one.begin_s[1] > LONG_ENOUGH_S:
-            found.append((outside(stretches[0][0], one.begin_s), outside(stretches[-1][1], one.end_s), len(stretches)))
+    for edge in edges[1:]:
+        stretches = [pair for pair in played.watch.found if pair[0] < edge.end_s[0] - 0.5 and pair[1] > edge.begin_s[1] + 0.5]
+        if stretches and not edge.bumped and math.isfinite(edge.end_s[1]) and edge.end_s[0] - edge.begin_s[1] > LONG_ENOUGH_S:
+            found.append((outside(stretches[0][0], edge.begin_s), outside(stretches[-1][1], edge.end_s), len(stretches)))
     run.found_s = tuple(found)
 
 
@@ -249,7 +249,7 @@ def summarise(runs: list[Run]) -> list[dict[str, object]]:
         if not some:
             continue
         starts = np.concatenate([run.starts_s for run in some])
-        found = np.array([one for run in some for one in run.found_s])
+        found = np.array([stretch for run in some for stretch in run.found_s])
         row(f"{style}: stillness used, guard bands aside, mean", 100 * float(np.mean([run.used for run in some])), "%")
         row(f"{style}: the same, worst session", 100 * min(run.used for run in some), "%")
         row(f"{style}: the same, worst hold", 100 * min(run.used_worst for run in some), "%")
@@ -286,10 +286,10 @@ if __name__ == "__main__":
     begin = time.perf_counter()
     with ProcessPoolExecutor(options.workers) as pool:
         runs = []
-        for one in pool.map(run_seed, range(options.first, options.first + options.count)):
-            runs.append(one)
+        for session in pool.map(run_seed, range(options.first, options.first + options.count)):
+            runs.append(session)
             if options.verbose:
-                print(one, flush=True)
+                print(session, flush=True)
     for line in summarise(runs):
         print(f"{line['name']:60} {line['value']:>10} {line['unit']}")
     print(f"{time.perf_counter() - begin:.0f} s")

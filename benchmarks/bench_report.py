@@ -26,9 +26,9 @@ def run() -> list[dict[str, Any]]:
             ended = [run_program(folder, "report", session) for _ in range(ROUNDS)]
             what = f"report, 24 positions in {minutes:g} min at 2000 Hz"
             rows += [
-                {"name": f"{what}: time", "value": min(one.wall_s for one in ended), "unit": "s"},
-                {"name": f"{what}: processor", "value": min(one.cpu_s for one in ended), "unit": "s"},
-                {"name": f"{what}: memory", "value": max(one.memory_mib for one in ended), "unit": "MiB"},
+                {"name": f"{what}: time", "value": min(program.wall_s for program in ended), "unit": "s"},
+                {"name": f"{what}: processor", "value": min(program.cpu_s for program in ended), "unit": "s"},
+                {"name": f"{what}: memory", "value": max(program.memory_mib for program in ended), "unit": "MiB"},
                 {"name": f"{what}: size", "value": (session / "report.html").stat().st_size / 2**20, "unit": "MiB"},
             ]
     return rows

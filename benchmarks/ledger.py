@@ -73,7 +73,7 @@ class Entry:
     peer: float | None
 
 
-COLUMNS = [one.name for one in fields(Entry)]
+COLUMNS = [field.name for field in fields(Entry)]
 
 
 @dataclass(slots=True)
@@ -96,8 +96,10 @@ class Ledger:
         """Take the figures of a run, and what it printed where it has none."""
         date = datetime.now(UTC).strftime("%Y-%m-%d")
         self.packages = machine.packages
-        for one in figures:
-            self.entries.append(Entry(date, machine.key, machine.load, benchmark, one.what, one.value, one.unit, one.peer))
+        for figure in figures:
+            self.entries.append(
+                Entry(date, machine.key, machine.load, benchmark, figure.what, figure.value, figure.unit, figure.peer)
+            )
         if printed and not figures:
             PRINTED.mkdir(exist_ok=True)
             head = f"{date}, {machine.key}, {machine.load}\n"
@@ -105,9 +107,9 @@ class Ledger:
 
     def last(self, benchmark: str, what: str, machine: str | None = None) -> Entry | None:
         """Return the newest value of a figure, on one machine or on any."""
-        for one in reversed(self.entries):
-            if (one.benchmark, one.what) == (benchmark, what) and machine in (None, one.machine):
-                return one
+        for entry in reversed(self.entries):
+            if (entry.benchmark, entry.what) == (benchmark, what) and machine in (None, entry.machine):
+                return entry
         return None
 
     def write(self, path: Path = HISTORY) -> None:
@@ -115,8 +117,8 @@ class Ledger:
         with path.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(COLUMNS)
-            for one in self.entries:
-                values = [getattr(one, name) for name in COLUMNS]
+            for entry in self.entries:
+                values = [getattr(entry, name) for name in COLUMNS]
                 writer.writerow(
                     ["" if value is None else f"{value:.6g}" if isinstance(value, float) else value for value in values]
                 )
@@ -152,18 +154,18 @@ def regressions(ledger: Ledger, machine: Machine, figures: list[Figure]) -> Iter
 
     Where a peer ran beside, both runs are taken relative to it: a machine that is busy slows the peer as well.
     """
-    for one in figures:
-        before = ledger.last(one.benchmark, one.what, machine.key)
-        if before is None or before.unit != one.unit:
+    for figure in figures:
+        before = ledger.last(figure.benchmark, figure.what, machine.key)
+        if before is None or before.unit != figure.unit:
             continue
-        now, then = one.value / (one.peer or 1.0), before.value / (before.peer or 1.0)
-        if (one.peer is None) != (before.peer is None) or min(now, then) <= 0:
+        now, then = figure.value / (figure.peer or 1.0), before.value / (before.peer or 1.0)
+        if (figure.peer is None) != (before.peer is None) or min(now, then) <= 0:
             continue
-        ratio = then / now if one.more_is_better else now / then
+        ratio = then / now if figure.more_is_better else now / then
         if ratio > WORSE:
-            beside = " beside its peer" if one.peer is not None else ""
-            figures_of = f"{before.value:.4g} on {before.date}, now {one.value:.4g} {one.unit}"
-            yield f"{one.what}: {ratio:.2f} times worse{beside} ({figures_of})"
+            beside = " beside its peer" if figure.peer is not None else ""
+            figures_of = f"{before.value:.4g} on {before.date}, now {figure.value:.4g} {figure.unit}"
+            yield f"{figure.what}: {ratio:.2f} times worse{beside} ({figures_of})"
 
 
 def write_page(ledger: Ledger, path: Path = PAGE) -> None:
@@ -184,15 +186,15 @@ def page_lines(ledger: Ledger) -> Iterator[str]:
     )
     if ledger.packages:
         yield f"Versions: {ledger.packages}.\n"
-    for benchmark in sorted({one.benchmark for one in ledger.entries}):
-        rows = {one.what: one for one in ledger.entries if one.benchmark == benchmark}
-        newest = max(rows.values(), key=lambda one: one.date)
+    for benchmark in sorted({entry.benchmark for entry in ledger.entries}):
+        rows = {entry.what: entry for entry in ledger.entries if entry.benchmark == benchmark}
+        newest = max(rows.values(), key=lambda entry: entry.date)
         yield f"## {benchmark}\n"
         yield "| figure | value | unit | peer | ratio | date, load |\n|---|---|---|---|---|---|"
-        for one in (one for one in rows.values() if one.machine == newest.machine):
-            beside = " | " if not one.peer else f"{one.peer:.4g} | {one.value / one.peer:.2f}"
-            load = one.load.removeprefix("load average ")
-            yield f"| {one.what} | {one.value:.4g} | {one.unit} | {beside} | {one.date}, {load} |"
+        for entry in (entry for entry in rows.values() if entry.machine == newest.machine):
+            beside = " | " if not entry.peer else f"{entry.peer:.4g} | {entry.value / entry.peer:.2f}"
+            load = entry.load.removeprefix("load average ")
+            yield f"| {entry.what} | {entry.value:.4g} | {entry.unit} | {beside} | {entry.date}, {load} |"
         yield f"\n{newest.machine}\n"
     for file in sorted(PRINTED.glob("*.txt")) if PRINTED.is_dir() else ():
         yield f"## {file.stem}\n\n```text\n{file.read_text(encoding='utf-8').rstrip()}\n```\n"

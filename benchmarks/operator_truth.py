@@ -124,10 +124,10 @@ def bump_shares(operator: Operator, imu: Imu, taken: list[tuple[Accepted, Observ
     calm = _without_bumps(operator)
     fresh = Imu(imu.instrument, imu_seed(operator), imu.settings)
     until_s = max(event.start_s + event.duration_s for event, _ in taken) + 1.0
-    blocks = [(one.start_s - 0.5, one.start_s + one.duration_s + 0.5) for one, _ in taken]
+    blocks = [(event.start_s - 0.5, event.start_s + event.duration_s + 0.5) for event, _ in taken]
     played = _play(calm, fresh, until_s)
     samples = concatenate(
-        [one for one in played if any(one.time_s[0] < end and one.time_s[-1] > begin for begin, end in blocks)]
+        [block for block in played if any(block.time_s[0] < end and block.time_s[-1] > begin for begin, end in blocks)]
     )
     return [_norm(imu, with_it) - _norm(imu, _measure(samples, event, with_it, standards)) for event, with_it in taken]
 

@@ -58,6 +58,7 @@ def run_bound(_number: int, rng: np.random.Generator) -> BoundRun:
     """Solve one data set by least squares, then once more in the frame of the truth."""
     raw, preset = bsas_outputs(rng), bsas_preset(rng)
     truth = intrinsic(BSAS_TRUTH, BSAS_AXES)[0]
+    # First in the frame of the preset, as a user gets it; then started from the same instrument in the frame of the truth.
     found = _solve(preset, raw)
     again = _solve(change_gauge(found[0], "preset", BSAS_TRUTH).vector, raw)
     return BoundRun(intrinsic(found[0], BSAS_AXES)[0] - truth, intrinsic(again[0], BSAS_AXES)[0] - truth, found[1] and again[1])
@@ -71,6 +72,7 @@ def _solve(start: FloatArray, raw: FloatArray) -> tuple[FloatArray, bool]:
 
 def bound(turn_sigma_rad: float = 0.0, axes: QuadraticAxes = BSAS_AXES) -> FloatArray:
     """Return the Cramér-Rao bound of the 12 gauge-free numbers for a frame known to this, per axis, shape (12,)."""
+    # Noise of zero: the Jacobian is taken at the true outputs, and the generator is not used.
     clean = bsas_outputs(np.random.default_rng(0), 0.0)
     return cramer_rao_bound(
         BSAS_TRUTH, clean, BSAS_GRAVITY_M_S2, BSAS_NOISE_M_S2, quadratic_axes=axes, turn_sigma_rad=turn_sigma_rad
@@ -84,6 +86,7 @@ def least_squares_bound(context: StudyContext) -> StudyReport:
     rmse = {
         name: np.sqrt(np.mean([getattr(run, name) ** 2 for run in runs], axis=0)) for name in ("as_solved", "in_true_frame")
     }
+    # The ratio of an RMSE over n runs has a standard deviation of 1 / sqrt(2 n).
     ratios = {
         "as solved, bound of a known frame": rmse["as_solved"] / known,
         "as solved, bound of a frame known as the preset": rmse["as_solved"] / as_preset,

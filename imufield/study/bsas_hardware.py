@@ -71,6 +71,7 @@ def run_recalibration(_number: int, rng: np.random.Generator) -> Recalibration:
     size[MISALIGNMENT] = OLD_MISALIGNMENT_RAD
     size[QUADRATIC] = OLD_QUADRATIC * np.abs(BSAS_TRUTH[QUADRATIC])
     old = BSAS_TRUTH + size * rng.standard_normal(len(size))
+    # 24 positions to calibrate, 36 others to check, each with an error of its own.
     raw = bsas_outputs(rng, REPEATABILITY_M_S2)
     problem = whitened_problem(old, raw, BSAS_GRAVITY_M_S2, quadratic_axes=BSAS_AXES)
     new = problem.vector(solve_bsas(problem, rng=rng).x)

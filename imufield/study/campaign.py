@@ -1,8 +1,8 @@
-"""Many independent runs, on all cores or on a Dask cluster, with results that do not depend on how many workers there are.
+"""Many independent runs, on all cores or on a Dask cluster; the results do not depend on the number of workers.
 
-Run ``i`` gets the ``i``-th child of one seed sequence, whoever does it and when. Runs go out in batches; a batch whose worker
-is killed is done again, with the same seeds, so the result is the same as if nothing had happened. Each process keeps to one
-BLAS thread: the matrices are 3 x 3, and two workers with two threads each would only get in each other's way.
+Run ``i`` gets the ``i``-th child of one seed sequence, whichever worker does it and when. Runs are sent in batches; a batch
+whose worker is killed is done again with the same seeds, so the result is the same. Each process uses one BLAS thread: the
+matrices are 3 x 3, and two workers with two threads each would compete for the cores.
 """
 
 from __future__ import annotations
@@ -153,26 +153,19 @@ def _on_processes(campaign: _Campaign[Argument, Result], workers: int) -> list[R
         if not open_batches:
             return campaign.in_order()
     if campaign.on_killed is not None:
-        return _one_by_one(campaign, open_batches, campaign.on_killed)
+        # Each run that is left gets a worker of its own, to find those that kill it; a batch has one run here.
+        for batch in open_batches:
+            with contextlib.suppress(BrokenProcessPool), one_blas_thread():
+                _pool_pass(campaign, [batch], 1)
+            if batch[0] not in campaign.results:
+                campaign.take(batch[0], [campaign.on_killed(argument) for argument in batch[1]])
+        return campaign.in_order()
     raise UsageError(
         f"workers of the campaign were killed {_KILLS_ACCEPTED + 1} times, {len(open_batches)} batches are not "
         "done; use fewer workers (the usual reason is lack of memory)",
         Reason.USAGE,
         workers=workers,
     )
-
-
-def _one_by_one(
-    campaign: _Campaign[Argument, Result], batches: list[_Batch[Argument]], on_killed: Callable[[Argument], Result]
-) -> list[Result]:
-    """Give each run that is left a worker of its own, to find those that kill it."""
-    for first, arguments, seeds in batches:
-        for number, argument, seed in zip(range(first, first + len(arguments)), arguments, seeds, strict=True):
-            with contextlib.suppress(BrokenProcessPool), one_blas_thread():
-                _pool_pass(campaign, [(number, [argument], [seed])], 1)
-            if number not in campaign.results:
-                campaign.take(number, [on_killed(argument)])
-    return campaign.in_order()
 
 
 def _pool_pass(campaign: _Campaign[Argument, Result], batches: list[_Batch[Argument]], workers: int) -> None:

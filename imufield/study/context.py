@@ -1,4 +1,4 @@
-"""What every study of one run shares: seed, size, and who does the work."""
+"""What all studies of one invocation share: seed, number of runs, and workers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""IDE Table 5 and Fig. 10: genetic algorithm, particle swarm and IDE; and navigation with what each of them found.
+"""IDE Table 5 and Fig. 10: genetic algorithm, particle swarm and IDE, and navigation with the parameters of each.
 
 References
 ----------
@@ -42,6 +42,7 @@ METHODS = ("ga", "pso", "ide")
 COSTS = ("accelerometer", "norm", "vector")
 SUCCESS = 1.1
 """A run counts as a success within this many times the global optimum; the paper does not define its success."""
+# Table 5 of [1]_: success in per cent, mean and standard deviation of the cost.
 _PAPER = {
     ("ga", "accelerometer"): (73.33, 0.1513, 0.1096),
     ("pso", "accelerometer"): (86.67, 0.03387, 0.04783),
@@ -103,6 +104,7 @@ def table_5(context: StudyContext) -> StudyReport:
     for (method, cost), runs in _runs(context).items():
         values = np.array([run.cost for run in runs])
         success = np.mean([run.cost <= SUCCESS * run.optimum for run in runs])
+        # Within 1e-6 of the optimum: far below what noise or another data set would change.
         at_optimum = sum(run.cost <= run.optimum * (1 + 1e-6) for run in runs)
         paper = "not done" if (method, cost) not in _PAPER else "{:.2f} %, mean {:.4g}, SD {:.2g}".format(*_PAPER[method, cost])
         ours = (
@@ -161,13 +163,16 @@ def _in_frame(x: FloatArray) -> FloatArray:
     unit = unit_diagonal_matrices(x[None, 3:9])[0]
     target = unit_diagonal_matrices(IDE_TRUTH[None, 3:9])[0]
     left, _, right = np.linalg.svd(target.T @ unit)
+    # The rotation R that minimises |unit R^T - target| (orthogonal Procrustes problem, solved by the SVD).
     turned = unit @ (left @ right).T
     diagonal = np.diag(turned)
+    # Back to a unit diagonal: what the turn moved into it belongs to the scale factors.
     entries = (turned / diagonal[:, None])[(0, 0, 1, 1, 2, 2), (1, 2, 0, 2, 0, 1)]
     return np.concatenate([x[:3] * diagonal, entries, x[9:]])
 
 
 def _inputs(x: FloatArray, raw: FloatArray) -> FloatArray:
+    # Gravity and bounds play no part in the inverse of the model.
     problem = TriadProblem(raw, 1.0, x, x)
     return np.asarray(problem.inputs(x[None])[0, :, 0])
 

@@ -63,10 +63,13 @@ def run_gyroscope(path: str, rng: np.random.Generator) -> GyroscopeRun:
     problem = make_problem(path, rng)
     optimum, _ = squares_optimum(problem)
     found = solve_ide(problem, rng=rng)
+    # At rest the unit is deg/h, on the turntable deg/s; only K depends on it.
     truth = per_deg_h(GYROSCOPE_TRUTH) if path == "static" else GYROSCOPE_TRUTH[:9]
     reach = (problem.upper - problem.lower) / 2
+    # Columns scaled by half the width of the bounds: an entry that cannot move the cost within them counts as undetermined.
     rank = int(np.linalg.matrix_rank(problem.jacobian(truth) * reach, rtol=1e-9))
     errors = found.x - truth
+    # Scale factors are compared by their relative error, in ppm; the entries of E are angles already.
     errors[:3] /= truth[:3]
     return GyroscopeRun(
         cost=found.cost, optimum=optimum, converged=found.converged, rank=rank, errors=errors, history=found.history

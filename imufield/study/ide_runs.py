@@ -26,6 +26,7 @@ SETTING = (
     "per axis and position; NP 60, EG 1200, F 1.2, CR 0.6; for IDE F_max 1.2, F_min 0.35."
 )
 STRATEGIES = ("de-rand-1", "de-current-to-best-1", "de-combined", "ide")
+# Table 2 of [1]_: mean and standard deviation of L_a; it has no row for current-to-best/1.
 _PAPER = {"de-rand-1": (0.045558, 0.015841), "de-combined": (0.008171, 6.1852e-4), "ide": (0.004854, 8.5377e-4)}
 
 
@@ -42,6 +43,7 @@ class Evolution:
 
 def run_strategy(name: str, rng: np.random.Generator) -> Evolution:
     """Draw a data set and solve it with one strategy."""
+    # Fresh noise in every run; the optimum of the same data is what the strategy is compared with.
     problem = ide_problem(rng)
     optimum, _ = squares_optimum(problem)
     found = load_solver(name)(problem, rng=rng)
@@ -81,6 +83,7 @@ def table_2(context: StudyContext) -> StudyReport:
     ]
     comparisons.append(Comparison("runs that say they converged", "not said", converged))
     rows = tuple((name, i + 1, run.cost, run.optimum) for name, runs in found.items() for i, run in enumerate(runs))
+    # NaN leaves a gap among the bars.
     paper = np.array([_PAPER.get(name, (np.nan,))[0] for name in STRATEGIES])
     ours = np.array([costs[name].mean() for name in STRATEGIES])
     return make_report(
@@ -98,6 +101,7 @@ def _figure(context: StudyContext, *, name: str, strategy: str, tests: int, pape
     runs = _evolutions(context)[strategy][:tests]
     fitness = {f"test {i + 1}": 1 / run.history for i, run in enumerate(runs)}
     ends = np.array([curve[-1] for curve in fitness.values()])
+    # The fitness is 1 / L_a, as the paper draws it; half of the final one says how early the search is nearly done.
     half = np.median([int(np.argmax(curve >= curve[-1] / 2)) + 1 for curve in fitness.values()])
     comparisons = (
         Comparison(f"final L_a of {len(runs)} tests", paper, f"{1 / ends.max():.6f} to {1 / ends.min():.6f}"),

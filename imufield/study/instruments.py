@@ -100,6 +100,7 @@ def bsas_outputs(rng: np.random.Generator, noise_m_s2: float = BSAS_NOISE_M_S2, 
     """Return mean outputs of the instrument of [1]_ at rest, shape (m, 3), noise given as sigma of the norm."""
     a = bsas_directions(positions) * BSAS_GRAVITY_M_S2
     clean = predict(from_vector(BSAS_TRUTH, None, BSAS_AXES), a)
+    # The norm sees the noise along the direction that points up, which has the sigma of each axis; K makes it raw units.
     outputs: FloatArray = clean + BSAS_TRUTH[SCALE] * noise_m_s2 * rng.standard_normal(a.shape)
     return outputs
 
@@ -117,6 +118,7 @@ def bsas_preset(rng: np.random.Generator, error: PresetError = FIELD_PRESET) -> 
 
 def ide_problem(rng: np.random.Generator, noise_m_s2: float = IDE_NOISE_M_S2) -> TriadProblem:
     """Return the accelerometer problem of [2]_ (eq. 7) with fresh noise."""
+    # Noise on the inputs, in m/s^2 per axis; the outputs follow by eq. 1.
     a = bsas_directions() * IDE_GRAVITY_M_S2
     a = a + noise_m_s2 * rng.standard_normal(a.shape)
     return TriadProblem(triad_outputs(IDE_TRUTH, a), IDE_GRAVITY_M_S2, IDE_LOWER, IDE_UPPER)
@@ -144,6 +146,7 @@ def static_rates_deg_s(latitude_deg: float = BEIJING_LATITUDE_DEG) -> FloatArray
 def gyroscope_static_problem(rng: np.random.Generator) -> TriadProblem:
     """Return the static gyroscope problem of [2]_ (L_g of eq. 7), rates in deg/h: K is in pulses per deg/h."""
     rates = static_rates_deg_s() * DEG_H_PER_DEG_S
+    # A random walk of N deg/sqrt(h) leaves N sqrt(3600 / T) deg/h in the mean of T seconds.
     noise = GYROSCOPE_ARW_DEG_PER_ROOT_HOUR * math.sqrt(3600 / STATIC_HOLD_S)
     rates = rates + noise * rng.standard_normal(rates.shape)
     truth, lower, upper = (per_deg_h(x) for x in (GYROSCOPE_TRUTH, GYROSCOPE_LOWER, GYROSCOPE_UPPER))
@@ -158,6 +161,7 @@ def per_deg_h(x: FloatArray) -> FloatArray:
 def gyroscope_turns_problem(rng: np.random.Generator, form: str) -> TurnsProblem:
     """Return the dynamic gyroscope problem: both ways about each axis at three rates (nine pairs)."""
     rates = np.concatenate([np.eye(3) * rate for rate in TURN_RATES_DEG_S])
+    # N / 60 deg/sqrt(s), so N / 60 / sqrt(T) deg/s in the mean of a turn, sqrt(2) of that in a difference.
     noise = GYROSCOPE_ARW_DEG_PER_ROOT_HOUR / 60 / math.sqrt(TURN_SECONDS)
     # Earth rate and bias are the same in both turns of a pair and cancel in the difference (eq. 23 to 25).
     difference = 2 * (triad_outputs(GYROSCOPE_TRUTH, rates) - GYROSCOPE_TRUTH[9:])

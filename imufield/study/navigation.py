@@ -1,4 +1,4 @@
-"""Five hours at rest, simulated: what an instrument shows there, aligned by itself or told its attitude, and where it drifts.
+"""Simulated navigation at rest over five hours, with the attitude aligned or given: outputs of the instrument, and its drift.
 
 At rest the true specific force and rate in the body frame are constant; what the instrument's errors add is constant too, apart
 from noise. So a second a step is fine enough: with it the position after five hours agrees with steps of 0.1 s to 1e-6 deg.
@@ -74,15 +74,18 @@ def navigate_at_rest(
     sigma_force = noise.accelerometer_m_s2_per_root_hz
     sigma_rate = math.radians(noise.gyroscope_deg_per_root_hour) / 60
     if attitude_rph_deg is None:
+        # The mean over the alignment: noise of a density N averages to N / sqrt(T).
         shown = [
             mean + sigma / math.sqrt(ALIGNMENT_S) * rng.standard_normal(3)
             for mean, sigma in ((force, sigma_force), (rate, sigma_rate))
         ]
         attitude_rph_deg = modules.transform.mat_to_rph(coarse_attitude(*shown))
     root = math.sqrt(STEP_S)
+    # Increments of one step: the integral of the rate, and of its noise, which grows with the root of the time.
     theta = rate * STEP_S + sigma_rate * root * rng.standard_normal((n, 3))
     velocity = force * STEP_S + sigma_force * root * rng.standard_normal((n, 3))
-    velocity += 0.5 * np.cross(theta, velocity)  # the unit turns with the Earth during a step
+    # The unit turns with the Earth during a step, and its velocity increment with it: half a step in the mean.
+    velocity += 0.5 * np.cross(theta, velocity)
     columns = ["dt", "theta_x", "theta_y", "theta_z", "dv_x", "dv_y", "dv_z"]
     increments = modules.pandas.DataFrame(
         np.column_stack([np.full(n, STEP_S), theta, velocity]), index=np.arange(1, n + 1) * STEP_S, columns=columns

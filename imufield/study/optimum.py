@@ -1,4 +1,4 @@
-"""What a solver is judged against: exact minima, global optima and the Cramér-Rao bound.
+"""References that solvers are compared with: exact minima, global optima and the Cramér-Rao bound.
 
 The minimum of eq. 13 of [1]_ is a linear programme once ``norm(a)`` is linear in the coordinates,
 
@@ -38,7 +38,7 @@ INTRINSIC_NAMES = tuple(
     for kind, axes in (("scale", "xyz"), ("bias", "xyz"), ("angle", ("xy", "xz", "yz")), ("K2", "xyz"))
     for axis in axes
 )
-_ROUNDS = 4
+_ROUNDS = 4  # Of linearising: the norm is nearly linear over the errors of a preset.
 
 
 def exact_absolute_minimum(problem: NormProblem) -> tuple[float, FloatArray]:
@@ -58,6 +58,7 @@ def _absolute_step(residual: FloatArray, A: FloatArray) -> FloatArray:
     m, n = A.shape
     # Near the end the residuals that matter are the small ones.
     size = float(np.median(np.abs(residual))) or 1.0
+    # Unknowns are the n entries of z and the m bounds t of the absolute residuals; only the bounds cost anything.
     eye = np.eye(m)
     solved = linprog(
         np.concatenate([np.zeros(n), np.ones(m)]),
@@ -87,6 +88,7 @@ def _bounded(problem: Problem) -> FloatArray:
         problem.start,
         jac=cast("Any", problem.jacobian),  # pyright's stubs of scipy know strings only
         bounds=problem.bounds,
+        # Half the bounds is the size of a coordinate; an entry with equal bounds must not scale by zero.
         x_scale=np.maximum((problem.bounds[1] - problem.bounds[0]) / 2, 1e-12),
         ftol=tolerance,
         xtol=tolerance,
@@ -126,5 +128,6 @@ def cramer_rao_bound(
         prior = np.diag(np.concatenate([np.zeros(len(prior)), np.ones(3)]))
     A = norm_derivatives(truth, raw, quadratic_axes).jacobian @ basis
     gauge_free = intrinsic(truth, quadratic_axes)[1] @ basis
+    # Information A^T A / s^2; a known spread of the turns adds its own to it (Bayesian bound).
     covariance = gauge_free @ np.linalg.inv(A.T @ A / sigma_m_s2**2 + prior) @ gauge_free.T
     return np.asarray(np.sqrt(np.diag(covariance)))

@@ -22,6 +22,7 @@ class Study:
     function: str
 
 
+# In the order of the papers, which is that of the document.
 _ALL = (
     Study("bsas-table1", "setups", "bsas_table_1"),
     Study("bsas-table2", "setups", "bsas_table_2"),

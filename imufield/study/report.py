@@ -10,7 +10,7 @@ import importlib
 import io
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
@@ -106,6 +106,7 @@ def numbered_table(name: str, columns: tuple[str, ...], rows: Iterable[Iterable[
 
 def curves_table(name: str, label: str, curves: dict[str, FloatArray]) -> CsvTable:
     """Return curves of any length side by side, one column each."""
+    # Runs end at different lengths; what a curve lacks stays empty.
     length = max(len(curve) for curve in curves.values())
     rows = tuple((i + 1, *(f"{curve[i]:.9g}" if i < len(curve) else "" for curve in curves.values())) for i in range(length))
     return CsvTable(name, (label, *curves), rows)
@@ -116,22 +117,18 @@ def as_text(report: StudyReport) -> str:
     heading = f"{report.name}: {report.title}"
     lines = [heading, "-" * len(heading), hanging("", report.setting), ""]
     cells = [report.columns, *((c.what, c.paper, c.ours) for c in report.comparisons)]
+    # A table where it fits into a terminal, else one comparison below the other.
     widths = [max(len(row[k]) for row in cells) for k in range(3)]
     if sum(widths) + 2 * len(_GAP) <= WIDTH:
         lines += [_GAP.join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells]
     else:
-        lines += [line for one in report.comparisons for line in _one_below_the_other(one, report.columns)]
+        width = max(map(len, report.columns[1:]))
+        for comparison in report.comparisons:
+            lines.append(comparison.what)
+            for name, words in zip(report.columns[1:], (comparison.paper, comparison.ours), strict=True):
+                lines += [hanging(f"  {name:<{width}}  ", words)] if words else []
     lines += ["", *(hanging("* ", sentence) for sentence in report.differences)]
     return "\n".join(lines) + "\n"
-
-
-def _one_below_the_other(one: Comparison, columns: tuple[str, str, str]) -> Iterator[str]:
-    """Yield a comparison that is too wide for a row in 80 columns."""
-    width = max(map(len, columns[1:]))
-    yield one.what
-    for name, words in zip(columns[1:], (one.paper, one.ours), strict=True):
-        if words:
-            yield hanging(f"  {name:<{width}}  ", words)
 
 
 def as_markdown(report: StudyReport) -> str:
@@ -144,6 +141,7 @@ def as_markdown(report: StudyReport) -> str:
 
 
 def _markdown_row(cells: Sequence[str]) -> str:
+    # A bar within a cell would end it.
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 

@@ -1,4 +1,4 @@
-"""Run studies, save what they give, and write them up: the calls behind ``imufield study``."""
+"""Run studies, save their results, and write the document: the calls behind ``imufield study``."""
 
 from __future__ import annotations
 
@@ -61,6 +61,7 @@ def run_study(
 
 def write_document(reports: Iterable[StudyReport], path: Path, context: StudyContext) -> None:
     """Write reports as one Markdown document, with seed and version."""
+    # The words of a quick run warn whoever finds the document later.
     size = "a quick run, too few runs to quote" if context.quick else "a full run"
     head = _HEAD.format(title=TITLE, size=size, seed=context.seed, version=__version__)
     sections = [as_markdown(report) for report in reports]

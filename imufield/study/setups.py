@@ -1,4 +1,4 @@
-"""BSAS Tables 1, 2 and 4, IDE Tables 1 and 3: what the papers put in, and what the simulations here take.
+"""BSAS Tables 1, 2 and 4, IDE Tables 1 and 3: inputs of the papers, and of the simulations here.
 
 These tables are inputs, so there is nothing to reproduce; they are here so that a reader finds every number in one place.
 """
@@ -29,6 +29,7 @@ from imufield.study.report import Comparison, StudyReport, make_report
 
 def bsas_table_1(_context: StudyContext) -> StudyReport:
     """List the true values."""
+    # As text, digit by digit: a number would be printed anew.
     printed = (
         "-734.949141", "-738.738914", "-714.409875", "0.00654668", "-0.04285332", "0.01471738", "0.00050230", "0.00068317",
         "-0.00048500", "-0.00035363", "0.00023193", "-0.00003365", "0.003654", "0.000644", "-0.002654",

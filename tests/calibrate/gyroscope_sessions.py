@@ -90,7 +90,7 @@ class Turner(Operator):
             self.turn_times_s.append((end_s + stop_s) / 2)
             end_s, at = self._then_rest(piece), piece.final_quaternion
         self._pieces.append(replace(last, start_s=end_s, quaternion_nb=at))
-        self._finished_s = end_s
+        self.finished_s = end_s
         return end_s
 
     def _place(self, turn: Turn, rng: np.random.Generator, at: FloatArray, end_s: float) -> tuple[FloatArray, float]:

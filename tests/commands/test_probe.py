@@ -108,8 +108,8 @@ def test_every_protocol_is_found_on_a_port(name: str) -> None:
 def test_nothing_is_sent_unless_asked_to() -> None:
     there = emulated("xsens_mtdata2")
     heard: list[bytes] = []
-    hear = there.device.hear
-    there.device.hear = lambda data: (heard.append(data), hear(data))[1]  # type: ignore[func-returns-value,method-assign]
+    hear = there.device.receive
+    there.device.receive = lambda data: (heard.append(data), hear(data))[1]  # type: ignore[func-returns-value,method-assign]
     with there:
         assert probe_port(there.port, None, SystemClock()).identity == {}
         assert b"".join(heard) == b""
@@ -363,7 +363,7 @@ def test_samples_that_gave_way_to_answers_are_not_lost_on_the_link(deaf: bool) -
     driver = load_driver("stim300")
     there = emulated("stim300", 125.0)
     if deaf:
-        there.device.hear = lambda data: Answer()  # type: ignore[method-assign]
+        there.device.receive = lambda data: Answer()  # type: ignore[method-assign]
     with there:
         link = open_link(there.port, baud=driver.default_baud)
         try:

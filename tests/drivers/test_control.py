@@ -133,7 +133,7 @@ def writes_of(emulator: Emulator) -> list[bytes]:
 def bench(case: Case, *, deaf: bool = False) -> Iterator[Bench]:
     there = case.make()
     if deaf:
-        there.device.hear = lambda data: Answer()  # type: ignore[method-assign]
+        there.device.receive = lambda data: Answer()  # type: ignore[method-assign]
     with there:
         driver = load_driver(case.driver)
         link = open_link(there.port, baud=driver.default_baud)
@@ -242,7 +242,7 @@ def test_stop_and_start(case: Case) -> None:
 def test_found_silent_left_silent(case: Case) -> None:
     with bench(case) as found:
         for order in found.here.driver.stop_orders(found.here._read_state(found.link)):
-            found.there.device.hear(order.data)
+            found.there.device.receive(order.data)
         # Of a silent instrument no frames were heard that tell the family.
         found.here.heard = set()
         found.until(lambda: not found.streaming)
@@ -301,7 +301,7 @@ def test_nothing_is_ever_written_to_memory_that_outlives_the_power(case: Case) -
     assert not [data for data in sent if FORBIDDEN[case.driver](data)]
     there = case.make()
     for data in sorted(sent):
-        there.device.hear(data)
+        there.device.receive(data)
     there.stop()
     assert writes_of(there) == []
 
@@ -323,8 +323,8 @@ def test_whatever_is_sent_to_an_instrument_it_goes_on(case: Case) -> None:
         data = bytearray(good[rng.integers(len(good))])
         for _ in range(rng.integers(0, 4)):
             data[rng.integers(len(data))] = rng.integers(256)
-        there.device.hear(bytes(data[: rng.integers(1, len(data) + 1)]))
-        there.device.hear(rng.bytes(int(rng.integers(0, 40))))
+        there.device.receive(bytes(data[: rng.integers(1, len(data) + 1)]))
+        there.device.receive(rng.bytes(int(rng.integers(0, 40))))
     there.stop()
     assert there.device.rate_hz
 

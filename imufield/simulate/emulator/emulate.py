@@ -73,7 +73,7 @@ class Emulation:
     grade: str = "tactical"
     seed: int = 0
     directions: ArrayLike = ()
-    """Directions of "up" in the body frame that the operator goes through, shape (m, 3); none: it lies on a table."""
+    """Directions of "up" in the body frame that the operator goes through, shape (m, 3); empty: the unit stays on a table."""
     operator: OperatorSettings = field(default_factory=OperatorSettings)
     site: Site = field(default_factory=Site)
     imu: ImuSettings = field(default_factory=ImuSettings)

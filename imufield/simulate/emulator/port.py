@@ -1,4 +1,4 @@
-"""The far end of a pseudo-terminal, with the manners of a UART: what nobody takes is lost."""
+"""The instrument's end of a pseudo-terminal, which behaves as a UART: bytes that nobody reads are lost."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ class Emulator(EmulatorCore):
         self._answers = self.device.power_on()
 
     def _listen(self) -> None:
-        answer = self.device.hear(self._port.read())
+        answer = self.device.receive(self._port.read())
         self._answers += answer.data
         if answer.resets:
             self._boot_sample = self._samples_made

@@ -1,4 +1,4 @@
-"""The far end of an slcan adapter: Lawicel's ASCII protocol on a pseudo-terminal.
+"""An emulated slcan adapter: Lawicel's ASCII protocol on a pseudo-terminal.
 
 What programs of this family send: ``S0`` to ``S8`` bit rate, ``O`` open, ``L`` open to listen only, ``C`` close, ``V`` version,
 ``N`` serial number, ``F`` status flags, ``tIIILDD..`` and ``TIIIIIIIILDD..`` a frame. An answer ends with CR, an error is BEL.

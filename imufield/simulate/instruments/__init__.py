@@ -1,1 +1,1 @@
-"""How real instruments answer: one scripted behaviour for each family."""
+"""Emulated instruments, one module for each family: what they send and how they answer commands."""

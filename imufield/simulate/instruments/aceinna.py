@@ -1,4 +1,4 @@
-"""Aceinna sensors on a serial port: an OpenIMU with parameters, a DMU with fields; neither outlives the power unless saved."""
+"""Aceinna sensors on a serial port: an OpenIMU (parameters) or a DMU (fields); settings are lost at power-off unless saved."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class Device(Protocol):
         """Return what is sent at power-on before the first sample."""
         ...
 
-    def hear(self, data: bytes) -> Answer:
+    def receive(self, data: bytes) -> Answer:
         """Return the answer to bytes of the host, whole commands or parts of them."""
         ...
 

@@ -35,7 +35,7 @@ class MicroStrainInstrument(ScriptedInstrument):
 
     def _answer(self, command: bytes) -> bytes:
         fields, answers = command[4:-2], b""
-        # A field counts itself, so anything below 2 is none.
+        # The length of a field counts length and descriptor too, so it is at least 2.
         while len(fields) >= 2 and 2 <= fields[0] <= len(fields):
             answers += self._carry_out(command[2], fields[1], fields[2 : fields[0]])
             fields = fields[fields[0] :]

@@ -1,4 +1,4 @@
-"""Any instrument whose protocol is a file: it sends one of the forms the file lists, and answers by its script."""
+"""An instrument described by a protocol file: it sends one of the forms of the file, and answers by a script."""
 
 from __future__ import annotations
 
@@ -101,9 +101,9 @@ class ProtocolDevice:
         """Return nothing."""
         return b""
 
-    def hear(self, data: bytes) -> Answer:
+    def receive(self, data: bytes) -> Answer:
         """Return what the script answers."""
-        answer = self.script.hear(data)
+        answer = self.script.receive(data)
         self._clock.rate_hz = self.script.rate_hz
         return Answer(answer)
 

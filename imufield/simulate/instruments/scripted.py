@@ -36,31 +36,31 @@ class ScriptedInstrument(ABC):
         self.rate_hz = rate_hz
         self.streaming = True
         self.memory_writes: list[bytes] = []
-        self._heard = b""
+        self._received = b""
 
-    def hear(self, data: bytes) -> bytes:
-        """Take what the host sent; return what is answered."""
-        self._heard = (self._heard + data)[-_LONGEST_COMMAND:]
+    def receive(self, data: bytes) -> bytes:
+        """Carry out the commands in the bytes of the host; return the answers."""
+        self._received = (self._received + data)[-_LONGEST_COMMAND:]
         answers = b""
         while True:
-            command, self._heard = self._cut(self._heard)
+            command, self._received = self._cut(self._received)
             if command is None:
                 return answers
             answers += self._answer(command)
 
-    def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
+    def _cut(self, received: bytes) -> tuple[bytes | None, bytes]:
         """Return the first whole command, None where there is none, empty in place of a damaged one; and what follows."""
-        begin = heard.find(self.sync)
-        if begin < 0 or len(heard) < begin + self.overhead:
-            return None, heard
-        end = begin + self.overhead + heard[begin + self.length_at]
-        if len(heard) < end:
-            return None, heard
+        begin = received.find(self.sync)
+        if begin < 0 or len(received) < begin + self.overhead:
+            return None, received
+        end = begin + self.overhead + received[begin + self.length_at]
+        if len(received) < end:
+            return None, received
         # The search goes on one byte behind the start of a damaged command: a good one may begin within it.
-        whole = self._is_whole(heard[begin:end])
-        return (heard[begin:end], heard[end:]) if whole else (b"", heard[begin + 1 :])
+        whole = self._is_whole(received[begin:end])
+        return (received[begin:end], received[end:]) if whole else (b"", received[begin + 1 :])
 
-    def _is_whole(self, command: bytes) -> bool:  # noqa: ARG002  a family without checksums believes everything
+    def _is_whole(self, command: bytes) -> bool:  # noqa: ARG002  for families without a checksum
         """Return whether the checksum is right."""
         return True
 
@@ -72,11 +72,11 @@ class ScriptedInstrument(ABC):
 class NoCommands(ScriptedInstrument):
     """An instrument that takes no commands."""
 
-    def hear(self, data: bytes) -> bytes:  # noqa: ARG002  nothing is heard
+    def receive(self, data: bytes) -> bytes:  # noqa: ARG002  commands are ignored
         """Return nothing."""
         return b""
 
-    def _answer(self, command: bytes) -> bytes:  # noqa: ARG002  nothing is heard
+    def _answer(self, command: bytes) -> bytes:  # noqa: ARG002  commands are ignored
         return b""
 
 

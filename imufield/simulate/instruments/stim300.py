@@ -74,7 +74,7 @@ class Stim300Device:
         self.memory_writes: list[bytes] = []  # Commands that would have changed memory that outlives the power.
         self._saved = self.format  # In flash: what a power-on finds.
         self._mode = "normal"
-        self._heard = b""
+        self._received = b""
 
     @property
     def rate_hz(self) -> float:
@@ -106,10 +106,10 @@ class Stim300Device:
         """Let the counter jump."""
         self._encoder.counter_offset += by
 
-    def hear(self, data: bytes) -> Answer:
+    def receive(self, data: bytes) -> Answer:
         """Return the answers to the commands that are complete now; each ends with a carriage return."""
-        *commands, rest = (self._heard + data).split(COMMAND_END)
-        self._heard = rest[-_LONGEST_COMMAND:]
+        *commands, rest = (self._received + data).split(COMMAND_END)
+        self._received = rest[-_LONGEST_COMMAND:]
         answers = [self.answer(command.strip(b"\n")) for command in commands]
         return Answer(b"".join(answer.data for answer in answers), any(answer.resets for answer in answers))
 

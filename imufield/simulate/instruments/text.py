@@ -36,7 +36,7 @@ class TextDevice:
         """Return nothing."""
         return b""
 
-    def hear(self, data: bytes) -> Answer:  # noqa: ARG002 - what is not heard is not answered
+    def receive(self, data: bytes) -> Answer:  # noqa: ARG002  commands are ignored
         """Return nothing."""
         return Answer()
 

@@ -34,9 +34,9 @@ class VectorNavInstrument(ScriptedInstrument):
             77: _BINARY_OFF,
         }
 
-    def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
-        line, end, rest = heard.partition(b"\n")
-        return (line.strip(), rest) if end else (None, heard)
+    def _cut(self, received: bytes) -> tuple[bytes | None, bytes]:
+        line, end, rest = received.partition(b"\n")
+        return (line.strip(), rest) if end else (None, received)
 
     def _answer(self, command: bytes) -> bytes:
         body, _, checksum = command.decode("ascii", "replace").partition("*")

@@ -1,4 +1,4 @@
-"""A WitMotion WT901: registers behind a key, frames of 11 bytes (WitStandardProtocol_JY901)."""
+"""A WitMotion WT901: registers that a key unlocks, frames of 11 bytes (WitStandardProtocol_JY901)."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class WitMotionInstrument(ScriptedInstrument):
         self.registers = {_RATE: code, 0x04: 2, 0x2E: 2526, 0x2F: 1, **dict(enumerate(serial, 0x7F))}
         self._unlocked = False
 
-    def _cut(self, heard: bytes) -> tuple[bytes | None, bytes]:
-        begin = heard.find(b"\xff\xaa")
-        if begin < 0 or len(heard) < begin + 5:
-            return None, heard
+    def _cut(self, received: bytes) -> tuple[bytes | None, bytes]:
+        begin = received.find(b"\xff\xaa")
+        if begin < 0 or len(received) < begin + 5:
+            return None, received
         # No checksum: any five bytes behind the sync are a command.
-        return heard[begin : begin + 5], heard[begin + 5 :]
+        return received[begin : begin + 5], received[begin + 5 :]
 
     def _answer(self, command: bytes) -> bytes:
         register, value = struct.unpack("<xxBH", command)

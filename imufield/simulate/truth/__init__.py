@@ -1,1 +1,1 @@
-"""What is true in a simulation: error model, motion, operator, drift."""
+"""The truth of a simulation: error model of the instrument, its motion, the operator, the drift."""

@@ -42,7 +42,10 @@ class BiasDrift:
         self._rng = rng
         decay = np.exp(-ANCHOR_S / TIME_CONSTANTS_S)
         self._carry_over = decay[:, np.newaxis] ** np.arange(1, ANCHORS_PER_BLOCK + 1)
-        self._response = _impulse_responses(decay)
+        # Lower triangular matrices that filter a block of shocks, shape (processes, k, k): decay^lag for two anchors.
+        steps = np.arange(ANCHORS_PER_BLOCK)
+        lag = steps[:, np.newaxis] - steps
+        self._response = np.where(lag >= 0, decay[:, np.newaxis, np.newaxis] ** np.maximum(lag, 0), 0.0)
         # v = B^2 ln(r) / pi, see above.
         stationary = np.asarray(bias_instability) * math.sqrt(math.log(_SPACING) / math.pi)
         # A shock of this size keeps the variance of x[k+1] = exp(-dt / tau) x[k] + shock at v.
@@ -54,7 +57,7 @@ class BiasDrift:
         self._anchors: FloatArray = self._state.sum(axis=0)[np.newaxis]
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """Return the drift at rising times, shape (n,) to (n, c); what lies before ``time_s[0]`` is forgotten."""
+        """Return the drift at rising times, shape (n,) to (n, c); anchors before ``time_s[0]`` are dropped."""
         position = time_s / ANCHOR_S
         lower = np.floor(position).astype(np.int64)
         missing = int(lower[-1]) + 2 - self._first - len(self._anchors)
@@ -79,11 +82,3 @@ class BiasDrift:
         self._state, self._walk = flicker[:, -1], walk[-1]
         block: FloatArray = flicker.sum(axis=0) + walk
         return block
-
-
-def _impulse_responses(decay: FloatArray) -> FloatArray:
-    """Return the lower triangular matrices that filter a block of shocks, shape (p, k, k)."""
-    steps = np.arange(ANCHORS_PER_BLOCK)
-    lag = steps[:, np.newaxis] - steps
-    matrices: FloatArray = np.where(lag >= 0, decay[:, np.newaxis, np.newaxis] ** np.maximum(lag, 0), 0.0)
-    return matrices

@@ -1,4 +1,4 @@
-"""What instruments of four grades typically do wrong, and the drawing of one instrument of a grade.
+"""Typical errors of instruments of four grades, and the drawing of one instrument of a grade.
 
 The figures are typical of a grade, rounded; each says what it follows. Noise follows the Allan-deviation convention of
 IEEE Std 952: a noise density of N gives an Allan deviation of N at 1 s, hence a standard deviation of N sqrt(rate_hz) per

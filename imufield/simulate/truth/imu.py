@@ -238,7 +238,7 @@ class _Delay:
     _POINTS = 6
 
     def __init__(self, samples: float) -> None:
-        # The six lie about the moment asked for as far as the newest sample allows.
+        # The six are centred on the moment asked for, as far as the newest sample allows.
         newest = max(int(np.floor(samples)) - self._POINTS // 2 + 1, 0)
         self._past = 0 if samples == 0 else newest + self._POINTS - 1
         # Lagrange's polynomial: the share of point i is the product of (since - j) / (i - j) over the other points j.

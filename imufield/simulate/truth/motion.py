@@ -120,8 +120,13 @@ def sample_motion(path: Path, first: int, count: int, interval_s: float, *, site
     half = interval_s / 2
     grid_s: FloatArray = np.arange(2 * first - 2, 2 * (first + count) + 1, dtype=np.float64) * half
     resting = path.resting_attitude(float(grid_s[0]), float(grid_s[-1]))
+    time_s = grid_s[2:-2:2]
     if resting is not None:
-        return _resting_motion(resting, grid_s[2:-2:2], site)
+        # Nothing moves: f = -C_bn g and the rate is the Earth's, the same in all samples.
+        inverse, shape = conjugate(resting), (count, 3)
+        rate = np.broadcast_to(rotate(inverse, site.earth_rate_n), shape)
+        force = np.broadcast_to(rotate(inverse, -site.gravity_n), shape)
+        return TrueMotion(time_s, np.broadcast_to(resting, (count, 4)), rate, force)
     quaternion = path.attitude(grid_s)
     # The body turns against inertial space: its own turn in the interval and that of the Earth.
     earth_turn = exponential(site.earth_rate_n * interval_s)
@@ -129,26 +134,9 @@ def sample_motion(path: Path, first: int, count: int, interval_s: float, *, site
     centre = quaternion[2:-2:2]
     # Sensor from the pivot, C_nb r; its second derivative has the tangential and the centripetal acceleration.
     arm = rotate(quaternion, path.lever_arm_m)
-    acceleration = path.acceleration(grid_s[2:-2:2]) + _second_derivative(arm, half)
+    # f'' = (-f[-2] + 16 f[-1] - 30 f[0] + 16 f[1] - f[2]) / (12 h^2), error h^4 f^(6) / 90, at every second inner point.
+    far, near = arm[0:-4:2] + arm[4::2], arm[1:-3:2] + arm[3:-1:2]
+    acceleration = path.acceleration(time_s) + (16 * near - far - 30 * arm[2:-2:2]) / (12 * half * half)
     # Specific force f = C_bn (a - g).
     force = rotate(conjugate(centre), acceleration - site.gravity_n)
-    return TrueMotion(grid_s[2:-2:2], centre, logarithm(turn) / interval_s, force)
-
-
-def _resting_motion(quaternion: FloatArray, time_s: FloatArray, site: Site) -> TrueMotion:
-    n = len(time_s)
-    inverse = conjugate(quaternion)
-    return TrueMotion(
-        time_s,
-        np.broadcast_to(quaternion, (n, 4)),
-        np.broadcast_to(rotate(inverse, site.earth_rate_n), (n, 3)),
-        np.broadcast_to(rotate(inverse, -site.gravity_n), (n, 3)),
-    )
-
-
-def _second_derivative(values: FloatArray, step: float) -> FloatArray:
-    """Five-point central difference at every second inner point, shape (2n + 3, 3) to (n, 3)."""
-    # f'' = (-f[-2] + 16 f[-1] - 30 f[0] + 16 f[1] - f[2]) / (12 h^2), error h^4 f^(6) / 90.
-    far = values[0:-4:2] + values[4::2]
-    near = values[1:-3:2] + values[3:-1:2]
-    return (16 * near - far - 30 * values[2:-2:2]) / (12 * step * step)
+    return TrueMotion(time_s, centre, logarithm(turn) / interval_s, force)

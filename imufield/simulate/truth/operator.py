@@ -83,7 +83,7 @@ class OperatorSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StillInterval:
-    """A stretch in which the unit is still (placed) or as still as a hand is (held), true time.
+    """An interval, in true time, in which the unit is still (placed) or as still as a hand can be (held).
 
     ``bumped`` marks both sides of a bump; the bump itself belongs to no interval.
     """
@@ -91,7 +91,7 @@ class StillInterval:
     start_s: float
     end_s: float
     direction: FloatArray
-    """True "up" in the body frame, shape (3,); of a held unit, about which it trembles."""
+    """True "up" in the body frame, shape (3,); of a unit in the hand, the mean direction."""
     position: int
     """Number of the planned position, ``NO_POSITION`` for the initial still and wrong sides."""
     kind: StillKind
@@ -100,7 +100,7 @@ class StillInterval:
 
 @dataclass(frozen=True, slots=True)
 class TrueMove:
-    """A stretch of true motion, true time: a turn with its put-down, or a bump."""
+    """An interval of motion, in true time: a turn with its put-down, or a bump."""
 
     start_s: float
     end_s: float
@@ -111,7 +111,7 @@ class TrueMove:
 class _Visit:
     position: int
     direction: FloatArray
-    # Instead of a visit: a whole turn where the unit lies, rotation vector in the body frame.
+    # Instead of a visit: a whole turn where the unit is, rotation vector in the body frame.
     spin_rad: FloatArray | None = None
 
 
@@ -121,7 +121,7 @@ class Operator:
     Parameters
     ----------
     directions : array_like, shape (m, 3)
-        Planned directions of "up" in the body frame; empty for a unit that lies on the table for ever.
+        Planned directions of "up" in the body frame; empty for a unit that stays on the table.
     seed : int
     settings : OperatorSettings, optional
     site : Site, optional
@@ -137,7 +137,12 @@ class Operator:
     ) -> None:
         self.settings = settings or OperatorSettings()
         self.site = site or Site()
-        self.directions = _unit_rows(directions)
+        rows = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
+        length = np.linalg.norm(rows, axis=1, keepdims=True)
+        if not np.all(np.isfinite(rows)) or np.any(length == 0):
+            row = int(np.flatnonzero(~np.isfinite(length) | (length == 0))[0])
+            raise UsageError(f"direction {row} of the operator's plan is {rows[row]}; give a vector of some length", row=row)
+        self.directions: FloatArray = rows / length
         self.lever_arm_m = np.array(self.settings.lever_arm_m)
         self._seed = seed
         self._agenda = [_Visit(index, row) for index, row in enumerate(self.directions)]
@@ -145,7 +150,8 @@ class Operator:
         self._visit_number = 0
         self._heard: deque[int | None] = deque()
         self._generated_s = 0.0
-        self._finished_s: float | None = None
+        # True time when the last planned hold ends, None while not known; the unit then stays where it is.
+        self.finished_s: float | None = None
         self._stills: list[StillInterval] = []
         self._moves: list[TrueMove] = []
         habits, rng = self.settings, np.random.default_rng([seed, 201])
@@ -163,11 +169,6 @@ class Operator:
         """True moves so far, in time order."""
         return tuple(self._moves)
 
-    @property
-    def finished_s(self) -> float | None:
-        """True time when the last planned hold ends, None while not known; the unit then stays where it is."""
-        return self._finished_s
-
     def plan(self, until_s: float) -> None:
         """Plan the motion up to a time at least."""
         while self._pieces[-1].end_s <= until_s:
@@ -180,9 +181,9 @@ class Operator:
         """Plan everything and return when the last hold ends; infinity for an operator who waits or has no plan."""
         while self._agenda and math.isfinite(self._pieces[-1].end_s):
             self._next_visit()
-        if not self._agenda and self._finished_s is None:
+        if not self._agenda and self.finished_s is None:
             self._stay_for_ever()
-        return math.inf if self._finished_s is None else self._finished_s
+        return math.inf if self.finished_s is None else self.finished_s
 
     def accepted(self, next_position: int | None = None) -> None:
         """Hear that the position is accepted: leave it soon, for ``next_position`` if given.
@@ -209,7 +210,7 @@ class Operator:
         return np.concatenate([piece.acceleration(part) for piece, part in self._split(time_s)])
 
     def resting_attitude(self, start_s: float, end_s: float) -> FloatArray | None:
-        """Return the attitude if the unit lies still all the time."""
+        """Return the attitude if nothing moves from ``start_s`` to ``end_s``, otherwise None."""
         parts = self._split(np.array([start_s, end_s]))
         if len(parts) > 1 or not parts[0][0].is_rest:
             return None
@@ -247,7 +248,7 @@ class Operator:
         last = self._pieces[-1]
         if math.isinf(last.end_s):
             return
-        self._finished_s = last.end_s
+        self.finished_s = last.end_s
         self._stills[-1] = replace(self._stills[-1], end_s=math.inf)
         self._pieces.append(_rest(last.end_s, math.inf, last.final_quaternion, last.hand))
 
@@ -372,7 +373,7 @@ class Operator:
         if math.isfinite(last.end_s) or self._generated_s < last.start_s:
             return
         if not self._agenda:
-            self._finished_s = self._finished_s or self._generated_s
+            self.finished_s = self.finished_s or self._generated_s
             return
         # Without a visit to that position the agenda stays as it is.
         place = next((k for k, visit in enumerate(self._agenda) if visit.position == next_position), 0)
@@ -409,13 +410,3 @@ def _random_direction(rng: np.random.Generator) -> FloatArray:
     vector = rng.standard_normal(3)
     direction: FloatArray = vector / np.linalg.norm(vector)
     return direction
-
-
-def _unit_rows(directions: ArrayLike) -> FloatArray:
-    rows = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
-    length = np.linalg.norm(rows, axis=1, keepdims=True)
-    if not np.all(np.isfinite(rows)) or np.any(length == 0):
-        row = int(np.flatnonzero(~np.isfinite(length) | (length == 0))[0])
-        raise UsageError(f"direction {row} of the operator's plan is {rows[row]}; give a vector of some length", row=row)
-    unit: FloatArray = rows / length
-    return unit

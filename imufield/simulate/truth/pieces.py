@@ -82,7 +82,7 @@ def draw_hand(
 ) -> Hand:
     """Draw a hand whose tremor and sway have the given RMS on each axis.
 
-    Sway lies at 0.1 to 2 Hz (rotation) and 0.1 to 1 Hz (shift), amplitudes falling as 1/f.
+    Sway has 0.1 to 2 Hz (rotation) and 0.1 to 1 Hz (shift), amplitudes falling as 1/f.
     """
     # Six sines of tremor (8 to 12 Hz [2]_) and five each of sway and shift: enough that the sum does not look periodic.
     tremor_hz = _spread(rng, *tremor_band_hz, 6)

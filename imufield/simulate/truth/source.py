@@ -1,4 +1,4 @@
-"""Where the samples of an emulated instrument come from: any source of blocks, and the simulated instrument in a hand."""
+"""Sources of the samples of an emulated instrument: the interface, and a simulated instrument in the hands of an operator."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""From samples to bytes, lines and CAN frames: the decoder turned around."""
+"""Encoders: from samples to binary frames, lines of text and CAN frames; the reverse of ``acquire/decode``."""

@@ -1,4 +1,4 @@
-"""Samples to CAN frames, by the same description that decodes them; the bits are put in place by cantools."""
+"""Samples to CAN frames, by the same description that decodes them; cantools packs the bits."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ class WireClock:
         return time_s
 
     def jump(self, by: int, has_counter: bool) -> None:
-        """Let the counter jump; where there is none, the time stamp by so many samples."""
+        """Let the counter jump; without a counter, the time stamp by as many samples."""
         if has_counter:
             self.counter_offset += by
         else:
@@ -98,7 +98,7 @@ class FrameEncoder:
         self._constant = {name: value for name, value in frame.values.items() if name in self._fields}
         self.has_counter = protocol.clock.counter_field in self._fields
         self.length = len(self._template)
-        # Place of the last byte of the checksum; of the last byte but for the end where there is none.
+        # Place of the last byte of the checksum; without one, of the last byte before the end marker.
         self.checksum_at = self.length - len(self._form.end) - 1
 
     def encode(self, samples: Samples) -> Bytes:

@@ -126,5 +126,5 @@ def test_text_device_prints_and_is_deaf() -> None:
     frames = device.encode(samples)
     assert frames.data.tobytes() == b"7,1.0\r\n8,1.0\r\n"
     assert frames.data[frames.checksum_at].tobytes() == b"00"
-    assert device.hear(b"N\r") == Answer()
+    assert device.receive(b"N\r") == Answer()
     assert device.power_on() == b""
