@@ -7,11 +7,12 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from imufield.acquire.link.serial import Chunk
@@ -31,9 +32,11 @@ from imufield.simulate.truth.operator import OperatorSettings
 from imufield.simulate.wire.encode import Stim300Format
 
 IMUFIELD = [sys.executable, "-m", "imufield"]
+AT_START = dict(os.environ)
 SPEED = 16.0
 RATE_HZ = 125.0
 CHUNK_SAMPLES = 5
+BLOCK_CHUNKS = 200  # made at once; what is recorded is the same whatever it is
 
 
 @dataclass
@@ -51,29 +54,29 @@ class Program:
     def run(
         self, *arguments: object, variables: dict[str, str] | None = None, timeout_s: float = 120, **options: Any
     ) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [*IMUFIELD, *map(str, arguments)],
-            cwd=self.folder,
-            env=self.environment(variables),
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=timeout_s,
-            check=False,
-            **options,
-        )
+        streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        process = self._open(map(str, arguments), self.environment(variables), {**streams, **options})
+        with process:
+            try:
+                output, error = process.communicate(timeout=timeout_s)
+            except BaseException:
+                process.kill()
+                raise
+        return subprocess.CompletedProcess(process.args, process.returncode, output, error)
 
     def start(self, *arguments: object, variables: dict[str, str] | None = None, **options: Any) -> subprocess.Popen[str]:
+        """Start the program; ``terminal`` makes its standard input the terminal that controls it."""
         streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        process = subprocess.Popen(
-            [*IMUFIELD, *map(str, arguments)],
-            cwd=self.folder,
-            env=self.environment(variables),
-            text=True,
-            **{**streams, **options},
-        )
+        process = self._open(map(str, arguments), self.environment(variables), {**streams, **options})
         self.started.append(process)
         return process
+
+    def _open(self, arguments: Iterable[str], variables: dict[str, str], options: dict[str, Any]) -> subprocess.Popen[str]:
+        from tests.commands.forks import Forked, can_fork
+
+        if can_fork({name: value for name, value in variables.items() if AT_START.get(name) != value}, options):
+            return Forked([*arguments], cwd=self.folder, env=variables, text=True, **options)
+        return subprocess.Popen([*IMUFIELD, *arguments], cwd=self.folder, env=variables, text=True, **options)
 
     def emulate(self, *options: object, driver: str = "stim300", speed: float = SPEED, rate_hz: float = RATE_HZ) -> str:
         """Start an emulator and return its port."""
@@ -148,11 +151,14 @@ def simulated_session(
     }
     session = Session.create_in(folder, "stim300", metadata)
     with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
-        for number in range(int(duration_s * RATE_HZ / CHUNK_SAMPLES)):
-            samples = source.next_block(CHUNK_SAMPLES)
-            data = device.encode(change(samples) if change else samples).data.tobytes()
-            time_s = (number + 1) * CHUNK_SAMPLES / RATE_HZ
-            recorder.write_chunk(Chunk(data, time_s, 1_700_000_000_000_000_000 + round(1e9 * time_s)))
+        chunks = int(duration_s * RATE_HZ / CHUNK_SAMPLES)
+        for first in range(0, chunks, BLOCK_CHUNKS):
+            samples = source.next_block(min(BLOCK_CHUNKS, chunks - first) * CHUNK_SAMPLES)
+            frames = device.encode(change(samples) if change else samples)
+            parts = np.split(frames.data, frames.ends[CHUNK_SAMPLES - 1 :: CHUNK_SAMPLES])[:-1]
+            for number, data in enumerate(parts, first + 1):
+                time_s = number * CHUNK_SAMPLES / RATE_HZ
+                recorder.write_chunk(Chunk(data.tobytes(), time_s, 1_700_000_000_000_000_000 + round(1e9 * time_s)))
     return session
 
 
