@@ -52,7 +52,6 @@ def error_in_sigma(grade: str, seed: int) -> FloatArray:
     return error
 
 
-@pytest.mark.timeout(400)
 @pytest.mark.parametrize("grade", ["tactical"])
 def test_stated_sigmas_are_true_for_every_gauge_free_parameter(grade: str) -> None:
     errors = np.array([error_in_sigma(grade, seed) for seed in range(SEEDS)])

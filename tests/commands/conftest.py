@@ -35,6 +35,7 @@ IMUFIELD = [sys.executable, "-m", "imufield"]
 AT_START = dict(os.environ)
 SPEED = 16.0
 RATE_HZ = 125.0
+LONGEST_S = 900.0  # Only a program that hangs takes so long, however busy the machine.
 CHUNK_SAMPLES = 5
 BLOCK_CHUNKS = 200  # made at once; what is recorded is the same whatever it is
 
@@ -52,7 +53,7 @@ class Program:
         return {**kept, "HOME": home, "XDG_CONFIG_HOME": f"{home}/.config", "COLUMNS": "80", **(more or {})}
 
     def run(
-        self, *arguments: object, variables: dict[str, str] | None = None, timeout_s: float = 120, **options: Any
+        self, *arguments: object, variables: dict[str, str] | None = None, timeout_s: float = LONGEST_S, **options: Any
     ) -> subprocess.CompletedProcess[str]:
         streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         process = self._open(map(str, arguments), self.environment(variables), {**streams, **options})
@@ -84,6 +85,20 @@ class Program:
         process = self.start("emulate", driver, "--json", *rate, *options, stderr=subprocess.DEVNULL)
         assert process.stdout is not None
         return str(json.loads(process.stdout.readline())["port"])
+
+    def show(self, *names: str, hold_s: float = 6, rate_hz: float = RATE_HZ) -> str:
+        """Start an emulator whose operator shows these faces again and again and never another; return its port.
+
+        However late a key or a signal comes, a capture of six faces is then not at its end.
+        """
+        lines = []
+        for number in range(20):
+            for name in names:
+                up = next(position.direction for position in scheme("faces6").positions if position.name == name)
+                lines += ["[[position]]", f'name = "{name} round {number}"', f"up = {up.tolist()}"]
+        path = self.folder / "shown.toml"
+        path.write_text("\n".join(lines))
+        return self.emulate("--positions", path, "--hold-s", hold_s, "--wait", rate_hz=rate_hz)
 
     def capture(self, port: str, *options: object) -> tuple[str, ...]:
         """Return the arguments that capture six faces in short holds from a fast emulator."""

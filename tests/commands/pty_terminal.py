@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
 
-WAIT_S = 120.0
+WAIT_S = 900.0  # Only a program that hangs takes so long, however busy the machine.
 _CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 

@@ -5,8 +5,10 @@ Single keys from the terminal, without waiting for Enter and without blocking.
 
 from __future__ import annotations
 
+import atexit
 import os
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self
@@ -29,7 +31,7 @@ class Keyboard:
 
     def __init__(self) -> None:
         self._descriptor: int | None = None
-        self._before: list[Any] | None = None
+        self._restore: Callable[[], None] | None = None
 
     def __enter__(self) -> Self:
         if os.name == "posix" and sys.stdin is not None and sys.stdin.isatty():
@@ -37,18 +39,24 @@ class Keyboard:
             import tty
 
             descriptor = self._descriptor = sys.stdin.fileno()
-            self._before = termios.tcgetattr(descriptor)
+            before = termios.tcgetattr(descriptor)
+
+            def restore() -> None:
+                # The terminal may be closed already; then there is nothing to put back.
+                with suppress(termios.error):
+                    termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+            self._restore = restore
+            # An interrupt that comes before the ``with`` has begun, or while it ends, passes by ``__exit__`` or breaks it off.
+            atexit.register(restore)
             tty.setcbreak(descriptor)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._descriptor is not None and self._before is not None:
-            import termios
-
-            # The terminal may be closed already; then there is nothing to put back.
-            with suppress(termios.error):
-                termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
-            self._descriptor = None
+        if self._restore is not None:
+            self._restore()
+            atexit.unregister(self._restore)
+        self._descriptor = self._restore = None
 
     def read(self) -> str:
         """Return the characters typed since the last call, lower case, "" when there are none."""
