@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
@@ -182,16 +183,30 @@ def make_session(tmp_path: Path) -> Callable[..., Session]:
     return lambda *arguments, **options: simulated_session(tmp_path / "session", *arguments, **options)
 
 
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """Return a folder that the first process of a run to ask for it has made; the others wait until it is there."""
+    base = factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    with (shared / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (shared / name).exists():
+            make(shared / f"{name}.unfinished")
+            (shared / f"{name}.unfinished").rename(shared / name)
+    return shared / name
+
+
 @pytest.fixture(scope="session")
 def whole_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of one finished session of 24 positions; copy it before changing anything."""
-    return simulated_session(tmp_path_factory.mktemp("whole") / "session").folder
+    return made_once(tmp_path_factory, "whole", lambda folder: simulated_session(folder / "session")) / "session"
 
 
 @pytest.fixture(scope="session")
 def solved_session(whole_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the same session with its parameters; copy it before changing anything."""
-    folder = tmp_path_factory.mktemp("solved") / "session"
-    shutil.copytree(whole_session, folder)
-    assert run(["solve", str(folder), "--latitude", "48"]) == 0
-    return folder
+
+    def solve(folder: Path) -> None:
+        shutil.copytree(whole_session, folder / "session")
+        assert run(["solve", str(folder / "session"), "--latitude", "48"]) == 0
+
+    return made_once(tmp_path_factory, "solved", solve) / "session"
