@@ -267,16 +267,15 @@ def test_replay_to_a_bus_and_to_an_adapter(program: Program, emulate: Emulate, m
     assert f"{len(heard)} frames sent" in replayed.stdout
     assert len(heard) == pytest.approx(2 * len(before), abs=2)
 
-    # Slow, so that it still plays when a busy machine has begun to record.
-    process = program.start("replay", "mine", "--to-pty", "--speed", 1)
+    process = program.start("replay", "mine", "--to-pty", "--speed", 4)
     assert process.stdout is not None
     address = process.stdout.readline().split()[5]
     assert address.startswith("slcan:/dev/")
     again = program.run(
         *("record", "--bus", f"{address}?sleep_after_open=0", "--driver", "aceinna_can", "--session", "again"),
-        *("--duration-s", 100),
+        *("--duration-s", 25),
     )
-    # The adapter goes away at the end, as when it is unplugged.
+    # The adapter goes away at the end, as when it is unplugged, and is waited for until the time is over.
     assert again.returncode == 3, again.stderr
     assert "disconnected" in again.stderr
     after = concatenate(session_samples(Session.open(program.folder / "again"), []))
