@@ -22,7 +22,7 @@ COMMANDS = sorted(get_command(app).commands)  # type: ignore[attr-defined]  # th
 
 def imufield(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "imufield", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120, **options)  # type: ignore[call-overload]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=900, **options)  # type: ignore[call-overload]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

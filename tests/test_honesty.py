@@ -1,4 +1,4 @@
-"""Are the stated sigmas true? 200 simulated sessions, from motion through stillness and guide to the fit.
+"""Are the stated sigmas true? 120 simulated sessions, from motion through stillness and guide to the fit.
 
 The instrument's noise, bias instability, quantisation and quadratic terms are those of its grade; the truth is what the
 simulator drew, plus the mean of its drift over the session, which a calibration sees as bias.
@@ -22,7 +22,7 @@ from imufield.samples import FloatArray
 from imufield.simulate.emulator.emulate import Emulation, make_virtual_imu
 from imufield.simulate.truth.operator import OperatorSettings
 
-SEEDS = 200
+SEEDS = 120
 RATE_HZ = 100.0
 BLOCK = 2000
 
@@ -30,13 +30,13 @@ BLOCK = 2000
 def error_in_sigma(grade: str, seed: int) -> FloatArray:
     """Return the gauge-free errors of one session in units of their sigma, shape (12,)."""
     positions = scheme("paper24")
-    habits = OperatorSettings(hold_s=8.5, initial_still_s=6.0, begins_in_first_position=True)
+    habits = OperatorSettings(hold_s=5.5, initial_still_s=6.0, begins_in_first_position=True)
     options = Emulation(
         device="text", rate_hz=RATE_HZ, grade=grade, seed=seed, directions=positions.directions(), operator=habits
     )
     source = make_virtual_imu(options)
     end_s = source.operator.plan_all()
-    guide = Guide(positions, source.imu.instrument.grade.units, settings=GuideSettings(hold_s=5.0))
+    guide = Guide(positions, source.imu.instrument.grade.units, settings=GuideSettings(hold_s=2.5))
     while not guide.done and source.time_s < end_s + 2.0:
         guide.feed(source.next_block(BLOCK))
     observations = guide.observations()
@@ -52,11 +52,10 @@ def error_in_sigma(grade: str, seed: int) -> FloatArray:
     return error
 
 
-@pytest.mark.timeout(400)
 @pytest.mark.parametrize("grade", ["tactical"])
 def test_stated_sigmas_are_true_for_every_gauge_free_parameter(grade: str) -> None:
     errors = np.array([error_in_sigma(grade, seed) for seed in range(SEEDS)])
     rms = np.sqrt(np.mean(errors**2, axis=0))
-    # 200 seeds know an RMS to 5 %.
+    # 120 seeds know an RMS to 6.5 %.
     assert np.all(rms > 0.8), rms
     assert np.all(rms < 1.25), rms

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from imufield.acquire.link.serial import Chunk
@@ -31,9 +33,12 @@ from imufield.simulate.truth.source import VirtualImu
 from imufield.simulate.wire.stim300 import Stim300Format
 
 IMUFIELD = [sys.executable, "-m", "imufield"]
+AT_START = dict(os.environ)
 SPEED = 16.0
 RATE_HZ = 125.0
+LONGEST_S = 900.0  # Only a program that hangs takes so long, however busy the machine.
 CHUNK_SAMPLES = 5
+BLOCK_CHUNKS = 200  # made at once; what is recorded is the same whatever it is
 
 
 @dataclass
@@ -49,31 +54,31 @@ class Program:
         return {**kept, "HOME": home, "XDG_CONFIG_HOME": f"{home}/.config", "COLUMNS": "80", **(more or {})}
 
     def run(
-        self, *arguments: object, variables: dict[str, str] | None = None, timeout_s: float = 120, **options: Any
+        self, *arguments: object, variables: dict[str, str] | None = None, timeout_s: float = LONGEST_S, **options: Any
     ) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [*IMUFIELD, *map(str, arguments)],
-            cwd=self.folder,
-            env=self.environment(variables),
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=timeout_s,
-            check=False,
-            **options,
-        )
+        streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        process = self._open(map(str, arguments), self.environment(variables), {**streams, **options})
+        with process:
+            try:
+                output, error = process.communicate(timeout=timeout_s)
+            except BaseException:
+                process.kill()
+                raise
+        return subprocess.CompletedProcess(process.args, process.returncode, output, error)
 
     def start(self, *arguments: object, variables: dict[str, str] | None = None, **options: Any) -> subprocess.Popen[str]:
+        """Start the program; ``terminal`` makes its standard input the terminal that controls it."""
         streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        process = subprocess.Popen(
-            [*IMUFIELD, *map(str, arguments)],
-            cwd=self.folder,
-            env=self.environment(variables),
-            text=True,
-            **{**streams, **options},
-        )
+        process = self._open(map(str, arguments), self.environment(variables), {**streams, **options})
         self.started.append(process)
         return process
+
+    def _open(self, arguments: Iterable[str], variables: dict[str, str], options: dict[str, Any]) -> subprocess.Popen[str]:
+        from tests.commands.forks import Forked, can_fork
+
+        if can_fork({name: value for name, value in variables.items() if AT_START.get(name) != value}, options):
+            return Forked([*arguments], cwd=self.folder, env=variables, text=True, **options)
+        return subprocess.Popen([*IMUFIELD, *arguments], cwd=self.folder, env=variables, text=True, **options)
 
     def emulate(self, *options: object, driver: str = "stim300", speed: float = SPEED, rate_hz: float = RATE_HZ) -> str:
         """Start an emulator and return its port."""
@@ -81,6 +86,20 @@ class Program:
         process = self.start("emulate", driver, "--json", *rate, *options, stderr=subprocess.DEVNULL)
         assert process.stdout is not None
         return str(json.loads(process.stdout.readline())["port"])
+
+    def show(self, *names: str, hold_s: float = 6, rate_hz: float = RATE_HZ) -> str:
+        """Start an emulator whose operator shows these faces again and again and never another; return its port.
+
+        However late a key or a signal comes, a capture of six faces is then not at its end.
+        """
+        lines = []
+        for number in range(20):
+            for name in names:
+                up = next(position.direction for position in scheme("faces6").positions if position.name == name)
+                lines += ["[[position]]", f'name = "{name} round {number}"', f"up = {up.tolist()}"]
+        path = self.folder / "shown.toml"
+        path.write_text("\n".join(lines))
+        return self.emulate("--positions", path, "--hold-s", hold_s, "--wait", rate_hz=rate_hz)
 
     def capture(self, port: str, *options: object) -> tuple[str, ...]:
         """Return the arguments that capture six faces in short holds from a fast emulator."""
@@ -148,11 +167,14 @@ def simulated_session(
     }
     session = Session.create_in(folder, "stim300", metadata)
     with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
-        for number in range(int(duration_s * RATE_HZ / CHUNK_SAMPLES)):
-            samples = source.next_block(CHUNK_SAMPLES)
-            data = device.encode(change(samples) if change else samples).data.tobytes()
-            time_s = (number + 1) * CHUNK_SAMPLES / RATE_HZ
-            recorder.write_chunk(Chunk(data, time_s, 1_700_000_000_000_000_000 + round(1e9 * time_s)))
+        chunks = int(duration_s * RATE_HZ / CHUNK_SAMPLES)
+        for first in range(0, chunks, BLOCK_CHUNKS):
+            samples = source.next_block(min(BLOCK_CHUNKS, chunks - first) * CHUNK_SAMPLES)
+            frames = device.encode(change(samples) if change else samples)
+            parts = np.split(frames.data, frames.ends[CHUNK_SAMPLES - 1 :: CHUNK_SAMPLES])[:-1]
+            for number, data in enumerate(parts, first + 1):
+                time_s = number * CHUNK_SAMPLES / RATE_HZ
+                recorder.write_chunk(Chunk(data.tobytes(), time_s, 1_700_000_000_000_000_000 + round(1e9 * time_s)))
     return session
 
 
@@ -161,16 +183,30 @@ def make_session(tmp_path: Path) -> Callable[..., Session]:
     return lambda *arguments, **options: simulated_session(tmp_path / "session", *arguments, **options)
 
 
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """Return a folder that the first process of a run to ask for it has made; the others wait until it is there."""
+    base = factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    with (shared / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (shared / name).exists():
+            make(shared / f"{name}.unfinished")
+            (shared / f"{name}.unfinished").rename(shared / name)
+    return shared / name
+
+
 @pytest.fixture(scope="session")
 def whole_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of one finished session of 24 positions; copy it before changing anything."""
-    return simulated_session(tmp_path_factory.mktemp("whole") / "session").folder
+    return made_once(tmp_path_factory, "whole", lambda folder: simulated_session(folder / "session")) / "session"
 
 
 @pytest.fixture(scope="session")
 def solved_session(whole_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the same session with its parameters; copy it before changing anything."""
-    folder = tmp_path_factory.mktemp("solved") / "session"
-    shutil.copytree(whole_session, folder)
-    assert run(["solve", str(folder), "--latitude", "48"]) == 0
-    return folder
+
+    def solve(folder: Path) -> None:
+        shutil.copytree(whole_session, folder / "session")
+        assert run(["solve", str(folder / "session"), "--latitude", "48"]) == 0
+
+    return made_once(tmp_path_factory, "solved", solve) / "session"

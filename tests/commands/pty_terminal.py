@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from tests.commands.conftest import Program
 
-WAIT_S = 120.0
+WAIT_S = 900.0  # Only a program that hangs takes so long, however busy the machine.
 _CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
@@ -28,7 +28,7 @@ class Terminal:
         program: Program,
         *arguments: object,
         variables: dict[str, str] | None = None,
-        at_start: Callable[[], None] = lambda: None,
+        at_start: Callable[[], None] | None = None,
     ) -> None:
         self._master, self._slave = pty.openpty()
         self._is_open = True
@@ -37,7 +37,8 @@ class Terminal:
 
         def begin() -> None:
             fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-            at_start()
+            if at_start is not None:
+                at_start()
 
         self.process = program.start(
             *arguments,
@@ -46,7 +47,7 @@ class Terminal:
             stdout=self._slave,
             stderr=self._slave,
             start_new_session=True,
-            preexec_fn=begin,
+            **({"terminal": True} if at_start is None else {"preexec_fn": begin}),
         )
         self.raw = ""
         """All that was sent, control sequences included."""

@@ -290,7 +290,7 @@ def test_a_folder_deleted_while_it_is_written(program: Program, command: str) ->
     while '"noise_floor"' not in (line := process.stdout.readline()) and '"recording"' not in line:
         assert line
     shutil.rmtree(only_session(program.folder).folder)
-    _, error = process.communicate(timeout=120)
+    _, error = process.communicate(timeout=900)
     assert process.returncode == RECORDING
     sentence = one_sentence(error)
     assert all(word in sentence for word in ("part-001.mcap cannot be written", "was deleted")), sentence
@@ -326,7 +326,7 @@ def test_interrupted(program: Program, command: str, number: signal.Signals) -> 
     while '"noise_floor"' not in (line := process.stdout.readline()) and '"recording"' not in line:
         assert line
     process.send_signal(number)
-    output, error = process.communicate(timeout=120)
+    output, error = process.communicate(timeout=900)
     assert process.returncode == INTERRUPTED
     assert one_sentence(error) == "interrupted; what was recorded is on disk."
     session = only_session(program.folder)
@@ -354,7 +354,7 @@ def test_interrupted_while_replaying_to_a_port(furnished: Program) -> None:
     assert process.stdout is not None
     assert "waiting for a reader" in process.stdout.readline()
     process.send_signal(signal.SIGTERM)
-    _, error = process.communicate(timeout=120)
+    _, error = process.communicate(timeout=900)
     assert process.returncode == INTERRUPTED
     assert "Traceback" not in error
 

@@ -140,7 +140,7 @@ def events(output: str) -> list[dict[str, Any]]:
 def test_a_guided_session_on_slcan_then_solve(program: Program, emulate: Emulate, dbc: Path) -> None:
     protocol = protocol_from_dbc(dbc, parse_map(RIGHT))
     emulator = emulate(protocol, "slcan", "faces6")
-    ended = program.run(*guided(on_slcan(emulator), "--baud", 500000, "--dbc", dbc, *maps(RIGHT)), timeout_s=200)
+    ended = program.run(*guided(on_slcan(emulator), "--baud", 500000, "--dbc", dbc, *maps(RIGHT)))
     assert ended.returncode == 0, ended.stderr
     told = events(ended.stdout)
     assert [event["event"] for event in told].count("accepted") == 6
@@ -160,7 +160,7 @@ def test_a_guided_session_on_slcan_then_solve(program: Program, emulate: Emulate
 
 def test_exchanged_axes_are_refused_by_guide_and_solver(program: Program, emulate: Emulate, dbc: Path) -> None:
     emulator = emulate(protocol_from_dbc(dbc, parse_map(RIGHT)), "slcan", "faces6")
-    ended = program.run(*guided(on_slcan(emulator), "--baud", 500000, "--dbc", dbc, *maps(EXCHANGED)), timeout_s=200)
+    ended = program.run(*guided(on_slcan(emulator), "--baud", 500000, "--dbc", dbc, *maps(EXCHANGED)))
     assert ended.returncode == 0, ended.stderr
     (refused,) = [event for event in events(ended.stdout) if event.get("reason") == "axes"]
     assert refused["event"] == "rejected"
@@ -173,7 +173,7 @@ def test_exchanged_axes_are_refused_by_guide_and_solver(program: Program, emulat
 def test_record_from_multicast_then_solve(program: Program, emulate: Emulate, multicast: str) -> None:
     emulate(load_driver("xsens_can").load_protocol(), multicast, "faces6", still_s=30.0, speed=DATAGRAM_SPEED)
     options = ("--duration-s", 85, "--clock-speed", DATAGRAM_SPEED, "--json")
-    ended = program.run("record", "--bus", multicast, *options, timeout_s=200)
+    ended = program.run("record", "--bus", multicast, *options)
     assert ended.returncode == 0, ended.stderr
     assert "driver xsens_can (recognised by" in ended.stderr
     told = events(ended.stdout)[-1]
@@ -221,7 +221,7 @@ def test_a_bus_that_goes_and_comes_back_and_a_resume(program: Program, emulate: 
     emulate(protocol, "slcan", "faces6", link=tmp_path / "imu")
     # Bus, bit rate, DBC and mapping are those of the session.
     dbc.unlink()
-    ended = program.run("capture", "--resume", "--session", "mine", "--clock-speed", SPEED, "--json", timeout_s=200)
+    ended = program.run("capture", "--resume", "--session", "mine", "--clock-speed", SPEED, "--json")
     assert ended.returncode == 0, ended.stderr
     assert events(ended.stdout)[-1]["event"] == "done"
     session = Session.open(program.folder / "mine")
@@ -239,7 +239,7 @@ def test_ctrl_c_ends_a_recording_whole(program: Program, emulate: Emulate, multi
     process = program.start("record", "--bus", multicast, "--driver", "aceinna_can", "--session", "mine", "--json")
     until(process, '"recording"')
     process.send_signal(signal.SIGINT)
-    output, error = process.communicate(timeout=120)
+    output, error = process.communicate(timeout=900)
     assert process.returncode == 130, error
     told = json.loads(output.splitlines()[-1])
     assert told["samples"] == len(concatenate(session_samples(Session.open(program.folder / "mine"), []))) > 0
@@ -267,16 +267,15 @@ def test_replay_to_a_bus_and_to_an_adapter(program: Program, emulate: Emulate, m
     assert f"{len(heard)} frames sent" in replayed.stdout
     assert len(heard) == pytest.approx(2 * len(before), abs=2)
 
-    # Slow, so that it still plays when a busy machine has begun to record.
-    process = program.start("replay", "mine", "--to-pty", "--speed", 1)
+    process = program.start("replay", "mine", "--to-pty", "--speed", 4)
     assert process.stdout is not None
     address = process.stdout.readline().split()[5]
     assert address.startswith("slcan:/dev/")
     again = program.run(
         *("record", "--bus", f"{address}?sleep_after_open=0", "--driver", "aceinna_can", "--session", "again"),
-        *("--duration-s", 100),
+        *("--duration-s", 25),
     )
-    # The adapter goes away at the end, as when it is unplugged.
+    # The adapter goes away at the end, as when it is unplugged, and is waited for until the time is over.
     assert again.returncode == 3, again.stderr
     assert "disconnected" in again.stderr
     after = concatenate(session_samples(Session.open(program.folder / "again"), []))

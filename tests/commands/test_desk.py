@@ -252,9 +252,8 @@ def test_a_table_becomes_a_session_and_what_was_assumed_is_said(program: Program
     assert "gyroscope" not in content
 
 
-@pytest.mark.timeout(400)
 def test_demo(program: Program) -> None:
-    ended = program.run("demo", "--plain", "--speed", 12, timeout_s=300)
+    ended = program.run("demo", "--plain", "--speed", 12)
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert "24 of 24 positions, seed 2: as it should be" in ended.stdout
     last = ended.stdout.splitlines()[-1]

@@ -195,7 +195,7 @@ def test_the_rate_is_put_back_however_a_recording_ends(end: signal.Signals | Non
         process.stdout.readline()
         if end is not None:
             process.send_signal(end)
-        _, errors = process.communicate(timeout=120)
+        _, errors = process.communicate(timeout=900)
         assert process.returncode == (0 if end is None else 130), errors
         assert instrument.format == before
         assert instrument.streaming
@@ -276,7 +276,7 @@ def test_two_commands_understand_each_other(name: str, program: Program) -> None
         assert again.found.rate_hz == pytest.approx(before_hz, rel=0.25), "put back"
     finally:
         emulator.send_signal(signal.SIGINT)
-        emulator.communicate(timeout=120)
+        emulator.communicate(timeout=900)
     session = Session.open(program.folder / "here")
     told = {key: session.metadata["instrument"][key] for key in found.identity}
     assert told == found.identity

@@ -19,6 +19,7 @@ from imufield.commands.solve import SolveOptions
 from imufield.commands.solve_many import run_solve_many
 from imufield.deliver.parameters.file import load
 from imufield.errors import UsageError
+from tests.commands.conftest import LONGEST_S
 from tests.study.local_cluster import local_cluster
 
 if TYPE_CHECKING:
@@ -136,7 +137,7 @@ def test_sessions_of_a_killed_cluster_worker_are_done_again(
 def kill_when_busy(cluster: Any, nanny: Any, killed: list[int]) -> None:
     """Kill a worker as soon as it has a session to solve."""
     pid, worker = nanny.pid, cluster.scheduler.workers[nanny.worker_address]
-    deadline_s = time.monotonic() + 120
+    deadline_s = time.monotonic() + LONGEST_S
     while time.monotonic() < deadline_s:
         if worker.processing:
             os.kill(pid, signal.SIGKILL)

@@ -56,7 +56,7 @@ def test_turns_sharpen_the_scale(make_session: Callable[..., Session]) -> None:
 def test_the_emulated_operator_turns_and_the_program_sees_it(program: Program) -> None:
     port = program.emulate("--positions", "faces6", "--hold-s", 6, "--rotations", "rolled", "--wait", speed=8.0)
     options = ("--positions", "faces6", "--hold-s", 2, "--clock-speed", 8, "--rotations", "rolled", "--latitude", 48)
-    captured = program.run("capture", "--port", port, "--driver", "stim300", *options, "--plain", timeout_s=240)
+    captured = program.run("capture", "--port", port, "--driver", "stim300", *options, "--plain")
     assert captured.returncode == 0, captured.stderr
     session = Session.newest(program.folder / "imufield-sessions")
     assert session.finished

@@ -51,7 +51,7 @@ def bytes_on_disk(folder: Path) -> int:
 
 def end_and_solve(program: Program, port: str, folder: Path, positions: str = SCHEME) -> None:
     """Resume it to its end and solve: every position is there once."""
-    ended = program.run(*capture_into(program, port, folder, positions), timeout_s=180)
+    ended = program.run(*capture_into(program, port, folder, positions))
     assert ended.returncode == 0, ended.stderr
     assert Session.open(folder).finished
     solved = program.run("solve", folder, "--json")

@@ -92,7 +92,6 @@ def part_count(folder: Path) -> int:
     return len(Session.open(folder).parts) if (folder / "session.toml").exists() else 0
 
 
-@pytest.mark.timeout(400)
 @pytest.mark.parametrize("number", range(10 if FULL else 1))
 def test_killed_twenty_times(program: Program, number: int, campaign: Campaign) -> None:
     rng = random.Random(20 + number)

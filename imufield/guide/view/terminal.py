@@ -5,6 +5,7 @@ The view only hands the pictures of ``screen`` to rich.
 
 from __future__ import annotations
 
+import atexit
 import importlib
 import os
 import sys
@@ -47,13 +48,16 @@ class Keyboard:
                     termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
 
             self._restore = restore
+            # An interrupt that comes before the ``with`` has begun, or while it ends, passes by ``__exit__`` or breaks it off.
+            atexit.register(restore)
             tty.setcbreak(descriptor)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._descriptor is not None and self._restore is not None:
+        if self._restore is not None:
             self._restore()
-            self._descriptor = None
+            atexit.unregister(self._restore)
+        self._descriptor = self._restore = None
 
     def read(self) -> str:
         """Return the characters typed since the last call, lower case, "" when there are none."""
