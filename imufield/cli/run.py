@@ -13,9 +13,8 @@ from typing import Any, TextIO
 
 import typer
 
-from imufield.cli import EXIT_INTERRUPTED
 from imufield.cli.app import app
-from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
+from imufield.errors import EXIT_INTERRUPTED, ImufieldError, Reason, RecordingError, UsageError
 from imufield.files import write_error
 
 RECORDING_COMMANDS = ("capture", "record", "demo")

@@ -10,18 +10,19 @@ import typer
 
 from imufield.acquire.link.ports import can_channels, serial_ports
 from imufield.acquire.registry import driver_names, load_driver
+from imufield.commands.options.acquire import DevicesOptions
 from imufield.deliver.parameters.numbers import hanging
 from imufield.errors import ProtocolError
 
 _TRIED = "verified on real bytes"
 
 
-def list_devices(*, as_json: bool) -> None:
+def list_devices(options: DevicesOptions) -> None:
     """Print ports, CAN channels and drivers; a driver that cannot be loaded is listed with its error."""
     ports = [asdict(port) for port in serial_ports()]
     buses = can_channels()
     drivers = [_describe(name) for name in driver_names()]
-    if as_json:
+    if options.as_json:
         typer.echo(json.dumps({"ports": ports, "buses": [asdict(bus) for bus in buses], "drivers": drivers}))
         return
     from rich.console import Console

@@ -7,19 +7,17 @@ import math
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from imufield.acquire.recording.session import DEFAULT_ROOT
+from imufield.commands.options.deliver import HistoryOptions
 from imufield.commands.terminal.output import say, write_output
 from imufield.deliver.parameters.gauge_free import Number
 from imufield.deliver.parameters.numbers import WIDTH, beside, hanging, to_ascii, with_sigma
 from imufield.deliver.report.history import (
-    STALE_DAYS,
     Change,
     History,
     InstrumentHistory,
@@ -34,20 +32,6 @@ from imufield.errors import UsageError, counted
 from imufield.files import refuse_overwriting
 
 _NO_UNIT = ("m/s^2 per m/s^2", "rad/s per rad/s")  # Units of a scale that is 1 but for its error.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HistoryOptions:
-    """Options of the command."""
-
-    folder: Path = DEFAULT_ROOT
-    serial_number: str | None = None
-    at: str | None = None
-    """Date or time, ISO 8601; only the file that was calibrated closest to it is printed."""
-    stale_days: float = STALE_DAYS
-    csv: Path | None = None
-    plot: Path | None = None
-    as_json: bool = False
 
 
 def run_history(options: HistoryOptions, now: datetime | None = None) -> History:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
@@ -15,6 +14,7 @@ from imufield.acquire.recording.session import Session
 from imufield.calibrate.noise.noise import NoiseResult, measure_noise
 from imufield.calibrate.noise.noise_fit import NoiseFigure
 from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_text
+from imufield.commands.options.calibrate import NoiseOptions
 from imufield.commands.terminal.output import say, write_output
 from imufield.deliver.parameters.document import noise_table
 from imufield.deliver.parameters.file import Noise, Parameters, load, write_document
@@ -29,18 +29,6 @@ _FIGURES = {
     "instability": ("bias instability", ""),
     "walk": ("random walk", "/sqrt(s)"),
 }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NoiseOptions:
-    """Options of the command."""
-
-    session: Path | None = None
-    to: str = "kalibr"
-    output: Path | None = None
-    plot: Path | None = None
-    parameters: Path | None = None
-    as_json: bool = False
 
 
 def run_noise(options: NoiseOptions) -> None:

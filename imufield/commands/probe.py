@@ -10,17 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from imufield.acquire.instrument.connect import ConnectOptions, host_clock
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import Search, bauds_to_try, has_no_baud, nothing_recognised, search, serial_candidates
 from imufield.acquire.instrument.recognise import Candidate, Ear, Finding
 from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.ports import serial_ports
+from imufield.commands.options.acquire import ProbeOptions
 from imufield.commands.terminal.output import say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import ImufieldError, LinkError, Reason
 
 if TYPE_CHECKING:
-    from imufield.acquire.instrument.connect import ConnectOptions
     from imufield.acquire.instrument.connect_can import BusFinding
 
 PORTS_AT_ONCE = 8
@@ -69,7 +70,16 @@ class Probed:
         }
 
 
-def run_probe(port: str | None, baud: int | None, clock: HostClock, *, ask: bool, as_json: bool) -> list[Probed]:
+def run_probe(options: ProbeOptions) -> None:
+    """Probe a bus, a port, or all ports of this machine at once; raises as ``probe_bus`` and ``probe_ports``."""
+    clock = host_clock(options.clock_speed)
+    if options.connect.bus is not None:
+        probe_bus(options.connect, clock, ask=options.ask, as_json=options.as_json)
+    else:
+        probe_ports(options.connect, clock, ask=options.ask, as_json=options.as_json)
+
+
+def probe_ports(options: ConnectOptions, clock: HostClock, *, ask: bool, as_json: bool) -> list[Probed]:
     """Probe one port, or all of this machine at once, and print what was found.
 
     Raises
@@ -77,7 +87,7 @@ def run_probe(port: str | None, baud: int | None, clock: HostClock, *, ask: bool
     LinkError
         There is no port, or on none of them anything was recognised.
     """
-    ports = [port] if port is not None else [one.device for one in serial_ports()]
+    ports = [options.port] if options.port is not None else [port.device for port in serial_ports()]
     if not ports:
         raise LinkError(
             "no serial ports found: plug the instrument in, or give --port /dev/ttyUSB0 or --port socket://host:port",
@@ -87,7 +97,7 @@ def run_probe(port: str | None, baud: int | None, clock: HostClock, *, ask: bool
         say(f"listening on {', '.join(ports)}, up to 10 s; {_WRITES if ask else _SILENT}", err=True)
     with ThreadPoolExecutor(min(len(ports), PORTS_AT_ONCE)) as pool:
         candidates = serial_candidates(say=lambda sentence: say(sentence, err=True))
-        results = list(pool.map(lambda one: probe_port(one, baud, clock, ask=ask, candidates=candidates), ports))
+        results = list(pool.map(lambda port: probe_port(port, options.baud, clock, ask=ask, candidates=candidates), ports))
     if as_json:
         typer.echo(json.dumps({"ports": [one.to_dict() for one in results]}))
     else:
@@ -99,7 +109,7 @@ def run_probe(port: str | None, baud: int | None, clock: HostClock, *, ask: bool
     return results
 
 
-def run_probe_bus(options: ConnectOptions, clock: HostClock, *, ask: bool, as_json: bool) -> BusFinding:
+def probe_bus(options: ConnectOptions, clock: HostClock, *, ask: bool, as_json: bool) -> BusFinding:
     """Listen on one CAN bus and print who speaks there.
 
     Raises
@@ -109,12 +119,12 @@ def run_probe_bus(options: ConnectOptions, clock: HostClock, *, ask: bool, as_js
     UsageError
         The bit rate is needed, or several instruments send the same messages.
     """
-    from imufield.acquire.instrument.connect_can import probe_bus
+    from imufield.acquire.instrument.connect_can import probe_bus as listen_on_bus
 
     bus = options.bus or ""
     if not as_json:
         say(f"listening on {bus}, up to 5 s; {_WRITES if ask else _SILENT}", err=True)
-    found = probe_bus(options, clock, lambda sentence: say(sentence, err=True), ask=ask)
+    found = listen_on_bus(options, clock, lambda sentence: say(sentence, err=True), ask=ask)
     words = ["imufield", "capture", "--bus", bus, *([] if options.baud is None else ["--baud", str(options.baud)])]
     command = shlex.join([*words, "--driver", found.name])
     if as_json:

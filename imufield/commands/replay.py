@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
@@ -12,10 +10,12 @@ import typer
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.reader import Damage, EndOfRecordingError, RecordingLink
 from imufield.acquire.recording.session import Session
+from imufield.commands.options.acquire import ReplayOptions
 from imufield.commands.terminal.output import say
 from imufield.errors import UsageError
 from imufield.guide.view.plain import JsonLinesView, PlainView
 from imufield.pipeline.chain import Chain, ReadingPlan, recorded_protocol, replay_into
+from imufield.pipeline.damage import without_end_under_way
 
 if TYPE_CHECKING:
     from imufield.acquire.protocol.can_frames import Frame
@@ -25,18 +25,6 @@ WAIT_S = 0.05
 SLOT_S = 0.002
 LINGER_S = 0.5
 """The port stays this long after the last byte: a reader that polls may not have taken it yet."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReplayOptions:
-    """Options of the command."""
-
-    session: Path | None = None
-    to_pty: bool = False
-    bus: str | None = None
-    bit_rate: int | None = None
-    speed: float = 1.0
-    as_json: bool = False
 
 
 def run_replay(options: ReplayOptions) -> None:
@@ -58,10 +46,8 @@ def run_replay(options: ReplayOptions) -> None:
     chain = Chain(ReadingPlan.of(session))
     view = JsonLinesView(typer.echo) if options.as_json else PlainView(say, origin_s=chain.origin_s)
     replay_into(chain, session, damage, view.show)
-    for one in damage:
-        # The end of the part under way is no damage.
-        if not (goes_on and one.torn_end and one.path == session.parts[-1]):
-            say(one.what, err=True)
+    for entry in without_end_under_way(damage, session) if goes_on else damage:
+        say(entry.what, err=True)
     if goes_on:
         say("this session is still being recorded: replayed is what was on disk", err=True)
     if not options.as_json:

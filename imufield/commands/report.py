@@ -16,7 +16,7 @@ import typer
 from imufield.acquire.recording.document import SettingRecord
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
-from imufield.commands.solve import session_sha256
+from imufield.commands.options.deliver import ReportOptions
 from imufield.commands.terminal.output import write_output
 from imufield.deliver.parameters.document import VERSION
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, load
@@ -39,23 +39,12 @@ from imufield.errors import ParameterFileError, Reason
 from imufield.files import refuse_overwriting
 from imufield.pipeline.calibration import MoveListener
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
+from imufield.pipeline.solving import session_sha256
 from imufield.version import __version__
 
 REPORT_FILE = "report.html"
 RECORD_FILE = "calibration-record.html"
 _FEWEST_FOR_METHODS = 9  # Positions; the methods of the papers need more than parameters.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReportOptions:
-    """Options of the command."""
-
-    session: Path | None = None
-    parameters: Path | None = None
-    preset: Path | None = None
-    output: Path | None = None
-    record: Path | None = None
-    operator: str = ""
 
 
 def run_report(options: ReportOptions) -> tuple[Path, Path]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import typer
@@ -17,9 +16,9 @@ from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
-from imufield.commands.solve import session_sha256
+from imufield.commands.options.deliver import VerifyOptions
 from imufield.deliver.navigation.alignment import Heading
-from imufield.deliver.navigation.check import ALIGN_S, Apply, CheckSettings, NavigationResult, StaticNavigation
+from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationResult, StaticNavigation
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.parameters.file import Corrected, Parameters, json_ready, load
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, to_ascii
@@ -39,7 +38,7 @@ from imufield.errors import CalibrationError, ImufieldError, ParameterFileError,
 from imufield.files import refuse_overwriting
 from imufield.pipeline.chain import Chain, ReadingPlan, recorded_protocol, replay_into
 from imufield.pipeline.damage import naming_damage
-from imufield.pipeline.site import SiteOptions
+from imufield.pipeline.solving import session_sha256
 from imufield.samples import FloatArray, Samples
 
 HOLD_OUT = 4
@@ -50,27 +49,6 @@ SAME_M_S2 = 1e-6
 """Gravity that differs by less is the same: an option is typed with as many digits as the summary prints."""
 AFTER = "after"
 BEFORE = "before"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VerifyOptions:
-    """Options of the command."""
-
-    parameters: Path
-    session: Path | None = None
-    preset: Path | None = None
-    hold_out: int | None = None
-    turned: bool = False
-    align_s: float = ALIGN_S
-    heading_deg: float | None = None
-    heading_sigma_deg: float = 0.0
-    site: SiteOptions = field(default_factory=SiteOptions)
-    require: str | None = None
-    turn_on_ug: float | None = None
-    turn_on_deg_per_h: float | None = None
-    seed: int = 0
-    output: Path | None = None
-    as_json: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,6 +24,7 @@ from imufield.errors import ProtocolError, Reason, RecordingError, SettingError
 from imufield.guide.events import Event, LinkLost
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.lead.turns import HORIZONTAL, VERTICAL
 from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
 from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
@@ -32,6 +33,10 @@ from imufield.samples import FloatArray, Samples
 
 MARK = "mark"
 """Name of a recorded event: what the operator said, to be said again on replay."""
+REVISIT_FROM = 12
+"""Schemes with at least this many positions end with the first one again, as a check for drift; a quick one does without."""
+ROTATIONS = {"rolled": HORIZONTAL, "table": VERTICAL}
+"""Kinds of whole turns, as ``--rotations`` names them, and the axis they are about."""
 SCHEME_FILE = "positions.toml"
 """Copy, in the session's folder, of positions that are not shipped: the session must be solved again without their file."""
 PART_BEGINS = "the session goes on after a pause; everything measured so far is kept"

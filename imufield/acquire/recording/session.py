@@ -16,12 +16,11 @@ import tomli_w
 
 from imufield.acquire.recording.document import FORMAT, VERSION, SessionRecord, Table, plain_table
 from imufield.errors import Reason, RecordingError
-from imufield.files import read_small_file, sync_folder, typed_write_errors, write_atomically
+from imufield.files import DEFAULT_ROOT, read_small_file, sync_folder, typed_write_errors, write_atomically
 from imufield.version import __version__
 
 SETTINGS_FILE = "session.toml"
 LOCK_FILE = "session.lock"
-DEFAULT_ROOT = Path("imufield-sessions")
 
 _PART = re.compile(r"part-(\d{3,})\.mcap")
 _FOLDER = re.compile(r"\d{8}T\d{6}Z-.+")
