@@ -39,8 +39,8 @@ def run_apply(options: ApplyOptions) -> None:
         serial_number, blocks = "", table_samples(source, options.rate_hz)
     count = RowCount()
     rows = apply_session(parameters, count.through(blocks), output, serial_number=serial_number)
-    for one in damage:
-        say(one.what, err=True)
+    for entry in damage:
+        say(entry.what, err=True)
     typer.echo(beside(f"{rows} corrected samples in", output))
     say("time in s, specific force in m/s^2, angular rate in rad/s, temperature in degC")
     if parameters.edited_note:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from typing import Any
+from typing import TypedDict
 
 import typer
 
@@ -15,6 +15,16 @@ from imufield.deliver.parameters.numbers import hanging
 from imufield.errors import ProtocolError
 
 _TRIED = "verified on real bytes"
+
+
+class _Row(TypedDict):
+    """What is said of a driver, in JSON under the same names."""
+
+    name: str
+    title: str
+    default_baud: int | str | None
+    status: str
+    abilities: dict[str, str]
 
 
 def list_devices(options: DevicesOptions) -> None:
@@ -46,13 +56,13 @@ def list_devices(options: DevicesOptions) -> None:
     typer.echo(hanging("* ", "experimental: commands and answers from documents, never seen on a real instrument"))
 
 
-def _details(driver: dict[str, Any]) -> str:
+def _details(driver: _Row) -> str:
     told = ", ".join(f"{name}{'' if tried == _TRIED else '*'}" for name, tried in driver["abilities"].items())
     rate = f"{driver['default_baud']} bit/s" if driver["default_baud"] else ""
     return "; ".join(filter(None, (rate, driver["status"], told)))
 
 
-def _describe(name: str) -> dict[str, Any]:
+def _describe(name: str) -> _Row:
     try:
         driver = load_driver(name)
     except ProtocolError as error:
@@ -62,5 +72,5 @@ def _describe(name: str) -> dict[str, Any]:
         "title": driver.title,
         "default_baud": driver.default_baud,
         "status": driver.status,
-        "abilities": dict(driver.abilities),
+        "abilities": {str(ability): str(tried) for ability, tried in driver.abilities.items()},
     }

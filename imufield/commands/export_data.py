@@ -29,7 +29,7 @@ def run_export_data(options: ExportDataOptions) -> None:
     """
     to, folder = options.to, options.session
     if to not in FORMATS:
-        listed = "; ".join(f"{name}: {one.title}" for name, one in FORMATS.items())
+        listed = "; ".join(f"{name}: {form.title}" for name, form in FORMATS.items())
         raise UsageError(f"--to {to!r} is unknown; choose one of {listed}")
     session = Session.newest() if folder is None else Session.open(folder)
     path = options.output or session.folder / f"samples.{FORMATS[to].suffix}"
@@ -41,8 +41,8 @@ def run_export_data(options: ExportDataOptions) -> None:
     count = RowCount()
     blocks = count.through(session_samples(session, damage))
     rows = export_samples(blocks, path, to, facts_of(protocol, raw_zero))
-    for one in damage:
-        say(one.what, err=True)
+    for entry in damage:
+        say(entry.what, err=True)
     typer.echo(beside(f"{rows} samples in", path))
     if FORMATS[to].lacks:
         say(f"time in s, accelerometer in m/s^2, gyroscope in rad/s; {FORMATS[to].lacks}")

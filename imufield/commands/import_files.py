@@ -22,6 +22,7 @@ from imufield.acquire.instrument.connect import assumed
 from imufield.acquire.link.host_clock import SystemClock
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
+from imufield.acquire.recording.document import SettingRecord
 from imufield.acquire.recording.part_file import is_part
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session
@@ -309,7 +310,7 @@ def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTabl
         "kind": "import",
         "instrument": {"driver": options.driver or protocol.name, "model": options.files[0].name.split(".")[0]},
         "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
-        "settings": {name: {"value": one.value, "origin": one.origin} for name, one in protocol.settings.items()},
+        "settings": {name: SettingRecord(setting.value, setting.origin) for name, setting in protocol.settings.items()},
         "units": {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope},
         # What is a default of its own today says nothing about where files of another program were recorded.
         "site": {} if options.site.is_default else options.site.record(),

@@ -48,8 +48,8 @@ def run_noise(options: NoiseOptions) -> None:
     damage: list[Damage] = []
     with naming_damage(session, damage):
         result = measure_noise(session_samples(session, damage), nominal.accelerometer_scale, nominal.gyroscope_scale)
-    for one in damage:
-        say(one.what, err=True)
+    for entry in damage:
+        say(entry.what, err=True)
     if options.output is not None:
         write_output(options.output, noise_text(result, form).encode())
     if options.plot is not None:

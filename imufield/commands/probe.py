@@ -6,7 +6,7 @@ import json
 import shlex
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -57,7 +57,7 @@ class Probed:
     others: list[Finding] = field(default_factory=list)
     error: ImufieldError | None = None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain values."""
         return {
             "port": self.port,
@@ -65,7 +65,7 @@ class Probed:
             "baud": self.baud,
             "command": self.command,
             "identity": self.identity,
-            "others": [one.to_dict() for one in self.others],
+            "others": [finding.to_dict() for finding in self.others],
             "error": None if self.error is None else {"reason": self.error.reason.value, "message": self.error.message},
         }
 
@@ -99,11 +99,11 @@ def probe_ports(options: ConnectOptions, clock: HostClock, *, ask: bool, as_json
         candidates = serial_candidates(say=lambda sentence: say(sentence, err=True))
         results = list(pool.map(lambda port: probe_port(port, options.baud, clock, ask=ask, candidates=candidates), ports))
     if as_json:
-        typer.echo(json.dumps({"ports": [one.to_dict() for one in results]}))
+        typer.echo(json.dumps({"ports": [probed.to_dict() for probed in results]}))
     else:
-        for one in results:
-            _show(one, alone=len(results) == 1)
-    errors = [one.error for one in results if one.error is not None]
+        for probed in results:
+            _show(probed, alone=len(results) == 1)
+    errors = [probed.error for probed in results if probed.error is not None]
     if len(errors) == len(results):
         raise errors[0] if len(errors) == 1 else _nothing_anywhere(results)
     return results
@@ -186,8 +186,8 @@ def _others(found: Search) -> list[Finding]:
     # Another form of the instrument that was found is the same instrument.
     name = None if found.found is None else found.found.candidate.name
     ears = [ear for hearing in found.hearings for ear in hearing.ears if ear.candidate.name != name]
-    findings = sorted((ear.finding() for ear in ears), key=lambda one: (one.frames, one.share), reverse=True)
-    return [one for one in findings if one.frames][:_OTHERS_NAMED]
+    findings = sorted((ear.finding() for ear in ears), key=lambda finding: (finding.frames, finding.share), reverse=True)
+    return [finding for finding in findings if finding.frames][:_OTHERS_NAMED]
 
 
 def _command(port: str, ear: Ear, baud: int | None) -> str:
@@ -198,25 +198,25 @@ def _command(port: str, ear: Ear, baud: int | None) -> str:
     return shlex.join(words)
 
 
-def _show(one: Probed, *, alone: bool) -> None:
-    if one.found is not None:
-        _show_found(one, one.found)
-    elif not alone and one.error is not None:
+def _show(probed: Probed, *, alone: bool) -> None:
+    if probed.found is not None:
+        _show_found(probed, probed.found)
+    elif not alone and probed.error is not None:
         # Of one port alone the command ends with this sentence.
-        say(f"nothing recognised: {one.error.message}", indent=2)
-    for other in one.others:
+        say(f"nothing recognised: {probed.error.message}", indent=2)
+    for other in probed.others:
         say(
             f"  not         {other.name}: {other.reason or 'less of it was understood'} ({other.frames} frames)",
             indent=_SECOND_COLUMN,
         )
 
 
-def _show_found(one: Probed, found: Finding) -> None:
-    say(f"{one.port}: {found.title}", indent=2)
+def _show_found(probed: Probed, found: Finding) -> None:
+    say(f"{probed.port}: {found.title}", indent=2)
     say(f"  evidence    {found.evidence()}", indent=_SECOND_COLUMN)
-    if one.baud is not None:
-        typer.echo(f"  baud rate   {one.baud}")
-    _show_rest(one.identity, one.command)
+    if probed.baud is not None:
+        typer.echo(f"  baud rate   {probed.baud}")
+    _show_rest(probed.identity, probed.command)
 
 
 def _show_rest(identity: dict[str, str], command: str) -> None:
@@ -228,8 +228,8 @@ def _show_rest(identity: dict[str, str], command: str) -> None:
 
 
 def _nothing_anywhere(results: list[Probed]) -> LinkError:
-    ports = ", ".join(one.port for one in results)
-    reasons = {one.error.reason for one in results if one.error is not None}
+    ports = ", ".join(probed.port for probed in results)
+    reasons = {probed.error.reason for probed in results if probed.error is not None}
     return LinkError(
         f"nothing was recognised on {ports}; connect the instrument and switch it on, or say what it is with --driver",
         Reason.SILENCE if reasons == {Reason.SILENCE} else Reason.NO_FRAMES,

@@ -147,7 +147,7 @@ def _replay(session: Session, parameters: Parameters, preset: Parameters | None)
     # Positions that were given otherwise have no time, and no moves between them.
     if len(observations) and np.isfinite(observations.start_s).all():
         closed = closure(observations, moves.between(observations), parameters, old, nominal=nominal)
-    return _Replayed(trace.finish(), closed, tuple(one.what for one in damage))
+    return _Replayed(trace.finish(), closed, tuple(entry.what for entry in damage))
 
 
 def _setting(name: str, setting: SettingRecord) -> str:

@@ -109,7 +109,13 @@ def verify_session(task: _Task) -> Verification:
         if held_out is None and navigated is None:
             raise problems[0] if problems else CalibrationError("the session holds nothing to check", Reason.TOO_FEW)
     found = () if held_out is None else (*_gravity_notes(task, held_out), *_instrument_notes(task))
-    notes = (*_file_notes(task), *chain.notes, *found, *(one.what for one in damage), *(one.message for one in problems))
+    notes = (
+        *_file_notes(task),
+        *chain.notes,
+        *found,
+        *(entry.what for entry in damage),
+        *(error.message for error in problems),
+    )
     requirements = judge(task.limits, held_out, navigated)
     return Verification(
         parameters=task.parameters,
@@ -126,8 +132,8 @@ def _task(options: VerifyOptions) -> _Task:
     parameters = load(options.parameters)
     preset = None if options.preset is None else load(options.preset)
     session = Session.newest() if options.session is None else Session.open(options.session)
-    for one in filter(None, (parameters, preset)):
-        one.check_instrument(session.serial_number)
+    for checked in filter(None, (parameters, preset)):
+        checked.check_instrument(session.serial_number)
     is_its_own = _is_its_own(parameters, session)
     gravity, latitude_deg = _site(options, parameters, session.record.site, is_its_own=is_its_own)
     task = _Task(
@@ -378,7 +384,7 @@ def _instability(parameters: Parameters) -> FloatArray | None:
 def _refuse_failed(found: Verification) -> None:
     if found.objections:
         raise VerificationError(f"FAIL: {found.objections[0]}")
-    failed = [one for one in found.requirements if not one.passed]
+    failed = [requirement for requirement in found.requirements if not requirement.passed]
     if not failed:
         return
     worst = failed[0]

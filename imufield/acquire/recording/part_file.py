@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import BinaryIO, Self
 
 from mcap.opcode import Opcode
 
@@ -91,7 +91,7 @@ class PartFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.metadata: dict[str, Any] = {}
+        self.metadata: dict[str, object] = {}
         self.damage: list[Damage] = []
         self.finished = False
         self._in_head = True
