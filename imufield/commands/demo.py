@@ -36,11 +36,11 @@ from imufield.pipeline.solving import solve_session
 from imufield.samples import FloatArray
 from imufield.simulate.truth.motion import Site
 
-RATE_HZ = 500.0
-HOLD_S = 5.0
+RATE_HZ = 500.0  # Below the 2000 Hz the instrument can, so that a small machine keeps up with eight times real time.
+HOLD_S = 5.0  # Shorter than a real session needs, so that the whole takes minutes.
 OPERATOR_HOLD_S = 8.5
 """The guide trims both ends of a still stretch and needs some cells to be sure of it."""
-LIMIT_SIGMA = 4.0
+LIMIT_SIGMA = 4.0  # Of 12 parameters, one beyond it comes up in a thousand demonstrations.
 LONGEST_S = 1800.0
 """Of sample time; the emulator ends then even if the demonstration was killed and cannot end it."""
 

@@ -6,7 +6,7 @@ import numpy as np
 import typer
 
 from imufield.acquire.recording.reader import Damage
-from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.session import open_or_newest
 from imufield.commands.options.deliver import ExportDataOptions
 from imufield.commands.terminal.output import say
 from imufield.commands.terminal.row_count import RowCount
@@ -27,11 +27,11 @@ def run_export_data(options: ExportDataOptions) -> None:
     RecordingError
         If the session cannot be read or the file not be written.
     """
-    to, folder = options.to, options.session
+    to = options.to
     if to not in FORMATS:
         listed = "; ".join(f"{name}: {form.title}" for name, form in FORMATS.items())
         raise UsageError(f"--to {to!r} is unknown; choose one of {listed}")
-    session = Session.newest() if folder is None else Session.open(folder)
+    session = open_or_newest(options.session)
     path = options.output or session.folder / f"samples.{FORMATS[to].suffix}"
     refuse_overwriting(path, session.parts)
     protocol = recorded_protocol({}, session)

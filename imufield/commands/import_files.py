@@ -25,7 +25,7 @@ from imufield.acquire.protocol.protocol import Protocol, load_protocol
 from imufield.acquire.recording.document import SettingRecord
 from imufield.acquire.recording.part_file import is_part
 from imufield.acquire.recording.recorder import Recorder
-from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session
+from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session, create_session
 from imufield.acquire.registry import load_driver
 from imufield.commands.options.acquire import ImportOptions
 from imufield.commands.terminal.output import say
@@ -320,13 +320,11 @@ def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTabl
         metadata["nominal"] = {"raw_zero": list(table.raw_zero)}
         metadata["notes"] = list(table.assumptions)
     model = options.files[0].name.split(".")[0]
-    if options.output is not None:
-        if not options.replace and (options.output / SETTINGS_FILE).exists():
-            raise RecordingError(
-                f"{options.output} holds a session already and nothing is overwritten: choose a new folder, or give "
-                "--replace if it is an import to be done again.",
-                Reason.UNFINISHED,
-                folder=str(options.output),
-            )
-        return Session.create_in(options.output, model, metadata)
-    return Session.create(options.root, model, metadata)
+    if options.output is not None and not options.replace and (options.output / SETTINGS_FILE).exists():
+        raise RecordingError(
+            f"{options.output} holds a session already and nothing is overwritten: choose a new folder, or give "
+            "--replace if it is an import to be done again.",
+            Reason.UNFINISHED,
+            folder=str(options.output),
+        )
+    return create_session(options.output, options.root, model, metadata)

@@ -10,7 +10,7 @@ from typing import get_args
 import typer
 
 from imufield.acquire.recording.reader import Damage
-from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.session import open_or_newest
 from imufield.calibrate.noise.noise import NoiseResult, measure_noise
 from imufield.calibrate.noise.noise_fit import NoiseFigure
 from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_text
@@ -41,7 +41,7 @@ def run_noise(options: NoiseOptions) -> None:
     """
     form: NoiseFormat = one_of("to", options.to, get_args(NoiseFormat))
     parameters = None if options.parameters is None else load(options.parameters)
-    session = Session.newest() if options.session is None else Session.open(options.session)
+    session = open_or_newest(options.session)
     nominal = recorded_protocol({}, session).nominal
     for path in filter(None, (options.output, options.plot)):
         refuse_overwriting(path, [*session.parts, *filter(None, [options.parameters])])

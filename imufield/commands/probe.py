@@ -24,9 +24,9 @@ from imufield.errors import ImufieldError, LinkError, Reason
 if TYPE_CHECKING:
     from imufield.acquire.instrument.connect_can import BusFinding
 
-PORTS_AT_ONCE = 8
-_OTHERS_NAMED = 3
-_SECOND_COLUMN = 14
+PORTS_AT_ONCE = 8  # More threads than any machine has instruments; each only waits for bytes.
+_OTHERS_NAMED = 3  # Behind these come chance finds of a few frames.
+_SECOND_COLUMN = 14  # Width of "  instrument  ".
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

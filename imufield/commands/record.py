@@ -15,14 +15,14 @@ from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.reconnect import PatientLink
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.recorder import Recorder
-from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.session import Session, create_session
 from imufield.commands.options.acquire import RecordOptions
 from imufield.commands.terminal.output import say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import LinkError, RecordingError
 from imufield.pipeline.chain import part_metadata
 
-TELL_EVERY_S = 1.0
+TELL_EVERY_S = 1.0  # A count that changes faster cannot be read.
 
 
 def run_record(options: RecordOptions, clock: HostClock | None = None) -> Session:
@@ -59,9 +59,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
 
 def _new_session(options: RecordOptions, connected: Connected) -> Session:
     metadata = {**connected.session_tables(), "kind": "record", "site": options.site.record()}
-    if options.session is not None:
-        return Session.create_in(options.session, connected.model, metadata)
-    return Session.create(options.root, connected.model, metadata)
+    return create_session(options.session, options.root, connected.model, metadata)
 
 
 def _finish(session: Session, cause: BaseException | None) -> None:

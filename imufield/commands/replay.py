@@ -9,7 +9,7 @@ import typer
 
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.reader import Damage, EndOfRecordingError, RecordingLink
-from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.commands.options.acquire import ReplayOptions
 from imufield.commands.terminal.output import say
 from imufield.errors import UsageError
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from imufield.acquire.protocol.can_frames import Frame
     from imufield.simulate.emulator.port import PseudoTerminal
 
-WAIT_S = 0.05
-SLOT_S = 0.002
+WAIT_S = 0.05  # Between two looks for a reader: shorter than a person notices.
+SLOT_S = 0.002  # Between two looks at a full buffer, which holds some ten times as long at 1 Mbit/s.
 LINGER_S = 0.5
 """The port stays this long after the last byte: a reader that polls may not have taken it yet."""
 
@@ -35,7 +35,7 @@ def run_replay(options: ReplayOptions) -> None:
     ImufieldError
         If the session cannot be read, or the bus not be opened.
     """
-    session = Session.newest() if options.session is None else Session.open(options.session)
+    session = open_or_newest(options.session)
     if options.to_pty and options.bus is not None:
         raise UsageError("--to-pty and --bus contradict each other; give one of them")
     if options.bus is not None or options.to_pty:

@@ -32,7 +32,7 @@ from imufield.pipeline.solving import better_gravity, solve_observations, solve_
 from imufield.samples import FloatArray
 
 FAILED = "failed"
-WIDTH = 80
+WIDTH = 80  # Of the table where there is no terminal: what a log or a mail shows unbroken.
 
 
 def run_solve(options: SolveOptions) -> int:

@@ -13,7 +13,7 @@ from rich.console import Console
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.document import SiteRecord
 from imufield.acquire.recording.reader import Damage
-from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.commands.options.deliver import VerifyOptions
@@ -131,7 +131,7 @@ def _task(options: VerifyOptions) -> _Task:
     limits = parse_requirements(options.require)
     parameters = load(options.parameters)
     preset = None if options.preset is None else load(options.preset)
-    session = Session.newest() if options.session is None else Session.open(options.session)
+    session = open_or_newest(options.session)
     for checked in filter(None, (parameters, preset)):
         checked.check_instrument(session.serial_number)
     is_its_own = _is_its_own(parameters, session)

@@ -10,8 +10,7 @@ from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.errors import CalibrationError, Reason, RecordingError
 
-NAMED = 2
-"""Of a recording with many holes one sentence names so many."""
+NAMED = 2  # Places of damage that one sentence names; a recording with many holes would fill a page.
 _BY_LOSS = (Reason.TOO_FEW, Reason.UNOBSERVABLE)  # What a recording with all its bytes might have been enough for.
 
 

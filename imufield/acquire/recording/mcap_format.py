@@ -42,7 +42,7 @@ RECORD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 MESSAGE = struct.Struct("<BQHIQQ")
 """A Message record up to its data: opcode, length, channel, sequence, log time, publish time."""
-ARRIVAL = struct.Struct("<d")
+ARRIVAL = struct.Struct("<d")  # Before the bytes of a link message; NaN where nobody knows when they came.
 CHUNK = struct.Struct("<QQQII4sQ")
 """Content of a Chunk record up to its records: start, end, size, CRC, length of the next string, "zstd", compressed size."""
 CHUNK_SIGNATURE = b"\x04\x00\x00\x00zstd"

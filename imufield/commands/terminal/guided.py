@@ -20,7 +20,7 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.document import GuideRecord
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.recorder import Recorder
-from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.session import Session, create_session
 from imufield.commands.options.acquire import CaptureOptions, ViewName
 from imufield.commands.terminal.output import say
 from imufield.commands.terminal.views import LinkState, LiveStatus, View, make_view
@@ -39,12 +39,12 @@ from imufield.pipeline.site import SiteOptions
 DEFAULT_SCHEME = "paper24"
 SILENCE_S = 2.0
 """Host time without a byte after which the screen says so: the slowest instruments send ten times a second."""
-REFRESH_EVERY_S = 0.1
+REFRESH_EVERY_S = 0.1  # Ten pictures a second: a person sees a turn without delay, and the decoder keeps its time.
 KEYS = {"r": "retake", "s": "skip", "u": "undo", "p": "pause", "f": "finish", "g": "go_on"}
 BIG = "b"
 QUIT = "q"
 FINISH = "f"
-REOPEN = "reopen"
+REOPEN = "reopen"  # Not a key: recorded where a session that was finished early goes on.
 AGAIN_WITHIN_S = 10.0
 """Finishing with something left ends the session only with the same key again within this time; a person's time is real,
 however fast an emulated instrument runs."""
@@ -119,10 +119,7 @@ def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions
         "guide": guide,
         "site": site.record(),
     }
-    if options.session is not None:
-        session = Session.create_in(options.session, connected.model, metadata)
-    else:
-        session = Session.create(options.root, connected.model, metadata)
+    session = create_session(options.session, options.root, connected.model, metadata)
     if positions is not None:
         with typed_write_errors(session.folder, RecordingError):
             write_atomically(session.folder / SCHEME_FILE, positions)
