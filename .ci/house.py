@@ -65,6 +65,8 @@ ROOMS = (
     ("simulate",),
     ("study",),
     ("pipeline",),
+    ("commands/configuration",),
+    ("commands/options",),
     ("commands/terminal",),
     ("commands",),
     ("testing",),

@@ -20,6 +20,8 @@ from __future__ import annotations
 from enum import Enum
 from typing import Any, ClassVar
 
+EXIT_INTERRUPTED = 130
+"""What typer leaves with after Ctrl-C; SIGTERM and SIGHUP take the same way."""
 _LONGEST_SHOWN = 40
 
 

@@ -24,6 +24,8 @@ AnError = TypeVar("AnError", bound=ImufieldError)
 _RECORDED = re.compile(r"part-\d+\.mcap|session\.toml|positions\.toml")
 
 
+DEFAULT_ROOT = Path("imufield-sessions")
+"""Folder of sessions, in the working folder, where no other is named."""
 SMALL_FILE_LIMIT_BYTES = 1 << 24
 """A thousand positions take half a mebibyte; what is read whole is never larger than this."""
 

@@ -66,16 +66,17 @@ class Replayed:
         return self.solve()
 
     def solve(self, **options: Any) -> Parameters:
-        """Solve with options of ``imufield.commands.solve.SolveOptions``; ``gravity_m_s2`` and ``latitude_deg`` too."""
-        from imufield.commands.solve import SolveOptions, solve_session
+        """Solve with fields of ``commands.options.calibrate.SolveOptions``, and ``gravity_m_s2`` or ``latitude_deg``."""
+        from imufield.commands.options.calibrate import SolveOptions
         from imufield.pipeline.site import SiteOptions
+        from imufield.pipeline.solving import solve_session
 
         site = SiteOptions(
             gravity_m_s2=options.pop("gravity_m_s2", None),
             latitude_deg=options.pop("latitude_deg", None),
             height_m=options.pop("height_m", None),
         )
-        return solve_session(self.session, SolveOptions(site=site, **options)).parameters
+        return solve_session(self.session, SolveOptions(**options).settings(), site).parameters
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -89,7 +90,8 @@ def imufield_replay(tmp_path: Path) -> Callable[..., Replayed]:
 
     def replay(path: str | Path, protocol: str | None = None, settings: Mapping[str, str] | None = None) -> Replayed:
         from imufield.acquire.recording.session import Session
-        from imufield.commands.import_files import ImportOptions, import_session
+        from imufield.commands.import_files import import_session
+        from imufield.commands.options.acquire import ImportOptions
 
         if protocol is None:
             return Replayed(Session.open(path))

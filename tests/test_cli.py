@@ -12,10 +12,9 @@ import typer
 from typer.main import get_command
 
 from imufield import __version__
-from imufield.cli import EXIT_INTERRUPTED
 from imufield.cli.app import app
 from imufield.cli.run import run
-from imufield.errors import ImufieldError
+from imufield.errors import EXIT_INTERRUPTED, ImufieldError
 
 COMMANDS = sorted(get_command(app).commands)  # type: ignore[attr-defined]  # the app is a group
 
@@ -72,7 +71,7 @@ def test_a_defect_keeps_its_traceback_and_is_code_1(tmp_path: Path) -> None:
 from imufield import cli
 import imufield.commands.devices as devices
 
-def defect(*, as_json):
+def defect(options):
     raise RuntimeError("a defect of ours")
 
 devices.list_devices = defect

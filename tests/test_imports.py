@@ -65,4 +65,14 @@ def test_every_command_starts_fast(house: ModuleType) -> None:
     for module in house.modules():
         if module.room == "cli":
             top = [node for node in module.tree.body if isinstance(node, ast.ImportFrom)]
-            assert not [node for node in top if (node.module or "").startswith("imufield.commands")], module.path.name
+            above = [name for name in (node.module or "" for node in top) if name.startswith("imufield.commands")]
+            assert all(name.startswith("imufield.commands.options") for name in above), module.path.name
+
+
+def test_options_are_light(house: ModuleType) -> None:
+    """Every start of the program reads them: of imufield they import nothing that imports NumPy."""
+    light = ("imufield.errors", "imufield.files", "imufield.commands.configuration", "imufield.commands.options")
+    for module in house.modules():
+        if module.name.startswith("commands.options"):
+            top = [node.module or "" for node in module.tree.body if isinstance(node, ast.ImportFrom)]
+            assert all(name.startswith(light) for name in top if name.startswith("imufield")), module.path.name

@@ -8,8 +8,7 @@ from __future__ import annotations
 import os
 import sys
 
-EXIT_INTERRUPTED = 130
-"""What typer leaves with after Ctrl-C; SIGTERM and SIGHUP take the same way."""
+from imufield.errors import EXIT_INTERRUPTED
 
 
 def main() -> None:

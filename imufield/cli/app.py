@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Annotated
 
 import typer
 
-from imufield.cli import acquire, calibrate, deliver
+from imufield.cli.command import make_command
+from imufield.commands.options import acquire, calibrate, deliver
 from imufield.version import __version__
 
 app = typer.Typer(
@@ -39,34 +39,35 @@ def root(
     context.default_map = default_map()
 
 
-_COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
-    "Calibrate": {
-        "devices": acquire.devices,
-        "probe": acquire.probe,
-        "capture": acquire.capture,
-        "solve": calibrate.solve,
-        "report": deliver.report,
-        "export": deliver.export,
-    },
-    "Prove and compare": {
-        "verify": deliver.verify,
-        "history": deliver.history,
-        "noise": calibrate.noise,
-    },
-    "Recordings": {
-        "record": acquire.record,
-        "import": acquire.import_files,
-        "replay": acquire.replay,
-        "apply": deliver.apply,
-        "export-data": deliver.export_data,
-    },
-    "Without hardware": {
-        "demo": acquire.demo,
-        "emulate": acquire.emulate,
-        "study": calibrate.study,
-    },
+# Under each heading: name, options, and the function below imufield.commands that does the work.
+_COMMANDS: dict[str, tuple[tuple[str, type, str], ...]] = {
+    "Calibrate": (
+        ("devices", acquire.DevicesOptions, "devices.list_devices"),
+        ("probe", acquire.ProbeOptions, "probe.run_probe"),
+        ("capture", acquire.CaptureOptions, "capture.run_capture"),
+        ("solve", calibrate.SolveOptions, "solve.run_solve"),
+        ("report", deliver.ReportOptions, "report.run_report"),
+        ("export", deliver.ExportOptions, "export.run_export"),
+    ),
+    "Prove and compare": (
+        ("verify", deliver.VerifyOptions, "verify.run_verify"),
+        ("history", deliver.HistoryOptions, "history.run_history"),
+        ("noise", calibrate.NoiseOptions, "noise.run_noise"),
+    ),
+    "Recordings": (
+        ("record", acquire.RecordOptions, "record.run_record"),
+        ("import", acquire.ImportOptions, "import_files.run_import"),
+        ("replay", acquire.ReplayOptions, "replay.run_replay"),
+        ("apply", deliver.ApplyOptions, "apply.run_apply"),
+        ("export-data", deliver.ExportDataOptions, "export_data.run_export_data"),
+    ),
+    "Without hardware": (
+        ("demo", acquire.DemoOptions, "demo.run_demo"),
+        ("emulate", acquire.EmulateOptions, "emulate.run_emulate"),
+        ("study", calibrate.StudyOptions, "study.run_study_command"),
+    ),
 }
 
 for _panel, _commands in _COMMANDS.items():
-    for _name, _command in _commands.items():
-        app.command(_name, rich_help_panel=_panel)(_command)
+    for _name, _options, _work in _commands:
+        app.command(_name, rich_help_panel=_panel)(make_command(_options, _work))

@@ -9,13 +9,12 @@ import signal
 import sys
 from collections.abc import Iterator
 from types import FrameType
-from typing import Any, TextIO
+from typing import TextIO
 
 import typer
 
-from imufield.cli import EXIT_INTERRUPTED
 from imufield.cli.app import app
-from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
+from imufield.errors import EXIT_INTERRUPTED, ImufieldError, Reason, RecordingError, UsageError
 from imufield.files import write_error
 
 RECORDING_COMMANDS = ("capture", "record", "demo")
@@ -34,7 +33,7 @@ def _signals_as_interrupts() -> Iterator[None]:
     """Turn SIGTERM and SIGHUP, if they are not ignored, into the exception of Ctrl-C, so that every path closes its files."""
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     heard = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
-    previous: list[tuple[int, Any]] = [(number, signal.signal(number, _raise_interrupted)) for number in heard]
+    previous = [(number, signal.signal(number, _raise_interrupted)) for number in heard]
     try:
         yield
     finally:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import tomllib
 from pathlib import Path
-from typing import Any
 
 from imufield.errors import Reason, UsageError
 from imufield.files import read_small_file
@@ -34,7 +33,7 @@ KEYS: dict[str, tuple[str, ...]] = {
 _TABLES = {"settings": "accelerometer_range_g = 30", "mapping": '"accelerometer.x" = "AccLong"'}
 
 
-def default_map() -> dict[str, dict[str, Any]]:
+def default_map() -> dict[str, dict[str, object]]:
     """Return the file's defaults per command.
 
     Raises
@@ -42,7 +41,7 @@ def default_map() -> dict[str, dict[str, Any]]:
     UsageError
         If the file is not TOML, or has an unknown key.
     """
-    commands: dict[str, dict[str, Any]] = {}
+    commands: dict[str, dict[str, object]] = {}
     for path in (_user_file(), Path(FILE_NAME)):
         if path.is_file():
             for key, value in _read(path).items():
@@ -95,7 +94,7 @@ def _user_file() -> Path:
     return platformdirs.user_config_path("imufield") / FILE_NAME
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> dict[str, object]:
     try:
         content = tomllib.loads(read_small_file(path).decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:

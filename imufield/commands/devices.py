@@ -4,24 +4,35 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from typing import Any
+from typing import TypedDict
 
 import typer
 
 from imufield.acquire.link.ports import can_channels, serial_ports
 from imufield.acquire.registry import driver_names, load_driver
+from imufield.commands.options.acquire import DevicesOptions
 from imufield.deliver.parameters.numbers import hanging
 from imufield.errors import ProtocolError
 
 _TRIED = "verified on real bytes"
 
 
-def list_devices(*, as_json: bool) -> None:
+class _Row(TypedDict):
+    """What is said of a driver, in JSON under the same names."""
+
+    name: str
+    title: str
+    default_baud: int | str | None
+    status: str
+    abilities: dict[str, str]
+
+
+def list_devices(options: DevicesOptions) -> None:
     """Print ports, CAN channels and drivers; a driver that cannot be loaded is listed with its error."""
     ports = [asdict(port) for port in serial_ports()]
     buses = can_channels()
     drivers = [_describe(name) for name in driver_names()]
-    if as_json:
+    if options.as_json:
         typer.echo(json.dumps({"ports": ports, "buses": [asdict(bus) for bus in buses], "drivers": drivers}))
         return
     from rich.console import Console
@@ -45,13 +56,13 @@ def list_devices(*, as_json: bool) -> None:
     typer.echo(hanging("* ", "experimental: commands and answers from documents, never seen on a real instrument"))
 
 
-def _details(driver: dict[str, Any]) -> str:
+def _details(driver: _Row) -> str:
     told = ", ".join(f"{name}{'' if tried == _TRIED else '*'}" for name, tried in driver["abilities"].items())
     rate = f"{driver['default_baud']} bit/s" if driver["default_baud"] else ""
     return "; ".join(filter(None, (rate, driver["status"], told)))
 
 
-def _describe(name: str) -> dict[str, Any]:
+def _describe(name: str) -> _Row:
     try:
         driver = load_driver(name)
     except ProtocolError as error:
@@ -61,5 +72,5 @@ def _describe(name: str) -> dict[str, Any]:
         "title": driver.title,
         "default_baud": driver.default_baud,
         "status": driver.status,
-        "abilities": dict(driver.abilities),
+        "abilities": {str(ability): str(tried) for ability, tried in driver.abilities.items()},
     }

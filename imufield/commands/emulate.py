@@ -5,19 +5,19 @@ from __future__ import annotations
 import json
 import math
 import shlex
-from dataclasses import dataclass, field, fields
-from pathlib import Path
+from dataclasses import fields
 from typing import Any
 
 import typer
 
 from imufield.acquire.protocol.toml import spell
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.commands.capture import REVISIT_FROM, ROTATIONS
+from imufield.commands.options.acquire import EmulateOptions
 from imufield.commands.terminal.output import replace_only
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import UsageError
 from imufield.guide.positions import scheme
+from imufield.pipeline.chain import REVISIT_FROM, ROTATIONS
 from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.emulate import TRUTH_FORMAT, Emulation, WireChoice, choose_wire, emulate
 from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
@@ -28,33 +28,6 @@ INITIAL_STILL_S = 6.0
 """Before the first hold; the guide needs 3 s of it for the noise floor."""
 ROUNDS = 20
 """How often the operator goes through his positions: what a reader missed, or came too late for, comes up again."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EmulateOptions:
-    """Options of the command."""
-
-    driver: str
-    rate_hz: float | None
-    speed: float
-    grade: str
-    seed: int
-    positions: str
-    hold_s: float
-    link: Path | None
-    truth: Path | None
-    duration_s: float | None
-    faults: list[str]
-    wait_for_reader: bool
-    style: str
-    rotations: str | None = None
-    as_json: bool
-    form: str | None = None
-    settings: dict[str, str] = field(default_factory=dict)
-    bus: str | None = None
-    day: int = 0
-    rounds: int | None = None
-    """None: ``ROUNDS``, or once where whole turns follow."""
 
 
 def run_emulate(options: EmulateOptions) -> None:
@@ -99,13 +72,13 @@ def make_emulation(options: EmulateOptions) -> Emulation:
             begins_in_first_position=options.style == "placed",
             rotations=options.rotations,  # type: ignore[arg-type]  # checked above
         ),
-        faults=parse_faults(options.faults, CanFaults if on_bus else Faults),
+        faults=parse_faults(options.faults or [], CanFaults if on_bus else Faults),
         run=EmulatorSettings(
-            speed=options.speed, wait_for_reader=options.wait_for_reader, duration_s=options.duration_s, link=options.link
+            speed=options.speed, wait_for_reader=options.waits_for_reader, duration_s=options.duration_s, link=options.link
         ),
         truth=options.truth,
         form=options.form,
-        settings=options.settings,
+        settings=dict(options.settings),
         bus=options.bus,
     )
 
@@ -163,7 +136,7 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     latitude = f"--latitude {emulation.site.latitude_deg:g}"
     typer.echo("read it with:")
     typer.echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {_reader(options, wire)}{latitude}")
-    waits = "it begins when a program opens the port; " if options.wait_for_reader and kind == "port" else ""
+    waits = "it begins when a program opens the port; " if options.waits_for_reader and kind == "port" else ""
     typer.echo(f"{waits}Ctrl-C ends it")
 
 

@@ -7,17 +7,14 @@ import math
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import typer
 
-from imufield.acquire.recording.session import DEFAULT_ROOT
+from imufield.commands.options.deliver import HistoryOptions
 from imufield.commands.terminal.output import say, write_output
 from imufield.deliver.history import (
-    STALE_DAYS,
     Change,
     History,
     InstrumentHistory,
@@ -34,20 +31,6 @@ from imufield.errors import UsageError, counted
 from imufield.files import refuse_overwriting
 
 _NO_UNIT = ("m/s^2 per m/s^2", "rad/s per rad/s")  # Units of a scale that is 1 but for its error.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HistoryOptions:
-    """Options of the command."""
-
-    folder: Path = DEFAULT_ROOT
-    serial_number: str | None = None
-    at: str | None = None
-    """Date or time, ISO 8601; only the file that was calibrated closest to it is printed."""
-    stale_days: float = STALE_DAYS
-    csv: Path | None = None
-    plot: Path | None = None
-    as_json: bool = False
 
 
 def run_history(options: HistoryOptions, now: datetime | None = None) -> History:
@@ -67,7 +50,9 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
         return history
     plots = {} if options.plot is None else _plot_paths(history, options.plot)
     for path in filter(None, (options.csv, *plots)):
-        refuse_overwriting(path, (options.folder / entry.path for one in history.instruments for entry in one.entries))
+        refuse_overwriting(
+            path, (options.folder / entry.path for instrument in history.instruments for entry in instrument.entries)
+        )
     if options.csv is not None:
         write_output(options.csv, to_csv(history).encode())
     for path, instrument in plots.items():
@@ -126,7 +111,7 @@ def _print(history: History, options: HistoryOptions, now: datetime) -> None:
             line = f"  {entry.created[:10]}  {entry.verdict:<7} {entry.path}"
             # A path that is broken in two cannot be copied.
             typer.echo(line if len(line) <= WIDTH else f"{line.removesuffix(entry.path).rstrip()}\n    {entry.path}")
-        changes = {one.name: one for one in instrument.changes()}
+        changes = {change.name: change for change in instrument.changes()}
         # One calibration has nothing to compare, and its numbers are in its file.
         numbers = instrument.entries[-1].numbers if changes else ()
         headings = [("parameter", "value ± sigma", "unit", "since the one before")] if numbers else []
@@ -161,15 +146,15 @@ def _shows_signs() -> bool:
     return (getattr(sys.stdout, "encoding", None) or "").lower().startswith("utf")
 
 
-def _document(history: History, options: HistoryOptions, now: datetime) -> dict[str, Any]:
+def _document(history: History, options: HistoryOptions, now: datetime) -> dict[str, object]:
     return {
         "folder": str(history.folder),
-        "instruments": [_instrument(one, options, now) for one in history.instruments],
+        "instruments": [_instrument(instrument, options, now) for instrument in history.instruments],
         "faults": list(history.faults),
     }
 
 
-def _instrument(instrument: InstrumentHistory, options: HistoryOptions, now: datetime) -> dict[str, Any]:
+def _instrument(instrument: InstrumentHistory, options: HistoryOptions, now: datetime) -> dict[str, object]:
     return {
         "instrument": instrument.instrument,
         "serial_number": instrument.serial_number,
@@ -182,7 +167,9 @@ def _instrument(instrument: InstrumentHistory, options: HistoryOptions, now: dat
                 "verdict": entry.verdict,
                 "file": entry.path,
                 "edited": entry.edited,
-                "parameters": {one.name: {"value": one.value, "sigma": one.sigma, "unit": one.unit} for one in entry.numbers},
+                "parameters": {
+                    number.name: {"value": number.value, "sigma": number.sigma, "unit": number.unit} for number in entry.numbers
+                },
             }
             for entry in instrument.entries
         ],

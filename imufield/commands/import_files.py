@@ -6,12 +6,9 @@ import json
 import math
 import shlex
 import shutil
-import stat
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import typer
 
@@ -20,49 +17,24 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats.ros_bags import is_bag
 from imufield.acquire.formats.table_text import read_pieces
 from imufield.acquire.formats.table_units import TIME_UNIT
-from imufield.acquire.formats.tables import ROWS_PROTOCOL, ImportedTable, read_tables, stream_table, write_rows
-from imufield.acquire.instrument.connected import assumed
+from imufield.acquire.formats.tables import ROWS_PROTOCOL, ImportedTable, read_tables, write_rows
+from imufield.acquire.instrument.connect import assumed
 from imufield.acquire.link.host_clock import SystemClock
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
+from imufield.acquire.recording.document import SettingRecord
 from imufield.acquire.recording.part_file import is_part
 from imufield.acquire.recording.recorder import Recorder
-from imufield.acquire.recording.session import DEFAULT_ROOT, LOCK_FILE, SETTINGS_FILE, Session
+from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session, create_session
 from imufield.acquire.registry import load_driver
+from imufield.commands.options.acquire import ImportOptions
 from imufield.commands.terminal.output import say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.pipeline.chain import part_metadata
-from imufield.pipeline.site import SiteOptions
-from imufield.samples import Samples
+from imufield.pipeline.table_samples import refuse_endless
 
 DUMP_CHUNK_BYTES = 1 << 16
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImportOptions:
-    """Options of the command."""
-
-    files: list[Path]
-    output: Path | None = None
-    protocol: str | None = None
-    settings: Mapping[str, str] | None = None
-    columns: str | None = None
-    rate_hz: float | None = None
-    zero: str | None = None
-    as_json: bool = False
-    root: Path = DEFAULT_ROOT
-    driver: str | None = None
-    dbc: Path | None = None
-    mapping: Mapping[str, str] = field(default_factory=dict)
-    """Which signal of ``dbc`` is which axis, as ``parse_map`` returns it."""
-    channel: str | None = None
-    """Of a log of several CAN buses."""
-    topic: str | None = None
-    """Of a recording of ROS."""
-    site: SiteOptions = field(default_factory=SiteOptions)
-    replace: bool = False
-    """Put the session in the place of an earlier import."""
 
 
 def run_import(options: ImportOptions) -> Session:
@@ -86,7 +58,7 @@ def run_import(options: ImportOptions) -> Session:
 
 def import_session(options: ImportOptions) -> tuple[Session, list[str]]:
     """Return the new session and what was assumed, in sentences; raises as ``run_import``."""
-    _refuse_endless(options.files)
+    refuse_endless(options.files)
     _refuse_own(options.files)
     options.site.gravity()
     protocol = _protocol(options)
@@ -102,29 +74,6 @@ def _import(options: ImportOptions, protocol: Protocol | None) -> tuple[Session,
     if protocol.can is not None:
         return _import_can(options, protocol)
     return _import_dump(options, protocol)
-
-
-def _refuse_endless(paths: Sequence[Path]) -> None:
-    """Refuse devices and pipes, which have no end or none that is sure to come, and names that no file can have.
-
-    Raises
-    ------
-    UsageError, RecordingError
-        If there is one.
-    """
-    for path in paths:
-        try:
-            mode = path.stat().st_mode
-        except FileNotFoundError:
-            continue  # said by what reads it
-        except OSError as error:
-            raise RecordingError(f"{path} cannot be read ({error.strerror}): check its name", Reason.NOT_A_RECORDING) from error
-        if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
-            raise UsageError(f"{path} is a device, which has no end: record from it with --port, and import files")
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-            raise UsageError(
-                f"{path} is a pipe or socket, which can be read only once: write its content to a file and import that"
-            )
 
 
 def _protocol(options: ImportOptions) -> Protocol | None:
@@ -249,30 +198,6 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
     return session, list(table.assumptions)
 
 
-def table_samples(path: Path, rate_hz: float | None = None) -> Iterator[Samples]:
-    """Yield the samples of a table, e.g. an exported CSV, block by block."""
-    _refuse_endless([path])
-    decoder: Decoder | None = None
-    for table in stream_table(path, rate_hz=rate_hz):
-        decoder = decoder or Decoder(load_protocol(ROWS_PROTOCOL, table.settings))
-        chunks = _Chunks([])
-        write_rows(chunks, table.rows, table.status, table.counter)
-        for chunk in chunks.written:
-            yield decoder.feed(chunk.data, chunk.monotonic_s)
-    if decoder is not None:
-        yield decoder.flush()
-
-
-@dataclass(frozen=True, slots=True)
-class _Chunks:
-    """What rows are written to where no recording is wanted."""
-
-    written: list[Chunk]
-
-    def write_chunk(self, chunk: Chunk, /) -> None:
-        self.written.append(chunk)
-
-
 def _import_dump(options: ImportOptions, protocol: Protocol) -> tuple[Session, list[str]]:
     """Put the bytes of a dump into a recording as they are; there is no arrival time but the order."""
     if options.columns or options.rate_hz or options.zero:
@@ -381,11 +306,11 @@ def _whole_or_nothing(session: Session) -> Iterator[None]:
 
 
 def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTable | None) -> Session:
-    metadata: dict[str, Any] = {
+    metadata: dict[str, object] = {
         "kind": "import",
         "instrument": {"driver": options.driver or protocol.name, "model": options.files[0].name.split(".")[0]},
         "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
-        "settings": {name: {"value": one.value, "origin": one.origin} for name, one in protocol.settings.items()},
+        "settings": {name: SettingRecord(setting.value, setting.origin) for name, setting in protocol.settings.items()},
         "units": {"accelerometer": protocol.units.accelerometer, "gyroscope": protocol.units.gyroscope},
         # What is a default of its own today says nothing about where files of another program were recorded.
         "site": {} if options.site.is_default else options.site.record(),
@@ -395,13 +320,11 @@ def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTabl
         metadata["nominal"] = {"raw_zero": list(table.raw_zero)}
         metadata["notes"] = list(table.assumptions)
     model = options.files[0].name.split(".")[0]
-    if options.output is not None:
-        if not options.replace and (options.output / SETTINGS_FILE).exists():
-            raise RecordingError(
-                f"{options.output} holds a session already and nothing is overwritten: choose a new folder, or give "
-                "--replace if it is an import to be done again.",
-                Reason.UNFINISHED,
-                folder=str(options.output),
-            )
-        return Session.create_in(options.output, model, metadata)
-    return Session.create(options.root, model, metadata)
+    if options.output is not None and not options.replace and (options.output / SETTINGS_FILE).exists():
+        raise RecordingError(
+            f"{options.output} holds a session already and nothing is overwritten: choose a new folder, or give "
+            "--replace if it is an import to be done again.",
+            Reason.UNFINISHED,
+            folder=str(options.output),
+        )
+    return create_session(options.output, options.root, model, metadata)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
 import typer
 
 from imufield.acquire.recording.reader import Damage
-from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.session import open_or_newest
 from imufield.calibrate.noise.noise import NoiseResult, measure_noise
 from imufield.calibrate.noise.noise_fit import NoiseFigure
 from imufield.calibrate.noise.noise_texts import NoiseFormat, draw_plot, noise_text
+from imufield.commands.options.calibrate import NoiseOptions
 from imufield.commands.terminal.output import say, write_output
 from imufield.deliver.parameters.document import noise_table
 from imufield.deliver.parameters.file import Noise, Parameters, load, write_document
@@ -31,18 +31,6 @@ _FIGURES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NoiseOptions:
-    """Options of the command."""
-
-    session: Path | None = None
-    to: str = "kalibr"
-    output: Path | None = None
-    plot: Path | None = None
-    parameters: Path | None = None
-    as_json: bool = False
-
-
 def run_noise(options: NoiseOptions) -> None:
     """Measure and print; write what other filters read, the plot, and the parameter file's table where asked for.
 
@@ -53,15 +41,15 @@ def run_noise(options: NoiseOptions) -> None:
     """
     form: NoiseFormat = one_of("to", options.to, get_args(NoiseFormat))
     parameters = None if options.parameters is None else load(options.parameters)
-    session = Session.newest() if options.session is None else Session.open(options.session)
+    session = open_or_newest(options.session)
     nominal = recorded_protocol({}, session).nominal
     for path in filter(None, (options.output, options.plot)):
         refuse_overwriting(path, [*session.parts, *filter(None, [options.parameters])])
     damage: list[Damage] = []
     with naming_damage(session, damage):
         result = measure_noise(session_samples(session, damage), nominal.accelerometer_scale, nominal.gyroscope_scale)
-    for one in damage:
-        say(one.what, err=True)
+    for entry in damage:
+        say(entry.what, err=True)
     if options.output is not None:
         write_output(options.output, noise_text(result, form).encode())
     if options.plot is not None:

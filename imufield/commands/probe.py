@@ -6,26 +6,28 @@ import json
 import shlex
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
+from imufield.acquire.instrument.connect import ConnectOptions
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import Search, bauds_to_try, has_no_baud, nothing_recognised, search, serial_candidates
 from imufield.acquire.instrument.recognise import Candidate, Finding, Listener
 from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.ports import serial_ports
+from imufield.commands.options.acquire import ProbeOptions
+from imufield.commands.terminal.connection import host_clock
 from imufield.commands.terminal.output import say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import ImufieldError, LinkError, Reason
 
 if TYPE_CHECKING:
-    from imufield.acquire.instrument.connect import ConnectOptions
     from imufield.acquire.instrument.connect_can import BusFinding
 
-PORTS_AT_ONCE = 8
-_OTHERS_NAMED = 3
-_SECOND_COLUMN = 14
+PORTS_AT_ONCE = 8  # More threads than any machine has instruments; each only waits for bytes.
+_OTHERS_NAMED = 3  # Behind these come chance finds of a few frames.
+_SECOND_COLUMN = 14  # Width of "  instrument  ".
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +58,7 @@ class Probed:
     others: list[Finding] = field(default_factory=list)
     error: ImufieldError | None = None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain values."""
         return {
             "port": self.port,
@@ -64,12 +66,21 @@ class Probed:
             "baud": self.baud,
             "command": self.command,
             "identity": self.identity,
-            "others": [one.to_dict() for one in self.others],
+            "others": [finding.to_dict() for finding in self.others],
             "error": None if self.error is None else {"reason": self.error.reason.value, "message": self.error.message},
         }
 
 
-def run_probe(port: str | None, baud: int | None, clock: HostClock, *, ask: bool, as_json: bool) -> list[Probed]:
+def run_probe(options: ProbeOptions) -> None:
+    """Probe a bus, a port, or all ports of this machine at once; raises as ``probe_bus`` and ``probe_ports``."""
+    clock = host_clock(options.clock_speed)
+    if options.connect.bus is not None:
+        probe_bus(options.connect, clock, ask=options.ask, as_json=options.as_json)
+    else:
+        probe_ports(options.connect, clock, ask=options.ask, as_json=options.as_json)
+
+
+def probe_ports(options: ConnectOptions, clock: HostClock, *, ask: bool, as_json: bool) -> list[Probed]:
     """Probe one port, or all of this machine at once, and print what was found.
 
     Raises
@@ -77,7 +88,7 @@ def run_probe(port: str | None, baud: int | None, clock: HostClock, *, ask: bool
     LinkError
         There is no port, or on none of them anything was recognised.
     """
-    ports = [port] if port is not None else [one.device for one in serial_ports()]
+    ports = [options.port] if options.port is not None else [port.device for port in serial_ports()]
     if not ports:
         raise LinkError(
             "no serial ports found: plug the instrument in, or give --port /dev/ttyUSB0 or --port socket://host:port",
@@ -87,19 +98,19 @@ def run_probe(port: str | None, baud: int | None, clock: HostClock, *, ask: bool
         say(f"listening on {', '.join(ports)}, up to 10 s; {_WRITES if ask else _SILENT}", err=True)
     with ThreadPoolExecutor(min(len(ports), PORTS_AT_ONCE)) as pool:
         candidates = serial_candidates(say=lambda sentence: say(sentence, err=True))
-        results = list(pool.map(lambda one: probe_port(one, baud, clock, ask=ask, candidates=candidates), ports))
+        results = list(pool.map(lambda port: probe_port(port, options.baud, clock, ask=ask, candidates=candidates), ports))
     if as_json:
-        typer.echo(json.dumps({"ports": [one.to_dict() for one in results]}))
+        typer.echo(json.dumps({"ports": [probed.to_dict() for probed in results]}))
     else:
-        for one in results:
-            _show(one, alone=len(results) == 1)
-    errors = [one.error for one in results if one.error is not None]
+        for probed in results:
+            _show(probed, alone=len(results) == 1)
+    errors = [probed.error for probed in results if probed.error is not None]
     if len(errors) == len(results):
         raise errors[0] if len(errors) == 1 else _nothing_anywhere(results)
     return results
 
 
-def run_probe_bus(options: ConnectOptions, clock: HostClock, *, ask: bool, as_json: bool) -> BusFinding:
+def probe_bus(options: ConnectOptions, clock: HostClock, *, ask: bool, as_json: bool) -> BusFinding:
     """Listen on one CAN bus and print who speaks there.
 
     Raises
@@ -109,12 +120,12 @@ def run_probe_bus(options: ConnectOptions, clock: HostClock, *, ask: bool, as_js
     UsageError
         The bit rate is needed, or several instruments send the same messages.
     """
-    from imufield.acquire.instrument.connect_can import probe_bus
+    from imufield.acquire.instrument.connect_can import probe_bus as listen_on_bus
 
     bus = options.bus or ""
     if not as_json:
         say(f"listening on {bus}, up to 5 s; {_WRITES if ask else _SILENT}", err=True)
-    found = probe_bus(options, clock, lambda sentence: say(sentence, err=True), ask=ask)
+    found = listen_on_bus(options, clock, lambda sentence: say(sentence, err=True), ask=ask)
     words = ["imufield", "capture", "--bus", bus, *([] if options.baud is None else ["--baud", str(options.baud)])]
     command = shlex.join([*words, "--driver", found.name])
     if as_json:
@@ -176,8 +187,8 @@ def _others(result: Search) -> list[Finding]:
     # Another form of the instrument that was found is the same instrument.
     name = None if result.recognised is None else result.recognised.candidate.name
     listeners = [each for hearing in result.hearings for each in hearing.listeners if each.candidate.name != name]
-    findings = sorted((each.finding() for each in listeners), key=lambda one: (one.frames, one.share), reverse=True)
-    return [one for one in findings if one.frames][:_OTHERS_NAMED]
+    findings = sorted((each.finding() for each in listeners), key=lambda finding: (finding.frames, finding.share), reverse=True)
+    return [finding for finding in findings if finding.frames][:_OTHERS_NAMED]
 
 
 def _command(port: str, listener: Listener, baud: int | None) -> str:
@@ -188,25 +199,25 @@ def _command(port: str, listener: Listener, baud: int | None) -> str:
     return shlex.join(words)
 
 
-def _show(one: Probed, *, alone: bool) -> None:
-    if one.found is not None:
-        _show_found(one, one.found)
-    elif not alone and one.error is not None:
+def _show(probed: Probed, *, alone: bool) -> None:
+    if probed.found is not None:
+        _show_found(probed, probed.found)
+    elif not alone and probed.error is not None:
         # Of one port alone the command ends with this sentence.
-        say(f"nothing recognised: {one.error.message}", indent=2)
-    for other in one.others:
+        say(f"nothing recognised: {probed.error.message}", indent=2)
+    for other in probed.others:
         say(
             f"  not         {other.name}: {other.reason or 'less of it was understood'} ({other.frames} frames)",
             indent=_SECOND_COLUMN,
         )
 
 
-def _show_found(one: Probed, found: Finding) -> None:
-    say(f"{one.port}: {found.title}", indent=2)
+def _show_found(probed: Probed, found: Finding) -> None:
+    say(f"{probed.port}: {found.title}", indent=2)
     say(f"  evidence    {found.evidence()}", indent=_SECOND_COLUMN)
-    if one.baud is not None:
-        typer.echo(f"  baud rate   {one.baud}")
-    _show_rest(one.identity, one.command)
+    if probed.baud is not None:
+        typer.echo(f"  baud rate   {probed.baud}")
+    _show_rest(probed.identity, probed.command)
 
 
 def _show_rest(identity: dict[str, str], command: str) -> None:
@@ -218,8 +229,8 @@ def _show_rest(identity: dict[str, str], command: str) -> None:
 
 
 def _nothing_anywhere(results: list[Probed]) -> LinkError:
-    ports = ", ".join(one.port for one in results)
-    reasons = {one.error.reason for one in results if one.error is not None}
+    ports = ", ".join(probed.port for probed in results)
+    reasons = {probed.error.reason for probed in results if probed.error is not None}
     return LinkError(
         f"nothing was recognised on {ports}; connect the instrument and switch it on, or say what it is with --driver",
         Reason.SILENCE if reasons == {Reason.SILENCE} else Reason.NO_FRAMES,

@@ -5,39 +5,25 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import ExitStack, nullcontext, suppress
-from dataclasses import dataclass, field
-from pathlib import Path
 
 import typer
 
 from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.instrument.connect import Connected, ConnectOptions, connect
-from imufield.acquire.link.host_clock import HostClock, SystemClock
+from imufield.acquire.instrument.connect import Connected, connect
+from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.reconnect import PatientLink
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.recorder import Recorder
-from imufield.acquire.recording.session import DEFAULT_ROOT, Session
-from imufield.commands.terminal.connection import say_assumed
+from imufield.acquire.recording.session import Session, create_session
+from imufield.commands.options.acquire import RecordOptions
+from imufield.commands.terminal.connection import host_clock, say_assumed
 from imufield.commands.terminal.output import say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import LinkError, RecordingError
 from imufield.pipeline.chain import part_metadata
-from imufield.pipeline.site import SiteOptions
 
-TELL_EVERY_S = 1.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordOptions:
-    """Options of the command."""
-
-    connect: ConnectOptions
-    session: Path | None = None
-    duration_s: float | None = None
-    as_json: bool = False
-    site: SiteOptions = field(default_factory=SiteOptions)
-    root: Path = DEFAULT_ROOT
+TELL_EVERY_S = 1.0  # A count that changes faster cannot be read.
 
 
 def run_record(options: RecordOptions, clock: HostClock | None = None) -> Session:
@@ -48,7 +34,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
     ImufieldError
         Link or recording errors; what was recorded stays.
     """
-    clock = clock or SystemClock()
+    clock = clock or host_clock(options.clock_speed)
     options.site.gravity()
     connected = connect(options.connect, clock, say_assumed)
     with ExitStack() as stack:
@@ -74,9 +60,7 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
 
 def _new_session(options: RecordOptions, connected: Connected) -> Session:
     metadata = {**connected.session_tables(), "kind": "record", "site": options.site.record()}
-    if options.session is not None:
-        return Session.create_in(options.session, connected.model, metadata)
-    return Session.create(options.root, connected.model, metadata)
+    return create_session(options.session, options.root, connected.model, metadata)
 
 
 def _finish(session: Session, cause: BaseException | None) -> None:

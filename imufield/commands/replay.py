@@ -3,40 +3,28 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.reader import Damage, EndOfRecordingError, RecordingLink
-from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.session import Session, open_or_newest
+from imufield.commands.options.acquire import ReplayOptions
 from imufield.commands.terminal.output import say
 from imufield.errors import UsageError
 from imufield.guide.view.plain import JsonLinesView, PlainView
 from imufield.pipeline.chain import Chain, ReadingPlan, recorded_protocol, replay_into
+from imufield.pipeline.damage import without_end_under_way
 
 if TYPE_CHECKING:
     from imufield.acquire.protocol.can_frames import Frame
     from imufield.simulate.emulator.port import PseudoTerminal
 
-WAIT_S = 0.05
-SLOT_S = 0.002
+WAIT_S = 0.05  # Between two looks for a reader: shorter than a person notices.
+SLOT_S = 0.002  # Between two looks at a full buffer, which holds some ten times as long at 1 Mbit/s.
 LINGER_S = 0.5
 """The port stays this long after the last byte: a reader that polls may not have taken it yet."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReplayOptions:
-    """Options of the command."""
-
-    session: Path | None = None
-    to_pty: bool = False
-    bus: str | None = None
-    bit_rate: int | None = None
-    speed: float = 1.0
-    as_json: bool = False
 
 
 def run_replay(options: ReplayOptions) -> None:
@@ -47,7 +35,7 @@ def run_replay(options: ReplayOptions) -> None:
     ImufieldError
         If the session cannot be read, or the bus not be opened.
     """
-    session = Session.newest() if options.session is None else Session.open(options.session)
+    session = open_or_newest(options.session)
     if options.to_pty and options.bus is not None:
         raise UsageError("--to-pty and --bus contradict each other; give one of them")
     if options.bus is not None or options.to_pty:
@@ -58,10 +46,8 @@ def run_replay(options: ReplayOptions) -> None:
     chain = Chain(ReadingPlan.of(session))
     view = JsonLinesView(typer.echo) if options.as_json else PlainView(say, origin_s=chain.origin_s)
     replay_into(chain, session, damage, view.show)
-    for one in damage:
-        # The end of the part under way is no damage.
-        if not (goes_on and one.torn_end and one.path == session.parts[-1]):
-            say(one.what, err=True)
+    for entry in without_end_under_way(damage, session) if goes_on else damage:
+        say(entry.what, err=True)
     if goes_on:
         say("this session is still being recorded: replayed is what was on disk", err=True)
     if not options.as_json:

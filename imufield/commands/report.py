@@ -15,8 +15,8 @@ import typer
 
 from imufield.acquire.recording.document import SettingRecord
 from imufield.acquire.recording.reader import Damage
-from imufield.acquire.recording.session import Session
-from imufield.commands.solve import session_sha256
+from imufield.acquire.recording.session import Session, open_or_newest
+from imufield.commands.options.deliver import ReportOptions
 from imufield.commands.terminal.output import write_output
 from imufield.deliver.parameters.document import VERSION
 from imufield.deliver.parameters.file import PARAMETER_FILE, Parameters, load
@@ -39,23 +39,12 @@ from imufield.errors import ParameterFileError, Reason
 from imufield.files import refuse_overwriting
 from imufield.pipeline.calibration import MoveListener
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
+from imufield.pipeline.solving import session_sha256
 from imufield.version import __version__
 
 REPORT_FILE = "report.html"
 RECORD_FILE = "calibration-record.html"
 _FEWEST_FOR_METHODS = 9  # Positions; the methods of the papers need more than parameters.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReportOptions:
-    """Options of the command."""
-
-    session: Path | None = None
-    parameters: Path | None = None
-    preset: Path | None = None
-    output: Path | None = None
-    record: Path | None = None
-    operator: str = ""
 
 
 def run_report(options: ReportOptions) -> tuple[Path, Path]:
@@ -71,7 +60,10 @@ def run_report(options: ReportOptions) -> tuple[Path, Path]:
     load_matplotlib()
     data, folder = gather(options)
     pages = (options.output or folder / REPORT_FILE, options.record or folder / RECORD_FILE)
-    inputs = [*filter(None, (data.parameters.path, options.preset)), *([] if options.session is None else _files(folder))]
+    inputs = [
+        *filter(None, (data.parameters.path, options.preset)),
+        *([] if options.session is None else Session.open(folder).parts),
+    ]
     for path in pages:
         refuse_overwriting(path, inputs)
     for path, text in zip(pages, (render_report(data), render_record(data)), strict=True):
@@ -82,7 +74,8 @@ def run_report(options: ReportOptions) -> tuple[Path, Path]:
 
 def gather(options: ReportOptions) -> tuple[ReportData, Path]:
     """Return what the report shows, and the folder it belongs into; raises as ``run_report``."""
-    session = _session(options)
+    # Parameters alone have a report, too: without what only their recording tells.
+    session = None if options.session is None and options.parameters is not None else open_or_newest(options.session)
     path = options.parameters or (session.folder / PARAMETER_FILE if session is not None else Path(PARAMETER_FILE))
     parameters = load(path)
     path = parameters.path or path
@@ -106,16 +99,6 @@ def gather(options: ReportOptions) -> tuple[ReportData, Path]:
         notes=(*found.notes, *([left_out] if left_out else [])),
     )
     return data, path.parent if session is None else session.folder
-
-
-def _files(folder: Path) -> list[Path]:
-    return Session.open(folder).parts
-
-
-def _session(options: ReportOptions) -> Session | None:
-    if options.session is not None:
-        return Session.open(options.session)
-    return None if options.parameters is not None else Session.newest()
 
 
 def _check_belongs(parameters: Parameters, session: Session | None, preset: Parameters | None) -> None:
@@ -158,7 +141,7 @@ def _replay(session: Session, parameters: Parameters, preset: Parameters | None)
     # Positions that were given otherwise have no time, and no moves between them.
     if len(observations) and np.isfinite(observations.start_s).all():
         closed = closure(observations, moves.between(observations), parameters, old, nominal=nominal)
-    return _Replayed(trace.finish(), closed, tuple(one.what for one in damage))
+    return _Replayed(trace.finish(), closed, tuple(entry.what for entry in damage))
 
 
 def _setting(name: str, setting: SettingRecord) -> str:

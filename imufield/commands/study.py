@@ -7,6 +7,7 @@ from pathlib import Path
 
 import typer
 
+from imufield.commands.options.calibrate import StudyOptions
 from imufield.commands.terminal.output import replace_only
 from imufield.errors import UsageError
 from imufield.files import typed_write_errors
@@ -15,16 +16,7 @@ from imufield.study.report import StudyReport, as_text
 from imufield.study.run import TITLE, run_study, write_document
 
 
-def run_study_command(
-    name: str,
-    *,
-    quick: bool,
-    seed: int,
-    workers: int | None,
-    scheduler: str | None,
-    output: Path | None,
-    document: Path | None,
-) -> None:
+def run_study_command(options: StudyOptions) -> None:
     """Run studies and print each as it is done.
 
     Raises
@@ -34,10 +26,13 @@ def run_study_command(
     LinkError
         If the scheduler does not answer.
     """
+    output, document = options.output, options.document
     _check_places(output, document)
-    context = StudyContext(seed=seed, quick=quick, workers=workers, scheduler=scheduler, progress=_tell)
+    context = StudyContext(
+        seed=options.seed, quick=options.quick, workers=options.workers, scheduler=options.scheduler, progress=_tell
+    )
     reports: list[StudyReport] = []
-    for report in run_study(name, context, folder=output):
+    for report in run_study(options.name, context, folder=output):
         typer.echo(as_text(report), nl=False)
         reports.append(report)
     if document is not None:

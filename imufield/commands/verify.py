@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import typer
@@ -14,12 +13,12 @@ from rich.console import Console
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.recording.document import SiteRecord
 from imufield.acquire.recording.reader import Damage
-from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
-from imufield.commands.solve import session_sha256
+from imufield.commands.options.deliver import VerifyOptions
 from imufield.deliver.navigation.alignment import Heading
-from imufield.deliver.navigation.check import ALIGN_S, Apply, CheckSettings, NavigationResult, StaticNavigation
+from imufield.deliver.navigation.check import Apply, CheckSettings, NavigationResult, StaticNavigation
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_gyroscope
 from imufield.deliver.parameters.file import Corrected, Parameters, json_ready, load
 from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S, to_ascii
@@ -39,7 +38,7 @@ from imufield.errors import CalibrationError, ImufieldError, ParameterFileError,
 from imufield.files import refuse_overwriting
 from imufield.pipeline.chain import Chain, ReadingPlan, recorded_protocol, replay_into
 from imufield.pipeline.damage import naming_damage
-from imufield.pipeline.site import SiteOptions
+from imufield.pipeline.solving import session_sha256
 from imufield.samples import FloatArray, Samples
 
 HOLD_OUT = 4
@@ -50,27 +49,6 @@ SAME_M_S2 = 1e-6
 """Gravity that differs by less is the same: an option is typed with as many digits as the summary prints."""
 AFTER = "after"
 BEFORE = "before"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VerifyOptions:
-    """Options of the command."""
-
-    parameters: Path
-    session: Path | None = None
-    preset: Path | None = None
-    hold_out: int | None = None
-    turned: bool = False
-    align_s: float = ALIGN_S
-    heading_deg: float | None = None
-    heading_sigma_deg: float = 0.0
-    site: SiteOptions = field(default_factory=SiteOptions)
-    require: str | None = None
-    turn_on_ug: float | None = None
-    turn_on_deg_per_h: float | None = None
-    seed: int = 0
-    output: Path | None = None
-    as_json: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,7 +109,13 @@ def verify_session(task: _Task) -> Verification:
         if left_out is None and navigated is None:
             raise problems[0] if problems else CalibrationError("the session holds nothing to check", Reason.TOO_FEW)
     found = () if left_out is None else (*_gravity_notes(task, left_out), *_instrument_notes(task))
-    notes = (*_file_notes(task), *chain.notes, *found, *(one.what for one in damage), *(one.message for one in problems))
+    notes = (
+        *_file_notes(task),
+        *chain.notes,
+        *found,
+        *(entry.what for entry in damage),
+        *(error.message for error in problems),
+    )
     requirements = judge(task.limits, left_out, navigated)
     return Verification(
         parameters=task.parameters,
@@ -147,9 +131,9 @@ def _task(options: VerifyOptions) -> _Task:
     limits = parse_requirements(options.require)
     parameters = load(options.parameters)
     preset = None if options.preset is None else load(options.preset)
-    session = Session.newest() if options.session is None else Session.open(options.session)
-    for one in filter(None, (parameters, preset)):
-        one.check_instrument(session.serial_number)
+    session = open_or_newest(options.session)
+    for checked in filter(None, (parameters, preset)):
+        checked.check_instrument(session.serial_number)
     is_its_own = _is_its_own(parameters, session)
     gravity, latitude_deg = _site(options, parameters, session.record.site, is_its_own=is_its_own)
     task = _Task(
@@ -400,7 +384,7 @@ def _instability(parameters: Parameters) -> FloatArray | None:
 def _refuse_failed(found: Verification) -> None:
     if found.objections:
         raise VerificationError(f"FAIL: {found.objections[0]}")
-    failed = [one for one in found.requirements if not one.passed]
+    failed = [requirement for requirement in found.requirements if not requirement.passed]
     if not failed:
         return
     worst = failed[0]

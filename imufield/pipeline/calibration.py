@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from imufield.calibrate.gyroscope.input import FEWEST_STILLS, GyroscopeInput
 from imufield.calibrate.gyroscope.methods import cross_check_gyroscope, solve_gyroscope_with
 from imufield.calibrate.gyroscope.model_choice import GyroscopeModel
 from imufield.calibrate.gyroscope.moves import MoveCollector, Moves, cut_moves, no_slots
-from imufield.calibrate.gyroscope.report import GyroscopeResult
 from imufield.calibrate.gyroscope.whole_turns import Stop, stops_at
 from imufield.calibrate.model.observations import Observations, join_observations
 from imufield.calibrate.model.result import Calibration, Gauge, ModelChoice
@@ -27,6 +26,10 @@ from imufield.guide.events import Event, Turned
 from imufield.guide.lead.turns import VERTICAL
 from imufield.samples import FloatArray, Samples
 
+AChoice = TypeVar("AChoice")
+
+FEWEST_POSITIONS = 6
+"""For scale and bias, each axis up and down."""
 # Reasons for a gyroscope without a calibration that say that its data are not what they are said to be.
 _CONTRADICTED = (Reason.UNITS, Reason.HANDEDNESS)
 
@@ -52,7 +55,7 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wishes:
+class SolveSettings:
     """How the user wants it calibrated."""
 
     model: ModelChoice = "auto"
@@ -95,7 +98,7 @@ class MoveListener:
         return self._collector.finish(observations.start_s, observations.duration_s)
 
 
-def calibrate(measured: Measured, wishes: Wishes) -> Parameters:
+def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
     """Return the parameters of both triads.
 
     Raises
@@ -105,50 +108,51 @@ def calibrate(measured: Measured, wishes: Wishes) -> Parameters:
     ParameterFileError
         If the preset is for another instrument.
     """
-    if wishes.preset is not None:
-        _check_preset(wishes.preset, measured)
-    preset = None if wishes.preset is None else wishes.preset.calibration.accelerometer
+    if settings.preset is not None:
+        _check_preset(settings.preset, measured)
+    preset = None if settings.preset is None else settings.preset.calibration.accelerometer
     calibration = calibrate_accelerometer(
         measured.observations,
         measured.gravity,
-        model=wishes.model,
-        gauge=wishes.gauge,
+        model=settings.model,
+        gauge=settings.gauge,
         preset=preset,
-        raw_zero=measured.raw_zero if wishes.raw_zero is None else wishes.raw_zero,
-        seed=wishes.seed,
+        raw_zero=measured.raw_zero if settings.raw_zero is None else settings.raw_zero,
+        seed=settings.seed,
     )
-    rng = np.random.default_rng(wishes.seed)
+    rng = np.random.default_rng(settings.seed)
     sentences = list(measured.reasons)
-    if wishes.cross_check:
+    if settings.cross_check:
         sentences.append(cross_check(measured.observations, calibration, rng=rng, preset=preset).sentence)
-    if wishes.method != LEAST_SQUARES:
+    if settings.method != LEAST_SQUARES:
         calibration = solve_with(
-            wishes.method,
+            settings.method,
             measured.observations,
             calibration,
             rng=rng,
             preset=preset,
-            polish=wishes.polish,
-            seed=wishes.seed,
+            polish=settings.polish,
+            seed=settings.seed,
         )
-    calibration = _with_gyroscope(calibration, measured, wishes, rng)
+    calibration = _with_gyroscope(calibration, measured, settings, rng)
     quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *sentences))
     calibration = replace(calibration, quality=quality)
     return from_document(to_document(calibration, measured.observations, measured.context))
 
 
-def _with_gyroscope(calibration: Calibration, measured: Measured, wishes: Wishes, rng: np.random.Generator) -> Calibration:
+def _with_gyroscope(
+    calibration: Calibration, measured: Measured, settings: SolveSettings, rng: np.random.Generator
+) -> Calibration:
     """Join the gyroscope, where the session holds its output."""
     observations = measured.observations if measured.rests is None else join_observations(measured.observations, measured.rests)
     there = np.isfinite(observations.gyroscope_mean_raw).all(axis=1)
     if int(there.sum()) < FEWEST_STILLS:
         return calibration
-    before = None if wishes.preset is None else wishes.preset.calibration.gyroscope
+    before = None if settings.preset is None else settings.preset.calibration.gyroscope
+    moves = measured.moves
     given = GyroscopeInput(
         observations=observations,
-        moves=cut_moves(no_slots(), observations.start_s, observations.duration_s)
-        if measured.moves is None
-        else measured.moves,
+        moves=cut_moves(no_slots(), observations.start_s, observations.duration_s) if moves is None else moves,
         calibration=calibration,
         latitude_deg=measured.gravity.latitude_deg,
         preset=None if before is None else before.parameters,
@@ -157,7 +161,10 @@ def _with_gyroscope(calibration: Calibration, measured: Measured, wishes: Wishes
         rests=0 if measured.rests is None else len(measured.rests),
     )
     try:
-        return _by_method(calibrate_gyroscope(given, wishes.gyroscope_model), calibration, wishes, rng)
+        result = calibrate_gyroscope(given, settings.gyroscope_model)
+        check = cross_check_gyroscope(result, rng=rng) if settings.cross_check else None
+        result, solved = solve_gyroscope_with(settings.method, result, rng=rng, polish=settings.polish)
+        joined = result.join(calibration)
     except CalibrationError as error:
         # The accelerometer is known all the same; axes that contradict it were refused before.
         sentence = f"the gyroscope is not calibrated: {error.message}"
@@ -165,19 +172,12 @@ def _with_gyroscope(calibration: Calibration, measured: Measured, wishes: Wishes
         if error.reason in _CONTRADICTED:
             return replace(calibration, quality=quality.lowered("usable", sentence))
         return replace(calibration, quality=replace(quality, reasons=(*quality.reasons, sentence)))
-
-
-def _by_method(result: GyroscopeResult, calibration: Calibration, wishes: Wishes, rng: np.random.Generator) -> Calibration:
-    """Check the gyroscope by several methods and solve it by the one asked for, then join it."""
-    check = cross_check_gyroscope(result, rng=rng) if wishes.cross_check else None
-    result, solved = solve_gyroscope_with(wishes.method, result, rng=rng, polish=wishes.polish)
-    joined = result.join(calibration)
     quality = joined.quality
     if solved is not None and not solved.converged:
-        sentence = f"the method {wishes.method} did not converge on the gyroscope, do not use its parameters: {solved.message}"
-        quality = quality.lowered("poor", sentence)
+        failed = f"the method {settings.method} did not converge on the gyroscope"
+        quality = quality.lowered("poor", f"{failed}, do not use its parameters: {solved.message}")
     elif solved is not None:
-        quality = replace(quality, reasons=(*quality.reasons, f"gyroscope solved by {wishes.method}: {solved.message}"))
+        quality = replace(quality, reasons=(*quality.reasons, f"gyroscope solved by {settings.method}: {solved.message}"))
     if check is not None:
         quality = replace(quality, reasons=(*quality.reasons, check.sentence))
     return replace(joined, quality=quality)
@@ -192,7 +192,7 @@ def _check_preset(preset: Parameters, measured: Measured) -> None:
         preset.check_unit("gyroscope", units.gyroscope_rate_unit)
 
 
-def one_of(name: str, value: str, choices: tuple[str, ...]) -> Any:
+def one_of(name: str, value: str, choices: tuple[AChoice, ...]) -> AChoice:
     """Return the value of an option that has a few names only.
 
     Raises
@@ -200,6 +200,7 @@ def one_of(name: str, value: str, choices: tuple[str, ...]) -> Any:
     UsageError
         If it is none of them.
     """
-    if value not in choices:
-        raise UsageError(f"--{name} {value!r} is unknown; choose one of {', '.join(choices)}")
-    return value
+    for choice in choices:
+        if choice == value:
+            return choice
+    raise UsageError(f"--{name} {value!r} is unknown; choose one of {', '.join(map(str, choices))}")

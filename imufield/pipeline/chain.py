@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from imufield.errors import ProtocolError, Reason, RecordingError, SettingError
 from imufield.guide.events import Event, LinkLost
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.lead.turns import HORIZONTAL, VERTICAL
 from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
 from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
@@ -32,6 +32,10 @@ from imufield.samples import FloatArray, Samples
 
 MARK = "mark"
 """Name of a recorded event: what the operator said, to be said again on replay."""
+REVISIT_FROM = 12
+"""Schemes with at least this many positions end with the first one again, as a check for drift; a quick one does without."""
+ROTATIONS = {"rolled": HORIZONTAL, "table": VERTICAL}
+"""Kinds of whole turns, as ``--rotations`` names them, and the axis they are about."""
 SCHEME_FILE = "positions.toml"
 """Copy, in the session's folder, of positions that are not shipped: the session must be solved again without their file."""
 PART_BEGINS = "the session goes on after a pause; everything measured so far is kept"
@@ -250,7 +254,7 @@ def part_metadata(protocol: Protocol, extra: Mapping[str, object]) -> dict[str, 
     }
 
 
-def recorded_protocol(metadata: Mapping[str, Any], session: Session) -> Protocol:
+def recorded_protocol(metadata: Mapping[str, object], session: Session) -> Protocol:
     """Return the protocol a part was recorded with; the session's own where the part's start is damaged.
 
     Raises
@@ -259,20 +263,26 @@ def recorded_protocol(metadata: Mapping[str, Any], session: Session) -> Protocol
         If neither holds one.
     """
     text = metadata.get("protocol_text") or session.record.protocol.text
-    if not text:
+    if not isinstance(text, str) or not text:
         raise RecordingError(f"{session.folder} does not hold the protocol it was recorded with; restore session.toml")
     try:
         return parse_protocol(
-            text, metadata.get("settings") or session.record.setting_values, label=f"protocol of {session.name}"
+            text, _recorded_settings(metadata) or session.record.setting_values, label=f"protocol of {session.name}"
         )
     except SettingError as error:
         # Nobody typed it: it stands in the recording.
         raise ProtocolError(error.message, error.reason, **error.values) from error
 
 
+def _recorded_settings(metadata: Mapping[str, object]) -> Mapping[str, object]:
+    """Return the settings that a part was recorded with; empty where its start is damaged."""
+    settings = metadata.get("settings")
+    return settings if isinstance(settings, dict) else {}
+
+
 def _edited_settings(part: PartStart, session: Session) -> list[str]:
     """Say which settings in ``session.toml`` are not those the bytes of a part were recorded with, which are used."""
-    recorded = part.metadata.get("settings", {})
+    recorded = _recorded_settings(part.metadata)
     return [
         f"session.toml says {name} = {value}, but {part.path.name} was recorded with {recorded[name]}, which is used: what is "
         "edited there changes nothing"
@@ -342,8 +352,14 @@ def session_samples(session: Session, damage: list[Damage]) -> Iterator[Samples]
     require_samples(session, chain.statistics, damage)
 
 
-def _say_again(chain: Chain, event: Mapping[str, Any]) -> list[Event]:
+def _say_again(chain: Chain, event: Mapping[str, object]) -> list[Event]:
+    """Repeat what a person or the link did while the session was recorded."""
     kind = event.get("event")
     if kind == MARK:
-        return chain.mark(str(event.get("action")), event.get("time_s"), event.get("position"))
+        time_s, position = event.get("time_s"), event.get("position")
+        return chain.mark(
+            str(event.get("action")),
+            time_s if isinstance(time_s, int | float) else None,
+            position if isinstance(position, str) else None,
+        )
     return chain.link_lost() if kind == "link_lost" else []

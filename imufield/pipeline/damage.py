@@ -10,8 +10,7 @@ from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session
 from imufield.errors import CalibrationError, Reason, RecordingError
 
-NAMED = 2
-"""Of a recording with many holes one sentence names so many."""
+NAMED = 2  # Places of damage that one sentence names; a recording with many holes would fill a page.
 _BY_LOSS = (Reason.TOO_FEW, Reason.UNOBSERVABLE)  # What a recording with all its bytes might have been enough for.
 
 
@@ -47,10 +46,15 @@ def require_samples(session: Session, statistics: Sequence[DecoderStatistics], d
 
 def damage_clause(damage: Sequence[Damage]) -> str:
     """Return ", FILE is cut off ..., ..." to be put into a sentence; empty without damage."""
-    named = [one.what.rstrip(".") for one in damage[:NAMED]]
+    named = [entry.what.rstrip(".") for entry in damage[:NAMED]]
     if len(damage) > NAMED:
         named.append(f"and {len(damage) - NAMED} more like these")
-    return "".join(f", {one}" for one in named)
+    return "".join(f", {sentence}" for sentence in named)
+
+
+def without_end_under_way(damage: Sequence[Damage], session: Session) -> list[Damage]:
+    """Return the damage of a session that is being recorded: the end of the part under way is none."""
+    return [entry for entry in damage if not (entry.torn_end and entry.path == session.parts[-1])]
 
 
 @contextmanager
@@ -70,7 +74,7 @@ def naming_damage(session: Session, damage: Sequence[Damage]) -> Iterator[None]:
         if not damage:
             raise
         clause = damage_clause(damage).removeprefix(", ")
-        if error.reason in _BY_LOSS and any(_is_loss(one, session) for one in damage):
+        if error.reason in _BY_LOSS and any(_is_loss(entry, session) for entry in damage):
             message = f"{session.folder} is damaged, {clause}, and what is left is not enough: {error.message}"
             raise RecordingError(message, Reason.DAMAGED, **error.values) from error
         raise CalibrationError(f"{error.message} (and {clause})", error.reason, **error.values) from error

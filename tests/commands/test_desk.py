@@ -17,7 +17,8 @@ import pytest
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.reader import read_session
 from imufield.acquire.recording.session import Session
-from imufield.commands.emulate import EmulateOptions, make_emulation
+from imufield.commands.emulate import make_emulation
+from imufield.commands.options.acquire import EmulateOptions
 from imufield.guide.positions import scheme
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples
 from imufield.samples import AXES, SAMPLE_COLUMNS, concatenate
@@ -267,7 +268,7 @@ def test_demo(program: Program) -> None:
 def test_an_emulated_operator_begins_again_and_ends_where_he_began() -> None:
     options = EmulateOptions(
         driver="stim300", rate_hz=None, speed=1.0, grade="tactical", seed=1, positions="paper24", hold_s=14.0, link=None,
-        truth=None, duration_s=None, faults=[], wait_for_reader=False, style="placed", as_json=False, rounds=3,
+        truth=None, duration_s=None, faults=[], wait=False, style="placed", as_json=False, rounds=3,
     )  # fmt: skip
     shown = np.asarray(make_emulation(options).directions)
     planned = scheme("paper24").directions()

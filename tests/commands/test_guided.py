@@ -25,7 +25,7 @@ def newest(program: Program) -> Session:
 def accepted(session: Session) -> list[str]:
     """Return the positions that were accepted, as they are on disk."""
     events = (item.event for item in read_session(session) if isinstance(item, RecordedEvent))
-    return [event["position"] for event in events if event["event"] == "accepted"]
+    return [str(event["position"]) for event in events if event["event"] == "accepted"]
 
 
 @pytest.fixture

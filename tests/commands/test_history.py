@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from imufield.cli.run import run
-from imufield.commands.history import HistoryOptions, run_history
+from imufield.commands.history import run_history
+from imufield.commands.options.deliver import HistoryOptions
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.write import to_toml
 

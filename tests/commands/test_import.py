@@ -20,10 +20,11 @@ from imufield.acquire.recording.session import Session
 from imufield.acquire.registry import load_driver
 from imufield.cli.run import run
 from imufield.commands import import_files
-from imufield.commands.import_files import table_samples
+from imufield.commands.options.acquire import ImportOptions
 from imufield.deliver.samples.export_data import export_samples
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples
+from imufield.pipeline.table_samples import table_samples
 from imufield.samples import NO_COUNTER, Samples, Status, concatenate, make_samples
 from imufield.simulate.wire.can_frames import CanEncoder
 
@@ -136,7 +137,7 @@ def test_a_log_with_a_dbc_and_a_mapping(tmp_path: Path, capsys: pytest.CaptureFi
 def test_our_own_recording_needs_no_import(tmp_path: Path, name: str) -> None:
     folder = Path(__file__).parents[2] / "fixtures" / "stim300-six-faces"
     with pytest.raises(UsageError, match=f"imufield solve .*{folder.name}` takes it as it is"):
-        import_files.import_session(import_files.ImportOptions(files=[folder / name], output=tmp_path / "session"))
+        import_files.import_session(ImportOptions(files=[folder / name], output=tmp_path / "session"))
     assert not (tmp_path / "session").exists()
 
 
@@ -192,7 +193,7 @@ def test_an_import_that_ends_early_leaves_no_folder(
     path.write_text("time,ax,ay,az\n" + "".join(f"{k / 100},0,0,9.8\n" for k in range(50)))
     monkeypatch.setattr(import_files, "write_rows", fail)
     with pytest.raises((RecordingError, KeyboardInterrupt)) as caught:
-        import_files.import_session(import_files.ImportOptions(files=[path], output=tmp_path / "new"))
+        import_files.import_session(ImportOptions(files=[path], output=tmp_path / "new"))
     assert not (tmp_path / "new").exists()
     assert "resume" not in str(caught.value)
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from imufield.cli.run import run
-from imufield.commands.report import ReportOptions, gather, run_report
+from imufield.commands.options.deliver import ReportOptions
+from imufield.commands.report import gather, run_report
 from imufield.errors import ParameterFileError
 
 MIB = 2**20

@@ -12,7 +12,8 @@ import tomli_w
 
 from imufield.acquire.recording.document import SiteRecord
 from imufield.cli.run import run
-from imufield.commands.verify import VerifyOptions, _task
+from imufield.commands.options.deliver import VerifyOptions
+from imufield.commands.verify import _task
 from imufield.pipeline.site import SiteOptions
 
 

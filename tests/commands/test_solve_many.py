@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from imufield.commands import solve_many
-from imufield.commands.solve import SolveOptions
-from imufield.commands.solve_many import run_solve_many
+import imufield
+from imufield.commands.options.calibrate import SolveOptions
+from imufield.commands.solve import run_solve_many
 from imufield.deliver.parameters.file import load
 from imufield.errors import UsageError
 from tests.commands.conftest import LONGEST_S
@@ -110,12 +110,12 @@ def test_options_of_one_session_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="leave out the sessions"):
         run_solve_many(folders, SolveOptions(observations=tmp_path / "means.csv"))
     with pytest.raises(UsageError, match="needs the folders"):
-        run_solve_many([], SolveOptions(), scheduler="tcp://127.0.0.1:1")
+        run_solve_many([], SolveOptions(scheduler="tcp://127.0.0.1:1"))
 
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    with local_cluster(Path(solve_many.__file__).parents[2]) as cluster:
+    with local_cluster(Path(imufield.__file__).parents[1]) as cluster:
         yield cluster
 
 
@@ -126,7 +126,7 @@ def test_sessions_of_a_killed_cluster_worker_are_done_again(
     killed: list[int] = []
     killer = threading.Thread(target=kill_when_busy, args=(cluster, nanny, killed))
     killer.start()
-    code = run_solve_many(sessions, SolveOptions(), scheduler=cluster.scheduler_address)
+    code = run_solve_many(sessions, SolveOptions(scheduler=cluster.scheduler_address))
     killer.join()
     assert killed
     assert code == 0, capsys.readouterr().out

@@ -14,7 +14,7 @@ import imufield
 from imufield.acquire.link.host_clock import SystemClock
 from imufield.acquire.recording.session import Session
 from imufield.cli.run import _interrupted_words, run
-from imufield.commands.capture import Captured, _farewell
+from imufield.commands.terminal.guided import Captured, farewell
 from imufield.deliver.exports import export_parameters
 from imufield.deliver.parameters.file import Parameters
 from imufield.errors import ParameterFileError
@@ -153,7 +153,7 @@ def test_a_session_that_goes_on_does_not_speak_of_a_link_that_is_gone(make_sessi
 def test_what_comes_next_can_be_done(
     accepted: int, command: str, whole_session: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _farewell(
+    farewell(
         Captured(session=Session.open(whole_session), accepted=accepted, planned=24, finished=True), "plain", SystemClock()
     )
     assert command in capsys.readouterr().out

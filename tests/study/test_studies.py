@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imufield.cli.calibrate import study
+from imufield.commands.options.calibrate import StudyOptions
 from imufield.errors import UsageError
 from imufield.study import bsas_bound, bsas_runs, instruments
 from imufield.study.context import StudyContext
@@ -187,5 +187,5 @@ def test_text_that_is_wide_is_folded_to_80_columns() -> None:
 
 
 def test_help_names_every_study() -> None:
-    assert study.__doc__ is not None
-    assert set(re.findall(r"(?:bsas|ide)-\w+", study.__doc__)) == set(STUDIES)
+    assert StudyOptions.__doc__ is not None
+    assert set(re.findall(r"(?:bsas|ide)-\w+", StudyOptions.__doc__)) == set(STUDIES)

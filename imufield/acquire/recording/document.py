@@ -41,7 +41,7 @@ KEYS: Mapping[str, type] = {
 }
 """What ``session.toml`` may hold: ``kind`` is "capture", "record" or "import"; tables are filled by those who use them."""
 
-Table = dict[str, Any]  # Of a TOML document: values of all types that TOML knows.
+Table = dict[str, Any]  # Of a TOML document, whose values have every type that TOML knows.
 ARecord = TypeVar("ARecord")
 
 
@@ -85,7 +85,8 @@ class ProtocolRecord:
 class SettingRecord:
     """One setting of the protocol; ``origin`` is "given" for what the user typed."""
 
-    value: Any  # A number or a text, as the protocol declares it.
+    value: object
+    """A number or a text, as the protocol declares it."""
     origin: str = ""
 
 
@@ -147,7 +148,7 @@ class SessionRecord:
     site: SiteRecord = SiteRecord()
 
     @property
-    def setting_values(self) -> dict[str, Any]:
+    def setting_values(self) -> dict[str, object]:
         """Values of the protocol's settings, whatever their origin."""
         return {name: setting.value for name, setting in self.settings.items()}
 

@@ -22,7 +22,6 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import Enum
 from pathlib import PurePath
-from typing import Any
 
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -40,9 +39,10 @@ EVENTS_CHANNEL = 2
 
 RECORD = struct.Struct("<BQ")
 """Opcode and content length: what every record starts with."""
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
 MESSAGE = struct.Struct("<BQHIQQ")
 """A Message record up to its data: opcode, length, channel, sequence, log time, publish time."""
-ARRIVAL = struct.Struct("<d")
+ARRIVAL = struct.Struct("<d")  # Before the bytes of a link message; NaN where nobody knows when they came.
 CHUNK = struct.Struct("<QQQII4sQ")
 """Content of a Chunk record up to its records: start, end, size, CRC, length of the next string, "zstd", compressed size."""
 CHUNK_SIGNATURE = b"\x04\x00\x00\x00zstd"
@@ -105,7 +105,7 @@ def _message(channel: int, data: bytes, utc_ns: int, sequence: int) -> bytes:
     # A clock set before 1970, or a damaged time stamp beyond 2554, is not worth losing bytes for.
     time_ns = min(max(utc_ns, 0), _LATEST_NS)
     length = _MESSAGE_CONTENT + len(data)
-    return MESSAGE.pack(Opcode.MESSAGE, length, channel, sequence & 0xFFFFFFFF, time_ns, time_ns) + data
+    return RECORD.pack(Opcode.MESSAGE, length) + _MESSAGE_HEAD.pack(channel, sequence & 0xFFFFFFFF, time_ns, time_ns) + data
 
 
 def chunk_record(messages: Sequence[bytes]) -> bytes:
@@ -173,7 +173,7 @@ def messages(content: bytes) -> Iterator[tuple[int, int, int, int]]:
         raise DamageError("it holds something other than messages")
 
 
-def read_metadata(body: bytes) -> tuple[int, dict[str, Any]]:
+def read_metadata(body: bytes) -> tuple[int, dict[str, object]]:
     """Return version and metadata of a Metadata record's content.
 
     Raises

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import BinaryIO, Self
 
 from mcap.opcode import Opcode
 
@@ -29,7 +29,7 @@ from imufield.errors import Reason, RecordingError
 
 RECORD_LIMIT_BYTES = CHUNK_LIMIT_BYTES + (1 << 20)
 """Largest record accepted, a packed chunk being a little larger than an unpacked one at worst: limits what is allocated."""
-_SEARCH_BYTES = 1 << 20
+_SEARCH_BYTES = 1 << 20  # Window of the search for the next chunk: as large as a usual one, so that one read finds it.
 _START_BYTES = 64  # Enough for the magic and the Header record up to its profile.
 _HEAD_LIMIT_BYTES = 64  # Header and Channel records have about 35: with a damaged length they must not swallow a chunk.
 _BYTES_MAY_DIFFER = 2  # Damaged bytes at which the start of a file is still taken for ours; foreign files differ in nearly all.
@@ -91,7 +91,7 @@ class PartFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.metadata: dict[str, Any] = {}
+        self.metadata: dict[str, object] = {}
         self.damage: list[Damage] = []
         self.finished = False
         self._in_head = True
@@ -157,7 +157,8 @@ class PartFile:
         if opcode == Opcode.METADATA:
             self._in_head = False
             version, self.metadata = read_metadata(body)
-            self._check_version(version)
+            if version > VERSION:
+                raise self._newer(f"recording version {version}")
         elif opcode == Opcode.DATA_END:
             # A chunk whose opcode was damaged into this one must not end the reading.
             self.finished = self._file.tell() == self._size - END_SIZE + RECORD.size + 4
@@ -233,10 +234,6 @@ class PartFile:
             raise self._foreign("is an MCAP file of another program" if is_mcap else "is not an imufield recording")
         if differ:
             self._note(0, len(expected), f"{self.path}: {differ} bytes at its start are damaged, which costs nothing.")
-
-    def _check_version(self, version: int) -> None:
-        if version > VERSION:
-            raise self._newer(f"recording version {version}")
 
     def _newer(self, what: str) -> RecordingError:
         return RecordingError(

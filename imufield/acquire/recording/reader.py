@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -54,14 +54,14 @@ class PartStart:
     """
 
     path: Path
-    metadata: dict[str, Any]
+    metadata: dict[str, object]
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedEvent:
     """One event, in file order between the chunks."""
 
-    event: dict[str, Any]
+    event: dict[str, object]
     utc_ns: int
 
 
@@ -251,7 +251,7 @@ def _missing_before(path: Path, before: int) -> Iterator[Damage]:
     """Yield what is gone between two parts: numbers are given one after the other."""
     number = _number(path) or before + 1
     if number > before + 1:
-        first, last = (path.with_name(f"part-{one:03d}{path.suffix}") for one in (before + 1, number - 1))
+        first, last = (path.with_name(f"part-{missing:03d}{path.suffix}") for missing in (before + 1, number - 1))
         gone = f"{first} is" if first == last else f"{first} to {last.name} are"
         yield Damage(path=first, offset=0, length_bytes=0, what=f"{gone} gone, and what was recorded there.")
 

@@ -16,14 +16,14 @@ import tomli_w
 
 from imufield.acquire.recording.document import FORMAT, VERSION, SessionRecord, Table, plain_table
 from imufield.errors import Reason, RecordingError
-from imufield.files import read_small_file, sync_folder, typed_write_errors, write_atomically
+from imufield.files import DEFAULT_ROOT, read_small_file, sync_folder, typed_write_errors, write_atomically
 from imufield.version import __version__
 
 SETTINGS_FILE = "session.toml"
-LOCK_FILE = "session.lock"
-DEFAULT_ROOT = Path("imufield-sessions")
+LOCK_FILE = "session.lock"  # A file of its own: session.toml is replaced while it is locked.
 
 _PART = re.compile(r"part-(\d{3,})\.mcap")
+# Other folders below a root may be anything; these names are ours.
 _FOLDER = re.compile(r"\d{8}T\d{6}Z-.+")
 _STAMP = "%Y%m%dT%H%M%SZ"
 
@@ -245,6 +245,16 @@ class Session:
         path = self.folder / SETTINGS_FILE
         with typed_write_errors(path, RecordingError):
             write_atomically(path, tomli_w.dumps(self.metadata).encode())
+
+
+def open_or_newest(folder: Path | None) -> Session:
+    """Open the session in ``folder``, or the newest one below the working folder; raises RecordingError."""
+    return Session.newest() if folder is None else Session.open(folder)
+
+
+def create_session(folder: Path | None, root: Path, model: str, metadata: Mapping[str, object]) -> Session:
+    """Make a session in ``folder``, or in a new folder below ``root``; raises RecordingError."""
+    return Session.create(root, model, metadata) if folder is None else Session.create_in(folder, model, metadata)
 
 
 def _new_metadata(model: str, metadata: Mapping[str, object], moment: datetime) -> Table:

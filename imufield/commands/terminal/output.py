@@ -14,7 +14,7 @@ import typer
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, typed_write_errors, write_atomically
 
-_HEAD_BYTES = 512
+_HEAD_BYTES = 512  # The mark stands in the first lines of every file of ours.
 
 
 class NothingRecorded(KeyboardInterrupt):

@@ -11,7 +11,7 @@ from imufield.samples import Samples
 
 FIRST_S = 0.5
 """A task shorter than this needs no line."""
-EVERY_S = 0.2
+EVERY_S = 0.2  # Fast enough to be seen to move, slow enough to be read.
 
 
 class ProgressLine:

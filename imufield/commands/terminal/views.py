@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import typer
 
+from imufield.commands.options.acquire import ViewName, ViewOptions
 from imufield.commands.terminal.output import say
 from imufield.deliver.parameters.numbers import beside
-from imufield.errors import UsageError
 from imufield.guide.events import EVENT_VERSION, Event
 from imufield.guide.lead.guide import Snapshot
 from imufield.guide.positions import Scheme
@@ -24,10 +24,8 @@ if TYPE_CHECKING:
     from imufield.guide.view.sound import SoundView
     from imufield.guide.view.terminal import TerminalView
 
-ViewName = Literal["auto", "plain", "json"]
 PLAIN_INDENT = 13
 """Of the words of a plain line, behind the time."""
-SIDES = ("+x", "-x", "+y", "-y", "+z", "-z")
 LinkState = Literal["ok", "silent", "lost"]
 
 
@@ -39,30 +37,6 @@ class LiveStatus:
     port: str
     link: LinkState
     samples_lost: int
-
-
-@dataclass(frozen=True, slots=True)
-class Manner:
-    """How the views behave."""
-
-    quiet: bool = False
-    speak: bool = False
-    big: bool = False
-    cable: str | None = None
-    """Face of the unit where the cable leaves."""
-
-
-def parse_side(text: str | None) -> str | None:
-    """Return the side of the unit that an option names.
-
-    Raises
-    ------
-    UsageError
-        If it is none of the six.
-    """
-    if text is not None and text not in SIDES:
-        raise UsageError(f"--cable {text!r} is no side of the unit; write one of {', '.join(SIDES)}, e.g. --cable=-x")
-    return text
 
 
 class View(Protocol):
@@ -124,7 +98,7 @@ def make_view(
     name: ViewName,
     session: Path,
     positions: Scheme,
-    manner: Manner | None = None,
+    options: ViewOptions | None = None,
     *,
     origin_s: Callable[[], float] = lambda: 0.0,
 ) -> Iterator[View]:
@@ -132,14 +106,14 @@ def make_view(
 
     Sound goes with every view that a person reads; ``origin_s`` is what plain lines count their time from.
     """
-    manner = manner or Manner()
-    if name == "json" or manner.quiet:
-        with _silent_view(name, session, positions, manner, origin_s=origin_s) as view:
+    options = options or ViewOptions()
+    if name == "json" or options.quiet:
+        with _silent_view(name, session, positions, options, origin_s=origin_s) as view:
             yield view
         return
     from imufield.guide.view.sound import open_sound
 
-    with _silent_view(name, session, positions, manner, origin_s=origin_s) as view, open_sound(speak=manner.speak) as sound:
+    with _silent_view(name, session, positions, options, origin_s=origin_s) as view, open_sound(speak=options.speak) as sound:
         yield _WithSound(view, sound)
 
 
@@ -162,7 +136,7 @@ class _WithSound:
 
 @contextmanager
 def _silent_view(
-    name: ViewName, session: Path, positions: Scheme, manner: Manner, *, origin_s: Callable[[], float]
+    name: ViewName, session: Path, positions: Scheme, options: ViewOptions, *, origin_s: Callable[[], float]
 ) -> Iterator[View]:
     if name == "json":
         typer.echo(json.dumps({"version": EVENT_VERSION, "event": "session", "session": str(session)}))
@@ -173,5 +147,5 @@ def _silent_view(
     else:
         from imufield.guide.view.terminal import TerminalView
 
-        with TerminalView(positions, big=manner.big, cable=manner.cable) as view:
+        with TerminalView(positions, big=options.big, cable=options.cable) as view:
             yield _Pictures(view)

@@ -129,7 +129,7 @@ def _read_form(table: Table) -> WireForm:
     name, rate_hz = table.text("name"), table.number("rate_hz", DEFAULT_RATE_HZ)
     settings: Mapping[str, object] = table.table("settings").values
     for each in table.tables("frames"):
-        values: Mapping[str, float] = each.table("values").values
+        values = {name: value for name, value in each.table("values").values.items() if isinstance(value, int | float)}
         frames.append(
             WireFrame(
                 start=each.hexadecimal("start"),

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imufield.cli.options import LARGEST_SEED
+from imufield.commands.options.shared import LARGEST_SEED
 from imufield.errors import UsageError
 from imufield.samples import Samples, concatenate
 from imufield.simulate.emulator.core import EmulatorSettings

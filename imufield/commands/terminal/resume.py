@@ -15,7 +15,6 @@ from imufield.commands.terminal.questions import confirm
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.guide.positions import scheme
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into
-from imufield.pipeline.site import SiteOptions
 
 _IDENTITY = ("driver", "serial_number")
 # What a session keeps of the options of the guide: the option and how its value is said.
@@ -178,8 +177,3 @@ def check_instrument(session: Session, connected: Connected) -> None:
                 recorded=before,
                 found=now,
             )
-
-
-def site_as_before(site: SiteOptions, session: Session) -> SiteOptions:
-    """Return the site that was given, else the one the session knows."""
-    return site.over(session.record.site)

@@ -1,0 +1,247 @@
+"""Options that several commands share, and how options become the values that a command is handed.
+
+A field of an options class is an option where its annotation carries ``typer.Option`` or ``typer.Argument``, ``Converted`` or
+``Group``; other fields are set by programs only. Nothing heavy is imported here, because every start of the program reads it,
+and annotations are not postponed, because the command line is made from them.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+import typer
+
+from imufield.commands.configuration import parse_settings
+from imufield.errors import UsageError
+
+if TYPE_CHECKING:
+    from imufield.acquire.instrument.connect import ConnectOptions
+    from imufield.pipeline.site import SiteOptions
+
+LARGEST_SEED = 2**63 - 1
+"""What a parameter file can hold."""
+
+
+@dataclass(frozen=True, slots=True)
+class Converted:
+    """Marks an option that is typed as one type and handed to the command as another."""
+
+    typed_as: object  # An annotation as those of other options.
+    convert: Callable[[Any], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Marks a field that several options make together.
+
+    Attributes
+    ----------
+    arguments : type
+        Dataclass of the options.
+    build : callable
+        Given an instance of it and the names of the options that were typed, returns the value of the field.
+    """
+
+    arguments: type
+    build: Callable[[Any, frozenset[str]], object] = lambda arguments, _typed: arguments
+
+
+def option(*names: str, low: float | None = None, high: float = math.inf, **more: Any) -> Any:
+    """Return ``typer.Option``; the value of a number is checked against its limits.
+
+    The limits of typer itself are printed in every help, where those of a seed leave no room for words.
+    """
+    # Files are opened by the commands, which say what is wrong with one and how to go on.
+    return typer.Option(*names, callback=None if low is None else _within(low, high), readable=False, **more)
+
+
+def argument(**more: Any) -> Any:
+    """Return ``typer.Argument``."""
+    return typer.Argument(readable=False, **more)
+
+
+def _within(low: float, high: float) -> Callable[[Any], Any]:
+    def check(value: Any) -> Any:
+        # Written so that NaN is outside.
+        if value is not None and not low <= value <= high:
+            limits = f"between {low} and {high}" if high < math.inf else f"{low} or more"
+            raise typer.BadParameter(f"{value!r} is out of range, it must be {limits}")
+        return value
+
+    return check
+
+
+class TypedNumber(float):
+    """A number that remembers the digits it was typed with: 9.810 says more than 9.81."""
+
+    text: str
+
+    def __new__(cls, text: object) -> Self:
+        """Read a number from an option, a variable or a file; raises ``typer.BadParameter``."""
+        try:
+            number = super().__new__(cls, str(text))
+        except ValueError as error:
+            raise typer.BadParameter(f"{text!r} is not a number; write it with a decimal point, e.g. 9.80665") from error
+        number.text = str(text)
+        return number
+
+
+def _parse_mapping(texts: list[str] | None) -> dict[str, str]:
+    if not texts:
+        return {}
+    from imufield.acquire.instrument.connect import parse_mapping
+
+    return parse_mapping(texts)
+
+
+Port = Annotated[
+    str | None,
+    option(help="Serial port or pyserial URL, e.g. /dev/ttyUSB0, COM3, socket://host:4001.", envvar="IMUFIELD_PORT"),
+]
+Bus = Annotated[
+    str | None, option(help="CAN bus, INTERFACE:CHANNEL, e.g. socketcan:can0, slcan:/dev/ttyACM0.", envvar="IMUFIELD_BUS")
+]
+SignalMap = Annotated[
+    Mapping[str, str],
+    Converted(
+        Annotated[list[str] | None, option("--map", help="Which signal of --dbc is which axis, e.g. accelerometer.x=AccLong.")],
+        _parse_mapping,
+    ),
+]
+DriverName = Annotated[
+    str | None, option("--driver", help="Instrument family, see `imufield devices`.", envvar="IMUFIELD_DRIVER")
+]
+Baud = Annotated[int | None, option(help="Baud rate of the port, or bit rate of the bus.", low=50, envvar="IMUFIELD_BAUD")]
+Settings = Annotated[
+    Mapping[str, str],
+    Converted(
+        Annotated[list[str] | None, option("--set", help="What the wire does not tell, e.g. accelerometer_range_g=30.")],
+        parse_settings,
+    ),
+]
+TableRateHz = Annotated[float | None, option("--rate-hz", help="Sample rate of a table without a time column.", low=1e-3)]
+NewestSession = Annotated[Path | None, argument(help="Session folder (default: the newest).")]
+SessionFolder = Annotated[Path | None, option("--session", help="Folder of the session (default: a new one).")]
+AsJson = Annotated[bool, option("--json", help="JSON on standard output and nothing else.")]
+EventsAsJson = Annotated[bool, option("--json", help="Events as JSON lines on standard output.")]
+Plain = Annotated[bool, option("--plain", help="Plain lines instead of pictures.")]
+Workers = Annotated[int | None, option(help="Processes (default: all cores).", low=1)]
+Scheduler = Annotated[str | None, option(help="Address of a Dask scheduler, e.g. tcp://host:8786.")]
+ClockSpeed = Annotated[
+    float,
+    option(
+        help="Times real time the instrument runs: only for an emulated one.",
+        envvar="IMUFIELD_CLOCK_SPEED",
+        hidden=True,
+        low=1,
+        high=1000,
+    ),
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PortOrBus:
+    """Where an instrument is."""
+
+    port: Port = None
+    bus: Bus = None
+    baud: Baud = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Connection:
+    """Where an instrument is and how it is understood."""
+
+    port: Port = None
+    bus: Bus = None
+    driver: DriverName = None
+    baud: Baud = None
+    protocol: Annotated[Path | None, option("--protocol", help="Your own wire format, a TOML file.")] = None
+    dbc: Annotated[Path | None, option(help="On a CAN bus: the DBC file of your own instrument.")] = None
+    mapping: SignalMap
+    settings: Settings
+    rate_hz: Annotated[
+        float | None,
+        option(help="Set the output rate of the instrument, where its driver can; put back at the end.", low=0.1),
+    ] = None
+
+
+def _connect_options(given: PortOrBus | Connection, typed: frozenset[str]) -> "ConnectOptions":
+    """Return where and how to connect; a bus or a port that was typed goes before the other as a default.
+
+    Raises
+    ------
+    UsageError
+        Both were typed.
+    """
+    from imufield.acquire.instrument.connect import ConnectOptions
+
+    port, bus = given.port, given.bus
+    if port is not None and bus is not None:
+        if ("port" in typed) == ("bus" in typed):
+            raise UsageError(f"--port {port} and --bus {bus} contradict each other; give one of them")
+        port, bus = (port, None) if "port" in typed else (None, bus)
+    if isinstance(given, PortOrBus):
+        return ConnectOptions(port=port, bus=bus, baud=given.baud)
+    return ConnectOptions(
+        port=port,
+        bus=bus,
+        driver=given.driver,
+        baud=given.baud,
+        protocol=given.protocol,
+        dbc=given.dbc,
+        mapping=dict(given.mapping),
+        settings=dict(given.settings),
+        rate_hz=given.rate_hz,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """What gravity follows from."""
+
+    gravity: Annotated[
+        float | None,
+        option(
+            "--gravity",
+            help="Local gravity, m/s^2; as uncertain as its last digit.",
+            envvar="IMUFIELD_GRAVITY_M_S2",
+            parser=TypedNumber,
+            metavar="FLOAT",
+        ),
+    ] = None
+    latitude: Annotated[
+        float | None, option(help="Latitude, decimal degrees: gravity by WGS-84.", envvar="IMUFIELD_LATITUDE_DEG")
+    ] = None
+    height: Annotated[float | None, option(help="Height above the ellipsoid, m.", envvar="IMUFIELD_HEIGHT_M")] = None
+
+
+def _site_options(place: Place, typed: frozenset[str]) -> "SiteOptions":
+    """Return the site: what was typed; without that the defaults of file and variables, which a session's own site beats."""
+    from imufield.earth import sigma_of_digits
+    from imufield.pipeline.site import SiteOptions
+
+    typed &= {"gravity", "latitude", "height"}
+    if "gravity" in typed or "latitude" in typed:
+        place = Place(**{name: getattr(place, name) for name in typed})
+    return SiteOptions(
+        gravity_m_s2=place.gravity,
+        latitude_deg=place.latitude,
+        height_m=place.height,
+        is_default=not typed,
+        gravity_sigma_m_s2=sigma_of_digits(place.gravity.text) if isinstance(place.gravity, TypedNumber) else None,
+    )
+
+
+def unknown_site() -> "SiteOptions":
+    """Return the site of somebody who gave none."""
+    from imufield.pipeline.site import SiteOptions
+
+    return SiteOptions()
+
+
+PortOrBusOptions = Annotated["ConnectOptions", Group(PortOrBus, _connect_options)]
+ConnectionOptions = Annotated["ConnectOptions", Group(Connection, _connect_options)]
+PlaceOptions = Annotated["SiteOptions", Group(Place, _site_options)]

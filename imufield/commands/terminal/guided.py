@@ -1,0 +1,321 @@
+"""One run of a guided session: chunks to the disk first, then through the chain, events to the view of the person."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+import typer
+
+from imufield.acquire.decode.statistics import remarks
+from imufield.acquire.instrument.connect import Connected
+from imufield.acquire.link.host_clock import HostClock, ScaledClock
+from imufield.acquire.link.reconnect import PatientLink
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.recording.document import GuideRecord
+from imufield.acquire.recording.reader import Damage
+from imufield.acquire.recording.recorder import Recorder
+from imufield.acquire.recording.session import Session, create_session
+from imufield.commands.options.acquire import CaptureOptions, ViewName
+from imufield.commands.terminal.output import say
+from imufield.commands.terminal.views import LinkState, LiveStatus, View, make_view
+from imufield.deliver.parameters.file import load
+from imufield.deliver.parameters.numbers import beside
+from imufield.errors import ImufieldError, RecordingError, UsageError
+from imufield.files import read_small_file, typed_write_errors, write_atomically
+from imufield.guide.events import Advice, Event, Topic
+from imufield.guide.positions import SCHEMES, scheme
+from imufield.guide.view.plain import known_words, words
+from imufield.guide.view.terminal import Keyboard
+from imufield.pipeline.calibration import FEWEST_POSITIONS
+from imufield.pipeline.chain import MARK, REVISIT_FROM, ROTATIONS, SCHEME_FILE, Chain, ReadingPlan, part_metadata, replay_into
+from imufield.pipeline.site import SiteOptions
+
+DEFAULT_SCHEME = "paper24"
+SILENCE_S = 2.0
+"""Host time without a byte after which the screen says so: the slowest instruments send ten times a second."""
+REFRESH_EVERY_S = 0.1  # Ten pictures a second: a person sees a turn without delay, and the decoder keeps its time.
+KEYS = {"r": "retake", "s": "skip", "u": "undo", "p": "pause", "f": "finish", "g": "go_on"}
+BIG = "b"
+QUIT = "q"
+FINISH = "f"
+REOPEN = "reopen"  # Not a key: recorded where a session that was finished early goes on.
+AGAIN_WITHIN_S = 10.0
+"""Finishing with something left ends the session only with the same key again within this time; a person's time is real,
+however fast an emulated instrument runs."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Captured:
+    """How a capture ended."""
+
+    session: Session
+    accepted: int
+    planned: int
+    finished: bool
+    remarks: tuple[str, ...] = ()
+    """About the samples."""
+    summary: tuple[str, ...] = ()
+    """What the screen showed last, which is gone with it: how well all is known, drift, common scale."""
+
+
+def guide_record(options: CaptureOptions) -> GuideRecord:
+    """Return what was given of the options of the guide, as a session keeps it.
+
+    Raises
+    ------
+    UsageError
+        If the rotations are of no known kind.
+    ParameterFileError
+        If the preset cannot be read.
+    """
+    if options.rotations is not None and options.rotations not in ROTATIONS:
+        raise UsageError(f"--rotations {options.rotations!r} is unknown; choose one of {', '.join(ROTATIONS)}")
+    scale, sigma = None, None
+    if options.preset is not None:
+        # The common scale of the earlier calibration: what a wrong gravity shows against.
+        earlier = load(options.preset).calibration.intrinsic
+        scale = float(np.exp(np.mean(np.log(np.abs(earlier.scale)))))
+        sigma = float(np.max(earlier.scale_sigma / np.abs(earlier.scale)))
+    return GuideRecord(
+        hold_s=options.hold_s,
+        target_bias_ug=options.target_bias_ug,
+        target_scale_ppm=options.target_scale_ppm,
+        rotations=None if options.rotations is None else ROTATIONS[options.rotations],
+        earlier_scale_raw=scale,
+        earlier_scale_sigma=sigma if sigma is not None and sigma > 0 else None,
+    )
+
+
+def new_session(options: CaptureOptions, connected: Connected, site: SiteOptions) -> Session:
+    """Create the session's folder with everything that is known before the first byte.
+
+    Raises
+    ------
+    ParameterFileError
+        If the earlier calibration is of another instrument or in another unit.
+    """
+    if options.preset is not None:
+        preset = load(options.preset)
+        preset.check_instrument(connected.identity.get("serial_number", ""))
+        preset.check_unit("accelerometer", connected.protocol.units.accelerometer_rate_unit)
+    name = options.positions or DEFAULT_SCHEME
+    positions = None
+    if name not in SCHEMES:
+        try:
+            positions = read_small_file(name)
+        except OSError as error:
+            raise UsageError(f"{name} cannot be read ({error.strerror}); check the name", path=name) from error
+    guide = replace(guide_record(options), revisit_first=True if len(scheme(name)) >= REVISIT_FROM else None)
+    metadata = {
+        **connected.session_tables(),
+        "kind": "capture",
+        "scheme": name if positions is None else SCHEME_FILE,
+        "guide": guide,
+        "site": site.record(),
+    }
+    session = create_session(options.session, options.root, connected.model, metadata)
+    if positions is not None:
+        with typed_write_errors(session.folder, RecordingError):
+            write_atomically(session.folder / SCHEME_FILE, positions)
+    return session
+
+
+def guided_session(session: Session, connected: Connected, clock: HostClock, options: CaptureOptions) -> Captured:
+    """Run the loop and say what there is and how to go on, also where it is broken off; the reason is passed on."""
+    loop = None
+    try:
+        with open_loop(session, connected, clock, options) as loop:
+            captured = loop.run()
+    except (KeyboardInterrupt, ImufieldError):
+        if loop is not None:
+            farewell(loop.captured(), options.view, clock)
+        raise
+    farewell(captured, options.view, clock)
+    return captured
+
+
+@contextmanager
+def open_loop(session: Session, connected: Connected, clock: HostClock, options: CaptureOptions) -> Iterator[CaptureLoop]:
+    """Open recorder, view and keyboard, and close them whatever happens."""
+    chain = Chain(ReadingPlan.of(session))
+    damage: list[Damage] = []
+    replay_into(chain, session, damage, ended=False)
+    metadata = part_metadata(connected.protocol, connected.session_tables())
+    with ExitStack() as stack:
+        recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
+        keyboard = stack.enter_context(Keyboard())
+        positions = scheme(chain.plan.scheme or DEFAULT_SCHEME)
+        view_of = make_view(options.view, session.folder, positions, options.view_options, origin_s=chain.origin_s)
+        view = stack.enter_context(view_of)
+        yield CaptureLoop(session, connected, chain, recorder, view=view, keyboard=keyboard, clock=clock)
+
+
+class CaptureLoop:
+    """One run of a session: chunks to the disk first, then through the chain, events to the view."""
+
+    def __init__(
+        self,
+        session: Session,
+        connected: Connected,
+        chain: Chain,
+        recorder: Recorder,
+        *,
+        view: View,
+        keyboard: Keyboard,
+        clock: HostClock,
+    ) -> None:
+        self.session = session
+        self.connected = connected
+        self.chain = chain
+        self.recorder = recorder
+        self.view = view
+        self.keyboard = keyboard
+        self.clock = clock
+        self._last_byte_s = clock.monotonic_s()
+        self._last_refresh_s = float("-inf")
+        self._link = PatientLink(connected.link, clock)  # When to try the port again; None while it is there.
+        self._finish_until_s = float("-inf")  # Until then the key that finishes is believed.
+        self._advice: dict[Topic, Advice] = {}  # The newest of those that are for the end.
+
+    def run(self) -> Captured:
+        """Go on until all is done or the operator quits."""
+        self._publish(self.chain.start_part(self.connected.protocol))
+        if self._done:
+            # Finished early, and to go on: noted as what it is, so that a replay does the same.
+            self._mark(REOPEN)
+        for heard in self.connected.chunks:
+            self._take(heard)
+        try:
+            self._follow()
+        except KeyboardInterrupt:
+            # What waits to be decoded is recorded all the same.
+            for chunk in self.connected.link.drain():
+                self.recorder.write_chunk(chunk)
+            raise
+        for chunk in self.connected.link.drain():
+            self._take(chunk)
+        self._publish(self.chain.finish())
+        if self._done:
+            self.session.update(finished=True)
+        return self.captured()
+
+    def _follow(self) -> None:
+        """Take what comes from port and keyboard until all is done or the operator quits."""
+        quitting = False
+        while not (quitting or self._done):
+            chunk = self._next_chunk()
+            if chunk is not None:
+                self._take(chunk)
+            quitting = self._follow_keys()
+            self._refresh()
+
+    def captured(self) -> Captured:
+        """Return how far the session has come."""
+        guide = self.chain.guide
+        accepted, planned = (0, 0) if guide is None else (len(guide.plan.accepted), len(guide.plan.scheme))
+        said = tuple(remarks(self.chain.statistics))
+        return Captured(
+            session=self.session,
+            accepted=accepted,
+            planned=planned,
+            finished=self._done,
+            remarks=said,
+            summary=tuple(self._summary()),
+        )
+
+    def _summary(self) -> Iterator[str]:
+        """Say how well the parameters are known, and what was advised at the end."""
+        known = None if self.chain.guide is None else self.chain.guide.snapshot().forecast
+        if known is not None:
+            bias, scale = known_words(known, "bias_ug"), known_words(known, "scale_ppm")
+            yield f"known to (1 sigma): bias {bias}, scale {scale}; solve tells more"
+        yield from (words(advice) for advice in self._advice.values())
+
+    @property
+    def _done(self) -> bool:
+        return self.chain.guide is not None and self.chain.guide.done
+
+    def _next_chunk(self) -> Chunk | None:
+        was_lost = self._link.lost is not None
+        chunk = self._link.read()
+        if was_lost:
+            self._last_byte_s = self.clock.monotonic_s()
+        elif self._link.lost is not None:
+            self._publish(self.chain.link_lost())
+        return chunk
+
+    def _take(self, chunk: Chunk) -> None:
+        self._last_byte_s = self.clock.monotonic_s()
+        self.recorder.write_chunk(chunk)
+        self._publish(self.chain.feed(chunk.data, chunk.monotonic_s, chunk.utc_ns))
+
+    def _follow_keys(self) -> bool:
+        for key in self.keyboard.read():
+            if key == QUIT:
+                return True
+            if key == BIG:
+                self.view.toggle_big()
+            if key in KEYS and (key != FINISH or self._is_sure()):
+                self._mark(KEYS[key])
+        return False
+
+    def _mark(self, action: str) -> None:
+        """Record what the operator says, and tell the guide."""
+        if self.chain.guide is not None:
+            time_s = self.chain.guide.time_s
+            self.recorder.write_event({"event": MARK, "action": action, "time_s": time_s})
+            self._publish(self.chain.mark(action, time_s))
+
+    def _is_sure(self) -> bool:
+        """Whether the session may be finished: at the second press, said at the first; nothing of the first is recorded."""
+        now_s, guide = time.monotonic(), self.chain.guide
+        if guide is None or now_s <= self._finish_until_s:
+            return True
+        self._finish_until_s = now_s + AGAIN_WITHIN_S
+        self.view.show([guide.asked_to_finish()])
+        return False
+
+    def _publish(self, events: list[Event]) -> None:
+        for event in events:
+            self.recorder.write_event(event.to_dict())
+            if isinstance(event, Advice) and event.topic in (Topic.DRIFT, Topic.SCALE):
+                self._advice[event.topic] = event
+        if events:
+            self.view.show(events)
+
+    def _refresh(self) -> None:
+        now_s = self.clock.monotonic_s()
+        if now_s - self._last_refresh_s < REFRESH_EVERY_S or self.chain.guide is None:
+            return
+        self._last_refresh_s = now_s
+        silent_s = now_s - self._last_byte_s
+        state: LinkState = "lost" if self._link.lost is not None else "silent" if silent_s > SILENCE_S else "ok"
+        statistics = self.chain.statistics
+        lost = sum(part.lost for part in statistics)
+        self.view.refresh(LiveStatus(self.chain.guide.snapshot(), self.connected.link.name, state, lost))
+
+
+def farewell(captured: Captured, view: ViewName, clock: HostClock) -> None:
+    """Say what there is and what to type next, as it can be pasted."""
+    folder = captured.session.folder
+    if view == "json" or not folder.exists():
+        return
+    # Whoever reads lines has read these already.
+    for line in captured.summary if view == "auto" and sys.stdout.isatty() else ():
+        say(line)
+    for line in captured.remarks:
+        say(line)
+    if captured.finished and captured.accepted >= min(FEWEST_POSITIONS, captured.planned):
+        typer.echo(beside(f"{captured.accepted} of {captured.planned} positions measured, session", folder))
+        typer.echo(beside("next: ", f"imufield solve {shlex.quote(str(folder))}"))
+    else:
+        typer.echo(beside(f"{captured.accepted} of {captured.planned} positions measured so far, all on disk in", folder))
+        # An emulated instrument that runs faster than real must be read as fast again.
+        speed = f"IMUFIELD_CLOCK_SPEED={clock.speed:g} " if isinstance(clock, ScaledClock) else ""
+        typer.echo(beside("go on:", f"{speed}imufield capture --resume --session {shlex.quote(str(folder))}"))

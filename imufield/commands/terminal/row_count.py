@@ -1,0 +1,45 @@
+"""What the rows of a file of samples hold, to be said below it: units, and how many are marked as not usable."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from imufield.samples import Samples, SampleUnits, Status
+
+
+class RowCount:
+    """Counts flagged rows of blocks that pass."""
+
+    def __init__(self) -> None:
+        self._units: SampleUnits | None = None
+        self._starting = 0
+        self._unusable = 0
+
+    def through(self, blocks: Iterable[Samples]) -> Iterator[Samples]:
+        """Yield the blocks as they are."""
+        for block in blocks:
+            self._units = self._units or block.units
+            self._starting += int(np.count_nonzero(block.status & np.uint32(Status.START_UP)))
+            self._unusable += int(np.count_nonzero(~block.usable))
+            yield block
+
+    def units(self) -> str:
+        """Return the units of the columns as they came, in words."""
+        units = self._units or SampleUnits()
+        each = (
+            units.accelerometer + " per sample" * units.accelerometer_is_increment,
+            units.gyroscope + " per sample" * units.gyroscope_is_increment,
+        )
+        return f"accelerometer in {each[0]}, gyroscope in {each[1]}"
+
+    def flags(self, *, has_status: bool = True) -> str:
+        """Return a sentence on the rows that are flagged, in a file that has a column for it or not; empty where none is."""
+        if not self._unusable:
+            return ""
+        starting = f", {self._starting} of them from the instrument's start-up (16)" if self._starting else ""
+        if not has_status:
+            starting = starting.removesuffix(" (16)")
+            return f"{self._unusable} messages lack a value that is not usable{starting}: it is NaN, with a covariance of -1"
+        return f"{self._unusable} rows are marked as not usable in the column status{starting}: leave them out of means"

@@ -1,0 +1,266 @@
+"""Solving a recorded session or a file of position means: replay, calibration, and the sentences about the recording."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from imufield.acquire.recording.reader import Damage
+from imufield.acquire.recording.session import Session
+from imufield.calibrate.model.observation_files import read_observations
+from imufield.calibrate.model.observations import Observations, count_repeats_once
+from imufield.deliver.parameters.file import Context, InstrumentFacts, Parameters, SessionFacts, load
+from imufield.earth import Gravity
+from imufield.errors import CalibrationError, ImufieldError, Reason, counted
+from imufield.guide.cross_checks.axes import AxesCheck
+from imufield.guide.events import Event, RefusalCode, Rejected
+from imufield.guide.lead.guide import Guide
+from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, MoveListener, SolveSettings, calibrate
+from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
+from imufield.pipeline.damage import naming_damage, without_end_under_way
+from imufield.pipeline.site import SiteOptions
+
+_HASH_BLOCK_BYTES = 1 << 20  # Bounds the memory, whatever the size of a part.
+_BETTER_KNOWN = 3.0  # Factor between sigmas of gravity from which the common scale of a session is another in practice.
+_SHOWN = 6  # Places that a sentence lists.
+_AT_LIMIT = (RefusalCode.SATURATED, RefusalCode.STUCK)
+# Refused as soon as it is seen, before a position is known.
+_SPOIL_DATA = (RefusalCode.SATURATED, RefusalCode.INVALID, RefusalCode.SAMPLE_LOSS)
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """What a solve found, before it is written."""
+
+    parameters: Parameters
+    notes: tuple[str, ...]
+    """Sentences about the recording that are not about the numbers."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Usable:
+    """What a session holds to be calibrated from."""
+
+    observations: Observations
+    axes: AxesCheck
+    notes: tuple[str, ...]
+    """Sentences beside the numbers."""
+    saturated: str
+    """The sentence for the verdict about what was left out because an axis was clipped; empty where none was."""
+
+
+def solve_session(
+    session: Session,
+    settings: SolveSettings,
+    site: SiteOptions | None = None,
+    *,
+    listener: SamplesListener | None = None,
+    on_read: Callable[[], None] | None = None,
+) -> Solved:
+    """Replay a session and solve it.
+
+    Parameters
+    ----------
+    session : Session
+    settings : SolveSettings
+    site : SiteOptions, optional
+        What was typed of the place.
+    listener : callable, optional
+        Given every block of samples, to show how far the replay is.
+    on_read : callable, optional
+        Called when the replay is over and the solving begins.
+
+    Raises
+    ------
+    ImufieldError
+        Recording unreadable, calibration impossible or refused.
+    """
+    damage: list[Damage] = []
+    goes_on = session.is_being_recorded
+    moves = MoveListener()
+    chain = Chain(ReadingPlan.of(session), listeners=(moves.feed,) if listener is None else (moves.feed, listener))
+    refusals: list[Rejected] = []
+
+    def hear(events: list[Event]) -> None:
+        moves.hear(events)
+        refusals.extend(event for event in events if isinstance(event, Rejected))
+
+    replay_into(chain, session, damage, hear)
+    if goes_on:
+        damage = without_end_under_way(damage, session)
+        chain.notes.append("This session is still being recorded: solved is what was on disk; solve again when it is over.")
+    if on_read is not None:
+        on_read()
+    with naming_damage(session, damage):
+        usable = _unguided(chain) if chain.guide is None else _guided(chain, chain.guide, refusals)
+        if usable.axes.error is not None:
+            raise usable.axes.error
+        where = "are missing in the file" if session.record.kind == "import" else "were lost on the wire"
+        saturated = (usable.saturated,) if usable.saturated else ()
+        reasons = (usable.axes.words, *saturated, *chain.notes, *_loss_sentences(chain, damage, where))
+        rates = [statistics.rate_hz for statistics in chain.statistics if statistics.rate_hz]
+        true_rate_hz = float(np.median(rates)) if rates else math.nan
+        rests = chain.turn_rests()
+        between = moves.between(usable.observations, rests)
+        protocol = chain.protocol
+        measured = Measured(
+            observations=usable.observations,
+            gravity=(site or SiteOptions()).gravity(session.record.site),
+            context=Context(
+                instrument=InstrumentFacts(**asdict(session.record.instrument)),
+                session=SessionFacts(session.name, session_sha256(session), true_rate_hz, chain.temperature_degc),
+            ),
+            moves=between,
+            rests=rests,
+            stops=moves.stops(between),
+            raw_zero=None if protocol is None else chain.raw_zero(protocol),
+            gyroscope_scale=None if protocol is None else protocol.nominal.gyroscope_scale,
+            reasons=reasons,
+        )
+        with _naming_saturation(usable.saturated):
+            return Solved(calibrate(measured, settings), usable.notes)
+
+
+def solve_observations(path: Path, settings: SolveSettings, site: SiteOptions) -> Solved:
+    """Solve position means from a file."""
+    observations, repeats = count_repeats_once(read_observations(path))
+    facts = SessionFacts(path.name, _sha256([path]))
+    measured = Measured(observations=observations, gravity=site.gravity(), context=Context(session=facts), reasons=repeats)
+    return Solved(calibrate(measured, settings), ())
+
+
+@contextmanager
+def _naming_saturation(saturated: str) -> Iterator[None]:
+    """Name clipped outputs as the cause where what is left of a session cannot be calibrated from."""
+    try:
+        yield
+    except CalibrationError as error:
+        if not saturated:
+            raise
+        raise CalibrationError(
+            f"{saturated.removesuffix('.')}, and what is left is not enough: {error.message}",
+            Reason.SATURATED,
+            **error.values,
+        ) from error
+
+
+def _guided(chain: Chain, guide: Guide, refusals: list[Rejected]) -> _Usable:
+    """Return the accepted positions of a guided session."""
+    observations = chain.observations()
+    spoilt = [event for event in refusals if event.position or event.reason in _SPOIL_DATA]
+    _check_count(len(observations), [(event.reason, event.words, event.remedy) for event in spoilt])
+    missing = guide.plan.missing()
+    # A position that was taken again lacks nothing.
+    clipped = [
+        event for event in refusals if event.reason in _AT_LIMIT and missing and (event.position or missing[0]) in missing
+    ]
+    return _Usable(
+        observations=observations,
+        axes=guide.check_axes(),
+        notes=_missing_sentences(guide, refusals),
+        saturated=_saturation_sentence([(event.time_s, event.words) for event in clipped]),
+    )
+
+
+def _unguided(chain: Chain) -> _Usable:
+    """Return the still intervals of a session that nobody guided."""
+    found = chain.still_intervals()
+    _check_count(len(found.observations), [(refusal.reason, refusal.words, refusal.remedy) for _, refusal in found.refused])
+    clipped = [(start_s, refusal.words) for start_s, refusal in found.refused if refusal.reason in _AT_LIMIT]
+    notes = tuple(
+        f"The still interval at {start_s:.1f} s is left out: {refusal.words}."
+        for start_s, refusal in found.refused
+        if refusal.reason not in _AT_LIMIT
+    )
+    return _Usable(observations=found.observations, axes=found.axes, notes=notes, saturated=_saturation_sentence(clipped))
+
+
+def _saturation_sentence(clipped: list[tuple[float, str]]) -> str:
+    """Return the sentence about stills at the limit of an axis, each with its time and words; empty where there are none."""
+    if not clipped:
+        return ""
+    shown = ", ".join(f"at {time_s:.1f} s" for time_s, _ in clipped[:_SHOWN]) + (" and others" if len(clipped) > _SHOWN else "")
+    return f"{counted(len(clipped), 'still interval')} left out because of saturation ({shown}): {clipped[-1][1]}."
+
+
+def _check_count(count: int, refusals: list[tuple[RefusalCode, str, str]]) -> None:
+    """Say what stood in the way where holds were refused and too few are left; without refusals the solver says it.
+
+    Raises
+    ------
+    CalibrationError
+        If fewer are left than scale and bias need.
+    """
+    if count >= FEWEST_POSITIONS or not refusals:
+        return
+    (code, _), *_ = Counter(code for code, _, _ in refusals).most_common(1)
+    words, remedy = next((words, remedy) for its_code, words, remedy in reversed(refusals) if its_code is code)
+    at_its_end = code in _AT_LIMIT
+    raise CalibrationError(
+        f"{counted(count, 'position')} {'is' if count == 1 else 'are'} left, scale and bias need {FEWEST_POSITIONS}, because "
+        f"{len(refusals)} {'was' if len(refusals) == 1 else 'were'} refused, mostly as "
+        f"this one: {words}; {remedy}",
+        Reason.SATURATED if at_its_end else Reason.TOO_FEW,
+        positions=count,
+        limit=FEWEST_POSITIONS,
+        refused=len(refusals),
+    )
+
+
+def _missing_sentences(guide: Guide, refusals: list[Rejected]) -> tuple[str, ...]:
+    """Say which planned positions were not measured, and why as far as holds were refused there."""
+    plan = guide.plan
+    missing = plan.missing()
+    if not missing:
+        return ()
+    why = {event.position: event.words for event in refusals if event.position in missing}
+    sentences = [f"{len(missing)} of {len(plan.scheme)} planned positions are not measured: {', '.join(missing)}."]
+    return (*sentences, *(f"A hold at {position} was refused: {words}." for position, words in why.items()))
+
+
+def _loss_sentences(chain: Chain, damage: list[Damage], where: str) -> tuple[str, ...]:
+    sentences = [part.what for part in damage]
+    lost = sum(statistics.samples_lost for statistics in chain.statistics)
+    estimated = sum(statistics.losses_estimated for statistics in chain.statistics)
+    total = sum(statistics.samples for statistics in chain.statistics)
+    if lost:
+        sentences.append(f"{lost} of {total + lost} samples {where}.")
+    if estimated:
+        sentences.append(f"About {estimated} more were lost in longer gaps, by the clock of the host.")
+    return tuple(sentences)
+
+
+def better_gravity(path: Path, now: Gravity) -> tuple[str, ...]:
+    """Return a sentence where the parameter file that stands at ``path`` knows gravity much better than it is known now."""
+    try:
+        before = load(path).calibration.gravity
+    except ImufieldError:
+        return ()
+    if not before.sigma_m_s2 * _BETTER_KNOWN < now.sigma_m_s2:
+        return ()
+    again = f"--gravity {before.gravity_m_s2:.6g}"
+    if before.source == "normal" and before.latitude_deg is not None:
+        again = f"--latitude {before.latitude_deg:g} --height {before.height_m or 0:g}"
+    known = f"that file had gravity to {before.sigma_m_s2:.2g} m/s^2, this one has it to {now.sigma_m_s2:.2g} m/s^2"
+    return (f"{known}: to solve as it was, add {again}",)
+
+
+def session_sha256(session: Session) -> str:
+    """Return the hash of the session's parts, in their order."""
+    return _sha256(session.parts)
+
+
+def _sha256(paths: list[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in paths:
+        with path.open("rb") as file:
+            while block := file.read(_HASH_BLOCK_BYTES):
+                digest.update(block)
+    return digest.hexdigest()

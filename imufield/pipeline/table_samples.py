@@ -1,0 +1,62 @@
+"""Samples of a table of another program, without a recording; files that cannot be read to their end are refused."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from imufield.acquire.decoder import Decoder
+from imufield.acquire.formats.tables import ROWS_PROTOCOL, stream_table, write_rows
+from imufield.acquire.link.serial import Chunk
+from imufield.acquire.protocol.protocol import load_protocol
+from imufield.errors import Reason, RecordingError, UsageError
+from imufield.samples import Samples
+
+
+def table_samples(path: Path, rate_hz: float | None = None) -> Iterator[Samples]:
+    """Yield the samples of a table, e.g. an exported CSV, block by block."""
+    refuse_endless([path])
+    decoder: Decoder | None = None
+    for table in stream_table(path, rate_hz=rate_hz):
+        decoder = decoder or Decoder(load_protocol(ROWS_PROTOCOL, table.settings))
+        chunks = _Chunks([])
+        write_rows(chunks, table.rows, table.status, table.counter)
+        for chunk in chunks.written:
+            yield decoder.feed(chunk.data, chunk.monotonic_s)
+    if decoder is not None:
+        yield decoder.flush()
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunks:
+    """What rows are written to where no recording is wanted."""
+
+    written: list[Chunk]
+
+    def write_chunk(self, chunk: Chunk, /) -> None:
+        self.written.append(chunk)
+
+
+def refuse_endless(paths: Sequence[Path]) -> None:
+    """Refuse devices and pipes, which have no end or none that is sure to come, and names that no file can have.
+
+    Raises
+    ------
+    UsageError, RecordingError
+        If there is one.
+    """
+    for path in paths:
+        try:
+            mode = path.stat().st_mode
+        except FileNotFoundError:
+            continue  # said by what reads it
+        except OSError as error:
+            raise RecordingError(f"{path} cannot be read ({error.strerror}): check its name", Reason.NOT_A_RECORDING) from error
+        if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
+            raise UsageError(f"{path} is a device, which has no end: record from it with --port, and import files")
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise UsageError(
+                f"{path} is a pipe or socket, which can be read only once: write its content to a file and import that"
+            )
