@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import ClassVar
 
-from imufield.acquire.driver import Ability, Command, Driver, Evidence, Message, choose_divisor
+from imufield.acquire.driver import BY_DOCUMENT, Ability, Command, Driver, Evidence, Message, choose_divisor
 from imufield.acquire.protocol.checksum import make_checksum
 
 _SUMS = make_checksum("FLETCHER-16/MOD-256")
-# Descriptor sets of commands.
+# Descriptor sets of commands, and the kinds of messages that answer them.
 BASE = 0x01
 SETTINGS = 0x0C
+_KINDS = {BASE: "base", SETTINGS: "settings"}
 # What a command of settings does with them; saving them (3) is not here on purpose.
 _APPLY = 1
 _READ = 2
@@ -52,11 +53,7 @@ class MicroStrainMip(Driver):
     bauds = (115200, 921600, 460800, 230400, 57600, 19200, 9600)
     status = "verified on real bytes"
     manual = "LORD MicroStrain, 3DM-GX5-25 Data Communications Protocol manual: MIP packets, IMU data set"
-    abilities: ClassVar[Mapping[Ability, Evidence]] = {
-        "identify": "document only",
-        "start and stop": "verified on real bytes",
-        "rate": "document only",
-    }
+    abilities: ClassVar[Mapping[Ability, Evidence]] = {**BY_DOCUMENT, "start and stop": "verified on real bytes"}
 
     @classmethod
     def identity_questions(cls, heard: Collection[str]) -> Sequence[Command]:
@@ -120,11 +117,10 @@ def command(name: str, descriptor_set: int, number: int, data: bytes = b"", *, i
     """Return a packet with one command, answered by the acknowledgement of it."""
     # Payload and field have the same length: there is one field, and it counts its own two bytes.
     body = bytes([0x75, 0x65, descriptor_set, len(data) + 2, len(data) + 2, number]) + data
-    kind = "base" if descriptor_set == BASE else "settings"
     return Command(
         name=name,
         data=body + _SUMS.of(body).to_bytes(2, "big"),
-        answer=lambda message: message["kind"] == kind and message.get("answered_command") == number,
+        answer=lambda message: message["kind"] == _KINDS[descriptor_set] and message.get("answered_command") == number,
         refusal=lambda answer: f"error {answer['error']}" if answer["error"] else "",
         is_last=is_last,
     )
@@ -132,9 +128,9 @@ def command(name: str, descriptor_set: int, number: int, data: bytes = b"", *, i
 
 def _format(state: Sequence[Message]) -> tuple[int, int, list[tuple[int, int]]]:
     """Return base rate, the command that holds the format, and its fields as (descriptor, decimation)."""
-    # A unit answers the commands of its generation and refuses the others.
     base_hz, holder, fields = 0, 0, b""
     for answer in state:
+        # A unit answers the commands of its generation and refuses the others.
         if not answer.get("error") and not fields:
             base_hz = answer.get("base_rate_hz", answer.get("imu_base_rate_hz", base_hz))
             holder = answer["answered_command"]

@@ -91,8 +91,8 @@ def read_hdf5(path: Path) -> Content:
         file.visit(names.append)
         for name in names:
             item = file[name]
-            # "#refs#" is where MATLAB keeps what has no name; a group has no shape.
-            if name.startswith("#") or not hasattr(item, "shape") or item.size == 0:
+            # "#refs#" is where MATLAB keeps what has no name.
+            if name.startswith("#") or not isinstance(item, h5py.Dataset) or item.size == 0:
                 continue
             if item.dtype.names:
                 arrays |= {f"{name}.{part}": item[part] for part in item.dtype.names}
