@@ -50,6 +50,7 @@ CSV_COLUMNS = (
 )
 _SAME_GRAVITY_M_S2 = 1e-7  # Rounding of the figures in a file: a larger difference is another value.
 _COLORS = ("#111111", "#0b5394", "#b45f06")
+# Shape and line style tell the curves apart on grey paper; nine of a kind at most (g-sensitivity).
 _MARKERS = "osD^v<>Px"
 # One row for each TOML file; ``fault`` says why it is no entry, and is empty where it was never meant to be one.
 _SCHEMA = """

@@ -31,7 +31,7 @@ from imufield.deliver.exports.whole_model import WholeModel, apply_header, gauge
 from imufield.errors import ParameterFileError, Reason
 
 MAGIC = b"IMUFIELD"
-VERSION = 1
+VERSION = 1  # apply.h and unpack refuse a newer one.
 # The table above; apply.h reads the same offsets.
 _LAYOUT = struct.Struct("<8sHHI16s16s32s24s45dI")
 SIZE = _LAYOUT.size + 4

@@ -29,6 +29,7 @@ import numpy as np
 from imufield.calibrate.model.gauge import change_gauge
 from imufield.calibrate.model.models import MISALIGNMENT, to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters
+from imufield.deliver.parameters.apply import correction_matrix
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray
 
@@ -143,8 +144,11 @@ def linear_corrections(calibration: Calibration, frame: Frame = "file") -> Corre
     gyroscope, g_sensitivity = None, np.zeros((3, 3))
     rates = _usable_gyroscope(calibration)
     if rates is not None:
-        gyroscope, g_sensitivity = Correction(_inverse(rates.scale, rates.misalignment_rad), rates.bias), rates.g_sensitivity
-    matrix = _inverse(accelerometer.scale, accelerometer.misalignment_rad)
+        gyroscope, g_sensitivity = (
+            Correction(correction_matrix(rates.scale, rates.misalignment_rad), rates.bias),
+            rates.g_sensitivity,
+        )
+    matrix = correction_matrix(accelerometer.scale, accelerometer.misalignment_rad)
     corrections = Corrections(Correction(matrix, offset), gyroscope, g_sensitivity, rotation=np.eye(3))
     if frame == "file":
         return corrections
@@ -236,7 +240,3 @@ def _usable_gyroscope(calibration: Calibration) -> GyroscopeParameters | None:
     """Return the parameters of a gyroscope whose scale is known: without it there is no rate."""
     gyroscope = calibration.gyroscope
     return gyroscope.parameters if gyroscope is not None and np.isfinite(gyroscope.parameters.scale).all() else None
-
-
-def _inverse(scale: FloatArray, misalignment_rad: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.inv(scale[:, None] * (np.eye(3) + misalignment_rad)), dtype=np.float64)

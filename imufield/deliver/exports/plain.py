@@ -9,7 +9,7 @@ from imufield.deliver.exports.text import comment, json_file, text_file, yaml_li
 from imufield.deliver.exports.whole_model import gauge_note, whole_model
 
 FORMAT = "imufield-correction"
-VERSION = 1
+VERSION = 1  # Rises where a program that reads it would misread a new document.
 
 
 def export(job: Job) -> Draft:

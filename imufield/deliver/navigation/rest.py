@@ -27,9 +27,10 @@ SECOND_S = 1.0
 MOVED_RATE_RAD_S = np.radians(0.3)  # 70 times the Earth's rate, and far below what a hand does.
 MOVED_FORCE_M_S2 = 0.05
 """Changes above these, and above eight times the noise, are no drift of an instrument at rest."""
-_MOVED_SIGMAS = 8.0
+_MOVED_SIGMAS = 8.0  # Of 18,000 seconds with six axes not one passes it by chance.
 _FORCE_LAG = 10  # Seconds over which the specific force is compared with itself: temperature is slower, a hand is faster.
 _SHORTEST_FOR_FLICKER = 600  # Seconds: below, there is nothing but white noise to be seen.
+# sigma^2 = (2 ln 2 / pi) B^2 on the flat part of the Allan deviation, IEEE Std 952-2020.
 _FLICKER = 2 * math.log(2) / math.pi
 _SHARED = 1.8  # Octaves share data: B^2 of 82 simulated recordings scattered so much more than it would if they did not.
 _PASSES = 6  # Of the weights, which depend on the fit.

@@ -35,7 +35,7 @@ def correct_accelerometer(parameters: AccelerometerParameters, raw: FloatArray, 
         out = np.empty(raw.shape) if out is None else out
         out[...] = recover(parameters, raw.reshape(-1, 3)).reshape(raw.shape)
         return out
-    inverse = _inverse(parameters.scale, parameters.misalignment_rad)
+    inverse = correction_matrix(parameters.scale, parameters.misalignment_rad)
     return _affine(inverse, parameters.raw_zero + parameters.scale * parameters.bias_m_s2, raw, out=out)
 
 
@@ -64,7 +64,7 @@ def correct_gyroscope(
         If a g-sensitivity was fitted and ``specific_force`` is not given, or a shape is wrong.
     """
     raw = three_columns(raw, "gyroscope")
-    inverse = _inverse(parameters.scale, parameters.misalignment_rad)
+    inverse = correction_matrix(parameters.scale, parameters.misalignment_rad)
     if not np.any(parameters.g_sensitivity):
         return _affine(inverse, parameters.bias, raw, out=out)
     if specific_force is None:
@@ -89,8 +89,8 @@ def correct_both(accelerometer: AccelerometerParameters, gyroscope: GyroscopePar
     corrected = np.empty(raw.shape)
     if np.any(accelerometer.quadratic):
         return _by_triads(accelerometer, gyroscope, raw, corrected)
-    force = _inverse(accelerometer.scale, accelerometer.misalignment_rad)
-    rate = _inverse(gyroscope.scale, gyroscope.misalignment_rad)
+    force = correction_matrix(accelerometer.scale, accelerometer.misalignment_rad)
+    rate = correction_matrix(gyroscope.scale, gyroscope.misalignment_rad)
     matrix = np.block([[force, np.zeros((3, 3))], [-rate @ gyroscope.g_sensitivity @ force, rate]])
     offset = np.concatenate([accelerometer.raw_zero + accelerometer.scale * accelerometer.bias_m_s2, gyroscope.bias])
     _affine(matrix, offset, raw, out=corrected)
@@ -112,9 +112,9 @@ def _by_triads(
     return out
 
 
-def _inverse(scale: FloatArray, misalignment_rad: FloatArray) -> FloatArray:
-    forward = scale[:, None] * (np.eye(3) + misalignment_rad)
-    return np.asarray(np.linalg.inv(forward), dtype=np.float64)
+def correction_matrix(scale: FloatArray, misalignment_rad: FloatArray) -> FloatArray:
+    """Return C = (K T)^-1, shape (3, 3)."""
+    return np.asarray(np.linalg.inv(scale[:, None] * (np.eye(3) + misalignment_rad)), dtype=np.float64)
 
 
 def _affine(

@@ -22,6 +22,7 @@ from imufield.deliver.parameters.numbers import DEG_PER_HOUR_RAD_S
 from imufield.earth import MILLI_G_M_S2, STANDARD_GRAVITY_M_S2
 from imufield.samples import AXES, FloatArray
 
+# Places of the numbers, in the order of the file.
 _ANGLES = ("xy", "xz", "yz")
 _MISALIGNMENTS = ("xy", "xz", "yx", "yz", "zx", "zy")
 _SENSITIVITIES = tuple(row + column for row in AXES for column in AXES)

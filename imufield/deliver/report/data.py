@@ -15,6 +15,7 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration, GyroscopeParameters
 from imufield.calibrate.solvers.registry import load_solver
 from imufield.deliver.navigation.rest import IntervalMeans
+from imufield.deliver.parameters.apply import correction_matrix
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.schema import Document
 from imufield.earth import EARTH_RATE_RAD_S
@@ -224,12 +225,16 @@ def closure(
         return None
     data = make_data(GyroscopeInput(observations=observations, moves=moves, calibration=calibration))
     up, rest = data.up[data.after], data.rest_raw
+    # Without a latitude the Earth's rate is left out: 15 deg/h over a move of seconds is below what is drawn.
     vertical = EARTH_RATE_RAD_S * np.sin(np.radians(calibration.gravity.latitude_deg or 0.0))
-    before = preset if preset is not None and np.isfinite(preset.scale).all() else _plain(nominal, rest)
+    before = preset if preset is not None and np.isfinite(preset.scale).all() else None
+    if before is None and nominal is not None:
+        # What a user has without any calibration: the driver's scale, and the mean at rest taken off.
+        before = GyroscopeParameters(np.full(3, nominal), np.zeros((3, 3)), rest, np.zeros((3, 3)))
 
     def angles(gyroscope: GyroscopeParameters) -> FloatArray:
         p = np.zeros(data.parameters)
-        inverse = np.linalg.inv(gyroscope.scale[:, None] * (np.eye(3) + gyroscope.misalignment_rad))
+        inverse = correction_matrix(gyroscope.scale, gyroscope.misalignment_rad)
         p[INVERSE] = inverse.ravel()
         p[BIAS] = inverse @ (gyroscope.bias - rest)
         p[SENSITIVITY] = (inverse @ gyroscope.g_sensitivity).ravel()
@@ -239,9 +244,3 @@ def closure(
 
     unknown = np.full(len(moves), np.nan)
     return Closure(moves.start_s, unknown if before is None else angles(before), angles(calibration.gyroscope.parameters))
-
-
-def _plain(nominal: float | None, rest: FloatArray) -> GyroscopeParameters | None:
-    if nominal is None:
-        return None
-    return GyroscopeParameters(np.full(3, nominal), np.zeros((3, 3)), rest, np.zeros((3, 3)))

@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.errors import Reason, RecordingError, UsageError
-from imufield.samples import UNUSABLE, FloatArray, Samples, SampleUnits, Status
+from imufield.samples import UNUSABLE, FloatArray, Samples, Status
 
 TOPIC = "/imu/data_raw"  # REP 145: data without orientation.
+# Flags of one triad alone: they leave the other usable.
 _OF_ACCELEROMETER = Status.ACCELEROMETER_INVALID | Status.ACCELEROMETER_SATURATED
 _OF_GYROSCOPE = Status.GYROSCOPE_INVALID | Status.GYROSCOPE_SATURATED
 SCHEMA_NAME = "sensor_msgs/msg/Imu"
@@ -94,18 +95,25 @@ def _nanoseconds(time_s: FloatArray) -> NDArray[np.int64]:
             Reason.BOUNDS,
         )
     whole = np.floor(time_s)
-    nanoseconds: NDArray[np.int64] = whole.astype(np.int64) * NANOSECONDS + np.rint((time_s - whole) * NANOSECONDS).astype(
-        np.int64
-    )
+    # Whole seconds apart: a float64 of both together has no nanoseconds left after an hour.
+    parts = np.rint((time_s - whole) * NANOSECONDS).astype(np.int64)
+    nanoseconds: NDArray[np.int64] = whole.astype(np.int64) * NANOSECONDS + parts
     return nanoseconds
 
 
 def _messages(samples: Samples, stamps: NDArray[np.int64]) -> NDArray[np.void]:
-    _check_units(samples.units)
+    units = samples.units
+    if not units.is_si:
+        raise UsageError(
+            f"ROS knows m/s^2 and rad/s, the session holds {units.accelerometer} and {units.gyroscope}: export csv, parquet or "
+            "hdf5, or correct it first with `imufield apply`",
+            Reason.UNITS,
+        )
     messages = np.zeros(len(samples), dtype=_MESSAGE)
     messages["head"][:, 1] = 1
     messages["sec"], messages["nanosec"] = stamps // NANOSECONDS, stamps % NANOSECONDS
     messages["frame_size"], messages["frame_id"] = 4, b"imu"
+    # A quaternion of length one, although it means nothing: programs that draw it must not divide by zero.
     messages["orientation"][:, 3] = 1.0
     messages["orientation_covariance"][:, 0] = _NOT_AVAILABLE
     for name, values, flag in (
@@ -118,12 +126,3 @@ def _messages(samples: Samples, stamps: NDArray[np.int64]) -> NDArray[np.void]:
         messages[name][gone] = np.nan
         messages[f"{name}_covariance"][gone, 0] = _NOT_AVAILABLE
     return messages
-
-
-def _check_units(units: SampleUnits) -> None:
-    if not units.is_si:
-        raise UsageError(
-            f"ROS knows m/s^2 and rad/s, the session holds {units.accelerometer} and {units.gyroscope}: export csv, parquet or "
-            "hdf5, or correct it first with `imufield apply`",
-            Reason.UNITS,
-        )

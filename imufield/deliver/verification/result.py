@@ -30,7 +30,7 @@ from imufield.files import read_small_file, typed_write_errors, write_atomically
 from imufield.version import __version__
 
 FORMAT = "imufield-verification"
-VERSION = 1
+VERSION = 1  # A report leaves out results of another one.
 REQUIREMENTS = {
     "residual-ug": "RMS residual of held-out positions, micro-g",
     "nav-nmi-per-h": "largest position error over the time navigated, nautical miles an hour",
