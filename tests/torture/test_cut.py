@@ -23,8 +23,8 @@ SOLVED = 8
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A session of 24 positions."""
-    return simulated_session(tmp_path_factory.mktemp("cut") / "session").folder
+    """A session of six faces: short, so that much of the time goes in cuts."""
+    return simulated_session(tmp_path_factory.mktemp("cut") / "session", "faces6").folder
 
 
 def chunks_of(part: Path, damage: list[Damage]) -> list[Chunk]:

@@ -17,8 +17,10 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc
 from imufield.acquire.recording.reader import RecordedBlock, read_blocks
 from imufield.acquire.recording.session import Session
+from imufield.cli.run import run
 from imufield.guide.positions import scheme
 from tests.acquire import array_files
+from tests.commands.conftest import simulated_session
 from tests.commands.test_import import DBC, MAP, write_log
 from tests.torture.conftest import Campaign
 from tests.torture.mutations import binary_edits, damaged, text_edits
@@ -145,10 +147,11 @@ CORPORA = (
 
 
 @pytest.fixture(scope="module")
-def sound(solved_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a solved session, a byte dump of it, and logs of a CAN bus."""
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a solved session of six faces, a byte dump of it, and logs of a CAN bus."""
     folder = tmp_path_factory.mktemp("sound")
-    shutil.copytree(solved_session, folder / "session")
+    simulated_session(folder / "session", "faces6")
+    assert run(["solve", str(folder / "session"), "--latitude", "48"]) == 0
     (folder / "dump.bin").write_bytes(_dump(folder))
     (folder / "mine.dbc").write_text(DBC, encoding="ascii")
     for name in ("drive.log", "drive.blf"):
