@@ -201,8 +201,15 @@ def positional_calls(found: list[Module]) -> list[str]:
         f"{module.path.relative_to(PROJECT)}:{node.lineno}"
         for module in found
         for node in ast.walk(module.tree)
-        if isinstance(node, ast.Call) and len(node.args) >= POSITIONAL and _called(node) in known.get(type(node.func), ())
+        if isinstance(node, ast.Call) and len(node.args) >= POSITIONAL
+        if _called(node) in known.get(type(node.func), set()) - _foreign(module)
     ]
+
+
+def _foreign(module: Module) -> set[str]:
+    """Return the names that a module has from other packages."""
+    origins = [node for node in ast.walk(module.tree) if isinstance(node, ast.ImportFrom)]
+    return {alias.name for node in origins if not (node.module or "").startswith("imufield") for alias in node.names}
 
 
 def _called(call: ast.Call) -> str:
