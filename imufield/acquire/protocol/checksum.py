@@ -131,7 +131,8 @@ class Crc(Checksum):
         self._start_left = np.array([register], dtype=np.uint64)
         self._by_length: dict[int, _Tables] = {}
 
-    def of_rows(self, rows: Bytes) -> Values:  # noqa: D102  as the base class has it
+    def of_rows(self, rows: Bytes) -> Values:
+        """Return the checksum of each row, as the base class has it."""
         count, length = rows.shape
         if length > _LONGEST_TABLE:
             whole = np.ascontiguousarray(rows).reshape(-1)
@@ -227,7 +228,8 @@ class Sum(Checksum):
         self._negated = negated
         self._words = words
 
-    def of_rows(self, rows: Bytes) -> Values:  # noqa: D102  as the base class has it
+    def of_rows(self, rows: Bytes) -> Values:
+        """Return the checksum of each row, as the base class has it."""
         if self.size == 1:
             return self._finish(np.add.reduce(rows, axis=1, dtype=np.uint8).astype(np.uint64))
         total = rows.sum(axis=1, dtype=np.uint64)
@@ -252,7 +254,8 @@ class Xor(Checksum):
 
     size = 1
 
-    def of_rows(self, rows: Bytes) -> Values:  # noqa: D102  as the base class has it
+    def of_rows(self, rows: Bytes) -> Values:
+        """Return the checksum of each row, as the base class has it."""
         return np.asarray(np.bitwise_xor.reduce(rows, axis=1), dtype=np.uint64)
 
     def _spans(self, span: _Ragged, lengths: Positions) -> Values:  # noqa: ARG002  an XOR needs no length
@@ -265,7 +268,8 @@ class Fletcher(Checksum):
 
     size = 2
 
-    def of_rows(self, rows: Bytes) -> Values:  # noqa: D102  as the base class has it
+    def of_rows(self, rows: Bytes) -> Values:
+        """Return the checksum of each row, as the base class has it."""
         weights = np.arange(rows.shape[1], 0, -1, dtype=np.uint64)
         if rows.shape[1] <= _EXACT_IN_SINGLE:
             both = np.stack([np.ones(len(weights)), weights], axis=1).astype(np.float32)
