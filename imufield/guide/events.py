@@ -66,8 +66,9 @@ class Event:
     time_s: float
     """Sample clock."""
 
-    def __init_subclass__(cls) -> None:
-        # A dataclass with slots is made twice; the second class is the one that is used.
+    def __init_subclass__(cls, kind: str = "") -> None:
+        # A dataclass with slots is made twice; the second class, which is used, has the name from the first.
+        cls.kind = kind or cls.kind
         EVENTS[cls.kind] = cls
 
     def to_dict(self) -> dict[str, object]:
@@ -87,10 +88,8 @@ def _plain(value: object) -> object:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NoiseFloorMeasured(Event):
+class NoiseFloorMeasured(Event, kind="noise_floor"):
     """The noise floor is known; stillness is judged from here on."""
-
-    kind: ClassVar[str] = "noise_floor"
 
     accelerometer_sigma: float
     """Rms of single samples over the axes, in ``accelerometer_unit``."""
@@ -107,10 +106,8 @@ class NoiseFloorMeasured(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Move(Event):
+class Move(Event, kind="move"):
     """Bring the unit to the next position."""
-
-    kind: ClassVar[str] = "move"
 
     position: str
     direction: Vector
@@ -122,10 +119,8 @@ class Move(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Turning(Event):
+class Turning(Event, kind="turning"):
     """The unit moves; where it points now. At most a few a second."""
-
-    kind: ClassVar[str] = "turning"
 
     direction: Vector
     """Of the specific force, in the body frame: up, as long as the motion is slow."""
@@ -139,10 +134,8 @@ class Turning(Event):
 
 
 @dataclass(frozen=True, slots=True)
-class Hold(Event):
+class Hold(Event, kind="hold"):
     """The unit is still at a pending position: leave it."""
-
-    kind: ClassVar[str] = "hold"
 
     position: str
     words: str
@@ -153,10 +146,8 @@ class Hold(Event):
 
 
 @dataclass(frozen=True, slots=True)
-class Holding(Event):
+class Holding(Event, kind="holding"):
     """Part of the hold is done. At most a few a second."""
-
-    kind: ClassVar[str] = "holding"
 
     position: str
     fraction: float
@@ -164,10 +155,8 @@ class Holding(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Accepted(Event):
+class Accepted(Event, kind="accepted"):
     """The position is measured."""
-
-    kind: ClassVar[str] = "accepted"
 
     position: str
     direction: Vector
@@ -200,10 +189,8 @@ class Accepted(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rejected(Event):
+class Rejected(Event, kind="rejected"):
     """A hold was refused, or cannot begin: why, by how much, and what to do."""
-
-    kind: ClassVar[str] = "rejected"
 
     position: str | None
     reason: RefusalCode
@@ -230,10 +217,8 @@ class Topic(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Advice(Event):
+class Advice(Event, kind="advice"):
     """Something the operator may act on, or not; nothing is refused."""
-
-    kind: ClassVar[str] = "advice"
 
     topic: Topic
     position: str | None
@@ -245,10 +230,8 @@ class Advice(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Turn(Event):
+class Turn(Event, kind="turn"):
     """Make a whole turn for the gyroscope."""
-
-    kind: ClassVar[str] = "turn"
 
     axis: str
     """Body axis to turn about."""
@@ -262,10 +245,8 @@ class Turn(Event):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Turned(Event):
+class Turned(Event, kind="turned"):
     """A whole turn is done; ``start_s`` and ``end_s`` are the ends of the motion on the sample clock."""
-
-    kind: ClassVar[str] = "turned"
 
     axis: str
     turns: int
@@ -282,10 +263,8 @@ class Turned(Event):
 
 
 @dataclass(frozen=True, slots=True)
-class Marked(Event):
+class Marked(Event, kind="marked"):
     """An operator's mark was applied, or could not be."""
-
-    kind: ClassVar[str] = "marked"
 
     action: str
     position: str | None
@@ -293,10 +272,8 @@ class Marked(Event):
 
 
 @dataclass(frozen=True, slots=True)
-class LinkLost(Event):
+class LinkLost(Event, kind="link_lost"):
     """No more samples arrive."""
-
-    kind: ClassVar[str] = "link_lost"
 
     accepted: int
     planned: int
@@ -304,19 +281,15 @@ class LinkLost(Event):
 
 
 @dataclass(frozen=True, slots=True)
-class LinkBack(Event):
+class LinkBack(Event, kind="link_back"):
     """Samples arrive again."""
-
-    kind: ClassVar[str] = "link_back"
 
     words: str
 
 
 @dataclass(frozen=True, slots=True)
-class Done(Event):
+class Done(Event, kind="done"):
     """Nothing is left to do."""
-
-    kind: ClassVar[str] = "done"
 
     accepted: int
     planned: int

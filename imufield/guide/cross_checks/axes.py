@@ -38,6 +38,8 @@ _LONGEST_MOVE_CELLS = 600  # A minute: over a longer one the gyroscope drifts, a
 _MOVES_KEPT = 24  # As many as a scheme has positions; the search costs in proportion.
 _SCALES = 25  # Steps of each of the two searches for a scale: the second resolves 1 %.
 _SAME_FACTOR = 0.1  # Of a logarithm: an uncalibrated scale is off by less.
+# Units that are confused, by the ratio that this makes.
+_CONFUSED = ((math.degrees(1.0), "rad/s taken for deg/s"), (math.radians(1.0), "deg/s taken for rad/s"))
 _MOVES_FOR_SCALE = 12  # The shortest ones: one factor needs no more, and they cost least.
 # Total angle turned over the angle between the ups, as the range in which an unknown scale is searched.
 _TURNS_OF_UP = (0.5, 4.0)
@@ -136,7 +138,7 @@ class MoveLog:
         """Return the moves with a gyroscope that turned up by enough to tell axes apart."""
         found = []
         for before, after, rates in self._finished:
-            start, end = (_unit(scale.specific_force(np.array(mean[:3]))) for mean in (before, after))
+            start, end = (scale.up(np.array(mean[:3])) for mean in (before, after))
             bias = (np.array(before[3:]) + np.array(after[3:])) / 2
             rate = np.array(rates) - bias
             if np.isfinite(rate).all() and _angle(start, end) > math.radians(_LEAST_TURN_DEG):
@@ -166,7 +168,7 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
         return given
     words = refusals.SCALE_DIFFERS.words.format(
         ratio=ratio,
-        cause=_likely_cause(ratio),
+        cause=next((f" ({cause})" for factor, cause in _CONFUSED if abs(math.log(ratio / factor)) < _SAME_FACTOR), ""),
         measured=given.misfit_deg,
         axes="" if scaled.agrees is not False else f" and with gyroscope {axes_words(scaled.permutation)}",
         best=scaled.best_misfit_deg,
@@ -223,19 +225,15 @@ def _misfit(moves: list[MoveBetweenStills], permutations: FloatArray, scale: flo
         angle[: len(move.rate_raw), i] = move.rate_raw * (CELL_S / scale)
     up = np.tile(np.array([move.up_before for move in moves]), (len(permutations), 1, 1))
     for step in angle:
-        up = _carry(up, np.einsum("pij,mj->pmi", permutations, step))
+        # Turned by minus the rotation vectors: Rodrigues' formula.
+        turn = np.einsum("pij,mj->pmi", permutations, step)
+        size = np.linalg.norm(turn, axis=-1, keepdims=True)
+        axis = turn / np.maximum(size, 1e-12)
+        along = (axis * up).sum(axis=-1, keepdims=True)
+        up = up * np.cos(size) - np.cross(axis, up) * np.sin(size) + axis * along * (1 - np.cos(size))
     after = np.array([move.up_after for move in moves])
     sine = np.linalg.norm(np.cross(up, after), axis=2)
     return np.asarray(np.sqrt(np.mean(np.arctan2(sine, (up * after).sum(axis=2)) ** 2, axis=1)))
-
-
-def _carry(up: FloatArray, turn: FloatArray) -> FloatArray:
-    """Turn directions by minus the rotation vectors ``turn``, both of shape (..., 3): Rodrigues' formula."""
-    angle = np.linalg.norm(turn, axis=-1, keepdims=True)
-    axis = turn / np.maximum(angle, 1e-12)
-    along = (axis * up).sum(axis=-1, keepdims=True)
-    result: FloatArray = up * np.cos(angle) - np.cross(axis, up) * np.sin(angle) + axis * along * (1 - np.cos(angle))
-    return result
 
 
 def _find_scale(moves: list[MoveBetweenStills]) -> float:
@@ -259,18 +257,6 @@ def axes_words(permutation: FloatArray) -> str:
     return ", ".join(
         f"{AXES[i]} = {'+' if row.sum() > 0 else '-'}{AXES[int(np.abs(row).argmax())]}" for i, row in enumerate(permutation)
     )
-
-
-def _likely_cause(ratio: float) -> str:
-    """Return which two units were confused, where the ratio is theirs to a tenth."""
-    for factor, cause in ((math.degrees(1.0), "rad/s taken for deg/s"), (math.radians(1.0), "deg/s taken for rad/s")):
-        if abs(math.log(ratio / factor)) < _SAME_FACTOR:
-            return f" ({cause})"
-    return ""
-
-
-def _unit(vector: FloatArray) -> FloatArray:
-    return vector / np.linalg.norm(vector)
 
 
 def _angle(first: FloatArray, second: FloatArray) -> float:

@@ -35,8 +35,6 @@ SUSPECT_SHARE = 1e-4
 _FEW = (28.0, 15.54, 11.18, 9.08, 7.88, 7.12, 6.59, 6.21, 5.92, 5.69, 5.51, 5.36, 5.24, 5.13, 5.04)
 SUSPECT_M_S2 = 3e-4 * STANDARD_GRAVITY_M_S2  # And by this much: less does no harm that another hold would cure.
 _TOLD_SHARE = 0.5  # A sigma of more than this share of the prior's was assumed rather than measured.
-# Names of the groups of a forecast, and their places among the parameters.
-_GROUPS = {"bias_ug": 1, "scale_ppm": 0, "misalignment_urad": 2, "quadratic_ug_per_g2": 3}
 _STEPS = 8  # Of Gauss-Newton: with priors it converges in four.
 _LINEAR = 9  # Free parameters without the quadratic term.
 _LEAST_FREEDOM = 0.05  # Of a residual: a position that the others say nothing of would weigh without bound.
@@ -83,16 +81,10 @@ class RunningFit:
     condition: float
 
     @cached_property
-    def information(self) -> FloatArray:
-        """Inverse covariance, priors included, shape (12, 12)."""
-        weighted = self.jacobian / self.sigma_m_s2[:, None]
-        result: FloatArray = weighted.T @ weighted + np.diag(self.prior_sigma**-2.0)
-        return result
-
-    @cached_property
     def covariance(self) -> FloatArray:
-        """Forecast covariance, shape (12, 12)."""
-        return np.asarray(np.linalg.inv(self.information), dtype=np.float64)
+        """Forecast covariance, priors included, shape (12, 12)."""
+        weighted = self.jacobian / self.sigma_m_s2[:, None]
+        return np.asarray(np.linalg.inv(weighted.T @ weighted + np.diag(self.prior_sigma**-2.0)), dtype=np.float64)
 
     def forecast(self) -> dict[str, float]:
         """Return 1 sigma of the groups of parameters, the largest axis of each, in the units people use.
@@ -100,15 +92,15 @@ class RunningFit:
         A group that the positions do not show yet, whose sigma is still that of the prior, is left out.
         """
         sigma = np.sqrt(np.diag(self.covariance))
-        told = (sigma / self.prior_sigma).reshape(4, 3).max(axis=1) < _TOLD_SHARE
+        scale, bias, angles, square = (sigma / self.prior_sigma).reshape(4, 3).max(axis=1) < _TOLD_SHARE
         K = np.abs(self.vector[:3])
         known = {
-            "bias_ug": float(sigma[3:6].max() / MICRO_G_M_S2),
-            "scale_ppm": float((sigma[:3] / K).max() * 1e6),
-            "misalignment_urad": float(sigma[6:9].max() * 1e6),
-            "quadratic_ug_per_g2": float((sigma[9:] / K).max() * STANDARD_GRAVITY_M_S2**2 / MICRO_G_M_S2),
+            "bias_ug": (bias, sigma[3:6].max() / MICRO_G_M_S2),
+            "scale_ppm": (scale, (sigma[:3] / K).max() * 1e6),
+            "misalignment_urad": (angles, sigma[6:9].max() * 1e6),
+            "quadratic_ug_per_g2": (square, (sigma[9:] / K).max() * STANDARD_GRAVITY_M_S2**2 / MICRO_G_M_S2),
         }
-        return {name: known[name] for name, group in _GROUPS.items() if told[group]}
+        return {name: float(value) for name, (told, value) in known.items() if told}
 
     def common_scale(self) -> tuple[float, float]:
         """Return the mean of the sensing axes' scales, raw rate per m/s^2, and its relative 1 sigma; free of the gauge."""

@@ -122,7 +122,12 @@ def cell_means(cells: Cells) -> tuple[FloatArray, FloatArray]:
     if m > 1:
         factor = np.sqrt([correlation_factor(column) for column in deviation.T])
         covariance = deviation.T @ deviation / ((m - 1) * m) * np.outer(factor, factor)
-    least = np.maximum(white, _resolution_variance(mean, np.sqrt(pooled), cells.step.min(axis=0), total))
+    # A step q of the output gives q^2 / 12. Noise above half a step spreads the reading over the steps, so the error averages
+    # out with the samples; a quieter output sits between two steps and stays there.
+    step = cells.step.min(axis=0)
+    step = np.where(np.isfinite(step), step, UNKNOWN_RESOLUTION * np.abs(mean))
+    samples = np.where(np.sqrt(pooled) > step / 2, total, 1.0)
+    least = np.maximum(white, step**2 / 12 / np.maximum(samples, 1.0))
     covariance += np.diag(np.maximum(least - np.diag(covariance), 0.0))
     absent = np.isnan(mean)
     covariance[absent, :] = np.nan
@@ -148,18 +153,6 @@ def correlation_factor(deviation: FloatArray) -> float:
     factor = max(2 * float(kept.sum()) - 1, 1.0)
     # Deviations from the series' own mean miss the variance of that mean, the share factor / m.
     return factor / max(1 - factor / m, 0.5)
-
-
-def _resolution_variance(mean: FloatArray, sigma: FloatArray, step: FloatArray, total: FloatArray) -> FloatArray:
-    """Return the variance that the resolution leaves in a mean, shape (6,).
-
-    A step q gives q^2 / 12. Noise above half a step spreads the reading over the steps, so the error averages out with
-    the samples; a quieter output sits between two steps and stays there.
-    """
-    known = np.where(np.isfinite(step), step, UNKNOWN_RESOLUTION * np.abs(mean))
-    samples = np.where(sigma > known / 2, total, 1.0)
-    result: FloatArray = known**2 / 12 / np.maximum(samples, 1.0)
-    return result
 
 
 def knocks_of(cells: Cells, limits: Limits) -> FloatArray:

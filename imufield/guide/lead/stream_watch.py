@@ -1,7 +1,8 @@
-"""Watches the stream of cells for what is wrong with the data: loss, clock, sample rate, axes and scales that contradict."""
+"""Watches the stream of cells for what is wrong with the data: loss, clock, rate, warm-up, axes and scales that contradict."""
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -12,13 +13,10 @@ from imufield.guide.cross_checks.sides import DeadAxis
 from imufield.guide.events import RefusalCode
 from imufield.guide.hold.checks import explain_flags
 from imufield.guide.lead.speaker import REMIND_S, Speaker
-from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import CELL_S, Cells
 from imufield.guide.stillness.detector import USABLE_SHARE, StillnessDetector
-from imufield.guide.stillness.noise_floor import FLOOR_S, is_even, why_not_quiet
-from imufield.guide.stillness.scale import RoughScale
+from imufield.guide.stillness.noise_floor import FLOOR_S, is_even, measure_floor, why_not_quiet
 from imufield.guide.stillness.stretch import Judgement
-from imufield.guide.stillness.warmth import Warmth
 from imufield.samples import AXES
 
 _BAD_IN_A_ROW = 3  # Cells without usable samples before anybody is told: a second of a computer's delay is harmless.
@@ -28,6 +26,39 @@ _RATE_REMIND_S = 6 * REMIND_S  # A rate that changed stays so.
 _JUMP_S = 2.0  # A gap in the sample clock that is told: a suspended computer, an instrument that began anew.
 _WAIT = 2  # Lengths of a noise floor waited for before anybody is told why.
 _IN_VAIN = 5  # The same before the settings come under suspicion.
+_WARMTH_CELLS = 300  # Half a minute: a longer one still sees a warm-up that is over.
+_FEWEST_OF_WARMTH = 60  # Six seconds tell a slope of 1 degC/min from a step of 0.01 degC.
+
+
+class Warmth:
+    """Is the instrument warm? The slope of the temperature that it reports, over the last half minute."""
+
+    def __init__(self) -> None:
+        self._degc: deque[float] = deque(maxlen=_WARMTH_CELLS)
+
+    def follow(self, cells: Cells, row: int) -> None:
+        """Add one cell; a NaN temperature is ignored."""
+        value = float(cells.temperature_degc[row])
+        if math.isfinite(value):
+            self._degc.append(value)
+
+    def clear(self) -> None:
+        """Forget the temperatures: time has passed that was not observed."""
+        self._degc.clear()
+
+    @property
+    def slope_degc_min(self) -> float:
+        """Slope of a straight line less twice its sigma towards zero, degC per minute; 0 while not known."""
+        window = np.array(self._degc)
+        if len(window) < _FEWEST_OF_WARMTH:
+            return 0.0
+        time_min = (np.arange(len(window)) - (len(window) - 1) / 2) * CELL_S / 60
+        spread = float(time_min @ time_min)
+        slope = float(time_min @ window) / spread
+        residual = window - window.mean() - slope * time_min
+        # Readings come in steps and repeat from cell to cell: a tenth of them counts.
+        sigma = math.sqrt(float(residual @ residual) / max(len(window) / 10 - 2, 1) / spread)
+        return math.copysign(max(abs(slope) - 2 * sigma, 0.0), slope)
 
 
 class StreamWatch:
@@ -133,32 +164,27 @@ class StreamWatch:
         self._waited += len(cells)
         self._speaker.advance(cells, -1)
         waited_s = self._waited * CELL_S
-        if waited_s > _WAIT * FLOOR_S and cells.usable.any() and self._speaker.due("not quiet", REMIND_S):
-            in_vain = waited_s > _IN_VAIN * FLOOR_S
-            self._speaker.reject(_not_quiet(self._detector.waited(), self._detector.scale, in_vain=in_vain))
-
-
-def _not_quiet(cells: Cells, scale: RoughScale, *, in_vain: bool) -> Refusal:
-    """Return what kept the last cells from being quiet.
-
-    ``in_vain`` means that the wait was long enough to suspect the settings where it looks like noise.
-    """
-    cells = cells[np.flatnonzero(cells.usable)]
-    cause = why_not_quiet(cells, scale) if len(cells) > 1 else None
-    if cause is None:
-        whole_s = float((cells.end_s - cells.start_s).sum())
-        return refusals.NOT_QUIET_MISSING.refusal(whole_s, FLOOR_S, floor_s=FLOOR_S)
-    triad, factor, unit = (("accelerometer", scale.accelerometer, "m/s^2"), ("gyroscope", scale.gyroscope, "rad/s"))[
-        cause.column // 3
-    ]
-    sentence = refusals.NOT_QUIET_SHAKES if cause.shakes else refusals.NOT_QUIET_STRAYS
-    if in_vain and cause.shakes and is_even(cells, scale):
-        sentence = refusals.NOT_QUIET_EVEN
-    return sentence.refusal(
-        cause.measured / (factor or 1.0),
-        cause.limit / (factor or 1.0),
-        axis=AXES[cause.column % 3],
-        unit=unit if factor else "raw unit",
-        triad=triad,
-        floor_s=FLOOR_S,
-    )
+        if waited_s <= _WAIT * FLOOR_S or not cells.usable.any() or not self._speaker.due("not quiet", REMIND_S):
+            return
+        window, scale = self._detector.waited(), self._detector.scale
+        window = window[np.flatnonzero(window.usable)]
+        cause = why_not_quiet(window, scale) if len(window) > 1 else None
+        if cause is None:
+            whole_s = float((window.end_s - window.start_s).sum())
+            self._speaker.reject(refusals.NOT_QUIET_MISSING.refusal(whole_s, FLOOR_S, floor_s=FLOOR_S))
+            return
+        sentence = refusals.NOT_QUIET_SHAKES if cause.shakes else refusals.NOT_QUIET_STRAYS
+        # After a long wait the settings are suspected, too, where the motion looks like noise.
+        if waited_s > _IN_VAIN * FLOOR_S and cause.shakes and is_even(window, measure_floor(window), scale):
+            sentence = refusals.NOT_QUIET_EVEN
+        triads = (("accelerometer", scale.accelerometer, "m/s^2"), ("gyroscope", scale.gyroscope, "rad/s"))
+        triad, factor, unit = triads[cause.column // 3]
+        refusal = sentence.refusal(
+            cause.measured / (factor or 1.0),
+            cause.limit / (factor or 1.0),
+            axis=AXES[cause.column % 3],
+            unit=unit if factor else "raw unit",
+            triad=triad,
+            floor_s=FLOOR_S,
+        )
+        self._speaker.reject(refusal)

@@ -143,7 +143,11 @@ def measure_cells(samples: Samples, slot: IntArray) -> Cells:
         gyroscope_usable = usable & np.isfinite(values[3:]).all(axis=0)
         mask = np.repeat(np.stack((usable, gyroscope_usable)), 3, axis=0)
         counts = np.add.reduceat(mask, starts, axis=1, dtype=np.int64)
-        first, deviation = _masked_deviation(values, mask, starts, count)
+        # The first usable value; behind the last sample stands a zero, which a cell without a usable sample refers to.
+        first_usable = np.minimum.reduceat(np.where(mask, np.arange(len(slot)), len(slot)), starts, axis=1)
+        padded = np.concatenate((np.where(mask, values, 0.0), np.zeros((6, 1))), axis=1)
+        first = np.take_along_axis(padded, first_usable, axis=1)
+        deviation = np.where(mask, padded[:, :-1] - np.repeat(first, count, axis=1), 0.0)
     total = np.add.reduceat(deviation, starts, axis=1)
     squares = np.add.reduceat(deviation * deviation, starts, axis=1)
     # A cell without usable samples divides by one and is NaN afterwards.
@@ -154,6 +158,9 @@ def measure_cells(samples: Samples, slot: IntArray) -> Cells:
     distance = np.abs(deviation)
     # Zero distance shows no step of the output.
     distance[distance == 0] = np.inf
+    warmth = samples.temperature_degc
+    known = np.add.reduceat(np.isfinite(warmth), starts, dtype=np.int64)
+    warmth = np.add.reduceat(np.where(np.isfinite(warmth), warmth, 0.0), starts)
     return Cells(
         slot=slot[starts],
         start_s=samples.time_s[starts],
@@ -167,32 +174,8 @@ def measure_cells(samples: Samples, slot: IntArray) -> Cells:
         step=np.ascontiguousarray(np.minimum.reduceat(distance, starts, axis=1).T),
         low=np.ascontiguousarray(np.fmin.reduceat(values, starts, axis=1).T),
         high=np.ascontiguousarray(np.fmax.reduceat(values, starts, axis=1).T),
-        temperature_degc=_temperature(samples.temperature_degc, starts, count),
+        temperature_degc=np.where(known > 0, warmth / np.maximum(known, 1), np.nan),
     )
-
-
-def _masked_deviation(
-    values: FloatArray, mask: NDArray[np.bool_], starts: IntArray, count: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the reference of each cell, its first usable value, and the deviations from it, 0 where not usable."""
-    # Behind the last sample stands a zero, which a cell without a usable sample refers to.
-    index = np.where(mask, np.arange(values.shape[1]), values.shape[1])
-    first_usable = np.minimum.reduceat(index, starts, axis=1)
-    padded = np.concatenate((np.where(mask, values, 0.0), np.zeros((6, 1))), axis=1)
-    first = np.take_along_axis(padded, first_usable, axis=1)
-    return first, np.where(mask, padded[:, :-1] - np.repeat(first, count, axis=1), 0.0)
-
-
-def _temperature(temperature: FloatArray, starts: IntArray, count: IntArray) -> FloatArray:
-    """Return the mean of the known temperatures of each cell, NaN where none is known."""
-    sums = np.add.reduceat(temperature, starts)
-    # The usual case in one pass: a sum is finite only if every term is.
-    if np.isfinite(sums).all():
-        return np.asarray(sums / count)
-    known = np.isfinite(temperature)
-    n = np.add.reduceat(known, starts, dtype=np.int64)
-    sums = np.add.reduceat(np.where(known, temperature, 0.0), starts)
-    return np.where(n > 0, sums / np.maximum(n, 1), np.nan)
 
 
 def cells_of(blocks: Iterable[Samples]) -> Iterable[Cells]:

@@ -77,6 +77,7 @@ class StillnessDetector:
         self.floor: NoiseFloor | None = None  # None until there was a quiet stretch.
         self._table = Tracker(ON_TABLE, longest_s)
         self._hand = Tracker(IN_HAND, longest_s) if hand and scale.gyroscope else None
+        self._trackers = (self._table,) if self._hand is None else (self._table, self._hand)
         self.in_hand = False  # Whether ``phase`` and ``stretch`` are those of a unit in the hand.
         self._bias: list[float] = []  # Gyroscope at rest, raw rate, from the last still stretch; empty without a gyroscope.
         self._waiting: list[Cells] = []
@@ -103,7 +104,7 @@ class StillnessDetector:
 
     def restart(self) -> None:
         """Forget the current stretch: the next one begins with the next cell at the earliest."""
-        for tracker in self._trackers():
+        for tracker in self._trackers:
             tracker.restart()
         self.in_hand = False
 
@@ -169,17 +170,14 @@ class StillnessDetector:
     def _set_floor(self, floor: NoiseFloor) -> None:
         self.scale = self.scale.learn(floor.mean[:3])
         self.floor = floor
-        for tracker in self._trackers():
+        for tracker in self._trackers:
             tracker.standard = Standard.of(floor, noise_limits(floor, self.scale, tracker.allowances))
         if not self._bias and floor.has_gyroscope:
             self._bias = floor.mean[3:].tolist()
 
-    def _trackers(self) -> tuple[Tracker, ...]:
-        return (self._table,) if self._hand is None else (self._table, self._hand)
-
     def _judge_under_one_floor(self, cells: Cells, start: int) -> Iterator[Judgement]:
         standard = self._table.standard
-        vibration = [vibration_ratio(cells[start:], tracker.standard.limits).tolist() for tracker in self._trackers()]
+        vibration = [vibration_ratio(cells[start:], tracker.standard.limits).tolist() for tracker in self._trackers]
         means = cells.mean[start:].tolist()
         slots = cells.slot[start:].tolist()
         full = (cells.usable[start:] >= USABLE_SHARE * standard.usual_samples).tolist()
@@ -194,7 +192,7 @@ class StillnessDetector:
                         unbroken=gap in (1, 2),
                         bias=self._bias,
                     )
-                    for tracker, ratio in zip(self._trackers(), vibration, strict=True)
+                    for tracker, ratio in zip(self._trackers, vibration, strict=True)
                 ]
                 yield self._choose(*found)
             else:
@@ -230,7 +228,10 @@ class StillnessDetector:
         """Return the judgement that counts for a unit that was in the hand until now."""
         if hand.ended is not None:
             hand.ended.cut(self.hold_edges(hand.ended.cells()))
-        if table.phase is Phase.STILL and self._was_put_down():
+        placed = self._table.stretch
+        look_again = table.phase is Phase.STILL and placed.judged % cells_in(_LOOK_AGAIN_S) == 0
+        if look_again and not self.is_hand_like(placed.cells()):
+            # A hold that began in the hand continues on a table.
             self.in_hand = False
             tracker.restart()
             return table
@@ -238,11 +239,6 @@ class StillnessDetector:
             return hand
         self.in_hand = False
         return hand if hand.ended is None or table.phase is Phase.STILL else hand._replace(phase=table.phase)
-
-    def _was_put_down(self) -> bool:
-        """Whether a hold that began in the hand continues on a table."""
-        stretch = self._table.stretch
-        return stretch.judged % cells_in(_LOOK_AGAIN_S) == 0 and not self.is_hand_like(stretch.cells())
 
     def _judge_lost(self, cells: Cells, row: int, gap: int) -> Judgement:
         """Judge a cell that is nearly empty: the first is ignored, the second in a row ends a stretch."""

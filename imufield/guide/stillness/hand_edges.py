@@ -51,7 +51,11 @@ def hand_edges(cells: Cells, change_limit: FloatArray) -> slice:
     if m < FEWEST:
         return slice(0, m)
     margin = min(_SURELY_INSIDE, m // 3)
-    departs = _departure(cells.mean, change_limit, slice(margin, m - margin))
+    middle = slice(margin, m - margin)
+    # The larger change of the two triads from the middle of the stretch, over its rms there.
+    change = np.nan_to_num((cells.mean - np.median(cells.mean[middle], axis=0)) / change_limit)
+    size = np.stack([np.linalg.norm(change[:, :3], axis=1), np.linalg.norm(change[:, 3:], axis=1)], axis=1)
+    departs = (size / np.maximum(np.sqrt(np.mean(size[middle] ** 2, axis=0)), _LEAST_SHARE)).max(axis=1)
     # The rms of a short middle is known badly, so that more departs by chance.
     departs /= math.sqrt(1 + _SLOW / (m - 2 * margin))
     visible = _visible_turn(departs[:margin]), _visible_turn(departs[::-1][:margin])
@@ -90,12 +94,3 @@ def _visible_turn(departs: FloatArray) -> int:
         elif row - cut >= _CALM:
             break
     return cut
-
-
-def _departure(mean: FloatArray, change_limit: FloatArray, inside: slice) -> FloatArray:
-    """Return the larger change of the two triads from the middle of the stretch over its rms there, shape (m,)."""
-    change = np.nan_to_num((mean - np.median(mean[inside], axis=0)) / change_limit)
-    size = np.stack([np.linalg.norm(change[:, :3], axis=1), np.linalg.norm(change[:, 3:], axis=1)], axis=1)
-    rms = np.sqrt(np.mean(size[inside] ** 2, axis=0))
-    result: FloatArray = (size / np.maximum(rms, _LEAST_SHARE)).max(axis=1)
-    return result

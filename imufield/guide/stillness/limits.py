@@ -119,10 +119,11 @@ def noise_limits(floor: NoiseFloor, scale: RoughScale, allowances: Allowances = 
     accelerometer, gyroscope = scale.accelerometer or 0.0, scale.gyroscope or 0.0
     vibration = np.repeat([allowances.vibration_m_s2 * accelerometer, allowances.vibration_rad_s * gyroscope], 3)
     change = np.repeat([allowances.change_m_s2 * accelerometer, allowances.change_rad_s * gyroscope], 3)
-    step = np.where(np.isfinite(floor.step), floor.step, 0.0)
+    # Rounding to steps of the output makes up to half a step of scatter.
+    least = floor.known_step / 2
     sigmas = max(_VIBRATION_SIGMAS, scatter_of_variance(3 * (floor.samples_per_cell - 1)))
-    vibration = np.maximum(vibration, sigmas * np.maximum(floor.sigma, step / 2))
-    change = np.maximum(change, _CHANGE_SIGMAS * np.maximum(floor.cell_sigma, step / 2))
+    vibration = np.maximum(vibration, sigmas * np.maximum(floor.sigma, least))
+    change = np.maximum(change, _CHANGE_SIGMAS * np.maximum(floor.cell_sigma, least))
     return Limits(
         # An axis that shows no noise and has no known scale (a dead one) sets no limit.
         np.where(vibration > 0, vibration, np.inf),

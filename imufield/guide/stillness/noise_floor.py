@@ -80,6 +80,11 @@ class NoiseFloor:
         """Columns of the triads that delivered values."""
         return _TRIADS if self.has_gyroscope else _TRIADS[:1]
 
+    @property
+    def known_step(self) -> FloatArray:
+        """``step``, 0 where the output never changed."""
+        return np.where(np.isfinite(self.step), self.step, 0.0)
+
 
 def measure_floor(cells: Cells) -> NoiseFloor:
     """Return the floor of cells that count as quiet; at least two."""
@@ -118,18 +123,13 @@ def is_quiet(cells: Cells, scale: RoughScale) -> bool:
     floor = measure_floor(cells)
     limits = _per_axis(scale.learn(floor.mean[:3]), MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)
     plausible = all(bool((floor.sigma[triad] <= limits[triad]).all()) for triad in floor.triads)
-    return plausible and _is_even(cells, floor, scale)
+    return plausible and is_even(cells, floor, scale)
 
 
-def is_even(cells: Cells, scale: RoughScale) -> bool:
-    """Whether a window scatters as noise does, all alike and about one mean, however large it is."""
-    return _is_even(cells, measure_floor(cells), scale)
-
-
-def _is_even(cells: Cells, floor: NoiseFloor, scale: RoughScale) -> bool:
-    step = np.where(np.isfinite(floor.step), floor.step, 0.0)
+def is_even(cells: Cells, floor: NoiseFloor, scale: RoughScale) -> bool:
+    """Whether a window scatters as noise does, all alike and about one mean, however large its own floor is."""
     # One step of the output is always allowed.
-    allowed = np.maximum(floor.sigma**2, step**2)
+    allowed = np.maximum(floor.sigma**2, floor.known_step**2)
     ratio = cells.variance / np.where(allowed > 0, allowed, np.inf)
     # The sum over the axes of a triad scatters less than each, and a motion shows in it all the same.
     if any(float(ratio[:, triad].mean(axis=1).max()) > _noisiest(floor) for triad in floor.triads):
@@ -152,8 +152,8 @@ def _straying(cells: Cells, floor: NoiseFloor, scale: RoughScale) -> tuple[Float
         successive = np.mean(np.diff(cells.mean, axis=0) ** 2, axis=0) / 2
         if not any(float(spread[triad].sum()) > _WHITE * float(successive[triad].sum()) for triad in floor.triads):
             sigmas = max(_STRAY_SIGMAS, _STRAY_SIGMAS_OF_MEAN / math.sqrt(floor.samples_per_cell))
-    step = np.where(np.isfinite(floor.step), floor.step, 0.0)
-    allowed = np.maximum(sigmas * np.maximum(floor.sigma, step), _per_axis(scale, _STRAY_M_S2, _STRAY_RAD_S, missing=0.0))
+    always = _per_axis(scale, _STRAY_M_S2, _STRAY_RAD_S, missing=0.0)
+    allowed = np.maximum(sigmas * np.maximum(floor.sigma, floor.known_step), always)
     stray: FloatArray = np.abs(cells.mean - floor.mean).max(axis=0)
     return stray, allowed
 
@@ -173,10 +173,9 @@ def why_not_quiet(cells: Cells, scale: RoughScale) -> Unquiet | None:
     """Return what departs most from a noise floor in a window of two cells or more; None where nothing does."""
     floor = measure_floor(cells)
     scale = scale.learn(floor.mean[:3])
-    step = np.where(np.isfinite(floor.step), floor.step, 0.0)
     pairs = (
         (True, floor.sigma, _per_axis(scale, MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)),
-        (True, np.sqrt(cells.variance.max(axis=0)), math.sqrt(_noisiest(floor)) * np.fmax(floor.sigma, step)),
+        (True, np.sqrt(cells.variance.max(axis=0)), math.sqrt(_noisiest(floor)) * np.fmax(floor.sigma, floor.known_step)),
         (False, *_straying(cells, floor, scale)),
     )
     found = [

@@ -177,7 +177,11 @@ class Tracker:
     def _begin(self, cell: JudgedCell, bias: list[float]) -> None:
         """Begin a candidate with this cell if it could be the first of a stretch."""
         self._drop()
-        if cell.vibration <= 1 and self._offset_ratio(cell.mean, bias) <= 1:
+        weight, offset = self.standard.change_weight, 0.0
+        if bias:
+            offset = math.hypot(*((cell.mean[i] - bias[i - 3]) * weight[i] for i in range(3, 6)))
+        # A cell without a value of the gyroscope, NaN, is judged by the accelerometer alone.
+        if cell.vibration <= 1 and not offset > self.standard.limits.gyroscope_offset:
             self.stretch.add(cell.cells, cell.row, cell.mean)
             self.phase = Phase.SETTLING
 
@@ -190,11 +194,3 @@ class Tracker:
         accelerometer = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3)))
         gyroscope = math.hypot(*((mean[i] - before[i]) * weight[i] for i in range(3, 6)))
         return max(accelerometer, gyroscope)
-
-    def _offset_ratio(self, mean: list[float], bias: list[float]) -> float:
-        """Return the gyroscope's distance from its last known bias over what is allowed, 0 without a gyroscope."""
-        if not bias:
-            return 0.0
-        weight = self.standard.change_weight
-        distance = math.hypot(*((mean[i] - bias[i - 3]) * weight[i] for i in range(3, 6)))
-        return 0.0 if math.isnan(distance) else distance / self.standard.limits.gyroscope_offset

@@ -91,8 +91,16 @@ def cells_of_turn(rate: FloatArray, sway: Sway, least: float) -> float | None:
     """
     k = len(rate)
     turns = _turns(k)
+    swing = max(math.sqrt(float(sway.covariance[0].sum())), least)
+    size = np.linalg.norm(rate, axis=1)
+    # Once the turn is visible it continues, although its wobble makes single cells slow.
+    fast = np.maximum.accumulate(np.where(size > _FASTER * swing, size, 0.0))
+    lag = np.abs(np.subtract.outer(np.arange(k), np.arange(k)))
+    white = _WHITE * sway.covariance[0][:, np.newaxis] + least**2 + (_UNLIKE * fast) ** 2
+    # Of the rate that no turn explains, one matrix for each axis, shape (3, k, k).
+    covariance = sway.covariance.T[:, lag] + white[:, :, np.newaxis] * np.eye(k)
     # Whitened, the sway and the rest of the noise weigh every cell alike: least squares of each moment and length at once.
-    whitening = np.linalg.inv(np.linalg.cholesky(_covariance(rate, sway, least)))
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     expected = whitening @ turns.rate
     energy = np.maximum((expected**2).sum(axis=1), _TINY)
     match = np.einsum("akn,ak->an", expected, np.einsum("akl,la->ak", whitening, rate))
@@ -104,20 +112,6 @@ def cells_of_turn(rate: FloatArray, sway: Sway, least: float) -> float | None:
     begin = np.minimum(turns.begin + turns.length * np.interp(share, minimum_jerk(_SHARES), _SHARES), k)
     weight = np.exp(gain - gain.max())
     return k - float(weight @ begin) / float(weight.sum())
-
-
-def _covariance(rate: FloatArray, sway: Sway, least: float) -> FloatArray:
-    """Return the covariance of the rate that no turn explains, one matrix for each axis, shape (3, k, k)."""
-    k = len(rate)
-    size = np.linalg.norm(rate, axis=1)
-    swing = max(math.sqrt(float(sway.covariance[0].sum())), least)
-    # Once the turn is visible it continues, although its wobble makes single cells slow.
-    fast = np.maximum.accumulate(np.where(size > _FASTER * swing, size, 0.0))
-    lag = np.abs(np.subtract.outer(np.arange(k), np.arange(k)))
-    covariance: FloatArray = sway.covariance.T[:, lag]
-    white = _WHITE * sway.covariance[0][:, np.newaxis] + least**2 + (_UNLIKE * fast) ** 2
-    covariance += white[:, :, np.newaxis] * np.eye(k)
-    return covariance
 
 
 @lru_cache(maxsize=8)

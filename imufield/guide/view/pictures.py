@@ -54,8 +54,10 @@ def big_lines(text: str, width: int) -> list[str]:
 
 _HALF_SIZE = (1.0, 0.72, 0.42)  # Of the box along body x, y, z: three lengths, so that the sides are distinct.
 # The onlooker looks a little from above and from one side, which shows three faces in almost every attitude.
-_PITCH = math.radians(24.0)
-_YAW = math.radians(33.0)
+_CP, _SP = math.cos(math.radians(24.0)), math.sin(math.radians(24.0))
+_CY, _SY = math.cos(math.radians(33.0)), math.sin(math.radians(33.0))
+# The turn from the room to the onlooker, x right, y away, z up: pitch after yaw.
+_ONLOOKER = np.array([[1, 0, 0], [0, _CP, -_SP], [0, _SP, _CP]]) @ np.array([[_CY, -_SY, 0], [_SY, _CY, 0], [0, 0, 1]])
 _BRAILLE = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _REACH = 1.42  # Screen units from the middle to the edge: half the diagonal of the box and room for the cable.
 _CABLE_LENGTH = 0.55
@@ -105,7 +107,7 @@ def draw_box(attitude: FloatArray, width: int, height: int, *, cable: str | None
         Draw with ASCII.
     """
     canvas = _Canvas(width, height, dots=not ascii_only)
-    view = _onlooker() @ attitude
+    view = _ONLOOKER @ attitude
     for axis in range(3):
         for sign in (1.0, -1.0):
             normal = sign * np.eye(3)[axis]
@@ -124,22 +126,11 @@ def draw_box(attitude: FloatArray, width: int, height: int, *, cable: str | None
     return canvas.lines()
 
 
-def _onlooker() -> FloatArray:
-    """Return the turn from the room to the onlooker: x right, y away, z up."""
-    cp, sp, cy, sy = math.cos(_PITCH), math.sin(_PITCH), math.cos(_YAW), math.sin(_YAW)
-    yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    pitch = np.array([[1.0, 0.0, 0.0], [0.0, cp, -sp], [0.0, sp, cp]])
-    return np.asarray(pitch @ yaw)
-
-
 def _face(axis: int, sign: float) -> FloatArray:
     """Return the four corners of a face in order, shape (4, 3)."""
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    corners = np.zeros((4, 3))
-    corners[:, axis] = sign * _HALF_SIZE[axis]
-    corners[:, first] = np.array([1, -1, -1, 1]) * _HALF_SIZE[first]
-    corners[:, second] = np.array([1, 1, -1, -1]) * _HALF_SIZE[second]
-    return corners
+    corners = np.full((4, 3), sign)
+    corners[:, [(axis + 1) % 3, (axis + 2) % 3]] = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+    return corners * _HALF_SIZE
 
 
 class _Canvas:
@@ -179,15 +170,11 @@ class _Canvas:
             self._labels.append((line, place, text))
 
     def lines(self) -> list[str]:
-        rows = [list(line) for line in (self._braille() if self._down == 4 else self._plain())]
+        rows = [["." if dot else " " for dot in row] for row in self._dots]
+        if self._down == 4:
+            blocks = self._dots.reshape(self._height, 4, self._width, 2)
+            codes = np.einsum("rdcs,ds->rc", blocks, np.array(_BRAILLE))
+            rows = [[chr(0x2800 + int(code)) if code else " " for code in row] for row in codes]
         for row, column, text in self._labels:
             rows[row][column : column + len(text)] = text
         return ["".join(row) for row in rows]
-
-    def _plain(self) -> list[str]:
-        return ["".join("." if dot else " " for dot in row) for row in self._dots]
-
-    def _braille(self) -> list[str]:
-        blocks = self._dots.reshape(self._height, 4, self._width, 2)
-        codes = np.einsum("rdcs,ds->rc", blocks, np.array(_BRAILLE))
-        return ["".join(chr(0x2800 + int(code)) if code else " " for code in row) for row in codes]

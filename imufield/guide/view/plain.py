@@ -89,32 +89,31 @@ def _in_unit(value: float, unit: str, larger: float, larger_unit: str) -> str:
     return f"{value:.3g} {unit}" if value < _LARGE else f"{value / larger:.3g} {larger_unit}"
 
 
+# Formats of the events whose words depend on nothing but their values; the others have a function below.
+_WORDS: dict[type[Event], str] = {
+    events.NoiseFloorMeasured: "{0.words}",
+    events.Move: "next ({0.accepted} of {0.planned} done): {0.position}, {0.words}; {0.why}",
+    events.Hold: "hold still: {0.position}, {0.words} ({0.angle_deg:.0f} deg off), {0.hold_s:g} s",
+    events.Advice: "{0.words}; {0.remedy}",
+    events.Turn: "next turn ({0.done} of {0.planned} done): {0.words}",
+    events.Turned: "turned {0.turns:+d} about {0.axis}: {0.angle_deg:.0f} deg by the uncalibrated gyroscope, "
+    "{0.tilt_deg:.1f} deg off where it began; {0.done} of {0.planned} done",
+    events.Marked: "{0.action}: {0.words}",
+    events.LinkLost: "{0.words} ({0.accepted} of {0.planned} done)",
+    events.LinkBack: "{0.words}",
+}
+
+
 @singledispatch
 def words(event: Event) -> str:
     """Return the words of an event; a test walks ``EVENTS``."""
-    raise TypeError(f"no words for {event!r}")
-
-
-@words.register(events.NoiseFloorMeasured)
-@words.register(events.LinkBack)
-def _own_words(event: events.NoiseFloorMeasured | events.LinkBack) -> str:
-    return event.words
-
-
-@words.register
-def _move(event: events.Move) -> str:
-    return f"next ({event.accepted} of {event.planned} done): {event.position}, {event.words}; {event.why}"
+    return _WORDS[type(event)].format(event)
 
 
 @words.register
 def _turning(event: events.Turning) -> str:
     nearest = f"; nearest pending {event.position} at {event.angle_deg:.0f} deg" if event.position != event.target else ""
     return f"turning: {event.target_angle_deg:.0f} deg from {event.target}{nearest}"
-
-
-@words.register
-def _hold(event: events.Hold) -> str:
-    return f"hold still: {event.position}, {event.words} ({event.angle_deg:.0f} deg off), {event.hold_s:g} s"
 
 
 @words.register
@@ -144,34 +143,6 @@ def _rejected(event: events.Rejected) -> str:
     if event.reason in (RefusalCode.START_UP, RefusalCode.WARMING_UP):
         return f"wait: {found}"
     return f"refused: {event.position}: {found}" if event.position else f"refused: {found}"
-
-
-@words.register
-def _advice(event: events.Advice) -> str:
-    return f"{event.words}; {event.remedy}"
-
-
-@words.register
-def _turn(event: events.Turn) -> str:
-    return f"next turn ({event.done} of {event.planned} done): {event.words}"
-
-
-@words.register
-def _turned(event: events.Turned) -> str:
-    return (
-        f"turned {event.turns:+d} about {event.axis}: {event.angle_deg:.0f} deg by the uncalibrated gyroscope, "
-        f"{event.tilt_deg:.1f} deg off where it began; {event.done} of {event.planned} done"
-    )
-
-
-@words.register
-def _marked(event: events.Marked) -> str:
-    return f"{event.action}: {event.words}"
-
-
-@words.register
-def _link_lost(event: events.LinkLost) -> str:
-    return f"{event.words} ({event.accepted} of {event.planned} done)"
 
 
 @words.register

@@ -26,7 +26,7 @@ from enum import Enum
 from pathlib import Path
 
 from imufield.guide import events
-from imufield.guide.events import Event, RefusalCode, Topic, Vector
+from imufield.guide.events import Event, RefusalCode, Topic
 from imufield.samples import AXES
 
 RATE_HZ = 22050  # Every sound card plays it.
@@ -41,7 +41,7 @@ _POINTS_UP = 0.3  # Of the largest axis: an axis that points up by less is not n
 
 
 class Cue(Enum):
-    """The sounds; a value holds strokes of the bell, and frequency and length of each tone."""
+    """The sounds: strokes of the terminal's bell, and frequency (Hz) and length (s) of each tone."""
 
     READY = (1, ((660.0, 0.12),))
     HOLD = (1, ((880.0, 0.12),))
@@ -50,16 +50,9 @@ class Cue(Enum):
     LOST = (4, ((262.0, 0.2), (262.0, 0.2), (262.0, 0.2)))
     DONE = (5, ((660.0, 0.12), (880.0, 0.12), (1100.0, 0.12), (1320.0, 0.3)))
 
-    @property
-    def strokes(self) -> int:
-        """Strokes of the terminal's bell."""
-        return int(self.value[0])
-
-    @property
-    def tones(self) -> tuple[tuple[float, float], ...]:
-        """Frequency (Hz) and length (s) of each tone."""
-        tones: tuple[tuple[float, float], ...] = self.value[1]
-        return tones
+    def __init__(self, strokes: int, tones: tuple[tuple[float, float], ...]) -> None:
+        self.strokes = strokes
+        self.tones = tones
 
 
 _SILENT = (RefusalCode.NOT_QUIET, RefusalCode.RATE)
@@ -93,9 +86,13 @@ _HEARD: dict[type[Event], tuple[Cue, str]] = {
 def heard(event: Event) -> tuple[Cue | None, str | None]:
     """Return the sound and the words of an event, None for most; only words known here and directions."""
     if isinstance(event, events.Move):
-        return None, f"next: {_spoken_side(event.direction)}"
+        up = event.direction
+        order = sorted(range(3), key=lambda i: -abs(up[i]))
+        # An axis that hardly points up would only make the side longer to say: "plus x and minus y up".
+        named = [i for i in order if abs(up[i]) > _POINTS_UP * abs(up[order[0]])]
+        return None, f"next: {' and '.join(f'{_sign(up[i])} {AXES[i]}' for i in named)} up"
     if isinstance(event, events.Turn):
-        return None, f"roll about {event.axis}, {'plus' if event.sense > 0 else 'minus'}"
+        return None, f"roll about {event.axis}, {_sign(event.sense)}"
     if isinstance(event, events.Rejected) and event.reason not in _SILENT:
         return Cue.REFUSED, _SPOKEN_REFUSALS.get(event.reason, "refused, see the screen")
     if isinstance(event, events.Advice) and event.topic is Topic.DOUBTFUL:
@@ -103,12 +100,8 @@ def heard(event: Event) -> tuple[Cue | None, str | None]:
     return _HEARD.get(type(event), (None, None))
 
 
-def _spoken_side(direction: Vector) -> str:
-    """Return the axes that point up, the largest first: "plus x and minus y up"."""
-    order = sorted(range(3), key=lambda i: -abs(direction[i]))
-    least = _POINTS_UP * abs(direction[order[0]])
-    names = [f"{'plus' if direction[i] > 0 else 'minus'} {AXES[i]}" for i in order if abs(direction[i]) > least]
-    return " and ".join(names) + " up"
+def _sign(value: float) -> str:
+    return "plus" if value > 0 else "minus"
 
 
 class SoundView:
@@ -218,23 +211,16 @@ def _card_player(program: str, folder: Path) -> Callable[[Cue], None]:
     files = {cue: folder / f"{cue.name.lower()}.wav" for cue in Cue}
     for cue, path in files.items():
         path.write_bytes(tone(cue))
-
-    def play(cue: Cue) -> None:
-        _run_program([program, str(files[cue])])
-
-    return play
+    return lambda cue: _run_program(program, str(files[cue]))
 
 
 def _speaker(program: str) -> Callable[[str], None]:
+    # Of the speakers only this one returns before it has spoken, and two sentences at once are none.
     waits = ["--wait"] if Path(program).name == "spd-say" else []
-
-    def speak(words: str) -> None:
-        _run_program([program, *waits, words])
-
-    return speak
+    return lambda words: _run_program(program, *waits, words)
 
 
-def _run_program(arguments: list[str]) -> None:
+def _run_program(*arguments: str) -> None:
     quiet = subprocess.DEVNULL
     # A list without a shell, a program found on the path, words from this module: nothing of the wire is in it.
     subprocess.run(arguments, stdin=quiet, stdout=quiet, stderr=quiet, timeout=_LONGEST_S, check=False)  # noqa: S603

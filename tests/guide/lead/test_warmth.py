@@ -3,8 +3,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imufield.guide.lead.stream_watch import Warmth
 from imufield.guide.stillness.cells import cells_of
-from imufield.guide.stillness.warmth import Warmth
 
 
 def slope(make_path: Any, temperature: Any, seconds: float = 30.0) -> float:
