@@ -119,25 +119,10 @@ def choose_model(data: FitData, origin: FloatArray, observability: Observability
     if model == "quadratic":
         sentence = "the quadratic term is fitted, as asked"
         return ChosenModel(fit=quadratic, free=observability.free, quadratic=True, sentence=sentence)
-    return _decide(data, origin, observability, quadratic, entries=quadratic_free)
-
-
-def _linear(data: FitData, origin: FloatArray, observability: Observability, sentence: str) -> ChosenModel:
-    # Zero where the term could be fitted and is not wanted; the preset's value where it cannot be observed.
-    plain = origin.copy()
-    plain[[k for k in observability.free if k >= _FIRST_QUADRATIC]] = 0.0
-    free = tuple(k for k in observability.free if k < _FIRST_QUADRATIC)
-    fitted = fit(data, plain, column_basis(plain, free, data.gravity_m_s2))
-    return ChosenModel(fit=fitted, free=free, quadratic=False, sentence=sentence)
-
-
-def _decide(
-    data: FitData, origin: FloatArray, observability: Observability, quadratic: Fit, *, entries: tuple[int, ...]
-) -> ChosenModel:
-    """Keep the quadratic term where it is significant; else add what it may hide to the covariance of the linear model."""
-    n = len(entries)
+    # Keep the term where it is significant; else add what it may hide to the covariance of the linear model.
+    n, entries = len(quadratic_free), list(quadratic_free)
     # The last n coordinates of the fit move the entries of the term.
-    change = quadratic.vector[list(entries)] / quadratic.basis[list(entries), range(-n, 0)]
+    change = quadratic.vector[entries] / quadratic.basis[entries, range(-n, 0)]
     sigma = quadratic.sigma_m_s2
     C = influence(quadratic.residual_m_s2 / sigma, quadratic.jacobian / sigma[:, None]).covariance
     F = float(change @ np.linalg.solve(C[-n:, -n:], change)) / n
@@ -157,5 +142,14 @@ def _decide(
     # The other coordinates hang on the last n by -C_rl C_ll^-1, so of their covariance C_rl C_ll^-1 C_lr is from those.
     root = np.linalg.solve(np.linalg.cholesky(C[-n:, -n:]), C[-n:, :-n]).T
     hidden_root = np.column_stack([quadratic.vector - linear.fit.vector, quadratic.basis[:, :-n] @ root])
-    hidden_root[list(entries)] = 0.0
+    hidden_root[entries] = 0.0
     return replace(linear, hidden_root=hidden_root)
+
+
+def _linear(data: FitData, origin: FloatArray, observability: Observability, sentence: str) -> ChosenModel:
+    # Zero where the term could be fitted and is not wanted; the preset's value where it cannot be observed.
+    plain = origin.copy()
+    plain[[k for k in observability.free if k >= _FIRST_QUADRATIC]] = 0.0
+    free = tuple(k for k in observability.free if k < _FIRST_QUADRATIC)
+    fitted = fit(data, plain, column_basis(plain, free, data.gravity_m_s2))
+    return ChosenModel(fit=fitted, free=free, quadratic=False, sentence=sentence)

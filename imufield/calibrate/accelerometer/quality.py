@@ -78,7 +78,7 @@ def judge(evidence: Evidence) -> Quality:
         + (f", {without / MILLI_G_M_S2:.3f} mg with each position left out" if np.isfinite(without) else "")
     )
     poor = poor_sentences(None if fitted.solved.converged else fitted.solved.message, freedom, without)
-    cautions = [*_single_sentences(evidence), *_outlier_sentences(evidence), *_cautions(evidence), *_sigma_sentences(evidence)]
+    cautions = [*_position_sentences(evidence), *_cautions(evidence), *_sigma_sentences(evidence)]
     return Quality(
         residual_rms_m_s2=residual_rms,
         residual_max_m_s2=float(np.abs(fitted.residual_m_s2).max()),
@@ -236,10 +236,12 @@ def _sigma_sentences(evidence: Evidence) -> list[str]:
     return reasons
 
 
-def _single_sentences(evidence: Evidence) -> list[str]:
-    if evidence.fitted.degrees_of_freedom < 1:
-        return []
-    sentences = []
+def _position_sentences(evidence: Evidence) -> list[str]:
+    """Name positions that parameters rest on alone, and those whose externally studentised residual is too large for m."""
+    freedom, fitted = evidence.fitted.degrees_of_freedom, evidence.fitted
+    sentences: list[str] = []
+    if freedom < 1:
+        return sentences
     for single in single_positions(evidence.spread):
         names = ", ".join(_words(ACCELEROMETER_NAMES[evidence.chosen.free[k]]) for k in single.coordinates)
         raised = float(evidence.factors[list(single.coordinates)].max())
@@ -248,14 +250,8 @@ def _single_sentences(evidence: Evidence) -> list[str]:
             f"position {evidence.observations.name[single.position]} carries {names} nearly alone (leverage "
             f"{single.leverage:.2f}){effect}; repeat it"
         )
-    return sentences
-
-
-def _outlier_sentences(evidence: Evidence) -> list[str]:
-    """Name positions whose externally studentised residual is too large for the best of m."""
-    freedom, fitted = evidence.fitted.degrees_of_freedom, evidence.fitted
     if freedom < 3:
-        return []
+        return sentences
     residual = fitted.residual_m_s2 / fitted.sigma_m_s2
     # Each residual over its own sigma, which leverage makes smaller, and over the scatter of the fit without it.
     student = residual / np.sqrt(np.maximum(1 - evidence.spread.leverage, 1e-6))
@@ -265,7 +261,7 @@ def _outlier_sentences(evidence: Evidence) -> list[str]:
     student = student / np.sqrt(without)
     limit = student_factor(freedom - 1, of=len(student), chance=_OUTLIER_LEVEL)
     off_mg = evidence.leave_one_out_m_s2 / MILLI_G_M_S2
-    return [
+    return sentences + [
         f"position {evidence.observations.name[i]} does not fit the others (off by {off_mg[i]:+.2f} mg, "
         f"{abs(student[i]):.1f} sigma, limit {limit:.1f}): retake or remove it"
         for i in np.flatnonzero(np.abs(student) > limit)

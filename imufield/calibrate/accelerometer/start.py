@@ -123,26 +123,11 @@ def find_signs(raw: FloatArray, direction: FloatArray, preset_scale: FloatArray 
         If axes are swapped or left-handed, or directions and preset disagree.
     """
     planned = np.isfinite(direction).all(axis=1)
-    if planned.sum() >= 4 and np.all(np.ptp(direction[planned], axis=0) > _DIRECTION_RANGE):
-        sign = _signs_of_directions(raw[planned], direction[planned])
-        if preset_scale is not None and np.any(sign != np.sign(preset_scale)):
-            axis = AXES[int(np.argmax(sign != np.sign(preset_scale)))]
-            raise CalibrationError(
-                f"the sign of axis {axis} in the preset is opposite to what the planned positions show; check the preset, the "
-                "axis signs of the protocol, or which side was up",
-                Reason.HANDEDNESS,
-                axis=axis,
-            )
-        return Signs(sign, "directions")
-    if preset_scale is not None:
-        return Signs(np.sign(preset_scale), "preset")
-    return Signs(np.ones(3), "assumed")
-
-
-def _signs_of_directions(raw: FloatArray, direction: FloatArray) -> FloatArray:
-    design = np.column_stack([direction, np.ones(len(direction))])
+    if planned.sum() < 4 or not np.all(np.ptp(direction[planned], axis=0) > _DIRECTION_RANGE):
+        return Signs(np.ones(3), "assumed") if preset_scale is None else Signs(np.sign(preset_scale), "preset")
+    design = np.column_stack([direction[planned], np.ones(int(planned.sum()))])
     # Raw output by direction, bias beside it: its diagonal has the signs.
-    slope = np.linalg.lstsq(design, raw, rcond=None)[0][:3].T
+    slope = np.linalg.lstsq(design, raw[planned], rcond=None)[0][:3].T
     follows = np.argmax(np.abs(slope), axis=1)
     for axis in range(3):
         if follows[axis] != axis:
@@ -163,4 +148,12 @@ def _signs_of_directions(raw: FloatArray, direction: FloatArray) -> FloatArray:
             Reason.HANDEDNESS,
             axis=AXES[odd],
         )
-    return sign
+    if preset_scale is not None and np.any(sign != np.sign(preset_scale)):
+        opposite = AXES[int(np.argmax(sign != np.sign(preset_scale)))]
+        raise CalibrationError(
+            f"the sign of axis {opposite} in the preset is opposite to what the planned positions show; check the preset, the "
+            "axis signs of the protocol, or which side was up",
+            Reason.HANDEDNESS,
+            axis=opposite,
+        )
+    return Signs(sign, "directions")

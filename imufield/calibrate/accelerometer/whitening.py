@@ -63,8 +63,30 @@ def observable_basis(
         turns = (generators(vector) / scale[:, None])[columns]
         complement = np.linalg.qr(turns, mode="complete")[0][:, 3:]
     observed = (norm_derivatives(vector, raw, quadratic_axes).jacobian * scale)[:, columns] @ complement
-    _require_rank(observed, complement, columns)
+    m, n = observed.shape
+    if m < n:
+        raise CalibrationError(
+            f"{m} positions are fewer than the {n} parameters to be found; take at least {n} positions, or hold "
+            f"{ACCELEROMETER_NAMES[columns[-1]]} and its like",
+            Reason.TOO_FEW,
+            positions=m,
+            needed=n,
+        )
+    if not np.isfinite(observed).all():
+        raise CalibrationError(
+            "the outputs or the preset hold a value that is not finite; remove that position, or complete the preset",
+            Reason.NOT_FINITE,
+        )
     _, D, Vt = np.linalg.svd(observed, full_matrices=False)
+    if D[-1] * _WORST_CONDITION < D[0]:
+        weakest = ACCELEROMETER_NAMES[columns[int(np.argmax(np.abs(complement @ Vt[-1])))]]
+        raise CalibrationError(
+            f"the {m} positions do not show {weakest} (singular values from {D[0]:.2g} to {D[-1]:.2g}); add "
+            "positions with every axis up, down and in between, or fit fewer parameters",
+            Reason.UNOBSERVABLE,
+            parameter=weakest,
+            condition=float(D[0] / D[-1]) if D[-1] > 0 else float("inf"),
+        )
     basis = np.zeros((PARAMETERS, complement.shape[1]))
     # S C V D^-1
     basis[columns] = scale[columns, None] * (complement @ (Vt.T / D))
@@ -118,30 +140,3 @@ def whitened_problem(
         cost_name=cost_name,
         reach=_REACH,
     )
-
-
-def _require_rank(observed: FloatArray, complement: FloatArray, columns: list[int]) -> None:
-    m, n = observed.shape
-    if m < n:
-        raise CalibrationError(
-            f"{m} positions are fewer than the {n} parameters to be found; take at least {n} positions, or hold "
-            f"{ACCELEROMETER_NAMES[columns[-1]]} and its like",
-            Reason.TOO_FEW,
-            positions=m,
-            needed=n,
-        )
-    if not np.isfinite(observed).all():
-        raise CalibrationError(
-            "the outputs or the preset hold a value that is not finite; remove that position, or complete the preset",
-            Reason.NOT_FINITE,
-        )
-    values, Vt = np.linalg.svd(observed, full_matrices=False)[1:]
-    if values[-1] * _WORST_CONDITION < values[0]:
-        weakest = ACCELEROMETER_NAMES[columns[int(np.argmax(np.abs(complement @ Vt[-1])))]]
-        raise CalibrationError(
-            f"the {m} positions do not show {weakest} (singular values from {values[0]:.2g} to {values[-1]:.2g}); add "
-            "positions with every axis up, down and in between, or fit fewer parameters",
-            Reason.UNOBSERVABLE,
-            parameter=weakest,
-            condition=float(values[0] / values[-1]) if values[-1] > 0 else float("inf"),
-        )

@@ -18,12 +18,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.covariance import ForceErrors, force_errors
+from imufield.calibrate.gyroscope.covariance import force_errors
 from imufield.calibrate.gyroscope.fit import EarthKnowledge, fit_jointly
 from imufield.calibrate.gyroscope.input import GyroscopeInput, handedness_error, make_data, refuse_dead, refuse_foreign
-from imufield.calibrate.gyroscope.model_choice import BASIC, FULL, ChosenModel, GyroscopeModel, choose_model
+from imufield.calibrate.gyroscope.model_choice import FULL, GyroscopeModel, choose_model
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, rough_inverse
-from imufield.calibrate.gyroscope.observability import Observability, observe
+from imufield.calibrate.gyroscope.observability import observe
 from imufield.calibrate.gyroscope.report import (
     GyroscopeResult,
     JointSolution,
@@ -32,19 +32,16 @@ from imufield.calibrate.gyroscope.report import (
     static_bias_result,
     static_norm_result,
 )
-from imufield.calibrate.gyroscope.residuals import VERTICAL, GyroscopeData
+from imufield.calibrate.gyroscope.residuals import VERTICAL
 from imufield.calibrate.gyroscope.static import (
     StaticData,
     fit_static,
     latitude_words,
     sees_earth,
     static_bias,
-    static_columns,
-    static_start,
 )
 from imufield.calibrate.gyroscope.whole_turns import find_stops, whole_stops
 from imufield.errors import CalibrationError, Reason
-from imufield.samples import FloatArray
 
 
 def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -> GyroscopeResult:
@@ -76,10 +73,43 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
     refuse_dead(given, data)
     errors = force_errors(given.observations, given.calibration, given.rests)
     earth = EarthKnowledge.at(given.latitude_deg)
-    start, is_known = _start(given, data)
-    observability = observe(start, data, errors, known=is_known)
-    data, missed = _with_stops(given, data, errors, start, observability=observability, earth=earth)
+    preset = given.preset_inverse()
+    rough = rough_inverse(data.slots) if len(data.before) else None
+    begin = rough if preset is None else preset
+    if begin is None:
+        raise CalibrationError(
+            "nothing says what the scale of the gyroscope is: there are no moves, no preset and no driver; give a preset",
+            Reason.UNOBSERVABLE,
+        )
+    if preset is not None and rough is not None:
+        refuse_foreign(data, rough, preset)
+    elif np.linalg.det(begin) <= 0:
+        raise handedness_error()
+    start = np.zeros(data.parameters)
+    start[INVERSE] = begin.ravel()
+    observability = observe(start, data, errors, known=preset is not None)
+    warnings: tuple[str, ...] = ()
+    if given.stops:
+        # A fit without the stops tells which of their turns were whole; the others are used as moves.
+        moves, sigma = find_stops(given.stops, given.moves.start_s, given.moves.end_s)
+        first = fit_jointly(data, errors, start, observability.free(FULL), earth=earth)
+        whole, missed = whole_stops(first.evaluation, data, moves, sigma)
+        warnings = tuple(
+            f"the turn against a stop at {given.moves.start_s[moves[k]]:.1f} s was not whole: it misses by "
+            f"{np.degrees(missed[k]):+.2f} deg and is used as a move only; repeat it"
+            for k in np.flatnonzero(~whole)
+        )
+        data = replace(data, stops=moves[whole], stop_sigma_rad=sigma[whole])
     chosen = choose_model(data, errors, start, observability, earth=earth, model=model)
+    fitted = chosen.fit
+    # With a g-sensitivity fitted the specific force times the Earth's rate says nothing of the latitude: the vertical Earth
+    # rate is an exact alias of G = (rate sin(latitude) / g) I.
+    if given.latitude_deg is not None and fitted.heading_fitted and not chosen.g_sensitive:
+        free = fitted.free[fitted.free < PARAMETERS]
+        loose = fit_jointly(data, errors, fitted.p, free, earth=EarthKnowledge.at(None), scatter=fitted.scatter)
+        place = int(np.flatnonzero(loose.free == VERTICAL)[0])
+        sigma_rad_s = float(np.sqrt(loose.covariance[place, place]))
+        warnings += latitude_words(given.latitude_deg, float(loose.p[VERTICAL]), sigma_rad_s)
     solution = JointSolution(
         given=given,
         data=data,
@@ -87,7 +117,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         start=start,
         observability=observability,
         earth=earth,
-        warnings=(*missed, *_check_latitude(given.latitude_deg, data, errors, chosen)),
+        warnings=warnings,
     )
     return joint_result(solution)
 
@@ -104,8 +134,6 @@ def _static(given: GyroscopeInput) -> GyroscopeResult:
         solution = StaticSolution(
             given=given,
             data=data,
-            start=static_start(data, A, given.latitude_deg),
-            columns=static_columns(given.static_free),
             fitted=fit_static(data, A, given.latitude_deg, given.static_free),
             rest_raw=rest,
         )
@@ -118,62 +146,3 @@ def _static(given: GyroscopeInput) -> GyroscopeResult:
         latitude_deg=given.latitude_deg,
     )
     return static_bias_result(gyroscope, tuple(move.sentence for move in given.moves.dropped))
-
-
-def _start(given: GyroscopeInput, data: GyroscopeData) -> tuple[FloatArray, bool]:
-    """Return the parameters to start from, and whether they come from a preset or a driver."""
-    preset = given.preset_inverse()
-    rough = rough_inverse(data.slots) if len(data.before) else None
-    begin = rough if preset is None else preset
-    if begin is None:
-        raise CalibrationError(
-            "nothing says what the scale of the gyroscope is: there are no moves, no preset and no driver; give a preset",
-            Reason.UNOBSERVABLE,
-        )
-    if preset is not None and rough is not None:
-        refuse_foreign(data, rough, preset)
-    elif np.linalg.det(begin) <= 0:
-        raise handedness_error()
-    p = np.zeros(data.parameters)
-    p[INVERSE] = begin.ravel()
-    return p, preset is not None
-
-
-def _with_stops(
-    given: GyroscopeInput,
-    data: GyroscopeData,
-    errors: ForceErrors,
-    start: FloatArray,
-    *,
-    observability: Observability,
-    earth: EarthKnowledge,
-) -> tuple[GyroscopeData, tuple[str, ...]]:
-    """Return the data with the turns against a stop that did close, and sentences about those that did not."""
-    if not given.stops:
-        return data, ()
-    moves, sigma = find_stops(given.stops, given.moves.start_s, given.moves.end_s)
-    free = observability.free(FULL if observability.sensitivity else BASIC)
-    first = fit_jointly(data, errors, start, free, earth=earth)
-    whole, missed = whole_stops(first.evaluation, data, moves, sigma)
-    sentences = tuple(
-        f"the turn against a stop at {given.moves.start_s[moves[k]]:.1f} s was not whole: it misses by "
-        f"{np.degrees(missed[k]):+.2f} deg and is used as a move only; repeat it"
-        for k in np.flatnonzero(~whole)
-    )
-    return replace(data, stops=moves[whole], stop_sigma_rad=sigma[whole]), sentences
-
-
-def _check_latitude(
-    latitude_deg: float | None, data: GyroscopeData, errors: ForceErrors, chosen: ChosenModel
-) -> tuple[str, ...]:
-    """Return what the specific force times the Earth's rate says of the latitude.
-
-    With a g-sensitivity fitted it says nothing: the vertical Earth rate is an exact alias of G = (rate sin(latitude) / g) I.
-    """
-    fitted = chosen.fit
-    if latitude_deg is None or not fitted.heading_fitted or chosen.g_sensitive:
-        return ()
-    free = fitted.free[fitted.free < PARAMETERS]
-    loose = fit_jointly(data, errors, fitted.p, free, earth=EarthKnowledge.at(None), scatter=fitted.scatter)
-    place = int(np.flatnonzero(loose.free == VERTICAL)[0])
-    return latitude_words(latitude_deg, float(loose.p[VERTICAL]), float(np.sqrt(loose.covariance[place, place])))

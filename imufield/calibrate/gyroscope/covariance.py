@@ -85,7 +85,16 @@ def force_errors(observations: Observations, calibration: Calibration, rests: in
     by_noise = np.stack([difference(np.zeros(15), np.eye(3)[k] * raw_step) for k in range(3)], axis=2)
     steps = _DIFFERENCE * np.maximum(np.abs(p), [*np.abs(p[:3]), *[1.0] * 9, *np.abs(p[:3]) / 10])
     by_parameters = np.stack([difference(np.eye(15)[k] * steps[k], np.zeros(3)) for k in range(15)], axis=2)
-    covariance, by_gravity, with_gravity = _accelerometer_covariance(calibration)
+    # The covariance of the 15 parameters, the part of it that comes from gravity, and that with gravity.
+    places = {name: k for k, name in enumerate(calibration.covariance_names)}
+    known = [name for name in ACCELEROMETER_NAMES if name in places]
+    rows, columns = [ACCELEROMETER_NAMES.index(name) for name in known], [places[name] for name in known]
+    covariance, by_gravity, with_gravity = np.zeros((15, 15)), np.zeros((15, 15)), np.zeros(15)
+    covariance[np.ix_(rows, rows)] = calibration.covariance[np.ix_(columns, columns)]
+    g = places.get(GRAVITY_NAME)
+    if g is not None and calibration.covariance[g, g] > 0:
+        with_gravity[rows] = calibration.covariance[columns, g]
+        by_gravity = np.outer(with_gravity, with_gravity) / calibration.covariance[g, g]
     tau = calibration.quality.between_position_sigma_m_s2
     noise = np.nan_to_num(observations.covariance_raw) + np.diag((tau * parameters.scale) ** 2)
     # The gain of the accelerometer fit: weighted least squares moves its parameters by -C J^T v / s^2 for noise in a mean.
@@ -107,21 +116,6 @@ def force_errors(observations: Observations, calibration: Calibration, rests: in
         rest=beyond + by_gravity,
         with_gravity=with_gravity,
     )
-
-
-def _accelerometer_covariance(calibration: Calibration) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the covariance of the 15 parameters, the part of it that comes from gravity, and that with gravity."""
-    places = {name: k for k, name in enumerate(calibration.covariance_names)}
-    known = [name for name in ACCELEROMETER_NAMES if name in places]
-    rows = [ACCELEROMETER_NAMES.index(name) for name in known]
-    columns = [places[name] for name in known]
-    covariance, by_gravity, with_gravity = np.zeros((15, 15)), np.zeros((15, 15)), np.zeros(15)
-    covariance[np.ix_(rows, rows)] = calibration.covariance[np.ix_(columns, columns)]
-    g = places.get(GRAVITY_NAME)
-    if g is not None and calibration.covariance[g, g] > 0:
-        with_gravity[rows] = calibration.covariance[columns, g]
-        by_gravity = np.outer(with_gravity, with_gravity) / calibration.covariance[g, g]
-    return covariance, by_gravity, with_gravity
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,9 +154,24 @@ class Covariances:
 
 def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData, errors: ForceErrors) -> Covariances:
     """Return the parts of S at one evaluation."""
-    m, rows = evaluation.moves, len(evaluation.residual)
+    m, s, rows = evaluation.moves, len(data.force), len(evaluation.residual)
     A, H = x[INVERSE].reshape(3, 3), x[SENSITIVITY].reshape(3, 3)
-    by_force = _by_force(evaluation, data, H)
+    stops = range(2 * m + 3 * s, 2 * m + 3 * s + len(data.stops))
+    to_tangent = -evaluation.tangent @ skew(evaluation.predicted)
+    # d (a / norm(a)) / d a
+    to_up = (np.eye(3) - data.up[:, :, None] * data.up[:, None, :]) / np.linalg.norm(data.force, axis=1)[:, None, None]
+    # d residual / d specific force of each still, and / d its drift in rad/s: a move has the mean of the biases of its two.
+    by_force, drift = np.zeros((rows, s, 3)), np.zeros((rows, 3 * s))
+    half_turn = to_tangent @ evaluation.turns.duration / 2
+    for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
+        place = slice(2 * k, 2 * k + 2)
+        by_force[place, j] += evaluation.tangent[k] @ to_up[j]
+        by_force[place, i] -= evaluation.tangent[k] @ evaluation.carry[k] @ to_up[i]
+        for still in (i, j):
+            drift[place, 3 * still : 3 * still + 3] += half_turn[k]
+    for k in range(s):
+        by_force[2 * m + 3 * k : 2 * m + 3 * k + 3, k] = -H
+    drift[2 * m : 2 * m + 3 * s] = np.eye(3 * s)
     by_parameters = np.einsum("rsi,sip->rp", by_force, errors.by_parameters)
     by_raw = np.einsum("rsi,sij->rsj", by_force, errors.by_noise) + np.einsum("rp,spj->rsj", by_parameters, errors.gain)
     noisy = np.einsum("rsi,sij->rsj", by_raw, errors.noise).reshape(rows, -1)
@@ -170,21 +179,21 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData, erro
     from_means = noisy @ np.swapaxes(errors.gain, 1, 2).reshape(-1, 15)
     from_rest = by_parameters @ np.column_stack([errors.rest, errors.with_gravity])
     with_accelerometer = from_rest + np.pad(from_means, ((0, 0), (0, 1)))
-    to_tangent = -evaluation.tangent @ skew(evaluation.predicted)
     _add_blocks(fixed, to_tangent @ evaluation.turns.spread @ np.swapaxes(to_tangent, 1, 2), 0)
     _add_blocks(fixed, A @ data.rate_covariance @ A.T, 2 * m)
-    for place, k, sigma in zip(_stop_places(data), data.stops, data.stop_sigma_rad, strict=True):
+    for row, k, sigma in zip(stops, data.stops, data.stop_sigma_rad, strict=True):
         # A stop shares the noise of its move.
         to_stop = -data.up[data.after[k]]
         shared = to_tangent[k] @ evaluation.turns.spread[k] @ to_stop
-        fixed[place, place] += to_stop @ evaluation.turns.spread[k] @ to_stop + sigma**2
-        fixed[place, 2 * k : 2 * k + 2] += shared
-        fixed[2 * k : 2 * k + 2, place] += shared
+        fixed[row, row] += to_stop @ evaluation.turns.spread[k] @ to_stop + sigma**2
+        fixed[row, 2 * k : 2 * k + 2] += shared
+        fixed[2 * k : 2 * k + 2, row] += shared
+        for still in (data.before[k], data.after[k]):
+            drift[row, 3 * still : 3 * still + 3] += to_stop @ evaluation.turns.duration[k] / 2
     table = data.table
     _add_blocks(fixed, A @ table.covariance_raw @ A.T + table.rate_covariance, rows - 3 * len(table))
-    drift = _by_drift(evaluation, data, to_tangent)
     turn = np.zeros((rows, rows))
-    turning = [*range(2 * m), *_stop_places(data)]
+    turning = [*range(2 * m), *stops]
     turn[turning, turning] = 1.0
     walk = drift @ np.kron(random_walk(data.time_s), np.eye(3)) @ drift.T
     return Covariances(fixed=fixed, drift=drift @ drift.T, wander=walk, turn=turn, with_accelerometer=with_accelerometer)
@@ -205,44 +214,6 @@ def _add_blocks(target: FloatArray, blocks: FloatArray, start: int) -> None:
         target[place, place] += block
 
 
-def _stop_places(data: GyroscopeData) -> list[int]:
-    start = 2 * len(data.before) + 3 * len(data.force)
-    return list(range(start, start + len(data.stops)))
-
-
-def _by_force(evaluation: Evaluation, data: GyroscopeData, H: FloatArray) -> FloatArray:
-    """Return d residual / d specific force of each still, shape (rows, s, 3)."""
-    m, s, rows = evaluation.moves, len(data.force), len(evaluation.residual)
-    up, size = data.up, np.linalg.norm(data.force, axis=1)
-    # d (a / norm(a)) / d a
-    to_up = (np.eye(3) - up[:, :, None] * up[:, None, :]) / size[:, None, None]
-    result = np.zeros((rows, s, 3))
-    for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
-        place = slice(2 * k, 2 * k + 2)
-        result[place, j] += evaluation.tangent[k] @ to_up[j]
-        result[place, i] -= evaluation.tangent[k] @ evaluation.carry[k] @ to_up[i]
-    for k in range(s):
-        result[2 * m + 3 * k : 2 * m + 3 * k + 3, k] = -H
-    return result
-
-
-def _by_drift(evaluation: Evaluation, data: GyroscopeData, to_tangent: FloatArray) -> FloatArray:
-    """Return d residual / d drift (rad/s) of each still, shape (rows, 3 s)."""
-    m, s = evaluation.moves, len(data.force)
-    result = np.zeros((len(evaluation.residual), 3 * s))
-    # A move has the mean of the biases of its two stills.
-    effect = to_tangent @ evaluation.turns.duration / 2
-    for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
-        for still in (i, j):
-            result[2 * k : 2 * k + 2, 3 * still : 3 * still + 3] += effect[k]
-    result[2 * m : 2 * m + 3 * s] = np.eye(3 * s)
-    for place, k in zip(_stop_places(data), data.stops, strict=True):
-        half = -data.up[data.after[k]] @ evaluation.turns.duration[k] / 2
-        for still in (data.before[k], data.after[k]):
-            result[place, 3 * still : 3 * still + 3] += half
-    return result
-
-
 def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, parts: Covariances) -> Scatter:
     """Return one step of restricted maximum likelihood towards the sizes of the scatters."""
     inverse = np.linalg.inv(parts.total(scatter))
@@ -254,29 +225,21 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])  # 2 s_k
     information = np.array([[np.sum(a * b.T) for b in products] for a in products])  # tr(P V_k P V_l)
     now = np.array(scatter.sizes) ** 2
-    step = _bounded_step(now, score, information)
-    # The least variance that a scatter of size one gives to a residual it touches at all; infinite where it touches none.
-    least = np.array([np.min(np.diag(V)[np.diag(V) > 0], initial=np.inf) for V in components])
-    most = _MOST_SCATTER * float(np.max(residual**2)) / least
-    return Scatter(*(float(value) for value in np.sqrt(np.clip(now + step, 0.0, most))))
-
-
-def _bounded_step(now: FloatArray, score: FloatArray, information: FloatArray) -> FloatArray:
-    """Return the scoring step; a component at zero that wants to fall stays there."""
+    # A component at zero that wants to fall stays there.
     free = ~((now <= 0) & (score <= 0)) & (np.diag(information) > 0)
     step = np.zeros(len(now))
-    if not free.any():
-        return step
     step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=None)[0]
     falling = now + step < 0
     if falling.any():
         # The others answer for what the one at its bound cannot take.
         step[falling] = -now[falling]
         rest = free & ~falling
-        if rest.any():
-            answer = score[rest] - information[np.ix_(rest, falling)] @ step[falling]
-            step[rest] = np.linalg.lstsq(information[np.ix_(rest, rest)], answer, rcond=None)[0]
-    return step
+        answer = score[rest] - information[np.ix_(rest, falling)] @ step[falling]
+        step[rest] = np.linalg.lstsq(information[np.ix_(rest, rest)], answer, rcond=None)[0]
+    # The least variance that a scatter of size one gives to a residual it touches at all; infinite where it touches none.
+    least = np.array([np.min(np.diag(V)[np.diag(V) > 0], initial=np.inf) for V in components])
+    most = _MOST_SCATTER * float(np.max(residual**2)) / least
+    return Scatter(*(float(value) for value in np.sqrt(np.clip(now + step, 0.0, most))))
 
 
 def accelerometer_force(parameters: AccelerometerParameters, mean_raw: FloatArray) -> FloatArray:

@@ -121,7 +121,7 @@ def searched_fit(result: GyroscopeResult) -> SearchedFit | None:
         start[:PARAMETERS] = solution.start[:PARAMETERS]  # azimuths stay as fitted
         p = fit.p
     else:
-        start, free = solution.start, np.array(solution.columns, dtype=np.int64)
+        start, free = solution.fitted.start, np.array(solution.fitted.columns, dtype=np.int64)
         p = np.concatenate([solution.fitted.x, start[12:]])
         covariance = linearise_static(p, solution.data)[2].total(solution.fitted.scatter)
     root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)

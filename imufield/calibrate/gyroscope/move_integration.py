@@ -104,22 +104,6 @@ def centre(moves: Moves, rest_raw: FloatArray, force_m_s2: FloatArray) -> Centre
     )
 
 
-def inverse_matrix(x: FloatArray) -> FloatArray:
-    """Return A of a parameter vector."""
-    return x[INVERSE].reshape(3, 3)
-
-
-def rotation_vectors(x: FloatArray, slots: CentredSlots) -> FloatArray:
-    """Return the rotation vector of each slot, coning included, shape (k, 3)."""
-    A, b, H = inverse_matrix(x), x[BIAS], x[SENSITIVITY].reshape(3, 3)
-    T = slots.duration_s[:, None]
-    M = np.linalg.inv(A)
-    # cof(A) = det(A) A^-T, see moves: A x x A y = cof(A) (x x y)
-    cofactor = np.linalg.det(A) * M.T
-    coning = slots.area + cross(T * slots.turn - 2 * slots.moment, M @ b)
-    return np.asarray(slots.turn @ A.T - b * T - slots.velocity_m_s @ H.T + 0.5 * coning @ cofactor.T)
-
-
 def integrate(x: FloatArray, slots: CentredSlots, noise_density_raw: FloatArray) -> Turns:
     """Return the turns of all moves at ``x``.
 
@@ -130,7 +114,13 @@ def integrate(x: FloatArray, slots: CentredSlots, noise_density_raw: FloatArray)
     noise_density_raw : ndarray, shape (3,)
         Raw unit per sqrt(Hz), for ``spread``.
     """
-    vectors = rotation_vectors(x, slots)
+    A, b, H = x[INVERSE].reshape(3, 3), x[BIAS], x[SENSITIVITY].reshape(3, 3)
+    T = slots.duration_s[:, None]
+    M = np.linalg.inv(A)
+    # cof(A) = det(A) A^-T, see moves: A x x A y = cof(A) (x x y)
+    cofactor = np.linalg.det(A) * M.T
+    coning = slots.area + cross(T * slots.turn - 2 * slots.moment, M @ b)
+    vectors = np.asarray(slots.turn @ A.T - b * T - slots.velocity_m_s @ H.T + 0.5 * coning @ cofactor.T)
     running = running_turns(exponential(vectors), slots.first)
     last = slots.first + slots.length - 1
     end = running[last]
@@ -142,16 +132,14 @@ def integrate(x: FloatArray, slots: CentredSlots, noise_density_raw: FloatArray)
     def total(values: FloatArray) -> FloatArray:
         return np.asarray(np.add.reduceat(values, slots.first, axis=0))
 
-    T = slots.duration_s
     by_inverse = total((W[:, :, :, None] * slots.turn[:, None, None, :]).reshape(-1, 3, 9))
-    duration = total(W * T[:, None, None])
+    duration = total(W * T[:, :, None])
     by_force = total((W[:, :, :, None] * slots.velocity_m_s[:, None, None, :]).reshape(-1, 3, 9))
-    A = inverse_matrix(x)
     # White noise of density n gives each slot the variance n^2 T.
     noise = W @ (A * noise_density_raw)
-    bridged = W @ A
-    spread = noise @ np.swapaxes(noise, 1, 2) * T[:, None, None]
+    spread = noise @ np.swapaxes(noise, 1, 2) * T[:, :, None]
     if slots.bridge.any():
+        bridged = W @ A
         # A rate that changes anywhere in a gap, evenly likely: a third of the square of the largest error.
         spread += bridged @ np.swapaxes(bridged, 1, 2) * (slots.bridge / 3)[:, None, None]
     return Turns(
@@ -170,7 +158,10 @@ def rough_inverse(slots: CentredSlots, window_s: float = 0.1) -> FloatArray:
     the nine entries. The acceleration of the hand disturbs it; what comes out is good to 10 or 20 %, signs and order of
     the axes included.
     """
-    starts = _windows(slots, window_s)
+    elapsed = np.cumsum(slots.duration_s) - slots.duration_s
+    chain = np.repeat(np.arange(len(slots.first)), slots.length)
+    window = np.floor((elapsed - elapsed[slots.first][chain]) / window_s).astype(np.int64)
+    starts = np.concatenate(([0], np.flatnonzero((np.diff(window) != 0) | (np.diff(chain) != 0)) + 1))
     T = np.add.reduceat(slots.duration_s, starts)
     force = np.add.reduceat(slots.velocity_m_s, starts) / T[:, None]
     turn = np.add.reduceat(slots.turn, starts)
@@ -188,11 +179,3 @@ def rough_inverse(slots: CentredSlots, window_s: float = 0.1) -> FloatArray:
     rows *= weight[:, None, None]
     solution: FloatArray = np.linalg.lstsq(rows.reshape(-1, 9), (change * weight[:, None]).reshape(-1), rcond=None)[0]
     return solution.reshape(3, 3)
-
-
-def _windows(slots: CentredSlots, window_s: float) -> IntArray:
-    elapsed = np.cumsum(slots.duration_s) - slots.duration_s
-    chain = np.repeat(np.arange(len(slots.first)), slots.length)
-    window = np.floor((elapsed - elapsed[slots.first][chain]) / window_s).astype(np.int64)
-    changes = np.flatnonzero((np.diff(window) != 0) | (np.diff(chain) != 0)) + 1
-    return np.concatenate(([0], changes)).astype(np.int64)

@@ -189,18 +189,18 @@ def join_slots(slots: Slots, starts: IntArray) -> Slots:
     )
 
 
-class SlotBuilder:
-    """Turns samples into slots; the result does not depend on how the samples were cut into blocks.
+class MoveCollector:
+    """Collects the moves of a recording from a stream of samples, as slots; the still intervals are given at the end.
+
+    The result does not depend on how the samples were cut into blocks.
 
     Parameters
     ----------
     units : SampleUnits
         ``interval_s`` tells losses; where it is not known, the median interval of the first block does.
-    slot_s : float
     """
 
-    def __init__(self, units: SampleUnits, slot_s: float = SLOT_S) -> None:
-        self.slot_s = slot_s
+    def __init__(self, units: SampleUnits) -> None:
         self.low = np.full(3, np.inf)
         self.high = np.full(3, -np.inf)
         self.interval_s = units.interval_s
@@ -233,22 +233,30 @@ class SlotBuilder:
                 self._compact()
         self._pending = samples[cut:]
 
-    def finish(self) -> Slots:
-        """Return all slots so far, the unfinished one included."""
+    def finish(self, start_s: FloatArray, duration_s: FloatArray) -> Moves:
+        """Return the moves between still intervals (sample clock, shape (s,), in any order)."""
+        parts = self._parts
         if self._pending is not None and len(self._pending) > 1 and self.interval_s:
-            slots = self._measure(self._pending, self._slot_of(self._pending.time_s[:-1]))
-            return stack_slots([*self._parts, slots])
-        return stack_slots(self._parts) if self._parts else no_slots()
+            # The unfinished slot is the last one.
+            parts = [*parts, self._measure(self._pending, self._slot_of(self._pending.time_s[:-1]))]
+        return cut_moves(stack_slots(parts) if parts else no_slots(), start_s, duration_s, (self.low, self.high))
 
     def _slot_of(self, time_s: FloatArray) -> IntArray:
-        slot: IntArray = np.floor(time_s / self.slot_s + _SLOT_MARGIN).astype(np.int64)
+        slot: IntArray = np.floor(time_s / SLOT_S + _SLOT_MARGIN).astype(np.int64)
         return slot
 
     def _measure(self, samples: Samples, slot: IntArray) -> Slots:
         """Return the slots of n intervals between n + 1 samples."""
         starts = np.concatenate(([0], np.flatnonzero(np.diff(slot)) + 1))
         N, a, dt = samples.gyroscope_rate(), samples.accelerometer_rate(), np.diff(samples.time_s)
-        flags, bridge = self._losses(dt, np.diff(N, axis=0))
+        interval_s = self.interval_s or 0.0
+        flags = np.zeros(len(dt), dtype=np.uint8)
+        lost = dt > _LOST_INTERVALS * interval_s
+        flags[lost] |= np.uint8(SlotFlag.BRIDGED)
+        flags[dt > max(BRIDGED_S, BRIDGED_INTERVALS * interval_s)] |= np.uint8(SlotFlag.LOST)
+        flags[dt <= 0] |= np.uint8(SlotFlag.CLOCK_JUMP)
+        # Over a loss the rate changed; when it did so is unknown, and moves the turn by up to half of this.
+        bridge = np.where(lost, np.sum(np.diff(N, axis=0) ** 2, axis=1) * dt**2 / 16, 0.0)
         dt = np.where(flags & np.uint8(SlotFlag.CLOCK_JUMP), 0.0, dt)
         half = 0.5 * dt[:, None]
         turn = half * (N[:-1] + N[1:])
@@ -273,17 +281,6 @@ class SlotBuilder:
         )
         self.low, self.high = np.minimum(self.low, N.min(axis=0)), np.maximum(self.high, N.max(axis=0))
         return join_slots(single, starts)
-
-    def _losses(self, dt: FloatArray, change: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
-        interval = self.interval_s or 0.0
-        flags = np.zeros(len(dt), dtype=np.uint8)
-        lost = dt > _LOST_INTERVALS * interval
-        flags[lost] |= np.uint8(SlotFlag.BRIDGED)
-        flags[dt > max(BRIDGED_S, BRIDGED_INTERVALS * interval)] |= np.uint8(SlotFlag.LOST)
-        flags[dt <= 0] |= np.uint8(SlotFlag.CLOCK_JUMP)
-        # Over a loss the rate changed by `change`; when it did so is unknown, and moves the turn by up to half of this.
-        bridge = np.where(lost, np.sum(change**2, axis=1) * dt**2 / 16, 0.0)
-        return flags, bridge
 
     def _plateau(self, N: FloatArray) -> FloatArray:
         """Return outputs that were repeated often enough, one row for each interval, NaN elsewhere."""
@@ -362,26 +359,6 @@ class Moves:
         if not len(self):
             return np.empty(0)
         return np.asarray(np.add.reduceat(self.slots.duration_s, self.first))
-
-
-class MoveCollector:
-    """Collects the moves of a recording from a stream of samples; the still intervals are given at the end.
-
-    Parameters
-    ----------
-    units : SampleUnits
-    """
-
-    def __init__(self, units: SampleUnits) -> None:
-        self._builder = SlotBuilder(units)
-
-    def feed(self, samples: Samples) -> None:
-        """Take the next samples."""
-        self._builder.feed(samples)
-
-    def finish(self, start_s: FloatArray, duration_s: FloatArray) -> Moves:
-        """Return the moves between still intervals (sample clock, shape (s,), in any order)."""
-        return cut_moves(self._builder.finish(), start_s, duration_s, (self._builder.low, self._builder.high))
 
 
 def cut_moves(

@@ -134,9 +134,6 @@ class StaticSolution:
 
     given: GyroscopeInput
     data: StaticData
-    start: FloatArray
-    """A, b and v, shape (13,)."""
-    columns: list[int]
     fitted: StaticFit
     rest_raw: FloatArray
 
@@ -156,9 +153,19 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     with_accelerometer[columns] = -fitted.gain[places] @ fitted.parts.with_accelerometer
     known = np.array([name not in observability.hidden_names for name in GYROSCOPE_NAMES])
     known[12:] &= chosen.g_sensitive
-    before = evaluate(solution.start, solution.data) if observability.known else None
-    turns = find_whole_turns(fitted.evaluation, solution.data, before)
-    moves = _move_report(solution)
+    data, now, m = solution.data, fitted.evaluation, len(solution.given.moves)
+    before = evaluate(solution.start, data) if observability.known else None
+    turns = find_whole_turns(now, data, before)
+    S = fitted.parts.total(fitted.scatter)
+    blocks = np.array([S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(m)]).reshape(m, 2, 2)
+    residual, up = now.residual[: 2 * m].reshape(m, 2), data.up[data.after]
+    moves = MoveReport(
+        start_s=solution.given.moves.start_s,
+        end_s=solution.given.moves.end_s,
+        before_deg=np.full(m, np.nan) if before is None else np.degrees(before.angle_error_rad(up)),
+        after_deg=np.degrees(now.angle_error_rad(up)),
+        sigma=np.sqrt(np.einsum("mi,mij,mj->m", residual, np.linalg.inv(blocks), residual)),
+    )
     calibration, covariance, J = _calibration(fitted.p[:PARAMETERS], own, known, solution, path=_path(solution, turns))
     return GyroscopeResult(
         calibration=calibration,
@@ -266,21 +273,6 @@ def as_parameters(vector: FloatArray) -> GyroscopeParameters:
     misalignment = np.zeros((3, 3))
     misalignment[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS] = vector[3:9]
     return GyroscopeParameters(vector[:3].copy(), misalignment, vector[9:12].copy(), vector[12:].reshape(3, 3).copy())
-
-
-def _move_report(solution: JointSolution) -> MoveReport:
-    data, fitted, moves = solution.data, solution.chosen.fit, solution.given.moves
-    up = data.up[data.after]
-    now, m = fitted.evaluation, len(moves)
-    S = fitted.parts.total(fitted.scatter)
-    blocks = np.array([S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(m)]).reshape(m, 2, 2)
-    residual = now.residual[: 2 * m].reshape(m, 2)
-    sigma = np.sqrt(np.einsum("mi,mij,mj->m", residual, np.linalg.inv(blocks), residual))
-    before = np.full(m, np.nan)
-    if solution.observability.known:
-        before = np.degrees(evaluate(solution.start, data).angle_error_rad(up))
-    after = np.degrees(now.angle_error_rad(up))
-    return MoveReport(start_s=moves.start_s, end_s=moves.end_s, before_deg=before, after_deg=after, sigma=sigma)
 
 
 def _path(solution: JointSolution, turns: tuple[WholeTurn, ...]) -> str:

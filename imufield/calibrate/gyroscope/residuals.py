@@ -138,29 +138,46 @@ def evaluate(p: FloatArray, data: GyroscopeData) -> Evaluation:
     up = data.up
     Q, carry = carry_azimuth(data, turns, v, h)
     # move: u_after - R^T exp([w_e T]) u_before, at right angles to u_after
+    m, s, n = len(data.before), len(up), data.parameters
     predicted = (carry @ up[data.before][:, :, None])[:, :, 0]
     tangent = _tangent(up[data.after])
     residual_moves = (tangent @ (up[data.after] - predicted)[:, :, None])[:, :, 0]
+    move_rows = np.zeros((m, 2, n))
+    # u_pred' = exp(-d turn) u_pred, so d u_pred = u_pred x d turn.
+    move_rows[:, :, :PARAMETERS] = -tangent @ skew(predicted) @ turns.jacobian
+    duration = np.add.reduceat(data.slots.duration_s, data.slots.first)
+    # exp([(w_e + d) T]) u = exp([w_e T]) u + T d x u to first order
+    by_earth = tangent @ carry @ skew(up[data.before]) * duration[:, None, None]
+    by_horizontal = by_earth @ Q[data.before]
+    for k, column in enumerate(FIRST_HORIZONTAL + 2 * data.chain[data.before]):
+        move_rows[k, :, column : column + 2] = by_horizontal[k]
     # still: A n - b - H a - w_e
     earth = v * up + (Q @ h[data.chain][:, :, None])[:, :, 0]
     residual_stills = data.rate_raw @ A.T - b - data.force @ H.T - earth
+    still_rows = np.zeros((s, 3, n))
+    still_rows[:, :, BIAS] = -np.eye(3)
+    still_rows[:, :, VERTICAL] = -up
+    for k, column in enumerate(FIRST_HORIZONTAL + 2 * data.chain):
+        still_rows[k, :, column : column + 2] = -Q[k]
     # stop: log(R^T exp([w_e T])) . u_after
     c = data.stops
     stopped_up = up[data.after[c]]
     residual_stops = np.sum(logarithm(from_matrix(carry[c])) * stopped_up, axis=1)
-    stop_rows = np.zeros((len(c), data.parameters))
+    stop_rows = np.zeros((len(c), n))
     stop_rows[:, :PARAMETERS] = -(stopped_up[:, None, :] @ turns.jacobian[c])[:, 0, :]
     # table: A d - w u
     difference = data.table.half_difference_raw
     residual_table = difference @ A.T - data.table.rate_rad_s
-    table_rows = np.zeros((len(data.table), 3, data.parameters))
+    table_rows = np.zeros((len(data.table), 3, n))
     for axis in range(3):
-        table_rows[:, axis, 3 * axis : 3 * axis + 3] = difference
-    move_rows = _move_rows(data, turns, tangent, predicted, carry=carry, Q=Q)
-    jacobian = np.vstack([move_rows, _still_rows(data, Q), stop_rows, table_rows.reshape(-1, data.parameters)])
+        # Row of A, and of H, that an axis multiplies.
+        by_row, force_start = slice(3 * axis, 3 * axis + 3), SENSITIVITY.start + 3 * axis
+        still_rows[:, axis, by_row], table_rows[:, axis, by_row] = data.rate_raw, difference
+        still_rows[:, axis, force_start : force_start + 3] = -data.force
+    jacobian = np.vstack([move_rows.reshape(-1, n), still_rows.reshape(-1, n), stop_rows, table_rows.reshape(-1, n)])
     residual = np.concatenate([residual_moves.ravel(), residual_stills.ravel(), residual_stops, residual_table.ravel()])
     return Evaluation(
-        residual=residual, jacobian=jacobian, turns=turns, tangent=tangent, predicted=predicted, carry=carry, stills=len(up)
+        residual=residual, jacobian=jacobian, turns=turns, tangent=tangent, predicted=predicted, carry=carry, stills=s
     )
 
 
@@ -188,35 +205,3 @@ def _tangent(up: FloatArray) -> FloatArray:
     first = cross(up, other)
     first /= np.linalg.norm(first, axis=1)[:, None]
     return np.stack([first, cross(up, first)], axis=1)
-
-
-def _move_rows(
-    data: GyroscopeData, turns: Turns, tangent: FloatArray, predicted: FloatArray, *, carry: FloatArray, Q: FloatArray
-) -> FloatArray:
-    m = len(data.before)
-    rows = np.zeros((m, 2, data.parameters))
-    # u_pred' = exp(-d turn) u_pred, so d u_pred = u_pred x d turn.
-    rows[:, :, :PARAMETERS] = -tangent @ skew(predicted) @ turns.jacobian
-    duration = np.add.reduceat(data.slots.duration_s, data.slots.first)
-    # exp([(w_e + d) T]) u = exp([w_e T]) u + T d x u to first order
-    by_earth = tangent @ carry @ skew(data.up[data.before]) * duration[:, None, None]
-    by_horizontal = by_earth @ Q[data.before]
-    for k in range(m):
-        column = FIRST_HORIZONTAL + 2 * data.chain[data.before[k]]
-        rows[k, :, column : column + 2] = by_horizontal[k]
-    return rows.reshape(-1, data.parameters)
-
-
-def _still_rows(data: GyroscopeData, Q: FloatArray) -> FloatArray:
-    s = len(data.force)
-    rows = np.zeros((s, 3, data.parameters))
-    for axis in range(3):
-        rows[:, axis, 3 * axis : 3 * axis + 3] = data.rate_raw
-        start = SENSITIVITY.start + 3 * axis
-        rows[:, axis, start : start + 3] = -data.force
-    rows[:, :, BIAS] = -np.eye(3)
-    rows[:, :, VERTICAL] = -data.up
-    for k in range(s):
-        column = FIRST_HORIZONTAL + 2 * data.chain[k]
-        rows[k, :, column : column + 2] = -Q[k]
-    return rows.reshape(-1, data.parameters)

@@ -154,6 +154,10 @@ class StaticData:
 class StaticFit:
     """``x`` holds A row by row (9), then b (3)."""
 
+    start: FloatArray
+    """A, b and v where the fit began, shape (13,)."""
+    columns: list[int]
+    """Which of A and b were fitted."""
     x: FloatArray
     covariance: FloatArray
     """Shape (12, 12), zero where not fitted."""
@@ -201,14 +205,19 @@ def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: Stati
     latitude_deg : float
     free : {"bias", "all"}
     """
-    columns = static_columns(free)
-    start = static_start(data, A, latitude_deg)
+    columns = [9, 10, 11] if free == "bias" else list(range(12))
+    vertical_rad_s = EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg))
+    # The horizontal part averages out over headings, near enough to start from.
+    bias = (data.rate_raw @ A.T - vertical_rad_s * data.up).mean(axis=0)
+    start = np.concatenate([A.ravel(), bias, [vertical_rad_s]])
     p, covariance, scatter, converged = _fit(data, start, columns)
     # Once more with the latitude left free.
     free_p, free_covariance, *_ = _fit(data, p, [*columns, 12])
     full = np.zeros((12, 12))
     full[np.ix_(columns, columns)] = covariance
     return StaticFit(
+        start=start,
+        columns=columns,
         x=p[:12],
         covariance=full,
         scatter=scatter,
@@ -216,19 +225,6 @@ def fit_static(data: StaticData, A: FloatArray, latitude_deg: float, free: Stati
         vertical_sigma_rad_s=math.sqrt(free_covariance[-1, -1]),
         converged=converged,
     )
-
-
-def static_columns(free: StaticFree) -> list[int]:
-    """Return which entries of A and b are fitted."""
-    return [9, 10, 11] if free == "bias" else list(range(12))
-
-
-def static_start(data: StaticData, A: FloatArray, latitude_deg: float) -> FloatArray:
-    """Return A, the bias with the vertical Earth rate taken off, and that rate, shape (13,)."""
-    vertical_rad_s = EARTH_RATE_RAD_S * math.sin(math.radians(latitude_deg))
-    # The horizontal part averages out over headings, near enough to start from.
-    bias = (data.rate_raw @ A.T - vertical_rad_s * data.up).mean(axis=0)
-    return np.concatenate([A.ravel(), bias, [vertical_rad_s]])
 
 
 def _fit(data: StaticData, start: FloatArray, columns: list[int]) -> tuple[FloatArray, FloatArray, Scatter, bool]:

@@ -45,7 +45,6 @@ from imufield.samples import FloatArray
 _UPPER_ENTRIES = (6, 7, 9)
 _LOWER_ENTRIES = (8, 10, 11)
 _SYMMETRIC_PASSES = 50  # At most: Newton takes two for misalignments up to 0.05 rad.
-_INTRINSIC_SIZE = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +217,7 @@ def intrinsic(vector: FloatArray, quadratic_axes: QuadraticAxes = "sensing") -> 
     pairs = ((0, 1), (0, 2), (1, 2))
     cosines = np.array([u[i] @ u[j] for i, j in pairs])
     values = np.concatenate([K * length, K * b, -np.arcsin(cosines), K2 * power])
-    J = np.zeros((_INTRINSIC_SIZE, PARAMETERS))
+    J = np.zeros((len(values), PARAMETERS))
     J[range(3), range(3)] = length
     J[range(3, 6), range(3)] = b
     J[range(3, 6), range(3, 6)] = K

@@ -97,8 +97,27 @@ def recover(parameters: AccelerometerParameters, raw: FloatArray) -> FloatArray:
     raw = np.asarray(raw, dtype=np.float64)
     a = recover_vectors(to_vector(parameters), raw - parameters.raw_zero, parameters.quadratic_axes)
     lost = np.isnan(a).any(axis=-1) & np.isfinite(raw).all(axis=-1)
-    if np.any(lost):
-        raise _not_recoverable(parameters, raw, int(np.flatnonzero(lost)[0]))
+    for row in np.flatnonzero(lost):
+        output = raw.reshape(-1, 3)[row]
+        if parameters.quadratic_axes == "body":
+            raise CalibrationError(
+                f"the inverse of the body-axis quadratic model does not converge for output {output.tolist()} (row {row}) "
+                f"within {_CONTRACTION_PASSES} passes; use quadratic axes 'sensing' or check scale and quadratic term",
+                Reason.NOT_CONVERGED,
+                row=int(row),
+                raw=output,
+            )
+        s = _sensing_input(to_vector(parameters), output - parameters.raw_zero)
+        axis = int(np.argmax(np.isnan(s).reshape(3)))
+        raise CalibrationError(
+            f"output {output[axis]:g} of axis {AXES[axis]} (row {row}) is beyond the turning point of the quadratic model "
+            f"with scale {parameters.scale[axis]:g} and quadratic term {parameters.quadratic[axis]:g}; check those two and the "
+            "raw unit",
+            Reason.BOUNDS,
+            row=int(row),
+            axis=AXES[axis],
+            raw=float(output[axis]),
+        )
     return a
 
 
@@ -141,28 +160,6 @@ def _sensing_input(vector: FloatArray, raw: FloatArray) -> FloatArray:
         root = np.sqrt(K**2 + 4 * K2 * unbiased)
     # The root that goes to N / K - b for a vanishing K2, in the form without cancellation.
     return np.asarray(2 * unbiased / (K + np.copysign(root, K)))
-
-
-def _not_recoverable(parameters: AccelerometerParameters, raw: FloatArray, row: int) -> CalibrationError:
-    output = raw.reshape(-1, 3)[row]
-    if parameters.quadratic_axes == "body":
-        return CalibrationError(
-            f"the inverse of the body-axis quadratic model does not converge for output {output.tolist()} (row {row}) within "
-            f"{_CONTRACTION_PASSES} passes; use quadratic axes 'sensing' or check scale and quadratic term",
-            Reason.NOT_CONVERGED,
-            row=row,
-            raw=output,
-        )
-    s = _sensing_input(to_vector(parameters), output - parameters.raw_zero)
-    axis = int(np.argmax(np.isnan(s).reshape(3)))
-    return CalibrationError(
-        f"output {output[axis]:g} of axis {AXES[axis]} (row {row}) is beyond the turning point of the quadratic model with "
-        f"scale {parameters.scale[axis]:g} and quadratic term {parameters.quadratic[axis]:g}; check those two and the raw unit",
-        Reason.BOUNDS,
-        row=row,
-        axis=AXES[axis],
-        raw=float(output[axis]),
-    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -132,12 +132,6 @@ class _Level:
         self.flushed = False
         self.left = np.empty((0, columns))
 
-    def add(self, octave: int, variance: FloatArray, terms: float) -> None:
-        """Add the variance of one chunk."""
-        self.square[octave] = self.square.get(octave, np.zeros(len(variance))) + terms * variance
-        # Each chunk counts by its number of terms.
-        self.terms[octave] = self.terms.get(octave, 0.0) + terms
-
     def take(self) -> FloatArray:
         """Return all rows and forget them."""
         rows = np.concatenate(self.parts) if self.parts else np.empty((0, self.left.shape[1]))
@@ -196,17 +190,13 @@ class AllanStream:
         level.rows += len(values)
         level.total += len(values)
         if number < _CHUNKED_LEVELS:
+            # At least a chunk stays, so the last one is never short.
             while level.rows >= 2 * CHUNK:
-                self._flush(number)
-
-    def _flush(self, number: int) -> None:
-        """Take one chunk off; at least as much stays, so the last chunk is never a short one."""
-        level = self._levels[number]
-        rows = level.take()
-        chunk, rest = rows[:CHUNK], rows[CHUNK:]
-        level.parts, level.rows, level.flushed = [rest], len(rest), True
-        self._measure(level, number, chunk, range(self._first(number), self._last(number) + 1))
-        self._average(number, chunk)
+                rows = level.take()
+                chunk, rest = rows[:CHUNK], rows[CHUNK:]
+                level.parts, level.rows, level.flushed = [rest], len(rest), True
+                self._measure(level, number, chunk, range(self._first(number), self._last(number) + 1))
+                self._average(number, chunk)
 
     def _average(self, number: int, rows: FloatArray) -> None:
         level = self._levels[number]
@@ -254,7 +244,10 @@ class AllanStream:
             )
             variances.append(deviation**2)
         for k, octave in enumerate(inside[: len(terms)]):
-            level.add(octave, np.array([variance[k] for variance in variances]), float(terms[k]))
+            # Each chunk counts by its number of terms.
+            square = float(terms[k]) * np.array([variance[k] for variance in variances])
+            level.square[octave] = level.square.get(octave, 0.0) + square
+            level.terms[octave] = level.terms.get(octave, 0.0) + float(terms[k])
 
 
 def load_allantools() -> Any:

@@ -111,8 +111,17 @@ def identify(tau_s: FloatArray, deviation: FloatArray, freedom: FloatArray) -> N
         size = np.linalg.norm(A, axis=0)
         squares = np.asarray(nnls(A / size, np.linalg.solve(L, q / (expected * relative)))[0]) / size
         expected = np.maximum(X @ squares, 1e-6 * q)
-    sigma = _sigma(A, squares)
-    figures = [_figure(float(value), float(s)) for value, s in zip(squares, sigma, strict=True)]
+    # Of each square, beside the three figures that are reported and whatever else is not zero.
+    active = squares > 0
+    active[[_N, _B, _K]] = True
+    figures = []
+    for k, square in enumerate(squares):
+        columns = np.flatnonzero(active | (np.arange(_TERMS) == k))
+        scale = np.linalg.norm(A[:, columns], axis=0)
+        covariance = np.linalg.pinv((A[:, columns] / scale).T @ (A[:, columns] / scale), hermitian=True)
+        place = int(np.flatnonzero(columns == k)[0])
+        sigma = _WIDER * math.sqrt(max(covariance[place, place], 0.0)) / scale[place]
+        figures.append(_figure(float(square), float(sigma)))
     return NoiseModel(
         density=figures[_N],
         instability=figures[_B],
@@ -129,20 +138,6 @@ def first_falling(tau_s: FloatArray, deviation: FloatArray) -> int:
     slope = np.diff(np.log(deviation)) / np.diff(np.log(tau_s))
     falling = np.flatnonzero(slope <= _FALLING)
     return int(falling[0]) if len(falling) and falling[0] < len(tau_s) // 2 else 0
-
-
-def _sigma(A: FloatArray, squares: FloatArray) -> FloatArray:
-    """Return 1 sigma of the squares, beside the three figures that are reported and whatever else is not zero."""
-    active = squares > 0
-    active[[_N, _B, _K]] = True
-    sigma = np.zeros(_TERMS)
-    for k in range(_TERMS):
-        columns = np.flatnonzero(active | (np.arange(_TERMS) == k))
-        scale = np.linalg.norm(A[:, columns], axis=0)
-        covariance = np.linalg.pinv((A[:, columns] / scale).T @ (A[:, columns] / scale), hermitian=True)
-        place = int(np.flatnonzero(columns == k)[0])
-        sigma[k] = _WIDER * math.sqrt(max(covariance[place, place], 0.0)) / scale[place]
-    return sigma
 
 
 def _figure(square: float, sigma: float) -> NoiseFigure:

@@ -93,7 +93,18 @@ class NormProblem:
     def cost(self, candidates: FloatArray) -> FloatArray:
         """Return the cost of a population, shape (c, n) -> (c,); inf where the model cannot be inverted."""
         # In place: a population of 60 at 24 positions is asked for 72 000 times.
-        squares = self._squared_norms(self.vector(candidates))
+        vectors = self.vector(candidates)
+        with np.errstate(all="ignore"):
+            inverse = inverse_matrices(unit_diagonal_matrices(vectors[:, MISALIGNMENT]))
+            if self.quadratic_axes == "sensing":
+                K, b, K2 = (vectors[:, part, None] for part in (SCALE, BIAS, QUADRATIC))
+                unbiased = self.raw.T - K * b
+                root = np.sqrt(K**2 + 4 * K2 * unbiased)
+                # As in models.recover_vectors, for all candidates at once.
+                a = inverse @ (2 * unbiased / (K + np.copysign(root, K)))
+            else:
+                a = self._body_input(vectors, inverse)
+            squares = np.einsum("cim,cim->cm", a, a)
         cost: FloatArray
         if self.cost_name == "squares":
             squares -= self.gravity_m_s2**2
@@ -109,20 +120,6 @@ class NormProblem:
         # A candidate without a specific force must lose every comparison; NaN would lose none.
         cost[~np.isfinite(cost)] = np.inf
         return cost
-
-    def _squared_norms(self, vectors: FloatArray) -> FloatArray:
-        """Return norm(a)^2, shape (c, 15) -> (c, m)."""
-        with np.errstate(all="ignore"):
-            inverse = inverse_matrices(unit_diagonal_matrices(vectors[:, MISALIGNMENT]))
-            if self.quadratic_axes == "sensing":
-                K, b, K2 = (vectors[:, part, None] for part in (SCALE, BIAS, QUADRATIC))
-                unbiased = self.raw.T - K * b
-                root = np.sqrt(K**2 + 4 * K2 * unbiased)
-                # As in models.recover_vectors, for all candidates at once.
-                a = inverse @ (2 * unbiased / (K + np.copysign(root, K)))
-            else:
-                a = self._body_input(vectors, inverse)
-            return np.asarray(np.einsum("cim,cim->cm", a, a))
 
     def _body_input(self, vectors: FloatArray, inverse: FloatArray) -> FloatArray:
         K = vectors[:, SCALE]

@@ -25,7 +25,6 @@ class Method:
     """The cost its paper gives it: eq. 13 for beetles, eq. 7 for evolution, chi squared for least squares."""
 
 
-_PACKAGE = "imufield.calibrate.solvers"
 # Name, title, module, function and cost of each method.
 _TABLE: tuple[tuple[str, str, str, str, CostName], ...] = (
     ("least-squares", "Levenberg-Marquardt, weighted", "least_squares", "solve_least_squares", "weighted"),
@@ -69,5 +68,5 @@ def load_solver(name: str) -> Solver:
         If there is no such method.
     """
     method = find_method(name)
-    module = importlib.import_module(f"{_PACKAGE}.{method.module}")
+    module = importlib.import_module(f"{__package__}.{method.module}")
     return cast("Solver", getattr(module, method.function))

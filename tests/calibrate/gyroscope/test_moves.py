@@ -186,12 +186,12 @@ def test_no_still_after_or_none_at_all() -> None:
 def test_long_recordings_are_kept_in_less() -> None:
     units = SampleUnits(accelerometer="m/s^2", gyroscope="count")
     small, large = MoveCollector(units), MoveCollector(units)
-    large._builder._compact_at = 1200
+    large._compact_at = 1200
     samples = session()
     for first in range(0, len(samples), 500):
         small.feed(samples[slice(first, first + 500)])
         large.feed(samples[slice(first, first + 500)])
-    assert len(large._builder.finish()) < 0.75 * len(small._builder.finish())
+    assert large._count < 0.75 * small._count
     a, b = small.finish(START_S, DURATION_S), large.finish(START_S, DURATION_S)
     for k in range(2):
         assert between(turn_of(a, k), turn_of(b, k)) < 1e-4
