@@ -329,6 +329,7 @@ def to_csv(history: History) -> str:
             changes = {change.name: change.in_sigma for change in before}
             for number in entry.numbers:
                 change = changes.get(number.name, math.nan)
+                # Every digit: with a table one computes on.
                 writer.writerow([
                     instrument.instrument, instrument.serial_number, entry.created, entry.verdict, entry.path, number.name,
                     number.unit, repr(number.value), repr(number.sigma), "" if math.isnan(change) else f"{change:.2f}",

@@ -48,14 +48,12 @@ class Correction:
 
     def apply(self, raw: FloatArray) -> FloatArray:
         """Return corrected values, shape (..., 3)."""
-        corrected: FloatArray = (raw - self.offset) @ self.matrix.T
-        return corrected
+        return np.asarray((raw - self.offset) @ self.matrix.T)
 
     @property
     def output_offset(self) -> FloatArray:
         """M o of u = M N - M o, shape (3,)."""
-        shifted: FloatArray = self.matrix @ self.offset
-        return shifted
+        return np.asarray(self.matrix @ self.offset)
 
     @property
     def error_matrix(self) -> FloatArray:
@@ -144,10 +142,8 @@ def linear_corrections(calibration: Calibration, frame: Frame = "file") -> Corre
     gyroscope, g_sensitivity = None, np.zeros((3, 3))
     rates = _usable_gyroscope(calibration)
     if rates is not None:
-        gyroscope, g_sensitivity = (
-            Correction(correction_matrix(rates.scale, rates.misalignment_rad), rates.bias),
-            rates.g_sensitivity,
-        )
+        gyroscope = Correction(correction_matrix(rates.scale, rates.misalignment_rad), rates.bias)
+        g_sensitivity = rates.g_sensitivity
     matrix = correction_matrix(accelerometer.scale, accelerometer.misalignment_rad)
     corrections = Corrections(Correction(matrix, offset), gyroscope, g_sensitivity, rotation=np.eye(3))
     if frame == "file":

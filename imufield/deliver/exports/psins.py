@@ -47,8 +47,7 @@ class _PsinsModel:
 
     def apply_accelerometer(self, raw: FloatArray) -> FloatArray:
         r = (raw - self.zero) / self.scale
-        corrected: FloatArray = r @ self.Ka.T - self.db - self.Ka2 * r**2
-        return corrected
+        return np.asarray(r @ self.Ka.T - self.db - self.Ka2 * r**2)
 
     def gyroscope_force(self, raw: FloatArray) -> FloatArray:
         return self.linear.gyroscope_force(raw)
@@ -88,6 +87,7 @@ def _psins_model(job: Job, linear: Corrections) -> _PsinsModel:
     K, k = turned.scale / scale, turned.quadratic / turned.scale
     # A mid-scale that the driver leaves in is one more bias.
     b = turned.bias_m_s2 + (parameters.raw_zero - zero) / turned.scale
+    # Lower by the gauge: what rounding leaves above the diagonal would be read as a misalignment.
     inverse = np.tril(np.linalg.inv(np.eye(3) + turned.misalignment_rad))
     Ka: FloatArray = inverse * ((1 + 2 * k * b) / K)
     return _PsinsModel(

@@ -175,8 +175,7 @@ def rotation(vector: FloatArray) -> FloatArray:
     A = cross_matrix(vector)
     # np.sinc is sin(pi x)/(pi x): both factors are exact at zero.
     half = np.sinc(angle / (2 * np.pi))
-    turned: FloatArray = np.eye(3) + np.sinc(angle / np.pi) * A + 0.5 * half**2 * (A @ A)
-    return turned
+    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * A + 0.5 * half**2 * (A @ A))
 
 
 def _thinned(means: RestMeans) -> RestMeans:

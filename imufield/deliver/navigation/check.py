@@ -147,7 +147,11 @@ class StaticNavigation:
         means = tested.means()
         moving = moving_seconds(means)
         self._check_moves(means, moving)
-        noise = measure_noise(_longest_still(means, moving))
+        # The noise is that of rest: of the longest run of still seconds, and what moved too much was refused above.
+        edges = np.flatnonzero(np.diff(np.concatenate([[True], moving, [True]])))
+        starts, ends = edges[::2], edges[1::2]
+        longest = int(np.argmax(ends - starts))
+        noise = measure_noise(means[starts[longest] : ends[longest]])
         expected, notes = self._forecast(tested, calibration, noise)
         return NavigationResult(
             drifts=drifts,
@@ -215,25 +219,22 @@ class StaticNavigation:
     def _forecast(
         self, tested: ParameterSet, calibration: Calibration | None, noise: RestNoise
     ) -> tuple[Forecast | None, tuple[str, ...]]:
-        if calibration is None:
+        settings, alignment, flown = self.settings, tested.alignment, tested.mechanisation
+        if calibration is None or alignment is None or flown is None:
             return None, ()
         if not np.isfinite(calibration.covariance).all():
             return None, ("no forecast: the parameter file does not know its own uncertainty",)
-        settings, alignment = self.settings, tested.alignment
-        if alignment is None or tested.mechanisation is None:
-            return None, ()
         instability = noise.instability if settings.instability is None else settings.instability
         # A bias that is new at each start is as large as what it wanders, where nobody knows better.
         turn_on = np.nan_to_num(instability) if settings.turn_on is None else settings.turn_on
         random = RandomErrors(noise.density, instability, turn_on)
-        drift, attitudes = tested.mechanisation.drift, tested.mechanisation.attitudes
         scene = Scene(
             latitude_deg=settings.latitude_deg,
             height_m=settings.height_m,
             gravity_m_s2=settings.gravity_m_s2,
             alignment=alignment,
-            time_s=drift.time_s,
-            attitudes=attitudes,
+            time_s=flown.drift.time_s,
+            attitudes=flown.attitudes,
         )
         expected = forecast(calibration, scene, random, np.random.default_rng(settings.seed), runs=settings.runs)
         if expected.heading_sigma_rad > LARGEST_HEADING_SIGMA_RAD:
@@ -298,13 +299,3 @@ class ParameterSet:
             after = corrected.time_s >= end_s
             self.mechanisation.feed(*(values[after] for values in corrected))
         self._waiting = []
-
-
-def _longest_still(means: FloatArray, moving: NDArray[np.bool_]) -> FloatArray:
-    """Return the longest run of still seconds."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], moving, [True]])))
-    starts, ends = edges[::2], edges[1::2]
-    if not len(starts):
-        return means[:0]
-    longest = int(np.argmax(ends - starts))
-    return means[starts[longest] : ends[longest]]

@@ -147,8 +147,12 @@ def simulate(
     forward, gain = transition(scene, step_s)
     x = np.zeros((runs, 7))
     constant, evaluated = _errors(parameters, scene, attitudes[0], attitudes[0], step_s=step_s), attitudes[0]
-    x[:, 4:] = _aligned(scene.alignment, constant + slow.value, rng, white=white)
-    phi = x[:, 4:].copy()
+    # Alignment takes constant errors for tilt and heading, and averages white noise down to what its filter states.
+    phi = (constant + slow.value) @ scene.alignment.response.T
+    if white:
+        # By eigenvalues: rounding can leave a covariance that has no Cholesky factor.
+        phi = phi + rng.multivariate_normal(np.zeros(3), scene.alignment.covariance, len(phi), method="eigh")
+    x[:, 4:] = phi
     states = [x]
     for before, after in pairwise(attitudes):
         if max(_angle(before, after), _angle(evaluated, before)) > _TURNED_RAD:
@@ -160,7 +164,9 @@ def simulate(
         x = x @ forward.T + np.hstack([force[:, :2], rate]) @ gain.T
         states.append(x)
         slow.advance(step_s)
-    return _as_drift(np.array(states), time_s, scene.latitude_deg), phi
+    latitude, longitude, north, east = np.array(states).transpose(2, 1, 0)[:4]
+    place = np.degrees(latitude), np.degrees(longitude)
+    return make_drift(time_s, *place, north, east_velocity_m_s=east, true_latitude_deg=scene.latitude_deg), phi
 
 
 def transition(scene: Scene, step_s: float) -> tuple[FloatArray, FloatArray]:
@@ -207,8 +213,7 @@ class _Slow:
 
     @property
     def value(self) -> FloatArray:
-        total: FloatArray = self._constant + self._states.sum(axis=0)
-        return total
+        return np.asarray(self._constant + self._states.sum(axis=0))
 
     def advance(self, step_s: float) -> None:
         if not self._stationary.any():
@@ -250,22 +255,6 @@ def _angle(first: FloatArray, second: FloatArray) -> float:
     return float(np.linalg.norm(first - second)) / math.sqrt(2)
 
 
-def _aligned(alignment: Alignment, errors: FloatArray, rng: np.random.Generator, *, white: bool) -> FloatArray:
-    """Return phi of each instrument after its alignment, shape (m, 3)."""
-    phi = errors @ alignment.response.T
-    if white:
-        phi = phi + rng.multivariate_normal(np.zeros(3), alignment.covariance, len(errors), method="eigh")
-    return phi
-
-
-def _as_drift(states: FloatArray, time_s: FloatArray, latitude_deg: float) -> Drift:
-    latitude, longitude, north, east = states.transpose(2, 1, 0)[:4]
-    return make_drift(
-        time_s, np.degrees(latitude), np.degrees(longitude), north, east_velocity_m_s=east, true_latitude_deg=latitude_deg
-    )
-
-
 def _rates(drift: Drift) -> FloatArray:
     """Return ``Drift.rate_nmi_per_h`` of each run, shape (m,)."""
-    rates: FloatArray = drift.position_nmi.max(axis=1) / (drift.time_s[-1] / 3600)
-    return rates
+    return np.asarray(drift.position_nmi.max(axis=1) / (drift.time_s[-1] / 3600))

@@ -123,8 +123,7 @@ class Mechanisation:
     @property
     def attitudes(self) -> FloatArray:
         """C_nb at the times of ``drift``, shape (n, 3, 3)."""
-        turned: FloatArray = np.concatenate([np.eye(3)[None], *self._attitudes]) @ self._level
-        return turned
+        return np.asarray(np.concatenate([np.eye(3)[None], *self._attitudes]) @ self._level)
 
     def _integrate(self) -> None:
         if not self._count:

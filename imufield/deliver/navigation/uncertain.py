@@ -50,8 +50,7 @@ class DrawnParameters:
         drawn = self.gyroscope
         unbiased = raw - drawn["bias"] - np.einsum("mij,mj->mi", drawn["g_sensitivity"], force)
         matrix = np.eye(3) + drawn["misalignment_rad"]
-        rate: FloatArray = np.linalg.solve(matrix, (unbiased / drawn["scale"])[:, :, None])[:, :, 0]
-        return rate
+        return np.asarray(np.linalg.solve(matrix, (unbiased / drawn["scale"])[:, :, None])[:, :, 0])
 
 
 def draw_parameters(
@@ -84,8 +83,7 @@ def _normal(covariance: FloatArray, count: int, rng: np.random.Generator) -> Flo
     safe = np.where(sigma > 0, sigma, 1.0)
     value, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
     root = vectors * np.sqrt(np.maximum(value, 0.0))
-    draws: FloatArray = (rng.standard_normal((count, len(sigma))) @ root.T) * sigma
-    return draws
+    return np.asarray((rng.standard_normal((count, len(sigma))) @ root.T) * sigma)
 
 
 def _gyroscope(calibration: Calibration, count: int) -> dict[str, FloatArray]:

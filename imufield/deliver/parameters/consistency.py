@@ -15,7 +15,7 @@ from imufield.calibrate.accelerometer.accelerometer import EQUATIONS
 from imufield.calibrate.accelerometer.quality import poor_sentences
 from imufield.calibrate.model.gauge import constraint_jacobian, intrinsic, make_intrinsic
 from imufield.calibrate.model.models import to_vector
-from imufield.calibrate.model.result import GRAVITY_NAME, AccelerometerParameters, Calibration, Gauge
+from imufield.calibrate.model.result import GRAVITY_NAME, Calibration
 from imufield.deliver.parameters.apply import correct_accelerometer
 from imufield.deliver.parameters.document import GYROSCOPE_EQUATION, calibration_from_document, gyroscope_bias_rad_s
 from imufield.deliver.parameters.schema import Document
@@ -48,9 +48,13 @@ def _contradictions(document: Document, *, is_edited: bool) -> Iterator[str]:
     if table["equation"] != wanted:
         yield f'accelerometer.equation is "{table["equation"]}", but quadratic_axes "{table["quadratic_axes"]}" is "{wanted}"'
     yield from _units(document)
-    yield from _gauge(calibration.accelerometer, table["gauge"])
+    gauge, vector = table["gauge"], to_vector(calibration.accelerometer)
+    # Of the gauge "preset" the frame is that of a preset, which is not in the file.
+    if gauge != "preset" and np.any(np.abs(constraint_jacobian(vector, gauge) @ vector) > _TYPED):
+        shape = "symmetric" if gauge == "symmetric" else f"{gauge} triangular"
+        yield f'accelerometer.gauge is "{gauge}", but accelerometer.misalignment_rad is not {shape}'
     yield from _intrinsic(calibration)
-    yield from _gyroscope(calibration, document.get("gyroscope"), table["gauge"])
+    yield from _gyroscope(calibration, document.get("gyroscope"), gauge)
     yield from _possible(calibration)
     if not is_edited:
         yield from _positions(calibration, document)
@@ -72,15 +76,6 @@ def _units(document: Document) -> Iterator[str]:
         believed = document["quality"]["verdict"] != "poor"
         if believed and nominal is not None and np.any((scale < nominal / _NEAR) | (scale > nominal * _NEAR)):
             yield f'{triad}.raw_unit is "{unit}", whose scale is about {nominal:.4g}, and {triad}.scale is {table["scale"]}'
-
-
-def _gauge(parameters: AccelerometerParameters, gauge: Gauge) -> Iterator[str]:
-    if gauge == "preset":
-        return  # the preset is not in the file
-    vector = to_vector(parameters)
-    if np.any(np.abs(constraint_jacobian(vector, gauge) @ vector) > _TYPED):
-        shape = "symmetric" if gauge == "symmetric" else f"{gauge} triangular"
-        yield f'accelerometer.gauge is "{gauge}", but accelerometer.misalignment_rad is not {shape}'
 
 
 def _intrinsic(calibration: Calibration) -> Iterator[str]:

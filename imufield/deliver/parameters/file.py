@@ -14,12 +14,7 @@ import numpy as np
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
 from imufield.deliver.parameters.apply import correct_accelerometer, correct_both, correct_gyroscope
 from imufield.deliver.parameters.context import Context, InstrumentFacts, Noise, SessionFacts
-from imufield.deliver.parameters.document import (
-    VERSION,
-    calibration_from_document,
-    context_from_document,
-    to_document,
-)
+from imufield.deliver.parameters.document import VERSION, calibration_from_document, context_from_document, to_document
 from imufield.deliver.parameters.read import read_document
 from imufield.deliver.parameters.schema import Document, json_ready, parameter_schema
 from imufield.deliver.parameters.write import EDITED, to_toml, write_document, write_parameters
@@ -145,7 +140,19 @@ class Parameters:
         CalibrationError
             If no specific force gives such an output with these parameters.
         """
-        return self._apply_samples(raw) if isinstance(raw, Samples) else self._apply_array(raw)
+        if isinstance(raw, Samples):
+            self.check_unit("accelerometer", raw.units.accelerometer_rate_unit)
+            force = self.apply_accelerometer(raw.accelerometer_rate())
+            # A file without the gyroscope is still good for the accelerometer.
+            if not self.gyroscope_is_complete:
+                return Corrected(raw.time_s, force, np.full_like(force, np.nan))
+            self.check_unit("gyroscope", raw.units.gyroscope_rate_unit)
+            return Corrected(raw.time_s, force, self.apply_gyroscope(raw.gyroscope_rate(), force))
+        # What a caller gives may be a list, or an array of whole counts.
+        raw = np.asarray(raw, dtype=np.float64)
+        if raw.shape[-1:] != (6,):
+            return self.apply_accelerometer(raw)
+        return correct_both(self.calibration.accelerometer, self._gyroscope(), raw.reshape(-1, 6)).reshape(raw.shape)
 
     @property
     def gyroscope_is_complete(self) -> bool:
@@ -156,22 +163,6 @@ class Parameters:
     @property
     def _name(self) -> str:
         return "the parameter file" if self.path is None else str(self.path)
-
-    def _apply_samples(self, samples: Samples) -> Corrected:
-        units = samples.units
-        self.check_unit("accelerometer", units.accelerometer_rate_unit)
-        force = self.apply_accelerometer(samples.accelerometer_rate())
-        # A file without the gyroscope is still good for the accelerometer.
-        if not self.gyroscope_is_complete:
-            return Corrected(samples.time_s, force, np.full_like(force, np.nan))
-        self.check_unit("gyroscope", units.gyroscope_rate_unit)
-        return Corrected(samples.time_s, force, self.apply_gyroscope(samples.gyroscope_rate(), force))
-
-    def _apply_array(self, raw: FloatArray) -> FloatArray:
-        raw = np.asarray(raw, dtype=np.float64)
-        if raw.shape[-1:] != (6,):
-            return self.apply_accelerometer(raw)
-        return correct_both(self.calibration.accelerometer, self._gyroscope(), raw.reshape(-1, 6)).reshape(raw.shape)
 
     @property
     def edited_note(self) -> str:
@@ -216,12 +207,12 @@ class Parameters:
 
 def from_document(document: Document, *, path: Path | None = None) -> Parameters:
     """Return the parameters of a document that passed the checks of ``read_document``."""
-    edited = document.get("integrity", {}).get("sha256") == EDITED
     return Parameters(
         calibration=calibration_from_document(document),
         context=context_from_document(document),
         document=document,
-        edited=edited,
+        # A document that was just made, and not read, has no hash yet.
+        edited=document.get("integrity", {}).get("sha256") == EDITED,
         path=path,
     )
 

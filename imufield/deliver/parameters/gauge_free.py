@@ -125,16 +125,13 @@ def _own_axes(calibration: Calibration, name: str, offset: float) -> FloatArray:
     if name in ACCELEROMETER_NAMES:
         vector[ACCELEROMETER_NAMES.index(name)] += offset
     assert calibration.gyroscope is not None  # noqa: S101  (asked for calibrations with a gyroscope only)
-    changed = _changed(calibration.gyroscope.parameters, name, offset)
-    turned = turn_gyroscope(changed, change_gauge(vector, "lower").rotation)
-    off_diagonal = ~np.eye(3, dtype=np.bool_)
-    return np.concatenate([turned.misalignment_rad[off_diagonal], (turned.g_sensitivity / turned.scale[:, None]).ravel()])
-
-
-def _changed(parameters: GyroscopeParameters, name: str, offset: float) -> GyroscopeParameters:
-    fields = {key: getattr(parameters, key).copy() for key in ("scale", "misalignment_rad", "bias", "g_sensitivity")}
+    # Copies: the calibration itself stays as it was measured.
+    own = calibration.gyroscope.parameters
+    fields = {key: getattr(own, key).copy() for key in ("scale", "misalignment_rad", "bias", "g_sensitivity")}
     triad, _, rest = name.partition(".")
     if triad == "gyroscope":
         key, _, place = rest.partition(".")
-        fields[key][tuple("xyz".index(axis) for axis in place)] += offset
-    return GyroscopeParameters(**fields)
+        fields[key][tuple(AXES.index(axis) for axis in place)] += offset
+    turned = turn_gyroscope(GyroscopeParameters(**fields), change_gauge(vector, "lower").rotation)
+    off_diagonal = ~np.eye(3, dtype=np.bool_)
+    return np.concatenate([turned.misalignment_rad[off_diagonal], (turned.g_sensitivity / turned.scale[:, None]).ravel()])

@@ -52,9 +52,7 @@ def parse_document(text: str, where: str = "parameter file") -> VersionedDocumen
     """Return the content of a parameter file's text; ``where`` names it in errors, which are those of ``read_document``."""
     try:
         document: Document = tomllib.loads(text)
-        version = _check_format(document, where)
-        # Before anything else looks into it: what was changed by hand is not worth a closer look.
-        _check_integrity(document, where)
+        version = _trusted_version(document, where)
         if version != VERSION:
             try:
                 document = to_current(document, version)
@@ -89,8 +87,8 @@ def _check(document: Document, where: str) -> None:
         )
 
 
-def _check_format(document: Document, where: str) -> int:
-    """Return the version."""
+def _trusted_version(document: Document, where: str) -> int:
+    """Return the version of a document that is a parameter file, and as it was written."""
     if document.get("format") != FORMAT:
         raise ParameterFileError(
             f'{where} has no line format = "{FORMAT}"; give a parameter file written by imufield solve', Reason.FOREIGN
@@ -104,10 +102,7 @@ def _check_format(document: Document, where: str) -> int:
             Reason.NEWER,
             version=version,
         )
-    return version
-
-
-def _check_integrity(document: Document, where: str) -> None:
+    # Before anything else looks into it: what was changed by hand is not worth a closer look.
     integrity = document.get("integrity")
     noted = integrity.get("sha256") if isinstance(integrity, dict) else None
     if noted is None:
@@ -118,6 +113,7 @@ def _check_integrity(document: Document, where: str) -> None:
             f'where the change is meant, write sha256 = "{EDITED}" there',
             where=where,
         )
+    return version
 
 
 def _inconsistency(document: Document) -> str:

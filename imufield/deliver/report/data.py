@@ -54,9 +54,8 @@ class Convergence:
     """Best cost over the iterations of a method, relative to its last."""
 
     method: str
-    iterations: FloatArray
     excess: FloatArray
-    """Cost over final cost, less 1."""
+    """Cost over final cost, less 1, after each iteration."""
     evaluations: int
     converged: bool
 
@@ -149,6 +148,7 @@ class RestCollector:
         """Return the file's observations with the gyroscope, NaN for a position without samples."""
         if self._centre is None:
             return self._observations
+        # A position without samples divides by its count of zero, and NaN is what is said of it.
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = self._sum / self._count
             variance = np.maximum(self._square / self._count - mean**2, 0.0) / self._count
@@ -164,12 +164,11 @@ def observations_of(parameters: Parameters) -> Observations:
     def column(key: str) -> FloatArray:
         return np.array([table[key] for table in tables], dtype=np.float64)
 
-    unknown = np.full((m, 3), np.nan)
     return Observations(
         name=tuple(table["name"] for table in tables),
         mean_raw=column("mean_raw"),
         covariance_raw=np.array([np.diag(np.square(table["sigma_raw"])) for table in tables], dtype=np.float64),
-        gyroscope_mean_raw=unknown,
+        gyroscope_mean_raw=np.full((m, 3), np.nan),
         gyroscope_covariance_raw=np.full((m, 3, 3), np.nan),
         direction=column("direction"),
         start_s=column("start_s"),
@@ -192,18 +191,10 @@ def convergence(
             return ()
         result = load_solver(method)(problem_for(again, method), rng=np.random.default_rng(seed))
         history = result.history
+        # To a cost of zero, of a simulation without noise, there is no ratio.
         if len(history) and history[-1] > 0:
             excess = history / history[-1] - 1
-            iterations = np.arange(1.0, len(history) + 1)
-            runs.append(
-                Convergence(
-                    method=method,
-                    iterations=iterations,
-                    excess=excess,
-                    evaluations=result.evaluations,
-                    converged=result.converged,
-                )
-            )
+            runs.append(Convergence(method=method, excess=excess, evaluations=result.evaluations, converged=result.converged))
     return tuple(runs)
 
 
@@ -239,8 +230,7 @@ def closure(
         p[BIAS] = inverse @ (gyroscope.bias - rest)
         p[SENSITIVITY] = (inverse @ gyroscope.g_sensitivity).ravel()
         p[VERTICAL] = vertical
-        degrees: FloatArray = np.degrees(evaluate(p, data).angle_error_rad(up))
-        return degrees
+        return np.asarray(np.degrees(evaluate(p, data).angle_error_rad(up)))
 
     unknown = np.full(len(moves), np.nan)
     return Closure(moves.start_s, unknown if before is None else angles(before), angles(calibration.gyroscope.parameters))

@@ -64,6 +64,7 @@ def _render(template: str, values: Document) -> str:
         import jinja2
     except ImportError as error:
         raise plots.missing_package("jinja2") from error
+    # A name misspelt in a template is an error, and no empty cell; an instrument's name is text, and no HTML.
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("imufield.deliver.report"),
         autoescape=True,

@@ -204,10 +204,8 @@ def _hemisphere(axes: Axes, upper: bool) -> None:
         axes.plot(radius * np.cos(angle), radius * np.sin(angle), style, color=GREY, linewidth=0.8)
     for label, x, y in _AXIS_NAMES:
         axes.text(x, y, label, ha="center", va="center", fontsize=8, color=GREY)
-    axes.set_title("z axis up or level" if upper else "z axis down")
-    axes.set_aspect("equal")
-    axes.set_xlim(-1.32, 1.32)
-    axes.set_ylim(-1.32, 1.36)
+    # The same limits on both halves, so that marks of one size mean one residual.
+    axes.set(title="z axis up or level" if upper else "z axis down", aspect="equal", xlim=(-1.32, 1.32), ylim=(-1.32, 1.36))
     axes.axis("off")
 
 
@@ -262,8 +260,8 @@ def _position_axis(axes: Axes, names: tuple[str, ...], unit: str) -> None:
     # "free 7: near +x" stands for a position nobody planned.
     short = [name.removeprefix("free ").replace(": near", "") for name in names]
     axes.set_xticks(np.arange(len(names)), short, rotation=90 if len(names) > 8 else 0, fontsize=7)
-    axes.set_xlim(-0.7, max(len(names), 8) - 0.3)
-    axes.set_ylabel(unit)
+    # Room for eight at least: three marks alone would stand at the margins.
+    axes.set(xlim=(-0.7, max(len(names), 8) - 0.3), ylabel=unit)
     axes.legend(loc="upper left", bbox_to_anchor=(0, 1.18), ncols=3)
 
 
@@ -299,18 +297,11 @@ def convergence(runs: tuple[Convergence, ...]) -> str:
     drawn = figure(2.3)
     axes = drawn.subplots()
     for run, style, color in zip(runs, ("-", "--", ":"), (INK, BLUE, ORANGE), strict=False):
-        axes.plot(
-            run.iterations,
-            np.maximum(run.excess, 1e-9),
-            style,
-            color=color,
-            label=f"{run.method}, {run.evaluations} evaluations",
-        )
-    axes.set_xscale("log")
-    axes.set_yscale("log")
+        label = f"{run.method}, {run.evaluations} evaluations"
+        # The last excess is zero, which a logarithm cannot show.
+        axes.plot(np.arange(1.0, len(run.excess) + 1), np.maximum(run.excess, 1e-9), style, color=color, label=label)
+    axes.set(xscale="log", yscale="log", xlabel="iteration", ylabel="cost over best, less 1")
     _plain_ticks(axes.xaxis, axes.yaxis)
-    axes.set_xlabel("iteration")
-    axes.set_ylabel("cost over best, less 1")
     axes.legend(loc="lower left")
     return to_svg(drawn, "convergence")
 
@@ -324,9 +315,8 @@ def closure(moves: Closure) -> str:
         axes.vlines(minutes, moves.before_deg, moves.after_deg, color=GREY, linewidth=0.8)
         axes.plot(minutes, moves.before_deg, "s", color=ORANGE, markerfacecolor="white", markersize=4.5, label="before")
     axes.plot(minutes, moves.after_deg, "o", color=INK, markersize=4.5, label="after")
-    axes.set_ylim(bottom=0)
-    axes.set_xlabel("minutes, start of the move")
-    axes.set_ylabel("angle error, °")
+    # From zero: the height of a mark is to be read as the error itself.
+    axes.set(ylim=(0, None), xlabel="minutes, start of the move", ylabel="angle error, °")
     axes.legend(loc="upper left", bbox_to_anchor=(0, 1.2), ncols=2)
     return to_svg(drawn, "closure")
 
@@ -346,9 +336,8 @@ def correlations(pairs: Correlations) -> str:
         )
     axes.set_xticks(range(n), pairs.names, rotation=90, fontsize=_LABEL_SIZE)
     axes.set_yticks(range(n), pairs.names, fontsize=_LABEL_SIZE)
-    axes.set_ylim(n - 0.5, -0.5)
-    axes.set_xlim(-0.5, n - 0.5)
-    axes.set_aspect("equal")
+    # Downwards, as a matrix is written.
+    axes.set(ylim=(n - 0.5, -0.5), xlim=(-0.5, n - 0.5), aspect="equal")
     return to_svg(drawn, "correlations")
 
 
@@ -357,20 +346,18 @@ def navigation(document: Document) -> str:
     drawn = figure(5.0)
     grid = drawn.add_gridspec(3, 2)
     forecast = document.get("forecast")
-    names = list(document["drift"])
     for number, quantity in enumerate(QUANTITIES):
         axes = drawn.add_subplot(grid[number // 2, number % 2])
         if forecast is not None:
             _band(axes, forecast, _numbers(forecast["low"][quantity]), _numbers(forecast["high"][quantity]))
-        _curves(axes, document["drift"], names, quantity)
+        _curves(axes, document["drift"], quantity)
         axes.set_ylabel(_LABELS[quantity])
     axes = drawn.add_subplot(grid[2, :])
     if forecast is not None:
         most = _numbers(forecast["position_95_nmi"])
         _band(axes, forecast, np.zeros_like(most), most)
-    _curves(axes, document["drift"], names, "position_nmi")
-    axes.set_ylabel("position, nmi")
-    axes.set_xlabel("hours")
+    _curves(axes, document["drift"], "position_nmi")
+    axes.set(ylabel="position, nmi", xlabel="hours")
     axes.legend(loc="upper left", ncols=3)
     return to_svg(drawn, "navigation")
 
@@ -380,9 +367,9 @@ def _band(axes: Axes, forecast: Document, low: FloatArray, high: FloatArray) -> 
     axes.fill_between(hours, low, high, facecolor="#e4edf6", edgecolor=GREY, hatch="////", linewidth=0.5, label="95 % forecast")
 
 
-def _curves(axes: Axes, drifts: Document, names: list[str], quantity: str) -> None:
-    for name, style, color in zip(reversed(names), ("-", "--"), (INK, ORANGE), strict=False):
-        drift = drifts[name]
+def _curves(axes: Axes, drifts: Document, quantity: str) -> None:
+    # The set under test is the last: it gets the full line, and the one before it the broken.
+    for (name, drift), style, color in zip(reversed(drifts.items()), ("-", "--"), (INK, ORANGE), strict=False):
         axes.plot(_numbers(drift["time_s"]) / 3600, _numbers(drift[quantity]), style, color=color, label=name)
 
 

@@ -100,27 +100,22 @@ def parameter_rows(calibration: Calibration, preset: Calibration | None) -> list
 
 def quantities(calibration: Calibration, preset: Calibration | None = None) -> Iterator[Quantity]:
     """Yield every kind of parameter that a calibration has, the accelerometer's first."""
-    p, sigma = calibration.accelerometer, calibration.accelerometer_sigma
-    old = None if preset is None else preset.accelerometer
-    triad = "Accelerometer"
-    before = None if old is None else old.bias_m_s2
-    yield _quantity(triad, "bias", "mg", (p.bias_m_s2, sigma.bias_m_s2, before), divisor=MILLI_G_M_S2)
-    before = None if old is None else old.scale
-    yield _scale(triad, calibration.accelerometer_raw_unit, "m/s²", (p.scale, sigma.scale, before))
-    before = None if old is None else old.misalignment_rad
-    yield _misalignment(triad, (p.misalignment_rad, sigma.misalignment_rad, before))
+    p, triad = calibration.accelerometer, "Accelerometer"
+    sources = (p, calibration.accelerometer_sigma, None if preset is None else preset.accelerometer)
+    yield _quantity(triad, "bias", "mg", _numbers(*sources, "bias_m_s2"), divisor=MILLI_G_M_S2)
+    yield _scale(triad, calibration.accelerometer_raw_unit, "m/s²", _numbers(*sources, "scale"))
+    yield _misalignment(triad, _numbers(*sources, "misalignment_rad"))
     if calibration.quadratic_fitted or np.any(p.quadratic):
         # K2 / K is (m/s²) per (m/s²)²; times g it is g per g², of which a millionth is µg/g².
         size = STANDARD_GRAVITY_M_S2 / p.scale * 1e6
-        before = None if old is None else old.quadratic
-        yield _quantity(triad, "quadratic", "µg/g²", (p.quadratic, sigma.quadratic, before), factor=size)
+        yield _quantity(triad, "quadratic", "µg/g²", _numbers(*sources, "quadratic"), factor=size)
     if calibration.gyroscope is not None:
         yield from _gyroscope(calibration.gyroscope, None if preset is None else preset.gyroscope)
 
 
 def _gyroscope(gyroscope: GyroscopeCalibration, preset: GyroscopeCalibration | None) -> Iterator[Quantity]:
     p, sigma, triad = gyroscope.parameters, gyroscope.sigma, "Gyroscope"
-    old = None if preset is None else preset.parameters
+    sources = (p, sigma, None if preset is None else preset.parameters)
     if np.isfinite(p.scale).all():
         bias, bias_sigma = gyroscope_bias_rad_s(gyroscope)
         # Beyond, the figures of a consumer instrument would have six digits.
@@ -129,22 +124,26 @@ def _gyroscope(gyroscope: GyroscopeCalibration, preset: GyroscopeCalibration | N
         before = None if preset is None else gyroscope_bias_rad_s(preset)[0]
         yield _quantity(triad, "bias", unit, (bias, bias_sigma, before), divisor=size)
     else:
-        yield _quantity(triad, "bias", gyroscope.raw_unit, (p.bias, sigma.bias, None if old is None else old.bias))
+        yield _quantity(triad, "bias", gyroscope.raw_unit, _numbers(*sources, "bias"))
     if not np.isfinite(sigma.scale).all():
         return
-    yield _scale(triad, gyroscope.raw_unit, "rad/s", (p.scale, sigma.scale, None if old is None else old.scale))
-    before = None if old is None else old.misalignment_rad
-    yield _misalignment(triad, (p.misalignment_rad, sigma.misalignment_rad, before))
+    yield _scale(triad, gyroscope.raw_unit, "rad/s", _numbers(*sources, "scale"))
+    yield _misalignment(triad, _numbers(*sources, "misalignment_rad"))
     if np.any(p.g_sensitivity):
         size_of_row = np.repeat(STANDARD_GRAVITY_M_S2 / DEG_PER_HOUR_RAD_S / p.scale, 3)
-        before = None if old is None else old.g_sensitivity.ravel()
-        numbers = (p.g_sensitivity.ravel(), sigma.g_sensitivity.ravel(), before)
+        numbers = _numbers(*sources, "g_sensitivity")
         places = tuple(f"{row}{column}" for row in AXES for column in AXES)
         yield _quantity(triad, "g-sensitivity", "°/h/g", numbers, factor=size_of_row, places=places)
 
 
 # Value, 1 sigma, and the preset's value.
 _Numbers = tuple[FloatArray, FloatArray, FloatArray | None]
+
+
+def _numbers(parameters: object, sigma: object, preset: object | None, key: str) -> _Numbers:
+    # Row by row where it is a matrix: xx, xy, xz, yx, ...
+    flat = np.ravel
+    return flat(getattr(parameters, key)), flat(getattr(sigma, key)), None if preset is None else flat(getattr(preset, key))
 
 
 def _quantity(
@@ -180,7 +179,7 @@ def _scale(triad: str, raw_unit: str, per: str, numbers: _Numbers) -> Quantity:
 
 def _misalignment(triad: str, numbers: _Numbers) -> Quantity:
     matrix, sigma, before = numbers
-    off_diagonal = ~np.eye(3, dtype=np.bool_)  # row by row: xy, xz, yx, ...
+    off_diagonal = ~np.eye(3, dtype=np.bool_).ravel()  # the diagonal belongs to the scale
     flat = (matrix[off_diagonal], sigma[off_diagonal], None if before is None else before[off_diagonal])
     places = tuple(row + column for row in AXES for column in AXES if row != column)
     return _quantity(triad, "misalignment", "mrad", flat, factor=1e3, places=places)

@@ -61,6 +61,7 @@ def print_summary(parameters: Parameters, outcome: Outcome | None = None, consol
     """Print the summary; without a terminal as plain text of 80 columns, without Unicode in ASCII."""
     console = console or Console()
     if console.is_terminal and not console.options.ascii_only:
+        # Not cropped: a path longer than the line is still to be copied.
         console.print(summary(parameters, outcome), crop=False)
         return
     text = summary_text(parameters, outcome)
@@ -251,8 +252,7 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
         yield Text("")
         yield Text("Written to", style="bold")
         yield _unbroken(str(outcome.path))
-    if steps:
-        yield from _bullets(steps)
+    yield from _bullets(steps)
 
 
 def _unbroken(text: str) -> Text:

@@ -47,10 +47,5 @@ def apply_session(parameters: Parameters, blocks: Iterable[Samples], path: str |
 def corrected_blocks(parameters: Parameters, blocks: Iterable[Samples]) -> Iterator[Samples]:
     """Yield blocks in SI for raw blocks; raises as ``Parameters.apply``."""
     for block in blocks:
-        corrected = parameters.apply(block)
-        yield replace(
-            block,
-            accelerometer=corrected.specific_force_m_s2,
-            gyroscope=corrected.angular_rate_rad_s,
-            units=SampleUnits(),
-        )
+        _, force, rate = parameters.apply(block)
+        yield replace(block, accelerometer=force, gyroscope=rate, units=SampleUnits())

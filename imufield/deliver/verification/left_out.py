@@ -193,6 +193,7 @@ def check_positions(
     _require_finite(observations)
     residual, S = _residual(calibration, observations, gravity)
     m = len(observations)
+    # With no residual to spare F has no limit at all; that of one degree of freedom is the widest there is.
     freedom, misfit = max(calibration.quality.degrees_of_freedom, 1), _misfit(residual, S)
     return LeftOutPositions(
         name=observations.name,
@@ -290,6 +291,7 @@ def cross_validate(
         misfit=misfit,
         misfit_limit=float(np.quantile(by_chance, 0.95)),
         how=f"{m} positions of its own session, up to {hold_out} at a time predicted by a calibration from all the others",
+        # The check itself counts as one of the runs: a chance of zero is more than any number of runs can show.
         chance=float((1 + np.count_nonzero(by_chance >= misfit)) / (1 + len(by_chance))),
         is_own=True,
     )
@@ -339,8 +341,7 @@ def _derivatives(parameters: AccelerometerParameters, observations: Observations
 
 def _up(calibration: Calibration, observations: Observations) -> FloatArray:
     a = _derivatives(calibration.accelerometer, observations).a
-    up: FloatArray = a / np.linalg.norm(a, axis=1)[:, None]
-    return up
+    return np.asarray(a / np.linalg.norm(a, axis=1)[:, None])
 
 
 def _residual_of(parameters: AccelerometerParameters | None, observations: Observations, gravity: Gravity) -> FloatArray:
@@ -367,8 +368,7 @@ def _residual(calibration: Calibration, observations: Observations, gravity: Gra
 def _forecast(calibration: Calibration, at: NormDerivatives, *, one_place: bool = True) -> FloatArray:
     """Return the covariance of the residuals as far as the parameters make them, shape (m, m)."""
     J = np.column_stack([at.jacobian, np.full(len(at.norm), -1.0 if one_place else 0.0)])
-    covariance: FloatArray = J @ _covariance(calibration) @ J.T
-    return covariance
+    return np.asarray(J @ _covariance(calibration) @ J.T)
 
 
 def _covariance(calibration: Calibration) -> FloatArray:

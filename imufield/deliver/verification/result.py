@@ -110,7 +110,7 @@ def parse_requirements(text: str | None) -> dict[str, float]:
         try:
             limit = float(value)
         except ValueError:
-            limit = math.nan
+            limit = math.nan  # lies in no range, so that the next sentence is said of it too
         if not 0 < limit < math.inf:
             raise UsageError(f"--require {name} has the limit {value!r}; give a positive number, e.g. {name}=50")
         if name in limits:
@@ -146,6 +146,7 @@ def to_document(verification: Verification) -> Document:
         "objections": list(verification.objections),
         "notes": list(verification.notes),
     }
+    # Each check names its session: the file keeps those of two runs, which may be of two recordings.
     if verification.left_out is not None:
         document["positions"] = _positions(verification.left_out) | {"session": verification.session}
     if verification.navigation is not None:
@@ -167,6 +168,7 @@ def _navigation(result: NavigationResult) -> Document:
     settings, forecast = result.settings, result.forecast
     drifts = {}
     for name, drift in result.drifts.items():
+        # The first and the last row always; a short recording has fewer rows than points, each of them once.
         rows = np.unique(np.linspace(0, len(drift.time_s) - 1, _POINTS).astype(np.int64))
         curves = {key: getattr(drift, key)[rows].tolist() for key in ("time_s", *QUANTITIES, "position_nmi")}
         drifts[name] = {"rate_nmi_per_h": drift.rate_nmi_per_h, "final_nmi": float(drift.position_nmi[-1]), **curves}
@@ -191,10 +193,8 @@ def _navigation(result: NavigationResult) -> Document:
             "sources_nmi_per_h": forecast.sources,
             "as_forecast": forecast.holds(result.tested),
             "time_s": forecast.time_s.tolist(),
-            "low": {name: forecast.low[name].tolist() for name in QUANTITIES},
-            "high": {name: forecast.high[name].tolist() for name in QUANTITIES},
-            "position_median_nmi": forecast.position_median_nmi.tolist(),
-            "position_95_nmi": forecast.position_95_nmi.tolist(),
+            **{band: {name: getattr(forecast, band)[name].tolist() for name in QUANTITIES} for band in ("low", "high")},
+            **{key: getattr(forecast, key).tolist() for key in ("position_median_nmi", "position_95_nmi")},
         }
     return document
 

@@ -68,9 +68,7 @@ def loaded(calibration: Calibration, observations: Observations, context: Contex
 def data(loaded: Parameters) -> ReportData:
     time_s = np.arange(0, 400, 0.5)
     moves = np.arange(10.0, 300.0, 14.0)
-    curve = Convergence(
-        method="bsas", iterations=np.arange(1.0, 50.0), excess=np.logspace(1, -8, 49), evaluations=1000, converged=True
-    )
+    curve = Convergence(method="bsas", excess=np.logspace(1, -8, 49), evaluations=1000, converged=True)
     return ReportData(
         parameters=loaded,
         preset=loaded,
