@@ -18,7 +18,8 @@ from imufield.deliver.history import INDEX_FILE, find, one_instrument, plot_hist
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import write_parameters
 from imufield.deliver.parameters.gauge_free import numbers_of
-from imufield.errors import ParameterFileError
+from imufield.errors import ParameterFileError, Reason
+from tests.refused import refused
 
 NOW = datetime(2026, 9, 1, tzinfo=UTC)
 
@@ -124,7 +125,7 @@ def test_instruments_are_kept_apart_and_one_can_be_chosen(tmp_path: Path, write)
     write("b", "2026-03-05", serial="N2")
     assert [one.serial_number for one in read_history(tmp_path).instruments] == ["N1", "N2"]
     assert [one.serial_number for one in read_history(tmp_path, "N2").instruments] == ["N2"]
-    with pytest.raises(ParameterFileError, match="of serial number N3"):
+    with refused(ParameterFileError, Reason.FOREIGN, "N3"):
         read_history(tmp_path, "N3")
 
 
@@ -176,9 +177,9 @@ def test_an_index_of_another_version_is_made_anew(tmp_path: Path, write) -> None
 
 
 def test_empty_and_missing_folders_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ParameterFileError, match="holds no parameter file"):
+    with refused(ParameterFileError, Reason.FOREIGN):
         read_history(tmp_path)
-    with pytest.raises(ParameterFileError, match="is no folder"):
+    with refused(ParameterFileError, Reason.FOREIGN, "nowhere"):
         read_history(tmp_path / "nowhere")
 
 
@@ -225,5 +226,5 @@ def test_the_calibration_closest_in_time_is_found(tmp_path: Path, write) -> None
     for day, expected in ((datetime(2025, 1, 1), 0), (datetime(2026, 3, 20, tzinfo=UTC), 1), (datetime(2026, 6, 1), 2)):  # noqa: DTZ001
         assert find(tmp_path, "N1", day).path == paths[expected]
     assert find(str(tmp_path), "N1").path == paths[2]
-    with pytest.raises(ParameterFileError, match="serial number N3"):
+    with refused(ParameterFileError, Reason.FOREIGN, "N3"):
         find(tmp_path, "N3")
