@@ -63,7 +63,7 @@ def test_a_run_that_always_kills_its_worker_ends_the_campaign(runs: Any) -> None
 
 
 def test_errors_of_a_run_come_through(runs: Any) -> None:
-    with refused(UsageError, Reason.USAGE) as caught:
+    with pytest.raises(UsageError, match="no good") as caught:
         run_campaign(runs.fail, range(4), seed=5, workers=2)
     assert caught.value.values == {"number": 7}
 

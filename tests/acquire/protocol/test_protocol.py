@@ -113,7 +113,7 @@ def test_wrong_settings_name_what_is_allowed(given: dict[str, object], reason: R
         ("version = 1", "version = 2", "version = 1", "version", "2"),
         ("10 = 19, ", "", "10 = 19", "parts.accelerometer.0.fraction_bits", "accelerometer_range_g = 10"),
         ('setting = "rate_hz"', 'setting = "rate"', "rate_hz = { setting", "clock.rate_hz", "'rate'"),
-        ('format = "imufield-protocol"', 'format = "other"', "format", "format", "other"),
+        ('format = "imufield-protocol"', 'format = "other"', "format", "format", "imufield-protocol"),
         ('keys = ["0xB1", "0xB3"]', 'keys = ["0xB1", "0x93"]', "keys = [", "messages.part_number.keys", "0x93"),
     ],
 )

@@ -137,7 +137,7 @@ def test_faces_alone_give_scale_and_bias(times: int) -> None:
     assert calibration.accelerometer.bias_m_s2 == pytest.approx(truth.bias_m_s2, abs=5e-3)
     assert calibration.accelerometer.misalignment_rad.tolist() == np.zeros((3, 3)).tolist()
     assert {name.split(".")[1] for name in calibration.unobservable} == {"misalignment_rad", "quadratic"}
-    assert any("cannot show misalignment" in reason for reason in calibration.quality.reasons)
+    assert any("misalignment" in reason for reason in calibration.quality.reasons)
     assert calibration.quality.verdict == ("poor" if times == 1 else "usable")
     assert np.isfinite(calibration.accelerometer_sigma.scale).all()
     assert np.isnan(calibration.intrinsic.angle_sigma_rad).all()
@@ -213,7 +213,7 @@ def test_wrong_gravity_cannot_be_seen_and_moves_the_scale_only() -> None:
     wrong = calibrate_accelerometer(observations, Gravity(gravity_m_s2=1.62, sigma_m_s2=1e-3, source="typed"), model="linear")
     assert wrong.accelerometer.scale / right.accelerometer.scale == pytest.approx(np.full(3, GRAVITY / 1.62), rel=1e-9)
     assert wrong.quality.residual_rms_m_s2 / 1.62 == pytest.approx(right.quality.residual_rms_m_s2 / GRAVITY, rel=1e-6)
-    assert any("residual cannot check gravity" in reason for reason in wrong.quality.reasons)
+    assert any("gravity" in reason for reason in wrong.quality.reasons)
 
 
 def test_assumed_gravity_is_said_loudly() -> None:
@@ -275,7 +275,7 @@ def test_a_moved_position_is_named_and_does_not_pass_as_good() -> None:
     observations = campaign(random_parameters(rng), rng)
     observations.mean_raw[9] *= 1.005
     calibration = calibrate_accelerometer(observations, EXACT)
-    assert any("position p10 does not fit the others" in reason for reason in calibration.quality.reasons)
+    assert any("position p10" in reason for reason in calibration.quality.reasons)
     assert calibration.quality.verdict != "good"
 
 
@@ -301,7 +301,7 @@ def test_a_direction_seen_once_is_named_and_its_uncertainty_raised() -> None:
     calibration = calibrate_accelerometer(observations, EXACT, model="linear")
     lone = len(planned)
     assert calibration.positions.leverage[-1] > 0.8
-    assert any(f"position p{lone:02d} carries scale x, bias x" in reason for reason in calibration.quality.reasons)
+    assert any(f"position p{lone:02d}" in reason and "scale x, bias x" in reason for reason in calibration.quality.reasons)
     assert calibration.quality.verdict != "good"
 
 
@@ -349,7 +349,7 @@ def test_a_row_of_zeros_does_not_pass() -> None:
     mean[6] = 0.0
     calibration = calibrate_accelerometer(observe(mean), EXACT)
     assert calibration.quality.verdict == "poor"
-    assert any("position p07 does not fit the others" in reason for reason in calibration.quality.reasons)
+    assert any("position p07" in reason for reason in calibration.quality.reasons)
 
 
 def test_a_preset_that_bends_too_much_is_named() -> None:
@@ -403,7 +403,7 @@ def test_real_xsens_session_gives_the_reference(shared_folder: Path, weighted: b
     assert 0.09 * MG < calibration.quality.residual_rms_m_s2 < 0.12 * MG
     assert calibration.quality.leave_one_out_rms_m_s2 == pytest.approx(0.146 * MG, rel=0.1)
     # The +x direction is seen once: named, with the jackknife's sigma instead of one 2.5 times too small.
-    assert any("carries scale x, bias x" in reason for reason in calibration.quality.reasons)
+    assert any("scale x, bias x" in reason for reason in calibration.quality.reasons)
     assert calibration.accelerometer_sigma.scale[0] > 2 * 0.0254
 
 

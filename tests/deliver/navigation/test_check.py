@@ -128,7 +128,7 @@ def test_a_hole_is_refused() -> None:
 def test_no_forecast_where_north_is_a_guess() -> None:
     result = check(recording(random_attitude(1), 900, 5.0, noise=1.0), calibration=perfect(0.0, 15 * DEG_PER_HOUR))
     assert result.forecast is None
-    assert "finds north to" in result.notes[0]
+    assert "north" in result.notes[0]
 
 
 def test_a_told_heading_gives_a_poor_gyroscope_its_forecast() -> None:
@@ -149,4 +149,4 @@ def test_no_forecast_without_uncertainty() -> None:
     unknown = replace(perfect(), covariance=np.full((6, 6), np.nan))
     result = check(recording(random_attitude(1), 900, 5.0), calibration=unknown)
     assert result.forecast is None
-    assert "does not know its own uncertainty" in result.notes[0]
+    assert "uncertainty" in result.notes[0]

@@ -112,16 +112,18 @@ def test_limit_of_the_own_session_grows_with_what_is_held_out() -> None:
 
 def test_words_say_how_probable_and_accuse_only_where_chance_does_not_do_it() -> None:
     found = check_positions(calibrated(), observe(9), GRAVITY)
-    assert found.words.startswith("as forecast (misfit ")
+    assert "(misfit " in found.words
     larger = replace(found, misfit=3.15, misfit_limit=2.9, chance=0.02, is_own=True)
-    assert larger.words.startswith("larger than forecast, by chance so large in 1 of 50 sound checks (misfit 3.15; 1 in 20")
-    assert "uncertainty is too small" not in larger.words
+    assert "1 of 50" in larger.words
+    assert "misfit 3.15" in larger.words
+    assert "uncertainty" not in larger.words
     rare = replace(larger, chance=2e-4)
-    assert rare.words.startswith("LARGER THAN FORECAST, by chance in fewer than 1 of 1000")
-    assert "the stated uncertainty is too small" in rare.words
+    assert rare.words.startswith("LARGER")
+    assert "1 of 1000" in rare.words
+    assert "uncertainty" in rare.words
     foreign = replace(rare, misfit=55.0, is_own=False)
-    assert "not the instrument the parameters were made for, or it has changed since" in foreign.words
-    assert "uncertainty is too small" not in foreign.words
+    assert "instrument" in foreign.words
+    assert "uncertainty" not in foreign.words
 
 
 def test_one_at_a_time_is_leave_one_out() -> None:
