@@ -45,7 +45,7 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(("option", "value"), [("--seed", "-1"), ("--seed", str(2**63)), ("--workers", "0")])
 def test_values_out_of_range_are_refused(option: str, value: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["study", "bsas-table1", option, value]) == 2
-    assert "out of range, it must be" in capsys.readouterr().err
+    assert option in capsys.readouterr().err
 
 
 def test_version() -> None:
@@ -81,7 +81,7 @@ cli.main()
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path)
     assert ended.returncode == 1
     assert "Traceback" in ended.stderr
-    assert "a defect of ours" in ended.stderr
+    assert "defect" in ended.stderr
 
 
 @pytest.mark.parametrize("error", ImufieldError.__subclasses__(), ids=lambda error: error.__name__)
@@ -137,7 +137,8 @@ def test_standard_output_on_a_full_disk(tmp_path: Path) -> None:
             cwd=tmp_path,
         )
     assert ended.returncode == 4
-    assert ended.stderr.startswith("imufield: standard output cannot be written (No space left on device)")
+    assert ended.stderr.startswith("imufield: ")
+    assert "No space left on device" in ended.stderr
     assert ended.stderr.count("\n") == 1
 
 

@@ -33,5 +33,5 @@ def test_an_address_gives_every_name_it_had(address: str) -> None:
 @pytest.mark.parametrize("address", ["imufield.acquire.instrument", "imufield.acquire.link", "imufield.acquire.protocol"])
 def test_a_name_that_never_was_is_an_attribute_error(address: str) -> None:
     module = importlib.import_module(address)
-    with pytest.raises(AttributeError, match=r"no attribute 'never'"):
+    with pytest.raises(AttributeError, match="never"):
         _ = module.never

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import random
+import re
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -164,15 +165,16 @@ def test_frames_left_out_are_said() -> None:
     samples, statistics = decode(replace(J1939, can=rule), pack(unequal(400, 2)))
     assert statistics.by_kind[LEFT_OUT] == pytest.approx(400 - len(samples), abs=2)
     (said,) = remarks([statistics])
-    assert said.startswith(f"{statistics.by_kind[LEFT_OUT]} frames belong to none of the {len(samples)} samples")
+    assert f"{statistics.by_kind[LEFT_OUT]} frames" in said
+    assert f"{len(samples)} samples" in said
     assert "starts_with" in said
 
 
 def test_a_message_too_rare_to_stand_is_said_with_the_remedy() -> None:
     _, statistics = decode(J1939, pack(unequal(2000, 40)))
     (said,) = remarks([statistics])
-    assert "1950 of 2000 samples (98 %) lack" in said
-    assert "samples that begin with the rarer one (starts_with) are whole" in said
+    assert re.search(r"1950\b.*\b2000\b.*98 %", said)
+    assert "starts_with" in said
 
 
 def test_a_slower_message_that_is_lost_stands_no_longer_than_its_turn() -> None:

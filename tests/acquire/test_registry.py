@@ -14,6 +14,7 @@ from imufield.acquire.instrument.listen import serial_candidates
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.errors import ProtocolError, Reason, UsageError
+from tests.refused import refused
 
 
 @pytest.fixture
@@ -91,8 +92,9 @@ def test_a_name_that_was_typed_wrong_is_a_usage_error(plugins: Path, name: str) 
 
 
 def test_a_protocol_that_was_typed_wrong_is_a_usage_error() -> None:
-    with pytest.raises(UsageError, match="there is no protocol 'nix'"):
+    with refused(UsageError, Reason.BAD_PROTOCOL, "nix") as caught:
         load_protocol("nix")
+    assert caught.value.values["name"] == "nix"
 
 
 def test_recognition_passes_over_drivers_that_cannot_be_used(plugins: Path) -> None:

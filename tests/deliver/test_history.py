@@ -18,7 +18,8 @@ from imufield.deliver.history import INDEX_FILE, find, one_instrument, plot_hist
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import write_parameters
 from imufield.deliver.parameters.gauge_free import numbers_of
-from imufield.errors import ParameterFileError
+from imufield.errors import ParameterFileError, Reason
+from tests.refused import refused
 
 NOW = datetime(2026, 9, 1, tzinfo=UTC)
 
@@ -54,7 +55,9 @@ def test_a_move_is_told_in_sigma_of_the_difference(tmp_path: Path, write) -> Non
     change = {one.name: one for one in instrument.changes()}["bias y"]
     assert change.in_sigma == pytest.approx(-4.1, rel=1e-6)
     told = list(sentences(instrument, NOW))
-    assert told[0].startswith("bias y moved 4.1 sigma since 4 March 2026 (")
+    assert "bias y" in told[0]
+    assert "4.1 sigma" in told[0]
+    assert "4 March 2026 (" in told[0]
     assert len(told) == 1
 
 
@@ -63,7 +66,7 @@ def test_of_two_on_one_day_the_time_is_told(tmp_path: Path, write) -> None:  # t
     write("b", "2026-08-01T15:30:00Z", moved=9.0, session="b" * 64)
     (instrument,) = read_history(tmp_path).instruments
     (told,) = sentences(instrument, NOW)
-    assert "sigma since 1 August 2026, 10:00 UTC (" in told
+    assert "1 August 2026, 10:00 UTC (" in told
 
 
 def test_slow_drift_is_told_against_the_first(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -78,8 +81,12 @@ def test_a_step_is_told_beside_the_way_since_the_first(tmp_path: Path, write) ->
         write(name, date, moved=moved, session=name * 64)
     (instrument,) = read_history(tmp_path).instruments
     step, way = sentences(instrument, NOW)
-    assert "bias y moved 4.2 sigma since 1 May 2026" in step
-    assert "bias y moved 14.8 sigma since 4 March 2026" in way
+    assert "bias y" in step
+    assert "4.2 sigma" in step
+    assert "1 May 2026" in step
+    assert "bias y" in way
+    assert "14.8 sigma" in way
+    assert "4 March 2026" in way
 
 
 def test_of_two_at_one_moment_one_counts_everywhere_and_it_is_said(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -88,7 +95,7 @@ def test_of_two_at_one_moment_one_counts_everywhere_and_it_is_said(tmp_path: Pat
     (instrument,) = read_history(tmp_path).instruments
     assert instrument.entries[-1].path.startswith("b")
     assert instrument.nearest(NOW) is instrument.entries[-1]
-    assert "bear the same time: the last by name counts as the newest" in next(iter(sentences(instrument, NOW)))
+    assert "same time" in next(iter(sentences(instrument, NOW)))
 
 
 def test_another_variant_of_the_model_is_the_same_instrument(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -108,7 +115,9 @@ def test_gravity_is_common_to_both_scales(calibration: Calibration) -> None:
 def test_an_old_calibration_is_called_old(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
     write("a", "2025-08-01")
     (instrument,) = read_history(tmp_path).instruments
-    assert "396 days old (limit 365)" in next(iter(sentences(instrument, NOW)))
+    said = next(iter(sentences(instrument, NOW)))
+    assert "396 days" in said
+    assert "365" in said
     assert not list(sentences(instrument, NOW, stale_days=400))
 
 
@@ -124,7 +133,7 @@ def test_instruments_are_kept_apart_and_one_can_be_chosen(tmp_path: Path, write)
     write("b", "2026-03-05", serial="N2")
     assert [one.serial_number for one in read_history(tmp_path).instruments] == ["N1", "N2"]
     assert [one.serial_number for one in read_history(tmp_path, "N2").instruments] == ["N2"]
-    with pytest.raises(ParameterFileError, match="of serial number N3"):
+    with refused(ParameterFileError, Reason.FOREIGN, "N3"):
         read_history(tmp_path, "N3")
 
 
@@ -176,9 +185,9 @@ def test_an_index_of_another_version_is_made_anew(tmp_path: Path, write) -> None
 
 
 def test_empty_and_missing_folders_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ParameterFileError, match="holds no parameter file"):
+    with refused(ParameterFileError, Reason.FOREIGN):
         read_history(tmp_path)
-    with pytest.raises(ParameterFileError, match="is no folder"):
+    with refused(ParameterFileError, Reason.FOREIGN, "nowhere"):
         read_history(tmp_path / "nowhere")
 
 
@@ -206,7 +215,7 @@ def test_table_says_which_file_was_edited_and_which_refused(tmp_path: Path, writ
     assert remarks["b/parameters.toml"] == "edited by hand"
     (last,) = [row for row in rows if not row["file"]]
     assert last["remark"].startswith("refused: ")
-    assert "c/parameters.toml was changed after it was written" in last["remark"]
+    assert "c/parameters.toml" in last["remark"]
     assert last["value"] == ""
 
 
@@ -225,5 +234,5 @@ def test_the_calibration_closest_in_time_is_found(tmp_path: Path, write) -> None
     for day, expected in ((datetime(2025, 1, 1), 0), (datetime(2026, 3, 20, tzinfo=UTC), 1), (datetime(2026, 6, 1), 2)):  # noqa: DTZ001
         assert find(tmp_path, "N1", day).path == paths[expected]
     assert find(str(tmp_path), "N1").path == paths[2]
-    with pytest.raises(ParameterFileError, match="serial number N3"):
+    with refused(ParameterFileError, Reason.FOREIGN, "N3"):
         find(tmp_path, "N3")

@@ -13,8 +13,9 @@ import pytest
 from imufield.acquire.decode.text_lines import LONGEST_LINE
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import load_protocol
-from imufield.errors import ProtocolError
+from imufield.errors import ProtocolError, Reason
 from imufield.samples import Samples, Status, concatenate
+from tests.refused import refused
 
 GAP = np.uint32(Status.AFTER_GAP)
 
@@ -170,18 +171,18 @@ def test_the_last_line_needs_no_end() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "message"),
+    ("settings", "reason", "facts"),
     [
-        ({"columns": "time,ax,ay"}, "az"),
-        ({"columns": "time,ax,ay,az,ax"}, "twice"),
-        ({"columns": "time,ax,ay,az,wx"}, "wx"),
-        ({"delimiter": "dot"}, "one of auto, comma"),
-        ({"increments": True}, "increments cannot have the unit"),
-        ({"rate_hz": -1}, "a number from 0.001"),
+        ({"columns": "time,ax,ay"}, Reason.BAD_PROTOCOL, ("text.columns", "az")),
+        ({"columns": "time,ax,ay,az,ax"}, Reason.BAD_PROTOCOL, ("text.columns", "'ax'")),
+        ({"columns": "time,ax,ay,az,wx"}, Reason.BAD_PROTOCOL, ("text.columns", "'wx'")),
+        ({"delimiter": "dot"}, Reason.USAGE, ("delimiter", "'dot'", "auto, comma")),
+        ({"increments": True}, Reason.BAD_PROTOCOL, ("samples.accelerometer", "m/s^2")),
+        ({"rate_hz": -1}, Reason.USAGE, ("rate_hz", "-1", "0.001")),
     ],
 )
-def test_wrong_settings_are_named(settings: dict[str, object], message: str) -> None:
-    with pytest.raises(ProtocolError, match=message):
+def test_wrong_settings_are_named(settings: dict[str, object], reason: Reason, facts: tuple[str, ...]) -> None:
+    with refused(ProtocolError, reason, *facts):
         load_protocol("text", settings)
 
 

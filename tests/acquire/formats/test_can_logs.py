@@ -22,8 +22,9 @@ from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.recording.reader import RecordingLink, read_part
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session
-from imufield.errors import RecordingError, UsageError
+from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import concatenate
+from tests.refused import refused
 
 START_S = 1_700_000_000.0
 
@@ -89,7 +90,8 @@ def test_a_damaged_time_stamp_costs_no_frame_or_is_said(tmp_path: Path) -> None:
     path.write_text("(1700000000.005) can0 100#00\n(nan) can0 100#01\n(1700000000.015) can0 100#02\n")
     losses: list[str] = []
     assert sum(1 for chunk in read_log(path, losses=losses) for _ in unpack_frames(chunk.data)) == 1
-    assert "is damaged behind frame 1 (a frame at nan s)" in losses[0]
+    assert "frame 1 " in losses[0]
+    assert "nan" in losses[0]
 
 
 def test_a_cut_blf_says_what_is_missing(tmp_path: Path) -> None:
@@ -107,7 +109,7 @@ def test_a_cut_blf_says_what_is_missing(tmp_path: Path) -> None:
         assert losses == [
             f"{path} is cut: {size} of {len(content)} bytes and {count} of up to 20000 frames are there: what follows is lost"
         ]
-        with pytest.raises(RecordingError, match="is cut"):
+        with refused(RecordingError, Reason.DAMAGED, str(path), "bytes"):
             list(read_log(path))
     losses = []
     assert sum(1 for chunk in read_log(whole, losses=losses) for _ in unpack_frames(chunk.data)) == 20_000
@@ -125,7 +127,7 @@ def test_a_logger_that_never_ended_and_a_torn_gzip(tmp_path: Path) -> None:
     path.write_bytes(content)
     losses: list[str] = []
     assert 0 < sum(1 for chunk in read_log(path, losses=losses) for _ in unpack_frames(chunk.data)) < 5000
-    assert "was never closed by its logger" in losses[0]
+    assert "logger" in losses[0]
     text = tmp_path / "drive.log"
     with can.Logger(text) as log:
         for message in make_messages(20_000):
@@ -134,7 +136,7 @@ def test_a_logger_that_never_ended_and_a_torn_gzip(tmp_path: Path) -> None:
     (tmp_path / "drive.log.gz").write_bytes(packed[: len(packed) // 2])
     losses = []
     assert sum(1 for chunk in read_log(tmp_path / "drive.log.gz", losses=losses) for _ in unpack_frames(chunk.data)) > 1000
-    assert "is damaged behind frame" in losses[0]
+    assert "frame" in losses[0]
 
 
 def test_logs_are_told_from_others_of_the_same_suffix(tmp_path: Path) -> None:
@@ -193,7 +195,7 @@ def test_mf4_that_asks_for_too_much_memory_is_refused(tmp_path: Path) -> None:
     struct.pack_into("<Q", content, group_at + 24 + 6 * 8 + 8, size // row_bytes)
     content += b"##DZ" + bytes(4) + struct.pack("<QQ2sBBIQQ", 48 + len(packed), 0, b"DT", 0, 0, 0, size, len(packed)) + packed
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match=r"more than 1\d\d\d MiB of memory .* save it as BLF"):
+    with refused(RecordingError, Reason.DAMAGED, "MiB", "BLF"):
         list(read_log(path))
 
 
@@ -201,18 +203,19 @@ def test_mf4_without_its_package_says_what_to_install(tmp_path: Path, monkeypatc
     path = tmp_path / "drive.mf4"
     path.write_bytes(b"MDF     4.10")
     monkeypatch.setitem(sys.modules, "asammdf", None)
-    with pytest.raises(UsageError, match=r"needs the package asammdf; install it with `pip install 'imufield\[mf4\]'`"):
+    with refused(UsageError, Reason.MISSING_PACKAGE, "asammdf", "pip install 'imufield[mf4]'"):
         list(read_log(path))
 
 
 def test_two_buses_must_be_told_apart(tmp_path: Path) -> None:
     path = tmp_path / "two.log"
     path.write_text("(1.0) can0 123#00\n(1.1) can1 123#01\n(1.2) can0 123#02\n")
-    with pytest.raises(UsageError, match="can0 and can1"):
+    with refused(UsageError, Reason.USAGE, "can0", "can1", "--channel") as caught:
         list(read_log(path))
+    assert caught.value.values["channels"] == ("can0", "can1")
     (chunk, *_) = read_log(path, channel="can1")
     assert [frame.data for frame in unpack_frames(chunk.data)] == [b"\x01"]
-    with pytest.raises(RecordingError, match="no frame of channel can7"):
+    with refused(RecordingError, Reason.NOT_A_RECORDING, "can7"):
         list(read_log(path, channel="can7"))
 
 
@@ -224,7 +227,7 @@ def test_what_is_no_log(tmp_path: Path, suffix: str, content: bytes) -> None:
     with pytest.raises(RecordingError) as caught:
         list(read_log(path))
     assert str(path) in str(caught.value)
-    with pytest.raises(RecordingError, match="is not there"):
+    with refused(RecordingError, Reason.NOT_A_RECORDING, "nowhere"):
         list(read_log(tmp_path / f"nowhere.{suffix}"))
 
 

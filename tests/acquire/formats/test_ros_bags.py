@@ -11,8 +11,9 @@ import pytest
 
 from imufield.acquire.formats.ros_bags import is_bag
 from imufield.acquire.formats.tables import read_tables
-from imufield.errors import RecordingError, UsageError
+from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import Status
+from tests.refused import refused
 
 pytest.importorskip("rosbags", reason="extra ros")
 
@@ -82,7 +83,7 @@ def test_values(tmp_path: Path, kind: str, stamped: bool) -> None:
     assert table.settings == {"accelerometer_unit": "m/s^2", "gyroscope_unit": "rad/s", "status": "true"}
     assert table.status is not None
     assert not table.status.any()
-    assert any(f"time counts from {STAMP_S} s since 1970" in sentence for sentence in table.assumptions)
+    assert any(f"{STAMP_S} s" in sentence for sentence in table.assumptions)
 
 
 def test_what_is_not_available(tmp_path: Path) -> None:
@@ -97,10 +98,10 @@ def test_what_is_not_available(tmp_path: Path) -> None:
 
 def test_several_topics_and_none(tmp_path: Path) -> None:
     path = write(tmp_path, "ros1", ("/a/imu", "/b/imu"))
-    with pytest.raises(UsageError, match=r"choose one with --topic, e\.g\. --topic /a/imu"):
+    with refused(UsageError, Reason.USAGE, "--topic /a/imu", "/b/imu"):
         read_tables([path])
     assert len(read_tables([path], topic="/b/imu").rows) == N
-    with pytest.raises(RecordingError, match=r"holds no sensor_msgs/msg/Imu on /c, but .*/temperature"):
+    with refused(RecordingError, Reason.BAD_DATA, "sensor_msgs/msg/Imu", "/c", "/temperature"):
         read_tables([path], topic="/c")
 
 
@@ -117,7 +118,7 @@ def test_cut_and_damaged(tmp_path: Path, kind: str) -> None:
         with suppress(RecordingError, UsageError):
             read_tables([path])
     path.write_bytes(content[: len(content) // 2])
-    with pytest.raises(RecordingError, match="is damaged or no recording of ROS"):
+    with refused(RecordingError, Reason.DAMAGED, str(path)):
         read_tables([path])
 
 
@@ -126,5 +127,5 @@ def test_other_files_are_none(tmp_path: Path) -> None:
     assert not is_bag(tmp_path / "text.bag")
     assert not is_bag(tmp_path)
     (tmp_path / "head.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
-    with pytest.raises(RecordingError, match="is damaged or no recording of ROS"):
+    with refused(RecordingError, Reason.DAMAGED, "head.bag"):
         read_tables([tmp_path / "head.bag"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 import struct
 import subprocess
 import sys
@@ -37,6 +36,7 @@ from tests.acquire.array_files import (
     parquet_columns,
     written,
 )
+from tests.refused import refused
 
 h5py = pytest.importorskip("h5py", reason="extra hdf5")
 pyarrow = pytest.importorskip("pyarrow", reason="extra parquet")
@@ -61,8 +61,9 @@ def test_what_is_left_out_is_said(tmp_path: Path) -> None:
     assert "marks" in said
     said = " ".join(read_tables([written(tmp_path, numpy_names)]).assumptions)
     assert "label" in said
-    with pytest.raises(UsageError, match="--columns names 2 columns"):
+    with refused(UsageError, Reason.USAGE, "--columns", "2", "7") as caught:
         read_tables([written(tmp_path, mat_matrix)], columns="time,ax")
+    assert caught.value.values["width"] == 7
 
 
 def test_dates_count_from_the_first_row(tmp_path: Path) -> None:
@@ -71,15 +72,16 @@ def test_dates_count_from_the_first_row(tmp_path: Path) -> None:
     parquet.write_table(pyarrow.table(columns), tmp_path / "log.parquet")
     table = read_tables([tmp_path / "log.parquet"])
     np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-12)
-    assert any("dates count in seconds from the first row" in sentence for sentence in table.assumptions)
+    assert any("dates" in sentence for sentence in table.assumptions)
 
 
 def test_a_gap_is_named_by_its_row(tmp_path: Path) -> None:
     force = FORCE.copy()
     force[41, 1] = np.nan
     np.savez(tmp_path / "gap.npz", time=TIME, acc=force)
-    with pytest.raises(RecordingError, match="nan for ay in row 42") as caught:
+    with refused(RecordingError, Reason.BAD_DATA, "nan", "ay", "42") as caught:
         read_tables([tmp_path / "gap.npz"])
+    assert caught.value.values["line"] == 42
     assert caught.value.values["line"] == 42
 
 
@@ -117,7 +119,7 @@ def test_a_matlab_file_that_kills_its_reader(tmp_path: Path) -> None:
     place = content.index(struct.pack("<I", 9), 170)
     content[place : place + 4] = struct.pack("<I", 0x7F09)
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match="is a damaged MATLAB file") as caught:
+    with refused(RecordingError, Reason.DAMAGED, "MATLAB") as caught:
         read_tables([path])
     assert caught.value.reason is Reason.DAMAGED
 
@@ -153,7 +155,7 @@ def numpy_trap(path: Path) -> None:
 def test_a_small_file_that_unpacks_to_gigabytes(tmp_path: Path, write: Writer) -> None:
     path = written(tmp_path, write)
     assert path.stat().st_size < 10_000_000
-    with pytest.raises(RecordingError, match=r"is a damaged .*more memory"):
+    with refused(RecordingError, Reason.DAMAGED, "memory"):
         read_tables([path])
 
 
@@ -161,7 +163,7 @@ def test_a_reader_that_dies_is_said_to() -> None:
     command = [sys.executable, "-c", "import os; os.kill(os.getpid(), 9)"]
     with (
         subprocess.Popen(command, stdout=subprocess.PIPE) as process,
-        pytest.raises(ValueError, match="its reader broke down with -9"),
+        pytest.raises(ValueError, match="-9"),
     ):
         _handed_over(process)
 
@@ -178,10 +180,10 @@ def test_files_without_columns(tmp_path: Path) -> None:
     savemat(tmp_path / "empty.mat", {"note": "nothing"})
     np.save(tmp_path / "one.npy", np.float64(3))
     for name in ("empty.mat", "one.npy"):
-        with pytest.raises(RecordingError, match="no columns of numbers"):
+        with refused(RecordingError, Reason.BAD_DATA, name):
             read_tables([tmp_path / name])
     (tmp_path / "head.mat").write_bytes(b"MATLAB 5.0 MAT-file\x00\x01\x02")
-    with pytest.raises(RecordingError, match="is a damaged MATLAB file") as caught:
+    with refused(RecordingError, Reason.DAMAGED, "MATLAB") as caught:
         read_tables([tmp_path / "head.mat"])
     assert caught.value.reason is Reason.DAMAGED
 
@@ -197,8 +199,7 @@ def test_a_package_that_cannot_be_imported_is_named(
     (tmp_path / "packages").mkdir()
     (tmp_path / "packages" / f"{package}.py").write_text(f"raise ImportError({said!r})\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "packages"))
-    install = re.escape(f"({said}); install it with `pip install 'imufield[{extra}]'`")
-    with pytest.raises(UsageError, match=rf"file {re.escape(str(path))} needs the package {package}, .*{install}") as caught:
+    with refused(UsageError, Reason.MISSING_PACKAGE, str(path), package, said, f"pip install 'imufield[{extra}]'") as caught:
         read_tables([path])
     assert caught.value.reason is Reason.MISSING_PACKAGE
 
@@ -206,5 +207,5 @@ def test_a_package_that_cannot_be_imported_is_named(
 def test_a_broken_scipy_comes_with_imufield_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "scipy.py").write_text("raise ImportError('no libopenblas')\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    with pytest.raises(UsageError, match=r"package scipy, .*\(no libopenblas\); install it with `pip install imufield`"):
+    with refused(UsageError, Reason.MISSING_PACKAGE, "scipy", "no libopenblas", "pip install imufield"):
         read_tables([written(tmp_path, mat_matrix)])

@@ -13,6 +13,7 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
 from tests.acquire.table_files import ACCELEROMETER, GYROSCOPE, RNG, TIME, N, text_of, write
+from tests.refused import refused
 
 
 @pytest.mark.parametrize(
@@ -80,7 +81,7 @@ def test_columns_in_any_order_among_others(tmp_path: Path) -> None:
     columns = (np.arange(N), GYROSCOPE, TIME, ACCELEROMETER, TIME, TIME + 20.0)
     table = read_tables([write(tmp_path, text_of(*columns, delimiter=";", header=header))])
     assert np.array_equal(table.rows, np.column_stack([TIME, ACCELEROMETER, GYROSCOPE, TIME + 20.0]))
-    assert "ignored the columns Counter, Mag_X" in table.assumptions[0]
+    assert "Counter, Mag_X" in table.assumptions[0]
 
 
 def test_decimal_commas_beside_semicolons(tmp_path: Path) -> None:
@@ -95,7 +96,7 @@ def test_a_line_of_units_below_the_names(tmp_path: Path) -> None:
     assert table.settings["accelerometer_unit"] == "g"
     np.testing.assert_allclose(table.rows[:, 1:4], ACCELEROMETER / 9.8, rtol=1e-12)
     np.testing.assert_allclose(table.rows[:, 0], TIME, atol=1e-12)
-    assert any("converted from mg to g" in sentence for sentence in table.assumptions)
+    assert any("mg" in sentence for sentence in table.assumptions)
 
 
 @pytest.mark.parametrize("mark", ["# ", "% ", "//"])
@@ -116,12 +117,12 @@ def test_a_commented_header_counts(tmp_path: Path, mark: str) -> None:
 def test_without_header_the_count_decides_and_is_said(tmp_path: Path, columns: tuple[np.ndarray, ...], places: slice) -> None:
     table = read_tables([write(tmp_path, text_of(*columns, delimiter="\t"))])
     assert np.array_equal(table.rows[:, places], np.column_stack(columns))
-    assert "no header" in table.assumptions[0]
+    assert "header" in table.assumptions[0]
 
 
 def test_without_time_a_rate_is_needed(tmp_path: Path) -> None:
     path = write(tmp_path, text_of(ACCELEROMETER, GYROSCOPE))
-    with pytest.raises(UsageError, match="--rate-hz"):
+    with refused(UsageError, Reason.USAGE, "--rate-hz"):
         read_tables([path])
     table = read_tables([path], rate_hz=200.0)
     assert np.array_equal(table.rows[:, 0], np.arange(N) / 200.0)
@@ -137,28 +138,30 @@ def test_the_user_s_word_counts_most(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("columns", "words"),
+    ("columns", "facts"),
     [
-        ("time,ax,ay", "names 3 columns"),
-        ("time,ax,ay,az,gx,gy,colour", "'colour'"),
-        ("time,ax,ay,az,gx,gy,gy", "two columns that mean gy"),
-        ("time,ax,ay,az,gx,gy,-", "no column for gz"),
-        ("time,-,-,-,-,-,-", "no column of"),
-        ("a;b", "describes 2 files"),
+        ("time,ax,ay", ("--columns", "3", "7")),
+        ("time,ax,ay,az,gx,gy,colour", ("--columns", "'colour'")),
+        ("time,ax,ay,az,gx,gy,gy", ("gy", "--columns")),
+        ("time,ax,ay,az,gx,gy,-", ("gz", "--columns")),
+        ("time,-,-,-,-,-,-", ("ax,ay,az,gx,gy,gz",)),
+        ("a;b", ("--columns", "2 ", "1 ")),
     ],
 )
-def test_a_word_that_makes_no_sense_is_refused(tmp_path: Path, columns: str, words: str) -> None:
-    with pytest.raises(UsageError, match=words):
+def test_a_word_that_makes_no_sense_is_refused(tmp_path: Path, columns: str, facts: tuple[str, ...]) -> None:
+    with refused(UsageError, Reason.USAGE, *facts):
         read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER, GYROSCOPE))], columns=columns)
 
 
 def test_unknown_columns_are_a_question_to_the_user(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="5 columns of unknown meaning"):
+    with refused(UsageError, Reason.USAGE, "--columns") as caught:
         read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER, TIME))])
-    with pytest.raises(UsageError, match="known as accelerometer or gyroscope"):
+    assert caught.value.values["width"] == 5
+    with refused(UsageError, Reason.USAGE, "--columns"):
         read_tables([write(tmp_path, text_of(TIME, TIME, header="p q\n"))])
-    with pytest.raises(UsageError, match="two columns that mean ax"):
+    with refused(UsageError, Reason.USAGE, "--columns") as caught:
         read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER, TIME, header="t ax ay az acc_x\n"))])
+    assert caught.value.values["field"] == "ax"
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
@@ -166,18 +169,20 @@ def test_the_unit_of_time_follows_from_the_median_step(tmp_path: Path, unit: str
     path = write(tmp_path, text_of(np.round(TIME * scale, 6) + 1e5, ACCELEROMETER))
     table = read_tables([path])
     np.testing.assert_allclose(table.rows[:, 0], TIME + 1e5 / scale, atol=1e-6)
-    assert any(f"taken as {unit}," in sentence for sentence in table.assumptions)
+    assert any(unit in re.split(r"[ ,;:]+", sentence) for sentence in table.assumptions)
 
 
 def test_an_implausible_step_is_a_question(tmp_path: Path) -> None:
     path = write(tmp_path, text_of(TIME * 23.0, ACCELEROMETER))
-    with pytest.raises(UsageError, match=r"median step of 0\.23"):
+    with refused(UsageError, Reason.USAGE, "0.23", "time_unit", "--rate-hz") as caught:
         read_tables([path])
+    assert caught.value.values["rate_hz"] is None
     assert read_tables([path], columns="time_s,ax,ay,az").rate_hz == pytest.approx(1.0 / 0.23)
     assert read_tables([path], rate_hz=4.3).rate_hz == pytest.approx(1.0 / 0.23)
-    with pytest.raises(UsageError, match="give the right --rate-hz"):
+    with refused(UsageError, Reason.USAGE, "0.23", "--rate-hz") as caught:
         read_tables([path], rate_hz=100.0)
-    with pytest.raises(UsageError, match="contradicts"):
+    assert caught.value.values["rate_hz"] == 100
+    with refused(UsageError, Reason.USAGE, "--rate-hz 100", "4.34783 Hz"):
         read_tables([path], columns="time_s,ax,ay,az", rate_hz=100.0)
 
 
@@ -196,7 +201,7 @@ def test_the_unit_of_the_accelerometer_is_assumed_aloud(
 ) -> None:
     table = read_tables([write(tmp_path, text_of(TIME, values))], zero=zero)
     assert table.settings["accelerometer_unit"] == unit
-    assert any(f"accelerometer is taken as {unit}" in sentence for sentence in table.assumptions)
+    assert any("accelerometer" in sentence and unit in re.split(r"[ ,;:]+", sentence) for sentence in table.assumptions)
     assert np.array_equal(table.rows[:, 1:4], values)
 
 
@@ -206,7 +211,7 @@ def test_the_unit_of_the_accelerometer_is_assumed_aloud(
 def test_the_unit_of_the_gyroscope_is_assumed_aloud(tmp_path: Path, values: np.ndarray, unit: str) -> None:
     table = read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER, values))])
     assert table.settings["gyroscope_unit"] == unit
-    assert any(f"gyroscope is taken as {unit}" in sentence for sentence in table.assumptions)
+    assert any("gyroscope" in sentence and unit in re.split(r"[ ,;:]+", sentence) for sentence in table.assumptions)
 
 
 @pytest.mark.parametrize(
@@ -220,8 +225,9 @@ def test_a_mid_scale_is_kept_beside_the_values(tmp_path: Path, zero: object, exp
 
 @pytest.mark.parametrize("zero", ["x", "1,2", "nan", "1,2,3,4"])
 def test_a_mid_scale_that_is_none_is_refused(tmp_path: Path, zero: str) -> None:
-    with pytest.raises(UsageError, match="--zero"):
+    with refused(UsageError, Reason.USAGE, "--zero") as caught:
         read_tables([write(tmp_path, text_of(TIME, ACCELEROMETER))], zero=zero)
+    assert caught.value.values["zero"] == zero
 
 
 def test_gzip_is_known_by_its_content(tmp_path: Path) -> None:
@@ -229,7 +235,7 @@ def test_gzip_is_known_by_its_content(tmp_path: Path) -> None:
     path.write_bytes(gzip.compress(text_of(TIME, ACCELEROMETER).encode()))
     assert np.array_equal(read_tables([path]).rows[:, 1:4], ACCELEROMETER)
     path.write_bytes(path.read_bytes()[:-20])
-    with pytest.raises(RecordingError, match="damaged gzip"):
+    with refused(RecordingError, Reason.DAMAGED, "gzip"):
         read_tables([path])
 
 
@@ -265,7 +271,7 @@ def test_nothing_is_interpolated_across_a_gap(tmp_path: Path) -> None:
 
 def test_files_that_share_no_time_are_refused(tmp_path: Path) -> None:
     paths = [write(tmp_path, text_of(TIME, ACCELEROMETER), "a.txt"), write(tmp_path, text_of(TIME + 5.0, GYROSCOPE), "g.txt")]
-    with pytest.raises(UsageError, match="share no time"):
+    with refused(UsageError, Reason.USAGE, "a.txt", "g.txt", "0.49 s"):
         read_tables(paths)
 
 
@@ -274,17 +280,19 @@ def test_files_without_time_must_have_the_same_rows(tmp_path: Path) -> None:
     table = read_tables(paths, rate_hz=100.0)
     assert np.array_equal(table.rows[:, 1:7], np.column_stack([ACCELEROMETER, GYROSCOPE]))
     paths.append(write(tmp_path, text_of(GYROSCOPE[:7], header="temp -x- gx\n"), "t.txt"))
-    with pytest.raises(UsageError, match="no column for gy, gz"):
+    with refused(UsageError, Reason.USAGE, "t.txt") as caught:
         read_tables(paths, rate_hz=100.0)
+    assert caught.value.values["missing"] == ["gy", "gz"]
     paths[1] = write(tmp_path, text_of(GYROSCOPE[:7]), "g.txt")
-    with pytest.raises(UsageError, match="differ in their rows"):
+    with refused(UsageError, Reason.USAGE, "a.txt", "g.txt") as caught:
         read_tables(paths[:2], rate_hz=100.0)
+    assert caught.value.values["rows"] == [N, 7]
 
 
 def test_the_same_quantity_twice_is_refused(tmp_path: Path) -> None:
     header = "t ax ay az\n"
     paths = [write(tmp_path, text_of(TIME, ACCELEROMETER, header=header), name) for name in ("a.txt", "b.txt")]
-    with pytest.raises(UsageError, match="holds ax, ay, az again"):
+    with refused(UsageError, Reason.USAGE, "b.txt", "ax, ay, az"):
         read_tables(paths)
 
 
@@ -320,14 +328,16 @@ def test_a_bad_line_is_named(
 
 def test_a_heading_that_names_more_than_the_rows_hold(tmp_path: Path) -> None:
     path = write(tmp_path, text_of(TIME, ACCELEROMETER, header="t ax ay az gx gy gz\n"))
-    with pytest.raises(RecordingError, match="has 4 columns in its first row of numbers, but its heading names more"):
+    with refused(RecordingError, Reason.BAD_DATA, "4 columns") as caught:
         read_tables([path])
+    assert caught.value.values["line"] == 2
 
 
 def test_blank_and_commented_lines_do_not_shift_the_count(tmp_path: Path) -> None:
     text = "# logger\n\nt ax ay az\n0.00 1 2 3\n\n# pause\n0.01 1 2 3\n0.02 1 nan 3\n"
-    with pytest.raises(RecordingError, match="in line 8"):
+    with refused(RecordingError, Reason.BAD_DATA, "nan", "ay") as caught:
         read_tables([write(tmp_path, text)])
+    assert caught.value.values["line"] == 8
 
 
 def test_empty_cells_are_gaps_in_an_axis_and_allowed_in_the_temperature(tmp_path: Path) -> None:
@@ -335,8 +345,9 @@ def test_empty_cells_are_gaps_in_an_axis_and_allowed_in_the_temperature(tmp_path
     rows = read_tables([write(tmp_path, text)], settings={"accelerometer_unit": "count"}).rows
     assert np.isnan(rows[:, 4:7]).all()
     assert np.array_equal(rows[:, 7], [20.0, np.nan, 21.0], equal_nan=True)
-    with pytest.raises(RecordingError, match="nan for ay in line 3"):
+    with refused(RecordingError, Reason.BAD_DATA, "nan", "ay") as caught:
         read_tables([write(tmp_path, text.replace("0.01,1,2,3", "0.01,1,,3"))])
+    assert caught.value.values["line"] == 3
 
 
 @pytest.mark.parametrize("block_bytes", [1 << 20, 97])
@@ -347,21 +358,21 @@ def test_blocks_of_any_size_give_the_same(tmp_path: Path, block_bytes: int, monk
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("content", "facts"),
     [
-        (b"", "no rows of numbers"),
-        (b"\n\n", "no rows of numbers"),
-        (b"t ax ay az\n", "no rows of numbers"),
-        (b"0.0 1 2 3\n", "1 row is no recording"),
-        (b"binary\x00\x01\x02", "is not text"),
-        (b"a\nb\nc\nd\n1 2 3\n", "lines that are no numbers"),
-        (b"t ax ay az\n0 1 2 3\n" + b"1 2 3 4 " * 300_000, "it is no table"),
+        (b"", ()),
+        (b"\n\n", ()),
+        (b"t ax ay az\n", ()),
+        (b"0.0 1 2 3\n", ("1 row",)),
+        (b"binary\x00\x01\x02", ("--protocol",)),
+        (b"a\nb\nc\nd\n1 2 3\n", ("4 lines",)),
+        (b"t ax ay az\n0 1 2 3\n" + b"1 2 3 4 " * 300_000, ("1048576",)),
     ],
 )
-def test_what_is_no_table_says_so(tmp_path: Path, content: bytes, words: str) -> None:
+def test_what_is_no_table_says_so(tmp_path: Path, content: bytes, facts: tuple[str, ...]) -> None:
     path = tmp_path / "x.csv"
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match=words) as caught:
+    with refused(RecordingError, Reason.BAD_DATA, str(path), *facts) as caught:
         read_tables([path])
     assert caught.value.reason is Reason.BAD_DATA
 
@@ -416,8 +427,9 @@ def test_an_axis_without_a_number_is_named(tmp_path: Path, empty: int) -> None:
     table = np.hstack([ACCELEROMETER, GYROSCOPE])
     table[:, empty] = np.nan
     path = write(tmp_path, text_of(TIME, table, delimiter=",", header="time_s,ax,ay,az,gx,gy,gz\n"))
-    with pytest.raises(RecordingError, match="no number for " + ("ax", "", "", "gx")[empty]):
+    with refused(RecordingError, Reason.BAD_DATA, "--columns") as caught:
         read_tables([path])
+    assert caught.value.values["columns"] == [("ax", "", "", "gx")[empty]]
 
 
 @pytest.mark.parametrize("absurd", [1e300, 1e308, 5000.0])
@@ -430,19 +442,20 @@ def test_one_absurd_sample_does_not_decide_the_unit(tmp_path: Path, absurd: floa
 
 def test_a_rate_that_contradicts_the_time_is_said(tmp_path: Path) -> None:
     path = write(tmp_path, text_of(TIME, ACCELEROMETER, delimiter=",", header="time,ax,ay,az\n"))
-    with pytest.raises(UsageError, match=r"--rate-hz 50 contradicts the time column .*, 100 Hz"):
+    with refused(UsageError, Reason.USAGE, "--rate-hz 50", "100 Hz"):
         read_tables([path], rate_hz=50)
 
 
 def test_a_file_without_header_whose_first_column_is_no_time(tmp_path: Path) -> None:
     path = write(tmp_path, text_of(GYROSCOPE[:, 2:], ACCELEROMETER, GYROSCOPE, delimiter=","))
-    with pytest.raises(
-        RecordingError, match=r"no header, and its first column, taken for time, steps back in time .* --columns time,ax"
-    ):
+    with refused(RecordingError, Reason.BAD_DATA, "--columns time,ax") as caught:
         read_tables([path])
+    assert caught.value.values["line"] == 2
     named = text_of(GYROSCOPE[:, 2:], ACCELEROMETER, header="t,ax,ay,az\n", delimiter=",")
-    with pytest.raises(RecordingError, match="sort the file or cut it there"):
+    with refused(RecordingError, Reason.BAD_DATA) as caught:
         read_tables([write(tmp_path, named)])
+    assert caught.value.values["line"] == 3
+    assert "--columns" not in caught.value.message
 
 
 @pytest.mark.parametrize(("unit", "per_s"), [("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
@@ -451,7 +464,7 @@ def test_the_unit_of_time_that_is_given_counts(tmp_path: Path, unit: str, per_s:
     np.testing.assert_allclose(read_tables([path], settings={"time_unit": unit}).rows[:, 0], TIME / per_s)
     by_name = read_tables([path], columns=f"time_{unit},ax,ay,az")
     np.testing.assert_allclose(by_name.rows[:, 0], TIME / per_s)
-    with pytest.raises(UsageError, match=r"time_unit=min is no unit of time; choose one of s, ms, us, ns"):
+    with refused(UsageError, Reason.USAGE, "time_unit", "min", "s, ms, us, ns"):
         read_tables([path], settings={"time_unit": "min"})
 
 
@@ -481,15 +494,16 @@ def test_a_row_that_lacks_a_triad_decides_no_unit(tmp_path: Path, row: int, stat
 
 @pytest.mark.parametrize("text", ["inf", "-inf", "1e300", "0.5"])
 def test_a_counter_that_is_no_whole_number_is_named(tmp_path: Path, text: str) -> None:
-    words = f"has {float(text):g} for counter in line 4, "
-    with pytest.raises(RecordingError, match=re.escape(words) + ".*no whole number"):
+    with refused(RecordingError, Reason.BAD_DATA, f"{float(text):g}", "counter") as caught:
         read_tables([own(tmp_path, counter=(2, text))])
+    assert caught.value.values["line"] == 4
 
 
 @pytest.mark.parametrize("text", ["", "nan", "inf", "1e300", "1.5", "-1", "8589934592"])
 def test_a_status_that_is_none_is_named(tmp_path: Path, text: str) -> None:
-    with pytest.raises(RecordingError, match=r"for status in line 4, .*no whole number from 0 to 4294967295"):
+    with refused(RecordingError, Reason.BAD_DATA, "status", "4294967295") as caught:
         read_tables([own(tmp_path, status=(2, text))])
+    assert caught.value.values["line"] == 4
 
 
 def test_a_counter_may_be_missing_and_a_status_full(tmp_path: Path) -> None:

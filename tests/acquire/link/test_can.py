@@ -17,6 +17,7 @@ from imufield.acquire.link.host_clock import ScaledClock
 from imufield.acquire.protocol.can_frames import ADAPTER_TIME, ERROR, EXTENDED, FD, Frame, pack_frame, unpack_frames
 from imufield.errors import LinkError, ProtocolError, Reason, UsageError
 from imufield.simulate.emulator.slcan import SlcanDevice
+from tests.refused import refused
 
 NUMBERS = itertools.count()
 GROUP = "239.74.0.2"
@@ -127,7 +128,7 @@ def test_a_vanished_adapter_is_a_link_error(slcan: SlcanDevice) -> None:
     assert caught.value.reason is Reason.DISCONNECTED
     assert not link.reopen()
     link.close()
-    with pytest.raises(LinkError, match="is closed"):
+    with refused(LinkError, Reason.DISCONNECTED, "slcan:"):
         link.read()
 
 
@@ -149,7 +150,7 @@ def test_error_frames_are_kept_and_bus_off_ends_the_link(channel: str) -> None:
         bus.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8), is_extended_id=False))
         frames = read_all(link, 2)
         assert [frame.can_id for frame in frames] == [ERROR | 0x08, ERROR | 0x40]
-        with pytest.raises(LinkError, match="left the bus"):
+        with refused(LinkError, Reason.DISCONNECTED, "120 ohm"):
             link.read()
         assert link.reopen()
         bus.send(can.Message(arbitration_id=1, is_extended_id=False))
@@ -215,11 +216,11 @@ def test_addresses(text: str, interface: str, channel: str, options: dict[str, o
 @pytest.mark.parametrize(
     ("text", "wanted"),
     [
-        ("soketcan:can0", "did you mean 'socketcan'"),
-        ("can0", "no CAN interface 'can0'"),
-        ("socketcan", "names no channel: write socketcan:CHANNEL, e.g. socketcan:can0"),
-        ("pcan:", "e.g. pcan:PCAN_USBBUS1"),
-        ("pcan:1?bitrate", "not of the form NAME=VALUE"),
+        ("soketcan:can0", "'socketcan'"),
+        ("can0", "'can0'"),
+        ("socketcan", "socketcan:can0"),
+        ("pcan:", "pcan:PCAN_USBBUS1"),
+        ("pcan:1?bitrate", "NAME=VALUE"),
     ],
 )
 def test_wrong_addresses(text: str, wanted: str) -> None:
@@ -243,7 +244,7 @@ def test_open_can(channel: str) -> None:
     assert (opened.driver, opened.protocol.name, opened.link.bit_rate) == ("aceinna_can", "j1939_imu", 250_000)
     assert opened.protocol.settings["axes"].origin == "given"
     opened.link.close()
-    with pytest.raises(UsageError, match="exactly one"):
+    with refused(UsageError, Reason.USAGE, "--driver", "--protocol", "--dbc"):
         open_can(f"virtual:{channel}")
-    with pytest.raises(ProtocolError, match="no protocol of a CAN bus"):
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "stim300", "--port", "--bus"):
         open_can(f"virtual:{channel}", driver="stim300")

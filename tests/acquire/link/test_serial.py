@@ -15,6 +15,7 @@ from imufield.acquire.link.host_clock import ScaledClock
 from imufield.acquire.link.ports import SerialPort
 from imufield.acquire.link.serial import READ_LIMIT_BYTES, Chunk, SerialLink, open_link
 from imufield.errors import ImufieldError, LinkError, LinkTimeoutError, Reason, UsageError
+from tests.refused import refused
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX")
 
@@ -113,8 +114,9 @@ def test_commands_reach_the_instrument(terminal: Terminal) -> None:
 
 def test_an_instrument_that_takes_nothing_is_a_time_out(terminal: Terminal) -> None:
     link = open_link(terminal.port, baud=9600)
-    with pytest.raises(LinkTimeoutError, match="did not take"):
+    with refused(LinkTimeoutError, Reason.SILENCE, "1000000") as caught:
         link.write(b"x" * 1_000_000)
+    assert caught.value.values["limit_s"] == 1
     link.close()
 
 
@@ -147,14 +149,15 @@ def test_another_bit_rate_on_the_open_port(terminal: Terminal) -> None:
 
 @pytest.mark.parametrize("baud", [0, -9600])
 def test_an_impossible_baud_rate_is_refused(terminal: Terminal, baud: int) -> None:
-    with pytest.raises(LinkError, match=f"does not take {baud} baud") as caught:
+    with refused(LinkError, Reason.BOUNDS, str(baud)) as caught:
         open_link(terminal.port, baud=baud)
+    assert caught.value.values["baud"] == baud
     assert caught.value.reason is Reason.BOUNDS
 
 
 def test_a_second_reader_is_refused(terminal: Terminal) -> None:
     first = open_link(terminal.port, baud=9600)
-    with pytest.raises(LinkError, match="is in use") as caught:
+    with refused(LinkError, Reason.PORT_BUSY) as caught:
         open_link(terminal.port, baud=9600)
     assert caught.value.reason is Reason.PORT_BUSY
     first.close()
@@ -172,7 +175,7 @@ def test_unplugging_is_noticed_and_plugging_in_again_too(terminal: Terminal, tmp
     assert error.values["port"] == str(name)
     name.unlink()
     assert not link.reopen()
-    with pytest.raises(LinkError, match="is closed"):
+    with refused(LinkError, Reason.DISCONNECTED, "ttyUSB0"):
         link.read()
     again = Terminal()
     name.symlink_to(again.port)
@@ -186,37 +189,38 @@ def test_unplugging_is_noticed_and_plugging_in_again_too(terminal: Terminal, tmp
 def test_reopening_does_not_hide_what_waiting_cannot_cure(terminal: Terminal) -> None:
     link = open_link(terminal.port, baud=9600)
     link.settings = type(link.settings)(baud=0)
-    with pytest.raises(LinkError, match="does not take 0 baud"):
+    with refused(LinkError, Reason.BOUNDS) as caught:
         link.reopen()
+    assert caught.value.values["baud"] == 0
 
 
 def test_closing_twice_is_allowed_and_reading_afterwards_is_not(terminal: Terminal) -> None:
     link = open_link(terminal.port, baud=9600)
     link.close()
     link.close()
-    with pytest.raises(LinkError, match="is closed"):
+    with refused(LinkError, Reason.DISCONNECTED):
         link.read()
-    with pytest.raises(LinkError, match="is closed"):
+    with refused(LinkError, Reason.DISCONNECTED):
         link.write(b"x")
 
 
 @pytest.mark.parametrize(
-    ("port", "kind", "reason", "words"),
+    ("port", "kind", "reason", "facts"),
     [
-        ("/dev/ttyUSB99", LinkError, Reason.PORT_NOT_FOUND, "does not exist"),
-        ("/etc/passwd", LinkError, Reason.PORT_NOT_FOUND, "is not a serial port"),
-        ("/tmp", LinkError, Reason.PORT_NOT_FOUND, "is not a serial port"),
-        ("/dev/null", LinkError, Reason.PORT_NOT_FOUND, "is not a serial port"),
-        ("socket://127.0.0.1:1", LinkError, Reason.PORT_NOT_FOUND, "Connection refused"),
-        ("telepathy://x", UsageError, Reason.USAGE, "no kind of address"),
-        ("socket://", UsageError, Reason.USAGE, "names no host and port; give both, as in socket://192.168.1.5:4001"),
-        ("socket://:99", UsageError, Reason.USAGE, "names no host and port"),
-        ("socket://there", UsageError, Reason.USAGE, "names no host and port"),
-        ("rfc2217://", UsageError, Reason.USAGE, "as in rfc2217://192.168.1.5:4001"),
+        ("/dev/ttyUSB99", LinkError, Reason.PORT_NOT_FOUND, ()),
+        ("/etc/passwd", LinkError, Reason.PORT_NOT_FOUND, ()),
+        ("/tmp", LinkError, Reason.PORT_NOT_FOUND, ()),
+        ("/dev/null", LinkError, Reason.PORT_NOT_FOUND, ()),
+        ("socket://127.0.0.1:1", LinkError, Reason.PORT_NOT_FOUND, ("Connection refused",)),
+        ("telepathy://x", UsageError, Reason.USAGE, ("socket://host:port",)),
+        ("socket://", UsageError, Reason.USAGE, ("socket://192.168.1.5:4001",)),
+        ("socket://:99", UsageError, Reason.USAGE, ("socket://192.168.1.5:4001",)),
+        ("socket://there", UsageError, Reason.USAGE, ("socket://192.168.1.5:4001",)),
+        ("rfc2217://", UsageError, Reason.USAGE, ("rfc2217://192.168.1.5:4001",)),
     ],
 )
-def test_what_cannot_be_opened_says_why(port: str, kind: type[ImufieldError], reason: Reason, words: str) -> None:
-    with pytest.raises(kind, match=words) as caught:
+def test_what_cannot_be_opened_says_why(port: str, kind: type[ImufieldError], reason: Reason, facts: tuple[str, ...]) -> None:
+    with refused(kind, reason, port, *facts) as caught:
         open_link(port, baud=115200)
     assert caught.value.reason is reason
     assert port in caught.value.message
@@ -227,32 +231,33 @@ def test_a_missing_port_names_those_that_are_there(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(
         link_errors, "serial_ports", lambda: [SerialPort(device=f"/dev/ttyUSB{i}", description="") for i in range(8)]
     )
-    with pytest.raises(LinkError, match=r"this machine has /dev/ttyUSB0, .*/dev/ttyUSB5, \.\.\.;"):
+    with refused(LinkError, Reason.PORT_NOT_FOUND, "/dev/ttyUSB99", "/dev/ttyUSB0", "/dev/ttyUSB5, ..."):
         open_link("/dev/ttyUSB99", baud=115200)
     monkeypatch.setattr(link_errors, "serial_ports", list)
-    with pytest.raises(LinkError, match="no serial port is there"):
+    with refused(LinkError, Reason.PORT_NOT_FOUND, "/dev/ttyUSB99") as caught:
         open_link("/dev/ttyUSB99", baud=115200)
+    assert "/dev/ttyUSB0" not in caught.value.message
 
 
 @pytest.mark.parametrize(
-    ("error", "reason", "words"),
+    ("error", "reason", "fact"),
     [
         (serial.SerialException(13, "could not open port: Permission denied"), Reason.NO_PERMISSION, "usermod -aG dialout"),
-        (serial.SerialException(16, "could not open port: Device busy"), Reason.PORT_BUSY, "another program"),
+        (serial.SerialException(16, "could not open port: Device busy"), Reason.PORT_BUSY, "COM9"),
         (
             serial.SerialException("could not open port 'COM9': FileNotFoundError(2, 'x')"),
             Reason.PORT_NOT_FOUND,
             "COM9",
         ),
-        (serial.SerialException("could not open port 'COM9': PermissionError(13, 'x')"), Reason.PORT_BUSY, "in use"),
+        (serial.SerialException("could not open port 'COM9': PermissionError(13, 'x')"), Reason.PORT_BUSY, "COM9"),
         (serial.SerialException("Could not configure port: (5, 'Input/output error')"), Reason.DISCONNECTED, "Input/output"),
-        (ValueError("Failed to set custom baud rate (7): 22"), Reason.BOUNDS, "does not take 7 baud"),
+        (ValueError("Failed to set custom baud rate (7): 22"), Reason.BOUNDS, "7 baud"),
     ],
 )
-def test_what_other_systems_and_ports_report_is_understood(error: Exception, reason: Reason, words: str) -> None:
+def test_what_other_systems_and_ports_report_is_understood(error: Exception, reason: Reason, fact: str) -> None:
     made = link_errors.open_error("COM9", 7, error)
     assert made.reason is reason
-    assert words in made.message
+    assert fact in made.message
 
 
 def with_server(serve: Callable[[socket.socket], None]) -> tuple[str, threading.Thread]:

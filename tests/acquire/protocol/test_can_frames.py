@@ -49,7 +49,7 @@ def test_a_frame_of_8_bytes_is_24_bytes_by_the_description() -> None:
     assert packed.hex() == "802df088" + "08" + "00" + "4eca" + "000000000000f83f" + "0001020304050607"
     assert len(pack_frame(1, bytes(9), flags=FD)) == 2 * UNIT_BYTES
     assert len(pack_frame(1, bytes(64), flags=FD)) == 4 * UNIT_BYTES
-    with pytest.raises(ValueError, match="at most 64"):
+    with pytest.raises(ValueError, match="64"):
         pack_frame(1, bytes(65))
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ from imufield.acquire.protocol.protocol import Protocol, load_protocol, parse_pr
 from imufield.errors import ProtocolError, Reason, UsageError
 from imufield.samples import Samples, Status, concatenate
 from tests.acquire.plain_frames import parse_candump
+from tests.refused import refused
 
 DBC = """VERSION ""
 BS_:
@@ -200,7 +203,7 @@ def test_a_written_protocol_beside_its_dbc(dbc: Path) -> None:
     path.write_text(protocol_text("mine", dbc.name, MAP), encoding="utf-8")
     assert load_protocol(path).name == "mine"
     dbc.unlink()
-    with pytest.raises(ProtocolError, match=r"my imu\.dbc"):
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "my imu.dbc", os.strerror(errno.ENOENT)):
         load_protocol(path)
 
 
@@ -220,11 +223,11 @@ def test_code_page_of_windows_and_quotes(tmp_path: Path) -> None:
         ({"gyroscope.x": "AccX"}, "signal AccX has 'g', which is no unit of the gyroscope"),
         ({"temperature": "Speed"}, "use one in degC or K"),
         ({"counter": "Count"}, "Acc.Count, Gyro.Count"),
-        ({"counter": "AccX"}, "is not an unsigned whole number"),
-        ({"starts_with": "Housekeeping"}, "has no signal in [map]"),
-        ({"starts_with": "Akk"}, "has no message 'Akk'"),
-        ({"counters": "Acc.Count"}, "needs one counter in each message"),
-        ({"accelerometer.unit": "furlong"}, "'furlong', which is no unit of the accelerometer"),
+        ({"counter": "AccX"}, "AccX"),
+        ({"starts_with": "Housekeeping"}, "Housekeeping"),
+        ({"starts_with": "Akk"}, "'Akk'"),
+        ({"counters": "Acc.Count"}, "counters"),
+        ({"accelerometer.unit": "furlong"}, "furlong"),
     ],
 )
 def test_what_is_wrong_with_a_map(dbc: Path, change: dict[str, str], wanted: str) -> None:
@@ -246,21 +249,22 @@ def test_unit_errors_say_so(dbc: Path) -> None:
 
 
 def test_nothing_mapped_names_candidates(dbc: Path) -> None:
-    with pytest.raises(ProtocolError, match=r"Acc\.AccX, Acc\.AccY, Acc\.AccZ, Gyro\.GyroX"):
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "Acc.AccX, Acc.AccY, Acc.AccZ, Gyro.GyroX"):
         protocol_from_dbc(dbc, {})
 
 
 def test_a_missing_axis_is_named(dbc: Path) -> None:
-    with pytest.raises(UsageError, match=r"accelerometer\.y and no accelerometer\.z"):
+    with refused(UsageError, Reason.USAGE, "accelerometer.y", "accelerometer.z") as caught:
         protocol_from_dbc(dbc, {"accelerometer.x": "AccX"})
+    assert caught.value.values["missing"] == ["accelerometer.y", "accelerometer.z"]
 
 
 def test_parse_map() -> None:
     assert parse_map(["accelerometer.x=-A.B", " counter = C "]) == {"accelerometer.x": "-A.B", "counter": "C"}
     for texts, wanted in (
-        (["acelerometer.x=A"], "did you mean 'accelerometer.x'"),
-        (["counter="], "has no value"),
-        (["counter=A", "counter=B"], "is given twice"),
+        (["acelerometer.x=A"], "'accelerometer.x'"),
+        (["counter="], "counter"),
+        (["counter=A", "counter=B"], "counter"),
     ):
         with pytest.raises(UsageError) as caught:
             parse_map(texts)
@@ -287,5 +291,5 @@ def test_spellings_of_units(text: str, unit: str | None) -> None:
 
 
 def test_missing_file() -> None:
-    with pytest.raises(ProtocolError, match="cannot be read"):
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "nowhere.dbc"):
         protocol_from_dbc("nowhere.dbc", MAP)

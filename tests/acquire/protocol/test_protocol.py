@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from hypothesis import strategies as st
 from imufield.acquire.protocol.protocol import load_protocol, parse_protocol, protocol_names
 from imufield.acquire.protocol.toml import FILE_LIMIT_BYTES
 from imufield.errors import ProtocolError, Reason
+from tests.refused import refused
 
 STIM300 = load_protocol("stim300").text
 
@@ -58,60 +61,60 @@ def test_settings_are_assumed_read_or_given() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("given", "reason", "facts"),
     [
-        ({"accelerometer_range": 10}, "did you mean 'accelerometer_range_g'"),
-        ({"accelerometer_range_g": 12}, "one of 2, 5, 10, 30, 80"),
-        ({"accelerometer_range_g": "big"}, "one of 2, 5, 10, 30, 80"),
-        ({"accelerometer_range_g": True}, "one of 2, 5, 10, 30, 80"),
-        ({"gyroscope_output": "integrated"}, "one of rate, average, increment"),
-        ({"rate_hz": 125.5}, "one of 0, 125"),
+        ({"accelerometer_range": 10}, Reason.UNKNOWN_KEY, ("accelerometer_range_g",)),
+        ({"accelerometer_range_g": 12}, Reason.USAGE, ("accelerometer_range_g", "12", "2, 5, 10, 30, 80")),
+        ({"accelerometer_range_g": "big"}, Reason.USAGE, ("big", "2, 5, 10, 30, 80")),
+        ({"accelerometer_range_g": True}, Reason.USAGE, ("True", "2, 5, 10, 30, 80")),
+        ({"gyroscope_output": "integrated"}, Reason.USAGE, ("integrated", "rate, average, increment")),
+        ({"rate_hz": 125.5}, Reason.USAGE, ("rate_hz", "125.5", "0, 125")),
     ],
 )
-def test_wrong_settings_name_what_is_allowed(given: dict[str, object], message: str) -> None:
-    with pytest.raises(ProtocolError, match=message):
+def test_wrong_settings_name_what_is_allowed(given: dict[str, object], reason: Reason, facts: tuple[str, ...]) -> None:
+    with refused(ProtocolError, reason, *facts):
         load_protocol("stim300", given)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "at", "key", "says"),
     [
-        ('kind = "frames"', 'kind = "frame"', 'kind = "frames"', "kind", "one of frames, text"),
-        ('byte_order = "big"', "", None, "byte_order", "nothing"),
+        ('kind = "frames"', 'kind = "frame"', 'kind = "frames"', "kind", "frames, text"),
+        ('byte_order = "big"', "", None, "byte_order", "byte_order"),
         ("default = 10\n", "default = 11\n", "default = 10\n", "settings.accelerometer_range_g.default", "2, 5, 10, 30, 80"),
         (
             'type = "i24", count = 3, fraction_bits = 22',
             'type = "i25", count = 3, fraction_bits = 22',
             "fraction_bits = 22",
             "parts.inclinometer.0.type",
-            "not 'i25'",
+            "i25",
         ),
-        ("fraction_bits = 22", "fraction_bit = 22", "fraction_bits = 22", "parts.inclinometer.0.fraction_bit", "remove it"),
+        ("fraction_bits = 22", "fraction_bit = 22", "fraction_bits = 22", "parts.inclinometer.0.fraction_bit", "fraction_bit"),
         (
             '0x92 = ["gyroscope", "inclinometer"',
             '0x92 = ["gyroscope", "inclination"',
             "0x92 =",
             "frames.0x92",
-            "no part 'inclination'",
+            "inclination",
         ),
-        ("0x92 =", "0x91 =", None, "", "not a readable TOML"),
+        ("0x92 =", "0x91 =", None, "", "TOML"),
         ("0x92 =", "ninety =", "0x92 =", "frames.ninety", "hexadecimal"),
-        ("CRC-32/MPEG-2", "CRC-32/MPEG", "CRC-32/MPEG-2", "frame.checksum.algorithm", "did you mean"),
+        ("CRC-32/MPEG-2", "CRC-32/MPEG", "CRC-32/MPEG-2", "frame.checksum.algorithm", "CRC-32/MPEG-2"),
         ('"0D 0A"', '"0D 0"', '"0D 0A"', "frame.trailer.bytes", "hexadecimal"),
-        ('flag = "start_up"', 'flag = "startup"', 'flag = "start_up"', "samples.flags.0.flag", "did you mean 'start_up'"),
+        ('flag = "start_up"', 'flag = "startup"', 'flag = "start_up"', "samples.flags.0.flag", "start_up"),
         (
             'accelerometer = { fields = ["accelerometer"] }',
             'accelerometer = { fields = ["acceleration"] }',
             "accelerometer = { fields",
             "samples.accelerometer",
-            "no frame has a field 'acceleration'",
+            "'acceleration'",
         ),
-        ("[nominal]", "[nominals]", "[nominal]", "nominals", "did you mean 'nominal'"),
-        ("version = 1", "version = 2", "version = 1", "version", "newer"),
+        ("[nominal]", "[nominals]", "[nominal]", "nominals", "'nominal'"),
+        ("version = 1", "version = 2", "version = 1", "version", "2"),
         ("10 = 19, ", "", "10 = 19", "parts.accelerometer.0.fraction_bits", "accelerometer_range_g = 10"),
-        ('setting = "rate_hz"', 'setting = "rate"', "rate_hz = { setting", "clock.rate_hz", "no setting 'rate'"),
-        ('format = "imufield-protocol"', 'format = "other"', "format", "format", "no protocol"),
-        ('keys = ["0xB1", "0xB3"]', 'keys = ["0xB1", "0x93"]', "keys = [", "messages.part_number.keys", "twice"),
+        ('setting = "rate_hz"', 'setting = "rate"', "rate_hz = { setting", "clock.rate_hz", "'rate'"),
+        ('format = "imufield-protocol"', 'format = "other"', "format", "format", "imufield-protocol"),
+        ('keys = ["0xB1", "0xB3"]', 'keys = ["0xB1", "0x93"]', "keys = [", "messages.part_number.keys", "0x93"),
     ],
 )
 def test_errors_name_line_and_key(old: str, new: str, at: str | None, key: str, says: str) -> None:
@@ -135,8 +138,9 @@ def test_what_would_break_at_the_first_bytes_is_refused(name: str, old: str, new
 
 
 def test_a_unit_that_is_none() -> None:
-    with pytest.raises(ProtocolError, match=r"samples\.temperature`: 'K' is no unit of this; use one of degC"):
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "samples.temperature", "'K'", "degC") as caught:
         parse_protocol(STIM300.replace('unit = "degC"', 'unit = "K"'))
+    assert caught.value.values["key"] == "samples.temperature"
 
 
 def test_own_files_by_path(tmp_path: Path) -> None:
@@ -151,18 +155,18 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     binary.write_bytes(b"\x93\xff\xfe")
     large.write_bytes(b"#" * (FILE_LIMIT_BYTES + 1))
     folder.mkdir()
-    for path, says in (
-        (binary, "no UTF-8"),
-        (large, "larger than"),
-        (folder, "cannot be read"),
-        (tmp_path / "d.toml", "cannot be read"),
+    for path, *facts in (
+        (binary, "a.toml", "UTF-8"),
+        (large, "b.toml", str(FILE_LIMIT_BYTES)),
+        (folder, str(folder), os.strerror(errno.EISDIR)),
+        (tmp_path / "d.toml", "d.toml", os.strerror(errno.ENOENT)),
     ):
-        with pytest.raises(ProtocolError, match=says):
+        with refused(ProtocolError, Reason.BAD_PROTOCOL, *facts):
             load_protocol(path)
-    with pytest.raises(ProtocolError, match="did you mean 'stim300'") as caught:
+    with refused(ProtocolError, Reason.BAD_PROTOCOL, "stim30", "stim300") as caught:
         load_protocol("stim30")
     assert caught.value.reason is Reason.BAD_PROTOCOL
-    with pytest.raises(ProtocolError, match=r"nests|readable"):
+    with refused(ProtocolError, Reason.BAD_PROTOCOL):
         parse_protocol("a = " + "[" * 100_000)
 
 

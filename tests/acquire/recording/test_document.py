@@ -7,6 +7,7 @@ import tomli_w
 from imufield.acquire.recording.document import GuideRecord, SessionRecord, SettingRecord, SiteRecord
 from imufield.acquire.recording.session import Session
 from imufield.errors import Reason, RecordingError
+from tests.refused import refused
 
 PATH = Path("session.toml")
 WHOLE = """
@@ -110,6 +111,6 @@ def test_what_nothing_reads_stays_in_the_file(tmp_path: Path) -> None:
 )
 def test_a_damaged_table_is_refused(table: dict[str, object], reason: Reason) -> None:
     (name,) = table
-    with pytest.raises(RecordingError, match=name) as caught:
+    with refused(RecordingError, reason, name) as caught:
         SessionRecord.read({**tomllib.loads(WHOLE), **table}, PATH)
     assert caught.value.reason is reason

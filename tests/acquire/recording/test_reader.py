@@ -45,6 +45,7 @@ from imufield.acquire.recording.reader import (
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session
 from imufield.errors import LinkError, Reason, RecordingError, UsageError
+from tests.refused import refused
 
 START_NS = 1_700_000_000_000_000_000
 METADATA = {"driver": "stim300", "protocol": {"name": "stim300", "text": "sync = [147]\n"}, "baud": 921600}
@@ -169,7 +170,8 @@ def test_every_prefix_gives_its_complete_blocks(made: MadePart, tmp_path: Path) 
 def test_a_file_cut_behind_its_last_block_says_so(made: MadePart, tmp_path: Path) -> None:
     damage: list[Damage] = []
     read_items(written(tmp_path, made.data[: made.end_start]), damage)
-    assert "cut off" in str(damage[0])
+    assert len(damage) == 1
+    assert damage[0].torn_end
 
 
 @pytest.mark.parametrize("mask", [0x01, 0x04, 0x80, 0xFF])
@@ -217,17 +219,17 @@ def test_a_chunk_is_found_across_a_long_stretch_of_noise(made: MadePart, tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    "content",
     [
-        (b"", "is empty"),
-        (b"not a recording at all, just some text of a user", "is not an imufield recording"),
-        (b"\x00" * 200, "is not an imufield recording"),
-        (b"\x89PNG\r\n\x1a\n" + bytes(100), "is not an imufield recording"),
+        b"",
+        b"not a recording at all, just some text of a user",
+        b"\x00" * 200,
+        b"\x89PNG\r\n\x1a\n" + bytes(100),
     ],
 )
-def test_foreign_files_are_refused_by_name(tmp_path: Path, content: bytes, words: str) -> None:
+def test_foreign_files_are_refused_by_name(tmp_path: Path, content: bytes) -> None:
     path = written(tmp_path, content, "holiday.jpg")
-    with pytest.raises(RecordingError, match=words) as caught:
+    with refused(RecordingError, Reason.NOT_A_RECORDING, str(path)) as caught:
         read_items(path)
     assert caught.value.reason is Reason.NOT_A_RECORDING
     assert str(path) in caught.value.message
@@ -235,13 +237,13 @@ def test_foreign_files_are_refused_by_name(tmp_path: Path, content: bytes, words
 
 def test_mcap_of_another_program_is_refused(tmp_path: Path) -> None:
     data = start_of_part({}).replace(b"\x08\x00\x00\x00imufield", b"\x08\x00\x00\x00ros2prof")
-    with pytest.raises(RecordingError, match="of another program"):
+    with refused(RecordingError, Reason.NOT_A_RECORDING, "MCAP"):
         read_items(written(tmp_path, data))
 
 
 def test_what_is_missing_or_a_folder_is_an_error_of_its_own(tmp_path: Path) -> None:
     for path in (tmp_path / "part-009.mcap", tmp_path):
-        with pytest.raises(RecordingError, match="cannot be read") as caught:
+        with refused(RecordingError, Reason.NOT_A_RECORDING, str(path)) as caught:
             read_items(path)
         assert caught.value.reason is Reason.NOT_A_RECORDING
 
@@ -251,7 +253,7 @@ def test_newer_versions_are_refused(tmp_path: Path) -> None:
         start_of_part({}).replace(b"\x07\x00\x00\x00version\x01\x00\x00\x001", b"\x07\x00\x00\x00version\x01\x00\x00\x002"),
         b"\x89MCAP1\r\n" + bytes(100),
     ):
-        with pytest.raises(RecordingError, match="update imufield") as caught:
+        with refused(RecordingError, Reason.NEWER, "version") as caught:
             read_items(written(tmp_path, data))
         assert caught.value.reason is Reason.NEWER
 
@@ -403,7 +405,7 @@ def test_a_recording_poses_as_a_link(made: MadePart, tmp_path: Path) -> None:
         with pytest.raises(EndOfRecordingError):
             link.read()
     assert [entry.torn_end for entry in link.damage] == [True]
-    with pytest.raises(LinkError, match="takes no commands"):
+    with refused(LinkError, Reason.USAGE, str(tmp_path)):
         link.write(b"x")
     link.close()
     link.close()
@@ -435,8 +437,9 @@ def test_a_paced_recording_takes_its_time(tmp_path: Path) -> None:
         assert chunk is not None
         passed_s.append((chunk.monotonic_s, clock.now_s - 1000.0))
     assert passed_s == [(5.0, 0.0), (5.5, 0.25), (7.0, 1.0)]
-    with pytest.raises(UsageError, match="pace of 0"):
+    with refused(UsageError, Reason.USAGE) as caught:
         RecordingLink(session_of(tmp_path, b""), pace=0.0)
+    assert caught.value.values["pace"] == 0
 
 
 def test_an_imported_dump_has_no_pace(tmp_path: Path) -> None:

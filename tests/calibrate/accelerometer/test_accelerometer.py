@@ -28,6 +28,7 @@ from imufield.calibrate.model.result import Calibration, Gauge, QuadraticAxes
 from imufield.earth import Gravity, choose_gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
+from tests.refused import refused
 
 pytestmark = pytest.mark.numerical
 
@@ -136,7 +137,7 @@ def test_faces_alone_give_scale_and_bias(times: int) -> None:
     assert calibration.accelerometer.bias_m_s2 == pytest.approx(truth.bias_m_s2, abs=5e-3)
     assert calibration.accelerometer.misalignment_rad.tolist() == np.zeros((3, 3)).tolist()
     assert {name.split(".")[1] for name in calibration.unobservable} == {"misalignment_rad", "quadratic"}
-    assert any("cannot show misalignment" in reason for reason in calibration.quality.reasons)
+    assert any("misalignment" in reason for reason in calibration.quality.reasons)
     assert calibration.quality.verdict == ("poor" if times == 1 else "usable")
     assert np.isfinite(calibration.accelerometer_sigma.scale).all()
     assert np.isnan(calibration.intrinsic.angle_sigma_rad).all()
@@ -164,37 +165,44 @@ def test_six_faces_without_sigmas_have_no_uncertainty_and_say_so() -> None:
 def test_edges_alone_refuse_the_quadratic_model_by_name() -> None:
     rng = np.random.default_rng(9)
     observations = campaign(random_parameters(rng), rng, planned=np.vstack([edges(), edges()]))
-    with pytest.raises(CalibrationError, match=r"cannot show accelerometer\.quadratic\.x") as caught:
+    with refused(CalibrationError, Reason.UNOBSERVABLE) as caught:
         calibrate_accelerometer(observations, EXACT, model="quadratic")
+    assert caught.value.values["unobservable"][0] == "accelerometer.quadratic.x"
     assert caught.value.reason is Reason.UNOBSERVABLE
     assert not calibrate_accelerometer(observations, EXACT).quadratic_fitted
 
 
 def test_too_few_positions_say_how_many_are_needed() -> None:
-    with pytest.raises(CalibrationError, match=r"5 positions are too few: scale and bias need 6 .* misalignment 9") as caught:
+    with refused(CalibrationError, Reason.TOO_FEW, "scale and bias", "6", "misalignment", "9") as caught:
         calibrate_accelerometer(observe(400 * GRAVITY * faces()[:5]), EXACT)
+    assert caught.value.values["positions"] == 5
+    assert caught.value.values["needed"] == 6
     assert caught.value.reason is Reason.TOO_FEW
 
 
 def test_a_position_that_is_not_finite_is_named() -> None:
     mean = 400 * GRAVITY * paper24()
     mean[4, 1] = np.nan
-    with pytest.raises(CalibrationError, match=r"position p05 \(number 5 of 24\)") as caught:
+    with refused(CalibrationError, Reason.NOT_FINITE, "5 of 24") as caught:
         calibrate_accelerometer(observe(mean), EXACT)
+    assert caught.value.values["position"] == "p05"
     assert caught.value.reason is Reason.NOT_FINITE
 
 
 def test_positions_in_a_plane_are_refused() -> None:
-    with pytest.raises(CalibrationError, match="in one plane"):
+    with refused(CalibrationError, Reason.UNOBSERVABLE) as caught:
         calibrate_accelerometer(observe(400 * GRAVITY * paper24()[:8]), EXACT)
+    assert caught.value.values["thickness"] < 0.1
 
 
 def test_a_saturated_axis_is_refused() -> None:
     rng = np.random.default_rng(3)
     mean = outputs(random_parameters(rng), GRAVITY * tilted(paper24(), rng, 0.05))
     mean[:, 2] = np.minimum(mean[:, 2], 2000.0)
-    with pytest.raises(CalibrationError, match="axis z stops at 2000 ") as caught:
+    with refused(CalibrationError, Reason.SATURATED) as caught:
         calibrate_accelerometer(observe(mean), EXACT)
+    assert caught.value.values["axis"] == "z"
+    assert caught.value.values["limit"] == 2000
     assert caught.value.reason is Reason.SATURATED
 
 
@@ -205,7 +213,7 @@ def test_wrong_gravity_cannot_be_seen_and_moves_the_scale_only() -> None:
     wrong = calibrate_accelerometer(observations, Gravity(gravity_m_s2=1.62, sigma_m_s2=1e-3, source="typed"), model="linear")
     assert wrong.accelerometer.scale / right.accelerometer.scale == pytest.approx(np.full(3, GRAVITY / 1.62), rel=1e-9)
     assert wrong.quality.residual_rms_m_s2 / 1.62 == pytest.approx(right.quality.residual_rms_m_s2 / GRAVITY, rel=1e-6)
-    assert any("residual cannot check gravity" in reason for reason in wrong.quality.reasons)
+    assert any("gravity" in reason for reason in wrong.quality.reasons)
 
 
 def test_assumed_gravity_is_said_loudly() -> None:
@@ -225,8 +233,9 @@ def test_common_scale_is_held_against_the_preset(factor: float, outcome: str) ->
     preset = replace(truth, scale=truth.scale / factor)
     observations = campaign(truth, rng)
     if outcome == "refused":
-        with pytest.raises(CalibrationError, match="times the preset's") as caught:
+        with refused(CalibrationError, Reason.UNITS) as caught:
             calibrate_accelerometer(observations, EXACT, preset=preset)
+        assert caught.value.values["ratio"] == pytest.approx(factor, rel=1e-3)
         assert caught.value.reason is Reason.UNITS
         return
     reasons = calibrate_accelerometer(observations, EXACT, preset=preset).quality.reasons
@@ -236,13 +245,14 @@ def test_common_scale_is_held_against_the_preset(factor: float, outcome: str) ->
 def test_a_left_handed_preset_is_refused() -> None:
     rng = np.random.default_rng(11)
     truth = random_parameters(rng)
-    with pytest.raises(CalibrationError, match="preset is left-handed"):
+    with refused(CalibrationError, Reason.HANDEDNESS) as caught:
         calibrate_accelerometer(campaign(truth, rng), EXACT, preset=replace(truth, scale=truth.scale * (1, 1, -1)))
+    assert min(caught.value.values["scale"]) < 0
 
 
 def test_preset_gauge_without_preset_is_a_usage_error() -> None:
     rng = np.random.default_rng(11)
-    with pytest.raises(UsageError, match="needs a preset"):
+    with refused(UsageError, Reason.USAGE, "--preset"):
         calibrate_accelerometer(campaign(random_parameters(rng), rng), EXACT, gauge="preset")
 
 
@@ -265,7 +275,7 @@ def test_a_moved_position_is_named_and_does_not_pass_as_good() -> None:
     observations = campaign(random_parameters(rng), rng)
     observations.mean_raw[9] *= 1.005
     calibration = calibrate_accelerometer(observations, EXACT)
-    assert any("position p10 does not fit the others" in reason for reason in calibration.quality.reasons)
+    assert any("position p10" in reason for reason in calibration.quality.reasons)
     assert calibration.quality.verdict != "good"
 
 
@@ -291,7 +301,7 @@ def test_a_direction_seen_once_is_named_and_its_uncertainty_raised() -> None:
     calibration = calibrate_accelerometer(observations, EXACT, model="linear")
     lone = len(planned)
     assert calibration.positions.leverage[-1] > 0.8
-    assert any(f"position p{lone:02d} carries scale x, bias x" in reason for reason in calibration.quality.reasons)
+    assert any(f"position p{lone:02d}" in reason and "scale x, bias x" in reason for reason in calibration.quality.reasons)
     assert calibration.quality.verdict != "good"
 
 
@@ -339,15 +349,16 @@ def test_a_row_of_zeros_does_not_pass() -> None:
     mean[6] = 0.0
     calibration = calibrate_accelerometer(observe(mean), EXACT)
     assert calibration.quality.verdict == "poor"
-    assert any("position p07 does not fit the others" in reason for reason in calibration.quality.reasons)
+    assert any("position p07" in reason for reason in calibration.quality.reasons)
 
 
 def test_a_preset_that_bends_too_much_is_named() -> None:
     rng = np.random.default_rng(11)
     truth = random_parameters(rng)
     preset = replace(truth, quadratic=np.full(3, -12.0))
-    with pytest.raises(CalibrationError, match=r"which no specific force near 9\.81 m/s\^2 explains") as caught:
+    with refused(CalibrationError, Reason.BOUNDS, "9.81 m/s^2") as caught:
         calibrate_accelerometer(campaign(truth, rng), EXACT, preset=preset)
+    assert "position" in caught.value.values
     assert caught.value.reason is Reason.BOUNDS
 
 
@@ -392,7 +403,7 @@ def test_real_xsens_session_gives_the_reference(shared_folder: Path, weighted: b
     assert 0.09 * MG < calibration.quality.residual_rms_m_s2 < 0.12 * MG
     assert calibration.quality.leave_one_out_rms_m_s2 == pytest.approx(0.146 * MG, rel=0.1)
     # The +x direction is seen once: named, with the jackknife's sigma instead of one 2.5 times too small.
-    assert any("carries scale x, bias x" in reason for reason in calibration.quality.reasons)
+    assert any("scale x, bias x" in reason for reason in calibration.quality.reasons)
     assert calibration.accelerometer_sigma.scale[0] > 2 * 0.0254
 
 

@@ -25,6 +25,7 @@ from imufield.guide.lead.unguided import find_still_intervals
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
 from imufield.simulate.truth.motion import Site
+from tests.refused import refused
 
 
 def vector(p: GyroscopeParameters) -> FloatArray:
@@ -58,8 +59,9 @@ def test_hand_moves_alone_give_all_21_parameters_within_their_sigma() -> None:
 
 
 def test_the_path_is_told_and_the_moves_reported(result: GyroscopeResult) -> None:
-    assert "24 moves between 25 still positions against gravity" in result.calibration.path
-    assert "g-sensitivity fitted" in result.calibration.path
+    assert "24 moves" in result.calibration.path
+    assert "25 still positions" in result.calibration.path
+    assert "g-sensitivity" in result.calibration.path
     assert result.moves.rms_after_deg < 0.06 < result.moves.rms_before_deg
     assert len(result.moves.after_deg) == 24
     assert result.unobservable == ()
@@ -81,7 +83,7 @@ def test_one_joint_covariance(session: Session, result: GyroscopeResult) -> None
     rows = [k for k, name in enumerate(names) if name in ACCELEROMETER_NAMES]
     columns = [k for k, name in enumerate(names) if name.startswith("gyroscope.misalignment")]
     assert np.abs(joined.covariance[np.ix_(rows, columns)]).max() > 0
-    assert any("angle error of 24 moves" in reason for reason in joined.quality.reasons)
+    assert any("24 moves" in reason for reason in joined.quality.reasons)
 
 
 def test_a_joint_covariance_is_one_whatever_raised_the_parts(session: Session, result: GyroscopeResult) -> None:
@@ -136,7 +138,7 @@ def test_a_fine_gyroscope_finds_north_and_checks_the_latitude() -> None:
     fine = simulate(1, grade="navigation", hold_s=15.0)
     result = calibrate_gyroscope(fine.given, "basic")
     assert result.heading_fitted
-    assert "one azimuth fitted" in result.calibration.path
+    assert "azimuth" in result.calibration.path
     assert np.abs(np.degrees(result.calibration.parameters.bias - fine.truth.bias) * 3600).max() < 0.03
     assert any("sees latitude 4" in reason for reason in result.reasons)
     wrong = calibrate_gyroscope(replace(fine.given, latitude_deg=45.5), "basic")
@@ -145,7 +147,7 @@ def test_a_fine_gyroscope_finds_north_and_checks_the_latitude() -> None:
 
 def test_without_a_latitude_the_earth_is_in_the_sigma(session: Session, result: GyroscopeResult) -> None:
     unknown = calibrate_gyroscope(replace(session.given, latitude_deg=None))
-    assert "latitude is not known" in unknown.calibration.path
+    assert "latitude" in unknown.calibration.path
     assert np.all(unknown.calibration.sigma.g_sensitivity[range(3), range(3)] > result.calibration.sigma.g_sensitivity.min())
 
 
@@ -157,7 +159,7 @@ def test_rolled_whole_turns_sharpen_the_scale(result: GyroscopeResult) -> None:
     assert sorted({turn.turns for turn in sharp.turns}) == [-1, 1]
     assert np.all(result.calibration.sigma.scale > 2.7 * sharp.calibration.sigma.scale)
     assert np.abs(ratios(turned, sharp)[:3]).max() < 3.5
-    assert "18 of them whole turns closed by gravity" in sharp.calibration.path
+    assert "18 of them" in sharp.calibration.path
 
 
 UPRIGHT = tuple(Turn(np.eye(3)[axis], way * 2 * np.pi, upright=True) for axis in range(3) for way in (1.0, -1.0))
@@ -183,10 +185,10 @@ def test_a_turn_that_was_not_whole_is_named_with_what_is_missing() -> None:
     missed = [reason for reason in found.reasons if "was not whole" in reason]
     assert len(missed) == 1
     assert "8.0" in missed[0] or "7.9" in missed[0]
-    assert "6 whole turns about the vertical" in found.calibration.path
-    with pytest.raises(UsageError, match="no usable move"):
+    assert "6 whole turns" in found.calibration.path
+    with refused(UsageError, Reason.USAGE, "-5 s"):
         calibrate_gyroscope(replace(turned.given, stops=(Stop(-5.0, 1e-3),)))
-    with pytest.raises(UsageError, match="repeats"):
+    with refused(UsageError, Reason.USAGE, "57.2958 deg"):
         calibrate_gyroscope(replace(turned.given, stops=(Stop(stops[0].time_s, 1.0),)))
 
 
@@ -205,7 +207,7 @@ def test_turntable_rates_join_the_fit(session: Session, result: GyroscopeResult)
         for w in np.radians([10.0, -10.0, 30.0, -30.0])
     ]
     joined = calibrate_gyroscope(replace(session.given, turntable=runs))
-    assert "6 pairs of turntable rates" in joined.calibration.path
+    assert "6 pairs" in joined.calibration.path
     assert np.all(joined.calibration.sigma.scale < 0.1 * result.calibration.sigma.scale)
     assert np.abs(ratios(session, joined)[:9]).max() < 4
 
@@ -229,8 +231,9 @@ def test_positions_about_one_axis_leave_the_rest_at_the_preset() -> None:
         preset=None,
         observations=replace(given.observations, units=SampleUnits(accelerometer="count", gyroscope="count")),
     )
-    with pytest.raises(CalibrationError, match="give a preset"):
+    with refused(CalibrationError, Reason.UNOBSERVABLE) as caught:
         calibrate_gyroscope(counts)
+    assert "gyroscope.scale.x" in caught.value.values["names"]
     assert len(keep) == 25
 
 
@@ -241,8 +244,9 @@ def simulate_ring(directions: FloatArray) -> GyroscopeInput:
 
 
 def test_wrong_unit_and_handedness_are_refused(session: Session) -> None:
-    with pytest.raises(CalibrationError, match="times as fast") as caught:
+    with refused(CalibrationError, Reason.UNITS) as caught:
         calibrate_gyroscope(replace(session.given, nominal_scale=57.3))
+    assert min(caught.value.values["ratio"]) > 3
     assert caught.value.reason is Reason.UNITS
     flipped = replace(
         session.given.moves.slots,
@@ -250,7 +254,7 @@ def test_wrong_unit_and_handedness_are_refused(session: Session) -> None:
         area=session.given.moves.slots.area * [-1, -1, 1],
         moment=session.given.moves.slots.moment * [1, 1, -1],
     )
-    with pytest.raises(CalibrationError, match="handedness") as caught:
+    with refused(CalibrationError, Reason.HANDEDNESS) as caught:
         calibrate_gyroscope(replace(session.given, moves=replace(session.given.moves, slots=flipped)))
     assert caught.value.reason is Reason.HANDEDNESS
 
@@ -258,12 +262,14 @@ def test_wrong_unit_and_handedness_are_refused(session: Session) -> None:
 def test_missing_gyroscope_is_refused(session: Session) -> None:
     observations = session.given.observations
     nothing = np.full_like(observations.gyroscope_mean_raw, np.nan)
-    with pytest.raises(CalibrationError, match="record the gyroscope"):
+    with refused(CalibrationError, Reason.TOO_FEW) as caught:
         calibrate_gyroscope(replace(session.given, observations=replace(observations, gyroscope_mean_raw=nothing)))
+    assert caught.value.values["positions"] == 0
     one = observations.gyroscope_mean_raw.copy()
     one[3] = np.nan
-    with pytest.raises(CalibrationError, match="although others"):
+    with refused(CalibrationError, Reason.NOT_FINITE) as caught:
         calibrate_gyroscope(replace(session.given, observations=replace(observations, gyroscope_mean_raw=one)))
+    assert caught.value.values["positions"] == 1
 
 
 def test_lost_samples_are_bridged_or_named() -> None:
@@ -273,7 +279,7 @@ def test_lost_samples_are_bridged_or_named() -> None:
 
     lossy = simulate(3, damage=lose)
     result = calibrate_gyroscope(lossy.given)
-    assert any("lost samples for 0.4" in reason for reason in result.reasons)
+    assert any("0.4" in reason for reason in result.reasons)
     assert len(result.moves.after_deg) == 23
     assert any("separate chains" in reason for reason in result.reasons)
     assert np.abs(ratios(lossy, result)).max() < 4.5
@@ -292,7 +298,7 @@ def test_static_norm_for_an_instrument_that_sees_the_earth() -> None:
     fine = simulate(2, grade="navigation", hold_s=20.0)
     nothing = collect_moves([], fine.given.observations.start_s[:1], fine.given.observations.duration_s[:1])
     result = calibrate_gyroscope(replace(fine.given, moves=nothing, preset=fine.truth))
-    assert "static norm of the Earth rate" in result.calibration.path
+    assert "static norm" in result.calibration.path
     assert np.abs(np.degrees(result.calibration.parameters.bias - fine.truth.bias) * 3600).max() < 0.05
     everything = calibrate_gyroscope(replace(fine.given, moves=nothing, static_free="all"))
     assert np.isfinite(everything.calibration.sigma.scale).all()
@@ -355,8 +361,8 @@ def test_a_fit_that_does_not_end_makes_the_whole_usable_at_most(monkeypatch: pyt
     joined = found.join(still.calibration).quality
     assert still.calibration.quality.verdict == "good"
     assert joined.verdict == "usable"
-    assert "did not come to an end" in joined.main_reason
-    assert "--gravity in place of --latitude" in joined.main_reason
+    assert "--gravity" in joined.main_reason
+    assert "--latitude" in joined.main_reason
     remedied = calibrate_gyroscope(replace(still.given, latitude_deg=None))
     assert remedied.cautions == ()
     assert remedied.join(still.calibration).quality.verdict == "good"

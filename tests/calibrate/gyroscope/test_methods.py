@@ -16,7 +16,8 @@ from imufield.calibrate.gyroscope.report import GyroscopeResult
 from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.result import GyroscopeParameters
-from imufield.errors import UsageError
+from imufield.errors import Reason, UsageError
+from tests.refused import refused
 
 
 def values(result: GyroscopeResult) -> np.ndarray:
@@ -77,7 +78,7 @@ def test_a_polished_method_ends_where_the_fit_does(result: GyroscopeResult, meth
     assert solved.converged, solved.message
     assert np.all(np.abs(values(found) - values(result)) <= 0.01 * sigmas(result))
     assert found.moves.rms_after_deg == pytest.approx(result.moves.rms_after_deg, rel=1e-3)
-    assert "polished by least squares" in solved.message
+    assert "least squares" in solved.message
 
 
 def test_without_polish_the_swarm_keeps_the_minimum_of_its_own_cost(result: GyroscopeResult) -> None:
@@ -100,8 +101,9 @@ def test_a_method_that_stops_short_says_so(result: GyroscopeResult) -> None:
     _, solved = solve_gyroscope_with("bas", result, rng=np.random.default_rng(0))
     assert solved is not None
     assert not solved.converged
-    with pytest.raises(UsageError, match="no method 'magic'"):
+    with refused(UsageError, Reason.USAGE, "least-squares, bsas") as caught:
         solve_gyroscope_with("magic", result, rng=np.random.default_rng(0))
+    assert caught.value.values["method"] == "magic"
 
 
 @pytest.mark.parametrize("free", ["bias", "all"])
@@ -131,7 +133,7 @@ def test_turntable_rates_are_searched_in_the_vector_form(session: Session) -> No
         for way in (1.0, -1.0)
     ]
     with_table = calibrate_gyroscope(replace(session.given, turntable=runs))
-    assert "9 pairs of turntable rates" in with_table.calibration.path
+    assert "9 pairs" in with_table.calibration.path
     check = cross_check_gyroscope(with_table, rng=np.random.default_rng(0))
     assert check is not None
     assert check.agree, check.sentence

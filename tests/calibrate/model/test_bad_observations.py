@@ -11,6 +11,7 @@ from imufield.earth import Gravity
 from imufield.errors import CalibrationError, Reason
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray, SampleUnits
+from tests.refused import refused
 
 GRAVITY = 9.81
 EXACT = Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=1e-9, source="typed")
@@ -53,27 +54,33 @@ PLANE = np.column_stack([np.cos(EIGHTH), np.sin(EIGHTH), np.zeros(8)])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_positions_in_a_plane_are_said_to_be(axis: int, jitter: float) -> None:
     turned = np.roll(PLANE, axis + 1, axis=1) + jitter * np.random.default_rng(axis).uniform(-1, 1, PLANE.shape)
-    with pytest.raises(CalibrationError, match=f"lie in one plane .* axis {'xyz'[axis]} up and down") as caught:
+    with refused(CalibrationError, Reason.UNOBSERVABLE, f"axis {'xyz'[axis]}") as caught:
         calibrate_accelerometer(means(sent(turned)), EXACT)
+    assert caught.value.values["thickness"] < 0.1
     assert caught.value.reason is Reason.UNOBSERVABLE
 
 
-@pytest.mark.parametrize(("factor", "words"), [(1e300, "larger than 1e.12"), (1e-300, "nothing was turned")])
+@pytest.mark.parametrize(
+    ("factor", "reason", "fact"), [(1e300, Reason.BOUNDS, "1e+12"), (1e-300, Reason.UNOBSERVABLE, "24 positions")]
+)
 @pytest.mark.filterwarnings("error")
-def test_outputs_of_no_instrument(factor: float, words: str) -> None:
+def test_outputs_of_no_instrument(factor: float, reason: Reason, fact: str) -> None:
     raw = sent(scheme("paper24").directions())
-    with pytest.raises(CalibrationError, match=words):
+    with refused(CalibrationError, reason, fact):
         calibrate_accelerometer(means(raw * factor), EXACT)
     raw[5] *= max(factor, 1e20)
-    with pytest.raises(CalibrationError, match="position p06"):
+    with refused(CalibrationError, Reason.BOUNDS, "p06") as caught:
         calibrate_accelerometer(means(raw), EXACT)
+    assert caught.value.values["position"] == "p06"
 
 
 def test_means_that_stop_at_a_limit_are_saturated() -> None:
     raw = sent(scheme("paper24").directions())
     raw[:, 1] = np.minimum(raw[:, 1], 8.0)
-    with pytest.raises(CalibrationError, match="axis y stops at 8 in 2 positions") as caught:
+    with refused(CalibrationError, Reason.SATURATED, "axis y", "2 positions") as caught:
         calibrate_accelerometer(means(raw), EXACT)
+    assert caught.value.values["axis"] == "y"
+    assert caught.value.values["limit"] == 8
     assert caught.value.reason is Reason.SATURATED
 
 
@@ -86,12 +93,15 @@ def test_coarse_steps_are_not_taken_for_a_limit() -> None:
 
 def test_what_cannot_be_seen_has_its_cost() -> None:
     reasons = " ".join(calibrate_accelerometer(means(sent(scheme("paper24").directions()[:11])), EXACT).quality.reasons)
-    assert "cannot show misalignment zy" in reasons
-    assert "each mrad of misalignment left is 1 mg of error" in reasons
-    assert "are taken as zero" in reasons
-    assert "assumed positive, their order x, y, z and right-handed" in reasons
+    assert "misalignment zy" in reasons
+    assert "1 mg" in reasons
+    assert "zero" in reasons
+    assert "x, y, z" in reasons
+    assert "right-handed" in reasons
 
 
 def test_one_position_is_one() -> None:
-    with pytest.raises(CalibrationError, match=r"^1 position is too few"):
+    with refused(CalibrationError, Reason.TOO_FEW) as caught:
         calibrate_accelerometer(means(sent(PLANE[:1])), EXACT)
+    assert caught.value.values["positions"] == 1
+    assert caught.value.values["needed"] == 6

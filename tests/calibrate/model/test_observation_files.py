@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from imufield.calibrate.model.observation_files import read_observations
-from imufield.errors import RecordingError
+from imufield.errors import Reason, RecordingError
 from imufield.samples import SampleUnits
+from tests.refused import refused
 
 
 def write(folder: Path, text: str) -> Path:
@@ -63,37 +64,41 @@ def test_unit_is_seen_in_the_size_or_given(tmp_path: Path, one_g: float, unit: s
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "line", "column", "facts"),
     [
-        ("", "it is empty"),
-        ("ax,ay\n1,2\n", "line 1: column az missing"),
-        ("ax,ay,az,gx\n1,2,3,4\n", "line 1: columns gy, gz missing"),
-        ("ax,ay,az,foo\n1,2,3,4\n", "line 1: unknown column 'foo'"),
-        ("ax,ay,az,ax\n1,2,3,4\n", "line 1: column 'ax' is there twice"),
-        ("ax,ay,az\n1,2\n", "line 2: 2 values where the header has 3"),
-        ("ax,ay,az\n\n1,2,x\n", "line 3, column az: 'x' is not a number"),
-        ("ax,ay,az\n1,,3\n", "line 2, column ay: '' is not a number"),
-        ("ax,ay,az\n1,nan,3\n", "line 2, column ay: nan is no possible value"),
-        ("ax,ay,az,sigma_ax,sigma_ay,sigma_az\n1,2,3,1,-1,1\n", "line 2, column sigma_ay: -1 is no possible value"),
+        ("", None, None, ("ax,ay,az",)),
+        ("ax,ay\n1,2\n", 1, None, ("az",)),
+        ("ax,ay,az,gx\n1,2,3,4\n", 1, None, ("gy, gz",)),
+        ("ax,ay,az,foo\n1,2,3,4\n", 1, None, ("'foo'",)),
+        ("ax,ay,az,ax\n1,2,3,4\n", 1, None, ("'ax'",)),
+        ("ax,ay,az\n1,2\n", 2, None, ("2 values", "3 columns")),
+        ("ax,ay,az\n\n1,2,x\n", 3, "az", ("'x'",)),
+        ("ax,ay,az\n1,,3\n", 2, "ay", ("''",)),
+        ("ax,ay,az\n1,nan,3\n", 2, "ay", ("nan",)),
+        ("ax,ay,az,sigma_ax,sigma_ay,sigma_az\n1,2,3,1,-1,1\n", 2, "sigma_ay", ("-1",)),
         (
             "ax,ay,az\n1,5,2,5,9,81\n",
-            "line 2: 6 values where the header has 3 columns; .* by semicolons",
+            2,
+            None,
+            ("6 values", "3 columns", "semicolons"),
         ),
-        ("ax ay az\n1 2 3\n", "line 1: unknown column 'ax ay az'; separate the columns by commas, semicolons or tabs"),
-        ("ax;ay;az\n1,5;2;1,234,5\n", "line 2, column az: '1.234.5' is not a number"),
-        ('ax,ay,az\n1,2,"3\n4"\n', "line 2: it is no CSV"),
+        ("ax ay az\n1 2 3\n", 1, None, ("'ax ay az'", "commas", "semicolons", "tabs")),
+        ("ax;ay;az\n1,5;2;1,234,5\n", 2, "az", ("'1.234.5'",)),
+        ('ax,ay,az\n1,2,"3\n4"\n', 2, None, ("CSV",)),
     ],
 )
-def test_mistakes_are_named(tmp_path: Path, text: str, message: str) -> None:
-    with pytest.raises(RecordingError, match=message) as caught:
+def test_mistakes_are_named(tmp_path: Path, text: str, line: int | None, column: str | None, facts: tuple[str, ...]) -> None:
+    with refused(RecordingError, Reason.BAD_DATA, "means.csv", *facts) as caught:
         read_observations(write(tmp_path, text))
+    assert caught.value.values["line"] == line
+    assert caught.value.values["column"] == column
     assert "means.csv" in caught.value.message
 
 
 def test_unreadable_files(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"nowhere\.csv cannot be read"):
+    with refused(RecordingError, Reason.NOT_A_RECORDING, "nowhere.csv"):
         read_observations(tmp_path / "nowhere.csv")
     binary = tmp_path / "binary.csv"
     binary.write_bytes(b"ax,ay,az\n\xff\xfe\n")
-    with pytest.raises(RecordingError, match="no UTF-8"):
+    with refused(RecordingError, Reason.BAD_DATA, "UTF-8"):
         read_observations(binary)

@@ -19,6 +19,7 @@ from imufield.calibrate.noise.noise_fit import FLICKER, identify, terms
 from imufield.calibrate.noise.noise_texts import draw_plot, noise_text
 from imufield.errors import CalibrationError, Reason, RecordingError, UsageError
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
+from tests.refused import refused
 
 pytest.importorskip("allantools")
 RATE_HZ = 20.0
@@ -103,14 +104,15 @@ def test_limits_of_the_deviation() -> None:
 def test_too_short_is_said() -> None:
     result = measure_noise(standstill(0.1))
     said = " ".join(sentence for axis in result.axes for sentence in axis.sentences)
-    assert "too short to see the random walk of gyroscope x" in said
-    assert "too short to see the bias instability of accelerometer z" in said
+    assert "random walk of gyroscope x" in said
+    assert "bias instability of accelerometer z" in said
     assert np.isnan(result.values("gyroscope", "walk")).all()
     assert np.all(result.upper_limits("gyroscope", "walk") > 0)
-    with pytest.raises(CalibrationError, match="needs 60 s") as caught:
+    with refused(CalibrationError, Reason.TOO_FEW, "60 s") as caught:
         measure_noise(standstill(0.01))
+    assert caught.value.values["longest_s"] < 60
     assert caught.value.reason is Reason.TOO_FEW
-    with pytest.raises(RecordingError, match="no samples"):
+    with refused(RecordingError, Reason.NOT_A_RECORDING):
         measure_noise([])
 
 
@@ -118,7 +120,7 @@ def test_quantisation_is_said() -> None:
     result = measure_noise(standstill(0.2, step=0.014, walk=0 * WALK))
     quantised = [axis for axis in result.axes if axis.quantised]
     assert {axis.name[0] for axis in quantised} == {"a"}
-    assert "limited by quantisation" in quantised[0].sentences[0]
+    assert "quantisation" in quantised[0].sentences[0]
     assert not quantised[0].density.observed
     assert quantised[0].density.high > DENSITY[0]
     dead = [axis for axis in result.axes if not np.isfinite(axis.step)]
@@ -134,7 +136,7 @@ def test_moved_units_are_cut_and_the_longest_stretch_is_used() -> None:
         blocks.append(block)
     result = measure_noise(blocks)
     assert result.duration_s == pytest.approx(1500, abs=2)
-    assert "moved at 1500 s" in result.sentences[0]
+    assert "1500 s" in result.sentences[0]
     assert result.triad("accelerometer")[2].density.value == pytest.approx(1e-3, rel=0.05)
 
 
@@ -147,7 +149,7 @@ def test_losses_are_bridged_or_cut() -> None:
     result = measure_noise(lossy())
     assert result.start_s == pytest.approx(103, abs=1)
     assert result.bridged > 10
-    assert "samples are missing" in result.sentences[0]
+    assert "missing" in result.sentences[0]
     assert "bridged" in result.sentences[-1]
     assert result.values("gyroscope", "density") == pytest.approx(DENSITY[3:], rel=0.05)
 
@@ -168,7 +170,7 @@ def test_an_accelerometer_alone() -> None:
     result = measure_noise(blocks)
     assert len(result.axes) == 3
     assert np.isnan(result.values("gyroscope", "density")).all()
-    with pytest.raises(UsageError, match="one triad"):
+    with refused(UsageError, Reason.UNITS):
         noise_text(result, "kalibr")
 
 
@@ -179,7 +181,7 @@ def test_raw_units_need_a_scale() -> None:
     assert raw.axes[0].unit == "count"
     assert not raw.is_si
     assert scaled.values("gyroscope", "density") == pytest.approx(DENSITY[3:], rel=0.05)
-    with pytest.raises(UsageError, match="raw units"):
+    with refused(UsageError, Reason.UNITS):
         noise_text(raw, "vins")
 
 
@@ -200,11 +202,12 @@ def test_texts_hold_what_filters_read(tmp_path: Path) -> None:
         matrix = np.array(json.loads(covariances[name])).reshape(3, 3)
         assert np.diag(matrix) == pytest.approx(DENSITY[k : k + 3] ** 2 * RATE_HZ, rel=0.1)
         assert np.count_nonzero(matrix) == 3
-    assert "upper 95 % limit" in noise_text(measure_noise(standstill(0.1)), "kalibr")
+    assert "95 %" in noise_text(measure_noise(standstill(0.1)), "kalibr")
     pytest.importorskip("matplotlib")
     assert draw_plot(result, "png")[:4] == b"\x89PNG"
-    with pytest.raises(UsageError, match=r"cannot be a \.exe file"):
+    with refused(UsageError, Reason.USAGE, ".exe", ".png") as caught:
         draw_plot(result, "exe")
+    assert caught.value.values["kind"] == "exe"
 
 
 def test_missing_allantools_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,7 +215,7 @@ def test_missing_allantools_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> No
         raise ImportError(name)
 
     monkeypatch.setattr(importlib, "import_module", refuse)
-    with pytest.raises(UsageError, match="imufield\\[noise\\]"):
+    with refused(UsageError, Reason.MISSING_PACKAGE, "imufield[noise]"):
         load_allantools()
 
 

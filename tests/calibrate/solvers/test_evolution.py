@@ -5,9 +5,10 @@ import pytest
 
 from imufield.calibrate.solvers import evolution
 from imufield.calibrate.solvers.evolution import DeSettings, solve_de_combined, solve_de_rand_1, solve_ide
-from imufield.errors import UsageError
+from imufield.errors import Reason, UsageError
 from imufield.study.instruments import ide_problem
 from imufield.study.optimum import squares_optimum
+from tests.refused import refused
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -31,7 +32,7 @@ def test_the_order_of_the_strategies_is_the_papers() -> None:
 def test_what_has_not_converged_says_so() -> None:
     found = solve_de_rand_1(ide_problem(np.random.default_rng(0)), rng=np.random.default_rng(0))
     assert not found.converged
-    assert "not converged within 1200 generations" in found.message
+    assert "1200 generations" in found.message
 
 
 def test_three_indices_are_distinct_and_uniform() -> None:
@@ -56,5 +57,5 @@ def test_weights_follow_equations_16_and_17() -> None:
 
 
 def test_a_population_too_small_for_a_mutant_is_refused() -> None:
-    with pytest.raises(UsageError, match="NP = 3 is too small"):
+    with refused(UsageError, Reason.USAGE, "NP = 3"):
         solve_ide(ide_problem(np.random.default_rng(0)), settings=DeSettings(NP=3))

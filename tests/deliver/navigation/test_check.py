@@ -14,6 +14,7 @@ from imufield.deliver.navigation.alignment import Heading, rotation
 from imufield.deliver.navigation.check import CheckSettings, NavigationResult, StaticNavigation
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import Samples, Status, concatenate
+from tests.refused import refused
 
 SETTINGS = CheckSettings(latitude_deg=LATITUDE_DEG, gravity_m_s2=GRAVITY_M_S2, align_s=300.0, runs=200)
 
@@ -77,23 +78,29 @@ def test_turning_over_shows_the_accelerometer() -> None:
 
 def test_moves_are_refused_unless_announced() -> None:
     samples = turned_over(900, 400)
-    with pytest.raises(RecordingError, match="was moved 400 s after the start"):
+    with refused(RecordingError, Reason.BAD_DATA, "--turned") as caught:
         check(samples)
-    with pytest.raises(RecordingError, match="--turned expects"):
+    assert caught.value.values["at_s"] == 400
+    with refused(RecordingError, Reason.BAD_DATA, "--turned", "20 deg") as caught:
         check(recording(random_attitude(0), 900, 10.0), replace(SETTINGS, turned=True))
-    with pytest.raises(RecordingError, match="during the alignment"):
+    assert "turned_deg" in caught.value.values
+    with refused(RecordingError, Reason.BAD_DATA, "--align-s") as caught:
         check(turned_over(900, 100), replace(SETTINGS, turned=True))
+    assert caught.value.values["at_s"] == 100
 
 
 def test_too_short_a_recording_says_what_it_needs() -> None:
-    with pytest.raises(RecordingError, match="holds 200 s and static navigation needs 360 s") as caught:
+    with refused(RecordingError, Reason.TOO_FEW) as caught:
         check(recording(random_attitude(0), 200))
+    assert caught.value.values["duration_s"] == 200
+    assert caught.value.values["needed_s"] == 360
     assert caught.value.reason is Reason.TOO_FEW
 
 
 def test_too_short_an_alignment_is_refused() -> None:
-    with pytest.raises(UsageError, match="alignment of 5 s"):
+    with refused(UsageError, Reason.USAGE, "--align-s") as caught:
         StaticNavigation({"after": as_sent}, replace(SETTINGS, align_s=5.0))
+    assert caught.value.values["align_s"] == 5
 
 
 def test_values_that_are_no_numbers_are_bridged_up_to_a_limit() -> None:
@@ -105,21 +112,23 @@ def test_values_that_are_no_numbers_are_bridged_up_to_a_limit() -> None:
     assert result.lost == 11
     assert result.drifts["after"].position_nmi.max() < 1e-4
     samples.gyroscope[::20] = np.nan
-    with pytest.raises(RecordingError, match="not a number") as caught:
+    with refused(RecordingError, Reason.NOT_FINITE, "1%") as caught:
         check(samples)
+    assert caught.value.values["lost"] > 0.01 * caught.value.values["total"]
     assert caught.value.reason is Reason.NOT_FINITE
 
 
 def test_a_hole_is_refused() -> None:
     samples = recording(random_attitude(0), 900, 10.0)
-    with pytest.raises(RecordingError, match=r"20\.1 s of the recording are missing"):
+    with refused(RecordingError, Reason.DAMAGED, "5 s") as caught:
         check(concatenate([samples[:5000], samples[5200:]]))
+    assert caught.value.values["gap_s"] == pytest.approx(20.1)
 
 
 def test_no_forecast_where_north_is_a_guess() -> None:
     result = check(recording(random_attitude(1), 900, 5.0, noise=1.0), calibration=perfect(0.0, 15 * DEG_PER_HOUR))
     assert result.forecast is None
-    assert "finds north to" in result.notes[0]
+    assert "north" in result.notes[0]
 
 
 def test_a_told_heading_gives_a_poor_gyroscope_its_forecast() -> None:
@@ -140,4 +149,4 @@ def test_no_forecast_without_uncertainty() -> None:
     unknown = replace(perfect(), covariance=np.full((6, 6), np.nan))
     result = check(recording(random_attitude(1), 900, 5.0), calibration=unknown)
     assert result.forecast is None
-    assert "does not know its own uncertainty" in result.notes[0]
+    assert "uncertainty" in result.notes[0]

@@ -14,6 +14,7 @@ from imufield.deliver.navigation.drift import NAUTICAL_MILE_M, make_drift
 from imufield.deliver.navigation.mechanise import Mechanisation, load_pyins
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray, Samples
+from tests.refused import refused
 
 pytestmark = pytest.mark.numerical
 
@@ -93,7 +94,8 @@ def test_position_error_is_equation_23() -> None:
 def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     load_pyins.cache_clear()
     monkeypatch.setitem(sys.modules, "pyins.strapdown", None)
-    with pytest.raises(UsageError, match=r"pip install 'imufield\[nav\]") as caught:
+    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[nav]") as caught:
         load_pyins()
+    assert caught.value.values["package"] == "python-ins"
     assert caught.value.reason is Reason.MISSING_PACKAGE
     load_pyins.cache_clear()

@@ -31,6 +31,7 @@ from imufield.deliver.parameters.file import (
 )
 from imufield.deliver.parameters.read import parse_document, read_document
 from imufield.errors import ImufieldError, ParameterFileError, Reason
+from tests.refused import refused
 
 
 @pytest.fixture
@@ -40,7 +41,7 @@ def file(tmp_path: Path, calibration: Calibration, observations: Observations, c
     return path
 
 
-def refused(path: Path) -> ParameterFileError:
+def refusal(path: Path) -> ParameterFileError:
     with pytest.raises(ParameterFileError) as caught:
         load(path)
     assert caught.value.exit_code == 5
@@ -83,9 +84,11 @@ def test_a_gyroscope_that_was_not_calibrated_is_said_to_be_none(
     file: Path, six_faces: Calibration, observations: Observations, context: Context
 ) -> None:
     loaded = load(file)
-    assert "the bias alone was calibrated; scale and misalignment are those of preset or driver" in loaded.gyroscope_note
+    assert "bias" in loaded.gyroscope_note
+    assert "scale and misalignment" in loaded.gyroscope_note
     write_parameters(file, six_faces, observations, context)
-    assert "parameters.toml has no gyroscope: it was not calibrated" in load(file).gyroscope_note
+    assert "parameters.toml" in load(file).gyroscope_note
+    assert "gyroscope" in load(file).gyroscope_note
     gyroscope = loaded.calibration.gyroscope
     assert gyroscope is not None
     known = replace(gyroscope, sigma=replace(gyroscope.sigma, scale=np.full(3, 1e-4)))
@@ -139,8 +142,9 @@ def test_a_full_disk_leaves_the_old_file(
 
     before = file.read_bytes()
     monkeypatch.setattr("os.fsync", no_space)
-    with pytest.raises(ParameterFileError, match="free some space") as caught:
+    with refused(ParameterFileError, Reason.DISK_FULL, "parameters.toml") as caught:
         write_parameters(file, calibration, observations, context)
+    assert caught.value.values["errno"] == 28
     assert caught.value.reason is Reason.DISK_FULL
     assert {path.name: path.read_bytes() for path in file.parent.iterdir()} == {"parameters.toml": before}
 
@@ -150,8 +154,9 @@ def test_a_parameter_that_is_nan_is_not_written(
 ) -> None:
     before = file.read_bytes()
     broken = replace(calibration, accelerometer=replace(calibration.accelerometer, scale=np.array([1.0, np.nan, 1.0])))
-    with pytest.raises(ParameterFileError, match=r"accelerometer\.scale\[1\] is nan") as caught:
+    with refused(ParameterFileError, Reason.NOT_FINITE, "nan") as caught:
         write_parameters(file, broken, observations, context)
+    assert caught.value.values["key"] == "accelerometer.scale[1]"
     assert caught.value.reason is Reason.NOT_FINITE
     assert file.read_bytes() == before
 
@@ -161,7 +166,7 @@ def test_every_cut_is_refused(file: Path) -> None:
     # The last newline is no content.
     for length in [*range(0, len(whole) - 1, 97), *range(len(whole) - 90, len(whole) - 1)]:
         file.write_bytes(whole[:length])
-        refused(file)
+        refusal(file)
 
 
 def test_every_changed_value_is_refused_and_a_changed_comment_is_not(file: Path) -> None:
@@ -171,7 +176,9 @@ def test_every_changed_value_is_refused_and_a_changed_comment_is_not(file: Path)
     for old, new in [("height_m = 520.0", "height_m = 521.0"), ("0.0312", "0.0313"), ("used = true", "used = false")]:
         assert old in text
         file.write_text(text.replace(old, new, 1), encoding="utf-8")
-        assert "was changed after it was written" in refused(file).message
+        error = refusal(file)
+        assert error.reason is Reason.DAMAGED
+        assert "sha256" in error.message
 
 
 def test_a_change_on_purpose_is_taken_and_remembered(file: Path) -> None:
@@ -207,7 +214,7 @@ def test_a_byte_order_mark_of_an_editor_is_no_damage(file: Path) -> None:
 )
 def test_an_edited_file_that_contradicts_itself_is_refused_by_its_key(file: Path, old: str, new: str, key: str) -> None:
     edit(file, old, new)
-    error = refused(file)
+    error = refusal(file)
     assert error.values["key"].startswith(key)
     assert f": {key}" in error.message
     assert error.exit_code == 5
@@ -253,7 +260,7 @@ def test_a_file_with_a_right_hash_that_contradicts_itself_is_refused(file: Path,
     assert not load(file).edited
     change(document)
     file.write_text(to_toml(document), encoding="utf-8")
-    error = refused(file)
+    error = refusal(file)
     assert f": {key}" in error.message
     assert error.values["key"] == key or error.values["key"].startswith("accelerometer.intrinsic")
 
@@ -301,7 +308,7 @@ def test_refused_in_one_sentence(file: Path, old: str, new: str, reason: Reason,
     if 'names = ["' in old:
         old, new = "names = [\n", 'names = [\n    "extra",\n'
     edit(file, old, new)
-    error = refused(file)
+    error = refusal(file)
     assert words in error.message
     assert error.reason is reason
 
@@ -318,7 +325,7 @@ def test_a_covariance_that_is_none_is_refused(file: Path, row: int, column: int,
     document["covariance"] = document["covariance"] | {"matrix": matrix.tolist()}
     del document["integrity"]
     file.write_text(to_toml(document), encoding="utf-8")
-    assert words in refused(file).message
+    assert words in refusal(file).message
 
 
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
@@ -339,13 +346,13 @@ def test_any_flipped_byte_gives_the_same_parameters_or_the_error(file: Path, dat
 
 
 def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
-    assert refused(tmp_path / "none.toml").reason is Reason.FOREIGN
-    assert refused(tmp_path).reason is Reason.FOREIGN
+    assert refusal(tmp_path / "none.toml").reason is Reason.FOREIGN
+    assert refusal(tmp_path).reason is Reason.FOREIGN
     (tmp_path / "b.toml").write_bytes(b"\xff\xfe\x00")
-    assert "no text file" in refused(tmp_path / "b.toml").message
+    assert "b.toml" in refusal(tmp_path / "b.toml").message
     with (tmp_path / "large.toml").open("wb") as large:
         large.truncate(2**30)
-    assert "check the file name" in refused(tmp_path / "large.toml").message
+    assert "large.toml" in refusal(tmp_path / "large.toml").message
 
 
 def test_importing_the_package_imports_nothing_heavy() -> None:
@@ -365,5 +372,7 @@ def test_document_to_parameters_without_a_file(
     made = from_document(to_document(calibration, observations, context))
     assert made.path is None
     assert_same(made.calibration.accelerometer, parameters)
-    with pytest.raises(ImufieldError, match="the parameter file is for accelerometer values in m/s"):
+    with refused(ImufieldError, Reason.UNITS) as caught:
         made.check_unit("accelerometer", "g")
+    assert caught.value.values["wanted"] == "m/s^2"
+    assert caught.value.values["unit"] == "g"

@@ -18,12 +18,13 @@ from imufield.acquire.instrument.can_map import OpenedCan, open_can
 from imufield.acquire.protocol.can_frames import ERROR, unpack_frames
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import load_driver
-from imufield.errors import UsageError
+from imufield.errors import Reason, UsageError
 from imufield.samples import Samples, Status, concatenate, make_samples
 from imufield.simulate.emulator.can import CanEmulator
 from imufield.simulate.emulator.core import EmulatorSettings
 from imufield.simulate.emulator.faults import CanFaultInjector, CanFaults
 from imufield.simulate.wire.can_frames import CanEncoder
+from tests.refused import refused
 
 NUMBERS = itertools.count()
 RATE_HZ = 200.0
@@ -202,9 +203,10 @@ def test_reordered_frames_change_places() -> None:
 
 
 def test_wrong_faults_are_refused() -> None:
-    with pytest.raises(UsageError, match="outside 0 to 1"):
+    with refused(UsageError, Reason.USAGE, "1.5", "0 to 1") as caught:
         CanFaults(lost_frame_probability=1.5)
-    with pytest.raises(UsageError, match="speed"):
+    assert caught.value.values["fault"] == "lost_frame_probability"
+    with refused(UsageError, Reason.USAGE, "speed 0", "0 to 1000"):
         CanEmulator(load_protocol("j1939_imu"), Ramp(), "virtual:none", EmulatorSettings(speed=0.0))
 
 

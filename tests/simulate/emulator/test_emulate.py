@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from imufield.commands.options.shared import LARGEST_SEED
-from imufield.errors import UsageError
+from imufield.errors import Reason, UsageError
 from imufield.samples import Samples, concatenate
 from imufield.simulate.emulator.core import EmulatorSettings
 from imufield.simulate.emulator.emulate import (
@@ -29,6 +29,7 @@ from imufield.simulate.emulator.faults import CanFaults, Faults
 from imufield.simulate.emulator.serial import Emulator
 from imufield.simulate.instruments.stim300 import Stim300Device, Stim300Identity
 from imufield.simulate.truth.operator import OperatorSettings
+from tests.refused import refused
 from tests.simulate.accounting import serial_wires
 
 OPTIONS = Emulation(
@@ -91,8 +92,9 @@ def test_range_of_the_datagrams_holds_the_grade(grade: str, range_g: int) -> Non
 def test_text_at_any_rate_and_stim300_at_its_own() -> None:
     emulator = make_emulator(replace(OPTIONS, device="text", rate_hz=33.0))
     emulator.stop()
-    with pytest.raises(UsageError, match="333 Hz"):
+    with refused(UsageError, Reason.USAGE, "333 Hz", "125, 250, 500, 1000") as caught:
         make_emulator(replace(OPTIONS, rate_hz=333.0))
+    assert caught.value.values["rate_hz"] == 333
 
 
 def test_failure_of_the_thread_reaches_the_caller(tmp_path: Path) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imufield.errors import UsageError
+from imufield.errors import Reason, UsageError
 from imufield.simulate.emulator.faults import FaultInjector, Faults
+from tests.refused import refused
 
 DATA = np.arange(20000, dtype=np.int64).astype(np.uint8)
 CHECKSUMS = np.arange(39, 20000, 40)
@@ -77,5 +78,5 @@ def test_seed_decides() -> None:
 
 @pytest.mark.parametrize("faults", [{"bit_flip_probability": 1.5}, {"garbage_per_s": -1.0}, {"stall_s": float("nan")}])
 def test_senseless_rates_are_refused(faults: dict[str, float]) -> None:
-    with pytest.raises(UsageError, match=next(iter(faults))):
+    with refused(UsageError, Reason.USAGE, *faults):
         Faults(**faults)  # type: ignore[arg-type]

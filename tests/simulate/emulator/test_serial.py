@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imufield.errors import UsageError
+from imufield.errors import Reason, UsageError
 from imufield.simulate.emulator.core import EmulatorSettings
 from imufield.simulate.emulator.faults import Faults
 from imufield.simulate.emulator.port import PseudoTerminal
@@ -23,6 +23,7 @@ from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator
 from imufield.simulate.truth.source import VirtualImu
 from imufield.simulate.wire.stim300 import Stim300Format
+from tests.refused import refused
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux or macOS")
 
@@ -215,14 +216,15 @@ def test_stop_before_a_reader_came() -> None:
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 1e6])
 def test_senseless_speed_is_refused(speed: float) -> None:
-    with pytest.raises(UsageError, match="speed"):
+    with refused(UsageError, Reason.USAGE, f"speed {speed:g}", "0 to 1000"):
         Emulator(stim300(), source(), EmulatorSettings(speed=speed))
 
 
 def test_link_never_replaces_a_file(tmp_path: Path) -> None:
     (tmp_path / "notes").write_text("precious")
-    with pytest.raises(UsageError, match="not a symbolic link"):
+    with refused(UsageError, Reason.USAGE, "notes") as caught:
         PseudoTerminal(tmp_path / "notes")
+    assert caught.value.values["path"].endswith("notes")
     assert (tmp_path / "notes").read_text() == "precious"
 
 

@@ -12,13 +12,14 @@ import pytest
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import Protocol, load_protocol, parse_protocol
-from imufield.errors import ProtocolError, UsageError
+from imufield.errors import ImufieldError, Reason, UsageError
 from imufield.samples import Samples, Status, concatenate
 from imufield.simulate.emulator.emulate import OWN_RATE_HZ, Emulation, choose_wire, make_device
 from imufield.simulate.instruments.device import Device
 from imufield.simulate.instruments.protocol_device import InProtocolUnits, ProtocolDevice
 from imufield.simulate.truth.source import SampleSource
 from imufield.simulate.wire.forms import choose_form, wire_forms
+from tests.refused import refused
 from tests.simulate.accounting import Wire, random_samples, serial_wires
 
 G = 9.80665
@@ -179,8 +180,9 @@ def test_form_is_found_by_name_or_by_settings() -> None:
     assert choose_form(protocol, None, {}).name == "uart"
     assert choose_form(protocol, None, {"form": "card"}).name == "card"
     assert choose_form(protocol, "bluetooth", {}).settings == {"form": "bluetooth"}
-    with pytest.raises(UsageError, match=r"no form 'usart'.*did you mean 'uart'"):
+    with refused(UsageError, Reason.USAGE, "uart, bluetooth, card") as caught:
         choose_form(protocol, "usart", {})
+    assert caught.value.values["form"] == "usart"
 
 
 def test_a_protocol_without_the_table_sends_its_first_samples() -> None:
@@ -203,16 +205,16 @@ def test_a_users_own_file_is_emulated(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "problem"),
+    ("before", "after", "reason", "fact"),
     [
-        ('key = "0x55"', 'key = "0x99"', "no frame with key 0x99"),
-        ('key = "0x55"', 'start = "AA"', "no frame that begins with aa"),
-        ('key = "0x55"', 'kee = "0x55"', "did you mean 'key'"),
+        ('key = "0x55"', 'key = "0x99"', Reason.USAGE, "0x99"),
+        ('key = "0x55"', 'start = "AA"', Reason.USAGE, "aa"),
+        ('key = "0x55"', 'kee = "0x55"', Reason.BAD_PROTOCOL, "emulate.0.frames.0.kee"),
     ],
 )
-def test_a_wrong_table_is_an_error(before: str, after: str, problem: str) -> None:
+def test_a_wrong_table_is_an_error(before: str, after: str, reason: Reason, fact: str) -> None:
     protocol = parse_protocol(load_protocol("kvh_17xx").text.replace(before, after))
-    with pytest.raises((UsageError, ProtocolError), match=problem):
+    with refused(ImufieldError, reason, "kvh_17xx", fact):
         ProtocolDevice(protocol, wire_forms(protocol)[0], 1000.0)
 
 

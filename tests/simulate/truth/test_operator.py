@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from imufield.calibrate.model.rotation import conjugate, exponential, logarithm, multiply, rotate
-from imufield.errors import UsageError
+from imufield.errors import Reason, UsageError
 from imufield.simulate.truth.motion import TrueMotion
 from imufield.simulate.truth.operator import DEG, NO_POSITION, BumpKind, Operator, OperatorSettings, StillInterval
+from tests.refused import refused
 
 FACES = [[0, 0, 1], [0, 1, 0], [1, 0, 0], [0, 0, -1], [0, -1, 0], [-1, 0, 0]]
 BRISK = OperatorSettings(hold_s=3.0, initial_still_s=2.0, turn_s=(0.5, 1.5))
@@ -201,5 +202,6 @@ def test_after_the_plan_it_stays() -> None:
 @pytest.mark.parametrize("direction", [[0, 0, 0], [math.nan, 0, 1]])
 def test_a_direction_must_point_somewhere(direction: list[float]) -> None:
     plan: list[list[float]] = [[0, 0, 1], direction]
-    with pytest.raises(UsageError, match="direction 1"):
+    with refused(UsageError, Reason.USAGE, "direction 1") as caught:
         Operator(plan, 1)
+    assert caught.value.values["row"] == 1

@@ -7,10 +7,11 @@ import pytest
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import load_protocol, protocol_names
-from imufield.errors import UsageError
+from imufield.errors import Reason, UsageError
 from imufield.samples import Samples, Status, concatenate, make_samples
 from imufield.simulate.wire.can_frames import CanEncoder
 from tests.acquire.plain_frames import pack_frames
+from tests.refused import refused
 
 NAMES = [name for name in protocol_names() if load_protocol(name).can is not None]
 
@@ -70,5 +71,5 @@ def test_values_stop_at_the_last_that_is_no_code() -> None:
 
 
 def test_other_protocols_have_no_frames() -> None:
-    with pytest.raises(UsageError, match="not one of a CAN bus"):
+    with refused(UsageError, Reason.USAGE, "stim300", "DBC"):
         CanEncoder(load_protocol("stim300"))

@@ -12,7 +12,7 @@ import pytest
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import load_protocol
-from imufield.errors import UsageError
+from imufield.errors import Reason, UsageError
 from imufield.samples import Samples, SampleUnits, Status, make_samples
 from imufield.simulate.wire.lines import TextFormat, encode_text
 from imufield.simulate.wire.stim300 import (
@@ -24,6 +24,7 @@ from imufield.simulate.wire.stim300 import (
     crc32_mpeg2,
     stim300_frames,
 )
+from tests.refused import refused
 
 G = 9.80665
 
@@ -168,8 +169,9 @@ def test_counter_wraps_and_jumps() -> None:
 
 
 def test_unknown_range_is_refused() -> None:
-    with pytest.raises(UsageError, match="7 g"):
+    with refused(UsageError, Reason.USAGE, "7 g", "2, 5, 10, 30, 80") as caught:
         Stim300Encoder(Stim300Format(accelerometer_range_g=7))
+    assert caught.value.values["accelerometer_range_g"] == 7
 
 
 def test_text_lines() -> None:
@@ -184,8 +186,9 @@ def test_text_lines() -> None:
 
 
 def test_text_column_must_be_known() -> None:
-    with pytest.raises(UsageError, match="'altitude'"):
+    with refused(UsageError, Reason.USAGE, "time, ax, ay") as caught:
         TextFormat(columns=("ax", "altitude"))
+    assert caught.value.values["column"] == "altitude"
 
 
 @pytest.mark.parametrize("temperature", [False, True])
