@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,6 +15,8 @@ from imufield.commands.history import run_history
 from imufield.commands.options.deliver import HistoryOptions
 from imufield.deliver.parameters.file import load
 from imufield.deliver.parameters.write import to_toml
+from imufield.errors import Reason
+from tests.commands.told import fails, missing
 
 
 @pytest.fixture
@@ -26,12 +29,11 @@ def test_history_is_printed_and_written(folder: Path, tmp_path: Path, capsys: py
     table, plot = tmp_path / "history.csv", tmp_path / "history.svg"
     run_history(HistoryOptions(folder=folder, csv=table, plot=plot), now=datetime(2100, 1, 1, tzinfo=UTC))
     text = capsys.readouterr().out
-    assert "stim300: 1 calibration" in text
+    assert "stim300" in text
     assert "one/parameters.toml" in text
-    assert "days old (limit 365): calibrate again" in text
+    assert "365" in text
     # Nothing to compare: the instrument, its file, what there is to say, and where the numbers are.
     assert len(text.splitlines()) <= 6
-    assert "nothing to compare" in text
     assert table.read_text().startswith("instrument,serial_number,created")
     assert plot.read_text().startswith("<svg")
 
@@ -49,7 +51,7 @@ def test_damaged_file_is_told_and_left_out(folder: Path, capsys: pytest.CaptureF
     good = folder / "one" / "parameters.toml"
     (folder / "cut.toml").write_text(good.read_text()[:2000])
     assert run(["history", str(folder)]) == 0
-    assert "left out: " in capsys.readouterr().err
+    assert "cut.toml" in capsys.readouterr().err
 
 
 def test_several_instruments_are_drawn_into_a_file_each(
@@ -61,7 +63,7 @@ def test_several_instruments_are_drawn_into_a_file_each(
     (folder / "other.toml").write_text(to_toml(document))
     assert run(["history", str(folder), "--csv", str(tmp_path / "x.csv"), "--plot", str(tmp_path / "x.svg")]) == 0
     assert sorted(path.name for path in tmp_path.glob("x*")) == ["x-X.svg", "x-stim300.svg", "x.csv"]
-    assert f"drawn: {tmp_path / 'x-X.svg'}" in capsys.readouterr().out.replace("\n/", " /")
+    assert str(tmp_path / "x-X.svg") in capsys.readouterr().out
     run_history(HistoryOptions(folder=folder, serial_number="X", plot=tmp_path / "x.svg"))
     assert (tmp_path / "x.svg").is_file()
 
@@ -74,25 +76,28 @@ def test_the_file_for_a_date_is_printed_alone(folder: Path, capsys: pytest.Captu
     assert run(["history", str(folder), "--at", "2001-03-04"]) == 0
     said = capsys.readouterr()
     assert said.out == f"{folder / 'one' / 'parameters.toml'}\n"
-    assert "days after 2001-03-04, more than the 365 of --stale-days: calibrate again" in said.err
-    assert run(["history", str(folder), "--at", "yesterday"]) == 2
-    assert "is no date" in capsys.readouterr().err
+    assert not missing(said.err, "2001-03-04", "365", "--stale-days")
+    fails(["history", str(folder), "--at", "yesterday"], 2, Reason.USAGE, "--at", "'yesterday'")
 
 
 @pytest.mark.parametrize(
-    ("at", "said"),
+    ("at", "days"),
     [
-        ("2026-11-21", "on the day of 2026-11-21"),
-        ("2026-11-21T23:59", "on the day of 2026-11-21T23:59"),
-        ("2026-11-22T00:30+02:00", "on the day of"),
-        ("2026-11-20", "1 day after 2026-11-20"),
-        ("2026-11-23", "2 days before 2026-11-23"),
+        ("2026-11-21", None),
+        ("2026-11-21T23:59", None),
+        ("2026-11-22T00:30+02:00", None),
+        ("2026-11-20", "1 day after"),
+        ("2026-11-23", "2 days before"),
     ],
 )
-def test_how_far_a_calibration_is_from_a_date(at: str, said: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_how_far_a_calibration_is_from_a_date(
+    at: str, days: str | None, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     changed(folder / "one" / "parameters.toml", folder / "one" / "parameters.toml", created="2026-11-21T22:45:10Z")
     assert run(["history", str(folder), "--at", at]) == 0
-    assert f"calibrated {said}" in " ".join(capsys.readouterr().err.split())
+    said = capsys.readouterr().err
+    assert not missing(said, at, days or "")
+    assert (re.search(r"\bdays?\b (?:after|before)", said) is None) is (days is None)
 
 
 def changed(path: Path, to: Path, created: str, session: str | None = None) -> None:

@@ -10,7 +10,8 @@ import pytest
 from imufield.cli.run import run
 from imufield.commands.options.deliver import ReportOptions
 from imufield.commands.report import gather, run_report
-from imufield.errors import ParameterFileError
+from imufield.errors import ParameterFileError, Reason
+from tests.refused import refused
 
 MIB = 2**20
 
@@ -73,7 +74,7 @@ def test_results_of_other_parameters_are_left_out_and_said(solved: Path) -> None
     results.write_text(results.read_text(encoding="ascii").replace("5000", "5001"), encoding="ascii")
     data, _ = gather(ReportOptions(session=solved))
     assert data.verification is None
-    assert "parameters.verification.json is left out" in data.notes[-1]
+    assert "parameters.verification.json" in data.notes[-1]
 
 
 def test_parameters_of_another_recording_are_refused(solved: Path, tmp_path: Path) -> None:
@@ -81,8 +82,9 @@ def test_parameters_of_another_recording_are_refused(solved: Path, tmp_path: Pat
     shutil.copytree(solved, other)
     part = next(other.glob("part-*.mcap"))
     part.write_bytes(part.read_bytes()[:-4096])
-    with pytest.raises(ParameterFileError, match="solved from another recording"):
+    with refused(ParameterFileError, Reason.FOREIGN, str(other), "SHA-256") as caught:
         gather(ReportOptions(session=other))
+    assert caught.value.values == {"parameters": str(other / "parameters.toml"), "session": str(other)}
 
 
 def test_unwritable_page_is_one_sentence(solved: Path, tmp_path: Path) -> None:

@@ -14,7 +14,9 @@ from imufield.acquire.recording.document import SiteRecord
 from imufield.cli.run import run
 from imufield.commands.options.deliver import VerifyOptions
 from imufield.commands.verify import _task
+from imufield.errors import Reason
 from imufield.pipeline.site import SiteOptions
+from tests.commands.told import fails, missing
 
 
 def solved(folder: Path, *options: str) -> dict[str, Any]:
@@ -37,20 +39,18 @@ def session(whole_session: Path, tmp_path: Path) -> Path:
 def test_gravity_is_as_uncertain_as_its_digits(session: Path) -> None:
     document = solved(session, "--gravity", "9.81")
     assert document["site"]["gravity_sigma_m_s2"] == pytest.approx(0.01 / 12**0.5)
-    assert "294 ppm of common scale, which is what its last digit leaves open" in reasons(document)
+    assert "294 ppm" in reasons(document)
     document = solved(session, "--gravity", "9.8100")
     assert document["site"]["gravity_sigma_m_s2"] == pytest.approx(0.0001 / 12**0.5)
     document = solved(session, "--gravity", "9.806650")
     assert document["site"]["gravity_sigma_m_s2"] == pytest.approx(1e-5)
-    assert "last digit" not in reasons(document)
+    assert "294 ppm" not in reasons(document)
 
 
 def test_a_value_that_is_not_that_of_the_place_is_said_with_both(session: Path) -> None:
     document = solved(session, "--gravity", "9.80665", "--latitude", "48", "--height", "0")
     sentence = next(one for one in document["quality"]["reasons"] if "9.80665" in one)
-    assert "given as 9.80665 m/s^2" in sentence
-    assert "latitude 48 deg at 0 m has 9.80891 m/s^2" in sentence
-    assert "230 ppm" in sentence
+    assert not missing(sentence, "9.80665 m/s^2", "48 deg", "0 m", "9.80891 m/s^2", "230 ppm")
     assert document["quality"]["verdict"] != "good"
     document = solved(session, "--gravity", "9.808", "--latitude", "48", "--height", "300")
     assert "WGS-84" not in reasons(document)
@@ -75,12 +75,10 @@ def test_settings_edited_afterwards_are_said(session: Path, capsys: pytest.Captu
     before, rest = text.split("[settings.accelerometer_range_g]\nvalue = 10", 1)
     path.write_text(f"{before}[settings.accelerometer_range_g]\nvalue = 30{rest}")
     document = solved(session)
-    words = "session.toml says accelerometer_range_g = 30, but part-001.mcap was recorded with 10, which is used"
-    assert words in reasons(document)
+    assert any(not missing(one, "accelerometer_range_g", "30", "part-001.mcap", "10") for one in document["quality"]["reasons"])
     path.write_text(f"{before}[settings.accelerometer_range_g]\nrange = 10{rest}")
     capsys.readouterr()
-    assert run(["solve", str(session)]) == 4
-    assert "settings.accelerometer_range_g" in capsys.readouterr().err
+    fails(["solve", str(session)], 4, Reason.DAMAGED, "settings.accelerometer_range_g")
 
 
 def without_site(session: Path) -> None:

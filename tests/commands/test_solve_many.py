@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import threading
@@ -18,8 +19,9 @@ import imufield
 from imufield.commands.options.calibrate import SolveOptions
 from imufield.commands.solve import run_solve_many
 from imufield.deliver.parameters.file import load
-from imufield.errors import UsageError
+from imufield.errors import Reason, UsageError
 from tests.commands.conftest import LONGEST_S
+from tests.refused import refused
 from tests.study.local_cluster import local_cluster
 
 if TYPE_CHECKING:
@@ -65,7 +67,7 @@ def test_one_that_fails_does_not_stop_the_others(program: Program, sessions: lis
     rows = {line.split()[0]: line.split()[1] for line in ended.stdout.splitlines()[1:5]}
     assert rows == {"a": "good", "b": "failed", "c": rows["c"], "nowhere": "failed"}
     assert rows["c"] in ("good", "usable")
-    assert "2 of 4 sessions solved, each has its parameters.toml now; 2 failed, for the reasons above." in ended.stdout
+    assert re.search(r"\b2\b.*\b4\b.*\b2\b", ended.stdout.splitlines()[-1])
     assert sorted(line.split(": ")[1] for line in ended.stderr.splitlines()) == [
         "a, good", "b, failed", f"c, {rows['c']}", "nowhere, failed"
     ]  # fmt: skip
@@ -84,13 +86,14 @@ def test_what_stood_there_is_kept_and_told(program: Program, sessions: list[Path
     ended = program.run("solve", *sessions[:2], "--workers", 1)
     assert ended.returncode == 0, ended.stderr
     assert (sessions[0] / "parameters-1.toml").read_bytes() == before
-    assert "a: the file that stood there before is now parameters-1.toml" in ended.stdout
-    assert "to solve as it was, add --latitude 45 --height 0" in ended.stdout
-    assert "b: the file that stood there" not in ended.stdout
-    assert "b: gravity is not known and " in ended.stdout
-    assert ended.stdout.endswith("2 of 2 sessions solved, each has its parameters.toml now.\n")
+    of = {name: [line for line in ended.stdout.splitlines() if line.startswith(f"{name}: ")] for name in ("a", "b")}
+    assert any("parameters-1.toml" in line for line in of["a"])
+    assert "--latitude 45 --height 0" in ended.stdout
+    assert not any("parameters-1.toml" in line for line in of["b"])
+    assert any("gravity" in line for line in of["b"])
+    assert re.search(r"\b2\b.*\b2\b", ended.stdout.splitlines()[-1])
     alone = program.run("solve", sessions[0], "--gravity", 9.8)
-    assert "to solve as it was" not in alone.stdout
+    assert "--latitude 45" not in alone.stdout
 
 
 def test_json_has_one_entry_a_session(program: Program, sessions: list[Path]) -> None:
@@ -105,11 +108,11 @@ def test_json_has_one_entry_a_session(program: Program, sessions: list[Path]) ->
 
 def test_options_of_one_session_are_refused(tmp_path: Path) -> None:
     folders = [tmp_path / name for name in NAMES]
-    with pytest.raises(UsageError, match="names one file for several sessions"):
+    with refused(UsageError, Reason.USAGE, "--output"):
         run_solve_many(folders, SolveOptions(output=tmp_path / "p.toml"))
-    with pytest.raises(UsageError, match="leave out the sessions"):
+    with refused(UsageError, Reason.USAGE, "--observations"):
         run_solve_many(folders, SolveOptions(observations=tmp_path / "means.csv"))
-    with pytest.raises(UsageError, match="needs the folders"):
+    with refused(UsageError, Reason.USAGE, "--scheduler"):
         run_solve_many([], SolveOptions(scheduler="tcp://127.0.0.1:1"))
 
 

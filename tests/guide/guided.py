@@ -1,12 +1,16 @@
 """Guided sessions over simulated paths, for the tests of the guide."""
 
+import re
+import string
 from typing import Any
 
 import numpy as np
 
+from imufield.guide.events import Rejected
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
+from imufield.guide.refusals import Refusal, Sentence
 from imufield.samples import Samples
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
@@ -36,3 +40,30 @@ def run(
 
 def of(events: Any, kind: Any) -> Any:
     return [event for event in events if isinstance(event, kind)]
+
+
+def is_said_by(row: Sentence, told: Refusal | Rejected) -> bool:
+    """Whether a refusal is of this row of the table, which alone knows the wording."""
+    return told.reason is row.reason and fits(row.words, told.words) and fits(row.remedy, told.remedy)
+
+
+def fits(text: str, told: str) -> bool:
+    """Whether what was told is this text with anything in its fields."""
+    return re.fullmatch(_pattern(text), told) is not None
+
+
+def fields_of(text: str, told: str) -> dict[str, str]:
+    """Return what the fields of a text hold in what was told."""
+    found = re.fullmatch(_pattern(text), told)
+    assert found is not None, told
+    return found.groupdict()
+
+
+def _pattern(text: str) -> str:
+    pattern, named = "", set()
+    for words, name, _, _ in string.Formatter().parse(text):
+        pattern += re.escape(words)
+        if name is not None:
+            pattern += ".*?" if name in named else f"(?P<{name}>.*?)"
+            named.add(name)
+    return pattern

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imufield.guide.events import RefusalCode
 from imufield.guide.hold.checks import JOLT_SHARE, HoldUnderTest, examine
 from imufield.guide.hold.hand_mean import HandMean, mean_in_hand
+from imufield.guide.refusals import BUMPED
 from imufield.guide.stillness.cells import cells_of, join_cells
 from imufield.guide.stillness.limits import noise_limits
 from imufield.guide.stillness.noise_floor import measure_floor
@@ -21,6 +21,7 @@ from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
 from imufield.simulate.truth.pieces import Shock
+from tests.guide.guided import is_said_by
 
 pytestmark = pytest.mark.numerical
 
@@ -181,6 +182,6 @@ def test_a_bump_is_a_jolt_and_is_refused(frequency_hz: float) -> None:
     limits = noise_limits(floor, SI)
     refusal = examine(HoldUnderTest(cells=cells, floor=floor, limits=limits, scale=SI, hand_mean=found))
     assert refusal is not None
-    assert refusal.reason is RefusalCode.KNOCKED
+    assert is_said_by(BUMPED, refusal)
     assert refusal.measured > refusal.limit > 0
-    assert "bumped after 4." in refusal.words
+    assert f"{found.jolt_after_s:.1f} s" in refusal.words

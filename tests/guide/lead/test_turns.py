@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
 import pytest
 
+from imufield.guide import refusals
 from imufield.guide.events import Done, Event, RefusalCode, Rejected, Turn, Turned
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.turns import plan_turns
 from imufield.guide.positions import scheme
 from imufield.samples import Samples, SampleUnits, make_samples
+from tests.guide.guided import fields_of, is_said_by
 
 RATE = 100.0
 G = 9.80665
@@ -113,7 +116,8 @@ def test_a_turn_that_is_not_whole_is_refused_with_the_angle() -> None:
     events = run(Roll((0.0, 0.0, 1.0)).rest(9).turn(0, 300, 4).rest(2))
     refused = of(events, Rejected)
     assert [event.reason for event in refused] == [RefusalCode.NOT_WHOLE]
-    assert "from where it began" in refused[0].words
+    assert is_said_by(refusals.TURN_TILTED, refused[0])
+    assert refused[0].axis == "x"
     assert refused[0].measured == pytest.approx(60, abs=2)
     assert of(events, Turn)[-1].done == 0
 
@@ -139,7 +143,8 @@ def test_turns_can_be_skipped_and_undone_sessions_end() -> None:
 def test_the_plan() -> None:
     assert plan_turns(None) == []
     assert len(plan_turns("horizontal")) == 6
-    assert "y goes towards z" in plan_turns("horizontal")[0].words
+    # The way the axes go round is told by their names in order.
+    assert re.search(r"\by\b.*\bz\b", plan_turns("horizontal")[0].words)
 
 
 def test_a_turn_askew_is_refused_with_what_turned_aside() -> None:
@@ -148,14 +153,15 @@ def test_a_turn_askew_is_refused_with_what_turned_aside() -> None:
     roll.turn(0, 180, 2).turn(2, 90, 1).turn(0, 180, 2).rest(2)
     refused = of(run(roll), Rejected)
     assert [event.reason for event in refused] == [RefusalCode.NOT_WHOLE]
-    assert "about the other axes" in refused[0].words
+    assert is_said_by(refusals.TURN_ASIDE, refused[0])
     assert refused[0].measured == pytest.approx(90, abs=3)
 
 
 def test_too_little_about_the_vertical_is_told_in_degrees() -> None:
     refused = of(run(Roll((0.0, 0.0, 1.0)).rest(9).turn(2, 300, 4).rest(2), "vertical"), Rejected)
     assert [event.reason for event in refused] == [RefusalCode.NOT_WHOLE]
-    assert "deg from whole turns" in refused[0].words
+    assert is_said_by(refusals.TURN_SHORT, refused[0])
+    assert float(fields_of(refusals.TURN_SHORT.words, refused[0].words)["angle"]) == pytest.approx(300, abs=3)
     assert refused[0].measured == pytest.approx(60, abs=3)
 
 

@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imufield.guide import refusals
 from imufield.guide.events import NoiseFloorMeasured, RefusalCode, Rejected
 from imufield.guide.lead.state_table import State
-from tests.guide.guided import FACES, faces_session, of, run
+from tests.guide.guided import FACES, faces_session, fields_of, is_said_by, of, run
 
 
 def test_even_noise_waited_for_in_vain_is_said_to_be_a_wrong_unit(make_path: Any) -> None:
@@ -15,8 +16,10 @@ def test_even_noise_waited_for_in_vain_is_said_to_be_a_wrong_unit(make_path: Any
     samples.gyroscope[:] *= 57.3
     _, events = run(samples)
     assert {event.reason for event in events} == {RefusalCode.NOT_QUIET}
-    assert "hands off" in events[0].remedy
-    assert "the gyroscope's unit or range is set wrong (--set or the protocol)" in events[-1].remedy
+    assert is_said_by(refusals.NOT_QUIET_SHAKES, events[0])
+    assert is_said_by(refusals.NOT_QUIET_EVEN, events[-1])
+    assert "gyroscope" in events[-1].remedy
+    assert "--set" in events[-1].remedy
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 12.5, 15.0, 20.0, 25.0, 35.0])
@@ -45,7 +48,10 @@ def test_a_dead_axis_is_named_after_three_sides(make_path: Any, axis: int, value
     samples.accelerometer[:, axis] = value
     _, events = run(samples)
     (named,) = (event for event in of(events, Rejected) if event.reason is RefusalCode.INVALID)
-    assert f"axis {'xyz'[axis]} is dead: it stayed at {value:g} (raw) on 3 sides" in named.words
+    assert is_said_by(refusals.DEAD_AXIS, named)
+    assert named.axis == "xyz"[axis]
+    told = fields_of(refusals.DEAD_AXIS.words, named.words)
+    assert (float(told["reading"]), told["sides"]) == (value, "3")
     assert named.time_s < 20
 
 
@@ -66,7 +72,9 @@ def test_waiting_for_quiet_says_what_it_waits_for(make_path: Any) -> None:
     assert {event.reason for event in events} == {RefusalCode.NOT_QUIET}
     assert 2 <= len(events) <= 3
     # Amplitudes of 2 m/s^2 at 3.3 Hz and 1 m/s^2 on top: rms 1.6 m/s^2.
-    assert "waiting for 3 s without motion to measure the noise floor: it shakes, accelerometer" in events[0].words
+    assert is_said_by(refusals.NOT_QUIET_SHAKES, events[0])
+    assert "3 s" in events[0].words
+    assert "accelerometer" in events[0].words
     assert events[0].measured > events[0].limit > 0
 
 
@@ -75,7 +83,8 @@ def test_waiting_for_quiet_names_a_slow_turn_that_noise_does_not_show(make_path:
     samples.gyroscope[:, 2] += np.radians(3.0) * np.sin(2 * np.pi * 0.2 * samples.time_s)
     _, events = run(samples)
     assert isinstance(events[0], Rejected)
-    assert "it does not keep still, gyroscope z strays by " in events[0].words
+    assert is_said_by(refusals.NOT_QUIET_STRAYS, events[0])
+    assert "gyroscope z" in events[0].words
     assert events[0].axis == "z"
     assert events[0].unit == "rad/s"
     # Within 3 s of 5 s the rate strays from its mean by the amplitude at least, and by twice that at most.

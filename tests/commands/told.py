@@ -1,0 +1,42 @@
+"""What a command line was refused for, and the facts that it said: never its wording."""
+
+from __future__ import annotations
+
+from typing import Any
+from unittest import mock
+
+from imufield.cli import run as module
+from imufield.errors import ImufieldError, Reason
+
+
+def failure(*arguments: object) -> ImufieldError:
+    """Run a command line that fails and return its error, whose exit code must be that of its kind."""
+    seen: list[ImufieldError] = []
+    app = module.app
+
+    def watched(*given: Any, **options: Any) -> Any:
+        try:
+            return app(*given, **options)
+        except ImufieldError as error:
+            seen.append(error)
+            raise
+
+    with mock.patch.object(module, "app", watched):
+        code = module.run([str(one) for one in arguments])
+    assert seen, f"it ended with {code}"
+    assert code == seen[0].exit_code
+    return seen[0]
+
+
+def fails(arguments: str | list[str], code: int, reason: Reason, *facts: str) -> ImufieldError:
+    """Run a command line that must fail with this exit code for this reason and name these facts."""
+    error = failure(*(arguments.split() if isinstance(arguments, str) else arguments))
+    assert (error.exit_code, error.reason) == (code, reason), error
+    assert not missing(error.message, *facts), error
+    return error
+
+
+def missing(text: str, *facts: object) -> list[str]:
+    """Return which facts (names, options, numbers with their units) a text does not tell, however its lines are broken."""
+    told = " ".join(text.split())
+    return [str(fact) for fact in facts if str(fact) not in told]
