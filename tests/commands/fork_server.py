@@ -38,7 +38,6 @@ MODULES = (
     "imufield.commands.record",
     "imufield.commands.replay",
     "imufield.commands.solve",
-    "imufield.commands.solve_many",
     "imufield.commands.verify",
     "imufield.guide.view.sound",
     "imufield.guide.view.terminal",
