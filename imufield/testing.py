@@ -95,6 +95,7 @@ def imufield_replay(tmp_path: Path) -> Callable[..., Replayed]:
 
         if protocol is None:
             return Replayed(Session.open(path))
+        # Numbered: a test may replay the same dump twice, and nothing is overwritten.
         folder = tmp_path / f"imufield-{len(list(tmp_path.glob('imufield-*')))}-{Path(path).stem}"
         options = ImportOptions(files=[Path(path)], output=folder, protocol=protocol, settings=dict(settings or {}))
         return Replayed(import_session(options)[0])
@@ -140,6 +141,7 @@ def _make_emulator(driver: str, faults: WireFaults, options: dict[str, Any]) -> 
     from imufield.simulate.emulator.core import EmulatorSettings
     from imufield.simulate.emulator.emulate import Emulation, make_emulator
 
+    # What is of the run and not of the instrument, for a caller that should not need to know the difference.
     names = ("speed", "wait_for_reader", "duration_s")
     run = EmulatorSettings(**{name: options.pop(name) for name in names if name in options})
     return make_emulator(Emulation(device=driver, faults=faults, run=run, **options))
@@ -172,9 +174,10 @@ def imufield_golden(request: pytest.FixtureRequest) -> Callable[..., None]:
 def _agree(expected: Any, value: Any, relative: float, absolute: float) -> bool:
     if isinstance(expected, list) and isinstance(value, list | tuple):
         return len(expected) == len(value) and all(
-            _agree(one, other, relative, absolute) for one, other in zip(expected, value, strict=True)
+            _agree(golden, now, relative, absolute) for golden, now in zip(expected, value, strict=True)
         )
     if isinstance(expected, float) and isinstance(value, float | int):
+        # A figure that cannot be known is NaN, and stays so: that is agreement, too.
         both_nan = math.isnan(expected) and math.isnan(value)
         return both_nan or math.isclose(expected, value, rel_tol=relative, abs_tol=absolute)
     return bool(expected == value)

@@ -26,6 +26,7 @@ def make_command(options: type, work: str) -> Callable[..., None]:
     """
 
     def command(context: typer.Context, **values: object) -> None:
+        # A value that was typed contradicts another; a default of file or variables steps back.
         sources = {name: context.get_parameter_source(name) for name in values}
         typed = frozenset(name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE")
         module, _, function = work.rpartition(".")

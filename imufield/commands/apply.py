@@ -39,6 +39,7 @@ def run_apply(options: ApplyOptions) -> None:
         serial_number, blocks = "", table_samples(source, options.rate_hz)
     count = RowCount()
     rows = apply_session(parameters, count.through(blocks), output, serial_number=serial_number)
+    # On the other stream: the rows say nothing of what is missing between them.
     for entry in damage:
         say(entry.what, err=True)
     typer.echo(beside(f"{rows} corrected samples in", output))

@@ -32,6 +32,7 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
     """
     interactive = options.view == "auto" and sys.stdout.isatty()
     clock = clock or host_clock(options.clock_speed)
+    # A name that is wrong is refused before the port is opened.
     scheme(options.positions or DEFAULT_SCHEME)
     asked = guide_record(options)
     with before_recording():
@@ -50,6 +51,7 @@ def run_capture(options: CaptureOptions, clock: HostClock | None = None) -> Capt
         session = earlier or new_session(options, connected, site)
         stack.enter_context(session.lock())
         if earlier is not None:
+            # Under the lock: nobody else may finish or delete the session between the look and the first byte.
             check_instrument(session, connected)
             session.update(site=site.record(), finished=False)
         return guided_session(session, connected, clock, options)

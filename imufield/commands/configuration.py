@@ -15,17 +15,9 @@ from imufield.files import read_small_file
 
 FILE_NAME = "imufield.toml"
 KEYS: dict[str, tuple[str, ...]] = {
-    "port": ("capture", "record"),
-    "bus": ("capture", "record"),
-    "dbc": ("capture", "record"),
-    "mapping": ("capture", "record"),
-    "driver": ("capture", "record"),
-    "baud": ("capture", "record"),
-    "positions": ("capture",),
-    "hold_s": ("capture",),
-    "gravity": ("capture", "record", "solve"),
-    "latitude": ("capture", "record", "solve"),
-    "height": ("capture", "record", "solve"),
+    **dict.fromkeys(("port", "bus", "dbc", "mapping", "driver", "baud"), ("capture", "record")),
+    **dict.fromkeys(("positions", "hold_s"), ("capture",)),
+    **dict.fromkeys(("gravity", "latitude", "height"), ("capture", "record", "solve")),
     "settings": ("capture", "record"),
 }
 """Keys of the file, and the commands each is a default of."""
@@ -42,7 +34,11 @@ def default_map() -> dict[str, dict[str, object]]:
         If the file is not TOML, or has an unknown key.
     """
     commands: dict[str, dict[str, object]] = {}
-    for path in (_user_file(), Path(FILE_NAME)):
+    # Looked for here and not at the top: most starts of the program ask for help or a version.
+    import platformdirs
+
+    # The file in the working folder comes last, as what is set last stands.
+    for path in (platformdirs.user_config_path("imufield") / FILE_NAME, Path(FILE_NAME)):
         if path.is_file():
             for key, value in _read(path).items():
                 for command in KEYS[key]:
@@ -86,12 +82,6 @@ def parse_zero(text: str | None) -> list[float] | None:
     if len(values) not in (1, 3) or not all(math.isfinite(value) for value in values):
         raise UsageError(f"--zero {text!r} is neither one number nor three; write e.g. --zero 32768", zero=text)
     return values * 3 if len(values) == 1 else values
-
-
-def _user_file() -> Path:
-    import platformdirs
-
-    return platformdirs.user_config_path("imufield") / FILE_NAME
 
 
 def _read(path: Path) -> dict[str, object]:

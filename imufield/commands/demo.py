@@ -86,7 +86,8 @@ def run_demo(options: DemoOptions) -> DemoResult:
         truth_file = Path(folder) / "truth.json"
         with _emulator(options.seed, options.speed, truth_file) as port:
             captured = _capture(port, options)
-        truth = _read_truth(truth_file)
+        # After the emulator has ended, and before its folder goes.
+        truth: dict[str, Any] = json.loads(truth_file.read_text())
     solved = solve_session(captured.session, SolveSettings())
     path = captured.session.folder / PARAMETER_FILE
     kept = write_document(path, solved.parameters.document)
@@ -119,18 +120,8 @@ def _capture(port: str, options: DemoOptions) -> Captured:
 def _emulator(seed: int, speed: float, truth: Path) -> Iterator[str]:
     """Run ``imufield emulate`` in a process of its own; yield the port."""
     command = [sys.executable, "-P", "-m", "imufield", "emulate", "stim300", "--json", "--wait", "--truth", str(truth)]
-    command += [
-        "--seed",
-        str(seed),
-        "--speed",
-        str(speed),
-        "--rate-hz",
-        str(RATE_HZ),
-        "--hold-s",
-        str(OPERATOR_HOLD_S),
-        "--duration-s",
-        str(LONGEST_S),
-    ]
+    numbers = {"seed": seed, "speed": speed, "rate-hz": RATE_HZ, "hold-s": OPERATOR_HOLD_S, "duration-s": LONGEST_S}
+    command += [f"--{name}={value}" for name, value in numbers.items()]
     # What it says when it is ended is nobody's concern here; that it did not start is said below.
     quiet = subprocess.DEVNULL
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=quiet, text=True) as process:  # noqa: S603  (our own program)
@@ -141,11 +132,6 @@ def _emulator(seed: int, speed: float, truth: Path) -> Iterator[str]:
             yield str(json.loads(line)["port"])
         finally:
             process.terminate()
-
-
-def _read_truth(path: Path) -> dict[str, Any]:
-    truth: dict[str, Any] = json.loads(path.read_text())
-    return truth
 
 
 def true_parameters(truth: dict[str, Any]) -> AccelerometerParameters:
@@ -162,6 +148,7 @@ def compare(calibration: Calibration, truth: dict[str, Any]) -> FloatArray:
     found = calibration.intrinsic
     values = np.concatenate([found.scale, found.bias_raw, found.angle_rad, found.quadratic])
     sigma = np.concatenate([found.scale_sigma, found.bias_raw_sigma, found.angle_sigma_rad, found.quadratic_sigma])
+    # A parameter that was not fitted has no sigma, and no error to speak of.
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(sigma > 0, (values - true) / sigma, np.nan)
 

@@ -35,6 +35,7 @@ def list_devices(options: DevicesOptions) -> None:
     if options.as_json:
         typer.echo(json.dumps({"ports": ports, "buses": [asdict(bus) for bus in buses], "drivers": drivers}))
         return
+    # Slow to import, and not needed by a program that reads JSON.
     from rich.console import Console
     from rich.table import Table
 
@@ -52,20 +53,17 @@ def list_devices(options: DevicesOptions) -> None:
     for driver in drivers:
         # A table of five columns would break every name at 80 columns.
         typer.echo(hanging(f"{driver['name']:<{width}}", driver["title"]))
-        typer.echo(hanging(" " * width, _details(driver)))
+        told = ", ".join(f"{name}{'' if tried == _TRIED else '*'}" for name, tried in driver["abilities"].items())
+        rate = f"{driver['default_baud']} bit/s" if driver["default_baud"] else ""
+        typer.echo(hanging(" " * width, "; ".join(filter(None, (rate, driver["status"], told)))))
     typer.echo(hanging("* ", "experimental: commands and answers from documents, never seen on a real instrument"))
-
-
-def _details(driver: _Row) -> str:
-    told = ", ".join(f"{name}{'' if tried == _TRIED else '*'}" for name, tried in driver["abilities"].items())
-    rate = f"{driver['default_baud']} bit/s" if driver["default_baud"] else ""
-    return "; ".join(filter(None, (rate, driver["status"], told)))
 
 
 def _describe(name: str) -> _Row:
     try:
         driver = load_driver(name)
     except ProtocolError as error:
+        # Drivers come from other packages too: a broken one must not hide the rest.
         return {"name": name, "title": error.message, "default_baud": "", "status": "cannot be loaded", "abilities": {}}
     return {
         "name": name,

@@ -113,9 +113,11 @@ def parse_faults(texts: list[str], kind: type[WireFaults] = Faults) -> WireFault
         try:
             number = float(value)
         except ValueError:
+            # Refused below together with inf and nan, which float would take.
             number = math.nan
         if name not in known or not math.isfinite(number):
             raise UsageError(f"--fault {text!r} is not of the form NAME=NUMBER with a name of {', '.join(sorted(known))}")
+        # A cable can be pulled several times; of every other fault the last one typed stands.
         values[name] = (*values.get(name, ()), number) if name == "disconnect_at_s" else number
     return kind(**values)
 
@@ -131,6 +133,7 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
         return
     form = f" ({wire.form.name})" if wire.form and wire.form.name not in ("", "default") else ""
     typer.echo(beside(f"{options.driver}{form} at {rate_hz:.0f} Hz, {options.speed:g} times real time, on", address))
+    # Slower than real time the host needs no other clock.
     clock = "" if options.speed == 1 else f"IMUFIELD_CLOCK_SPEED={max(options.speed, 1):g} "
     # The right latitude matters: the scale of the accelerometer is as good as the gravity it is given.
     latitude = f"--latitude {emulation.site.latitude_deg:g}"
@@ -142,6 +145,7 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
 
 def _reader(options: EmulateOptions, wire: WireChoice) -> str:
     """Return the options that tell another command what the wire does not."""
+    # A protocol file of the user's own is no driver that another command knows by name.
     which = "--driver" if wire.driver else "--protocol"
     told = "".join(f"--set {name}={spell(value)} " for name, value in wire.settings.items())
     return f"{which} {options.driver} {told}"

@@ -35,6 +35,7 @@ def run_export_data(options: ExportDataOptions) -> None:
     path = options.output or session.folder / f"samples.{FORMATS[to].suffix}"
     refuse_overwriting(path, session.parts)
     protocol = recorded_protocol({}, session)
+    # What was typed at the import goes before what the protocol assumes.
     stated = session.record.nominal.raw_zero
     raw_zero = protocol.nominal.raw_zero if stated is None else np.array(stated)
     damage: list[Damage] = []

@@ -58,7 +58,8 @@ def run_history(options: HistoryOptions, now: datetime | None = None) -> History
     for path, instrument in plots.items():
         write_output(path, plot_history(instrument))
     if options.as_json:
-        typer.echo(json.dumps(_document(history, options, now)))
+        instruments = [_instrument(instrument, options, now) for instrument in history.instruments]
+        typer.echo(json.dumps({"folder": str(history.folder), "instruments": instruments, "faults": list(history.faults)}))
     else:
         _print(history, options, now)
         for path in plots if len(plots) > 1 else ():
@@ -76,6 +77,7 @@ def _plot_paths(history: History, path: Path) -> dict[Path, InstrumentHistory]:
     for instrument in history.instruments:
         who = re.sub(r"[^\w.-]+", "_", instrument.serial_number or instrument.title)
         place = path.with_name(f"{path.stem}-{who}{path.suffix}")
+        # Two serial numbers may differ in signs alone that no file name can have.
         while place in found:
             place = place.with_name(f"{place.stem}-{len(found)}{place.suffix}")
         found[place] = instrument
@@ -93,14 +95,11 @@ def _print_nearest(history: History, options: HistoryOptions) -> None:
     typer.echo(str(options.folder / entry.path))
     days = abs((entry.time - at).total_seconds()) / 86400
     old = f", more than the {options.stale_days:g} of --stale-days: calibrate again" if days > options.stale_days else ""
-    when = _distance(entry.time, at, str(options.at))
+    # In whole days between the dates, as a person counts them: from evening to morning is a day.
+    apart = (entry.time.astimezone(at.tzinfo).date() - at.date()).days
+    when = f"{counted(abs(apart), 'day')} {'after' if apart > 0 else 'before'} {options.at}"
+    when = when if apart else f"on the day of {options.at}"
     say(f"{instrument.title}, {entry.verdict}, calibrated {when}{old}", err=True, indent=2)
-
-
-def _distance(time: datetime, at: datetime, typed: str) -> str:
-    """Return how far a calibration is from what was typed: whole days between the dates."""
-    days = (time.astimezone(at.tzinfo).date() - at.date()).days
-    return f"{counted(abs(days), 'day')} {'after' if days > 0 else 'before'} {typed}" if days else f"on the day of {typed}"
 
 
 def _print(history: History, options: HistoryOptions, now: datetime) -> None:
@@ -139,19 +138,9 @@ def _table(rows: list[tuple[str, str, str, str]]) -> Iterator[str]:
     name, value, unit, moved = (max((len(row[k]) for row in rows), default=0) for k in range(4))
     for row in rows:
         line = f"    {row[0]:<{name}} {row[1]:>{value}} {row[2]:<{unit}}  {row[3]:>{moved}}".rstrip()
-        yield line if _shows_signs() else to_ascii(line)
-
-
-def _shows_signs() -> bool:
-    return (getattr(sys.stdout, "encoding", None) or "").lower().startswith("utf")
-
-
-def _document(history: History, options: HistoryOptions, now: datetime) -> dict[str, object]:
-    return {
-        "folder": str(history.folder),
-        "instruments": [_instrument(instrument, options, now) for instrument in history.instruments],
-        "faults": list(history.faults),
-    }
+        # Another encoding has no sign for plus-minus, and printing one would end the program.
+        shows_signs = (getattr(sys.stdout, "encoding", None) or "").lower().startswith("utf")
+        yield line if shows_signs else to_ascii(line)
 
 
 def _instrument(instrument: InstrumentHistory, options: HistoryOptions, now: datetime) -> dict[str, object]:

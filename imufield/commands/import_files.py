@@ -34,7 +34,7 @@ from imufield.errors import Reason, RecordingError, UsageError
 from imufield.pipeline.chain import part_metadata
 from imufield.pipeline.table_samples import refuse_endless
 
-DUMP_CHUNK_BYTES = 1 << 16
+DUMP_CHUNK_BYTES = 1 << 16  # Small beside a block of the recorder, large beside a call.
 
 
 def run_import(options: ImportOptions) -> Session:
@@ -63,17 +63,12 @@ def import_session(options: ImportOptions) -> tuple[Session, list[str]]:
     options.site.gravity()
     protocol = _protocol(options)
     _refuse_ignored(options, protocol)
+    # All that can be refused without the data is refused by now: an earlier import is put aside for good reasons only.
     with _in_place_of_earlier(options):
-        return _import(options, protocol)
-
-
-def _import(options: ImportOptions, protocol: Protocol | None) -> tuple[Session, list[str]]:
-    if protocol is None:
-        _refuse_can_log(options)
-        return _import_tables(options)
-    if protocol.can is not None:
-        return _import_can(options, protocol)
-    return _import_dump(options, protocol)
+        if protocol is None:
+            _refuse_can_log(options)
+            return _import_tables(options)
+        return _import_dump(options, protocol) if protocol.can is None else _import_can(options, protocol)
 
 
 def _protocol(options: ImportOptions) -> Protocol | None:
@@ -89,6 +84,7 @@ def _protocol(options: ImportOptions) -> Protocol | None:
     if options.mapping and options.dbc is None:
         raise UsageError("--map names signals of a DBC file; give the file with --dbc")
     if options.dbc is not None:
+        # The package that reads DBC files is slow to import, and most imports are of tables.
         from imufield.acquire.instrument.can_map import protocol_from_dbc
 
         return protocol_from_dbc(options.dbc, options.mapping, options.settings)
@@ -122,6 +118,7 @@ def _refuse_own(paths: Sequence[Path]) -> None:
         If there is one.
     """
     for path in paths:
+        # Also where one file of a session is named: what it is of is what the person has to solve.
         folder = path if path.is_dir() else path.parent
         if is_part(path) or (folder == path and (path / SETTINGS_FILE).is_file()) or path.name == SETTINGS_FILE:
             raise UsageError(
@@ -149,11 +146,10 @@ def _import_can(options: ImportOptions, protocol: Protocol) -> tuple[Session, li
     if options.columns or options.rate_hz or options.zero:
         raise UsageError("--columns, --rate-hz and --zero are for tables; a log of a CAN bus has its --set")
     sentences = _try_can(options, protocol)
-    session = _new_session(options, protocol, None)
-    with _whole_or_nothing(session), Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
+    with _whole_or_nothing(_new_session(options, protocol, None), protocol) as (session, recorder):
         for path in options.files:
+            # What is lost was said while the logs were tried.
             import_log(path, recorder, channel=options.channel, losses=[])
-    session.update(finished=True)
     return session, sentences
 
 
@@ -189,12 +185,11 @@ def _import_tables(options: ImportOptions) -> tuple[Session, list[str]]:
         settings=options.settings,
         topic=options.topic,
     )
+    # The unit of time is spent when the rows are made; their protocol does not know it.
     of_rows = {name: value for name, value in (options.settings or {}).items() if name != TIME_UNIT}
     protocol = load_protocol(ROWS_PROTOCOL, {**of_rows, **table.settings})
-    session = _new_session(options, protocol, table)
-    with _whole_or_nothing(session), Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
+    with _whole_or_nothing(_new_session(options, protocol, table), protocol) as (session, recorder):
         write_rows(recorder, table.rows, table.status, table.counter)
-    session.update(finished=True)
     return session, list(table.assumptions)
 
 
@@ -203,13 +198,11 @@ def _import_dump(options: ImportOptions, protocol: Protocol) -> tuple[Session, l
     if options.columns or options.rate_hz or options.zero:
         raise UsageError("--columns, --rate-hz and --zero are for tables; a byte dump has its --protocol and --set")
     sentences = _try_dump(options.files, protocol)
-    session = _new_session(options, protocol, None)
     utc_ns = SystemClock().utc_ns()
-    with _whole_or_nothing(session), Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
+    with _whole_or_nothing(_new_session(options, protocol, None), protocol) as (session, recorder):
         for path in options.files:
             for data in read_pieces(path, DUMP_CHUNK_BYTES):
                 recorder.write_chunk(Chunk(data, math.nan, utc_ns))
-    session.update(finished=True)
     return session, sentences
 
 
@@ -257,7 +250,16 @@ def _in_place_of_earlier(options: ImportOptions) -> Iterator[None]:
     if not (folder / SETTINGS_FILE).exists():
         yield
         return
-    _refuse_replacing(folder)
+    earlier = Session.open(folder)
+    kind = earlier.record.kind
+    # Nothing goes that cannot be imported again from its files.
+    if kind != "import":
+        raise UsageError(f"--replace goes for imports alone, and {folder} is a {kind}; choose a new folder")
+    own = {SETTINGS_FILE, LOCK_FILE, *(part.name for part in earlier.parts)}
+    others = sorted(path.name for path in folder.iterdir() if path.name not in own)
+    if others:
+        raise UsageError(f"{folder} holds {', '.join(others[:3])} besides the import; move that away, or choose a new folder")
+    # In the same folder, so that it can be renamed back; hidden from what looks for sessions.
     aside = folder.with_name(f".{folder.name}.replaced")
     shutil.rmtree(aside, ignore_errors=True)
     folder.rename(aside)
@@ -269,21 +271,9 @@ def _in_place_of_earlier(options: ImportOptions) -> Iterator[None]:
     shutil.rmtree(aside, ignore_errors=True)
 
 
-def _refuse_replacing(folder: Path) -> None:
-    """Refuse to replace anything that cannot be imported again from its files; raises as ``_in_place_of_earlier``."""
-    earlier = Session.open(folder)
-    kind = earlier.record.kind
-    if kind != "import":
-        raise UsageError(f"--replace goes for imports alone, and {folder} is a {kind}; choose a new folder")
-    own = {SETTINGS_FILE, LOCK_FILE, *(part.name for part in earlier.parts)}
-    others = sorted(path.name for path in folder.iterdir() if path.name not in own)
-    if others:
-        raise UsageError(f"{folder} holds {', '.join(others[:3])} besides the import; move that away, or choose a new folder")
-
-
 @contextmanager
-def _whole_or_nothing(session: Session) -> Iterator[None]:
-    """Remove a new session that cannot be completed: its files are still there to be imported again.
+def _whole_or_nothing(session: Session, protocol: Protocol) -> Iterator[tuple[Session, Recorder]]:
+    """Record into a new session and finish it; remove it if it cannot be completed: its files can be imported again.
 
     Raises
     ------
@@ -291,7 +281,8 @@ def _whole_or_nothing(session: Session) -> Iterator[None]:
         If the disk is full.
     """
     try:
-        yield
+        with Recorder(session.add_part(), part_metadata(protocol, {})) as recorder:
+            yield session, recorder
     except BaseException as error:
         # The folder was new or empty.
         shutil.rmtree(session.folder, ignore_errors=True)
@@ -303,6 +294,7 @@ def _whole_or_nothing(session: Session) -> Iterator[None]:
                 path=str(session.folder),
             ) from error
         raise
+    session.update(finished=True)
 
 
 def _new_session(options: ImportOptions, protocol: Protocol, table: ImportedTable | None) -> Session:

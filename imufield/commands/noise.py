@@ -43,6 +43,7 @@ def run_noise(options: NoiseOptions) -> None:
     parameters = None if options.parameters is None else load(options.parameters)
     session = open_or_newest(options.session)
     nominal = recorded_protocol({}, session).nominal
+    # Before an hour of samples is read for nothing.
     for path in filter(None, (options.output, options.plot)):
         refuse_overwriting(path, [*session.parts, *filter(None, [options.parameters])])
     damage: list[Damage] = []
@@ -71,6 +72,7 @@ def _write_into(path: Path, parameters: Parameters, result: NoiseResult) -> None
         accelerometer_bias_instability_m_s2=result.values("accelerometer", "instability"),
         gyroscope_bias_instability_rad_s=result.values("gyroscope", "instability"),
     )
+    # The hash is of the content as it was; it is written anew.
     document = {key: value for key, value in parameters.document.items() if key != "integrity"}
     write_document(path, document | {"noise": noise_table(noise)})
 
@@ -93,20 +95,19 @@ def _value_and_limits(figure: NoiseFigure) -> str:
 
 
 def _document(result: NoiseResult) -> dict[str, object]:
-    axes: dict[str, dict[str, dict[str, float | str | None]]] = {
-        axis.name: {name: {**_numbers(getattr(axis, name)), "unit": axis.unit + per} for name, (_, per) in _FIGURES.items()}
-        for axis in result.axes
-    }
+    def numbers(figure: NoiseFigure) -> dict[str, float | None]:
+        values = {"value": figure.value, "low": figure.low, "high": figure.high}
+        # JSON knows no NaN: what is not seen is null.
+        return {name: value if math.isfinite(value) else None for name, value in values.items()}
+
     return {
         "source": result.source,
         "duration_s": result.duration_s,
         "rate_hz": result.rate_hz,
         "units": {axis.name: axis.unit for axis in result.axes},
-        "axes": axes,
+        "axes": {
+            axis.name: {name: numbers(getattr(axis, name)) | {"unit": axis.unit + per} for name, (_, per) in _FIGURES.items()}
+            for axis in result.axes
+        },
         "sentences": list(result.sentences) + [sentence for axis in result.axes for sentence in axis.sentences],
     }
-
-
-def _numbers(figure: NoiseFigure) -> dict[str, float | None]:
-    values = {"value": figure.value, "low": figure.low, "high": figure.high}
-    return {name: value if math.isfinite(value) else None for name, value in values.items()}

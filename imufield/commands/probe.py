@@ -97,6 +97,7 @@ def probe_ports(options: ConnectOptions, clock: HostClock, *, ask: bool, as_json
     if not as_json:
         say(f"listening on {', '.join(ports)}, up to 10 s; {_WRITES if ask else _SILENT}", err=True)
     with ThreadPoolExecutor(min(len(ports), PORTS_AT_ONCE)) as pool:
+        # Once for all ports: a driver that cannot be loaded is said once.
         candidates = serial_candidates(say=lambda sentence: say(sentence, err=True))
         results = list(pool.map(lambda port: probe_port(port, options.baud, clock, ask=ask, candidates=candidates), ports))
     if as_json:
@@ -106,7 +107,14 @@ def probe_ports(options: ConnectOptions, clock: HostClock, *, ask: bool, as_json
             _show(probed, alone=len(results) == 1)
     errors = [probed.error for probed in results if probed.error is not None]
     if len(errors) == len(results):
-        raise errors[0] if len(errors) == 1 else _nothing_anywhere(results)
+        if len(errors) == 1:
+            raise errors[0]
+        # Bytes that nobody understands are another case than silence: the instrument is there, and on.
+        raise LinkError(
+            f"nothing was recognised on {', '.join(ports)}; connect the instrument and switch it on, or say what it is with "
+            "--driver",
+            Reason.SILENCE if {error.reason for error in errors} == {Reason.SILENCE} else Reason.NO_FRAMES,
+        )
     return results
 
 
@@ -155,6 +163,7 @@ def probe_port(
         others, listener = _others(result), result.recognised
         if listener is None:
             return Probed(port=port, others=others, error=nothing_recognised(port, result))
+        # A rate of 9600 in the command for a USB port would look as if it mattered.
         rate = None if has_no_baud(port) and baud is None else result.last.baud
         identity = _identity(result, listener, clock, ask=ask)
         return Probed(
@@ -180,6 +189,7 @@ def _identity(result: Search, listener: Listener, clock: HostClock, *, ask: bool
     try:
         return driver.identity(Instrument(driver, clock, set(listener.decoder.statistics.by_kind)).identify(result.link))
     except LinkError:
+        # No answer takes nothing from what was recognised.
         return {}
 
 
@@ -201,7 +211,11 @@ def _command(port: str, listener: Listener, baud: int | None) -> str:
 
 def _show(probed: Probed, *, alone: bool) -> None:
     if probed.found is not None:
-        _show_found(probed, probed.found)
+        say(f"{probed.port}: {probed.found.title}", indent=2)
+        say(f"  evidence    {probed.found.evidence()}", indent=_SECOND_COLUMN)
+        if probed.baud is not None:
+            typer.echo(f"  baud rate   {probed.baud}")
+        _show_rest(probed.identity, probed.command)
     elif not alone and probed.error is not None:
         # Of one port alone the command ends with this sentence.
         say(f"nothing recognised: {probed.error.message}", indent=2)
@@ -212,26 +226,9 @@ def _show(probed: Probed, *, alone: bool) -> None:
         )
 
 
-def _show_found(probed: Probed, found: Finding) -> None:
-    say(f"{probed.port}: {found.title}", indent=2)
-    say(f"  evidence    {found.evidence()}", indent=_SECOND_COLUMN)
-    if probed.baud is not None:
-        typer.echo(f"  baud rate   {probed.baud}")
-    _show_rest(probed.identity, probed.command)
-
-
 def _show_rest(identity: dict[str, str], command: str) -> None:
     if identity:
         told = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in identity.items())
         say(f"  instrument  {told}", indent=_SECOND_COLUMN)
     # The word in capitals is for the reader to fill in; programs are given the command without it.
     typer.echo(beside("  command    ", f"{command} --latitude LATITUDE"))
-
-
-def _nothing_anywhere(results: list[Probed]) -> LinkError:
-    ports = ", ".join(probed.port for probed in results)
-    reasons = {probed.error.reason for probed in results if probed.error is not None}
-    return LinkError(
-        f"nothing was recognised on {ports}; connect the instrument and switch it on, or say what it is with --driver",
-        Reason.SILENCE if reasons == {Reason.SILENCE} else Reason.NO_FRAMES,
-    )

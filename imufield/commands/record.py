@@ -35,38 +35,32 @@ def run_record(options: RecordOptions, clock: HostClock | None = None) -> Sessio
         Link or recording errors; what was recorded stays.
     """
     clock = clock or host_clock(options.clock_speed)
+    # Refused now, an impossible latitude costs no recording.
     options.site.gravity()
     connected = connect(options.connect, clock, say_assumed)
     with ExitStack() as stack:
         stack.callback(connected.close)
-        session = _new_session(options, connected)
+        metadata = {**connected.session_tables(), "kind": "record", "site": options.site.record()}
+        session = create_session(options.session, options.root, connected.model, metadata)
         stack.enter_context(session.lock())
-        metadata = part_metadata(connected.protocol, connected.session_tables())
-        recorder = stack.enter_context(Recorder(session.add_part(), metadata, clock=clock))
+        of_part = part_metadata(connected.protocol, connected.session_tables())
+        recorder = stack.enter_context(Recorder(session.add_part(), of_part, clock=clock))
         decoder = Decoder(connected.protocol)
         try:
             try:
                 _record(connected, decoder, recorder, clock, options=options)
             except KeyboardInterrupt:
+                # What was read before Ctrl-C still waits in the link.
                 _take(connected.link.drain(), decoder, recorder)
                 raise
             _take(connected.link.drain(), decoder, recorder)
         finally:
             # Ctrl-C and a pulled cable end a recording, too: whatever it is, it is complete up to here.
-            _finish(session, sys.exception())
+            # Where nothing could be recorded (the folder is gone), that is what has to be told, not what follows from it.
+            with suppress(RecordingError) if isinstance(sys.exception(), RecordingError) else nullcontext():
+                session.update(finished=True)
             _tell_end(session, decoder, options.as_json)
     return session
-
-
-def _new_session(options: RecordOptions, connected: Connected) -> Session:
-    metadata = {**connected.session_tables(), "kind": "record", "site": options.site.record()}
-    return create_session(options.session, options.root, connected.model, metadata)
-
-
-def _finish(session: Session, cause: BaseException | None) -> None:
-    # Where nothing could be recorded any more (the folder is gone), that is what has to be told, and not what follows from it.
-    with suppress(RecordingError) if isinstance(cause, RecordingError) else nullcontext():
-        session.update(finished=True)
 
 
 def _record(connected: Connected, decoder: Decoder, recorder: Recorder, clock: HostClock, *, options: RecordOptions) -> None:

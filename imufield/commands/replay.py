@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.reader import Damage, EndOfRecordingError, RecordingLink
 from imufield.acquire.recording.session import Session, open_or_newest
 from imufield.commands.options.acquire import ReplayOptions
@@ -19,7 +18,6 @@ from imufield.pipeline.damage import without_end_under_way
 
 if TYPE_CHECKING:
     from imufield.acquire.protocol.can_frames import Frame
-    from imufield.simulate.emulator.port import PseudoTerminal
 
 WAIT_S = 0.05  # Between two looks for a reader: shorter than a person notices.
 SLOT_S = 0.002  # Between two looks at a full buffer, which holds some ten times as long at 1 Mbit/s.
@@ -42,6 +40,7 @@ def run_replay(options: ReplayOptions) -> None:
         _replay_to_others(session, options)
         return
     damage: list[Damage] = []
+    # Asked before reading: a recording that ends meanwhile was read while it went on.
     goes_on = session.is_being_recorded
     chain = Chain(ReadingPlan.of(session))
     view = JsonLinesView(typer.echo) if options.as_json else PlainView(say, origin_s=chain.origin_s)
@@ -50,6 +49,7 @@ def run_replay(options: ReplayOptions) -> None:
         say(entry.what, err=True)
     if goes_on:
         say("this session is still being recorded: replayed is what was on disk", err=True)
+    # JSON lines are for programs, which count for themselves.
     if not options.as_json:
         _tell(chain)
 
@@ -121,7 +121,15 @@ def _replay_to_pty(session: Session, speed: float) -> None:
         while not port.has_reader():
             time.sleep(WAIT_S)
         while True:
-            sent += _send(port, link.read())
+            chunk = link.read()
+            if chunk is not None:
+                port.write(chunk.data)
+                sent += len(chunk.data)
+            # As fast as possible means as fast as the reader takes it.
+            while port.bytes_waiting and port.has_reader():
+                time.sleep(SLOT_S)
+                port.write(b"")
+            # Said only when a chunk has shown it: no file says of itself that it has no times.
             if speed and not (said or link.has_arrival_times):
                 said = True
                 say("an imported dump holds no arrival times: its bytes go as fast as the reader takes them, whatever --speed")
@@ -130,14 +138,3 @@ def _replay_to_pty(session: Session, speed: float) -> None:
         time.sleep(LINGER_S)
     finally:
         port.close()
-
-
-def _send(port: PseudoTerminal, chunk: Chunk | None) -> int:
-    if chunk is None:
-        return 0
-    port.write(chunk.data)
-    # As fast as possible means as fast as the reader takes it.
-    while port.bytes_waiting and port.has_reader():
-        time.sleep(SLOT_S)
-        port.write(b"")
-    return len(chunk.data)

@@ -57,6 +57,7 @@ def run_report(options: ReportOptions) -> tuple[Path, Path]:
     ParameterFileError
         If the parameters are not of this session, or a page cannot be written.
     """
+    # Asked first: a missing package should not be found out after the replay.
     load_matplotlib()
     data, folder = gather(options)
     pages = (options.output or folder / REPORT_FILE, options.record or folder / RECORD_FILE)
@@ -64,6 +65,7 @@ def run_report(options: ReportOptions) -> tuple[Path, Path]:
         *filter(None, (data.parameters.path, options.preset)),
         *([] if options.session is None else Session.open(folder).parts),
     ]
+    # Both before either is written: no page without the other.
     for path in pages:
         refuse_overwriting(path, inputs)
     for path, text in zip(pages, (render_report(data), render_record(data)), strict=True):

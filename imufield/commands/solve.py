@@ -56,6 +56,7 @@ def run_solve(options: SolveOptions) -> int:
             solved = solve_session(
                 session, settings, options.site, listener=progress.feed, on_read=lambda: progress.say("solving")
             )
+    # Asked before the file that stands there is replaced.
     better = better_gravity(path, solved.parameters.calibration.gravity)
     kept = write_document(path, solved.parameters.document)
     if options.as_json:
@@ -125,6 +126,7 @@ def run_solve_many(sessions: Sequence[Path], options: SolveOptions) -> int:
         on_killed=_killed,
         on_result=tell,
     )
+    # Written here and not by the workers: one that is killed and started again would write twice.
     outcomes = [_write(outcome) for outcome in found]
     _print(outcomes, as_json=options.as_json)
     return max(outcome.exit_code for outcome in outcomes)
@@ -158,6 +160,7 @@ def _write(outcome: SessionOutcome) -> SessionOutcome:
     better = better_gravity(path, from_document(outcome.document).calibration.gravity)
     try:
         kept = write_document(path, outcome.document)
+    # One folder that cannot be written must not cost the others their files.
     except ImufieldError as error:
         return replace(outcome, exit_code=error.exit_code, error=error.message)
     moved = () if kept is None else (f"the file that stood there before is now {kept.name}",)
@@ -171,7 +174,12 @@ def _print(outcomes: list[SessionOutcome], *, as_json: bool) -> None:
     console = Console() if sys.stdout.isatty() else Console(width=WIDTH, color_system=None, legacy_windows=False)
     console.print(_table(outcomes))
     for outcome in outcomes:
-        for sentence in _sentences(outcome):
+        found = _parameters(outcome)
+        # What is to be read beside its row: an error alone, or why it is not good before the rest.
+        sentences = (outcome.error,) if outcome.error else outcome.notes
+        if found is not None and not outcome.error and found.calibration.quality.verdict != "good":
+            sentences = (found.calibration.quality.main_reason, *outcome.notes)
+        for sentence in sentences:
             say(f"{_name(outcome)}: {sentence}", indent=2)
     failed = sum(outcome.error != "" for outcome in outcomes)
     solved = f"{len(outcomes) - failed} of {len(outcomes)} sessions solved"
@@ -201,16 +209,6 @@ def _verdict(outcome: SessionOutcome) -> str:
     return FAILED if found is None or outcome.error else found.calibration.quality.verdict
 
 
-def _sentences(outcome: SessionOutcome) -> tuple[str, ...]:
-    """Return what is to be read of a session beside its row: an error, or why it is not good."""
-    if outcome.error:
-        return (outcome.error,)
-    found = _parameters(outcome)
-    if found is None or found.calibration.quality.verdict == "good":
-        return outcome.notes
-    return (found.calibration.quality.main_reason, *outcome.notes)
-
-
 def _table(outcomes: list[SessionOutcome]) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("session", overflow="fold")
@@ -236,4 +234,5 @@ def _figures(outcome: SessionOutcome) -> tuple[str, ...]:
 
 
 def _largest(values: FloatArray) -> float:
+    # All NaN where nothing was fitted, which nanmax would warn of.
     return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")

@@ -55,5 +55,6 @@ def _check_places(folder: Path | None, document: Path | None) -> None:
 
 
 def _tell(done: int, total: int) -> None:
+    # One line that is written over; a log would get a thousand of them.
     if sys.stderr.isatty():
         typer.echo(f"\r{done} of {total} runs", nl=done == total, err=True)

@@ -83,6 +83,7 @@ def run_verify(options: VerifyOptions) -> Verification:
     task = _task(options)
     parameters = task.parameters.path or options.parameters
     output = options.output or verification_path(parameters)
+    # Before the replay: hours of navigation should not end at a file that is not to be written.
     refuse_overwriting(output, [parameters, *task.session.parts, *filter(None, [options.preset])])
     found = verify_session(task)
     document = to_document(found)
@@ -134,7 +135,9 @@ def _task(options: VerifyOptions) -> _Task:
     session = open_or_newest(options.session)
     for checked in filter(None, (parameters, preset)):
         checked.check_instrument(session.serial_number)
-    is_its_own = _is_its_own(parameters, session)
+    # By the bytes and not by the name: a folder may be renamed or copied. Parameters of no session have no hash.
+    sha256 = parameters.context.session.sha256
+    is_its_own = bool(sha256) and sha256 == session_sha256(session)
     gravity, latitude_deg = _site(options, parameters, session.record.site, is_its_own=is_its_own)
     task = _Task(
         options=options,
@@ -148,11 +151,6 @@ def _task(options: VerifyOptions) -> _Task:
     )
     _refuse_ignored(task)
     return task
-
-
-def _is_its_own(parameters: Parameters, session: Session) -> bool:
-    sha256 = parameters.context.session.sha256
-    return bool(sha256) and sha256 == session_sha256(session)
 
 
 def _site(
@@ -179,6 +177,7 @@ def _refuse_ignored(task: _Task) -> None:
         )
     here = task.gravity.gravity_m_s2
     typed = options.site.is_known and not options.site.is_default and not task.wants_navigation
+    # Navigation needs the place even then, so there the options change something.
     if typed and task.is_its_own and abs(here - own.gravity_m_s2) > SAME_M_S2:
         raise UsageError(
             f"--gravity and --latitude, here {here:.6f} m/s^2, change nothing where the session is the one the parameters "
@@ -205,6 +204,7 @@ def _gravity_notes(task: _Task, found: LeftOutPositions) -> Iterator[str]:
     """Yield what it looks like when the axes agree with one another and not with gravity."""
     residual = found.residual_m_s2
     one_sign = bool(np.all(residual > 0) or np.all(residual < 0))
+    # Of data that the parameters come from, or of residuals no larger than forecast, the sign says nothing of gravity.
     if found.as_forecast or found.is_own or not one_sign or len(residual) < FEWEST_OF_ONE_SIGN:
         return
     own, here = task.parameters.calibration.gravity, task.gravity
@@ -281,6 +281,7 @@ class _Navigation:
         self._task = task
         self._problems = problems
         self._check: StaticNavigation | None = None
+        # A guided session is turned all the time; who wants navigation on it has to say so.
         self._off = task.session.record.scheme is not None and not task.wants_navigation
 
     def feed(self, samples: Samples) -> None:
@@ -332,14 +333,11 @@ class _Navigation:
             instability=_instability(task.parameters),
             seed=options.seed,
         )
-        return StaticNavigation(self._sets(), settings)
-
-    def _sets(self) -> dict[str, Apply]:
-        task = self._task
-        if task.preset is not None and task.preset.gyroscope_is_complete:
-            return {BEFORE: task.preset.apply, AFTER: task.parameters.apply}
-        nominal = _nominal(task)
-        return {AFTER: task.parameters.apply} if nominal is None else {BEFORE: nominal, AFTER: task.parameters.apply}
+        # Held against what the instrument had until now: its earlier parameters, or what its maker says.
+        preset = task.preset
+        before: Apply | None = preset.apply if preset is not None and preset.gyroscope_is_complete else _nominal(task)
+        after: dict[str, Apply] = {AFTER: task.parameters.apply}
+        return StaticNavigation(after if before is None else {BEFORE: before, **after}, settings)
 
 
 def _nominal(task: _Task) -> Apply | None:
@@ -349,6 +347,7 @@ def _nominal(task: _Task) -> Apply | None:
     gyroscope = task.parameters.calibration.gyroscope
     if accelerometer is None or scale is None or gyroscope is None:
         return None
+    # As for the accelerometer: only the parameters know how the axes are wired.
     signed = np.abs(scale) * np.sign(gyroscope.parameters.scale)
     plain = GyroscopeParameters(signed, np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
 
@@ -377,11 +376,13 @@ def _instability(parameters: Parameters) -> FloatArray | None:
     noise = parameters.context.noise
     if noise is None:
         return None
+    # A figure that was never seen is NaN, and a forecast from five axes would be too good.
     figures = np.concatenate([noise.accelerometer_bias_instability_m_s2, noise.gyroscope_bias_instability_rad_s])
     return figures if np.isfinite(figures).all() else None
 
 
 def _refuse_failed(found: Verification) -> None:
+    # An objection goes first: parameters that contradict the data are refused whatever the limits.
     if found.objections:
         raise VerificationError(f"FAIL: {found.objections[0]}")
     failed = [requirement for requirement in found.requirements if not requirement.passed]

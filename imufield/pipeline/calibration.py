@@ -108,9 +108,15 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
     ParameterFileError
         If the preset is for another instrument.
     """
+    preset = None
     if settings.preset is not None:
-        _check_preset(settings.preset, measured)
-    preset = None if settings.preset is None else settings.preset.calibration.accelerometer
+        # In other raw units, or of another instrument, its scale would mean something else.
+        settings.preset.check_instrument(measured.context.instrument.serial_number)
+        units = measured.observations.units
+        settings.preset.check_unit("accelerometer", units.accelerometer_rate_unit)
+        if settings.preset.gyroscope_is_complete and np.isfinite(measured.observations.gyroscope_mean_raw).any():
+            settings.preset.check_unit("gyroscope", units.gyroscope_rate_unit)
+        preset = settings.preset.calibration.accelerometer
     calibration = calibrate_accelerometer(
         measured.observations,
         measured.gravity,
@@ -124,6 +130,7 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
     sentences = list(measured.reasons)
     if settings.cross_check:
         sentences.append(cross_check(measured.observations, calibration, rng=rng, preset=preset).sentence)
+    # Least squares comes first whatever the method: it chooses the model, and the others are held against it.
     if settings.method != LEAST_SQUARES:
         calibration = solve_with(
             settings.method,
@@ -134,9 +141,11 @@ def calibrate(measured: Measured, settings: SolveSettings) -> Parameters:
             polish=settings.polish,
             seed=settings.seed,
         )
+    # After the accelerometer, which tells in what position each still was.
     calibration = _with_gyroscope(calibration, measured, settings, rng)
     quality = replace(calibration.quality, reasons=(*calibration.quality.reasons, *sentences))
     calibration = replace(calibration, quality=quality)
+    # Through the document and back: what is printed is what the file holds, digit by digit.
     return from_document(to_document(calibration, measured.observations, measured.context))
 
 
@@ -183,15 +192,6 @@ def _with_gyroscope(
     return replace(joined, quality=quality)
 
 
-def _check_preset(preset: Parameters, measured: Measured) -> None:
-    """Refuse the parameters of another instrument, and those in other raw units: their scale would mean something else."""
-    preset.check_instrument(measured.context.instrument.serial_number)
-    units = measured.observations.units
-    preset.check_unit("accelerometer", units.accelerometer_rate_unit)
-    if preset.gyroscope_is_complete and np.isfinite(measured.observations.gyroscope_mean_raw).any():
-        preset.check_unit("gyroscope", units.gyroscope_rate_unit)
-
-
 def one_of(name: str, value: str, choices: tuple[AChoice, ...]) -> AChoice:
     """Return the value of an option that has a few names only.
 
@@ -200,6 +200,7 @@ def one_of(name: str, value: str, choices: tuple[AChoice, ...]) -> AChoice:
     UsageError
         If it is none of them.
     """
+    # Returned is the choice and not the text, which has its type.
     for choice in choices:
         if choice == value:
             return choice

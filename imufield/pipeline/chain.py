@@ -103,7 +103,7 @@ class Chain:
         self.temperature_degc = (float("nan"), float("nan"))  # Lowest and highest so far.
         self.notes: list[str] = []  # Sentences about how the recording was read.
         self._listeners = listeners
-        self._offset_s: float | None = 0.0
+        self._offset_s: float | None = 0.0  # None from the start of a later part to its first samples, which tell it.
         self._first_s: float | None = None
         self._last_s: float | None = None
         self._last_utc_ns = 0
@@ -123,21 +123,25 @@ class Chain:
                 Reason.UNITS,
             )
         self.protocol = protocol
+        # Not before the first part: the judge needs the units and the rough scale, which its protocol tells.
         if self._judging and self.guide is None and self.finder is None:
             self._make_judge(protocol)
-        return [_goes_on(event) for event in self._start_decoder(protocol)]
+        events = self._start_decoder(protocol)
+        # Whoever stopped and goes on wanted the pause: to call it a lost link would alarm for nothing.
+        return [replace(event, words=PART_BEGINS) if isinstance(event, LinkLost) else event for event in events]
 
     def feed_block(self, block: RecordedBlock) -> list[Event]:
         """Take many recorded reads at once, as if they came one by one."""
-        if self.decoder is None:
-            raise RecordingError("bytes stand before the start of a part; the recording is damaged", Reason.DAMAGED)
-        return self._take(self.decoder.feed_chunks(block.data, block.end, block.monotonic_s), block.utc_ns)
+        return self._take(self._started().feed_chunks(block.data, block.end, block.monotonic_s), block.utc_ns)
 
     def feed(self, data: bytes, arrival_s: float, utc_ns: int) -> list[Event]:
         """Take the bytes of one read and return what the guide has to say."""
+        return self._take(self._started().feed(data, arrival_s), utc_ns)
+
+    def _started(self) -> Decoder:
         if self.decoder is None:
             raise RecordingError("bytes stand before the start of a part; the recording is damaged", Reason.DAMAGED)
-        return self._take(self.decoder.feed(data, arrival_s), utc_ns)
+        return self.decoder
 
     def _take(self, samples: Samples, utc_ns: int) -> list[Event]:
         if not len(samples):
@@ -146,7 +150,11 @@ class Chain:
         if self._first_s is None:
             self._first_s = float(samples.time_s[0])
         self._last_s, self._last_utc_ns = float(samples.time_s[-1]), utc_ns
-        self._note_temperature(samples.temperature_degc)
+        known = samples.temperature_degc[np.isfinite(samples.temperature_degc)]
+        if len(known):
+            low, high = self.temperature_degc
+            # fmin and fmax take the number where the other is NaN, as both are before the first.
+            self.temperature_degc = (float(np.fmin(low, known.min())), float(np.fmax(high, known.max())))
         for listener in self._listeners:
             listener(samples)
         if self.finder is not None:
@@ -204,6 +212,7 @@ class Chain:
         events = self._flush_decoder()
         self.decoder = Decoder(protocol)
         self.statistics.append(self.decoder.statistics)
+        # At the very first there is nothing to be behind of, and no link that was lost.
         if self._last_s is None:
             return events
         self._offset_s = None
@@ -222,25 +231,12 @@ class Chain:
 
     def _on_session_clock(self, samples: Samples, utc_ns: int) -> Samples:
         """Shift the samples of a later part behind those of the parts before, as far as the host's clock says."""
-        if not len(samples):
-            return samples
         if self._offset_s is None and self._last_s is not None:
             pause_s = max((utc_ns - self._last_utc_ns) / 1e9, PART_GAP_S)
             # What was held back may reach further back than the pause, by clocks of the host that were set meanwhile.
             ends_s, begins_s = self._last_s + pause_s - samples.time_s[-1], self._last_s + PART_GAP_S - samples.time_s[0]
             self._offset_s = float(max(ends_s, begins_s))
         return replace(samples, time_s=samples.time_s + self._offset_s) if self._offset_s else samples
-
-    def _note_temperature(self, temperature_degc: FloatArray) -> None:
-        known = temperature_degc[np.isfinite(temperature_degc)]
-        if len(known):
-            low, high = self.temperature_degc
-            self.temperature_degc = (float(np.fmin(low, known.min())), float(np.fmax(high, known.max())))
-
-
-def _goes_on(event: Event) -> Event:
-    """Return the event of a link that is gone as what it is at the start of a part: the operator may have wanted it."""
-    return replace(event, words=PART_BEGINS) if isinstance(event, LinkLost) else event
 
 
 def part_metadata(protocol: Protocol, extra: Mapping[str, object]) -> dict[str, object]:
@@ -262,6 +258,7 @@ def recorded_protocol(metadata: Mapping[str, object], session: Session) -> Proto
     RecordingError
         If neither holds one.
     """
+    # The part goes first: session.toml can be edited, and the bytes are what their part says.
     text = metadata.get("protocol_text") or session.record.protocol.text
     if not isinstance(text, str) or not text:
         raise RecordingError(f"{session.folder} does not hold the protocol it was recorded with; restore session.toml")
@@ -282,6 +279,7 @@ def _recorded_settings(metadata: Mapping[str, object]) -> Mapping[str, object]:
 
 def _edited_settings(part: PartStart, session: Session) -> list[str]:
     """Say which settings in ``session.toml`` are not those the bytes of a part were recorded with, which are used."""
+    # With an edited range every sample would have another scale, and nothing in the result would show it.
     recorded = _recorded_settings(part.metadata)
     return [
         f"session.toml says {name} = {value}, but {part.path.name} was recorded with {recorded[name]}, which is used: what is "
@@ -317,6 +315,13 @@ def replay_into(
     RecordingError
         If it cannot be read, or has ended without a sample.
     """
+    for events in _replayed(chain, session, damage, ended=ended):
+        if events and listener is not None:
+            listener(events)
+
+
+def _replayed(chain: Chain, session: Session, damage: list[Damage], *, ended: bool = True) -> Iterator[list[Event]]:
+    """Yield the events of each step of a replay; raises as ``replay_into``."""
     for item in read_blocks(session, damage):
         if isinstance(item, PartStart):
             events = chain.start_part(recorded_protocol(item.metadata, session))
@@ -325,12 +330,10 @@ def replay_into(
             events = _say_again(chain, item.event)
         else:
             events = chain.feed_block(item)
-        if events and listener is not None:
-            listener(events)
-    last = chain.finish() if ended else []
-    if last and listener is not None:
-        listener(last)
+        yield events
+    # Where a capture goes on, what the decoder holds back is completed by what comes, and no sample yet is no fault.
     if ended:
+        yield chain.finish()
         require_samples(session, chain.statistics, damage)
 
 
@@ -338,24 +341,17 @@ def session_samples(session: Session, damage: list[Damage]) -> Iterator[Samples]
     """Decode a session, block by block, on one sample clock; raises as ``replay_into``."""
     blocks: list[Samples] = []
     chain = Chain(ReadingPlan(None), listeners=(blocks.append,), judging=False)
-    for item in read_blocks(session, damage):
-        if isinstance(item, PartStart):
-            chain.start_part(recorded_protocol(item.metadata, session))
-        elif isinstance(item, RecordedEvent):
-            _say_again(chain, item.event)
-        else:
-            chain.feed_block(item)
+    for _ in _replayed(chain, session, damage):
         yield from blocks
+        # Cleared at once, or hours of samples would be in memory at the end.
         blocks.clear()
-    chain.finish()
-    yield from blocks
-    require_samples(session, chain.statistics, damage)
 
 
 def _say_again(chain: Chain, event: Mapping[str, object]) -> list[Event]:
     """Repeat what a person or the link did while the session was recorded."""
     kind = event.get("event")
     if kind == MARK:
+        # Of what the file says only what is of the right type is taken: it may be edited, or by another version.
         time_s, position = event.get("time_s"), event.get("position")
         return chain.mark(
             str(event.get("action")),

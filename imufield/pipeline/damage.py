@@ -24,6 +24,7 @@ def require_samples(session: Session, statistics: Sequence[DecoderStatistics], d
     """
     if any(part.samples for part in statistics):
         return
+    # Three causes, each with a remedy of its own: the files are gone, of another instrument, or cut.
     total = sum(part.bytes_total for part in statistics)
     if not session.parts:
         why = "its recording, part-001.mcap, is gone; put it back, or record or import again"
@@ -74,12 +75,10 @@ def naming_damage(session: Session, damage: Sequence[Damage]) -> Iterator[None]:
         if not damage:
             raise
         clause = damage_clause(damage).removeprefix(", ")
-        if error.reason in _BY_LOSS and any(_is_loss(entry, session) for entry in damage):
+        # A torn end is also what a program leaves that is killed: of its last part in a finished session bytes went later.
+        torn = session.parts[-1:] if session.finished else []
+        lost = any(not entry.torn_end or entry.path in torn for entry in damage)
+        if error.reason in _BY_LOSS and lost:
             message = f"{session.folder} is damaged, {clause}, and what is left is not enough: {error.message}"
             raise RecordingError(message, Reason.DAMAGED, **error.values) from error
         raise CalibrationError(f"{error.message} (and {clause})", error.reason, **error.values) from error
-
-
-def _is_loss(damage: Damage, session: Session) -> bool:
-    """Tell whether bytes went after they were recorded: a torn end is also what a program leaves that is killed."""
-    return not damage.torn_end or (session.finished and damage.path == session.parts[-1])

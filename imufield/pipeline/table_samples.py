@@ -19,6 +19,7 @@ def table_samples(path: Path, rate_hz: float | None = None) -> Iterator[Samples]
     """Yield the samples of a table, e.g. an exported CSV, block by block."""
     refuse_endless([path])
     decoder: Decoder | None = None
+    # The way of an import, through rows and the decoder: a table gives the same numbers imported or not.
     for table in stream_table(path, rate_hz=rate_hz):
         decoder = decoder or Decoder(load_protocol(ROWS_PROTOCOL, table.settings))
         chunks = _Chunks([])

@@ -19,25 +19,11 @@ FORMAT = "imufield-session"
 VERSION = 1
 
 KEYS: Mapping[str, type] = {
-    "format": str,
     "version": int,
-    "created": str,
-    "software": str,
-    "model": str,
-    "name": str,
-    "kind": str,
     "finished": bool,
-    "scheme": str,
     "notes": list,
-    "instrument": dict,
-    "link": dict,
-    "protocol": dict,
-    "settings": dict,
-    "units": dict,
-    "nominal": dict,
-    "guide": dict,
-    "site": dict,
-    "import": dict,
+    **dict.fromkeys(("format", "created", "software", "model", "name", "kind", "scheme"), str),
+    **dict.fromkeys(("instrument", "link", "protocol", "settings", "units", "nominal", "guide", "site", "import"), dict),
 }
 """What ``session.toml`` may hold: ``kind`` is "capture", "record" or "import"; tables are filled by those who use them."""
 
@@ -69,7 +55,7 @@ class LinkRecord:
     baud: int | None = None
     bit_rate: int | None = None
     rate_hz: float | None = None
-    rate_before_hz: float | None = None
+    rate_before_hz: float | None = None  # What a person sets again where a killed program did not.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +64,7 @@ class ProtocolRecord:
 
     name: str = ""
     sha256: str = "not known"
-    text: str = ""
+    text: str = ""  # Whole, as the file of the user or a later imufield may say something else.
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +102,7 @@ class SiteRecord:
     """Table ``site``: what was typed, nothing computed."""
 
     gravity_m_s2: float | None = _number(*GRAVITY_RANGE_M_S2)
-    gravity_sigma_m_s2: float | None = _number()
+    gravity_sigma_m_s2: float | None = _number()  # By the digits typed; None where gravity has none of its own.
     latitude_deg: float | None = _number(-90.0, 90.0)
     height_m: float | None = _number(*HEIGHT_RANGE_M)
 
@@ -163,6 +149,7 @@ class SessionRecord:
             a key or has an impossible value (``DAMAGED``).
         """
         _check_keys(content, path)
+        # Instruments are told apart by this table: a misspelt serial number would pass as one that is not known.
         for name in content.get("instrument", {}):
             if name not in {entry.name for entry in fields(InstrumentRecord)}:
                 known = ", ".join(entry.name for entry in fields(InstrumentRecord))
@@ -172,6 +159,7 @@ class SessionRecord:
                     path=str(path),
                     key=name,
                 )
+        # A serial number of digits alone is a number in a file that a person has edited.
         instrument = {key: str(value) for key, value in content.get("instrument", {}).items()}
         site = _read_table(SiteRecord, "site", content, path)
         guide = _read_table(GuideRecord, "guide", content, path)
@@ -250,6 +238,7 @@ def _check_number(
     """Refuse what nothing can be computed with."""
     if value is None:
         return
+    # To Python a bool is an integer, and TOML can spell nan and inf.
     is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     limits = f" ({low:g} to {high:g})" if high < math.inf else ""
     if not is_number or not low <= value <= high or (positive and value <= 0):  # type: ignore[operator]  # a number by now
@@ -269,6 +258,7 @@ def _check_keys(content: Table, path: Path) -> None:
             Reason.FOREIGN,
             path=str(path),
         )
+    # Before the keys: a newer version may have some that are unknown here.
     version = content.get("version")
     if not isinstance(version, int) or version > VERSION:
         raise RecordingError(

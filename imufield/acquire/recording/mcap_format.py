@@ -31,7 +31,7 @@ from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Metadata
 from imufield.version import __version__
 
 MAGIC = b"\x89MCAP0\r\n"
-PROFILE = "imufield"
+PROFILE = "imufield"  # In the Header, by the specification of MCAP: tells our files from those of other programs.
 FORMAT = "imufield-recording"
 VERSION = 1
 LINK_CHANNEL = 1
@@ -71,6 +71,7 @@ def start_of_part(metadata: Mapping[str, object]) -> bytes:
     metadata : mapping
         JSON-compatible values: all that is needed to decode the part without the outside.
     """
+    # Records outside of chunks have no checksum in MCAP, and without this one no byte can be decoded.
     text = to_json(metadata)
     builder = RecordBuilder()
     Header(profile=PROFILE, library=f"imufield {__version__}").write(builder)
@@ -86,6 +87,7 @@ def start_of_part(metadata: Mapping[str, object]) -> bytes:
 def end_of_part() -> bytes:
     """Return everything after the last chunk."""
     builder = RecordBuilder()
+    # Zero says "not computed": each chunk has its own, and one over all would have to be kept through a crash.
     DataEnd(data_section_crc=0).write(builder)
     Footer(summary_start=0, summary_offset_start=0, summary_crc=0).write(builder)
     return _content(builder) + MAGIC
@@ -161,6 +163,7 @@ def messages(content: bytes) -> Iterator[tuple[int, int, int, int]]:
     DamageError
         If the records do not fill the chunk.
     """
+    # By hand and not by the package, which makes an object of each message: hours of recording have millions.
     position, size = 0, len(content)
     while position + MESSAGE.size <= size:
         opcode, length, channel, _, utc_ns, _ = MESSAGE.unpack_from(content, position)
@@ -196,7 +199,7 @@ def read_metadata(body: bytes) -> tuple[int, dict[str, object]]:
 def _string_map(body: bytes) -> dict[str, str]:
     """Read name and entries of a Metadata record: strings with a 32-bit length before each, the map with its size before it."""
     try:
-        name_size = int.from_bytes(body[:4], "little")
+        name_size = int.from_bytes(body[:4], "little")  # The name is known: the map behind it is what is wanted.
         position, strings = 4 + name_size + 4, []
         while position < len(body):
             (size,) = struct.unpack_from("<I", body, position)

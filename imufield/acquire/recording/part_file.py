@@ -104,6 +104,7 @@ class PartFile:
                 path=str(path),
             ) from error
         try:
+            # As it is now: a part that is being recorded grows, and what comes later is not read.
             self._size = os.fstat(self._file.fileno()).st_size
             self._check_start(self._file.read(_START_BYTES))
         except BaseException:
@@ -143,6 +144,7 @@ class PartFile:
         if len(head) < RECORD.size:
             raise DamageError("the file ends inside")
         opcode, length = RECORD.unpack(head)
+        # Checked before reading: a damaged length must not ask for memory that nobody has.
         if length > min(RECORD_LIMIT_BYTES, self._size - position - RECORD.size):
             raise DamageError("the file ends inside")
         return opcode, self._file.read(length)
@@ -157,6 +159,7 @@ class PartFile:
         if opcode == Opcode.METADATA:
             self._in_head = False
             version, self.metadata = read_metadata(body)
+            # A newer one may pack its chunks otherwise: to guess would be to call a sound file damaged.
             if version > VERSION:
                 raise self._newer(f"recording version {version}")
         elif opcode == Opcode.DATA_END:
@@ -170,6 +173,7 @@ class PartFile:
 
     def _skip(self, position: int, error: DamageError) -> int:
         """Note the damage and return where to go on: the next chunk that can be recognised."""
+        # One byte on and not behind the record: it is its length that may be damaged.
         follows = self._next_chunk(position + 1)
         end = self._size if follows is None else follows
         torn = follows is None
@@ -198,23 +202,20 @@ class PartFile:
                     return window_start + start
                 found = window.find(CHUNK_SIGNATURE, found + 1)
             window_start += _SEARCH_BYTES
-        return self._proper_end(position)
-
-    def _proper_end(self, position: int) -> int | None:
-        """Return where DataEnd, Footer and magic stand, if they do."""
+        # Damage in the last chunk: DataEnd, Footer and magic say that nothing else is missing.
         start = self._size - END_SIZE
         if start < position:
             return None
         self._file.seek(start)
         tail = self._file.read(END_SIZE)
-        is_end = tail.startswith(RECORD.pack(Opcode.DATA_END, 4)) and tail.endswith(MAGIC)
-        return start if is_end else None
+        return start if tail.startswith(RECORD.pack(Opcode.DATA_END, 4)) and tail.endswith(MAGIC) else None
 
     def _is_chunk(self, head: bytes, position: int) -> bool:
         if len(head) < RECORD.size + CHUNK.size:
             return False
         opcode, length = RECORD.unpack_from(head)
         packed_size = CHUNK.unpack_from(head, RECORD.size)[-1]
+        # The signature alone may come up in what was recorded; with lengths that agree it hardly does.
         fits = length == CHUNK.size + packed_size and position + RECORD.size + length <= self._size
         return bool(opcode == Opcode.CHUNK and fits)
 
@@ -227,6 +228,7 @@ class PartFile:
         differ = sum(a != b for a, b in zip(there, expected + profile, strict=False))
         if not start:
             raise self._foreign("is empty")
+        # The sixth byte of the magic is the version of MCAP, "0" up to now.
         if start[:5] == MAGIC[:5] and start[6:8] == MAGIC[6:8] and start[5] > MAGIC[5] and differ > _BYTES_MAY_DIFFER:
             raise self._newer(f"MCAP version {chr(start[5])}")
         if differ > _BYTES_MAY_DIFFER:

@@ -171,9 +171,11 @@ def read_blocks(
                     yield joiner.take()
                 joiner.add(data, monotonic_s, utc_ns)
                 continue
+            # An operator's mark is about the bytes before it: they must be decoded first.
             if joiner.pieces:
                 yield joiner.take()
             yield RecordedEvent(json.loads(content[start:end]), utc_ns)
+        # A block never runs over the end of a part, where the decoder begins anew.
         if joiner.pieces:
             yield joiner.take()
 
@@ -193,6 +195,7 @@ class _Joiner:
         return bool(self.pieces) and (
             self.size + size > self.block_bytes
             or monotonic_s - self.times[0] > self.span_s
+            # Either way: a time that runs back, as in logs of other programs, must not be smoothed over.
             or abs(monotonic_s - self.times[-1]) > SILENCE_S
         )
 
@@ -216,60 +219,40 @@ def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
     """
     begun: dict[Path, int] = {}
     before = 0
+    found: list[Damage] = [] if damage is None else damage
     for path in session.parts:
-        if damage is not None:
-            damage.extend(_missing_before(path, before))
-        before = _number(path) or before
-        size = _size(path)
+        digits = path.stem.rpartition("-")[2]
+        # A file that a person named otherwise has no place in the count.
+        if digits.isdecimal():
+            found.extend(_missing_between(before, int(digits), path))
+            before = int(digits)
+        try:
+            size = path.stat().st_size
+        except OSError as error:
+            raise RecordingError(
+                f"{path} cannot be read ({error.strerror}): restore it, or remove it from the session.",
+                Reason.NOT_A_RECORDING,
+                path=str(path),
+            ) from error
+        # Bytes are compared only where the sizes agree, so that sound sessions are not read twice.
         original = next((other for other in begun if begun[other] == size and filecmp.cmp(path, other, shallow=False)), None)
-        if size and original is None:
+        if original is not None:
+            what = f"{path} is a copy of {original.name}, byte for byte, and counts once."
+            found.append(Damage(path=path, offset=0, length_bytes=size, what=what))
+        elif not size:
+            what = f"{path} is empty: the program was killed before anything arrived."
+            found.append(Damage(path=path, offset=0, length_bytes=0, what=what, torn_end=True))
+        else:
             begun[path] = size
             yield path
-        elif original is not None:
-            if damage is not None:
-                damage.append(
-                    Damage(
-                        path=path,
-                        offset=0,
-                        length_bytes=size,
-                        what=f"{path} is a copy of {original.name}, byte for byte, and counts once.",
-                    )
-                )
-        elif damage is not None:
-            damage.append(
-                Damage(
-                    path=path,
-                    offset=0,
-                    length_bytes=0,
-                    what=f"{path} is empty: the program was killed before anything arrived.",
-                    torn_end=True,
-                )
-            )
 
 
-def _missing_before(path: Path, before: int) -> Iterator[Damage]:
+def _missing_between(before: int, number: int, path: Path) -> Iterator[Damage]:
     """Yield what is gone between two parts: numbers are given one after the other."""
-    number = _number(path) or before + 1
     if number > before + 1:
         first, last = (path.with_name(f"part-{missing:03d}{path.suffix}") for missing in (before + 1, number - 1))
         gone = f"{first} is" if first == last else f"{first} to {last.name} are"
         yield Damage(path=first, offset=0, length_bytes=0, what=f"{gone} gone, and what was recorded there.")
-
-
-def _number(path: Path) -> int:
-    digits = path.stem.rpartition("-")[2]
-    return int(digits) if digits.isdecimal() else 0
-
-
-def _size(path: Path) -> int:
-    try:
-        return path.stat().st_size
-    except OSError as error:
-        raise RecordingError(
-            f"{path} cannot be read ({error.strerror}): restore it, or remove it from the session.",
-            Reason.NOT_A_RECORDING,
-            path=str(path),
-        ) from error
 
 
 _Message = tuple[bytes, int, int, int, int]
@@ -288,6 +271,7 @@ def _messages_of(path: Path, damage: list[Damage] | None) -> Iterator[PartStart 
             except DamageError as error:
                 part.note(offset, f"it is left out because {error}")
                 continue
+            # Nothing of a chunk is given away before all of it is checked: half of one would be lost samples without a trace.
             for channel, utc_ns, start, end in checked:
                 yield content, channel, utc_ns, start, end
         if damage is not None:
@@ -348,6 +332,7 @@ class RecordingLink:
         """
         for item in self._items:
             if isinstance(item, PartStart):
+                # Each run has a monotonic clock of its own, and the pause between runs is not waited for.
                 self._offset_s = None
             elif isinstance(item, Chunk):
                 self._wait_for(item.monotonic_s)

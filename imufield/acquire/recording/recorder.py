@@ -69,7 +69,7 @@ class Recorder:
         self._changed = threading.Condition()
         self._waiting: list[bytes] = []
         self._waiting_bytes = 0
-        self._sequence = count()
+        self._sequence = count()  # Of all messages of the part, whatever thread they come from.
         self._closing = False
         self._failure: Exception | None = None
         self._failure_told = False
@@ -109,6 +109,7 @@ class Recorder:
             self._closing = True
             self._changed.notify_all()
         self._thread.join()
+        # Told once: close runs at the end of a context too, where a second error would hide the first.
         if self._failure is not None and not self._failure_told:
             self._tell()
 
@@ -130,6 +131,7 @@ class Recorder:
                 raise ValueError("the recorder is closed")
             self._waiting.append(message)
             self._waiting_bytes += len(message)
+            # Below a full block the thread wakes by itself, and need not at every read.
             if self._waiting_bytes >= BLOCK_BYTES:
                 self._changed.notify_all()
 
@@ -142,7 +144,7 @@ class Recorder:
         try:
             while self._write_waiting():
                 pass
-            self._write(end_of_part())
+            _write_all(self._file, end_of_part())
             self._sync()
         except OSError as error:
             self._fail(_cannot_write(self.path, error))
@@ -159,14 +161,12 @@ class Recorder:
             taken, self._waiting, self._waiting_bytes = self._waiting, [], 0
             closing = self._closing
             self._changed.notify_all()
+        # Packed and written without the lock: the thread that reads the wire must not wait for the disk.
         for messages in _blocks(taken):
-            self._write(chunk_record(messages))
+            _write_all(self._file, chunk_record(messages))
         if taken:
             self._sync()
         return not closing
-
-    def _write(self, data: bytes) -> None:
-        _write_all(self._file, data)
 
     def _sync(self) -> None:
         os.fsync(self._file)
@@ -191,6 +191,7 @@ def _create(path: Path, content: bytes) -> int:
         os.fsync(file)
         sync_folder(path.parent)
     except OSError as error:
+        # Half a start is no part; left there it would be named as damage ever after.
         os.close(file)
         path.unlink(missing_ok=True)
         raise _cannot_write(path, error) from error

@@ -96,6 +96,7 @@ class Session:
     def _written(cls, folder: Path, content: Table) -> Self:
         session = cls(folder, content)
         session.write()
+        # Without it a power cut can take the whole folder, however safe the files in it are.
         sync_folder(folder.parent)
         return session
 
@@ -186,6 +187,7 @@ class Session:
         RecordingError
             A key is unknown, or the file cannot be written; nothing has changed then.
         """
+        # Checked and written before this object changes, so that memory and disk never differ.
         changed = type(self)(self.folder, plain_table({**self.metadata, **(changes or {}), **more}))
         changed.write()
         self.metadata, self.record = changed.metadata, changed.record
@@ -205,7 +207,19 @@ class Session:
         with typed_write_errors(path, RecordingError):
             file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
-            self._take_lock(file)
+            if not _lock(file):
+                # Where there is no pread, as on Windows, the holder stays without a number.
+                holder = os.pread(file, 20, 0).decode(errors="replace") if hasattr(os, "pread") else ""
+                who = f"process {holder}" if holder.isdigit() else "another program"
+                raise RecordingError(
+                    f"{self.folder} is being recorded by {who}: wait for it to end, or choose another session.",
+                    Reason.LOCKED,
+                    folder=str(self.folder),
+                )
+            # The number of the process only names the holder: a full disk is no reason not to hold the lock.
+            with suppress(OSError):
+                os.ftruncate(file, 0)
+                os.write(file, str(os.getpid()).encode())
             yield
         finally:
             os.close(file)
@@ -222,19 +236,6 @@ class Session:
             return not _lock(file)
         finally:
             os.close(file)
-
-    def _take_lock(self, file: int) -> None:
-        if not _lock(file):
-            holder = os.pread(file, 20, 0).decode(errors="replace") if hasattr(os, "pread") else ""
-            who = f"process {holder}" if holder.isdigit() else "another program"
-            raise RecordingError(
-                f"{self.folder} is being recorded by {who}: wait for it to end, or choose another session.",
-                Reason.LOCKED,
-                folder=str(self.folder),
-            )
-        with suppress(OSError):
-            os.ftruncate(file, 0)
-            os.write(file, str(os.getpid()).encode())
 
     def _numbered_parts(self) -> list[tuple[int, str]]:
         found = ((_PART.fullmatch(path.name), path.name) for path in self.folder.iterdir())
@@ -268,6 +269,7 @@ def _new_metadata(model: str, metadata: Mapping[str, object], moment: datetime) 
         **metadata,
     }
     content = plain_table(content)
+    # Refused here, an impossible value leaves no folder behind.
     SessionRecord.read(content, Path(SETTINGS_FILE))
     return content
 
@@ -281,6 +283,7 @@ def _make_folder(root: Path, model: str, moment: datetime) -> Path:
         stamp = moment.strftime(_STAMP)
         folder = root / f"{stamp}-{suffix}"
         if not any(root.glob(f"{stamp}-*")):
+            # Another program may have made the same one since the look.
             with suppress(FileExistsError):
                 folder.mkdir()
                 return folder

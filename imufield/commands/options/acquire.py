@@ -29,6 +29,7 @@ from imufield.errors import UsageError
 from imufield.files import DEFAULT_ROOT
 
 ViewName = Literal["auto", "plain", "json"]
+# Signs are part of the name: `--cable=-x` needs its equals sign, or the parser takes -x for an option.
 SIDES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
@@ -53,7 +54,7 @@ class DemoOptions:
     """
 
     seed: Annotated[int, option(help="Seed of the simulated instrument and operator.", low=0, high=LARGEST_SEED)] = 2
-    speed: Annotated[float, option(help="Times real time.", low=1)] = 8.0
+    speed: Annotated[float, option(help="Times real time.", low=1)] = 8.0  # What a small machine keeps up with.
     plain: Plain = False
     root: Path = DEFAULT_ROOT
 
@@ -78,6 +79,7 @@ class ProbeOptions:
     """
 
     connect: PortOrBusOptions
+    # Off: an unknown device at the port may take a question for a command.
     ask: Annotated[bool, option("--ask", help="Ask the instrument who it is: the only thing that is sent.")] = False
     as_json: AsJson = False
     clock_speed: ClockSpeed = 1.0
@@ -118,6 +120,7 @@ class CaptureOptions:
 
     connect: ConnectionOptions
     positions: Annotated[str | None, option(help="Scheme: paper24, paper36, corners24, faces6 or a TOML list.")] = None
+    # More than ten minutes is a slip of the finger: 24 positions would take a working day.
     hold_s: Annotated[float | None, option(help="Seconds to hold each position.", low=1, high=600)] = None
     session: SessionFolder = None
     resume: Annotated[bool, option("--resume", help="Go on with an unfinished session.")] = False
@@ -166,6 +169,7 @@ class ImportOptions:
     files: Annotated[list[Path], argument(help="Files of one recording; several are joined by time.")]
     output: Annotated[Path | None, option("-o", "--output", help="Folder of the new session.")] = None
     driver: DriverName = None
+    # A name or a file: shipped protocols have names.
     protocol: Annotated[str | None, option(help="For a raw byte dump: protocol name or TOML file.")] = None
     dbc: Annotated[Path | None, option(help="For a log of a CAN bus: DBC file.")] = None
     mapping: SignalMap = field(default_factory=dict)

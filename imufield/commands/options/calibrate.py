@@ -57,6 +57,7 @@ class SolveOptions:
         ParameterFileError
             If the preset cannot be read.
         """
+        # Here, because this module is read at every start, for a help too.
         import numpy as np
 
         from imufield.calibrate.gyroscope.model_choice import GyroscopeModel

@@ -72,6 +72,7 @@ class VerifyOptions:
     hold_out: Annotated[int | None, option(help="Solve without so many positions at a time and check those.", low=1)] = None
     turned: Annotated[bool, option("--turned", help="The instrument was turned over after the alignment.")] = False
     align_s: Annotated[float, option(help="Seconds of rest at the start to align with.", low=1)] = 600.0
+    # From -360, as headings are written from 0 to 360 or from -180 to 180.
     heading_deg: Annotated[
         float | None,
         option("--heading", help="Known heading of the body x axis, degrees clockwise from north.", low=-360, high=360),
@@ -113,6 +114,7 @@ class HistoryOptions:
     folder: Annotated[Path, argument(help="Folder of parameter files, searched below too.")] = DEFAULT_ROOT
     serial_number: Annotated[str | None, option("--serial", help="Only this serial number.")] = None
     at: Annotated[str | None, option(help="Print only the file calibrated closest to this date, e.g. 2026-03-04.")] = None
+    # A year, as calibrations are usually dated.
     stale_days: Annotated[float, option(help="Age at which a calibration is old.", low=0)] = 365.0
     csv: Annotated[Path | None, option(help="Write every number of every calibration to this file.")] = None
     plot: Annotated[Path | None, option(help="Draw instruments over time, SVG, a file each.")] = None

@@ -7,7 +7,7 @@ and annotations are not postponed, because the command line is made from them.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -29,7 +29,7 @@ class Converted:
     """Marks an option that is typed as one type and handed to the command as another."""
 
     typed_as: object  # An annotation as those of other options.
-    convert: Callable[[Any], object]
+    convert: Callable[[Any], object]  # Any, as each option is typed as another type.
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +89,7 @@ class TypedNumber(float):
 
 
 def _parse_mapping(texts: list[str] | None) -> dict[str, str]:
+    # Only who gives --map pays for the room that reads it.
     if not texts:
         return {}
     from imufield.acquire.instrument.connect import parse_mapping
@@ -113,6 +114,7 @@ SignalMap = Annotated[
 DriverName = Annotated[
     str | None, option("--driver", help="Instrument family, see `imufield devices`.", envvar="IMUFIELD_DRIVER")
 ]
+# The lowest rate that serial ports know is 50.
 Baud = Annotated[int | None, option(help="Baud rate of the port, or bit rate of the bus.", low=50, envvar="IMUFIELD_BAUD")]
 Settings = Annotated[
     Mapping[str, str],
@@ -134,7 +136,7 @@ ClockSpeed = Annotated[
     option(
         help="Times real time the instrument runs: only for an emulated one.",
         envvar="IMUFIELD_CLOCK_SPEED",
-        hidden=True,
+        hidden=True,  # Of no use with real hardware, where it would only mislead.
         low=1,
         high=1000,
     ),
@@ -180,22 +182,13 @@ def _connect_options(given: PortOrBus | Connection, typed: frozenset[str]) -> "C
 
     port, bus = given.port, given.bus
     if port is not None and bus is not None:
+        # Both typed, or both from file and variables: nothing says which of them is meant.
         if ("port" in typed) == ("bus" in typed):
             raise UsageError(f"--port {port} and --bus {bus} contradict each other; give one of them")
         port, bus = (port, None) if "port" in typed else (None, bus)
-    if isinstance(given, PortOrBus):
-        return ConnectOptions(port=port, bus=bus, baud=given.baud)
-    return ConnectOptions(
-        port=port,
-        bus=bus,
-        driver=given.driver,
-        baud=given.baud,
-        protocol=given.protocol,
-        dbc=given.dbc,
-        mapping=dict(given.mapping),
-        settings=dict(given.settings),
-        rate_hz=given.rate_hz,
-    )
+    # The fields have the names of those they are handed to; what a probe does not ask for keeps its default.
+    values = {entry.name: getattr(given, entry.name) for entry in fields(given)}
+    return ConnectOptions(**values | {"port": port, "bus": bus})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,6 +216,7 @@ def _site_options(place: Place, typed: frozenset[str]) -> "SiteOptions":
     from imufield.earth import sigma_of_digits
     from imufield.pipeline.site import SiteOptions
 
+    # A place is one thing: a typed latitude with the height of a default would be nowhere.
     typed &= {"gravity", "latitude", "height"}
     if "gravity" in typed or "latitude" in typed:
         place = Place(**{name: getattr(place, name) for name in typed})

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from imufield.acquire.instrument.connect import ConnectOptions, parse_mapping
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.commands.terminal.output import say
-
-__all__ = ["ConnectOptions", "host_clock", "parse_mapping", "say_assumed"]
 
 
 def say_assumed(sentence: str) -> None:
@@ -18,5 +15,6 @@ def host_clock(speed: float) -> HostClock:
     """Return the clock to read an instrument with that runs ``speed`` times faster than real time, as emulated ones may."""
     if speed == 1.0:
         return SystemClock()
+    # Said each time: with a real instrument every rate would come out wrong by this factor.
     say(f"the clock of the host runs {speed:g} times fast: only an emulated instrument can be read like this", err=True)
     return ScaledClock(speed)

@@ -36,7 +36,7 @@ from imufield.pipeline.calibration import FEWEST_POSITIONS
 from imufield.pipeline.chain import MARK, REVISIT_FROM, ROTATIONS, SCHEME_FILE, Chain, ReadingPlan, part_metadata, replay_into
 from imufield.pipeline.site import SiteOptions
 
-DEFAULT_SCHEME = "paper24"
+DEFAULT_SCHEME = "paper24"  # What the README promises: 24 positions, hand-held.
 SILENCE_S = 2.0
 """Host time without a byte after which the screen says so: the slowest instruments send ten times a second."""
 REFRESH_EVERY_S = 0.1  # Ten pictures a second: a person sees a turn without delay, and the decoder keeps its time.
@@ -81,6 +81,7 @@ def guide_record(options: CaptureOptions) -> GuideRecord:
         # The common scale of the earlier calibration: what a wrong gravity shows against.
         earlier = load(options.preset).calibration.intrinsic
         scale = float(np.exp(np.mean(np.log(np.abs(earlier.scale)))))
+        # The worst axis: a warning about gravity must not come from an axis that was hardly known.
         sigma = float(np.max(earlier.scale_sigma / np.abs(earlier.scale)))
     return GuideRecord(
         hold_s=options.hold_s,
@@ -145,6 +146,7 @@ def open_loop(session: Session, connected: Connected, clock: HostClock, options:
     """Open recorder, view and keyboard, and close them whatever happens."""
     chain = Chain(ReadingPlan.of(session))
     damage: list[Damage] = []
+    # Of a session that goes on, so that the guide knows again what it knew; of a new one there is nothing.
     replay_into(chain, session, damage, ended=False)
     metadata = part_metadata(connected.protocol, connected.session_tables())
     with ExitStack() as stack:
@@ -192,12 +194,19 @@ class CaptureLoop:
         for heard in self.connected.chunks:
             self._take(heard)
         try:
-            self._follow()
+            quitting = False
+            while not (quitting or self._done):
+                chunk = self._next_chunk()
+                if chunk is not None:
+                    self._take(chunk)
+                quitting = self._follow_keys()
+                self._refresh()
         except KeyboardInterrupt:
             # What waits to be decoded is recorded all the same.
             for chunk in self.connected.link.drain():
                 self.recorder.write_chunk(chunk)
             raise
+        # What was read in the background before the last key may hold the end of a hold.
         for chunk in self.connected.link.drain():
             self._take(chunk)
         self._publish(self.chain.finish())
@@ -205,27 +214,16 @@ class CaptureLoop:
             self.session.update(finished=True)
         return self.captured()
 
-    def _follow(self) -> None:
-        """Take what comes from port and keyboard until all is done or the operator quits."""
-        quitting = False
-        while not (quitting or self._done):
-            chunk = self._next_chunk()
-            if chunk is not None:
-                self._take(chunk)
-            quitting = self._follow_keys()
-            self._refresh()
-
     def captured(self) -> Captured:
         """Return how far the session has come."""
         guide = self.chain.guide
         accepted, planned = (0, 0) if guide is None else (len(guide.plan.accepted), len(guide.plan.scheme))
-        said = tuple(remarks(self.chain.statistics))
         return Captured(
             session=self.session,
             accepted=accepted,
             planned=planned,
             finished=self._done,
-            remarks=said,
+            remarks=tuple(remarks(self.chain.statistics)),
             summary=tuple(self._summary()),
         )
 
@@ -245,6 +243,7 @@ class CaptureLoop:
         was_lost = self._link.lost is not None
         chunk = self._link.read()
         if was_lost:
+            # The time without a link is no silence of the instrument.
             self._last_byte_s = self.clock.monotonic_s()
         elif self._link.lost is not None:
             self._publish(self.chain.link_lost())
@@ -252,6 +251,7 @@ class CaptureLoop:
 
     def _take(self, chunk: Chunk) -> None:
         self._last_byte_s = self.clock.monotonic_s()
+        # To the disk first: what fails behind it can be done again from there.
         self.recorder.write_chunk(chunk)
         self._publish(self.chain.feed(chunk.data, chunk.monotonic_s, chunk.utc_ns))
 
@@ -268,6 +268,7 @@ class CaptureLoop:
     def _mark(self, action: str) -> None:
         """Record what the operator says, and tell the guide."""
         if self.chain.guide is not None:
+            # Of the sample clock: a replay must say it at the same sample, however fast it runs.
             time_s = self.chain.guide.time_s
             self.recorder.write_event({"event": MARK, "action": action, "time_s": time_s})
             self._publish(self.chain.mark(action, time_s))
@@ -296,8 +297,7 @@ class CaptureLoop:
         self._last_refresh_s = now_s
         silent_s = now_s - self._last_byte_s
         state: LinkState = "lost" if self._link.lost is not None else "silent" if silent_s > SILENCE_S else "ok"
-        statistics = self.chain.statistics
-        lost = sum(part.lost for part in statistics)
+        lost = sum(part.lost for part in self.chain.statistics)
         self.view.refresh(LiveStatus(self.chain.guide.snapshot(), self.connected.link.name, state, lost))
 
 

@@ -71,6 +71,7 @@ def replace_only(path: Path, mark: str, what: str) -> None:
             head = file.read(_HEAD_BYTES)
     except OSError:
         return  # not there, or no file: writing says which
+    # An empty file is nobody's work: touch and mktemp leave them.
     if head and mark.encode() not in head:
         raise UsageError(f"{what}; choose a new file")
 

@@ -76,19 +76,17 @@ def _check_finished(session: Session, *, resume: bool) -> None:
     UsageError
         If nothing is left to measure, or nobody said that it should go on.
     """
-    early = session.record.scheme is not None and _was_finished_early(session)
+    early = False
+    if session.record.scheme is not None:
+        # Only a replay tells whether something is left that was asked for.
+        chain = Chain(ReadingPlan.of(session))
+        replay_into(chain, session, [])
+        early = chain.guide is not None and chain.guide.finished_early
     if early and resume:
         return
     command = f"imufield solve {shlex.quote(str(session.folder))}"
     others = "go on with --resume" if early else "name a new folder"
     raise UsageError(f"{session.folder} is finished{' early' if early else ''}; {others}, or solve it with: {command}")
-
-
-def _was_finished_early(session: Session) -> bool:
-    """Replay a session and see whether something is left that was asked for."""
-    chain = Chain(ReadingPlan.of(session))
-    replay_into(chain, session, [])
-    return chain.guide is not None and chain.guide.finished_early
 
 
 def _newest_unfinished(root: Path) -> Session:
@@ -120,6 +118,7 @@ def check_plan(session: Session, scheme_name: str | None, asked: GuideRecord) ->
         If they differ.
     """
     planned = str(ReadingPlan.of(session).scheme)
+    # By what they ask for and not by name: a copy of a file of positions is the same plan.
     if scheme_name is not None and _positions(scheme_name) != _positions(planned):
         raise UsageError(f"{session.folder} goes through {planned}, not {scheme_name}; leave out --positions, or begin anew")
     for key, (option, words) in _KEPT.items():
@@ -142,6 +141,7 @@ def connect_as_before(options: ConnectOptions, session: Session) -> ConnectOptio
         if record.instrument.driver in driver_names():
             driver = record.instrument.driver
         else:
+            # Of a driver that is not installed here, or a file of the user's own, the session holds a copy.
             text = record.protocol.text or None
     given = {name: str(setting.value) for name, setting in record.settings.items() if setting.origin == "given"}
     elsewhere = options.port is not None or options.bus is not None
@@ -150,6 +150,7 @@ def connect_as_before(options: ConnectOptions, session: Session) -> ConnectOptio
         options,
         port=options.port if elsewhere else link.port,
         bus=options.bus if elsewhere else link.bus,
+        # At another port the adapter may want another rate, so there it is looked for.
         baud=options.baud or (None if elsewhere and not same_place else link.baud or link.bit_rate),
         driver=driver,
         settings={**(given if options.protocol is None else {}), **options.settings},
@@ -167,6 +168,7 @@ def check_instrument(session: Session, connected: Connected) -> None:
         If driver or serial number differ, as far as both are known.
     """
     found = connected.session_tables()["instrument"]
+    # The model is not compared: firmware may call the same unit otherwise.
     for key in _IDENTITY:
         before, now = getattr(session.record.instrument, key), found.get(key)
         if before and now and before != now:

@@ -20,7 +20,7 @@ class RowCount:
     def through(self, blocks: Iterable[Samples]) -> Iterator[Samples]:
         """Yield the blocks as they are."""
         for block in blocks:
-            self._units = self._units or block.units
+            self._units = self._units or block.units  # All blocks of a session have the same.
             self._starting += int(np.count_nonzero(block.status & np.uint32(Status.START_UP)))
             self._unusable += int(np.count_nonzero(~block.usable))
             yield block

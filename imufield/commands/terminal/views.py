@@ -70,6 +70,7 @@ class _Lines:
         self._inner.show(events)
 
     def refresh(self, status: LiveStatus) -> None:
+        # Once for each silence: a line ten times a second would push away what was said before.
         if self._says_silence and status.link != self._link and status.link == "silent":
             say(f"nothing arrives on {status.port}: check power and cable; waiting")
         self._link = status.link
@@ -107,6 +108,7 @@ def make_view(
     Sound goes with every view that a person reads; ``origin_s`` is what plain lines count their time from.
     """
     options = options or ViewOptions()
+    # A program that reads JSON may run where nobody wants a beep.
     if name == "json" or options.quiet:
         with _silent_view(name, session, positions, options, origin_s=origin_s) as view:
             yield view
@@ -139,6 +141,7 @@ def _silent_view(
     name: ViewName, session: Path, positions: Scheme, options: ViewOptions, *, origin_s: Callable[[], float]
 ) -> Iterator[View]:
     if name == "json":
+        # The version first: a reader must know it before it reads anything else.
         typer.echo(json.dumps({"version": EVENT_VERSION, "event": "session", "session": str(session)}))
         yield _Lines(JsonLinesView(typer.echo), says_silence=False)
     elif name == "plain" or not sys.stdout.isatty():
