@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 from unittest import mock
 
-from imufield.cli import run as module
+from imufield.cli.app import app
+from imufield.cli.run import run
 from imufield.errors import ImufieldError, Reason
 
 
 def failure(*arguments: object) -> ImufieldError:
     """Run a command line that fails and return its error, whose exit code must be that of its kind."""
     seen: list[ImufieldError] = []
-    app = module.app
 
     def watched(*given: Any, **options: Any) -> Any:
         try:
@@ -21,8 +21,8 @@ def failure(*arguments: object) -> ImufieldError:
             seen.append(error)
             raise
 
-    with mock.patch.object(module, "app", watched):
-        code = module.run([str(one) for one in arguments])
+    with mock.patch("imufield.cli.run.app", watched):
+        code = run([str(one) for one in arguments])
     assert seen, f"it ended with {code}"
     assert code == seen[0].exit_code
     return seen[0]
