@@ -75,7 +75,7 @@ TYPED = [
     Case("unknown model", "solve whole --model cubic", USAGE, ("cubic", "linear, quadratic")),
     Case("preset gauge without preset", "solve whole --gauge preset", USAGE, ("--preset",)),
     Case("foreign preset", "solve whole --preset notes.txt", PARAMETER_FILE, ("notes.txt",)),
-    Case("output nowhere", "solve whole -o none/p.toml", PARAMETER_FILE, ("none/p.toml", "--output")),
+    Case("output nowhere", "solve whole -o none/p.toml", PARAMETER_FILE, ("none/p.toml",)),
     Case("output is a folder", "solve whole -o folder", PARAMETER_FILE, ("folder",)),
     Case("zero of two numbers", "solve whole --zero 1,2", USAGE, ("1,2",)),
     Case("session and means", "solve whole --observations means.csv", USAGE, ("--observations",)),
@@ -467,7 +467,7 @@ MEASURED: dict[str, tuple[dict[str, Any], Reason, tuple[str, ...]]] = {
     "left-handed accelerometer": ({"change": mirror}, Reason.HANDEDNESS, ("x = -x, y = +y, z = -z", "20 deg")),
     "gyroscope signs turned round": ({"change": turn_round}, Reason.HANDEDNESS, ("x = -x, y = -y, z = -z", "20 deg")),
     "too few positions": ({"visits": 4}, Reason.TOO_FEW, ("4", "6")),
-    "saturated axis": ({"positions": "faces6", "change": saturate}, Reason.TOO_FEW, ("4 positions", "6", "axis y")),
+    "saturated axis": ({"positions": "faces6", "change": saturate}, Reason.SATURATED, ("4 positions", "6", "axis y")),
     "saturated axis, unsaid": ({"positions": "faces6", "change": stick}, Reason.TOO_FEW, ("4 positions", "6", "7.01 m/s^2")),
 }
 
