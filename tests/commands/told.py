@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 from unittest import mock
 
-from imufield.cli import run as module
 from imufield.cli.app import app
+from imufield.cli.run import run
 from imufield.errors import ImufieldError, Reason
 
 
@@ -21,8 +21,8 @@ def failure(*arguments: object) -> ImufieldError:
             seen.append(error)
             raise
 
-    with mock.patch.object(module, "app", watched):
-        code = module.run([str(argument) for argument in arguments])
+    with mock.patch("imufield.cli.run.app", watched):
+        code = run([str(one) for one in arguments])
     assert seen, f"it ended with {code}"
     assert code == seen[0].exit_code
     return seen[0]
