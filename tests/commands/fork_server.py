@@ -7,8 +7,10 @@ pipe. A guardian, forked first, writes the number of the program's process to th
 from __future__ import annotations
 
 import array
+import atexit
 import contextlib
 import fcntl
+import gc
 import json
 import os
 import signal
@@ -16,6 +18,7 @@ import socket
 import struct
 import sys
 import termios
+import threading
 from typing import Any
 
 MESSAGE_BYTES = 1 << 20
@@ -44,21 +47,21 @@ MODULES = (
 )
 
 
-def serve(channel: socket.socket) -> int | None:
-    """Fork for each message until the other end closes; return the exit code of the program, in a fork."""
+def serve(channel: socket.socket) -> None:
+    """Fork for each message until the other end closes; does not return in a fork."""
     while True:
         message, ancillary, _, _ = channel.recvmsg(MESSAGE_BYTES, socket.CMSG_SPACE(4 * array.array("i").itemsize))
         reap()
         if not message:
-            return None
+            return
         descriptors = array.array("i")
         for _, _, data in ancillary:
             descriptors.frombytes(data)
         if not os.fork():
             channel.close()
-            if not guard(descriptors[3]):
-                return run_command(json.loads(message), descriptors)
-            os._exit(0)
+            if guard(descriptors[3]):
+                os._exit(0)
+            leave(run_command(json.loads(message), descriptors))
         for descriptor in descriptors:
             os.close(descriptor)
 
@@ -106,14 +109,31 @@ def run_command(wanted: dict[str, Any], descriptors: array.array[int]) -> int:
 
     try:
         main()
-    except SystemExit as leave:
-        return leave.code if isinstance(leave.code, int) else int(leave.code is not None)
+    except SystemExit as left:
+        return left.code if isinstance(left.code, int) else int(left.code is not None)
+    except BaseException:  # noqa: BLE001  (a defect leaves its traceback, as from an interpreter)
+        sys.excepthook(*sys.exc_info())
+        return 1
     return 0
+
+
+def leave(code: int) -> None:
+    """Leave as the interpreter does it, but without taking its modules apart: they are this process's own copy by then."""
+    threading._shutdown()  # type: ignore[attr-defined]  # waits for threads
+    atexit._run_exitfuncs()
+    try:
+        sys.stdout.flush()
+    except (OSError, ValueError):
+        # What the interpreter leaves with when its output cannot be written.
+        code = 120
+    os._exit(code)
 
 
 if __name__ == "__main__":
     for name in MODULES:
         __import__(name)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Left by the usual way: threads are waited for and streams are written out, as the interpreter does it.
-    sys.exit(serve(socket.socket(fileno=int(sys.argv[1]))))
+    # A collection in a fork would copy every page it looks at.
+    gc.collect()
+    gc.freeze()
+    serve(socket.socket(fileno=int(sys.argv[1])))
