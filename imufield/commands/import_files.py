@@ -22,10 +22,10 @@ from imufield.acquire.instrument.connect import assumed
 from imufield.acquire.link.host_clock import SystemClock
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol, load_protocol
-from imufield.acquire.recording.document import SettingRecord
 from imufield.acquire.recording.part_file import is_part
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import LOCK_FILE, SETTINGS_FILE, Session, create_session
+from imufield.acquire.recording.session_record import SettingRecord
 from imufield.acquire.registry import load_driver
 from imufield.commands.options.acquire import ImportOptions
 from imufield.commands.terminal.output import say

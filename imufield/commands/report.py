@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from imufield.acquire.recording.document import SettingRecord
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
+from imufield.acquire.recording.session_record import SettingRecord
 from imufield.commands.options.deliver import ReportOptions
 from imufield.commands.terminal.output import write_output
 from imufield.deliver.parameters.document import VERSION

@@ -11,9 +11,9 @@ import typer
 from rich.console import Console
 
 from imufield.acquire.protocol.protocol import Protocol
-from imufield.acquire.recording.document import SiteRecord
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
+from imufield.acquire.recording.session_record import SiteRecord
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.commands.options.deliver import VerifyOptions

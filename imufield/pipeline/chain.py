@@ -14,9 +14,9 @@ import numpy as np
 from imufield.acquire.decode.statistics import DecoderStatistics
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import Protocol, parse_protocol
-from imufield.acquire.recording.document import SessionRecord
 from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks
 from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.session_record import SessionRecord
 from imufield.calibrate.model.observations import Observations
 from imufield.earth import choose_gravity
 from imufield.errors import ProtocolError, Reason, RecordingError, SettingError

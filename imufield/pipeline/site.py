@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields, replace
 
-from imufield.acquire.recording.document import SiteRecord
+from imufield.acquire.recording.session_record import SiteRecord
 from imufield.earth import Gravity, choose_gravity
 from imufield.errors import UsageError
 

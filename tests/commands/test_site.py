@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import tomli_w
 
-from imufield.acquire.recording.document import SiteRecord
+from imufield.acquire.recording.session_record import SiteRecord
 from imufield.cli.run import run
 from imufield.commands.options.deliver import VerifyOptions
 from imufield.commands.verify import _task

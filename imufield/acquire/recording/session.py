@@ -14,7 +14,7 @@ from typing import Self
 
 import tomli_w
 
-from imufield.acquire.recording.document import FORMAT, VERSION, SessionRecord, Table, plain_table
+from imufield.acquire.recording.session_record import FORMAT, VERSION, SessionRecord, Table, plain_table
 from imufield.errors import Reason, RecordingError
 from imufield.files import DEFAULT_ROOT, read_small_file, sync_folder, typed_write_errors, write_atomically
 from imufield.version import __version__

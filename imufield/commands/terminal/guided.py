@@ -17,10 +17,10 @@ from imufield.acquire.instrument.connect import Connected
 from imufield.acquire.link.host_clock import HostClock, ScaledClock
 from imufield.acquire.link.reconnect import PatientLink
 from imufield.acquire.link.serial import Chunk
-from imufield.acquire.recording.document import GuideRecord
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
+from imufield.acquire.recording.session_record import GuideRecord
 from imufield.commands.options.acquire import CaptureOptions, ViewName
 from imufield.commands.terminal.output import say
 from imufield.commands.terminal.views import LinkState, LiveStatus, View, make_view

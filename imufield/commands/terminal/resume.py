@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from imufield.acquire.instrument.connect import Connected, ConnectOptions
-from imufield.acquire.recording.document import GuideRecord
 from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.session_record import GuideRecord
 from imufield.acquire.registry import driver_names
 from imufield.commands.terminal.questions import confirm
 from imufield.errors import Reason, RecordingError, UsageError

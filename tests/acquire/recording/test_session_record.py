@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from imufield.acquire.recording.document import GuideRecord, SessionRecord, SettingRecord, SiteRecord
 from imufield.acquire.recording.session import Session
+from imufield.acquire.recording.session_record import GuideRecord, SessionRecord, SettingRecord, SiteRecord
 from imufield.errors import Reason, RecordingError
 from tests.refused import refused
 
