@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from imufield.commands.options.shared import LARGEST_SEED
-from imufield.errors import Reason, UsageError
+from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.samples import Samples, concatenate
 from imufield.simulate.emulator.core import EmulatorSettings
 from imufield.simulate.emulator.emulate import (
@@ -98,7 +98,7 @@ def test_text_at_any_rate_and_stim300_at_its_own() -> None:
 
 
 def test_failure_of_the_thread_reaches_the_caller(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
+    with refused(ParameterFileError, Reason.FOREIGN, "truth.toml"):
         emulate(replace(OPTIONS, truth=tmp_path / "missing" / "truth.toml"))
 
 
