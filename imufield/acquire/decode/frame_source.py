@@ -212,7 +212,8 @@ class _StatusReader:
 
     def read(self, rows: Rows) -> NDArray[np.uint32]:
         raw = self._field.raw(rows)
-        return self._translate(raw.astype(np.int64)) if self._table is None else self._table[raw]
+        # A field of one byte is a whole number already: it is the place in the table.
+        return self._translate(raw.astype(np.int64)) if self._table is None else self._table[raw.astype(np.uint8, copy=False)]
 
     def _translate(self, raw: IntArray) -> NDArray[np.uint32]:
         status = np.zeros(len(raw), dtype=np.uint32)

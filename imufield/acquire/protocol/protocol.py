@@ -225,13 +225,13 @@ def _build(top: Table, settings: dict[str, Setting]) -> Protocol:
             can, units, clock = parts.rule, parts.units, parts.clock
             nothing = Quantity(fields=())
             samples = SampleRule(accelerometer=nothing, gyroscope=nothing, temperature=nothing, flags=(), instrument_status=())
-            factors = dict.fromkeys(PARTS, 1.0)
+            factors: dict[str, float] = dict.fromkeys(map(str, PARTS), 1.0)
         else:
             frame = read_frames(top) if kind == "frames" else None
             lines = read_text(top) if kind == "text" else None
             samples, clock = read_samples(top), read_clock(top)
             units_of = {part: _unit_of(top, part, frame, samples) for part in PARTS}
-            factors = {part: factor for part, (_, factor) in units_of.items()}
+            factors = {str(part): factor for part, (_, factor) in units_of.items()}
             accelerometer, gyroscope = units_of["accelerometer"][0], units_of["gyroscope"][0]
             increments = samples.accelerometer.increment, samples.gyroscope.increment
             units = sample_units(top.table("clock"), clock, accelerometer, gyroscope, increments=increments)

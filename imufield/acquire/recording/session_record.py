@@ -164,7 +164,7 @@ class SessionRecord:
         site = _read_table(SiteRecord, "site", content, path)
         guide = _read_table(GuideRecord, "guide", content, path)
         zero = content.get("nominal", {}).get("raw_zero")
-        zeros = zero if isinstance(zero, list) and len(zero) == len(ACCELEROMETER_COLUMNS) else [zero]
+        zeros: list[Any] = zero if isinstance(zero, list) and len(zero) == len(ACCELEROMETER_COLUMNS) else [zero]
         for value in zeros:
             _check_number("nominal.raw_zero", value, path, low=-LARGEST_OUTPUT, high=LARGEST_OUTPUT)
         for key, value in content.get("settings", {}).items():

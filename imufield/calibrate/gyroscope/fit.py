@@ -180,7 +180,7 @@ def _gauss_newton(
     for _ in range(_ITERATIONS):
         step = _linear_step(now, parts, scatter, p, free=free, prior=prior)
         # Take the step, or the half of it that first lowers the cost.
-        L, share = _root(parts.total(scatter)), 1.0
+        L, share, trial = _root(parts.total(scatter)), 1.0, p
         for tried in range(1, _HALVINGS + 1):
             trial = p.copy()
             trial[free] += step.change * share

@@ -166,8 +166,8 @@ def stack_slots(parts: list[Slots]) -> Slots:
 
 def no_slots() -> Slots:
     """Return zero slots."""
-    shapes = dict.fromkeys(("turn", "moment", "area", "force", "plateau"), (0, 3))
-    arrays = {name: np.empty(shapes.get(name, 0)) for name in _SLOT_FIELDS if name != "flags"}
+    vectors = ("turn", "moment", "area", "force", "plateau")
+    arrays = {name: np.empty((0, 3) if name in vectors else 0) for name in _SLOT_FIELDS if name != "flags"}
     return Slots(flags=np.empty(0, np.uint8), **arrays)
 
 

@@ -187,8 +187,9 @@ def _connect_options(given: PortOrBus | Connection, typed: frozenset[str]) -> "C
             raise UsageError(f"--port {port} and --bus {bus} contradict each other; give one of them")
         port, bus = (port, None) if "port" in typed else (None, bus)
     # The fields have the names of those they are handed to; what a probe does not ask for keeps its default.
-    values = {entry.name: getattr(given, entry.name) for entry in fields(given)}
-    return ConnectOptions(**values | {"port": port, "bus": bus})
+    values: dict[str, Any] = {entry.name: getattr(given, entry.name) for entry in fields(given)}
+    values |= {"port": port, "bus": bus}
+    return ConnectOptions(**values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
