@@ -33,10 +33,10 @@ demo: $(CORE)
 	@echo "imufield is installed as $(BIN)/imufield: run it so, or type \". $(BIN)/activate\" once in each terminal"
 	@echo "and then imufield alone."
 
-# Much of the time of tests goes in waiting for ports: four at a time keep two cores busy. A process that has done its share
-# takes tests of the others, so that no long file is left for the end.
+# Much of the time of tests goes in waiting for ports: four at a time keep two cores busy. A file stays in one process: the
+# lines of a page, for example, build on each other.
 test: $(TEST)
-	$(BIN)/python -m pytest -n 4 --dist worksteal
+	$(BIN)/python -m pytest -n 4 --dist loadfile
 
 bench: $(TEST)
 	$(BIN)/python -m benchmarks
