@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import ast
 import io
+import re
+import string
 import sys
 import tokenize
+import tomllib
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -20,7 +23,7 @@ CODE = ("imufield", "drivers")
 
 # From the lowest room to the highest: an import may point to a room above it in this list, or into its own.
 ROOMS = (
-    ("version",),
+    ("version", "sentences"),
     ("errors",),
     ("samples", "earth", "files"),
     ("acquire/protocol",),
@@ -85,6 +88,7 @@ APART = {
 }
 MANY_OF_A_KIND = ("commands", "deliver/exports", "study", "drivers", "protocols")  # Folders with a file for each thing.
 SETTINGS = ("GuideSettings",)
+_KEY = re.compile(r"\w+\.\w+")  # Of a sentence: module and name.
 POSITIONAL = 6  # From this number on, arguments without a name cannot be understood at the place of the call.
 
 
@@ -234,6 +238,40 @@ def unset_settings(found: list[Module]) -> list[str]:
     ]
 
 
+def sentences_astray(found: list[Module]) -> list[str]:
+    """Return keys and values in the code that a room's ``sentences.toml`` lacks, and sentences there that no code names."""
+    astray = []
+    folders: dict[Path, list[Module]] = defaultdict(list)
+    for module in found:
+        folders[module.path.parent].append(module)
+    for folder, inside in folders.items():
+        path = folder / "sentences.toml"
+        table = tomllib.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        texts = {f"{section}.{name}": text for section, named in table.items() for name, text in named.items()}
+        unnamed = set(texts)
+        for module in inside:
+            for node in ast.walk(module.tree):
+                if isinstance(node, ast.Constant):
+                    unnamed.discard(node.value)
+                if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "sentence" and node.args:
+                    place = f"{module.path.relative_to(PROJECT).as_posix()}:{node.lineno}"
+                    astray += [f"{place} {what}" for what in _lacking(node, texts)]
+        astray += [f"{path.relative_to(PROJECT).as_posix()} {key}: no code names it" for key in sorted(unnamed)]
+    return astray
+
+
+def _lacking(call: ast.Call, texts: Mapping[str, str]) -> Iterator[str]:
+    given = {keyword.arg for keyword in call.keywords}
+    constants = (node.value for node in ast.walk(call.args[0]) if isinstance(node, ast.Constant))
+    keys = [value for value in constants if isinstance(value, str) and _KEY.fullmatch(value)]
+    for key in keys:
+        if key not in texts:
+            yield f"{key}: no such sentence"
+        elif None not in given:  # Not with ``**values``.
+            named = {re.split(r"[.[]", name)[0] for _, name, _, _ in string.Formatter().parse(texts[key]) if name}
+            yield from (f"{key}: {{{name}}} is not given" for name in sorted(named - given))
+
+
 def lines(module: Module) -> tuple[int, int]:
     """Return the lines of code, without blanks, docstrings and comments, and the comments."""
     strings: set[int] = set()
@@ -273,6 +311,7 @@ def main(folders: list[str]) -> int:
     rings, up = circles(graph(every)), arrows_up(every)
     calls = [place for place in positional_calls(every) if place.rpartition(":")[0] in mine]
     unset = unset_settings(every)
+    astray = sentences_astray(every)
     any_count = sum(any_in_annotations(module) for module in chosen)
     rows: list[tuple[str, float, float | None, Iterable[str]]] = [
         (f"modules in one folder ({where})", most, 14, ()),
@@ -281,6 +320,7 @@ def main(folders: list[str]) -> int:
         ("Any in annotations", any_count, 60, ()),
         (f"calls with {POSITIONAL} or more positional arguments", len(calls), 0, calls),
         ("settings that nothing sets", len(unset), 0, unset),
+        ("sentences without a place, places without a sentence", len(astray), 0, astray),
         ("comments on 100 lines of code, at least", round(100 * comments / max(code, 1), 2), -5, ()),
         ("lines of code", code, None, ()),
     ]

@@ -12,6 +12,9 @@ import math
 from dataclasses import dataclass
 
 from imufield.errors import CalibrationError, Reason, UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 EARTH_RATE_RAD_S = 7.292115e-5
 """WGS 84."""
@@ -84,11 +87,14 @@ def contradiction(gravity: Gravity) -> str:
     off, limit = gravity.gravity_m_s2 - normal, math.hypot(gravity.sigma_m_s2, NORMAL_GRAVITY_SIGMA_M_S2)
     if abs(off) <= GRAVITIES_DIFFER_SIGMA * limit:
         return ""
-    height = "at a height that was not given, 0 m taken" if gravity.height_m is None else f"at {gravity.height_m:g} m"
-    return (
-        f"gravity was given as {gravity.gravity_m_s2:g} m/s^2, but latitude {gravity.latitude_deg:g} deg {height} has "
-        f"{normal:.5f} m/s^2 by WGS-84: {abs(off) / normal * 1e6:.0f} ppm of scale apart (limit "
-        f"{GRAVITIES_DIFFER_SIGMA * limit / normal * 1e6:.0f} ppm); the value given is used, check both"
+    return sentence(
+        "earth.contradiction" if gravity.height_m is not None else "earth.contradiction_at_0_m",
+        gravity_m_s2=gravity.gravity_m_s2,
+        latitude_deg=gravity.latitude_deg,
+        height_m=gravity.height_m,
+        normal_m_s2=normal,
+        apart_ppm=abs(off) / normal * 1e6,
+        limit_ppm=GRAVITIES_DIFFER_SIGMA * limit / normal * 1e6,
     )
 
 
@@ -108,23 +114,14 @@ def choose_gravity(
         If the latitude or height is outside its range.
     """
     if latitude_deg is not None and not -90 <= latitude_deg <= 90:
-        raise UsageError(
-            f"latitude {latitude_deg:g} deg is outside -90 to 90 deg; give it in decimal degrees", latitude_deg=latitude_deg
-        )
+        raise UsageError(sentence("earth.latitude", latitude_deg=latitude_deg))
     if height_m is not None and not HEIGHT_RANGE_M[0] <= height_m <= HEIGHT_RANGE_M[1]:
-        raise UsageError(
-            f"height {height_m:g} m is outside {HEIGHT_RANGE_M[0]:g} to {HEIGHT_RANGE_M[1]:g} m; give it in metres",
-            height_m=height_m,
-        )
+        raise UsageError(sentence("earth.height", height_m=height_m, low_m=HEIGHT_RANGE_M[0], high_m=HEIGHT_RANGE_M[1]))
     if gravity_m_s2 is not None:
         low, high = GRAVITY_RANGE_M_S2
         if not low <= gravity_m_s2 <= high:
-            raise CalibrationError(
-                f"gravity {gravity_m_s2:g} m/s^2 is outside {low} to {high} m/s^2, the range on the Earth's surface; "
-                "check the value, or give --latitude and --height instead",
-                Reason.GRAVITY,
-                gravity_m_s2=gravity_m_s2,
-            )
+            refused = sentence("earth.gravity", gravity_m_s2=gravity_m_s2, low=low, high=high)
+            raise CalibrationError(refused, Reason.GRAVITY)
         value, sigma, source = gravity_m_s2, sigma_of_digits(repr(float(gravity_m_s2))), "typed"
     elif latitude_deg is not None:
         height_m = height_m or 0.0

@@ -20,9 +20,10 @@ from __future__ import annotations
 from enum import Enum
 from typing import Any, ClassVar
 
+from imufield.sentences import Sentence
+
 EXIT_INTERRUPTED = 130
 """What typer leaves with after Ctrl-C; SIGTERM and SIGHUP take the same way."""
-_LONGEST_SHOWN = 40
 
 
 class Reason(Enum):
@@ -61,27 +62,17 @@ class Reason(Enum):
     FAILED_REQUIREMENT = "failed_requirement"
 
 
-def counted(number: int, noun: str) -> str:
-    """Return "1 position", "2 positions": a number with its noun, for sentences."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
-def shortened(text: str) -> str:
-    """Return the beginning of a long text out of somebody's file, for sentences."""
-    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
-
-
 class ImufieldError(Exception):
     """Base of every error a user can cause.
 
     Parameters
     ----------
     message : str
-        One sentence: what, where, limit, measured value, remedy.
+        One sentence: what, where, limit, measured value, remedy. One of ``sentences.toml`` brings its values along.
     reason : Reason
         The same for programs.
     **values : object
-        The values named in the message, kept as ``error.values``.
+        Further values, kept as ``error.values`` with those of the sentence.
     """
 
     exit_code: ClassVar[int] = 2
@@ -91,7 +82,7 @@ class ImufieldError(Exception):
         super().__init__(message)
         self.message = message
         self.reason = reason or self.default_reason
-        self.values = values
+        self.values = {**message.values, **values} if isinstance(message, Sentence) else values
 
 
 class UsageError(ImufieldError, ValueError):

@@ -17,6 +17,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 AnError = TypeVar("AnError", bound=ImufieldError)
 
@@ -30,32 +33,17 @@ SMALL_FILE_LIMIT_BYTES = 1 << 24
 """A thousand positions take half a mebibyte; what is read whole is never larger than this."""
 
 
-# What a failed write means: error numbers of the system, reason for programs, and words and remedy for people.
-_WRITE_FAULTS: tuple[tuple[frozenset[int], Reason, str, str], ...] = (
+# What a failed write means: error numbers of the system, the reason, and the sentence.
+_WRITE_FAULTS: tuple[tuple[frozenset[int], Reason, str], ...] = (
     # EDQUOT is the quota of one user; Windows has it under the same name.
-    (frozenset({errno.ENOSPC, errno.EDQUOT}), Reason.DISK_FULL, "the disk or its quota is full", "free some space"),
-    (
-        # A limit of the file system (4 GiB on FAT) or of the process (ulimit -f); the disk itself may have space.
-        frozenset({errno.EFBIG}),
-        Reason.DISK_FULL,
-        "a limit on the size of files is reached and nothing more fits",
-        "raise the limit, free some space, or choose another place",
-    ),
-    (
-        frozenset({errno.EACCES, errno.EPERM, errno.EROFS}),
-        Reason.NO_PERMISSION,
-        "nothing may be written there",
-        "change the permissions, or choose another place",
-    ),
-    (
-        # The system gives ENOENT for a name below /proc, too, though that folder exists.
-        frozenset({errno.ENOENT, errno.ENOTDIR}),
-        Reason.FOREIGN,
-        "its folder is not there, was deleted or takes no files",
-        "check the name, or choose another folder",
-    ),
-    (frozenset({errno.EEXIST, errno.EISDIR}), Reason.FOREIGN, "nothing is overwritten there", "choose another name"),
-    (frozenset({errno.ENAMETOOLONG}), Reason.USAGE, "no file can have so long a name", "choose a shorter one"),
+    (frozenset({errno.ENOSPC, errno.EDQUOT}), Reason.DISK_FULL, "files.disk_full"),
+    # A limit of the file system (4 GiB on FAT) or of the process (ulimit -f); the disk itself may have space.
+    (frozenset({errno.EFBIG}), Reason.DISK_FULL, "files.size_limit"),
+    (frozenset({errno.EACCES, errno.EPERM, errno.EROFS}), Reason.NO_PERMISSION, "files.no_permission"),
+    # The system gives ENOENT for a name below /proc, too, though that folder exists.
+    (frozenset({errno.ENOENT, errno.ENOTDIR}), Reason.FOREIGN, "files.no_folder"),
+    (frozenset({errno.EEXIST, errno.EISDIR}), Reason.FOREIGN, "files.exists"),
+    (frozenset({errno.ENAMETOOLONG}), Reason.USAGE, "files.long_name"),
 )
 
 
@@ -74,11 +62,9 @@ def write_error(path: str | Path, error: OSError, kind: type[AnError], *, advice
         What else the person can do, appended to the sentence.
     """
     cause = error.strerror or str(error)
-    reason, words = Reason.DAMAGED, "check the disk, or choose another place"
-    for numbers, its_reason, what, remedy in _WRITE_FAULTS:
-        if error.errno in numbers:
-            reason, words = its_reason, f"{what}; {remedy}"
-    return kind(f"{path} cannot be written ({cause}): {words}{advice}", reason, path=str(path), errno=error.errno)
+    named = ((reason, key) for numbers, reason, key in _WRITE_FAULTS if error.errno in numbers)
+    reason, key = next(named, (Reason.DAMAGED, "files.cannot_write"))
+    return kind(sentence(key, path=str(path), cause=cause, advice=advice), reason, errno=error.errno)
 
 
 @contextmanager
@@ -162,10 +148,10 @@ def refuse_overwriting(output: Path, inputs: Iterable[Path] = ()) -> None:
         If it would.
     """
     if any(_RECORDED.fullmatch(name) for name in (output.name, Path(os.path.realpath(output)).name)):
-        raise UsageError(f"{output} has the name of a file of a recording, which nothing can bring back; choose another output")
+        raise UsageError(sentence("files.name_of_recording", output=output))
     for path in inputs:
         if _is_same(output, path):
-            raise UsageError(f"{output} is read by this command and would be overwritten; choose another output")
+            raise UsageError(sentence("files.is_input", output=output))
 
 
 def _is_same(output: Path, path: Path) -> bool:

@@ -12,7 +12,7 @@ from imufield.errors import ImufieldError, Reason
 
 @contextmanager
 def refused(
-    kind: type[ImufieldError], reason: Reason | None = None, *facts: str
+    kind: type[ImufieldError], reason: Reason | None = None, *facts: str, key: str | None = None
 ) -> Iterator[pytest.ExceptionInfo[ImufieldError]]:
     """Expect an error of a kind.
 
@@ -22,10 +22,13 @@ def refused(
     reason : Reason, optional
     *facts : str
         What the sentence must name: a file, an option, a key, a number with its unit.
+    key : str, optional
+        Which sentence of its room's ``sentences.toml`` it is.
     """
     with pytest.raises(kind) as caught:
         yield caught
     assert reason is None or caught.value.reason is reason, caught.value
+    assert key is None or getattr(caught.value.message, "key", None) == key, caught.value
     for fact in facts:
         assert fact in caught.value.message
     # Every sentence says what to do: more than the fact that something is wrong.

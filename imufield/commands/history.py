@@ -27,8 +27,9 @@ from imufield.deliver.history import (
 )
 from imufield.deliver.parameters.gauge_free import Number
 from imufield.deliver.parameters.numbers import WIDTH, beside, hanging, to_ascii, with_sigma
-from imufield.errors import UsageError, counted
+from imufield.errors import UsageError
 from imufield.files import refuse_overwriting
+from imufield.sentences import counted
 
 _NO_UNIT = ("m/s^2 per m/s^2", "rad/s per rad/s")  # Units of a scale that is 1 but for its error.
 

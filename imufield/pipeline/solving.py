@@ -18,7 +18,7 @@ from imufield.calibrate.model.observation_files import read_observations
 from imufield.calibrate.model.observations import Observations, count_repeats_once
 from imufield.deliver.parameters.file import Context, InstrumentFacts, Parameters, SessionFacts, load
 from imufield.earth import Gravity
-from imufield.errors import CalibrationError, ImufieldError, Reason, counted
+from imufield.errors import CalibrationError, ImufieldError, Reason
 from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import Event, RefusalCode, Rejected
 from imufield.guide.lead.guide import Guide
@@ -26,6 +26,7 @@ from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, MoveListen
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage, without_end_under_way
 from imufield.pipeline.site import SiteOptions
+from imufield.sentences import counted
 
 _HASH_BLOCK_BYTES = 1 << 20  # Bounds the memory, whatever the size of a part.
 _BETTER_KNOWN = 3.0  # Factor between sigmas of gravity from which the common scale of a session is another in practice.

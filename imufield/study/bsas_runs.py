@@ -19,8 +19,8 @@ from imufield.calibrate.solvers.base import Solver, SolverResult
 from imufield.calibrate.solvers.beetles import BasSettings, BsasSettings, solve_bas, solve_bsas
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.staged import PAPER_CATEGORIES, solve_stages
-from imufield.errors import counted
 from imufield.samples import FloatArray
+from imufield.sentences import counted
 from imufield.study import figures
 from imufield.study.bsas_bound import TURN_SIGMA_RAD, bound
 from imufield.study.bsas_stages import CATEGORIES, CATEGORY_OFF, SETTING, stage_problem

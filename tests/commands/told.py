@@ -28,10 +28,11 @@ def failure(*arguments: object) -> ImufieldError:
     return seen[0]
 
 
-def fails(arguments: str | list[str], code: int, reason: Reason, *facts: str) -> ImufieldError:
-    """Run a command line that must fail with this exit code for this reason and name these facts."""
+def fails(arguments: str | list[str], code: int, reason: Reason, *facts: str, key: str | None = None) -> ImufieldError:
+    """Run a command line that must fail with this exit code, reason and key of its sentence, and name these facts."""
     error = failure(*(arguments.split() if isinstance(arguments, str) else arguments))
     assert (error.exit_code, error.reason) == (code, reason), error
+    assert key is None or getattr(error.message, "key", None) == key, error
     assert not missing(error.message, *facts), error
     return error
 

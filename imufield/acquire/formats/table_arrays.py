@@ -23,8 +23,9 @@ import numpy as np
 from imufield.acquire.formats import array_file_reader
 from imufield.acquire.formats.array_file_reader import Array, Arrays
 from imufield.acquire.formats.table_columns import named_column
-from imufield.errors import Reason, RecordingError, UsageError, shortened
+from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import shortened
 
 MATLAB_7_3 = b"MATLAB 7.3"
 MATLAB_5 = b"MATLAB 5.0"

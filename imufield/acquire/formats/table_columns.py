@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from imufield.errors import UsageError, shortened
+from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, SAMPLE_COLUMNS
+from imufield.sentences import shortened
 
 TIME = "time"
 TEMPERATURE = "temperature"

@@ -16,8 +16,9 @@ from typing import BinaryIO, cast
 
 import numpy as np
 
-from imufield.errors import Reason, RecordingError, shortened
+from imufield.errors import Reason, RecordingError
 from imufield.samples import FloatArray
+from imufield.sentences import shortened
 
 BLOCK_BYTES = 8 << 20
 """Text parsed at a time: bounds the memory beside the numbers themselves."""

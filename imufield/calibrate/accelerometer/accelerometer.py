@@ -52,8 +52,9 @@ from imufield.calibrate.model.uncertainty import (
 )
 from imufield.calibrate.solvers.least_squares import Loss
 from imufield.earth import Gravity
-from imufield.errors import CalibrationError, Reason, UsageError, counted
+from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
+from imufield.sentences import counted
 
 EQUATIONS = {
     "sensing": "N - raw_zero = K (T a + b) + K2 (T a)^2",

@@ -14,8 +14,9 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Quality
 from imufield.calibrate.model.uncertainty import Influence, single_positions, student_factor
 from imufield.earth import MEASURED_GRAVITY_SIGMA_M_S2, MILLI_G_M_S2, Gravity, contradiction
-from imufield.errors import CalibrationError, Reason, counted
+from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import counted
 
 POOR_RESIDUAL_M_S2 = 5 * MILLI_G_M_S2
 """Leave-one-out RMS above this: a hold that was touched or a wrong column, not a consumer-grade sensor's noise."""

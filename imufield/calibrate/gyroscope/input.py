@@ -17,8 +17,9 @@ from imufield.calibrate.gyroscope.whole_turns import Stop
 from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
-from imufield.errors import CalibrationError, Reason, counted
+from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import counted
 
 FEWEST_STILLS = 2
 """One alone says nothing about its scatter."""

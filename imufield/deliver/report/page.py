@@ -18,7 +18,7 @@ from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.rows import VERDICT_WORDS, parameter_rows
 from imufield.deliver.verification.result import duration_words
 from imufield.earth import MICRO_G_M_S2, height_words
-from imufield.errors import counted
+from imufield.sentences import counted
 
 _GRAVITY_WORDS = {
     "typed": "given by the user",

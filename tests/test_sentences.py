@@ -1,0 +1,61 @@
+"""The sentences of the rooms: found by key, filled with their values, carried by errors."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from imufield.errors import Reason, RecordingError
+from imufield.sentences import Sentence, Sentences, counted, shortened
+
+sentence = Sentences("imufield")
+
+
+def test_a_sentence_names_its_values_and_keeps_them() -> None:
+    made = sentence("earth.latitude", latitude_deg=91.5)
+    assert "91.5" in made
+    assert (made.key, made.values) == ("earth.latitude", {"latitude_deg": 91.5})
+
+
+def test_an_error_takes_the_values_of_its_sentence_and_its_own() -> None:
+    error = RecordingError(sentence("files.is_input", output="a.csv"), Reason.FOREIGN, errno=17)
+    assert error.values == {"output": "a.csv", "errno": 17}
+
+
+@pytest.mark.parametrize("way", [copy.copy, lambda made: pickle.loads(pickle.dumps(made))])  # noqa: S301
+def test_a_sentence_goes_to_another_process_as_it_is(way: Callable[[Sentence], Sentence]) -> None:
+    made = sentence("files.is_input", output="a.csv")
+    other = way(made)
+    assert (other, other.key, other.values) == (made, made.key, made.values)
+
+
+def test_a_value_in_braces_is_text() -> None:
+    assert "{cause.__class__}" in sentence("files.is_input", output="{cause.__class__}")
+
+
+def test_a_key_that_is_not_there_is_a_defect() -> None:
+    with pytest.raises(KeyError):
+        sentence("files.no_such_sentence")
+
+
+def test_numbers_are_counted_and_lists_joined(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sentences.toml").write_text('[a]\nb = """\n  {found:#position} of\n  {names}"""\n')
+    monkeypatch.setattr("imufield.sentences.__file__", str(tmp_path / "sentences.py"))
+    made = Sentences("imufield")
+    from imufield import sentences
+
+    sentences._table.cache_clear()
+    try:
+        assert made("a.b", found=1, names=["x", "y"]) == "1 position of x, y"
+        assert made("a.b", found=2, names=("x",)) == "2 positions of x"
+    finally:
+        sentences._table.cache_clear()
+
+
+def test_what_is_long_is_shortened_and_what_is_one_counts_as_one() -> None:
+    assert shortened("x" * 41) == "x" * 40 + "..."
+    assert counted(1, "hold") == "1 hold"
