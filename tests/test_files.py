@@ -87,7 +87,7 @@ def test_what_a_failed_write_means(number: int, reason: Reason) -> None:
     for kind in (ParameterFileError, RecordingError):
         error = write_error("a/b.toml", failed, kind, advice="; resume")
         assert type(error) is kind
-        assert (error.reason, error.values) == (reason, {"path": "a/b.toml", "errno": number})
+        assert (error.reason, error.values["path"], error.values["errno"]) == (reason, "a/b.toml", number)
         assert "a/b.toml" in error.message
         assert os.strerror(number) in error.message
         assert error.message.endswith("; resume")
