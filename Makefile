@@ -21,7 +21,7 @@ help:
 	@echo "make docs    build the documentation into build/docs; broken links and examples fail"
 	@echo "make torture  kills, cuts, bad wires and files, in full, about half an hour; writes docs/reliability.md"
 	@echo "make coverage  branches tested in acquire, calibrate and guide; below 90 % fails"
-	@echo "make audit   every dependency as it was tested; make lock notes them anew"
+	@echo "make audit   what is installed against the lock; make lock notes it anew"
 	@echo "make changelog  what has changed since the last release"
 	@echo "make screens draw the guide's screens in README and docs again, from an emulated session"
 	@echo "make wheel   build source archive and wheel into dist/, check what is in them"
@@ -88,7 +88,7 @@ screens: $(DEV)
 # The source archive is built first and the wheel from it: what is not in the archive cannot get into the wheel.
 wheel: $(DEV)
 	rm -rf dist
-	$(BIN)/python -m build --outdir dist
+	$(BIN)/python -m build $(BUILD) --outdir dist
 	$(BIN)/python .ci/check_wheel.py dist/*.whl
 
 clean:
