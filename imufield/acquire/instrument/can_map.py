@@ -22,6 +22,9 @@ from imufield.acquire.protocol.toml import near
 from imufield.acquire.registry import load_driver
 from imufield.errors import ProtocolError, Reason, UsageError
 from imufield.samples import AXES
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _TRIADS = ("accelerometer", "gyroscope")
 _MAP_TEXTS = ("accelerometer.unit", "gyroscope.unit", "temperature", "temperature.unit", "counter", "time")
@@ -52,10 +55,11 @@ def parse_map(texts: Iterable[str]) -> dict[str, str]:
     for text in texts:
         key, _, value = (part.strip() for part in text.partition("="))
         if key not in KEYS:
-            raise UsageError(f"--map {text!r}: {key!r} is not known{near(key, KEYS)}; keys are {', '.join(KEYS)}", map=text)
-        if not value or key in found:
-            problem = "is given twice" if key in found else "has no value"
-            raise UsageError(f"--map {text!r}: {key} {problem}; write e.g. {key}=SIGNAL or {key}=MESSAGE.SIGNAL", map=text)
+            raise UsageError(sentence("can_map.unknown_key", map=text, key=key, near=near(key, KEYS), known=KEYS))
+        if key in found:
+            raise UsageError(sentence("can_map.twice", map=text, key=key))
+        if not value:
+            raise UsageError(sentence("can_map.no_value", map=text, key=key))
         found[key] = value
     return found
 
@@ -84,7 +88,7 @@ def protocol_from_dbc(path: str | Path, mapping: Mapping[str, str], settings: Ma
             # One byte more than allowed, so that a file which is too long shows.
             content = file.read(DBC_LIMIT_BYTES + 1)
     except OSError as error:
-        raise ProtocolError(f"DBC file {path} cannot be read: {error.strerror}; check the path", path=str(path)) from error
+        raise ProtocolError(sentence("can_map.unreadable", path=str(path), cause=error.strerror)) from error
     text = protocol_text(path.stem, path.name, mapping) + dbc_table(decode_dbc(content, path.name))
     return parse_protocol(text, settings, label=f"{path.name} with --map")
 
@@ -93,7 +97,7 @@ def protocol_text(name: str, dbc: str, mapping: Mapping[str, str]) -> str:
     """Return the protocol file, without the DBC, that says the same as ``--map``: a start for one's own."""
     identifiers = mapping.get("identifiers", "auto")
     if identifiers not in _IDENTIFIERS:
-        raise UsageError(f"--map identifiers={identifiers} is not one of {', '.join(_IDENTIFIERS)}", identifiers=identifiers)
+        raise UsageError(sentence("can_map.identifiers", identifiers=identifiers, known=_IDENTIFIERS))
     # Names of protocols are words of small letters.
     word = re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_") or "dbc"
     triads = []
@@ -101,7 +105,7 @@ def protocol_text(name: str, dbc: str, mapping: Mapping[str, str]) -> str:
         missing = [key for key in keys if key not in mapping]
         # A triad that is not named at all is not there; half a triad is a mistake.
         if 0 < len(missing) < len(keys):
-            raise UsageError(f"--map has no {' and no '.join(missing)}: a triad needs all three axes", missing=missing)
+            raise UsageError(sentence("can_map.missing", missing=missing))
         if not missing:
             triads.append(f"{triad} = [{', '.join(_quoted(mapping[key]) for key in keys)}]")
     lists = {key: [part.strip() for part in mapping[key].split(",")] for key in _ASSEMBLY_LISTS if key in mapping}
@@ -136,7 +140,7 @@ def _number_line(mapping: Mapping[str, str], key: str) -> list[str]:
     try:
         return [f"{key.replace('.', '_')} = {float(mapping[key])!r}"]
     except ValueError:
-        raise UsageError(f"--map {key}={mapping[key]} is no number", map=key) from None
+        raise UsageError(sentence("can_map.no_number", map=key, value=mapping[key])) from None
 
 
 def _quoted(text: str) -> str:
@@ -164,7 +168,7 @@ def bus_candidate(
         It cannot be understood, or is not of a CAN bus.
     """
     if sum(way is not None for way in (driver, protocol, dbc)) != 1:
-        raise UsageError("a CAN bus needs exactly one of --driver, --protocol and --dbc")
+        raise UsageError(sentence("can_map.one_way"))
     known = None if driver is None else load_driver(driver)
     if known is not None:
         found = known.load_protocol(settings)
@@ -174,7 +178,7 @@ def bus_candidate(
         found = protocol if isinstance(protocol, Protocol) else load_protocol(protocol or "", settings)
     name = driver or found.name
     if found.can is None:
-        raise ProtocolError(f"{name} is no protocol of a CAN bus; give its --port instead of a --bus", Reason.BAD_PROTOCOL)
+        raise ProtocolError(sentence("can_map.no_bus", name=name), Reason.BAD_PROTOCOL)
     bit_rate = known.default_baud if known else found.can.bit_rate
     title = known.title if known else found.title
     return Candidate(name=name, title=title, protocol=found, bauds=(bit_rate,) if bit_rate else (), driver=known)

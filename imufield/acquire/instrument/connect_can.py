@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 from imufield.acquire.decode.statistics import LEFT_OUT
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.driver import Driver, Message
+from imufield.acquire.driver import Message
 from imufield.acquire.instrument.can_map import bus_candidate
 from imufield.acquire.instrument.connected import Connected, ConnectOptions, ask_identity, assumed, untried, with_settings
 from imufield.acquire.instrument.instrument import Instrument
-from imufield.acquire.instrument.listen import LISTEN_S, Say, usable
+from imufield.acquire.instrument.listen import LISTEN_S, Say, driver_candidates, usable
 from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, Candidate
 from imufield.acquire.link.background import BackgroundLink
 from imufield.acquire.link.can import CanLink, open_can_link, parse_bus
@@ -27,6 +27,9 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.can_frames import ERROR, unpack_frames
 from imufield.acquire.protocol.protocol import parse_protocol
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _IDENTIFIERS_NAMED = 8  # More identifiers than this do not help a reader of an error message.
 
@@ -71,7 +74,7 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
         DBC file or protocol cannot be understood.
     """
     if options.rate_hz is not None:
-        raise UsageError("--rate-hz is for instruments on a serial port; leave it out on a CAN bus")
+        raise UsageError(sentence("connect_can.rate"))
     link, chunks, listener = _recognised(options, clock, say)
     candidate = listener.candidate
     driver, protocol, identity = candidate.driver, candidate.protocol, {}
@@ -82,9 +85,10 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
             identity = driver.identity(messages)
             protocol = with_settings(driver, protocol, messages)
         if driver is not None and options.driver is None:
-            say(f"driver {candidate.name} (recognised by {listener.frames} frames with identifiers of {protocol.title})")
-        for sentence in (*untried(driver), *assumed(protocol)):
-            say(sentence)
+            told = {"driver": candidate.name, "frames": listener.frames, "title": protocol.title}
+            say(sentence("connect_can.recognised", **told))
+        for remark in (*untried(driver), *assumed(protocol)):
+            say(remark)
         model = identity.pop("model", "") or candidate.name
         return Connected(
             link=BackgroundLink(link),
@@ -145,14 +149,12 @@ def _recognised(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[Ca
     bit_rate = options.baud
     if not address.takes_bit_rate:
         if bit_rate not in (None, address.bit_rate):
-            say(f"bit rate {bit_rate} is not used: {bus} has one of its own")
+            say(sentence("connect_can.other_bit_rate", bus=bus, bit_rate=bit_rate))
         bit_rate = None
     elif bit_rate is None:
         known = {candidate.bauds[:1] for candidate in candidates}
         if len(known) != 1 or known == {()}:
-            raise UsageError(
-                f"at which bit rate is {bus}? give it with --baud, e.g. --baud 250000 (J1939): trying disturbs a bus", bus=bus
-            )
+            raise UsageError(sentence("connect_can.which_bit_rate", bus=bus))
         bit_rate = candidates[0].bauds[0]
         say(f"bit rate {bit_rate} (assumed)")
     link = open_can_link(bus, bit_rate=bit_rate, clock=clock)
@@ -168,9 +170,9 @@ def _recognised(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[Ca
 def bus_candidates(options: ConnectOptions, say: Say | None = None) -> list[Candidate]:
     """Return the ways to read the bus: the one that was given, else every CAN driver; raises as ``connect_bus``."""
     if options.protocol is not None and options.dbc is not None:
-        raise UsageError("--protocol and --dbc contradict each other; give one of them")
+        raise UsageError(sentence("connect_can.protocol_and_dbc"))
     if options.mapping and options.dbc is None:
-        raise UsageError("--map names signals of a DBC file; give the file with --dbc")
+        raise UsageError(sentence("connect_can.map_without_dbc"))
     if options.protocol is not None or options.dbc is not None:
         # A file that is named goes before a driver, which may be a default.
         return [bus_candidate(protocol=options.protocol, dbc=options.dbc, mapping=options.mapping, settings=options.settings)]
@@ -179,14 +181,7 @@ def bus_candidates(options: ConnectOptions, say: Say | None = None) -> list[Cand
     if options.protocol_text is not None:
         protocol = parse_protocol(options.protocol_text, options.settings, label="protocol of the session")
         return [bus_candidate(protocol=protocol)]
-
-    def candidates(driver: type[Driver]) -> list[Candidate]:
-        known = driver.load_protocol().settings
-        # Settings go to the drivers that have them.
-        settings = {key: value for key, value in options.settings.items() if key in known}
-        return [bus_candidate(driver=driver.name, settings=settings)]
-
-    return usable("can", candidates, say)
+    return usable("can", lambda driver: driver_candidates(driver, options.settings, only_known=True), say)
 
 
 def _listen(link: CanLink, listeners: list[BusListener], clock: HostClock) -> list[Chunk]:
@@ -218,53 +213,28 @@ def _best(bus: str, chunks: Iterable[Chunk], listeners: list[BusListener]) -> Bu
     best = [listener for listener in good if listener.frames == most]
     if len(best) > 1:
         # The titles are those of the drivers: instruments that send the same messages share a protocol.
-        names = "; ".join(f"{listener.candidate.name}, {listener.candidate.title}" for listener in best)
-        raise UsageError(
-            f"{bus} carries messages that several instruments send, with their axes in different order; say with --driver "
-            f"which it is: {names}",
-            bus=bus,
-        )
+        drivers = "; ".join(f"{listener.candidate.name}, {listener.candidate.title}" for listener in best)
+        raise UsageError(sentence("connect_can.several_drivers", bus=bus, drivers=drivers))
     return best[0]
 
 
 def _nothing_understood(bus: str, chunks: Iterable[Chunk], listeners: list[BusListener]) -> LinkError:
     frames = [frame for chunk in chunks for frame in unpack_frames(chunk.data)]
     identifiers = Counter(frame.text.partition("#")[0] for frame in frames if not frame.can_id & ERROR)
-    names = ", ".join(listener.candidate.name for listener in listeners)
     if not frames:
-        return LinkTimeoutError(
-            f"{bus} is silent: no frame within {LISTEN_S:g} s; check power, wiring, the two 120 ohm ends, the bit rate, and "
-            "that the instrument is set to send by itself",
-            Reason.SILENCE,
-            bus=bus,
-            waited_s=LISTEN_S,
-        )
+        return LinkTimeoutError(sentence("connect_can.silent", bus=bus, waited_s=LISTEN_S), Reason.SILENCE)
     if not identifiers:
-        return LinkError(
-            f"{bus} carries {len(frames)} error frames and nothing else: the bit rate is wrong or the wiring is bad; give the "
-            "instrument's bit rate",
-            Reason.NO_FRAMES,
-            bus=bus,
-            error_frames=len(frames),
-        )
+        return LinkError(sentence("connect_can.error_frames", bus=bus, error_frames=len(frames)), Reason.NO_FRAMES)
+    heard = {"bus": bus, "frames": len(frames), "needed": FEWEST_SAMPLES}
     known = max(listeners, key=lambda listener: listener.frames)
     # The frames are known and yet make no samples: then it is not the driver that is wrong.
     if known.frames >= len(frames) / 2:
-        return LinkError(
-            f"{bus} carries frames of {known.candidate.name}, but {known.frames} of them could be joined in time to "
-            f"{known.samples} samples only, and {FEWEST_SAMPLES} are needed: check that the instrument sends all its messages, "
-            "and play a recording at its own pace",
-            Reason.NO_FRAMES,
-            bus=bus,
-            frames=len(frames),
-        )
-    heard = ", ".join(f"{text} x {count}" for text, count in identifiers.most_common(_IDENTIFIERS_NAMED))
-    more = f" and {len(identifiers) - _IDENTIFIERS_NAMED} others" if len(identifiers) > _IDENTIFIERS_NAMED else ""
-    return LinkError(
-        f"{bus} carries frames, but not of {names}: the identifiers {heard}{more} made "
-        f"{max(each.samples for each in listeners)} samples and {FEWEST_SAMPLES} are "
-        f"needed; give the right --driver, or --dbc with --map",
-        Reason.NO_FRAMES,
-        bus=bus,
-        frames=len(frames),
-    )
+        found = {"driver": known.candidate.name, "known": known.frames, "samples": known.samples}
+        return LinkError(sentence("connect_can.not_joined", **heard, **found), Reason.NO_FRAMES)
+    names = [f"{text} x {count}" for text, count in identifiers.most_common(_IDENTIFIERS_NAMED)]
+    others = len(identifiers) - _IDENTIFIERS_NAMED
+    key = "connect_can.unknown_and_others" if others > 0 else "connect_can.unknown"
+    drivers = [listener.candidate.name for listener in listeners]
+    samples = max(listener.samples for listener in listeners)
+    unknown = sentence(key, **heard, drivers=drivers, identifiers=names, others=others, samples=samples)
+    return LinkError(unknown, Reason.NO_FRAMES)

@@ -16,6 +16,9 @@ from imufield.acquire.link.background import BackgroundLink, ReopenableLink
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import LinkError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 # Settings that change every number, so that an assumed value must be seen.
 _WORTH_SAYING = ("accelerometer_range_g", "columns", "accelerometer_unit", "gyroscope_unit")
@@ -76,7 +79,7 @@ class Connected:
                 self.link.drain()
                 self.instrument.restore(self.link)
         except LinkError as error:
-            self.say(f"the instrument was not put back as it was: {error.message}; switching it off and on does it")
+            self.say(sentence("connected.not_put_back", cause=error.message))
         finally:
             self.link.close()
 
@@ -145,13 +148,13 @@ def untried(driver: type[Driver] | None) -> list[str]:
     """Return a sentence where the format of an instrument was never tried on bytes of a real one."""
     if driver is None or driver.status == "verified on real bytes":
         return []
-    return [f"experimental: {driver.title} was written from documents and never tried on a real one; check scale and axes"]
+    return [sentence("connected.experimental", title=driver.title)]
 
 
 def assumed(protocol: Protocol) -> list[str]:
     """Return a sentence for each setting that was assumed and changes every number."""
     return [
-        f"{name} = {setting.value} (assumed: the wire does not tell; change with --set {name}=...)"
+        sentence("connected.assumed", name=name, value=setting.value)
         for name, setting in protocol.settings.items()
         if setting.origin == "assumed" and name in _WORTH_SAYING
     ]

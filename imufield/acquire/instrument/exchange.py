@@ -13,6 +13,9 @@ from imufield.acquire.driver import Command, Message, any_message
 from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.serial import Chunk, Link
 from imufield.errors import LinkError, LinkTimeoutError, Reason
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 # Drivers of others import the first three from here.
 __all__ = ["ANSWER_S", "TRIES", "Command", "Exchange", "Message", "any_message"]
@@ -89,24 +92,12 @@ class Exchange:
         return answers
 
     def _failure(self, command: Command, answer: Message | None) -> LinkError | None:
-        name = self._link.name
+        asked = {"port": self._link.name, "command": command.name}
         if answer is None and command.is_answered:
-            return LinkTimeoutError(
-                f"the instrument on {name} does not answer: {command.name}, asked {TRIES} times, {ANSWER_S:g} s each; check "
-                "that the wire to the instrument is connected",
-                Reason.SILENCE,
-                port=name,
-                command=command.name,
-            )
+            silent = sentence("exchange.no_answer", **asked, tries=TRIES, limit_s=ANSWER_S)
+            return LinkTimeoutError(silent, Reason.SILENCE)
         refusal = command.refusal(answer) if answer is not None else ""
-        if not refusal:
-            return None
-        return LinkError(
-            f"the instrument on {name} refuses: {command.name} ({refusal}); set it with its maker's program",
-            Reason.REFUSED,
-            port=name,
-            command=command.name,
-        )
+        return LinkError(sentence("exchange.refused", **asked, refusal=refusal), Reason.REFUSED) if refusal else None
 
     def _ask(self, command: Command) -> Message | None:
         # What came before the command does not answer it.

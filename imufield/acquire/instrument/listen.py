@@ -14,6 +14,9 @@ from imufield.acquire.link.serial import Chunk, SerialLink, open_link
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.errors import LinkError, LinkTimeoutError, ProtocolError, Reason, SettingError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Say = Callable[[str], None]
 
@@ -203,27 +206,22 @@ def _listen(result: Search, clock: HostClock, quiet_s: float, *, end_s: float) -
 
 def nothing_recognised(port: str, result: Search) -> LinkError:
     """Return the error that says what arrived instead."""
-    bauds = ", ".join(str(hearing.baud) for hearing in result.hearings)
+    bauds = [hearing.baud for hearing in result.hearings]
     total = sum(hearing.byte_count for hearing in result.hearings)
     if total == 0:
         waited_s = LISTEN_S if len(result.hearings) == 1 else SILENT_S
-        return LinkTimeoutError(
-            f"{port} is silent: no byte within {waited_s:g} s at {bauds} bit/s; check power, cable, RX/TX and that the "
-            "instrument is set to send by itself",
-            Reason.SILENCE,
-            port=port,
-            waited_s=waited_s,
-        )
+        return LinkTimeoutError(sentence("listen.silent", port=port, waited_s=waited_s, bauds=bauds), Reason.SILENCE)
     listeners = [listener for hearing in result.hearings for listener in hearing.listeners]
     # The closest one helps to see what is wrong: a baud rate, a setting, a damaged line.
-    finding = max(listeners, key=lambda listener: (listener.decoder.statistics.frames, listener.accelerations)).finding()
-    names = ", ".join(dict.fromkeys(listener.candidate.name for listener in listeners))
-    hint = f"; closest is {finding.name}: {finding.reason}" if finding.frames else ""
-    return LinkError(
-        f"{port} sends, but not {names}: {total} bytes at {bauds} bit/s made {finding.samples} samples and {FEWEST_SAMPLES} "
-        f"are needed{hint}; give the right --baud or --driver, or describe the format with --protocol",
-        Reason.NO_FRAMES,
-        port=port,
-        bytes=total,
-        samples=finding.samples,
-    )
+    closest = max(listeners, key=lambda listener: (listener.decoder.statistics.frames, listener.accelerations)).finding()
+    heard = {
+        "port": port,
+        "names": [*dict.fromkeys(listener.candidate.name for listener in listeners)],
+        "bytes": total,
+        "bauds": bauds,
+        "samples": closest.samples,
+        "needed": FEWEST_SAMPLES,
+    }
+    if closest.frames:
+        return LinkError(sentence("listen.closest", **heard, closest=closest.name, why=closest.reason), Reason.NO_FRAMES)
+    return LinkError(sentence("listen.nothing", **heard), Reason.NO_FRAMES)

@@ -106,11 +106,11 @@ def test_a_cut_blf_says_what_is_missing(tmp_path: Path) -> None:
         losses: list[str] = []
         count = sum(1 for chunk in read_log(path, losses=losses) for _ in unpack_frames(chunk.data))
         assert 0 < count < 20_000
-        assert losses == [
-            f"{path} is cut: {size} of {len(content)} bytes and {count} of up to 20000 frames are there: what follows is lost"
-        ]
-        with refused(RecordingError, Reason.DAMAGED, str(path), "bytes"):
+        with refused(RecordingError, Reason.DAMAGED, str(path), key="can_logs.cut") as caught:
             list(read_log(path))
+        named = {"path": str(path), "size": size, "whole": len(content), "frames": count, "most": 20_000}
+        assert caught.value.values == named
+        assert losses == [caught.value.message]
     losses = []
     assert sum(1 for chunk in read_log(whole, losses=losses) for _ in unpack_frames(chunk.data)) == 20_000
     assert losses == []
