@@ -23,7 +23,6 @@ class SbgCan(Driver):
     title = "SBG Systems (CAN)"
     protocol = "sbg_can"
     wire = "can"
-    default_baud = 500_000
     bauds = (500_000, 1_000_000, 250_000, 125_000)
     status = "document only"
     manual = "SBG Systems sbgECom, can/sbgCan.dbc and doc/canProtocol.md"

@@ -160,7 +160,7 @@ def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iter
         if not count:
             foreign = sentence("can_logs.from_the_first", path=str(path), cause=error, frames=0)
             raise RecordingError(foreign, Reason.DAMAGED) from error
-        lost = sentence("can_logs.damaged", path=str(path), frames=count, cause=error or type(error).__name__)
+        lost = sentence("can_logs.damaged", path=str(path), frames=count, cause=array_file_reader.first_line(error))
     if count == 0:
         key = "can_logs.no_frame" if channel is None else "can_logs.no_frame_of_channel"
         raise RecordingError(sentence(key, path=str(path), channel=channel), Reason.NOT_A_RECORDING)

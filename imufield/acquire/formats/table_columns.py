@@ -6,6 +6,7 @@ Every assumption that the header does not state is returned as a sentence.
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,37 +30,12 @@ COUNTER = "counter"
 SKIPPED = ("-", "_", "skip")
 
 
-def _spellings(**names: str) -> dict[str, str]:
-    """Return spelling -> unit; units that are no Python names are given as keys with words for their signs."""
-    signs = {"m_s2": "m/s^2", "m_s": "m/s", "rad_s": "rad/s", "deg_s": "deg/s"}
-    return {spelling: signs.get(unit, unit) for unit, spellings in names.items() for spelling in spellings.split()}
-
-
-def _names(spellings: str) -> frozenset[str]:
-    return frozenset(spellings.split())
-
-
-# Spellings are compared in small letters without blanks, hats, stars, dots and minus signs.
-_RAW_UNITS = _spellings(count="count counts lsb raw adc", pulse="pulse pulses")
-_TIME_UNITS = _spellings(
-    s="s sec secs second seconds", ms="ms msec millis", us="us µs usec micros", ns="ns nsec nanos nanosec nanoseconds"
-)
-_ACCELEROMETER_UNITS = _spellings(m_s2="m/s2 m/s/s ms2 mps2 mss", m_s="m/s ms", g="g", mg="mg")
-_GYROSCOPE_UNITS = _spellings(rad_s="rad/s rads radps rps", deg_s="deg/s °/s dps degps degs", rad="rad", deg="deg")
-_TEMPERATURE_UNITS = _spellings(degC="degc °c c celsius")
-
+_WORDS = tomllib.loads(Path(__file__).with_name("table_words.toml").read_text(encoding="utf-8"))
 UNITS_OF = {
-    TIME: _TIME_UNITS,
-    "accelerometer": _ACCELEROMETER_UNITS | _RAW_UNITS,
-    "gyroscope": _GYROSCOPE_UNITS | _RAW_UNITS,
-    TEMPERATURE: _TEMPERATURE_UNITS,
+    quantity: {spelling: unit for unit, spellings in units.items() for spelling in spellings.split()}
+    for quantity, units in _WORDS["units"].items()
 }
-
-_TIME_NAMES = _names("t time timestamp ts stamp epoch unixtime elapsed elapsedtime systemtime")
-_TEMPERATURE_NAMES = _names("temp temperature")
-_ACCELEROMETER_NAMES = _names("a acc accel accelerometer acceleration linearacceleration specificforce f")
-_GYROSCOPE_NAMES = _names("g w gyr gyro gyroscope omega rate rot angularrate angularvelocity angvel turnrate")
-_NOISE_WORDS = _names("imu sensor data field msg calibrated")  # They say nothing of which quantity it is.
+_NAMES = {quantity: frozenset(names.split()) for quantity, names in _WORDS["names"].items()}
 _HEADERLESS = {
     3: ACCELEROMETER_COLUMNS,
     6: (*ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS),
@@ -154,7 +130,7 @@ def _spelling(unit: str) -> str:
 def _words(text: str) -> list[str]:
     """Split at anything but letters and digits, and between small and capital letters."""
     parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
-    return [word for word in re.split(r"[^0-9a-z°µ]+", parted.lower()) if word and word not in _NOISE_WORDS]
+    return [word for word in re.split(r"[^0-9a-z°µ]+", parted.lower()) if word and word not in _NAMES["noise"]]
 
 
 def _field_of(words: Sequence[str]) -> tuple[str | None, Sequence[str]]:
@@ -169,16 +145,15 @@ def _field_of(words: Sequence[str]) -> tuple[str | None, Sequence[str]]:
 
 
 def _field_of_name(name: str) -> str | None:
-    if name in _TIME_NAMES:
-        return TIME
-    if name in _TEMPERATURE_NAMES:
-        return TEMPERATURE
+    for field in (TIME, TEMPERATURE):
+        if name in _NAMES[field]:
+            return field
     # Both "acc x" and "x acc" are in use.
     for axis, rest in ((name[-1:], name[:-1]), (name[:1], name[1:])):
         if axis in ("x", "y", "z"):
-            if rest in _ACCELEROMETER_NAMES:
+            if rest in _NAMES["accelerometer"]:
                 return f"a{axis}"
-            if rest in _GYROSCOPE_NAMES:
+            if rest in _NAMES["gyroscope"]:
                 return f"g{axis}"
     return None
 

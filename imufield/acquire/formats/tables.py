@@ -36,15 +36,7 @@ from imufield.acquire.formats.table_columns import (
 from imufield.acquire.formats.table_text import TextTable, open_table
 from imufield.acquire.link.serial import Chunk
 from imufield.errors import Reason, RecordingError, UsageError
-from imufield.samples import (
-    ACCELEROMETER_COLUMNS,
-    GYROSCOPE_COLUMNS,
-    NO_COUNTER,
-    FloatArray,
-    IntArray,
-    Samples,
-    Status,
-)
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, NO_COUNTER, FloatArray, IntArray, Samples, Status
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)

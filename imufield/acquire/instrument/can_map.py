@@ -6,11 +6,12 @@ of others that opens a bus with everything to decode it.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+import tomli_w
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.instrument.recognise import Candidate
@@ -98,54 +99,46 @@ def protocol_text(name: str, dbc: str, mapping: Mapping[str, str]) -> str:
     identifiers = mapping.get("identifiers", "auto")
     if identifiers not in _IDENTIFIERS:
         raise UsageError(sentence("can_map.identifiers", identifiers=identifiers, known=_IDENTIFIERS))
-    # Names of protocols are words of small letters.
-    word = re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_") or "dbc"
-    triads = []
+    axes: dict[str, object] = {}
     for triad, keys in _TRIAD_KEYS.items():
         missing = [key for key in keys if key not in mapping]
         # A triad that is not named at all is not there; half a triad is a mistake.
         if 0 < len(missing) < len(keys):
             raise UsageError(sentence("can_map.missing", missing=missing))
         if not missing:
-            triads.append(f"{triad} = [{', '.join(_quoted(mapping[key]) for key in keys)}]")
-    lists = {key: [part.strip() for part in mapping[key].split(",")] for key in _ASSEMBLY_LISTS if key in mapping}
-    lines = [
-        'format = "imufield-protocol"',
-        "version = 1",
-        f"name = {_quoted(word)}",
-        f"title = {_quoted(f'signals of {dbc}')}",
-        f"manual = {_quoted(dbc)}",
-        'kind = "can"',
-        "\n[settings.source_address]\ndefault = 255\nminimum = 0\nmaximum = 255",
-        "\n[settings.rate_hz]\ndefault = 0.0\nminimum = 0",
-        f"\n[can]\ndbc = {_quoted(dbc)}\nidentifiers = {_quoted(identifiers)}",
-        'source_address = { setting = "source_address" }',
-        "\n[map]",
-        *triads,
-        *(f"{key.replace('.', '_')} = {_quoted(mapping[key])}" for key in _MAP_TEXTS if key in mapping),
-        "\n[assembly]",
-        *([f"starts_with = {_quoted(mapping['starts_with'])}"] if "starts_with" in mapping else []),
-        *(f"{key} = [{', '.join(_quoted(part) for part in parts if part)}]" for key, parts in lists.items()),
-        *_number_line(mapping, "limit_s"),
-        '\n[clock]\nrate_hz = { setting = "rate_hz" }',
-        *_number_line(mapping, "time.ticks_per_s"),
-    ]
-    return "\n".join(lines)
+            axes[triad] = [mapping[key] for key in keys]
+    assembly: dict[str, object] = {key: mapping[key] for key in ("starts_with",) if key in mapping}
+    for key in _ASSEMBLY_LISTS:
+        if key in mapping:
+            assembly[key] = [part.strip() for part in mapping[key].split(",") if part.strip()]
+    document = {
+        "format": "imufield-protocol",
+        "version": 1,
+        # Names of protocols are words of small letters.
+        "name": re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_") or "dbc",
+        "title": f"signals of {dbc}",
+        "manual": dbc,
+        "kind": "can",
+        "settings": {
+            "source_address": {"default": 255, "minimum": 0, "maximum": 255},
+            "rate_hz": {"default": 0.0, "minimum": 0},
+        },
+        "can": {"dbc": dbc, "identifiers": identifiers, "source_address": {"setting": "source_address"}},
+        "map": {**axes, **{key.replace(".", "_"): mapping[key] for key in _MAP_TEXTS if key in mapping}},
+        "assembly": {**assembly, **_number(mapping, "limit_s")},
+        "clock": {"rate_hz": {"setting": "rate_hz"}, **_number(mapping, "time.ticks_per_s")},
+    }
+    return tomli_w.dumps(document)
 
 
-def _number_line(mapping: Mapping[str, str], key: str) -> list[str]:
-    """Return the line of a number, none where it is not given."""
+def _number(mapping: Mapping[str, str], key: str) -> dict[str, float]:
+    """Return the entry of a number, none where it is not given."""
     if key not in mapping:
-        return []
+        return {}
     try:
-        return [f"{key.replace('.', '_')} = {float(mapping[key])!r}"]
+        return {key.replace(".", "_"): float(mapping[key])}
     except ValueError:
         raise UsageError(sentence("can_map.no_number", map=key, value=mapping[key])) from None
-
-
-def _quoted(text: str) -> str:
-    # A JSON string is a TOML basic string.
-    return json.dumps(text, ensure_ascii=False)
 
 
 def bus_candidate(

@@ -8,15 +8,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from imufield.acquire.instrument.connected import (
-    Connected,
-    ConnectOptions,
-    ask_identity,
-    assumed,
-    keep,
-    untried,
-    with_settings,
-)
+from imufield.acquire.instrument.connected import Connected, ConnectOptions, ask_identity, assumed, keep, untried, with_settings
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import (
     SEARCH_S,
@@ -41,31 +33,10 @@ from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
-__all__ = [
-    "ConnectOptions",
-    "Connected",
-    "ask_identity",
-    "assumed",
-    "check_capacity",
-    "check_files",
-    "connect",
-    "parse_mapping",
-]
-
 FALLBACK_BAUD = 115200
 """Where a protocol file is given without a baud rate: the usual setting of serial instruments."""
 SPARE = 1.1
 """Bytes do not follow one another without a gap (the 1.1 of the STIM300 datasheet holds for the others as well)."""
-
-
-def parse_mapping(texts: list[str] | None) -> dict[str, str]:
-    """Split options of the form ``accelerometer.x=SIGNAL``; raises UsageError as ``parse_map``."""
-    if not texts:
-        return {}
-    # With it comes python-can, which most commands never need.
-    from imufield.acquire.instrument.can_map import parse_map
-
-    return parse_map(texts)
 
 
 def connect(options: ConnectOptions, clock: HostClock, say: Say) -> Connected:

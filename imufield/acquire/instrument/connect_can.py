@@ -13,13 +13,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from imufield.acquire.decode.statistics import LEFT_OUT
-from imufield.acquire.decoder import Decoder
 from imufield.acquire.driver import Message
 from imufield.acquire.instrument.can_map import bus_candidate
 from imufield.acquire.instrument.connected import Connected, ConnectOptions, ask_identity, assumed, untried, with_settings
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import LISTEN_S, Say, driver_candidates, usable
-from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, Candidate
+from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, Candidate, Listener
 from imufield.acquire.link.background import BackgroundLink
 from imufield.acquire.link.can import CanLink, open_can_link, parse_bus
 from imufield.acquire.link.host_clock import HostClock, patience_s
@@ -34,23 +33,10 @@ sentence = Sentences(__package__)
 _IDENTIFIERS_NAMED = 8  # More identifiers than this do not help a reader of an error message.
 
 
-@dataclass(frozen=True, slots=True)
-class BusListener:
-    """A way to read the bus, and what it has understood so far."""
-
-    candidate: Candidate
-    decoder: Decoder
-
-    @property
-    def samples(self) -> int:
-        """Samples of the instrument."""
-        return self.decoder.statistics.samples
-
-    @property
-    def frames(self) -> int:
-        """Frames of samples and messages that it knows."""
-        counts = self.decoder.statistics
-        return counts.frames - sum(counts.by_kind.get(kind, 0) for kind in ("other", "error frame", LEFT_OUT))
+def _known_frames(listener: Listener) -> int:
+    """Count the frames of samples and messages that a candidate knows."""
+    counts = listener.decoder.statistics
+    return counts.frames - sum(counts.by_kind.get(kind, 0) for kind in ("other", "error frame", LEFT_OUT))
 
 
 def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connected:
@@ -81,11 +67,11 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
     try:
         if driver is not None:
             instrument = Instrument(driver, clock, set(listener.decoder.statistics.by_kind))
-            messages = ask_identity(instrument, link, chunks, listener.decoder.messages())
+            messages = ask_identity(instrument, link, chunks, listener.messages())
             identity = driver.identity(messages)
             protocol = with_settings(driver, protocol, messages)
         if driver is not None and options.driver is None:
-            told = {"driver": candidate.name, "frames": listener.frames, "title": protocol.title}
+            told = {"driver": candidate.name, "frames": _known_frames(listener), "title": protocol.title}
             say(sentence("connect_can.recognised", **told))
         for remark in (*untried(driver), *assumed(protocol)):
             say(remark)
@@ -122,7 +108,7 @@ def probe_bus(options: ConnectOptions, clock: HostClock, say: Say, *, ask: bool)
     link, chunks, listener = _recognised(options, clock, say)
     candidate, identity = listener.candidate, {}
     try:
-        messages: list[Message] = [*listener.decoder.messages()]
+        messages: list[Message] = [*listener.messages()]
         if candidate.driver is not None:
             if ask:
                 instrument = Instrument(candidate.driver, clock, set(listener.decoder.statistics.by_kind))
@@ -133,13 +119,13 @@ def probe_bus(options: ConnectOptions, clock: HostClock, say: Say, *, ask: bool)
     return BusFinding(
         name=candidate.name,
         title=candidate.protocol.title,
-        frames=listener.frames,
-        samples=listener.samples,
+        frames=_known_frames(listener),
+        samples=listener.decoder.statistics.samples,
         identity=identity,
     )
 
 
-def _recognised(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[CanLink, list[Chunk], BusListener]:
+def _recognised(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[CanLink, list[Chunk], Listener]:
     """Return the open bus, what arrived, and who understood it; raises as ``connect_bus``."""
     # python-can logs every driver that is not installed; the error of the bus has it in one sentence.
     logging.getLogger("can").setLevel(logging.CRITICAL)
@@ -158,7 +144,7 @@ def _recognised(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[Ca
         bit_rate = candidates[0].bauds[0]
         say(f"bit rate {bit_rate} (assumed)")
     link = open_can_link(bus, bit_rate=bit_rate, clock=clock)
-    listeners = [BusListener(candidate, Decoder(candidate.protocol)) for candidate in candidates]
+    listeners = [Listener(candidate) for candidate in candidates]
     try:
         chunks = _listen(link, listeners, clock)
         return link, chunks, _best(bus, chunks, listeners)
@@ -184,7 +170,7 @@ def bus_candidates(options: ConnectOptions, say: Say | None = None) -> list[Cand
     return usable("can", lambda driver: driver_candidates(driver, options.settings, only_known=True), say)
 
 
-def _listen(link: CanLink, listeners: list[BusListener], clock: HostClock) -> list[Chunk]:
+def _listen(link: CanLink, listeners: list[Listener], clock: HostClock) -> list[Chunk]:
     """Read until one listener is certain, or the patience is over."""
     chunks: list[Chunk] = []
     end_s = clock.monotonic_s() + patience_s(clock, LISTEN_S)
@@ -194,23 +180,23 @@ def _listen(link: CanLink, listeners: list[BusListener], clock: HostClock) -> li
             continue
         chunks.append(chunk)
         for listener in listeners:
-            listener.decoder.feed(chunk.data, chunk.monotonic_s)
-        if any(listener.samples >= CERTAIN_SAMPLES for listener in listeners):
+            listener.feed(chunk)
+        if any(listener.decoder.statistics.samples >= CERTAIN_SAMPLES for listener in listeners):
             return chunks
     # A decoder keeps samples back while stamps are too uneven to tell their rate: they are understood all the same.
     for listener in listeners:
-        listener.decoder.flush()
+        listener.close()
     return chunks
 
 
-def _best(bus: str, chunks: Iterable[Chunk], listeners: list[BusListener]) -> BusListener:
+def _best(bus: str, chunks: Iterable[Chunk], listeners: list[Listener]) -> Listener:
     """Return the listener that understood the most frames; an error where none did, or several the same."""
-    good = [listener for listener in listeners if listener.samples >= FEWEST_SAMPLES]
+    good = [listener for listener in listeners if listener.decoder.statistics.samples >= FEWEST_SAMPLES]
     if not good:
         raise _nothing_understood(bus, chunks, listeners)
     # Drivers of one family understand parts of what the others send.
-    most = max(listener.frames for listener in good)
-    best = [listener for listener in good if listener.frames == most]
+    most = max(_known_frames(listener) for listener in good)
+    best = [listener for listener in good if _known_frames(listener) == most]
     if len(best) > 1:
         # The titles are those of the drivers: instruments that send the same messages share a protocol.
         drivers = "; ".join(f"{listener.candidate.name}, {listener.candidate.title}" for listener in best)
@@ -218,7 +204,7 @@ def _best(bus: str, chunks: Iterable[Chunk], listeners: list[BusListener]) -> Bu
     return best[0]
 
 
-def _nothing_understood(bus: str, chunks: Iterable[Chunk], listeners: list[BusListener]) -> LinkError:
+def _nothing_understood(bus: str, chunks: Iterable[Chunk], listeners: list[Listener]) -> LinkError:
     frames = [frame for chunk in chunks for frame in unpack_frames(chunk.data)]
     identifiers = Counter(frame.text.partition("#")[0] for frame in frames if not frame.can_id & ERROR)
     if not frames:
@@ -226,15 +212,15 @@ def _nothing_understood(bus: str, chunks: Iterable[Chunk], listeners: list[BusLi
     if not identifiers:
         return LinkError(sentence("connect_can.error_frames", bus=bus, error_frames=len(frames)), Reason.NO_FRAMES)
     heard = {"bus": bus, "frames": len(frames), "needed": FEWEST_SAMPLES}
-    known = max(listeners, key=lambda listener: listener.frames)
+    known = max(listeners, key=_known_frames)
     # The frames are known and yet make no samples: then it is not the driver that is wrong.
-    if known.frames >= len(frames) / 2:
-        found = {"driver": known.candidate.name, "known": known.frames, "samples": known.samples}
+    if _known_frames(known) >= len(frames) / 2:
+        found = {"driver": known.candidate.name, "known": _known_frames(known), "samples": known.decoder.statistics.samples}
         return LinkError(sentence("connect_can.not_joined", **heard, **found), Reason.NO_FRAMES)
     names = [f"{text} x {count}" for text, count in identifiers.most_common(_IDENTIFIERS_NAMED)]
     others = len(identifiers) - _IDENTIFIERS_NAMED
     key = "connect_can.unknown_and_others" if others > 0 else "connect_can.unknown"
     drivers = [listener.candidate.name for listener in listeners]
-    samples = max(listener.samples for listener in listeners)
+    samples = max(listener.decoder.statistics.samples for listener in listeners)
     unknown = sentence(key, **heard, drivers=drivers, identifiers=names, others=others, samples=samples)
     return LinkError(unknown, Reason.NO_FRAMES)

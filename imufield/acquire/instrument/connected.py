@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from imufield.acquire.driver import Driver, Message, Wire
@@ -85,7 +85,7 @@ class Connected:
 
     def session_tables(self) -> dict[str, dict[str, object]]:
         """Return the tables of ``session.toml`` that describe instrument, link and protocol."""
-        protocol, units, nominal = self.protocol, self.protocol.units, self.protocol.nominal
+        protocol, nominal = self.protocol, self.protocol.nominal
         if self.wire == "can":
             link: dict[str, object] = {"bus": self.link.name, "bit_rate": self.baud}
         else:
@@ -99,13 +99,7 @@ class Connected:
             "settings": {
                 name: {"value": setting.value, "origin": setting.origin} for name, setting in protocol.settings.items()
             },
-            "units": {
-                "accelerometer": units.accelerometer,
-                "gyroscope": units.gyroscope,
-                "accelerometer_is_increment": units.accelerometer_is_increment,
-                "gyroscope_is_increment": units.gyroscope_is_increment,
-                "interval_s": units.interval_s,
-            },
+            "units": asdict(protocol.units),
             "nominal": {"raw_zero": nominal.raw_zero, "rate_hz": nominal.rate_hz},
         }
 

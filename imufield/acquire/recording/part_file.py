@@ -71,9 +71,6 @@ class Damage:
     what: str
     torn_end: bool = False
 
-    def __str__(self) -> str:
-        return self.what
-
 
 class PartFile:
     """A part opened for reading.

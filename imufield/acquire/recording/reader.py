@@ -20,24 +20,13 @@ import numpy as np
 from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.mcap_format import ARRIVAL, EVENTS_CHANNEL, LINK_CHANNEL, DamageError, messages
-from imufield.acquire.recording.part_file import Damage, PartFile
+from imufield.acquire.recording.part_file import Damage as Damage  # noqa: PLC0414  (handed on)
+from imufield.acquire.recording.part_file import PartFile
 from imufield.errors import LinkError, Reason, RecordingError, UsageError
 from imufield.samples import FloatArray, IntArray
 from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
-
-__all__ = [
-    "Damage",
-    "EndOfRecordingError",
-    "PartStart",
-    "RecordedBlock",
-    "RecordedEvent",
-    "RecordingLink",
-    "read_blocks",
-    "read_part",
-    "read_session",
-]
 
 BLOCK_SPAN_S = 1.0
 """A block joins at most this much of the wire."""
@@ -87,11 +76,6 @@ class RecordedBlock:
     end: IntArray
     monotonic_s: FloatArray
     utc_ns: int
-
-    @property
-    def arrival_s(self) -> float:
-        """Arrival of the last byte, monotonic clock."""
-        return float(self.monotonic_s[-1])
 
 
 class Parts(Protocol):

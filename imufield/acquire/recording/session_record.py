@@ -33,9 +33,12 @@ KEYS: Mapping[str, type] = {
 Table = dict[str, Any]  # Of a TOML document, whose values have every type that TOML knows.
 
 
-def _number(low: float = -math.inf, high: float = math.inf, *, positive: bool = False) -> float | None:
+_POSITIVE = math.ulp(0.0)  # The smallest number above 0, as a lower limit.
+
+
+def _number(low: float = -math.inf, high: float = math.inf) -> float | None:
     """Declare a number that a person may edit and a program computes with; the limits are part of the sentence."""
-    return field(default=None, metadata={"low": low, "high": high, "positive": positive})
+    return field(default=None, metadata={"low": low, "high": high})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,12 +93,12 @@ class NominalRecord:
 class GuideRecord:
     """Table ``guide``: what was chosen when a guided session began, in the order in which it is written."""
 
-    hold_s: float | None = _number(positive=True)
-    target_bias_ug: float | None = _number(positive=True)
-    target_scale_ppm: float | None = _number(positive=True)
+    hold_s: float | None = _number(_POSITIVE)
+    target_bias_ug: float | None = _number(_POSITIVE)
+    target_scale_ppm: float | None = _number(_POSITIVE)
     rotations: str | None = None
-    earlier_scale_raw: float | None = _number(positive=True)
-    earlier_scale_sigma: float | None = _number(positive=True)
+    earlier_scale_raw: float | None = _number(_POSITIVE)
+    earlier_scale_sigma: float | None = _number(_POSITIVE)
     revisit_first: bool | None = None
 
 
@@ -171,20 +174,18 @@ class SessionRecord:
         zeros: list[Any] = zero if isinstance(zero, list) and len(zero) == len(ACCELEROMETER_COLUMNS) else [zero]
         for value in zeros:
             _check_number("nominal.raw_zero", value, path, low=-LARGEST_OUTPUT, high=LARGEST_OUTPUT)
+        # One number stands for all axes.
+        raw_zero = None if zero is None else tuple(float(value) for value in zeros * (3 // len(zeros)))
+        settings = {}
         for key, value in content.get("settings", {}).items():
             if not isinstance(value, dict) or "value" not in value:
                 raise _refused("session_record.setting", path, key=key, value=value)
+            settings[key] = SettingRecord(value["value"], str(value.get("origin", "")))
         return cls(
             **{key: content[key] for key in ("created", "model", "finished", "software", "kind", "scheme") if key in content},
             instrument=InstrumentRecord(**instrument),
-            settings={
-                name: SettingRecord(entry["value"], str(entry.get("origin", "")))
-                for name, entry in content.get("settings", {}).items()
-            },
-            # One number stands for all axes.
-            nominal=NominalRecord(
-                raw_zero=None if zero is None else tuple(float(value) for value in zeros * (3 // len(zeros)))
-            ),
+            settings=settings,
+            nominal=NominalRecord(raw_zero=raw_zero),
             **tables,
         )
 
@@ -228,17 +229,13 @@ def _read_table(kind: Callable[..., object], name: str, content: Table, path: Pa
     return kind(**values)
 
 
-def _check_number(
-    key: str, value: object, path: Path, *, low: float = -math.inf, high: float = math.inf, positive: bool = False
-) -> None:
+def _check_number(key: str, value: object, path: Path, *, low: float = -math.inf, high: float = math.inf) -> None:
     """Refuse what nothing can be computed with."""
-    if value is None:
-        return
     # To Python a bool is an integer, and TOML can spell nan and inf.
     is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    if not is_number or not low <= value <= high or (positive and value <= 0):  # type: ignore[operator]  # a number by now
-        sentence_key = "session_record.number" if high < math.inf else "session_record.value"
-        raise _refused(sentence_key, path, key=key, value=value, low=low, high=high)
+    if value is not None and not (is_number and low <= value <= high):  # type: ignore[operator]  # a number by now
+        text = "session_record.number" if high < math.inf else "session_record.value"
+        raise _refused(text, path, key=key, value=value, low=low, high=high)
 
 
 def _check_keys(content: Table, path: Path) -> None:

@@ -188,7 +188,7 @@ def test_one_damaged_byte_costs_its_block_and_is_named(made: MadePart, tmp_path:
         assert items == made.items_without(position)
         (start,) = [start for start, end, _ in made.blocks if start <= position < end]
         assert [(entry.offset, entry.torn_end) for entry in damage] == [(start, False)]
-        assert f"byte {start}" in str(damage[0])
+        assert f"byte {start}" in damage[0].what
 
 
 @pytest.mark.parametrize("mask", [0x01, 0xFF])
