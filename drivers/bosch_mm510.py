@@ -1,7 +1,5 @@
 """Bosch MM5.10 automotive yaw rate and acceleration sensor."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 

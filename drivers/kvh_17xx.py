@@ -1,7 +1,5 @@
 """KVH fibre-optic IMUs 1725, 1750, 1775 and DSP-1760."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 

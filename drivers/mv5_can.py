@@ -1,7 +1,5 @@
 """MicroStrain MV5-AR on a J1939 bus."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """NovAtel OEM7 SPAN receivers, binary IMU logs."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 

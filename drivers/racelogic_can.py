@@ -1,7 +1,5 @@
 """Racelogic IMU03 and IMU04 on CAN."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 

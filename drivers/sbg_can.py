@@ -1,7 +1,5 @@
 """SBG Systems units on CAN."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 

@@ -1,7 +1,5 @@
 """SBG Systems Ellipse, Ekinox, Apogee and Quanta."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 

@@ -1,7 +1,5 @@
 """Honeywell TARS on a J1939 bus."""
 
-from __future__ import annotations
-
 from .mv5_can import SaeCan
 
 

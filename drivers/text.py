@@ -1,7 +1,5 @@
 """Instruments that print numbers: home-made units, loggers, evaluation boards."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 

@@ -1,7 +1,5 @@
 """Xsens MTi-600 series on CAN."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 

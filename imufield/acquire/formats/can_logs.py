@@ -7,7 +7,6 @@ import gzip
 import importlib.util
 import math
 import re
-import struct
 import subprocess
 import sys
 import zlib
@@ -63,10 +62,7 @@ SUFFIXES = tuple(suffix for suffix in _KINDS if suffix != _TABLE)
 """Logs this module reads, packed with gzip too; besides, tables of python-can."""
 _HEAD_BYTES = 256
 # What python-can's readers raise in files that are cut short or of another kind.
-_DAMAGE = (
-    *(ValueError, IndexError, KeyError, EOFError, OSError, AttributeError, TypeError),
-    *(struct.error, zlib.error, can.CanError, BLFParseError),
-)
+_DAMAGE = (*array_file_reader.DAMAGE, can.CanError, BLFParseError)
 _LONGEST_WAIT_S = 5.0  # Parts have clocks of their own: a jump of the stamps beyond this begins anew.
 _EPOCH_S = 1e8  # Time stamps below 1973 count from the start of the log, not from 1970.
 
@@ -193,7 +189,15 @@ class _Reader:
         kind = _KINDS[suffix]
         self._path = path
         self._size = None if path.suffix == ".gz" else path.stat().st_size
-        self._process = _start_mf4(path) if suffix == ".mf4" else None
+        self._process: subprocess.Popen[bytes] | None = None
+        if suffix == ".mf4":
+            if importlib.util.find_spec("asammdf") is None:
+                raise missing_package(f"{path} is MF4, which", "asammdf", "mf4")
+            # A process of its own, which writes what candump would have. -P: what stands in the present folder is nothing to
+            # import.
+            command = [sys.executable, "-P", array_file_reader.__file__, "mf4", str(path)]
+            quiet = subprocess.DEVNULL
+            self._process = subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet)  # noqa: S603  (our own)
         content = _opened(path) if self._process is None else cast("IO[bytes]", self._process.stdout)
         self._file = content if kind.is_binary else TextIOWrapper(content, encoding="utf-8", errors="replace")
         try:
@@ -233,16 +237,6 @@ class _Reader:
         if self._process is not None:
             self._process.kill()
             self._process.wait()
-
-
-def _start_mf4(path: Path) -> subprocess.Popen[bytes]:
-    """Begin to read MF4 in a process of its own, which writes what candump would have."""
-    if importlib.util.find_spec("asammdf") is None:
-        raise missing_package(f"{path} is MF4, which", "asammdf", "mf4")
-    # -P: what stands in the present folder is nothing to import.
-    command = [sys.executable, "-P", array_file_reader.__file__, "mf4", str(path)]
-    quiet = subprocess.DEVNULL
-    return subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet)  # noqa: S603  (our own)
 
 
 def replay_to_bus(

@@ -6,15 +6,13 @@ By REP 103 and REP 145 values are in m/s^2 and rad/s, and a covariance that begi
 from __future__ import annotations
 
 import sqlite3
-import struct
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from imufield.acquire.formats.array_file_reader import first_line
+from imufield.acquire.formats.array_file_reader import DAMAGE, first_line
 from imufield.acquire.formats.table_arrays import ArrayTable, missing_package
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.errors import Reason, RecordingError, UsageError
@@ -77,11 +75,8 @@ def read_bag(path: Path, topic: str | None = None) -> ArrayTable:
         raise missing_package(f"{path} is a recording of ROS, which", "rosbags", "ros") from error
     store = rosbags.typesys.get_typestore(rosbags.typesys.Stores.ROS2_HUMBLE)
     # rosbags checks with assertions, too; the rest comes from the libraries that unpack for it.
-    failures = (
-        *(rosbags.highlevel.AnyReaderError, Rosbag1Error, Rosbag2Error, rosbags.typesys.TypesysError),
-        *(OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, AssertionError, EOFError, RuntimeError),
-        *(OverflowError, MemoryError, struct.error, zlib.error, sqlite3.Error),
-    )
+    errors = (rosbags.highlevel.AnyReaderError, Rosbag1Error, Rosbag2Error, rosbags.typesys.TypesysError)
+    failures = (*errors, *DAMAGE, AssertionError, sqlite3.Error)
     batches: list[FloatArray] = []
     said: list[str] = []
     try:

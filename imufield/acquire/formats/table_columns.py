@@ -271,11 +271,9 @@ def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: f
     if unit is not None:
         _check_rate(path, step * TIME_SCALE[unit], rate_hz)
         return TIME_SCALE[unit], ""
-    low, high = (
-        (SHORTEST_STEP_S, LONGEST_STEP_S)
-        if rate_hz is None
-        else ((1.0 - _RATE_TOLERANCE) / rate_hz, (1.0 + _RATE_TOLERANCE) / rate_hz)
-    )
+    low, high = SHORTEST_STEP_S, LONGEST_STEP_S
+    if rate_hz is not None:
+        low, high = (1.0 - _RATE_TOLERANCE) / rate_hz, (1.0 + _RATE_TOLERANCE) / rate_hz
     fitting = [name for name, scale in TIME_SCALE.items() if low <= step * scale <= high]
     if not fitting:
         # In seconds it would be plausible: then it is the rate that is wrong.

@@ -44,7 +44,6 @@ sentence = Sentences(__package__)
 _Fields = Mapping[str, FloatArray]
 
 ROWS_PROTOCOL = "rows_f64"
-ROW_BYTES = 8 * len(FIELDS)
 # A row of the same protocol with ``status = true``.
 _FLAGGED_ROW = np.dtype([("numbers", "<f8", (len(FIELDS),)), ("status", "<u4")])
 # The same with ``status = counted``.
@@ -113,7 +112,6 @@ class ChunkWriter(Protocol):
 
     def write_chunk(self, chunk: Chunk, /) -> None:
         """Record a chunk."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

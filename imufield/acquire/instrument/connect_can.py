@@ -71,8 +71,8 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
             identity = driver.identity(messages)
             protocol = with_settings(driver, protocol, messages)
         if driver is not None and options.driver is None:
-            told = {"driver": candidate.name, "frames": _known_frames(listener), "title": protocol.title}
-            say(sentence("connect_can.recognised", **told))
+            frames = _known_frames(listener)
+            say(sentence("connect_can.recognised", driver=candidate.name, frames=frames, title=protocol.title))
         for remark in (*untried(driver), *assumed(protocol)):
             say(remark)
         model = identity.pop("model", "") or candidate.name

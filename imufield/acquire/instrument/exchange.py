@@ -84,20 +84,18 @@ class Exchange:
             if failure is not None and not command.is_last:
                 continue
             answer = self._ask(command)
-            failure = failure or self._failure(command, answer)
+            asked = {"port": self._link.name, "command": command.name}
             if answer is not None:
                 answers.append(answer)
+                if refusal := command.refusal(answer):
+                    refused = sentence("exchange.refused", **asked, refusal=refusal)
+                    failure = failure or LinkError(refused, Reason.REFUSED)
+            elif command.is_answered:
+                silent = sentence("exchange.no_answer", **asked, tries=TRIES, limit_s=ANSWER_S)
+                failure = failure or LinkTimeoutError(silent, Reason.SILENCE)
         if failure is not None:
             raise failure
         return answers
-
-    def _failure(self, command: Command, answer: Message | None) -> LinkError | None:
-        asked = {"port": self._link.name, "command": command.name}
-        if answer is None and command.is_answered:
-            silent = sentence("exchange.no_answer", **asked, tries=TRIES, limit_s=ANSWER_S)
-            return LinkTimeoutError(silent, Reason.SILENCE)
-        refusal = command.refusal(answer) if answer is not None else ""
-        return LinkError(sentence("exchange.refused", **asked, refusal=refusal), Reason.REFUSED) if refusal else None
 
     def _ask(self, command: Command) -> Message | None:
         # What came before the command does not answer it.

@@ -139,9 +139,15 @@ def search(port: str, candidates: list[Candidate], bauds: list[int], clock: Host
     try:
         end_s = clock.monotonic_s() + patience_s(clock, SEARCH_S)
         for baud in bauds:
-            # The one baud rate was set as the port was opened.
-            if len(bauds) > 1 and not _is_set(link, baud):
-                continue
+            try:
+                # The one baud rate was set as the port was opened.
+                if len(bauds) > 1:
+                    link.set_baud(baud)
+            except LinkError as error:
+                # The adapter does not know this one.
+                if error.reason is Reason.BOUNDS:
+                    continue
+                raise
             listeners = [
                 Listener(candidate, is_given=is_given) for candidate in candidates if len(bauds) == 1 or baud in candidate.bauds
             ]
@@ -165,17 +171,6 @@ def listen_again(result: Search, clock: HostClock) -> None:
         Hearing(before.baud, [], [Listener(listener.candidate, is_given=True) for listener in before.listeners])
     )
     _listen(result, clock, LISTEN_S, end_s=clock.monotonic_s() + patience_s(clock, LISTEN_S))
-
-
-def _is_set(link: SerialLink, baud: int) -> bool:
-    """Go to a baud rate; return whether the adapter knows it."""
-    try:
-        link.set_baud(baud)
-    except LinkError as error:
-        if error.reason is Reason.BOUNDS:
-            return False
-        raise
-    return True
 
 
 def _listen(result: Search, clock: HostClock, quiet_s: float, *, end_s: float) -> None:

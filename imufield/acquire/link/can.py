@@ -24,6 +24,7 @@ from typing import Any
 import can
 
 from imufield.acquire.link.host_clock import HostClock, SystemClock
+from imufield.acquire.link.link_errors import system_errno
 from imufield.acquire.link.serial import COLLECT_S, WAIT_S, WRITE_TIMEOUT_S, Chunk, not_taken
 from imufield.acquire.protocol.can_frames import (
     ADAPTER_TIME,
@@ -71,7 +72,6 @@ _OPEN_FAULTS = (
     ((errno.ENETDOWN,), Reason.DISCONNECTED, "can.down"),
 )
 _EXAMPLES = {"socketcan": "can0", "slcan": "/dev/ttyACM0", "pcan": "PCAN_USBBUS1"}  # Of channels, by interface.
-_ERRNO = re.compile(r"\[Errno (\d+)\]|\((\d+),")
 
 
 # Handed to python-can, whose drivers know what they take.
@@ -167,37 +167,19 @@ def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
         missing = sentence("can.no_driver", interface=address.interface, cause=error)
         raise UsageError(missing, Reason.MISSING_PACKAGE) from error
     except _OPEN_FAILURES as error:
-        raise _cannot_open(address, error) from error
+        name, number = f"{address.interface}:{address.channel}", system_errno(error)
+        cause = str(error).splitlines()[0] if str(error) else type(error).__name__
+        faults = ((reason, key) for numbers, reason, key in _OPEN_FAULTS if number in numbers)
+        reason, key = next(faults, (Reason.DISCONNECTED, "can.cannot_open"))
+        if key == "can.absent" and address.interface == "socketcan":
+            key = "can.absent_link"
+        raise LinkError(sentence(key, bus=name, channel=address.channel, cause=cause), reason) from error
     channel = getattr(bus, "socket", None)
     if isinstance(channel, socket.socket):
         # A system that refuses the larger buffer still has its usual one.
         with contextlib.suppress(OSError):
             channel.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
     return bus
-
-
-def _cannot_open(address: BusAddress, error: BaseException) -> LinkError:
-    name, number = f"{address.interface}:{address.channel}", _errno(error)
-    cause = str(error).splitlines()[0] if str(error) else type(error).__name__
-    faults = ((reason, key) for numbers, reason, key in _OPEN_FAULTS if number in numbers)
-    reason, key = next(faults, (Reason.DISCONNECTED, "can.cannot_open"))
-    if key == "can.absent" and address.interface == "socketcan":
-        key = "can.absent_link"
-    return LinkError(sentence(key, bus=name, channel=address.channel, cause=cause), reason)
-
-
-def _errno(error: BaseException) -> int | None:
-    """Find the system's error number in an error or in what caused it."""
-    cause: BaseException | None = error
-    while cause is not None:
-        for candidate in (getattr(cause, "errno", None), getattr(cause, "error_code", None)):
-            if isinstance(candidate, int):
-                return candidate
-        found = _ERRNO.search(str(cause))
-        if found:
-            return int(found.group(1) or found.group(2))
-        cause = cause.__cause__ or cause.__context__
-    return None
 
 
 class CanLink:

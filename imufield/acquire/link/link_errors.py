@@ -32,6 +32,7 @@ OPEN_FAILURES: tuple[type[Exception], ...] = (OSError, ValueError, *_TERMINAL_ER
 _BUSY = {errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK}
 _ABSENT = {errno.ENOENT, errno.ENXIO, errno.ENODEV}
 _NOT_A_TERMINAL = {errno.ENOTTY, errno.EISDIR}
+_ERRNO = re.compile(r"\[Errno (\d+)\]|\(\s*(\d+)\s*,")
 _PORTS_NAMED = 6  # More ports than this do not help a reader of an error message.
 
 
@@ -50,7 +51,7 @@ def open_error(port: str, baud: int, error: Exception) -> ImufieldError:
     cause = _cause(error)
     if is_address and "spy:" not in port:
         return LinkError(sentence("link_errors.no_answer", port=port, cause=cause), Reason.PORT_NOT_FOUND)
-    number = _errno(error)
+    number = system_errno(error)
     if number == errno.EACCES:
         group = "dialout"
         # OSError: the port went away; KeyError: its group has no name; NotImplementedError: a system without groups (Windows).
@@ -73,25 +74,26 @@ def baud_refused(port: str, baud: int) -> LinkError:
     return LinkError(sentence("link_errors.baud", port=port, baud=baud), Reason.BOUNDS)
 
 
-def _errno(error: BaseException) -> int | None:
-    """Find the error number in attribute, arguments or text."""
-    number = getattr(error, "errno", None)
-    if isinstance(number, int):
-        return number
-    if error.args and isinstance(error.args[0], int):
-        return error.args[0]
-    text = str(error)
-    # Windows: "could not open port 'COM9': FileNotFoundError(2, ...)"; a port in use there is "access denied".
-    for name, meaning in (("FileNotFoundError", errno.ENOENT), ("PermissionError", errno.EBUSY)):
-        if name in text:
-            return meaning
-    found = re.search(r"\(\s*(\d+)\s*,", text)
-    return int(found.group(1)) if found else None
+def system_errno(error: BaseException) -> int | None:
+    """Find the system's error number in an error or in what caused it: in attribute, arguments or text."""
+    cause: BaseException | None = error
+    while cause is not None:
+        for candidate in (getattr(cause, "errno", None), getattr(cause, "error_code", None), *cause.args[:1]):
+            if isinstance(candidate, int):
+                return candidate
+        # Windows: "could not open port 'COM9': FileNotFoundError(2, ...)"; a port in use there is "access denied".
+        for name, meaning in (("FileNotFoundError", errno.ENOENT), ("PermissionError", errno.EBUSY)):
+            if name in str(cause):
+                return meaning
+        if found := _ERRNO.search(str(cause)):
+            return int(found.group(1) or found.group(2))
+        cause = cause.__cause__ or cause.__context__
+    return None
 
 
 def _cause(error: BaseException) -> str:
     """Return the system's own words, without pyserial's wrapping."""
-    number = _errno(error)
+    number = system_errno(error)
     text = str(error)
     found = re.search(r"\[Errno -?\d+\] ([^\]']+)$", text)
     if found:

@@ -57,15 +57,12 @@ class Link(Protocol):
 
     def read(self) -> Chunk | None:
         """Return what arrived, or None if nothing did within about 50 ms; raise LinkError when the link is gone."""
-        ...
 
     def write(self, data: bytes) -> None:
         """Send a command; raise LinkError when the link is gone, LinkTimeoutError when it does not take the bytes."""
-        ...
 
     def close(self) -> None:
         """Give the port back; may be called again."""
-        ...
 
 
 class Port(Protocol):
@@ -74,27 +71,21 @@ class Port(Protocol):
     @property
     def in_waiting(self) -> int:
         """Bytes that can be read at once; only 0 or 1 on sockets."""
-        ...
 
     def read(self, size: int = 1, /) -> bytes:
         """Return at most ``size`` bytes within the time-out."""
-        ...
 
     def write(self, data: bytes, /) -> int | None:
         """Send all bytes within the write time-out."""
-        ...
 
     def fileno(self) -> int:
         """Return the descriptor, where there is one."""
-        ...
 
     def reset_input_buffer(self) -> None:
         """Throw away what arrived and was not read."""
-        ...
 
     def close(self) -> None:
         """Close; may be called again."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -187,30 +187,22 @@ def read_metadata(body: bytes) -> tuple[int, dict[str, object]]:
     DamageError
         If it is not ours, or its checksum is wrong.
     """
-    entries = _string_map(body)
     try:
-        if entries["format"] != FORMAT or int(entries["crc32"]) != zlib.crc32(entries["json"].encode()):
-            raise DamageError(sentence("mcap_format.checksum"))
-        version, metadata = int(entries["version"]), json.loads(entries["json"])
-    except (KeyError, ValueError) as error:
-        raise DamageError(sentence("mcap_format.unreadable")) from error
-    if not isinstance(metadata, dict):
-        raise DamageError(sentence("mcap_format.unreadable"))
-    return version, metadata
-
-
-def _string_map(body: bytes) -> dict[str, str]:
-    """Read name and entries of a Metadata record: strings with a 32-bit length before each, the map with its size before it."""
-    try:
-        name_size = int.from_bytes(body[:4], "little")  # The name is known: the map behind it is what is wanted.
-        position, strings = 4 + name_size + 4, []
+        # Strings with a 32-bit length before each: the name, which is known, and behind the size of the map its entries.
+        position, strings = 4 + int.from_bytes(body[:4], "little") + 4, []
         while position < len(body):
             (size,) = struct.unpack_from("<I", body, position)
             strings.append(body[position + 4 : position + 4 + size].decode())
             position += 4 + size
-    except (struct.error, UnicodeDecodeError) as error:
+        entries = dict(zip(strings[::2], strings[1::2], strict=False))
+        if entries["format"] != FORMAT or int(entries["crc32"]) != zlib.crc32(entries["json"].encode()):
+            raise DamageError(sentence("mcap_format.checksum"))
+        version, metadata = int(entries["version"]), json.loads(entries["json"])
+    except (struct.error, KeyError, ValueError) as error:
         raise DamageError(sentence("mcap_format.unreadable")) from error
-    return dict(zip(strings[::2], strings[1::2], strict=False))
+    if not isinstance(metadata, dict):
+        raise DamageError(sentence("mcap_format.unreadable"))
+    return version, metadata
 
 
 def to_json(value: object) -> str:

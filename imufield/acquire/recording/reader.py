@@ -84,7 +84,6 @@ class Parts(Protocol):
     @property
     def parts(self) -> list[Path]:
         """Paths of the parts, in order."""
-        ...
 
 
 class EndOfRecordingError(LinkError):
@@ -105,16 +104,8 @@ def read_part(path: str | Path, damage: list[Damage] | None = None) -> Iterator[
     RecordingError
         Not a recording, a newer version, or the file cannot be read.
     """
-    for item in _messages_of(Path(path), damage):
-        if isinstance(item, PartStart):
-            yield item
-            continue
-        content, channel, utc_ns, start, end = item
-        if channel == LINK_CHANNEL:
-            (monotonic_s,) = ARRIVAL.unpack_from(content, start)
-            yield Chunk(content[start + ARRIVAL.size : end], monotonic_s, utc_ns)
-        else:
-            yield RecordedEvent(json.loads(content[start:end]), utc_ns)
+    for item in _items_of(Path(path), damage):
+        yield Chunk(*item) if isinstance(item, tuple) else item
 
 
 def read_session(session: Parts, damage: list[Damage] | None = None) -> Iterator[PartStart | Chunk | RecordedEvent]:
@@ -146,14 +137,9 @@ def read_blocks(
     """
     joiner = _Joiner(block_bytes=block_bytes, span_s=span_s)
     for path in _parts_begun(session, damage):
-        for item in _messages_of(path, damage):
-            if isinstance(item, PartStart):
-                yield item
-                continue
-            content, channel, utc_ns, start, end = item
-            if channel == LINK_CHANNEL:
-                (monotonic_s,) = ARRIVAL.unpack_from(content, start)
-                data = content[start + ARRIVAL.size : end]
+        for item in _items_of(path, damage):
+            if isinstance(item, tuple):
+                data, monotonic_s, utc_ns = item
                 if joiner.must_end_before(monotonic_s, len(data)):
                     yield joiner.take()
                 joiner.add(data, monotonic_s, utc_ns)
@@ -161,7 +147,7 @@ def read_blocks(
             # An operator's mark is about the bytes before it: they must be decoded first.
             if joiner.pieces:
                 yield joiner.take()
-            yield RecordedEvent(json.loads(content[start:end]), utc_ns)
+            yield item
         # A block never runs over the end of a part, where the decoder begins anew.
         if joiner.pieces:
             yield joiner.take()
@@ -211,7 +197,11 @@ def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
         digits = path.stem.rpartition("-")[2]
         # A file that a person named otherwise has no place in the count.
         if digits.isdecimal():
-            found.extend(_missing_between(before, int(digits), path))
+            # Numbers are given one after the other.
+            if int(digits) > before + 1:
+                first, last = (path.with_name(f"part-{gone:03d}{path.suffix}") for gone in (before + 1, int(digits) - 1))
+                what = sentence("reader.part_gone" if first == last else "reader.parts_gone", path=first, last=last.name)
+                found.append(Damage(path=first, offset=0, length_bytes=0, what=what))
             before = int(digits)
         try:
             size = path.stat().st_size
@@ -231,19 +221,12 @@ def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
             yield path
 
 
-def _missing_between(before: int, number: int, path: Path) -> Iterator[Damage]:
-    """Yield what is gone between two parts: numbers are given one after the other."""
-    if number > before + 1:
-        first, last = (path.with_name(f"part-{missing:03d}{path.suffix}") for missing in (before + 1, number - 1))
-        key = "reader.part_gone" if first == last else "reader.parts_gone"
-        yield Damage(path=first, offset=0, length_bytes=0, what=sentence(key, path=first, last=last.name))
+# Bytes of a chunk, its arrival on the monotonic clock and in UTC: fields of ``Chunk``, an object of which costs more.
+_Chunk = tuple[bytes, float, int]
 
 
-_Message = tuple[bytes, int, int, int, int]
-
-
-def _messages_of(path: Path, damage: list[Damage] | None) -> Iterator[PartStart | _Message]:
-    """Yield the start of a part, then the messages of our two channels as (content, channel, utc_ns, start, end)."""
+def _items_of(path: Path, damage: list[Damage] | None) -> Iterator[PartStart | _Chunk | RecordedEvent]:
+    """Yield the start of a part, then what our two channels hold."""
     with PartFile(path) as part:
         contents = part.contents()
         # The metadata stand before the first chunk: reading that far makes them known.
@@ -257,7 +240,10 @@ def _messages_of(path: Path, damage: list[Damage] | None) -> Iterator[PartStart 
                 continue
             # Nothing of a chunk is given away before all of it is checked: half of one would be lost samples without a trace.
             for channel, utc_ns, start, end in checked:
-                yield content, channel, utc_ns, start, end
+                if channel == EVENTS_CHANNEL:
+                    yield RecordedEvent(json.loads(content[start:end]), utc_ns)
+                else:
+                    yield content[start + ARRIVAL.size : end], ARRIVAL.unpack_from(content, start)[0], utc_ns
         if damage is not None:
             damage.extend(part.damage)
 

@@ -117,10 +117,8 @@ class Session:
             content = tomllib.loads(read_small_file(path).decode())
         except (FileNotFoundError, NotADirectoryError) as error:
             raise RecordingError(sentence("session.no_session", folder=str(folder)), Reason.NOT_A_RECORDING) from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise RecordingError(sentence("session.no_toml", path=str(path), cause=error), Reason.DAMAGED) from error
-        except OSError as error:
-            unreadable = sentence("session.unreadable", path=str(path), cause=error.strerror)
+        except (OSError, ValueError) as error:
+            unreadable = sentence("session.unreadable", path=str(path), cause=getattr(error, "strerror", error))
             raise RecordingError(unreadable, Reason.DAMAGED) from error
         return cls(folder, content)
 

@@ -8,7 +8,7 @@ import pytest
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats import table_text
 from imufield.acquire.formats.table_columns import named_column
-from imufield.acquire.formats.tables import ROW_BYTES, read_tables, write_rows
+from imufield.acquire.formats.tables import read_tables, write_rows
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
@@ -399,7 +399,7 @@ def test_rows_are_written_whole_and_decode_to_the_same_samples() -> None:
     rows = np.column_stack([time_s, RNG.normal(size=(n, 6)), np.full(n, 25.0)])
     kept = Kept()
     write_rows(kept, rows)
-    assert all(len(chunk.data) % ROW_BYTES == 0 for chunk in kept.chunks)
+    assert all(len(chunk.data) % 64 == 0 for chunk in kept.chunks)
     assert [chunk.monotonic_s for chunk in kept.chunks] == [time_s[4095], time_s[8191], time_s[-1]]
     decoder = Decoder(load_protocol("rows_f64", {"accelerometer_unit": "count", "gyroscope_unit": "count"}))
     blocks = [decoder.feed(chunk.data, chunk.monotonic_s) for chunk in kept.chunks]
