@@ -86,15 +86,12 @@ class Connected:
     def session_tables(self) -> dict[str, dict[str, object]]:
         """Return the tables of ``session.toml`` that describe instrument, link and protocol."""
         protocol, nominal = self.protocol, self.protocol.nominal
-        if self.wire == "can":
-            link: dict[str, object] = {"bus": self.link.name, "bit_rate": self.baud}
-        else:
-            rates = {"rate_hz": self.rate_hz, "rate_before_hz": self.rate_before_hz}
-            link = {"port": self.link.name, "baud": self.baud, **rates}
+        baud, rates = self.baud, {"rate_hz": self.rate_hz, "rate_before_hz": self.rate_before_hz}
+        where = {"bus": self.link.name, "bit_rate": baud} if self.wire == "can" else {"port": self.link.name, "baud": baud}
         return {
             "instrument": {"driver": self.driver, "model": self.model, **self.identity},
             # TOML has no value for nothing.
-            "link": {name: value for name, value in link.items() if value is not None},
+            "link": {name: value for name, value in {**where, **rates}.items() if value is not None},
             "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
             "settings": {
                 name: {"value": setting.value, "origin": setting.origin} for name, setting in protocol.settings.items()

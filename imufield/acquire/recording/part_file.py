@@ -33,6 +33,8 @@ sentence = Sentences(__package__)
 RECORD_LIMIT_BYTES = CHUNK_LIMIT_BYTES + (1 << 20)
 """Largest record accepted, a packed chunk being a little larger than an unpacked one at worst: limits what is allocated."""
 _SEARCH_BYTES = 1 << 20  # Window of the search for the next chunk: as large as a usual one, so that one read finds it.
+_PROFILE = len(PROFILE).to_bytes(4, "little") + PROFILE.encode()
+_PROFILE_AT = len(MAGIC) + RECORD.size  # Where it stands in the file, behind the start of the Header record.
 _START_BYTES = 64  # Enough for the magic and the Header record up to its profile.
 _HEAD_LIMIT_BYTES = 64  # Header and Channel records have about 35: with a damaged length they must not swallow a chunk.
 _BYTES_MAY_DIFFER = 2  # Damaged bytes at which the start of a file is still taken for ours; foreign files differ in nearly all.
@@ -45,9 +47,7 @@ def is_part(path: str | Path) -> bool:
             start = file.read(_START_BYTES)
     except OSError:
         return False
-    profile_at = len(MAGIC) + RECORD.size
-    profile = len(PROFILE).to_bytes(4, "little") + PROFILE.encode()
-    return start.startswith(MAGIC) and start[profile_at : profile_at + len(profile)] == profile
+    return start.startswith(MAGIC) and start[_PROFILE_AT : _PROFILE_AT + len(_PROFILE)] == _PROFILE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -214,10 +214,8 @@ class PartFile:
     def _check_start(self, start: bytes) -> None:
         """Refuse what is not ours; a few damaged bytes are forgiven."""
         expected = MAGIC + bytes([Opcode.HEADER])
-        profile = len(PROFILE).to_bytes(4, "little") + PROFILE.encode()
-        profile_at = len(MAGIC) + RECORD.size
-        there = start[: len(expected)] + start[profile_at : profile_at + len(profile)]
-        differ = sum(a != b for a, b in zip(there, expected + profile, strict=False))
+        there = start[: len(expected)] + start[_PROFILE_AT : _PROFILE_AT + len(_PROFILE)]
+        differ = sum(a != b for a, b in zip(there, expected + _PROFILE, strict=False))
         if not start:
             raise self._refused("part_file.empty")
         # The sixth byte of the magic is the version of MCAP, "0" up to now.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from enum import Enum
 from pathlib import Path, PurePath
@@ -117,12 +117,7 @@ class SiteRecord:
         return self.gravity_m_s2 is not None or self.latitude_deg is not None
 
 
-_TABLES: Mapping[str, Callable[..., object]] = {
-    "link": LinkRecord,
-    "protocol": ProtocolRecord,
-    "guide": GuideRecord,
-    "site": SiteRecord,
-}
+_TABLES: Mapping[str, type] = {"link": LinkRecord, "protocol": ProtocolRecord, "guide": GuideRecord, "site": SiteRecord}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -214,11 +209,11 @@ def _plain(value: object) -> object:
     return str(value) if isinstance(value, PurePath) else value
 
 
-def _read_table(kind: Callable[..., object], name: str, content: Table, path: Path) -> Any:
+def _read_table(kind: type, name: str, content: Table, path: Path) -> Any:
     """Return a table as a record; its numbers are checked, keys that nothing reads stay in the file."""
     table = content.get(name, {})
     values = {}
-    for entry in fields(kind):  # type: ignore[arg-type]  # a class of records
+    for entry in fields(kind):
         if entry.name in table:
             value = table[entry.name]
             if entry.metadata:
