@@ -22,7 +22,6 @@ _XOR = make_checksum("XOR-8")
 class VectorNav(Driver):
     """What the forms of VectorNav's output have in common."""
 
-    default_baud = 115200
     bauds = (115200, 921600, 460800, 230400, 128000, 57600, 38400, 19200, 9600)
     abilities = BY_DOCUMENT
 

@@ -47,7 +47,6 @@ class AceinnaCan(Driver):
     title = "Aceinna MTLT305, MTLT335, OpenIMU300RI (J1939)"
     protocol = "j1939_imu"
     wire = "can"
-    default_baud = 250_000
     bauds = (250_000, 500_000, 125_000, 1_000_000)
     status = "verified on real bytes"
     manual = "Aceinna MTLT305D DBC rev. 19.1.51, OpenIMU300RI firmware and python-mtlt (open source)"

@@ -37,7 +37,6 @@ class AceinnaSerial(Driver):
     name = "aceinna_serial"
     title = "Aceinna OpenIMU, DMU38x, IMU38x (serial)"
     protocol = "aceinna_serial"
-    default_baud = 115200
     bauds = (115200, 57600, 38400, 230400, 460800)
     status = "verified on real bytes"
     manual = "OpenIMU serial messaging, openimu.readthedocs.io; Aceinna DMU38x user manual: packets S0, S1"

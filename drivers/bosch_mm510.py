@@ -1,7 +1,5 @@
 """Bosch MM5.10 automotive yaw rate and acceleration sensor."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 
@@ -27,7 +25,6 @@ class BoschMm510(Driver):
     title = "Bosch MM5.10 (CAN)"
     protocol = "bosch_mm510"
     wire = "can"
-    default_baud = 1_000_000
     bauds = (1_000_000, 500_000)
     status = "document only"
     manual = "public DBC text of an ABS M4 network, nodes ABS and DRS_MM5_10"

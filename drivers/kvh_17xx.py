@@ -1,7 +1,5 @@
 """KVH fibre-optic IMUs 1725, 1750, 1775 and DSP-1760."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 
@@ -27,7 +25,6 @@ class Kvh17xx(Driver):
     name = "kvh_17xx"
     title = "KVH 1725, 1750, 1775, DSP-1760"
     protocol = "kvh_17xx"
-    default_baud = 921600
     bauds = (921600, 460800, 230400, 115200, 4147200, 1843200, 57600, 38400, 19200, 9600)
     status = "document only"
     manual = "KVH 56-0298, 1775 IMU Technical Manual: message formats A, B, C"

@@ -49,7 +49,6 @@ class MicroStrainMip(Driver):
     name = "microstrain_mip"
     title = "MicroStrain 3DM series (MIP)"
     protocol = "microstrain_mip"
-    default_baud = 115200
     bauds = (115200, 921600, 460800, 230400, 57600, 19200, 9600)
     status = "verified on real bytes"
     manual = "LORD MicroStrain, 3DM-GX5-25 Data Communications Protocol manual: MIP packets, IMU data set"

@@ -1,7 +1,5 @@
 """NovAtel OEM7 SPAN receivers, binary IMU logs."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 
@@ -25,7 +23,6 @@ class NovAtelOem7(Driver):
     name = "novatel_oem7"
     title = "NovAtel OEM7 SPAN, binary IMU logs"
     protocol = "novatel_oem7"
-    default_baud = 115200
     bauds = (115200, 9600, 57600, 230400, 460800, 921600)
     status = "verified on real bytes"
     manual = "NovAtel OEM7 Commands and Logs Reference Manual: message formats, RAWIMU, RAWIMUX"

@@ -1,7 +1,5 @@
 """NovAtel OEM7 SPAN receivers, ASCII IMU logs."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 
@@ -16,7 +14,6 @@ class NovAtelOem7Ascii(Driver):
     name = "novatel_oem7_ascii"
     title = "NovAtel OEM7 SPAN, ASCII IMU logs"
     protocol = "novatel_oem7_ascii"
-    default_baud = 115200
     bauds = (115200, 9600, 57600, 230400, 460800, 921600)
     status = "verified on real bytes"
     manual = "NovAtel OEM7 Commands and Logs Reference Manual: ASCII messages, RAWIMU, RAWIMUX"

@@ -1,7 +1,5 @@
 """Racelogic IMU03 and IMU04 on CAN."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 
@@ -27,7 +25,6 @@ class RacelogicCan(Driver):
     title = "Racelogic IMU03, IMU04 (CAN)"
     protocol = "racelogic_can"
     wire = "can"
-    default_baud = 500_000
     bauds = (500_000, 1_000_000, 250_000)
     status = "document only"
     manual = "Racelogic support pages, CAN output of IMU04"

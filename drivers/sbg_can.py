@@ -1,7 +1,5 @@
 """SBG Systems units on CAN."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 
@@ -23,7 +21,6 @@ class SbgCan(Driver):
     title = "SBG Systems (CAN)"
     protocol = "sbg_can"
     wire = "can"
-    default_baud = 500_000
     bauds = (500_000, 1_000_000, 250_000, 125_000)
     status = "document only"
     manual = "SBG Systems sbgECom, can/sbgCan.dbc and doc/canProtocol.md"

@@ -1,7 +1,5 @@
 """SBG Systems Ellipse, Ekinox, Apogee and Quanta."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 
@@ -27,7 +25,6 @@ class SbgEcom(Driver):
     name = "sbg_sbgecom"
     title = "SBG Systems (sbgECom)"
     protocol = "sbg_sbgecom"
-    default_baud = 115200
     bauds = (115200, 921600, 460800, 230400, 57600, 38400, 19200, 9600)
     status = "document only"
     manual = "SBG Systems sbgECom library (MIT): binary protocol, logs IMU_DATA and IMU_SHORT"

@@ -53,7 +53,6 @@ class Stim300(Driver):
     name = "stim300"
     title = "Sensonor STIM300"
     protocol = "stim300"
-    default_baud = 921600
     bauds = (921600, 460800, 1843200, 374400)
     answers_replace_samples = True
     status = "verified on real bytes"

@@ -1,14 +1,9 @@
 """Honeywell TARS on a J1939 bus."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import ClassVar
-
-from imufield.acquire.driver import Driver
+from .mv5_can import SaeCan
 
 
-class TarsCan(Driver):
+class TarsCan(SaeCan):
     """The messages ACCS, ARI and SSI2 of SAE J1939 from source address 0xE2, as driver ``aceinna_can`` lists them.
 
     Words are taken in SAE order: lateral, longitudinal, vertical; pitch, roll, yaw. Layout and scale fit three frames of
@@ -17,13 +12,8 @@ class TarsCan(Driver):
 
     name = "tars_can"
     title = "Honeywell TARS (J1939)"
-    protocol = "j1939_imu"
-    wire = "can"
-    default_baud = 250_000
-    bauds = (250_000, 500_000)
     status = "verified on real bytes"
     manual = "SAE J1939-71 PGN 61481, 61482, 61485; frames of a public logger"
-    settings: ClassVar[Mapping[str, object]] = {"axes": "sae"}
 
 
 DRIVER = TarsCan

@@ -1,7 +1,5 @@
 """Instruments that print numbers: home-made units, loggers, evaluation boards."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 
@@ -19,7 +17,6 @@ class Text(Driver):
     name = "text"
     title = "any instrument that prints lines of numbers"
     protocol = "text"
-    default_baud = 115200
     bauds = (115200, 9600, 57600, 230400, 460800, 921600, 38400, 19200)
     status = "verified on real bytes"
     manual = "imufield, docs/protocols.md: lines of numbers; NMEA 0183 for the optional checksum"

@@ -45,7 +45,6 @@ class WitMotion(Driver):
     name = "witmotion"
     title = "WitMotion WT901, HWT90x"
     protocol = "witmotion"
-    default_baud = 9600
     bauds = (9600, 115200, 230400, 460800, 921600, 57600, 38400, 19200, 4800)
     status = "verified on real bytes"
     manual = "WITMOTION WitStandardProtocol_JY901: standard protocol and register map"

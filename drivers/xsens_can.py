@@ -1,7 +1,5 @@
 """Xsens MTi-600 series on CAN."""
 
-from __future__ import annotations
-
 from imufield.acquire.driver import Driver
 
 
@@ -29,7 +27,6 @@ class XsensCan(Driver):
     title = "Xsens MTi-600 series (CAN)"
     protocol = "xsens_can"
     wire = "can"
-    default_baud = 250_000
     bauds = (250_000, 500_000, 1_000_000, 125_000)
     status = "document only"
     manual = "Xsens MT1604P rev. A (2019), by public descriptions"

@@ -40,7 +40,6 @@ class XsensMtData2(Driver):
     name = "xsens_mtdata2"
     title = "Xsens MTi"
     protocol = "xsens_mtdata2"
-    default_baud = 115200
     bauds = (115200, 921600, 460800, 230400, 2000000, 57600)
     status = "verified on real bytes"
     manual = "Xsens MT0101P, MT Low Level Communication Protocol Documentation: Xbus messages, MTData2"

@@ -79,6 +79,7 @@ class Driver:
     wire: ClassVar[Wire] = "serial"
     """What it is connected by; ``bauds`` are baud rates or bit rates accordingly, and commands on CAN are packed frames."""
     default_baud: ClassVar[int]
+    """The first of ``bauds`` where it is not stated."""
     bauds: ClassVar[tuple[int, ...]]
     """All rates it can be set to, the likeliest first."""
     status: ClassVar[Evidence]
@@ -99,6 +100,10 @@ class Driver:
     """An answer takes the place of samples; otherwise it comes between two."""
     no_rate: ClassVar[str] = "imufield knows no command for it"
     """Why its rate cannot be set, where it cannot."""
+
+    def __init_subclass__(cls) -> None:
+        if "default_baud" not in vars(cls) and vars(cls).get("bauds"):
+            cls.default_baud = cls.bauds[0]
 
     @classmethod
     def load_protocol(cls, given: Mapping[str, object] | None = None, *, messages: Iterable[Message] = ()) -> Protocol:

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 import typer
 
-from imufield.acquire.instrument.connect import ConnectOptions, connect
+from imufield.acquire.instrument.connect import connect
+from imufield.acquire.instrument.connected import ConnectOptions
 from imufield.acquire.link.host_clock import ScaledClock
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import to_vector

@@ -15,10 +15,10 @@ import typer
 from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.formats.ros_bags import is_bag
+from imufield.acquire.formats.table_columns import TIME_UNIT
 from imufield.acquire.formats.table_text import read_pieces
-from imufield.acquire.formats.table_units import TIME_UNIT
 from imufield.acquire.formats.tables import ROWS_PROTOCOL, ImportedTable, read_tables, write_rows
-from imufield.acquire.instrument.connect import assumed
+from imufield.acquire.instrument.connected import assumed
 from imufield.acquire.link.host_clock import SystemClock
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol, load_protocol

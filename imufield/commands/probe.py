@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from imufield.acquire.instrument.connect import ConnectOptions
+from imufield.acquire.instrument.connected import ConnectOptions
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import Search, bauds_to_try, has_no_baud, nothing_recognised, search, serial_candidates
 from imufield.acquire.instrument.recognise import Candidate, Finding, Listener

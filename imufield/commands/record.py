@@ -10,9 +10,10 @@ import typer
 
 from imufield.acquire.decode.statistics import remarks
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.instrument.connect import Connected, connect
+from imufield.acquire.instrument.connect import connect
+from imufield.acquire.instrument.connected import Connected
+from imufield.acquire.link.background import PatientLink
 from imufield.acquire.link.host_clock import HostClock
-from imufield.acquire.link.reconnect import PatientLink
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session

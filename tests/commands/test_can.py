@@ -19,11 +19,10 @@ import can
 import numpy as np
 import pytest
 
-from imufield.acquire.decoder import Decoder
 from imufield.acquire.instrument import connect_can
 from imufield.acquire.instrument.can_map import parse_map, protocol_from_dbc
-from imufield.acquire.instrument.connect import ConnectOptions
-from imufield.acquire.instrument.recognise import FEWEST_SAMPLES
+from imufield.acquire.instrument.connected import ConnectOptions
+from imufield.acquire.instrument.recognise import FEWEST_SAMPLES, Listener
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.can_frames import EXTENDED, pack_frame
 from imufield.acquire.protocol.protocol import Protocol
@@ -389,9 +388,9 @@ class Uneven:
 def test_frames_that_come_in_bursts_are_understood_however_uneven() -> None:
     host = Uneven()
     (candidate,) = connect_can.bus_candidates(ConnectOptions(driver="aceinna_can"))
-    listener = connect_can.BusListener(candidate, Decoder(candidate.protocol))
+    listener = Listener(candidate)
     connect_can._listen(host, [listener], host)  # type: ignore[arg-type]
-    assert listener.samples >= FEWEST_SAMPLES
+    assert listener.decoder.statistics.samples >= FEWEST_SAMPLES
 
 
 def test_a_typed_bus_goes_before_a_port_by_default(

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from imufield.acquire.decoder import Decoder
-from imufield.acquire.instrument.connect import ConnectOptions, ask_identity, check_capacity, connect
+from imufield.acquire.instrument.connect import check_capacity, connect
+from imufield.acquire.instrument.connected import ConnectOptions, ask_identity
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import SILENT_S, SILENT_TRY_S, search, serial_candidates
 from imufield.acquire.link.host_clock import ScaledClock, SystemClock

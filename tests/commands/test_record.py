@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imufield.acquire.instrument.connect import Connected, ConnectOptions
+from imufield.acquire.instrument.connected import Connected, ConnectOptions
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.recording.session import Session

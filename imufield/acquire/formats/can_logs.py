@@ -7,10 +7,8 @@ import gzip
 import importlib.util
 import math
 import re
-import struct
 import subprocess
 import sys
-import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -29,8 +27,11 @@ from imufield.acquire.link.can import make_message, open_bus, pack_message, pars
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.acquire.link.serial import WRITE_TIMEOUT_S, Chunk
 from imufield.acquire.protocol.can_frames import ERROR, SENT, Frame, Unpacker, unpack_frames
-from imufield.acquire.recording.reader import EndOfRecordingError, RecordingLink
+from imufield.acquire.recording.reader import EndOfRecordingError, Pacer, RecordingLink
 from imufield.errors import LinkError, Reason, RecordingError, UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 CHUNK_S = 0.05
 """Frames of this much time make a chunk, as they do when a bus is recorded live."""
@@ -61,10 +62,8 @@ SUFFIXES = tuple(suffix for suffix in _KINDS if suffix != _TABLE)
 """Logs this module reads, packed with gzip too; besides, tables of python-can."""
 _HEAD_BYTES = 256
 # What python-can's readers raise in files that are cut short or of another kind.
-_DAMAGE = (
-    *(ValueError, IndexError, KeyError, EOFError, OSError, AttributeError, TypeError),
-    *(struct.error, zlib.error, can.CanError, BLFParseError),
-)
+_DAMAGE = (*array_file_reader.DAMAGE, can.CanError, BLFParseError)
+_LONGEST_WAIT_S = 5.0  # Parts have clocks of their own: a jump of the stamps beyond this begins anew.
 _EPOCH_S = 1e8  # Time stamps below 1973 count from the start of the log, not from 1970.
 
 
@@ -141,7 +140,7 @@ def _chunk(pieces: list[bytes], last_s: float) -> Chunk:
 def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iterator[can.Message]:
     """Yield the frames of one bus, raise or note what is lost behind them."""
     if not path.is_file():
-        raise RecordingError(f"{path} is not there or no file: check the name", Reason.NOT_A_RECORDING, path=str(path))
+        raise RecordingError(sentence("can_logs.no_file", path=str(path)), Reason.NOT_A_RECORDING)
     count, lost = 0, ""
     try:
         with contextlib.closing(_Reader(path)) as reader:
@@ -155,22 +154,16 @@ def _messages(path: Path, channel: str | None, losses: list[str] | None) -> Iter
         raise
     except _DAMAGE as error:
         if not count:
-            what = "from its first line on, so it may be of another kind than its name says"
-            raise RecordingError(
-                f"{path} cannot be read {what}: {error}; repair it or cut it there",
-                Reason.DAMAGED,
-                path=str(path),
-                frames=0,
-            ) from error
-        lost = f"is damaged behind frame {count} ({error or type(error).__name__})"
+            foreign = sentence("can_logs.from_the_first", path=str(path), cause=error, frames=0)
+            raise RecordingError(foreign, Reason.DAMAGED) from error
+        lost = sentence("can_logs.damaged", path=str(path), frames=count, cause=array_file_reader.first_line(error))
     if count == 0:
-        where = "" if channel is None else f" of channel {channel}"
-        raise RecordingError(f"{path} holds no frame{where}: check the file", Reason.NOT_A_RECORDING, path=str(path))
+        key = "can_logs.no_frame" if channel is None else "can_logs.no_frame_of_channel"
+        raise RecordingError(sentence(key, path=str(path), channel=channel), Reason.NOT_A_RECORDING)
     if lost and losses is None:
-        what = f"{path} {lost}: fetch it again, or cut it there"
-        raise RecordingError(what, Reason.DAMAGED, path=str(path), frames=count)
+        raise RecordingError(lost, Reason.DAMAGED)
     if lost and losses is not None:
-        losses.append(f"{path} {lost}: what follows is lost")
+        losses.append(lost)
 
 
 def _of_channel(reader: Iterable[can.Message], path: Path, channel: str | None) -> Iterator[can.Message]:
@@ -178,12 +171,8 @@ def _of_channel(reader: Iterable[can.Message], path: Path, channel: str | None) 
     first = None
     for message in reader:
         if channel is None and first is not None and message.channel != first:
-            raise UsageError(
-                f"{path} holds more than one bus, {first} and {message.channel} at least: choose one with --channel, e.g. "
-                f"--channel {first}",
-                path=str(path),
-                channels=(str(first), str(message.channel)),
-            )
+            channels = (str(first), str(message.channel))
+            raise UsageError(sentence("can_logs.several_buses", path=str(path), channels=channels))
         first = message.channel
         if channel is None or str(first) == channel:
             yield message
@@ -196,11 +185,19 @@ class _Reader:
         suffixes = path.suffixes[-2:]
         suffix = next((suffix for suffix in reversed(suffixes) if suffix in _KINDS), "")
         if not suffix:
-            raise UsageError(f"{path} has none of the suffixes {', '.join(_KINDS)}: rename it", path=str(path))
+            raise UsageError(sentence("can_logs.suffix", path=str(path), known=[*_KINDS]))
         kind = _KINDS[suffix]
         self._path = path
         self._size = None if path.suffix == ".gz" else path.stat().st_size
-        self._process = _start_mf4(path) if suffix == ".mf4" else None
+        self._process: subprocess.Popen[bytes] | None = None
+        if suffix == ".mf4":
+            if importlib.util.find_spec("asammdf") is None:
+                raise missing_package(f"{path} is MF4, which", "asammdf", "mf4")
+            # A process of its own, which writes what candump would have. -P: what stands in the present folder is nothing to
+            # import.
+            command = [sys.executable, "-P", array_file_reader.__file__, "mf4", str(path)]
+            quiet = subprocess.DEVNULL
+            self._process = subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet)  # noqa: S603  (our own)
         content = _opened(path) if self._process is None else cast("IO[bytes]", self._process.stdout)
         self._file = content if kind.is_binary else TextIOWrapper(content, encoding="utf-8", errors="replace")
         try:
@@ -218,43 +215,28 @@ class _Reader:
         The reader stops without an error where a file ends in the middle. What the whole file holds stands in its head, or
         nothing does where the logger was never stopped.
         """
+        here: dict[str, object] = {"path": str(self._path), "frames": count}
         ended = 0 if self._process is None else self._process.wait()
         if ended == array_file_reader.TOO_LARGE:
             limit = array_file_reader.memory_limit_bytes(self._path.stat().st_size) >> 20
-            raise RecordingError(
-                f"{self._path} asks for more than {limit} MiB of memory behind frame {count}, the limit for a file of its "
-                "size: it is damaged; or save it as BLF, ASC or in several files",
-                Reason.DAMAGED,
-                path=str(self._path),
-                frames=count,
-            )
+            raise RecordingError(sentence("can_logs.memory", limit_mib=limit, **here), Reason.DAMAGED)
         if ended:
-            return f"is damaged behind frame {count}"
+            return sentence("can_logs.broken", **here)
         reader = self._reader
         if not isinstance(reader, can.BLFReader):
             return ""
         if not reader.object_count:
-            return f"was never closed by its logger and may be cut: {count} frames are there"
+            return sentence("can_logs.never_closed", **here)
         # A packed file that is cut cannot be unpacked to its end, which is an error of its own.
         if self._size is None or self._size >= reader.file_size:
             return ""
-        return f"is cut: {self._size} of {reader.file_size} bytes and {count} of up to {reader.object_count} frames are there"
+        return sentence("can_logs.cut", size=self._size, whole=reader.file_size, most=reader.object_count, **here)
 
     def close(self) -> None:
         self._file.close()
         if self._process is not None:
             self._process.kill()
             self._process.wait()
-
-
-def _start_mf4(path: Path) -> subprocess.Popen[bytes]:
-    """Begin to read MF4 in a process of its own, which writes what candump would have."""
-    if importlib.util.find_spec("asammdf") is None:
-        raise missing_package(f"{path} is MF4, which", "asammdf", "mf4")
-    # -P: what stands in the present folder is nothing to import.
-    command = [sys.executable, "-P", array_file_reader.__file__, "mf4", str(path)]
-    quiet = subprocess.DEVNULL
-    return subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet)  # noqa: S603  (our own)
 
 
 def replay_to_bus(
@@ -299,9 +281,7 @@ def replay_to_bus(
     try:
         return replay_frames(link, send, pace=pace, on_chunk=on_chunk)
     except can.CanError as error:
-        raise LinkError(
-            f"{bus} takes no more frames after {sent}: {error}; check the bus", Reason.DISCONNECTED, bus=bus
-        ) from error
+        raise LinkError(sentence("can_logs.bus_gone", bus=bus, sent=sent, cause=error), Reason.DISCONNECTED) from error
     finally:
         target.shutdown()
 
@@ -315,40 +295,17 @@ def replay_frames(
 ) -> int:
     """Hand the frames of a recorded session to ``send`` when they are due; otherwise like ``replay_to_bus``."""
     sent = 0
-    pacer = _Pacer(pace)
+    pacer = Pacer(pace, longest_s=_LONGEST_WAIT_S)
     try:
         while True:
             chunk = link.read()
             for frame in unpack_frames(chunk.data) if chunk is not None else ():
                 if frame.can_id & ERROR or frame.flags & SENT:
                     continue
-                pacer.wait(frame)
+                pacer.wait(frame.time_s)
                 send(frame)
                 sent += 1
             if on_chunk is not None:
                 on_chunk(sent)
     except EndOfRecordingError:
         return sent
-
-
-class _Pacer:
-    """Waits until a frame is due."""
-
-    _SHORTEST_S = 0.001  # Below what a system sleeps reliably.
-    _LONGEST_S = 5.0  # Parts have clocks of their own: a jump of the stamps beyond this begins anew.
-
-    def __init__(self, pace: float | None) -> None:
-        if pace is not None and not pace > 0:
-            raise UsageError(f"a pace of {pace:g} cannot be replayed: give a number larger than 0.", pace=pace)
-        self._pace = pace
-        self._offset_s: float | None = None
-
-    def wait(self, frame: Frame) -> None:
-        if self._pace is None:
-            return
-        due_s, now_s = frame.time_s / self._pace, time.monotonic()
-        ahead_s = None if self._offset_s is None else due_s + self._offset_s - now_s
-        if ahead_s is None or abs(ahead_s) > self._LONGEST_S:
-            self._offset_s, ahead_s = now_s - due_s, 0.0
-        if ahead_s >= self._SHORTEST_S:
-            time.sleep(ahead_s)

@@ -6,23 +6,24 @@ By REP 103 and REP 145 values are in m/s^2 and rad/s, and a covariance that begi
 from __future__ import annotations
 
 import sqlite3
-import struct
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from imufield.acquire.formats.array_file_reader import first_line
+from imufield.acquire.formats.array_file_reader import DAMAGE, first_line
 from imufield.acquire.formats.table_arrays import ArrayTable, missing_package
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import SAMPLE_COLUMNS, FloatArray, Status
+from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
     from rosbags.interfaces import Connection
+
+sentence = Sentences(__package__)
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 _MAGIC = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\0")
@@ -74,11 +75,8 @@ def read_bag(path: Path, topic: str | None = None) -> ArrayTable:
         raise missing_package(f"{path} is a recording of ROS, which", "rosbags", "ros") from error
     store = rosbags.typesys.get_typestore(rosbags.typesys.Stores.ROS2_HUMBLE)
     # rosbags checks with assertions, too; the rest comes from the libraries that unpack for it.
-    failures = (
-        *(rosbags.highlevel.AnyReaderError, Rosbag1Error, Rosbag2Error, rosbags.typesys.TypesysError),
-        *(OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, AssertionError, EOFError, RuntimeError),
-        *(OverflowError, MemoryError, struct.error, zlib.error, sqlite3.Error),
-    )
+    errors = (rosbags.highlevel.AnyReaderError, Rosbag1Error, Rosbag2Error, rosbags.typesys.TypesysError)
+    failures = (*errors, *DAMAGE, AssertionError, sqlite3.Error)
     batches: list[FloatArray] = []
     said: list[str] = []
     try:
@@ -89,15 +87,10 @@ def read_bag(path: Path, topic: str | None = None) -> ArrayTable:
     except failures as error:
         cause = first_line(error)
         if not batches:
-            raise RecordingError(
-                f"{path} is damaged or no recording of ROS ({cause}): fetch it again, or `ros2 bag reindex` it",
-                Reason.DAMAGED,
-                path=str(path),
-            ) from error
-        count = sum(map(len, batches))
-        said.append(f"{path.name} is damaged behind message {count} ({cause}): what follows is lost.")
+            raise RecordingError(sentence("ros_bags.damaged", path=str(path), cause=cause), Reason.DAMAGED) from error
+        said.append(sentence("ros_bags.lost", name=path.name, count=sum(map(len, batches)), cause=cause))
     if not batches:
-        raise RecordingError(f"{path} holds no message on the topic: check the recording", Reason.BAD_DATA, path=str(path))
+        raise RecordingError(sentence("ros_bags.no_message", path=str(path)), Reason.BAD_DATA)
     return _table(path, np.concatenate(batches), said)
 
 
@@ -106,15 +99,11 @@ def _connections(path: Path, connections: Sequence[Connection], topic: str | Non
     chosen = [each for each in connections if each.msgtype == IMU_TYPE and (topic is None or each.topic == topic)]
     topics = sorted({each.topic for each in chosen})
     if len(topics) > 1:
-        raise UsageError(
-            f"{path} holds several topics of {IMU_TYPE}: choose one with --topic, e.g. --topic {topics[0]}; there are "
-            f"{', '.join(topics)}",
-            path=str(path),
-        )
+        raise UsageError(sentence("ros_bags.several_topics", path=str(path), kind=IMU_TYPE, topics=topics))
     if not topics:
-        there = ", ".join(sorted({f"{each.topic} ({each.msgtype})" for each in connections})) or "nothing"
-        what = IMU_TYPE if topic is None else f"{IMU_TYPE} on {topic}"
-        raise RecordingError(f"{path} holds no {what}, but {there}: record or choose another", Reason.BAD_DATA, path=str(path))
+        there = sorted({f"{each.topic} ({each.msgtype})" for each in connections}) or "nothing"
+        wanted = IMU_TYPE if topic is None else f"{IMU_TYPE} on {topic}"
+        raise RecordingError(sentence("ros_bags.no_topic", path=str(path), wanted=wanted, there=there), Reason.BAD_DATA)
     return chosen
 
 
@@ -146,7 +135,7 @@ def _collect(reader: AnyReader, connections: list[Connection], batches: list[Flo
 def _table(path: Path, rows: FloatArray, said: list[str]) -> ArrayTable:
     from_s = rows[0, 0] if rows[0, 0] > _EPOCH_S else 0.0
     if from_s:
-        said.append(f"{path.name}: time counts from {from_s:.0f} s since 1970.")
+        said.append(sentence("ros_bags.time_from", name=path.name, from_s=from_s))
     n = len(rows)
     values = np.full((n, len(SAMPLE_COLUMNS)), np.nan)
     values[:, 0] = rows[:, 0] - from_s + rows[:, 1] / NANOSECONDS

@@ -11,9 +11,8 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, cast
@@ -25,7 +24,9 @@ from imufield.acquire.formats.array_file_reader import Array, Arrays
 from imufield.acquire.formats.table_columns import named_column
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import shortened
+from imufield.sentences import Sentences, shortened
+
+sentence = Sentences(__package__)
 
 MATLAB_7_3 = b"MATLAB 7.3"
 MATLAB_5 = b"MATLAB 5.0"
@@ -76,7 +77,7 @@ class ArrayTable:
 
 
 @dataclass(frozen=True, slots=True)
-class _Kind:
+class ArrayKind:
     """A kind of file of arrays."""
 
     name: str  # For ``array_file_reader``.
@@ -85,21 +86,21 @@ class _Kind:
     extra: str = ""  # That it comes with; empty where it comes with imufield.
 
 
-_MATLAB = _Kind("mat", "MATLAB file", "scipy")
-_HDF5 = _Kind("hdf5", "HDF5 file", "h5py", "hdf5")
-_NUMPY = _Kind("numpy", "NumPy file", "numpy")
+_MATLAB = ArrayKind("mat", "MATLAB file", "scipy")
+_HDF5 = ArrayKind("hdf5", "HDF5 file", "h5py", "hdf5")
+_NUMPY = ArrayKind("numpy", "NumPy file", "numpy")
 _KINDS = {
     MATLAB_5: _MATLAB,
     MATLAB_7_3: _HDF5,
     b"\x89HDF\r\n\x1a\n": _HDF5,
-    b"PAR1": _Kind("parquet", "Parquet file", "pyarrow", "parquet"),
+    b"PAR1": ArrayKind("parquet", "Parquet file", "pyarrow", "parquet"),
     b"\x93NUMPY": _NUMPY,
     b"PK\x03\x04": _NUMPY,
 }
 
 
-def array_reader(path: Path) -> Callable[[Path], ArrayTable] | None:
-    """Return what reads a file of arrays, None for files of another kind or none."""
+def array_kind(path: Path) -> ArrayKind | None:
+    """Return the kind of a file of arrays, None for files of another kind or none."""
     try:
         with path.open("rb") as file:
             head = file.read(_MAGIC_BYTES)
@@ -108,12 +109,10 @@ def array_reader(path: Path) -> Callable[[Path], ArrayTable] | None:
     kind = next((kind for magic, kind in _KINDS.items() if head.startswith(magic)), None)
     # Version 4 of MATLAB's format begins with a number below 5000 that tells the type of its first variable.
     is_version_4 = path.suffix.lower() == ".mat" and len(head) > 4 and int.from_bytes(head[:4], "little") < _MATLAB_4_TYPES
-    if kind is None and is_version_4:
-        kind = _MATLAB
-    return None if kind is None else partial(read_arrays, kind)
+    return _MATLAB if kind is None and is_version_4 else kind
 
 
-def read_arrays(kind: _Kind, path: Path) -> ArrayTable:
+def read_arrays(kind: ArrayKind, path: Path) -> ArrayTable:
     """Read a file of arrays in a process of its own, ``array_file_reader``.
 
     Raises
@@ -136,15 +135,10 @@ def read_arrays(kind: _Kind, path: Path) -> ArrayTable:
         raise
     except array_file_reader.DAMAGE as error:
         if isinstance(error, OSError) and error.strerror:
-            what = f"{path} cannot be read ({error.strerror}): check the name and its permissions"
-            raise RecordingError(what, Reason.BAD_DATA) from error
-        cause = array_file_reader.first_line(error)
-        raise RecordingError(
-            f"{path} is a damaged {kind.words} ({cause}): fetch or save it again",
-            Reason.DAMAGED,
-            path=str(path),
-            cause=cause,
-        ) from error
+            unreadable = sentence("table_text.unreadable", path=str(path), cause=error.strerror)
+            raise RecordingError(unreadable, Reason.BAD_DATA) from error
+        damaged = sentence("table_arrays.damaged", path=str(path), kind=kind.words, cause=array_file_reader.first_line(error))
+        raise RecordingError(damaged, Reason.DAMAGED) from error
 
 
 def _handed_over(reader: subprocess.Popen[bytes]) -> tuple[Arrays, dict[str, str]]:
@@ -175,12 +169,9 @@ def missing_package(what: str, package: str, extra: str, cause: str = "") -> Usa
 
     ``cause`` is what Python says where it may be installed, and made for another Python, NumPy or system.
     """
-    needed = f"{package}, which cannot be imported ({cause})" if cause else package
     wanted = f"'imufield[{extra}]'" if extra else "imufield"
-    again = ", with --force-reinstall where it is there already" if cause else ""
-    return UsageError(
-        f"{what} needs the package {needed}; install it with `pip install {wanted}`{again}", Reason.MISSING_PACKAGE
-    )
+    key = "table_arrays.broken_package" if cause else "table_arrays.missing_package"
+    return UsageError(sentence(key, what=what, package=package, wanted=wanted, cause=cause), Reason.MISSING_PACKAGE)
 
 
 def _table(path: Path, arrays: Arrays, stated: Mapping[str, str]) -> ArrayTable:
@@ -195,11 +186,11 @@ def _table(path: Path, arrays: Arrays, stated: Mapping[str, str]) -> ArrayTable:
     rows = max((len(array) for array in upright.values()), default=0)
     used = {name: array for name, array in upright.items() if len(array) == rows}
     if rows < 2:
-        raise RecordingError(f"{path} holds no columns of numbers: check that it is the right file", Reason.BAD_DATA)
+        raise RecordingError(sentence("table_arrays.no_columns", path=path), Reason.BAD_DATA)
     said: list[str] = []
-    left_out = sorted(name for name in arrays if name not in used)
+    left_out = [shortened(name) for name in sorted(arrays.keys() - used.keys())]
     if left_out:
-        said.append(f"{path.name}: ignored {', '.join(map(shortened, left_out))}, which have not {rows} rows of numbers.")
+        said.append(sentence("table_arrays.ignored", name=path.name, ignored=left_out, rows=rows))
     columns: list[FloatArray] = []
     names: list[str] = []
     units: list[str] = []
@@ -209,21 +200,14 @@ def _table(path: Path, arrays: Arrays, stated: Mapping[str, str]) -> ArrayTable:
         names += _names(name, array.shape[1])
         units += ["s" if is_date else ""] * array.shape[1]
     if any(units):
-        said.append(f"{path.name}: dates count in seconds from the first row.")
+        said.append(sentence("table_arrays.dates", name=path.name))
     values = np.hstack(columns)
+    table = ArrayTable(path=path, header=None, values=values, assumptions=tuple(said))
     # A single matrix has a name for itself and none for its columns.
     if len(used) == 1 and values.shape[1] > 1:
-        return ArrayTable(path=path, header=None, values=values, assumptions=tuple(said))
+        return table
     settings, raw_zero = _stated(stated)
-    return ArrayTable(
-        path=path,
-        header=tuple(names),
-        values=values,
-        units=tuple(units),
-        settings=settings,
-        raw_zero=raw_zero,
-        assumptions=tuple(said),
-    )
+    return replace(table, header=tuple(names), units=tuple(units), settings=settings, raw_zero=raw_zero)
 
 
 def _without_group(names: list[str]) -> list[str]:

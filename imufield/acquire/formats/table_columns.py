@@ -1,4 +1,4 @@
-"""Find what the columns of a table mean: by their header, by the names the user gives, or by their number.
+"""Find what the columns of a table mean, and their units: by their header, by what the user gives, or by number and values.
 
 Every assumption that the header does not state is returned as a sentence.
 """
@@ -6,13 +6,18 @@ Every assumption that the header does not state is returned as a sentence.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from imufield.errors import UsageError
-from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, SAMPLE_COLUMNS
-from imufield.sentences import shortened
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, SAMPLE_COLUMNS, FloatArray
+from imufield.sentences import Sentences, shortened
+
+sentence = Sentences(__package__)
 
 TIME = "time"
 TEMPERATURE = "temperature"
@@ -25,43 +30,34 @@ COUNTER = "counter"
 SKIPPED = ("-", "_", "skip")
 
 
-def _spellings(**names: str) -> dict[str, str]:
-    """Return spelling -> unit; units that are no Python names are given as keys with words for their signs."""
-    signs = {"m_s2": "m/s^2", "m_s": "m/s", "rad_s": "rad/s", "deg_s": "deg/s"}
-    return {spelling: signs.get(unit, unit) for unit, spellings in names.items() for spelling in spellings.split()}
-
-
-def _names(spellings: str) -> frozenset[str]:
-    return frozenset(spellings.split())
-
-
-# Spellings are compared in small letters without blanks, hats, stars, dots and minus signs.
-_RAW_UNITS = _spellings(count="count counts lsb raw adc", pulse="pulse pulses")
-_TIME_UNITS = _spellings(
-    s="s sec secs second seconds", ms="ms msec millis", us="us µs usec micros", ns="ns nsec nanos nanosec nanoseconds"
-)
-_ACCELEROMETER_UNITS = _spellings(m_s2="m/s2 m/s/s ms2 mps2 mss", m_s="m/s ms", g="g", mg="mg")
-_GYROSCOPE_UNITS = _spellings(rad_s="rad/s rads radps rps", deg_s="deg/s °/s dps degps degs", rad="rad", deg="deg")
-_TEMPERATURE_UNITS = _spellings(degC="degc °c c celsius")
-
+_WORDS = tomllib.loads(Path(__file__).with_name("table_words.toml").read_text(encoding="utf-8"))
 UNITS_OF = {
-    TIME: _TIME_UNITS,
-    "accelerometer": _ACCELEROMETER_UNITS | _RAW_UNITS,
-    "gyroscope": _GYROSCOPE_UNITS | _RAW_UNITS,
-    TEMPERATURE: _TEMPERATURE_UNITS,
+    quantity: {spelling: unit for unit, spellings in units.items() for spelling in spellings.split()}
+    for quantity, units in _WORDS["units"].items()
 }
-
-_TIME_NAMES = _names("t time timestamp ts stamp epoch unixtime elapsed elapsedtime systemtime")
-_TEMPERATURE_NAMES = _names("temp temperature")
-_ACCELEROMETER_NAMES = _names("a acc accel accelerometer acceleration linearacceleration specificforce f")
-_GYROSCOPE_NAMES = _names("g w gyr gyro gyroscope omega rate rot angularrate angularvelocity angvel turnrate")
-_NOISE_WORDS = _names("imu sensor data field msg calibrated")  # They say nothing of which quantity it is.
+_NAMES = {quantity: frozenset(names.split()) for quantity, names in _WORDS["names"].items()}
 _HEADERLESS = {
     3: ACCELEROMETER_COLUMNS,
     6: (*ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS),
     7: (TIME, *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS),
     8: FIELDS,
 }
+
+TIME_SCALE = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNIT = "time_unit"
+"""Setting of an import; rows themselves are in seconds."""
+SHORTEST_STEP_S = 2.5e-4
+LONGEST_STEP_S = 0.2
+"""Instruments send 5 to 4000 samples a second. The two limits are less than a factor of 1000 apart, so a median step fits one
+unit of time at most."""
+# A typed rate within 20 % of the time column's decides the unit of time; outside, one of the two is wrong.
+_RATE_TOLERANCE = 0.2
+
+_CONVERTED = {"mg": ("g", 1e-3)}  # Units that protocol ``rows_f64`` does not know: what they become, and the factor.
+_FAST = 0.999  # Of all outputs; larger ones may be damage.
+_STANDS_FOR_G = (0.8, 1.25)
+_STANDS_FOR_M_S2 = (8.0, 12.0)  # Median norm of an accelerometer that is at rest most of the time.
+_FASTEST_RAD_S = 70.0  # Hands turn a unit faster than this in deg/s at once, and never in rad/s (4000 deg/s).
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +130,7 @@ def _spelling(unit: str) -> str:
 def _words(text: str) -> list[str]:
     """Split at anything but letters and digits, and between small and capital letters."""
     parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
-    return [word for word in re.split(r"[^0-9a-z°µ]+", parted.lower()) if word and word not in _NOISE_WORDS]
+    return [word for word in re.split(r"[^0-9a-z°µ]+", parted.lower()) if word and word not in _NAMES["noise"]]
 
 
 def _field_of(words: Sequence[str]) -> tuple[str | None, Sequence[str]]:
@@ -149,16 +145,15 @@ def _field_of(words: Sequence[str]) -> tuple[str | None, Sequence[str]]:
 
 
 def _field_of_name(name: str) -> str | None:
-    if name in _TIME_NAMES:
-        return TIME
-    if name in _TEMPERATURE_NAMES:
-        return TEMPERATURE
+    for field in (TIME, TEMPERATURE):
+        if name in _NAMES[field]:
+            return field
     # Both "acc x" and "x acc" are in use.
     for axis, rest in ((name[-1:], name[:-1]), (name[:1], name[1:])):
         if axis in ("x", "y", "z"):
-            if rest in _ACCELEROMETER_NAMES:
+            if rest in _NAMES["accelerometer"]:
                 return f"a{axis}"
-            if rest in _GYROSCOPE_NAMES:
+            if rest in _NAMES["gyroscope"]:
                 return f"g{axis}"
     return None
 
@@ -173,16 +168,14 @@ def columns_by_user(path: Path, columns: str, width: int) -> Meaning:
     """
     names = [name.strip() for name in columns.split(",")]
     if len(names) != width:
-        raise UsageError(
-            f"--columns names {len(names)} columns, {path} has {width}: name each, `-` skips one.", path=str(path), width=width
-        )
+        raise UsageError(sentence("table_columns.other_number", found=len(names), path=str(path), width=width))
     found = []
     for index, name in enumerate(names):
         if name in SKIPPED:
             continue
         column = named_column(name, index)
         if column is None:
-            raise UsageError(f"--columns names {name!r}: use {', '.join(FIELDS)}, or `-` to skip a column.", name=name)
+            raise UsageError(sentence("table_columns.unknown_name", name=name, known=FIELDS))
         found.append(column)
     return _checked(path, found, ())
 
@@ -201,8 +194,8 @@ def columns_by_header(path: Path, header: Sequence[str], units: Sequence[str] | 
     if set(SAMPLE_COLUMNS) <= set(header):
         for name in (STATUS, COUNTER):
             named[header.index(name)] = TableColumn(header.index(name), name)
-    ignored = ", ".join(shortened(name) for name, column in zip(header, named, strict=True) if column is None and name)
-    said = (f"{path.name}: ignored the columns {ignored}.",) if ignored else ()
+    ignored = [shortened(name) for name, column in zip(header, named, strict=True) if column is None and name]
+    said = (sentence("table_columns.ignored", name=path.name, ignored=ignored),) if ignored else ()
     return _checked(path, [column for column in named if column is not None], said)
 
 
@@ -217,7 +210,7 @@ def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning
     # Programs that write a file for each sensor write the accelerometer first.
     triad = (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS)[min(number, 1)]
     if number > 1:
-        raise UsageError(f"{path} has no header and is file {number + 1}: name its columns with --columns.", path=str(path))
+        raise UsageError(sentence("table_columns.third_file", path=str(path), number=number + 1))
     if width == 4:
         fields: Sequence[str] | None = (TIME, *triad)
     elif width == 3 and files > 1:
@@ -225,12 +218,8 @@ def columns_by_count(path: Path, width: int, number: int, files: int) -> Meaning
     else:
         fields = _HEADERLESS.get(width) if number == 0 else None
     if fields is None:
-        raise UsageError(
-            f"{path} has no header and {width} columns of unknown meaning: name them, e.g. --columns {','.join(FIELDS)}.",
-            path=str(path),
-            width=width,
-        )
-    said = f"{path.name}: no header, its {width} columns are taken as {', '.join(fields)}."
+        raise UsageError(sentence("table_columns.no_header", path=str(path), width=width, example=",".join(FIELDS)))
+    said = sentence("table_columns.taken_as", name=path.name, width=width, fields=[*fields])
     return Meaning(tuple(TableColumn(index, field) for index, field in enumerate(fields)), {}, (said,), is_guess=True)
 
 
@@ -239,28 +228,130 @@ def _checked(path: Path, found: Sequence[TableColumn], assumptions: tuple[str, .
     fields = [column.field for column in found]
     doubled = next((field for field in fields if fields.count(field) > 1), None)
     if doubled is not None:
-        raise UsageError(
-            f"{path} has two columns that mean {doubled}: say which with --columns.", path=str(path), field=doubled
-        )
+        raise UsageError(sentence("table_columns.doubled", path=str(path), field=doubled))
     for triad in (ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS):
         missing = [field for field in triad if field not in fields]
         if 0 < len(missing) < 3:
-            raise UsageError(
-                f"{path} has no column for {', '.join(missing)}: name the columns with --columns.",
-                path=str(path),
-                missing=missing,
-            )
+            raise UsageError(sentence("table_columns.missing", path=str(path), missing=missing))
     if not set(fields) - {TIME, TEMPERATURE, STATUS, COUNTER}:
-        raise UsageError(
-            f"no column of {path} is known as accelerometer or gyroscope: name them with --columns {','.join(FIELDS)}.",
-            path=str(path),
-        )
+        raise UsageError(sentence("table_columns.no_triad", path=str(path), example=",".join(FIELDS)))
     units: dict[str, str] = {}
     for column in found:
         before = units.setdefault(column.quantity, column.unit) if column.unit is not None else None
         if before != column.unit:
-            raise UsageError(
-                f"{path} gives {column.quantity} in {before} and in {column.unit}: bring all its axes to one unit.",
-                path=str(path),
-            )
+            both = [before, column.unit]
+            raise UsageError(sentence("table_columns.two_units", path=str(path), quantity=column.quantity, units=both))
     return Meaning(tuple(found), units, assumptions)
+
+
+def given_time_unit(settings: Mapping[str, object]) -> str | None:
+    """Return the unit of time the user gives, None without.
+
+    Raises
+    ------
+    UsageError
+        If it is no unit of time.
+    """
+    unit = settings.get(TIME_UNIT)
+    if unit is not None and unit not in TIME_SCALE:
+        raise UsageError(sentence("table_columns.time_unit", unit=unit, known=[*TIME_SCALE]))
+    return None if unit is None else str(unit)
+
+
+def choose_time_scale(path: Path, time: FloatArray, unit: str | None, rate_hz: float | None) -> tuple[float, str]:
+    """Return seconds per unit of a time column, and a sentence where it was assumed.
+
+    Raises
+    ------
+    UsageError
+        No unit gives a plausible rate, or the typed rate contradicts the column.
+    """
+    steps = np.diff(time)
+    step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    if unit is not None:
+        _check_rate(path, step * TIME_SCALE[unit], rate_hz)
+        return TIME_SCALE[unit], ""
+    low, high = SHORTEST_STEP_S, LONGEST_STEP_S
+    if rate_hz is not None:
+        low, high = (1.0 - _RATE_TOLERANCE) / rate_hz, (1.0 + _RATE_TOLERANCE) / rate_hz
+    fitting = [name for name, scale in TIME_SCALE.items() if low <= step * scale <= high]
+    if not fitting:
+        # In seconds it would be plausible: then it is the rate that is wrong.
+        if rate_hz is not None and SHORTEST_STEP_S <= step <= LONGEST_STEP_S:
+            _check_rate(path, step, rate_hz)
+        key = "table_columns.no_rate_fits" if rate_hz is None else "table_columns.wrong_rate"
+        raise UsageError(sentence(key, path=str(path), step=step, rate_hz=rate_hz))
+    name = fitting[0]
+    fitting_hz = 1.0 / (step * TIME_SCALE[name])
+    return TIME_SCALE[name], sentence("table_columns.time_taken_as", name=path.name, unit=name, step=step, rate_hz=fitting_hz)
+
+
+def _check_rate(path: Path, step_s: float, rate_hz: float | None) -> None:
+    if rate_hz is not None and abs(step_s * rate_hz - 1.0) > _RATE_TOLERANCE:
+        found_hz = 1.0 / step_s if step_s > 0.0 else 0.0
+        key = "table_columns.other_rate" if found_hz else "table_columns.no_rate"
+        raise UsageError(sentence(key, path=str(path), rate_hz=rate_hz, found_hz=found_hz))
+
+
+def choose_unit(
+    quantity: str, values: FloatArray, stated: Mapping[str, str], given: Mapping[str, object], *, has_zero: bool
+) -> tuple[str, float, str]:
+    """Choose the unit of a triad.
+
+    Parameters
+    ----------
+    quantity : str
+        ``accelerometer`` or ``gyroscope``.
+    values : ndarray, shape (n, 3)
+    stated : mapping
+        Units the headers name.
+    given : mapping
+        Settings of the user.
+    has_zero : bool
+        A mid-scale was given: the accelerometer sends counts.
+
+    Returns
+    -------
+    unit : str
+    factor : float
+        By which the values are to be multiplied.
+    sentence : str
+        What was assumed or converted; empty if nothing.
+    """
+    setting = given.get(f"{quantity}_unit")
+    if setting is not None:
+        return str(setting), 1.0, ""
+    if quantity in stated:
+        unit, factor = _CONVERTED.get(stated[quantity], (stated[quantity], 1.0))
+        if factor == 1.0:
+            return unit, factor, ""
+        return unit, factor, sentence("table_columns.converted", quantity=quantity, stated=stated[quantity], unit=unit)
+    is_whole = ~np.isnan(values).any(axis=1)
+    # A triad without values has any unit.
+    if not is_whole.any():
+        return ("m/s^2" if quantity == "accelerometer" else "rad/s"), 1.0, ""
+    # Neither one damaged number nor a gap decides for all the others.
+    possible = (np.abs(values) <= LARGEST_OUTPUT).all(axis=1)
+    guess, key, found = _guess(quantity, values[possible if possible.any() else is_whole], stated, has_zero=has_zero)
+    return guess, 1.0, sentence(key, quantity=quantity, unit=guess, found=found)
+
+
+def _guess(quantity: str, values: FloatArray, stated: Mapping[str, str], *, has_zero: bool) -> tuple[str, str, float]:
+    """Return the unit, the key of the sentence that says why, and the number that decides."""
+    if has_zero and quantity == "accelerometer":
+        return "count", "table_columns.count_by_zero", 0.0
+    if np.array_equal(values, np.rint(values)):
+        return "count", "table_columns.count_by_whole_numbers", 0.0
+    if quantity == "accelerometer":
+        with np.errstate(over="ignore", invalid="ignore"):  # in damaged files; infinite is no plausible norm either
+            norm = float(np.median(np.linalg.norm(values, axis=1)))
+        for unit, (low, high) in (("m/s^2", _STANDS_FOR_M_S2), ("g", _STANDS_FOR_G)):
+            if low <= norm <= high:
+                return unit, "table_columns.unit_by_norm", norm
+        return "count", "table_columns.count_by_norm", norm
+    fastest = float(np.quantile(np.abs(values), _FAST, method="lower"))
+    if fastest > _FASTEST_RAD_S:
+        return "deg/s", "table_columns.deg_by_fastest", fastest
+    if stated.get("accelerometer") in ("g", "mg"):
+        return "deg/s", "table_columns.deg_by_g", fastest
+    return "rad/s", "table_columns.rad_by_fastest", fastest

@@ -18,7 +18,9 @@ import numpy as np
 
 from imufield.errors import Reason, RecordingError
 from imufield.samples import FloatArray
-from imufield.sentences import shortened
+from imufield.sentences import Sentences, shortened
+
+sentence = Sentences(__package__)
 
 BLOCK_BYTES = 8 << 20
 """Text parsed at a time: bounds the memory beside the numbers themselves."""
@@ -28,7 +30,6 @@ LINE_LIMIT_BYTES = 1 << 20
 """No table has longer lines; a file without line ends is not one."""
 _GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")
-_CORRECT = "correct or remove it"
 _DATE = re.compile(r"\d{4}-\d\d-\d\d|\d\d:\d\d")
 
 
@@ -88,7 +89,7 @@ class TextTable:
         """
         found = list(self.blocks(columns))
         if not found:
-            raise _bad(self.path, "holds no rows of numbers", "check that it is the right file")
+            raise _bad("table_text.no_rows", self.path)
         return found[0] if len(found) == 1 else np.concatenate(found)
 
     def where(self, row: int) -> tuple[int, str]:
@@ -137,22 +138,21 @@ class TextTable:
     def _find_fault(self, rows: list[str], columns: Sequence[int], lines_before: int) -> RecordingError:
         """Name the first line that is not a row of the table, or what the heading promises more than the rows hold."""
         if max(columns) >= self.width:
-            what = f"has {self.width} columns in its first row of numbers, but its heading names more"
-            return _bad(self.path, what, _CORRECT, lines_before + 1)
+            return _bad("table_text.narrow_rows", self.path, width=self.width, line=lines_before + 1)
         for number, row in enumerate(rows, start=lines_before + 1):
             text = row.split("#")[0].strip()
             if not text:
                 continue
             cells = _split(text, self.delimiter)
             if len(cells) != self.width:
-                what = f"has {len(cells)} instead of {self.width} columns in line {number}, {_shown(text)}"
-                return _bad(self.path, what, _CORRECT, number)
+                shown = {"found": len(cells), "width": self.width, "line": number, "text": shortened(text)}
+                return _bad("table_text.other_width", self.path, **shown)
             wrong = next((cells[column] for column in columns if not _is_number(cells[column])), None)
             if wrong is not None:
                 # A date is the usual one.
-                remedy = "in text a time is a number, so write seconds" if _DATE.match(wrong) else _CORRECT
-                return _bad(self.path, f"has {_shown(wrong)} where a number should stand in line {number}", remedy, number)
-        return _bad(self.path, f"has a row that cannot be read behind line {lines_before}", _CORRECT, lines_before)
+                key = "table_text.date" if _DATE.match(wrong) else "table_text.no_number"
+                return _bad(key, self.path, text=shortened(wrong), line=number)
+        return _bad("table_text.bad_row", self.path, line=lines_before)
 
 
 def open_table(path: str | Path) -> TextTable:
@@ -166,7 +166,7 @@ def open_table(path: str | Path) -> TextTable:
     path = Path(path)
     head = next(read_pieces(path, HEAD_BYTES), b"")
     if b"\0" in head:
-        raise _bad(path, "is not text", "give CSV or columns of numbers, or `--protocol` for the bytes of an instrument")
+        raise _bad("table_text.no_text", path)
     marked: list[str] = []
     names: list[list[str]] = []
     lines = head.removeprefix(b"\xef\xbb\xbf").decode("utf-8", errors="replace").split("\n")
@@ -191,7 +191,7 @@ def open_table(path: str | Path) -> TextTable:
                 )
             # Lines before the first number are the heading.
             names.append([cell.strip('" ') for cell in cells])
-    raise _bad(path, "holds no rows of numbers", "check that it is the right file")
+    raise _bad("table_text.no_rows", path)
 
 
 def _header(
@@ -199,7 +199,7 @@ def _header(
 ) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None]:
     """Return names and units: the lines before the numbers, or the last commented line that has a name for each column."""
     if len(names) > 2:
-        raise _bad(path, f"starts with {len(names)} lines that are no numbers, {_shown(' '.join(names[0]))}", "remove them")
+        raise _bad("table_text.long_heading", path, lines=len(names), text=shortened(" ".join(names[0])))
     if names:
         return tuple(names[0]), tuple(names[1]) if len(names) > 1 else None
     # Comments may hold anything; the one right above the numbers is the likeliest heading.
@@ -253,7 +253,7 @@ def _line_blocks(path: Path) -> Iterator[bytes]:
         else:
             rest += piece
         if len(rest) > LINE_LIMIT_BYTES:
-            raise _bad(path, f"has a line of more than {LINE_LIMIT_BYTES} characters", "it is no table")
+            raise _bad("table_text.long_line", path, limit=LINE_LIMIT_BYTES)
     if rest:
         yield rest
 
@@ -274,18 +274,10 @@ def read_pieces(path: Path, size: int) -> Iterator[bytes]:
             while piece := file.read(size):
                 yield piece
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise RecordingError(
-            f"{path} is a damaged gzip file ({error}): fetch or pack it again.", Reason.DAMAGED, path=str(path)
-        ) from error
+        raise RecordingError(sentence("table_text.bad_gzip", path=str(path), cause=error), Reason.DAMAGED) from error
     except OSError as error:
-        raise RecordingError(
-            f"{path} cannot be read ({error.strerror}): check the name and its permissions.", Reason.BAD_DATA, path=str(path)
-        ) from error
+        raise _bad("table_text.unreadable", path, cause=error.strerror) from error
 
 
-def _shown(text: str) -> str:
-    return f'"{shortened(text)}"'
-
-
-def _bad(path: Path, what: str, remedy: str, line: int | None = None) -> RecordingError:
-    return RecordingError(f"{path} {what}: {remedy}.", Reason.BAD_DATA, path=str(path), line=line)
+def _bad(key: str, path: Path, **values: object) -> RecordingError:
+    return RecordingError(sentence(key, path=str(path), **values), Reason.BAD_DATA)

@@ -6,11 +6,12 @@ of others that opens a bus with everything to decode it.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+import tomli_w
 
 from imufield.acquire.decoder import Decoder
 from imufield.acquire.instrument.recognise import Candidate
@@ -22,6 +23,9 @@ from imufield.acquire.protocol.toml import near
 from imufield.acquire.registry import load_driver
 from imufield.errors import ProtocolError, Reason, UsageError
 from imufield.samples import AXES
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _TRIADS = ("accelerometer", "gyroscope")
 _MAP_TEXTS = ("accelerometer.unit", "gyroscope.unit", "temperature", "temperature.unit", "counter", "time")
@@ -52,10 +56,11 @@ def parse_map(texts: Iterable[str]) -> dict[str, str]:
     for text in texts:
         key, _, value = (part.strip() for part in text.partition("="))
         if key not in KEYS:
-            raise UsageError(f"--map {text!r}: {key!r} is not known{near(key, KEYS)}; keys are {', '.join(KEYS)}", map=text)
-        if not value or key in found:
-            problem = "is given twice" if key in found else "has no value"
-            raise UsageError(f"--map {text!r}: {key} {problem}; write e.g. {key}=SIGNAL or {key}=MESSAGE.SIGNAL", map=text)
+            raise UsageError(sentence("can_map.unknown_key", map=text, key=key, near=near(key, KEYS), known=KEYS))
+        if key in found:
+            raise UsageError(sentence("can_map.twice", map=text, key=key))
+        if not value:
+            raise UsageError(sentence("can_map.no_value", map=text, key=key))
         found[key] = value
     return found
 
@@ -84,7 +89,7 @@ def protocol_from_dbc(path: str | Path, mapping: Mapping[str, str], settings: Ma
             # One byte more than allowed, so that a file which is too long shows.
             content = file.read(DBC_LIMIT_BYTES + 1)
     except OSError as error:
-        raise ProtocolError(f"DBC file {path} cannot be read: {error.strerror}; check the path", path=str(path)) from error
+        raise ProtocolError(sentence("can_map.unreadable", path=str(path), cause=error.strerror)) from error
     text = protocol_text(path.stem, path.name, mapping) + dbc_table(decode_dbc(content, path.name))
     return parse_protocol(text, settings, label=f"{path.name} with --map")
 
@@ -93,55 +98,47 @@ def protocol_text(name: str, dbc: str, mapping: Mapping[str, str]) -> str:
     """Return the protocol file, without the DBC, that says the same as ``--map``: a start for one's own."""
     identifiers = mapping.get("identifiers", "auto")
     if identifiers not in _IDENTIFIERS:
-        raise UsageError(f"--map identifiers={identifiers} is not one of {', '.join(_IDENTIFIERS)}", identifiers=identifiers)
-    # Names of protocols are words of small letters.
-    word = re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_") or "dbc"
-    triads = []
+        raise UsageError(sentence("can_map.identifiers", identifiers=identifiers, known=_IDENTIFIERS))
+    axes: dict[str, object] = {}
     for triad, keys in _TRIAD_KEYS.items():
         missing = [key for key in keys if key not in mapping]
         # A triad that is not named at all is not there; half a triad is a mistake.
         if 0 < len(missing) < len(keys):
-            raise UsageError(f"--map has no {' and no '.join(missing)}: a triad needs all three axes", missing=missing)
+            raise UsageError(sentence("can_map.missing", missing=missing))
         if not missing:
-            triads.append(f"{triad} = [{', '.join(_quoted(mapping[key]) for key in keys)}]")
-    lists = {key: [part.strip() for part in mapping[key].split(",")] for key in _ASSEMBLY_LISTS if key in mapping}
-    lines = [
-        'format = "imufield-protocol"',
-        "version = 1",
-        f"name = {_quoted(word)}",
-        f"title = {_quoted(f'signals of {dbc}')}",
-        f"manual = {_quoted(dbc)}",
-        'kind = "can"',
-        "\n[settings.source_address]\ndefault = 255\nminimum = 0\nmaximum = 255",
-        "\n[settings.rate_hz]\ndefault = 0.0\nminimum = 0",
-        f"\n[can]\ndbc = {_quoted(dbc)}\nidentifiers = {_quoted(identifiers)}",
-        'source_address = { setting = "source_address" }',
-        "\n[map]",
-        *triads,
-        *(f"{key.replace('.', '_')} = {_quoted(mapping[key])}" for key in _MAP_TEXTS if key in mapping),
-        "\n[assembly]",
-        *([f"starts_with = {_quoted(mapping['starts_with'])}"] if "starts_with" in mapping else []),
-        *(f"{key} = [{', '.join(_quoted(part) for part in parts if part)}]" for key, parts in lists.items()),
-        *_number_line(mapping, "limit_s"),
-        '\n[clock]\nrate_hz = { setting = "rate_hz" }',
-        *_number_line(mapping, "time.ticks_per_s"),
-    ]
-    return "\n".join(lines)
+            axes[triad] = [mapping[key] for key in keys]
+    assembly: dict[str, object] = {key: mapping[key] for key in ("starts_with",) if key in mapping}
+    for key in _ASSEMBLY_LISTS:
+        if key in mapping:
+            assembly[key] = [part.strip() for part in mapping[key].split(",") if part.strip()]
+    document = {
+        "format": "imufield-protocol",
+        "version": 1,
+        # Names of protocols are words of small letters.
+        "name": re.sub(r"[^a-z0-9_]+", "_", name.lower()).strip("_") or "dbc",
+        "title": f"signals of {dbc}",
+        "manual": dbc,
+        "kind": "can",
+        "settings": {
+            "source_address": {"default": 255, "minimum": 0, "maximum": 255},
+            "rate_hz": {"default": 0.0, "minimum": 0},
+        },
+        "can": {"dbc": dbc, "identifiers": identifiers, "source_address": {"setting": "source_address"}},
+        "map": {**axes, **{key.replace(".", "_"): mapping[key] for key in _MAP_TEXTS if key in mapping}},
+        "assembly": {**assembly, **_number(mapping, "limit_s")},
+        "clock": {"rate_hz": {"setting": "rate_hz"}, **_number(mapping, "time.ticks_per_s")},
+    }
+    return tomli_w.dumps(document)
 
 
-def _number_line(mapping: Mapping[str, str], key: str) -> list[str]:
-    """Return the line of a number, none where it is not given."""
+def _number(mapping: Mapping[str, str], key: str) -> dict[str, float]:
+    """Return the entry of a number, none where it is not given."""
     if key not in mapping:
-        return []
+        return {}
     try:
-        return [f"{key.replace('.', '_')} = {float(mapping[key])!r}"]
+        return {key.replace(".", "_"): float(mapping[key])}
     except ValueError:
-        raise UsageError(f"--map {key}={mapping[key]} is no number", map=key) from None
-
-
-def _quoted(text: str) -> str:
-    # A JSON string is a TOML basic string.
-    return json.dumps(text, ensure_ascii=False)
+        raise UsageError(sentence("can_map.no_number", map=key, value=mapping[key])) from None
 
 
 def bus_candidate(
@@ -164,7 +161,7 @@ def bus_candidate(
         It cannot be understood, or is not of a CAN bus.
     """
     if sum(way is not None for way in (driver, protocol, dbc)) != 1:
-        raise UsageError("a CAN bus needs exactly one of --driver, --protocol and --dbc")
+        raise UsageError(sentence("can_map.one_way"))
     known = None if driver is None else load_driver(driver)
     if known is not None:
         found = known.load_protocol(settings)
@@ -174,7 +171,7 @@ def bus_candidate(
         found = protocol if isinstance(protocol, Protocol) else load_protocol(protocol or "", settings)
     name = driver or found.name
     if found.can is None:
-        raise ProtocolError(f"{name} is no protocol of a CAN bus; give its --port instead of a --bus", Reason.BAD_PROTOCOL)
+        raise ProtocolError(sentence("can_map.no_bus", name=name), Reason.BAD_PROTOCOL)
     bit_rate = known.default_baud if known else found.can.bit_rate
     title = known.title if known else found.title
     return Candidate(name=name, title=title, protocol=found, bauds=(bit_rate,) if bit_rate else (), driver=known)

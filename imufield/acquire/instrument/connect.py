@@ -8,15 +8,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from imufield.acquire.instrument.connected import (
-    Connected,
-    ConnectOptions,
-    ask_identity,
-    assumed,
-    keep,
-    untried,
-    with_settings,
-)
+from imufield.acquire.instrument.connected import Connected, ConnectOptions, ask_identity, assumed, keep, untried, with_settings
 from imufield.acquire.instrument.instrument import Instrument
 from imufield.acquire.instrument.listen import (
     SEARCH_S,
@@ -37,32 +29,14 @@ from imufield.acquire.link.ports import serial_ports
 from imufield.acquire.protocol.protocol import load_protocol, parse_protocol
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.errors import LinkError, Reason, UsageError
+from imufield.sentences import Sentences
 
-__all__ = [
-    "ConnectOptions",
-    "Connected",
-    "ask_identity",
-    "assumed",
-    "check_capacity",
-    "check_files",
-    "connect",
-    "parse_mapping",
-]
+sentence = Sentences(__package__)
 
 FALLBACK_BAUD = 115200
 """Where a protocol file is given without a baud rate: the usual setting of serial instruments."""
 SPARE = 1.1
 """Bytes do not follow one another without a gap (the 1.1 of the STIM300 datasheet holds for the others as well)."""
-
-
-def parse_mapping(texts: list[str] | None) -> dict[str, str]:
-    """Split options of the form ``accelerometer.x=SIGNAL``; raises UsageError as ``parse_map``."""
-    if not texts:
-        return {}
-    # With it comes python-can, which most commands never need.
-    from imufield.acquire.instrument.can_map import parse_map
-
-    return parse_map(texts)
 
 
 def connect(options: ConnectOptions, clock: HostClock, say: Say) -> Connected:
@@ -87,14 +61,14 @@ def connect(options: ConnectOptions, clock: HostClock, say: Say) -> Connected:
 
         return connect_bus(options, clock, say)
     if options.dbc is not None or options.mapping:
-        raise UsageError("--dbc and --map are for a CAN bus; name it with --bus, e.g. --bus socketcan:can0")
+        raise UsageError(sentence("connect.dbc_without_bus"))
     if options.driver in driver_names() and load_driver(options.driver).wire == "can":
-        raise UsageError(f"{options.driver} is on a CAN bus; name it with --bus, e.g. --bus socketcan:can0")
+        raise UsageError(sentence("connect.driver_of_bus", driver=options.driver))
     port = options.port or _only_port(say)
     candidates = _candidates(options, say)
     bauds = bauds_to_try(candidates, port, options.baud)
     if len(bauds) > 1:
-        say(f"listening on {port} at {len(bauds)} baud rates, up to {SEARCH_S:g} s in all (--baud and --driver are quicker)")
+        say(sentence("connect.search", port=port, bauds=len(bauds), limit_s=SEARCH_S))
     is_given = any(way is not None for way in (options.driver, options.protocol, options.protocol_text))
     result = search(port, candidates, bauds, clock, is_given=is_given)
     instrument = None
@@ -121,10 +95,9 @@ def _only_port(say: Say) -> str:
     """Return the one serial port of the machine; a UsageError where there is none, or more than one."""
     ports = [port.device for port in serial_ports()]
     if len(ports) == 1:
-        say(f"port {ports[0]} (assumed: it is the only one)")
+        say(sentence("connect.only_port", port=ports[0]))
         return ports[0]
-    found = ", ".join(ports) if ports else "none was found"
-    raise UsageError(f"which port? give it with --port; serial ports of this machine: {found}", Reason.PORT_NOT_FOUND)
+    raise UsageError(sentence("connect.which_port" if ports else "connect.no_port", ports=ports), Reason.PORT_NOT_FOUND)
 
 
 def check_files(options: ConnectOptions) -> None:
@@ -150,9 +123,6 @@ def _candidates(options: ConnectOptions, say: Say | None = None) -> list[Candida
         return [Candidate(name=protocol.name, title=protocol.title, protocol=protocol, bauds=(baud,), driver=None)]
     if options.driver is None:
         return serial_candidates(options.settings, say=say)
-    names = driver_names()
-    if options.driver not in names:
-        raise UsageError(f"there is no driver {options.driver!r}; choose one of {', '.join(names)}", Reason.UNKNOWN_DRIVER)
     return list(driver_candidates(load_driver(options.driver), options.settings))
 
 
@@ -169,7 +139,7 @@ def _woken(result: Search, clock: HostClock, say: Say) -> Instrument | None:
     except LinkError:
         # It stays silent, and the caller reports that.
         return None
-    say(f"{driver.title} was silent and was told to send; it is silenced again at the end")
+    say(sentence("connect.woken", title=driver.title))
     listen_again(result, clock)
     return instrument
 
@@ -182,7 +152,8 @@ def _introduced(
     # Where the baud rate means nothing to the port, the instrument's own is what a real port would need.
     baud = candidate.bauds[0] if options.baud is None and has_no_baud(port) else result.last.baud
     if candidate.driver is not None and options.driver is None:
-        say(f"driver {candidate.name} (recognised: {listener.finding().evidence()} of {candidate.title})")
+        evidence = listener.finding().evidence()
+        say(sentence("connect.recognised", driver=candidate.name, evidence=evidence, title=candidate.title))
         for name, value in candidate.variant.items():
             say(f"{name} = {value} (recognised)")
     # An address has no baud rate that anybody could set.
@@ -199,10 +170,10 @@ def _introduced(
             messages += instrument.state
         protocol = with_settings(candidate.driver, protocol, messages, options.rate_hz)
     elif options.rate_hz is not None:
-        raise UsageError("--rate-hz needs an instrument with a driver, a protocol file says nothing of commands; leave it out")
+        raise UsageError(sentence("connect.rate_without_driver"))
     told = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in identity.items())
-    for sentence in (*untried(candidate.driver), *([f"instrument: {told}"] if told else []), *assumed(protocol)):
-        say(sentence)
+    for remark in (*untried(candidate.driver), *([f"instrument: {told}"] if told else []), *assumed(protocol)):
+        say(remark)
     model = identity.pop("model", "") or candidate.name
     return Connected(
         link=BackgroundLink(result.link),
@@ -226,8 +197,8 @@ def _set_rate(instrument: Instrument, result: Search, listener: Listener, rate_h
         check_capacity(listener, rate_hz, result.last.baud)
     before_hz = instrument.set_rate(result.link, rate_hz)
     keep(instrument, result.last.chunks)
-    tried = "" if instrument.driver.abilities["rate"] == "verified on real bytes" else "; experimental, from documents alone"
-    say(f"output rate {rate_hz:g} Hz (was {before_hz:g} Hz, which is put back at the end{tried})")
+    is_tried = instrument.driver.abilities["rate"] == "verified on real bytes"
+    say(sentence("connect.rate" if is_tried else "connect.rate_by_document", rate_hz=rate_hz, before_hz=before_hz))
     return before_hz
 
 
@@ -238,9 +209,4 @@ def check_capacity(listener: Listener, rate_hz: float, baud: int) -> None:
         return
     highest_hz = baud / (10 * SPARE) / (counts.bytes_total / counts.samples)
     if rate_hz > highest_hz:
-        raise UsageError(
-            f"{rate_hz:g} Hz do not fit on a wire of {baud} bit/s, which carries {highest_hz:.0f} such samples a second; "
-            "give a lower --rate-hz, or set a higher baud rate with the maker's program",
-            rate_hz=rate_hz,
-            highest_hz=highest_hz,
-        )
+        raise UsageError(sentence("connect.capacity", rate_hz=rate_hz, baud=baud, highest_hz=highest_hz))

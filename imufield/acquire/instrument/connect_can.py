@@ -13,13 +13,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from imufield.acquire.decode.statistics import LEFT_OUT
-from imufield.acquire.decoder import Decoder
-from imufield.acquire.driver import Driver, Message
+from imufield.acquire.driver import Message
 from imufield.acquire.instrument.can_map import bus_candidate
 from imufield.acquire.instrument.connected import Connected, ConnectOptions, ask_identity, assumed, untried, with_settings
 from imufield.acquire.instrument.instrument import Instrument
-from imufield.acquire.instrument.listen import LISTEN_S, Say, usable
-from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, Candidate
+from imufield.acquire.instrument.listen import LISTEN_S, Say, driver_candidates, usable
+from imufield.acquire.instrument.recognise import CERTAIN_SAMPLES, FEWEST_SAMPLES, Candidate, Listener
 from imufield.acquire.link.background import BackgroundLink
 from imufield.acquire.link.can import CanLink, open_can_link, parse_bus
 from imufield.acquire.link.host_clock import HostClock, patience_s
@@ -27,27 +26,17 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.can_frames import ERROR, unpack_frames
 from imufield.acquire.protocol.protocol import parse_protocol
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _IDENTIFIERS_NAMED = 8  # More identifiers than this do not help a reader of an error message.
 
 
-@dataclass(frozen=True, slots=True)
-class BusListener:
-    """A way to read the bus, and what it has understood so far."""
-
-    candidate: Candidate
-    decoder: Decoder
-
-    @property
-    def samples(self) -> int:
-        """Samples of the instrument."""
-        return self.decoder.statistics.samples
-
-    @property
-    def frames(self) -> int:
-        """Frames of samples and messages that it knows."""
-        counts = self.decoder.statistics
-        return counts.frames - sum(counts.by_kind.get(kind, 0) for kind in ("other", "error frame", LEFT_OUT))
+def _known_frames(listener: Listener) -> int:
+    """Count the frames of samples and messages that a candidate knows."""
+    counts = listener.decoder.statistics
+    return counts.frames - sum(counts.by_kind.get(kind, 0) for kind in ("other", "error frame", LEFT_OUT))
 
 
 def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connected:
@@ -71,20 +60,21 @@ def connect_bus(options: ConnectOptions, clock: HostClock, say: Say) -> Connecte
         DBC file or protocol cannot be understood.
     """
     if options.rate_hz is not None:
-        raise UsageError("--rate-hz is for instruments on a serial port; leave it out on a CAN bus")
+        raise UsageError(sentence("connect_can.rate"))
     link, chunks, listener = _recognised(options, clock, say)
     candidate = listener.candidate
     driver, protocol, identity = candidate.driver, candidate.protocol, {}
     try:
         if driver is not None:
             instrument = Instrument(driver, clock, set(listener.decoder.statistics.by_kind))
-            messages = ask_identity(instrument, link, chunks, listener.decoder.messages())
+            messages = ask_identity(instrument, link, chunks, listener.messages())
             identity = driver.identity(messages)
             protocol = with_settings(driver, protocol, messages)
         if driver is not None and options.driver is None:
-            say(f"driver {candidate.name} (recognised by {listener.frames} frames with identifiers of {protocol.title})")
-        for sentence in (*untried(driver), *assumed(protocol)):
-            say(sentence)
+            frames = _known_frames(listener)
+            say(sentence("connect_can.recognised", driver=candidate.name, frames=frames, title=protocol.title))
+        for remark in (*untried(driver), *assumed(protocol)):
+            say(remark)
         model = identity.pop("model", "") or candidate.name
         return Connected(
             link=BackgroundLink(link),
@@ -118,7 +108,7 @@ def probe_bus(options: ConnectOptions, clock: HostClock, say: Say, *, ask: bool)
     link, chunks, listener = _recognised(options, clock, say)
     candidate, identity = listener.candidate, {}
     try:
-        messages: list[Message] = [*listener.decoder.messages()]
+        messages: list[Message] = [*listener.messages()]
         if candidate.driver is not None:
             if ask:
                 instrument = Instrument(candidate.driver, clock, set(listener.decoder.statistics.by_kind))
@@ -129,13 +119,13 @@ def probe_bus(options: ConnectOptions, clock: HostClock, say: Say, *, ask: bool)
     return BusFinding(
         name=candidate.name,
         title=candidate.protocol.title,
-        frames=listener.frames,
-        samples=listener.samples,
+        frames=_known_frames(listener),
+        samples=listener.decoder.statistics.samples,
         identity=identity,
     )
 
 
-def _recognised(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[CanLink, list[Chunk], BusListener]:
+def _recognised(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[CanLink, list[Chunk], Listener]:
     """Return the open bus, what arrived, and who understood it; raises as ``connect_bus``."""
     # python-can logs every driver that is not installed; the error of the bus has it in one sentence.
     logging.getLogger("can").setLevel(logging.CRITICAL)
@@ -145,18 +135,16 @@ def _recognised(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[Ca
     bit_rate = options.baud
     if not address.takes_bit_rate:
         if bit_rate not in (None, address.bit_rate):
-            say(f"bit rate {bit_rate} is not used: {bus} has one of its own")
+            say(sentence("connect_can.other_bit_rate", bus=bus, bit_rate=bit_rate))
         bit_rate = None
     elif bit_rate is None:
         known = {candidate.bauds[:1] for candidate in candidates}
         if len(known) != 1 or known == {()}:
-            raise UsageError(
-                f"at which bit rate is {bus}? give it with --baud, e.g. --baud 250000 (J1939): trying disturbs a bus", bus=bus
-            )
+            raise UsageError(sentence("connect_can.which_bit_rate", bus=bus))
         bit_rate = candidates[0].bauds[0]
         say(f"bit rate {bit_rate} (assumed)")
     link = open_can_link(bus, bit_rate=bit_rate, clock=clock)
-    listeners = [BusListener(candidate, Decoder(candidate.protocol)) for candidate in candidates]
+    listeners = [Listener(candidate) for candidate in candidates]
     try:
         chunks = _listen(link, listeners, clock)
         return link, chunks, _best(bus, chunks, listeners)
@@ -168,9 +156,9 @@ def _recognised(options: ConnectOptions, clock: HostClock, say: Say) -> tuple[Ca
 def bus_candidates(options: ConnectOptions, say: Say | None = None) -> list[Candidate]:
     """Return the ways to read the bus: the one that was given, else every CAN driver; raises as ``connect_bus``."""
     if options.protocol is not None and options.dbc is not None:
-        raise UsageError("--protocol and --dbc contradict each other; give one of them")
+        raise UsageError(sentence("connect_can.protocol_and_dbc"))
     if options.mapping and options.dbc is None:
-        raise UsageError("--map names signals of a DBC file; give the file with --dbc")
+        raise UsageError(sentence("connect_can.map_without_dbc"))
     if options.protocol is not None or options.dbc is not None:
         # A file that is named goes before a driver, which may be a default.
         return [bus_candidate(protocol=options.protocol, dbc=options.dbc, mapping=options.mapping, settings=options.settings)]
@@ -179,17 +167,10 @@ def bus_candidates(options: ConnectOptions, say: Say | None = None) -> list[Cand
     if options.protocol_text is not None:
         protocol = parse_protocol(options.protocol_text, options.settings, label="protocol of the session")
         return [bus_candidate(protocol=protocol)]
-
-    def candidates(driver: type[Driver]) -> list[Candidate]:
-        known = driver.load_protocol().settings
-        # Settings go to the drivers that have them.
-        settings = {key: value for key, value in options.settings.items() if key in known}
-        return [bus_candidate(driver=driver.name, settings=settings)]
-
-    return usable("can", candidates, say)
+    return usable("can", lambda driver: driver_candidates(driver, options.settings, only_known=True), say)
 
 
-def _listen(link: CanLink, listeners: list[BusListener], clock: HostClock) -> list[Chunk]:
+def _listen(link: CanLink, listeners: list[Listener], clock: HostClock) -> list[Chunk]:
     """Read until one listener is certain, or the patience is over."""
     chunks: list[Chunk] = []
     end_s = clock.monotonic_s() + patience_s(clock, LISTEN_S)
@@ -199,72 +180,47 @@ def _listen(link: CanLink, listeners: list[BusListener], clock: HostClock) -> li
             continue
         chunks.append(chunk)
         for listener in listeners:
-            listener.decoder.feed(chunk.data, chunk.monotonic_s)
-        if any(listener.samples >= CERTAIN_SAMPLES for listener in listeners):
+            listener.feed(chunk)
+        if any(listener.decoder.statistics.samples >= CERTAIN_SAMPLES for listener in listeners):
             return chunks
     # A decoder keeps samples back while stamps are too uneven to tell their rate: they are understood all the same.
     for listener in listeners:
-        listener.decoder.flush()
+        listener.close()
     return chunks
 
 
-def _best(bus: str, chunks: Iterable[Chunk], listeners: list[BusListener]) -> BusListener:
+def _best(bus: str, chunks: Iterable[Chunk], listeners: list[Listener]) -> Listener:
     """Return the listener that understood the most frames; an error where none did, or several the same."""
-    good = [listener for listener in listeners if listener.samples >= FEWEST_SAMPLES]
+    good = [listener for listener in listeners if listener.decoder.statistics.samples >= FEWEST_SAMPLES]
     if not good:
         raise _nothing_understood(bus, chunks, listeners)
     # Drivers of one family understand parts of what the others send.
-    most = max(listener.frames for listener in good)
-    best = [listener for listener in good if listener.frames == most]
+    most = max(_known_frames(listener) for listener in good)
+    best = [listener for listener in good if _known_frames(listener) == most]
     if len(best) > 1:
         # The titles are those of the drivers: instruments that send the same messages share a protocol.
-        names = "; ".join(f"{listener.candidate.name}, {listener.candidate.title}" for listener in best)
-        raise UsageError(
-            f"{bus} carries messages that several instruments send, with their axes in different order; say with --driver "
-            f"which it is: {names}",
-            bus=bus,
-        )
+        drivers = "; ".join(f"{listener.candidate.name}, {listener.candidate.title}" for listener in best)
+        raise UsageError(sentence("connect_can.several_drivers", bus=bus, drivers=drivers))
     return best[0]
 
 
-def _nothing_understood(bus: str, chunks: Iterable[Chunk], listeners: list[BusListener]) -> LinkError:
+def _nothing_understood(bus: str, chunks: Iterable[Chunk], listeners: list[Listener]) -> LinkError:
     frames = [frame for chunk in chunks for frame in unpack_frames(chunk.data)]
     identifiers = Counter(frame.text.partition("#")[0] for frame in frames if not frame.can_id & ERROR)
-    names = ", ".join(listener.candidate.name for listener in listeners)
     if not frames:
-        return LinkTimeoutError(
-            f"{bus} is silent: no frame within {LISTEN_S:g} s; check power, wiring, the two 120 ohm ends, the bit rate, and "
-            "that the instrument is set to send by itself",
-            Reason.SILENCE,
-            bus=bus,
-            waited_s=LISTEN_S,
-        )
+        return LinkTimeoutError(sentence("connect_can.silent", bus=bus, waited_s=LISTEN_S), Reason.SILENCE)
     if not identifiers:
-        return LinkError(
-            f"{bus} carries {len(frames)} error frames and nothing else: the bit rate is wrong or the wiring is bad; give the "
-            "instrument's bit rate",
-            Reason.NO_FRAMES,
-            bus=bus,
-            error_frames=len(frames),
-        )
-    known = max(listeners, key=lambda listener: listener.frames)
+        return LinkError(sentence("connect_can.error_frames", bus=bus, error_frames=len(frames)), Reason.NO_FRAMES)
+    heard = {"bus": bus, "frames": len(frames), "needed": FEWEST_SAMPLES}
+    known = max(listeners, key=_known_frames)
     # The frames are known and yet make no samples: then it is not the driver that is wrong.
-    if known.frames >= len(frames) / 2:
-        return LinkError(
-            f"{bus} carries frames of {known.candidate.name}, but {known.frames} of them could be joined in time to "
-            f"{known.samples} samples only, and {FEWEST_SAMPLES} are needed: check that the instrument sends all its messages, "
-            "and play a recording at its own pace",
-            Reason.NO_FRAMES,
-            bus=bus,
-            frames=len(frames),
-        )
-    heard = ", ".join(f"{text} x {count}" for text, count in identifiers.most_common(_IDENTIFIERS_NAMED))
-    more = f" and {len(identifiers) - _IDENTIFIERS_NAMED} others" if len(identifiers) > _IDENTIFIERS_NAMED else ""
-    return LinkError(
-        f"{bus} carries frames, but not of {names}: the identifiers {heard}{more} made "
-        f"{max(each.samples for each in listeners)} samples and {FEWEST_SAMPLES} are "
-        f"needed; give the right --driver, or --dbc with --map",
-        Reason.NO_FRAMES,
-        bus=bus,
-        frames=len(frames),
-    )
+    if _known_frames(known) >= len(frames) / 2:
+        found = {"driver": known.candidate.name, "known": _known_frames(known), "samples": known.decoder.statistics.samples}
+        return LinkError(sentence("connect_can.not_joined", **heard, **found), Reason.NO_FRAMES)
+    names = [f"{text} x {count}" for text, count in identifiers.most_common(_IDENTIFIERS_NAMED)]
+    others = len(identifiers) - _IDENTIFIERS_NAMED
+    key = "connect_can.unknown_and_others" if others > 0 else "connect_can.unknown"
+    drivers = [listener.candidate.name for listener in listeners]
+    samples = max(listener.decoder.statistics.samples for listener in listeners)
+    unknown = sentence(key, **heard, drivers=drivers, identifiers=names, others=others, samples=samples)
+    return LinkError(unknown, Reason.NO_FRAMES)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from imufield.acquire.driver import Driver, Message, Wire
@@ -16,6 +16,9 @@ from imufield.acquire.link.background import BackgroundLink, ReopenableLink
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import LinkError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 # Settings that change every number, so that an assumed value must be seen.
 _WORTH_SAYING = ("accelerometer_range_g", "columns", "accelerometer_unit", "gyroscope_unit")
@@ -76,33 +79,24 @@ class Connected:
                 self.link.drain()
                 self.instrument.restore(self.link)
         except LinkError as error:
-            self.say(f"the instrument was not put back as it was: {error.message}; switching it off and on does it")
+            self.say(sentence("connected.not_put_back", cause=error.message))
         finally:
             self.link.close()
 
     def session_tables(self) -> dict[str, dict[str, object]]:
         """Return the tables of ``session.toml`` that describe instrument, link and protocol."""
-        protocol, units, nominal = self.protocol, self.protocol.units, self.protocol.nominal
-        if self.wire == "can":
-            link: dict[str, object] = {"bus": self.link.name, "bit_rate": self.baud}
-        else:
-            rates = {"rate_hz": self.rate_hz, "rate_before_hz": self.rate_before_hz}
-            link = {"port": self.link.name, "baud": self.baud, **rates}
+        protocol, nominal = self.protocol, self.protocol.nominal
+        baud, rates = self.baud, {"rate_hz": self.rate_hz, "rate_before_hz": self.rate_before_hz}
+        where = {"bus": self.link.name, "bit_rate": baud} if self.wire == "can" else {"port": self.link.name, "baud": baud}
         return {
             "instrument": {"driver": self.driver, "model": self.model, **self.identity},
             # TOML has no value for nothing.
-            "link": {name: value for name, value in link.items() if value is not None},
+            "link": {name: value for name, value in {**where, **rates}.items() if value is not None},
             "protocol": {"name": protocol.name, "sha256": protocol.sha256, "text": protocol.text},
             "settings": {
                 name: {"value": setting.value, "origin": setting.origin} for name, setting in protocol.settings.items()
             },
-            "units": {
-                "accelerometer": units.accelerometer,
-                "gyroscope": units.gyroscope,
-                "accelerometer_is_increment": units.accelerometer_is_increment,
-                "gyroscope_is_increment": units.gyroscope_is_increment,
-                "interval_s": units.interval_s,
-            },
+            "units": asdict(protocol.units),
             "nominal": {"raw_zero": nominal.raw_zero, "rate_hz": nominal.rate_hz},
         }
 
@@ -145,13 +139,13 @@ def untried(driver: type[Driver] | None) -> list[str]:
     """Return a sentence where the format of an instrument was never tried on bytes of a real one."""
     if driver is None or driver.status == "verified on real bytes":
         return []
-    return [f"experimental: {driver.title} was written from documents and never tried on a real one; check scale and axes"]
+    return [sentence("connected.experimental", title=driver.title)]
 
 
 def assumed(protocol: Protocol) -> list[str]:
     """Return a sentence for each setting that was assumed and changes every number."""
     return [
-        f"{name} = {setting.value} (assumed: the wire does not tell; change with --set {name}=...)"
+        sentence("connected.assumed", name=name, value=setting.value)
         for name, setting in protocol.settings.items()
         if setting.origin == "assumed" and name in _WORTH_SAYING
     ]

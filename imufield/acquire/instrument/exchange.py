@@ -13,6 +13,9 @@ from imufield.acquire.driver import Command, Message, any_message
 from imufield.acquire.link.host_clock import HostClock, patience_s
 from imufield.acquire.link.serial import Chunk, Link
 from imufield.errors import LinkError, LinkTimeoutError, Reason
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 # Drivers of others import the first three from here.
 __all__ = ["ANSWER_S", "TRIES", "Command", "Exchange", "Message", "any_message"]
@@ -81,32 +84,18 @@ class Exchange:
             if failure is not None and not command.is_last:
                 continue
             answer = self._ask(command)
-            failure = failure or self._failure(command, answer)
+            asked = {"port": self._link.name, "command": command.name}
             if answer is not None:
                 answers.append(answer)
+                if refusal := command.refusal(answer):
+                    refused = sentence("exchange.refused", **asked, refusal=refusal)
+                    failure = failure or LinkError(refused, Reason.REFUSED)
+            elif command.is_answered:
+                silent = sentence("exchange.no_answer", **asked, tries=TRIES, limit_s=ANSWER_S)
+                failure = failure or LinkTimeoutError(silent, Reason.SILENCE)
         if failure is not None:
             raise failure
         return answers
-
-    def _failure(self, command: Command, answer: Message | None) -> LinkError | None:
-        name = self._link.name
-        if answer is None and command.is_answered:
-            return LinkTimeoutError(
-                f"the instrument on {name} does not answer: {command.name}, asked {TRIES} times, {ANSWER_S:g} s each; check "
-                "that the wire to the instrument is connected",
-                Reason.SILENCE,
-                port=name,
-                command=command.name,
-            )
-        refusal = command.refusal(answer) if answer is not None else ""
-        if not refusal:
-            return None
-        return LinkError(
-            f"the instrument on {name} refuses: {command.name} ({refusal}); set it with its maker's program",
-            Reason.REFUSED,
-            port=name,
-            command=command.name,
-        )
 
     def _ask(self, command: Command) -> Message | None:
         # What came before the command does not answer it.

@@ -11,6 +11,9 @@ from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.serial import Chunk, Link
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _SAME = 1e-3  # Rates closer than this are the same: instruments round their divisors.
 
@@ -67,18 +70,12 @@ class Instrument:
 
     def _switch(self, link: Link, *, on: bool) -> None:
         if "start and stop" not in self.driver.abilities:
-            raise UsageError(
-                f"{self.driver.title} cannot be told to start and stop by imufield; do it with its maker's program"
-            )
+            raise UsageError(sentence("instrument.no_start", title=self.driver.title))
         state = self._read_state(link)
         start, stop = self.driver.start_orders(state), self.driver.stop_orders(state)
         if not start or not stop:
-            raise LinkTimeoutError(
-                f"{self.driver.title} on {link.name} does not tell what it sends, so it could not be put back; check that the "
-                "wire to the instrument is connected",
-                Reason.SILENCE,
-                port=link.name,
-            )
+            untold = sentence("instrument.output_untold", title=self.driver.title, port=link.name)
+            raise LinkTimeoutError(untold, Reason.SILENCE)
         # Noted first: an order that fails half way is undone, too.
         self._undo.append(stop if on else start)
         self._play(link, start if on else stop, is_order=True)
@@ -100,12 +97,7 @@ class Instrument:
         before_hz = self.driver.rate_hz(state)
         # Nothing is changed that could not be put back.
         if before_hz is None:
-            raise LinkError(
-                f"{self.driver.title} on {link.name} does not tell its output rate, so it could not be put back; leave out "
-                "--rate-hz, and check that the wire to the instrument is connected",
-                Reason.SILENCE,
-                port=link.name,
-            )
+            raise LinkError(sentence("instrument.rate_untold", title=self.driver.title, port=link.name), Reason.SILENCE)
         # Before the comparison, so that a rate which the instrument does not have is refused in any case.
         orders = self.driver.rate_orders(rate_hz, state)
         if abs(before_hz - rate_hz) <= _SAME * rate_hz:
@@ -121,13 +113,9 @@ class Instrument:
         """Read the rate back: not every instrument answers an order."""
         now_hz = self.driver.rate_hz(self._read_state(link))
         if now_hz is None or abs(now_hz - rate_hz) > _SAME * rate_hz:
-            raise LinkError(
-                f"{self.driver.title} on {link.name} was set to {rate_hz:g} Hz and says it is at "
-                f"{'an unknown rate' if now_hz is None else f'{now_hz:g} Hz'}; switch it off and on, and leave out --rate-hz",
-                Reason.REFUSED,
-                rate_hz=rate_hz,
-                found_hz=now_hz,
-            )
+            key = "instrument.unknown_rate" if now_hz is None else "instrument.other_rate"
+            told = {"title": self.driver.title, "port": link.name, "rate_hz": rate_hz, "found_hz": now_hz}
+            raise LinkError(sentence(key, **told), Reason.REFUSED)
 
     @property
     def is_changed(self) -> bool:

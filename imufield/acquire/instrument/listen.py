@@ -14,6 +14,9 @@ from imufield.acquire.link.serial import Chunk, SerialLink, open_link
 from imufield.acquire.protocol.protocol import load_protocol
 from imufield.acquire.registry import driver_names, load_driver
 from imufield.errors import LinkError, LinkTimeoutError, ProtocolError, Reason, SettingError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Say = Callable[[str], None]
 
@@ -136,9 +139,15 @@ def search(port: str, candidates: list[Candidate], bauds: list[int], clock: Host
     try:
         end_s = clock.monotonic_s() + patience_s(clock, SEARCH_S)
         for baud in bauds:
-            # The one baud rate was set as the port was opened.
-            if len(bauds) > 1 and not _is_set(link, baud):
-                continue
+            try:
+                # The one baud rate was set as the port was opened.
+                if len(bauds) > 1:
+                    link.set_baud(baud)
+            except LinkError as error:
+                # The adapter does not know this one.
+                if error.reason is Reason.BOUNDS:
+                    continue
+                raise
             listeners = [
                 Listener(candidate, is_given=is_given) for candidate in candidates if len(bauds) == 1 or baud in candidate.bauds
             ]
@@ -162,17 +171,6 @@ def listen_again(result: Search, clock: HostClock) -> None:
         Hearing(before.baud, [], [Listener(listener.candidate, is_given=True) for listener in before.listeners])
     )
     _listen(result, clock, LISTEN_S, end_s=clock.monotonic_s() + patience_s(clock, LISTEN_S))
-
-
-def _is_set(link: SerialLink, baud: int) -> bool:
-    """Go to a baud rate; return whether the adapter knows it."""
-    try:
-        link.set_baud(baud)
-    except LinkError as error:
-        if error.reason is Reason.BOUNDS:
-            return False
-        raise
-    return True
 
 
 def _listen(result: Search, clock: HostClock, quiet_s: float, *, end_s: float) -> None:
@@ -203,27 +201,22 @@ def _listen(result: Search, clock: HostClock, quiet_s: float, *, end_s: float) -
 
 def nothing_recognised(port: str, result: Search) -> LinkError:
     """Return the error that says what arrived instead."""
-    bauds = ", ".join(str(hearing.baud) for hearing in result.hearings)
+    bauds = [hearing.baud for hearing in result.hearings]
     total = sum(hearing.byte_count for hearing in result.hearings)
     if total == 0:
         waited_s = LISTEN_S if len(result.hearings) == 1 else SILENT_S
-        return LinkTimeoutError(
-            f"{port} is silent: no byte within {waited_s:g} s at {bauds} bit/s; check power, cable, RX/TX and that the "
-            "instrument is set to send by itself",
-            Reason.SILENCE,
-            port=port,
-            waited_s=waited_s,
-        )
+        return LinkTimeoutError(sentence("listen.silent", port=port, waited_s=waited_s, bauds=bauds), Reason.SILENCE)
     listeners = [listener for hearing in result.hearings for listener in hearing.listeners]
     # The closest one helps to see what is wrong: a baud rate, a setting, a damaged line.
-    finding = max(listeners, key=lambda listener: (listener.decoder.statistics.frames, listener.accelerations)).finding()
-    names = ", ".join(dict.fromkeys(listener.candidate.name for listener in listeners))
-    hint = f"; closest is {finding.name}: {finding.reason}" if finding.frames else ""
-    return LinkError(
-        f"{port} sends, but not {names}: {total} bytes at {bauds} bit/s made {finding.samples} samples and {FEWEST_SAMPLES} "
-        f"are needed{hint}; give the right --baud or --driver, or describe the format with --protocol",
-        Reason.NO_FRAMES,
-        port=port,
-        bytes=total,
-        samples=finding.samples,
-    )
+    closest = max(listeners, key=lambda listener: (listener.decoder.statistics.frames, listener.accelerations)).finding()
+    heard = {
+        "port": port,
+        "names": [*dict.fromkeys(listener.candidate.name for listener in listeners)],
+        "bytes": total,
+        "bauds": bauds,
+        "samples": closest.samples,
+        "needed": FEWEST_SAMPLES,
+    }
+    if closest.frames:
+        return LinkError(sentence("listen.closest", **heard, closest=closest.name, why=closest.reason), Reason.NO_FRAMES)
+    return LinkError(sentence("listen.nothing", **heard), Reason.NO_FRAMES)

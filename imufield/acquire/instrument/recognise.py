@@ -20,6 +20,9 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import ProtocolError
 from imufield.samples import Samples
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 FEWEST_SAMPLES = 5  # Five strong frames by chance take 2^120 tries.
 CERTAIN_SAMPLES = 20
@@ -252,27 +255,22 @@ class Listener:
             return self._fault
         if counts.samples < FEWEST_SAMPLES:
             if counts.frames >= FEWEST_SAMPLES and self._checked_bits >= STRONG_BITS and share >= STRONG_SHARE:
-                kinds = ", ".join(sorted(counts.by_kind))
-                return f"its frames are understood, but none of them holds acceleration or rate; their kinds: {kinds}"
-            return f"{counts.samples} samples, {FEWEST_SAMPLES} are needed"
+                return sentence("recognise.no_samples", kinds=sorted(counts.by_kind))
+            return sentence("recognise.few_samples", samples=counts.samples, needed=FEWEST_SAMPLES)
         if share < STRONG_SHARE:
-            return f"{100 * share:.0f} % of the bytes are in frames, {100 * STRONG_SHARE:.0f} % are needed"
+            return sentence("recognise.share", percent=100 * share, needed_percent=100 * STRONG_SHARE)
         if self._is_given or self._checked_bits >= STRONG_BITS:
             return ""
-        return self._doubt(share, norm, steady=steady)
-
-    def _doubt(self, share: float, norm: float | None, *, steady: bool) -> str:
-        """Return what speaks against frames that may be a coincidence."""
-        counts = self.decoder.statistics
+        # Frames that may be a coincidence.
         if counts.samples < CERTAIN_SAMPLES:
-            return f"{counts.samples} samples, {CERTAIN_SAMPLES} are needed of frames that prove so little"
+            return sentence("recognise.few_weak_samples", samples=counts.samples, needed=CERTAIN_SAMPLES)
         if share < WEAK_SHARE:
-            return f"{100 * share:.0f} % of the bytes are in frames, {100 * WEAK_SHARE:.0f} % are needed"
+            return sentence("recognise.share", percent=100 * share, needed_percent=100 * WEAK_SHARE)
         if norm is None:
-            return "the unit of its acceleration is not known; say what it is with --driver and --set"
+            return sentence("recognise.unknown_unit")
         if not GRAVITY_M_S2[0] <= norm <= GRAVITY_M_S2[1]:
-            return f"an acceleration of {norm:.3g} m/s^2 is not gravity; say what it is with --driver and --set"
-        return "" if steady else "its frames come unsteadily"
+            return sentence("recognise.no_gravity", norm_m_s2=norm)
+        return "" if steady else sentence("recognise.unsteady")
 
     def _pace(self) -> tuple[float | None, bool]:
         """Return frames of samples for each second of the host, and whether they come evenly."""

@@ -1,4 +1,4 @@
-"""Read a link in a background thread, so that no byte is lost while the program is busy.
+"""Read a link in a background thread, so that no byte is lost while the program is busy, and open a lost one again.
 
 The system keeps about 68 KiB of a serial port: at 80 kB/s that is less than a second, and a terminal that is stopped
 (Ctrl-S, a slow remote connection) or a long computation may take longer. Chunks keep the arrival time they had.
@@ -11,10 +11,15 @@ import threading
 from contextlib import suppress
 from typing import Protocol
 
+from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.serial import WAIT_S, Chunk, Link
+from imufield.errors import LinkError
 
 LONGEST_BACKLOG = 50 * 600
 """Chunks: ten minutes of 50 a second; beyond it the thread waits, and the system's buffer overflows as it would without."""
+
+RECONNECT_EVERY_S = 0.5  # A plug is back within seconds; opening a port takes some milliseconds.
+_BETWEEN_TRIES_S = 0.1  # The caller still sees Ctrl-C and draws its screen.
 
 
 class ReopenableLink(Link, Protocol):
@@ -22,7 +27,6 @@ class ReopenableLink(Link, Protocol):
 
     def reopen(self) -> bool:
         """Try to open it again; False while it is not there."""
-        ...
 
 
 class BackgroundLink:
@@ -110,3 +114,42 @@ class BackgroundLink:
             with suppress(queue.Full):
                 self._arrived.put(item, timeout=WAIT_S)
                 return
+
+
+class PatientLink:
+    """Reads a link, and while it is lost tries to open it again, so that a loose plug does not end a session.
+
+    Parameters
+    ----------
+    link : BackgroundLink
+    clock : HostClock
+    """
+
+    def __init__(self, link: BackgroundLink, clock: HostClock) -> None:
+        self._link = link
+        self._clock = clock
+        self._next_try_s = 0.0
+        self.lost: LinkError | None = None  # Why nothing arrives; None while the link is there.
+
+    def read(self) -> Chunk | None:
+        """Return the next chunk, None if nothing came for a moment.
+
+        Raises
+        ------
+        LinkError
+            The port is there again and cannot be used: waiting would not help.
+        """
+        if self.lost is None:
+            try:
+                return self._link.read()
+            except LinkError as error:
+                self.lost, self._next_try_s = error, self._clock.monotonic_s()
+                return None
+        now_s = self._clock.monotonic_s()
+        if now_s < self._next_try_s:
+            self._clock.sleep(_BETWEEN_TRIES_S)
+        elif self._link.reopen():
+            self.lost = None
+        else:
+            self._next_try_s = now_s + RECONNECT_EVERY_S
+        return None

@@ -24,6 +24,7 @@ from typing import Any
 import can
 
 from imufield.acquire.link.host_clock import HostClock, SystemClock
+from imufield.acquire.link.link_errors import system_errno
 from imufield.acquire.link.serial import COLLECT_S, WAIT_S, WRITE_TIMEOUT_S, Chunk, not_taken
 from imufield.acquire.protocol.can_frames import (
     ADAPTER_TIME,
@@ -41,6 +42,9 @@ from imufield.acquire.protocol.can_frames import (
 )
 from imufield.acquire.protocol.toml import near
 from imufield.errors import LinkError, Reason, UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 MOST_FRAMES = 4096
 """Most frames of one chunk: 0.2 s of the busiest bus of 1 Mbit/s; what remains is the next chunk."""
@@ -59,7 +63,15 @@ _OPEN_FAILURES = (can.CanError, OSError, ValueError, TypeError, ImportError, Att
 # text or datagrams (slcan, udp_multicast) and meet a garbled one.
 _READ_FAILURES = (can.CanError, OSError, ValueError, IndexError)
 _GROUP_AND_PORT = re.compile(r"((?:\d+\.){3}\d+):(\d+)")
-_ERRNO = re.compile(r"\[Errno (\d+)\]|\((\d+),")
+# What a number of the system means where a bus cannot be opened.
+_OPEN_FAULTS = (
+    ((errno.ENODEV, errno.ENOENT, errno.ENXIO), Reason.PORT_NOT_FOUND, "can.absent"),
+    ((errno.EACCES, errno.EPERM), Reason.NO_PERMISSION, "can.no_permission"),
+    ((errno.EBUSY,), Reason.PORT_BUSY, "can.busy"),
+    ((errno.EAFNOSUPPORT,), Reason.PORT_NOT_FOUND, "can.no_socketcan"),
+    ((errno.ENETDOWN,), Reason.DISCONNECTED, "can.down"),
+)
+_EXAMPLES = {"socketcan": "can0", "slcan": "/dev/ttyACM0", "pcan": "PCAN_USBBUS1"}  # Of channels, by interface.
 
 
 # Handed to python-can, whose drivers know what they take.
@@ -105,19 +117,16 @@ def parse_bus(text: str) -> BusAddress:
     interface, _, channel = place.partition(":")
     known = sorted(can.interfaces.VALID_INTERFACES)
     if interface not in known:
-        raise UsageError(
-            f"there is no CAN interface {interface!r}{near(interface, known)}; write INTERFACE:CHANNEL, e.g. socketcan:can0; "
-            f"interfaces are {', '.join(known)}",
-            bus=text,
-        )
+        hint = near(interface, known)
+        raise UsageError(sentence("can.interface", bus=text, interface=interface, near=hint, known=known))
     if not channel:
-        example = {"socketcan": "can0", "slcan": "/dev/ttyACM0", "pcan": "PCAN_USBBUS1"}.get(interface, "0")
-        raise UsageError(f"{text!r} names no channel: write {interface}:CHANNEL, e.g. {interface}:{example}", bus=text)
+        example = _EXAMPLES.get(interface, "0")
+        raise UsageError(sentence("can.no_channel", bus=text, interface=interface, example=example))
     options: BusOptions = {}
     for part in filter(None, tail.split("&")):
         name, equals, value = part.partition("=")
         if not (name.isidentifier() and equals):
-            raise UsageError(f"option {part!r} of {text!r} is not of the form NAME=VALUE, e.g. bitrate=250000", bus=text)
+            raise UsageError(sentence("can.option", bus=text, option=part))
         options[name] = _typed(value)
     if interface == "udp_multicast" and (found := _GROUP_AND_PORT.fullmatch(channel)):
         channel, options["port"] = found.group(1), int(found.group(2))
@@ -155,53 +164,22 @@ def open_bus(address: BusAddress, bit_rate: int | None = None) -> can.BusABC:
         bus = can.Bus(address.channel, address.interface, ignore_config=True, **options)
     # What python-can raises where the driver of an interface, or the package for it, is not installed.
     except can.CanInterfaceNotImplementedError as error:
-        raise UsageError(
-            f"CAN interface {address.interface} cannot be used here: {error}; install its driver or `pip install "
-            f"'python-can[{address.interface}]'`",
-            Reason.MISSING_PACKAGE,
-            interface=address.interface,
-        ) from error
+        missing = sentence("can.no_driver", interface=address.interface, cause=error)
+        raise UsageError(missing, Reason.MISSING_PACKAGE) from error
     except _OPEN_FAILURES as error:
-        raise _cannot_open(address, error) from error
+        name, number = f"{address.interface}:{address.channel}", system_errno(error)
+        cause = str(error).splitlines()[0] if str(error) else type(error).__name__
+        faults = ((reason, key) for numbers, reason, key in _OPEN_FAULTS if number in numbers)
+        reason, key = next(faults, (Reason.DISCONNECTED, "can.cannot_open"))
+        if key == "can.absent" and address.interface == "socketcan":
+            key = "can.absent_link"
+        raise LinkError(sentence(key, bus=name, channel=address.channel, cause=cause), reason) from error
     channel = getattr(bus, "socket", None)
     if isinstance(channel, socket.socket):
         # A system that refuses the larger buffer still has its usual one.
         with contextlib.suppress(OSError):
             channel.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
     return bus
-
-
-def _cannot_open(address: BusAddress, error: BaseException) -> LinkError:
-    name, number = f"{address.interface}:{address.channel}", _errno(error)
-    cause = str(error).splitlines()[0] if str(error) else type(error).__name__
-    what, reason = f"cannot be opened: {cause}; check adapter, channel and options", Reason.DISCONNECTED
-    if number in (errno.ENODEV, errno.ENOENT, errno.ENXIO):
-        hint = f"`ip link show {address.channel}`" if address.interface == "socketcan" else "the plug and the name"
-        what, reason = f"is not there ({cause}): check {hint}", Reason.PORT_NOT_FOUND
-    elif number in (errno.EACCES, errno.EPERM):
-        what, reason = f"may not be opened by this user ({cause}): get the permission", Reason.NO_PERMISSION
-    elif number == errno.EBUSY:
-        what, reason = "is in use by another program: close that", Reason.PORT_BUSY
-    elif number == errno.EAFNOSUPPORT:
-        what = f"cannot be opened: this system has no CAN network interfaces ({cause}); use another interface, or a kernel "
-        what, reason = f"{what}with SocketCAN", Reason.PORT_NOT_FOUND
-    elif number == errno.ENETDOWN:
-        what = f"is down: `ip link set {address.channel} up type can bitrate ...`"
-    return LinkError(f"{name} {what}", reason, bus=name)
-
-
-def _errno(error: BaseException) -> int | None:
-    """Find the system's error number in an error or in what caused it."""
-    cause: BaseException | None = error
-    while cause is not None:
-        for candidate in (getattr(cause, "errno", None), getattr(cause, "error_code", None)):
-            if isinstance(candidate, int):
-                return candidate
-        found = _ERRNO.search(str(cause))
-        if found:
-            return int(found.group(1) or found.group(2))
-        cause = cause.__cause__ or cause.__context__
-    return None
 
 
 class CanLink:
@@ -242,12 +220,7 @@ class CanLink:
         """
         bus = self._opened()
         if self._is_off:
-            raise LinkError(
-                f"{self.name} is off: the controller left the bus after too many errors; check bit rate, wiring and the two "
-                "120 ohm ends",
-                Reason.DISCONNECTED,
-                bus=self.name,
-            )
+            raise LinkError(sentence("can.off", bus=self.name), Reason.DISCONNECTED)
         messages: list[can.Message] = []
         try:
             first = bus.recv(WAIT_S)
@@ -301,7 +274,7 @@ class CanLink:
             for frame in unpack_frames(data):
                 bus.send(make_message(frame.can_id, frame.data, frame.flags), timeout=WRITE_TIMEOUT_S)
         except can.CanTimeoutError as error:
-            raise not_taken(self.name, "a frame", "check the bit rate, and that a node answers") from error
+            raise not_taken(self.name, "a frame", sentence("can.check_nodes")) from error
         except _READ_FAILURES as error:
             raise self._gone(error) from error
 
@@ -336,8 +309,8 @@ class CanLink:
         return self._bus
 
     def _gone(self, cause: BaseException | None) -> LinkError:
-        what = "is closed" if cause is None else f"was disconnected ({cause})"
-        return LinkError(f"{self.name} {what}: check adapter and cable", Reason.DISCONNECTED, bus=self.name, cause=str(cause))
+        key = "can.closed" if cause is None else "can.gone"
+        return LinkError(sentence(key, bus=self.name, cause=str(cause)), Reason.DISCONNECTED)
 
 
 def pack_message(message: can.Message, time_s: float, flags: int = 0) -> bytes:

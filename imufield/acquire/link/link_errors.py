@@ -15,6 +15,9 @@ from pathlib import Path
 
 from imufield.acquire.link.ports import serial_ports
 from imufield.errors import ImufieldError, LinkError, Reason, UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 # A port that is no terminal; Windows has none.
 _TERMINAL_ERRORS: tuple[type[Exception], ...] = ()
@@ -29,6 +32,7 @@ OPEN_FAILURES: tuple[type[Exception], ...] = (OSError, ValueError, *_TERMINAL_ER
 _BUSY = {errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK}
 _ABSENT = {errno.ENOENT, errno.ENXIO, errno.ENODEV}
 _NOT_A_TERMINAL = {errno.ENOTTY, errno.EISDIR}
+_ERRNO = re.compile(r"\[Errno (\d+)\]|\(\s*(\d+)\s*,")
 _PORTS_NAMED = 6  # More ports than this do not help a reader of an error message.
 
 
@@ -36,85 +40,60 @@ def open_error(port: str, baud: int, error: Exception) -> ImufieldError:
     """Turn what pyserial raised into the error a user can act on."""
     scheme, is_address, rest = port.partition("://")
     if isinstance(error, ValueError):
-        return _bad_value(port, baud, str(error))
+        if "baud" in str(error):
+            return baud_refused(port, baud)
+        key = "link_errors.unknown_kind" if "not known" in str(error) else "link_errors.bad_value"
+        return UsageError(sentence(key, port=port, cause=error))
     host, _, host_port = rest.partition("/")[0].rpartition(":")
     # An address of a network that names no place there: pyserial then fails with a text of Python's own.
     if scheme.lower() in ("socket", "rfc2217") and not (host and host_port.isdecimal()):
-        return UsageError(f"{port} names no host and port; give both, as in {scheme}://192.168.1.5:4001.", port=port)
+        return UsageError(sentence("link_errors.no_host", port=port, scheme=scheme))
+    cause = _cause(error)
     if is_address and "spy:" not in port:
-        what = f"cannot be opened ({_cause(error)}): check address, port number and that the other end listens"
-        return LinkError(f"{port} {what}.", Reason.PORT_NOT_FOUND, port=port)
-    number = _errno(error)
+        return LinkError(sentence("link_errors.no_answer", port=port, cause=cause), Reason.PORT_NOT_FOUND)
+    number = system_errno(error)
     if number == errno.EACCES:
-        return _no_permission(port)
+        group = "dialout"
+        # OSError: the port went away; KeyError: its group has no name; NotImplementedError: a system without groups (Windows).
+        with suppress(OSError, KeyError, NotImplementedError):
+            group = Path(port).group()
+        return LinkError(sentence("link_errors.no_permission", port=port, group=group), Reason.NO_PERMISSION)
     if number == errno.EINVAL:
         return baud_refused(port, baud)
-    reason = Reason.PORT_NOT_FOUND if number in _ABSENT else Reason.DISCONNECTED
     if number in _BUSY:
-        what, reason = f"is in use by {_holder(port)}: close it and try again", Reason.PORT_BUSY
-    elif number in _NOT_A_TERMINAL:
-        what, reason = f"is not a serial port; {_there_are()}", Reason.PORT_NOT_FOUND
-    elif number == errno.ENOENT:
-        what = f"does not exist; {_there_are()}"
-    else:
-        what = f"cannot be opened ({_cause(error)}); {_there_are()}"
-    return LinkError(f"{port} {what}.", reason, port=port)
-
-
-def _bad_value(port: str, baud: int, cause: str) -> ImufieldError:
-    if "baud" in cause:
-        return baud_refused(port, baud)
-    what = f"cannot be opened: {cause}"
-    if "not known" in cause:
-        what = (
-            "is no kind of address that can be opened: use a device such as /dev/ttyUSB0 or COM5, socket://host:port, "
-            "rfc2217://host:port or loop://"
-        )
-    return UsageError(f"{port} {what}.", port=port)
+        return LinkError(sentence("link_errors.busy", port=port, holder=_holder(port)), Reason.PORT_BUSY)
+    key = "link_errors.absent" if number == errno.ENOENT else "link_errors.cannot_open"
+    if number in _NOT_A_TERMINAL:
+        key = "link_errors.no_terminal"
+    reason = Reason.PORT_NOT_FOUND if number in _ABSENT | _NOT_A_TERMINAL else Reason.DISCONNECTED
+    return LinkError(sentence(key, port=port, cause=cause, there_are=_there_are()), reason)
 
 
 def baud_refused(port: str, baud: int) -> LinkError:
     """Say that a port cannot be set to a baud rate."""
-    return LinkError(
-        f"{port} does not take {baud} baud: choose a rate that both the adapter and the instrument know.",
-        Reason.BOUNDS,
-        port=port,
-        baud=baud,
-    )
+    return LinkError(sentence("link_errors.baud", port=port, baud=baud), Reason.BOUNDS)
 
 
-def _no_permission(port: str) -> LinkError:
-    group = "dialout"
-    # OSError: the port went away; KeyError: its group has no name; NotImplementedError: a system without groups (Windows).
-    with suppress(OSError, KeyError, NotImplementedError):
-        group = Path(port).group()
-    return LinkError(
-        f"no permission to open {port}: add yourself to its group with `sudo usermod -aG {group} $USER` and log in again.",
-        Reason.NO_PERMISSION,
-        port=port,
-        group=group,
-    )
-
-
-def _errno(error: BaseException) -> int | None:
-    """Find the error number in attribute, arguments or text."""
-    number = getattr(error, "errno", None)
-    if isinstance(number, int):
-        return number
-    if error.args and isinstance(error.args[0], int):
-        return error.args[0]
-    text = str(error)
-    # Windows: "could not open port 'COM9': FileNotFoundError(2, ...)"; a port in use there is "access denied".
-    for name, meaning in (("FileNotFoundError", errno.ENOENT), ("PermissionError", errno.EBUSY)):
-        if name in text:
-            return meaning
-    found = re.search(r"\(\s*(\d+)\s*,", text)
-    return int(found.group(1)) if found else None
+def system_errno(error: BaseException) -> int | None:
+    """Find the system's error number in an error or in what caused it: in attribute, arguments or text."""
+    cause: BaseException | None = error
+    while cause is not None:
+        for candidate in (getattr(cause, "errno", None), getattr(cause, "error_code", None), *cause.args[:1]):
+            if isinstance(candidate, int):
+                return candidate
+        # Windows: "could not open port 'COM9': FileNotFoundError(2, ...)"; a port in use there is "access denied".
+        for name, meaning in (("FileNotFoundError", errno.ENOENT), ("PermissionError", errno.EBUSY)):
+            if name in str(cause):
+                return meaning
+        if found := _ERRNO.search(str(cause)):
+            return int(found.group(1) or found.group(2))
+        cause = cause.__cause__ or cause.__context__
+    return None
 
 
 def _cause(error: BaseException) -> str:
     """Return the system's own words, without pyserial's wrapping."""
-    number = _errno(error)
+    number = system_errno(error)
     text = str(error)
     found = re.search(r"\[Errno -?\d+\] ([^\]']+)$", text)
     if found:
@@ -125,9 +104,9 @@ def _cause(error: BaseException) -> str:
 def _there_are() -> str:
     names = [port.device for port in serial_ports()]
     if not names:
-        return "no serial port is there: plug the instrument in, `imufield devices` lists what is found"
-    more = ", ..." if len(names) > _PORTS_NAMED else ""
-    return f"this machine has {', '.join(names[:_PORTS_NAMED])}{more}; check the cable, or see `imufield devices`"
+        return sentence("link_errors.no_ports")
+    more = ["..."] if len(names) > _PORTS_NAMED else []
+    return sentence("link_errors.ports", ports=names[:_PORTS_NAMED] + more)
 
 
 def _holder(port: str) -> str:

@@ -18,6 +18,9 @@ import serial
 from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.link.link_errors import OPEN_FAILURES, baud_refused, open_error
 from imufield.errors import LinkError, LinkTimeoutError, Reason
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 WAIT_S = 0.05
 """How long one read waits for a first byte: short enough for Ctrl-C and a screen, long enough to cost nothing."""
@@ -54,15 +57,12 @@ class Link(Protocol):
 
     def read(self) -> Chunk | None:
         """Return what arrived, or None if nothing did within about 50 ms; raise LinkError when the link is gone."""
-        ...
 
     def write(self, data: bytes) -> None:
         """Send a command; raise LinkError when the link is gone, LinkTimeoutError when it does not take the bytes."""
-        ...
 
     def close(self) -> None:
         """Give the port back; may be called again."""
-        ...
 
 
 class Port(Protocol):
@@ -71,27 +71,21 @@ class Port(Protocol):
     @property
     def in_waiting(self) -> int:
         """Bytes that can be read at once; only 0 or 1 on sockets."""
-        ...
 
     def read(self, size: int = 1, /) -> bytes:
         """Return at most ``size`` bytes within the time-out."""
-        ...
 
     def write(self, data: bytes, /) -> int | None:
         """Send all bytes within the write time-out."""
-        ...
 
     def fileno(self) -> int:
         """Return the descriptor, where there is one."""
-        ...
 
     def reset_input_buffer(self) -> None:
         """Throw away what arrived and was not read."""
-        ...
 
     def close(self) -> None:
         """Close; may be called again."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +205,7 @@ class SerialLink:
         try:
             port.write(data)
         except serial.SerialTimeoutException as error:
-            raise not_taken(self.name, f"{len(data)} bytes", "check cable and flow control") from error
+            raise not_taken(self.name, f"{len(data)} bytes", sentence("serial.check_flow")) from error
         except (OSError, TypeError) as error:
             raise self._gone(error) from error
 
@@ -268,23 +262,14 @@ class SerialLink:
         return self._port
 
     def _gone(self, cause: BaseException | None) -> LinkError:
-        what = "is closed" if cause is None else "was disconnected"
-        return LinkError(
-            f"{self.name} {what}: plug the instrument in again and check the cable.",
-            Reason.DISCONNECTED,
-            port=self.name,
-            cause=str(cause),
-        )
+        key = "serial.closed" if cause is None else "serial.gone"
+        return LinkError(sentence(key, port=self.name, cause=str(cause)), Reason.DISCONNECTED)
 
 
 def not_taken(name: str, what: str, remedy: str) -> LinkTimeoutError:
     """Return the error that a link did not take what was sent in time."""
-    return LinkTimeoutError(
-        f"{name} did not take {what} within {WRITE_TIMEOUT_S:g} s: {remedy}",
-        Reason.SILENCE,
-        port=name,
-        limit_s=WRITE_TIMEOUT_S,
-    )
+    told = sentence("serial.not_taken", port=name, what=what, limit_s=WRITE_TIMEOUT_S, remedy=remedy)
+    return LinkTimeoutError(told, Reason.SILENCE)
 
 
 def _can_be_selected(port: str) -> bool:

@@ -28,7 +28,10 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Metadata
 
+from imufield.sentences import Sentences
 from imufield.version import __version__
+
+sentence = Sentences(__package__)
 
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "imufield"  # In the Header, by the specification of MCAP: tells our files from those of other programs.
@@ -137,16 +140,16 @@ def unpack_chunk(body: bytes) -> bytes:
     _, _, size, crc, _, _, packed_size = CHUNK.unpack_from(body)
     packed = body[CHUNK.size :]
     if len(packed) != packed_size or size > CHUNK_LIMIT_BYTES:
-        raise DamageError("its lengths contradict each other")
+        raise DamageError(sentence("mcap_format.lengths"))
     try:
         # The size inside the zstd frame decides what is allocated, so it is checked before unpacking.
         if zstandard.frame_content_size(packed) != size:
-            raise DamageError("its lengths contradict each other")
+            raise DamageError(sentence("mcap_format.lengths"))
         content = zstandard.ZstdDecompressor().decompress(packed)
     except zstandard.ZstdError as error:
-        raise DamageError("it cannot be unpacked") from error
+        raise DamageError(sentence("mcap_format.packing")) from error
     if zlib.crc32(content) != crc:
-        raise DamageError("its checksum is wrong")
+        raise DamageError(sentence("mcap_format.checksum"))
     return content
 
 
@@ -169,11 +172,11 @@ def messages(content: bytes) -> Iterator[tuple[int, int, int, int]]:
         opcode, length, channel, _, utc_ns, _ = MESSAGE.unpack_from(content, position)
         end = position + RECORD.size + length
         if opcode != Opcode.MESSAGE or length < _MESSAGE_CONTENT or end > size:
-            raise DamageError("it holds something other than messages")
+            raise DamageError(sentence("mcap_format.no_messages"))
         yield channel, utc_ns, position + MESSAGE.size, end
         position = end
     if position != size:
-        raise DamageError("it holds something other than messages")
+        raise DamageError(sentence("mcap_format.no_messages"))
 
 
 def read_metadata(body: bytes) -> tuple[int, dict[str, object]]:
@@ -184,30 +187,22 @@ def read_metadata(body: bytes) -> tuple[int, dict[str, object]]:
     DamageError
         If it is not ours, or its checksum is wrong.
     """
-    entries = _string_map(body)
     try:
-        if entries["format"] != FORMAT or int(entries["crc32"]) != zlib.crc32(entries["json"].encode()):
-            raise DamageError("its checksum is wrong")
-        version, metadata = int(entries["version"]), json.loads(entries["json"])
-    except (KeyError, ValueError) as error:
-        raise DamageError("it cannot be read") from error
-    if not isinstance(metadata, dict):
-        raise DamageError("it cannot be read")
-    return version, metadata
-
-
-def _string_map(body: bytes) -> dict[str, str]:
-    """Read name and entries of a Metadata record: strings with a 32-bit length before each, the map with its size before it."""
-    try:
-        name_size = int.from_bytes(body[:4], "little")  # The name is known: the map behind it is what is wanted.
-        position, strings = 4 + name_size + 4, []
+        # Strings with a 32-bit length before each: the name, which is known, and behind the size of the map its entries.
+        position, strings = 4 + int.from_bytes(body[:4], "little") + 4, []
         while position < len(body):
             (size,) = struct.unpack_from("<I", body, position)
             strings.append(body[position + 4 : position + 4 + size].decode())
             position += 4 + size
-    except (struct.error, UnicodeDecodeError) as error:
-        raise DamageError("it cannot be read") from error
-    return dict(zip(strings[::2], strings[1::2], strict=False))
+        entries = dict(zip(strings[::2], strings[1::2], strict=False))
+        if entries["format"] != FORMAT or int(entries["crc32"]) != zlib.crc32(entries["json"].encode()):
+            raise DamageError(sentence("mcap_format.checksum"))
+        version, metadata = int(entries["version"]), json.loads(entries["json"])
+    except (struct.error, KeyError, ValueError) as error:
+        raise DamageError(sentence("mcap_format.unreadable")) from error
+    if not isinstance(metadata, dict):
+        raise DamageError(sentence("mcap_format.unreadable"))
+    return version, metadata
 
 
 def to_json(value: object) -> str:

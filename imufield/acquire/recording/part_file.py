@@ -26,10 +26,15 @@ from imufield.acquire.recording.mcap_format import (
     unpack_chunk,
 )
 from imufield.errors import Reason, RecordingError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 RECORD_LIMIT_BYTES = CHUNK_LIMIT_BYTES + (1 << 20)
 """Largest record accepted, a packed chunk being a little larger than an unpacked one at worst: limits what is allocated."""
 _SEARCH_BYTES = 1 << 20  # Window of the search for the next chunk: as large as a usual one, so that one read finds it.
+_PROFILE = len(PROFILE).to_bytes(4, "little") + PROFILE.encode()
+_PROFILE_AT = len(MAGIC) + RECORD.size  # Where it stands in the file, behind the start of the Header record.
 _START_BYTES = 64  # Enough for the magic and the Header record up to its profile.
 _HEAD_LIMIT_BYTES = 64  # Header and Channel records have about 35: with a damaged length they must not swallow a chunk.
 _BYTES_MAY_DIFFER = 2  # Damaged bytes at which the start of a file is still taken for ours; foreign files differ in nearly all.
@@ -42,9 +47,7 @@ def is_part(path: str | Path) -> bool:
             start = file.read(_START_BYTES)
     except OSError:
         return False
-    profile_at = len(MAGIC) + RECORD.size
-    profile = len(PROFILE).to_bytes(4, "little") + PROFILE.encode()
-    return start.startswith(MAGIC) and start[profile_at : profile_at + len(profile)] == profile
+    return start.startswith(MAGIC) and start[_PROFILE_AT : _PROFILE_AT + len(_PROFILE)] == _PROFILE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,9 +70,6 @@ class Damage:
     length_bytes: int
     what: str
     torn_end: bool = False
-
-    def __str__(self) -> str:
-        return self.what
 
 
 class PartFile:
@@ -98,11 +98,7 @@ class PartFile:
         try:
             self._file: BinaryIO = path.open("rb")
         except OSError as error:
-            raise RecordingError(
-                f"{path} cannot be read ({error.strerror}): check the name and its permissions.",
-                Reason.NOT_A_RECORDING,
-                path=str(path),
-            ) from error
+            raise self._refused("part_file.unreadable", cause=error.strerror) from error
         try:
             # As it is now: a part that is being recorded grows, and what comes later is not read.
             self._size = os.fstat(self._file.fileno()).st_size
@@ -132,21 +128,21 @@ class PartFile:
                 yield position, content
             position += RECORD.size + len(body)
         if not self.finished and (not self.damage or not self.damage[-1].torn_end):
-            self._note(self._size, 0, f"{self.path} ends without a proper end: the recording was cut off.", torn_end=True)
+            self._note("part_file.no_end", self._size, torn_end=True)
 
-    def note(self, offset: int, why: str) -> None:
+    def note(self, offset: int, why: DamageError) -> None:
         """Record that the chunk at ``offset`` is sound in itself but cannot be used."""
-        self._note(offset, 0, f"{self.path}: the chunk at byte {offset} is damaged, {why}.")
+        self._note("part_file.left_out", offset, cause=why)
 
     def _record(self, position: int) -> tuple[int, bytes]:
         """Read one record; the file stands at it."""
         head = self._file.read(RECORD.size)
         if len(head) < RECORD.size:
-            raise DamageError("the file ends inside")
+            raise DamageError(sentence("part_file.ends_inside"))
         opcode, length = RECORD.unpack(head)
         # Checked before reading: a damaged length must not ask for memory that nobody has.
         if length > min(RECORD_LIMIT_BYTES, self._size - position - RECORD.size):
-            raise DamageError("the file ends inside")
+            raise DamageError(sentence("part_file.ends_inside"))
         return opcode, self._file.read(length)
 
     def _handle(self, opcode: int, body: bytes) -> bytes | None:
@@ -154,21 +150,21 @@ class PartFile:
         if opcode == Opcode.CHUNK:
             self._in_head = False
             if len(body) < CHUNK.size:
-                raise DamageError("it is too short")
+                raise DamageError(sentence("part_file.too_short"))
             return unpack_chunk(body)
         if opcode == Opcode.METADATA:
             self._in_head = False
             version, self.metadata = read_metadata(body)
             # A newer one may pack its chunks otherwise: to guess would be to call a sound file damaged.
             if version > VERSION:
-                raise self._newer(f"recording version {version}")
+                raise self._refused("part_file.newer", Reason.NEWER, version=version, limit=VERSION)
         elif opcode == Opcode.DATA_END:
             # A chunk whose opcode was damaged into this one must not end the reading.
             self.finished = self._file.tell() == self._size - END_SIZE + RECORD.size + 4
             if not self.finished:
-                raise DamageError("an end stands in the middle")
+                raise DamageError(sentence("part_file.early_end"))
         elif not self._in_head or opcode not in (Opcode.HEADER, Opcode.CHANNEL) or len(body) > _HEAD_LIMIT_BYTES:
-            raise DamageError("its kind is unknown")
+            raise DamageError(sentence("part_file.unknown_kind"))
         return None
 
     def _skip(self, position: int, error: DamageError) -> int:
@@ -176,16 +172,12 @@ class PartFile:
         # One byte on and not behind the record: it is its length that may be damaged.
         follows = self._next_chunk(position + 1)
         end = self._size if follows is None else follows
-        torn = follows is None
-        what = (
-            f"{self.path} is cut off at byte {position}: {end - position} bytes of an incomplete block are left out."
-            if torn
-            else f"{self.path}: {end - position} bytes at byte {position} are damaged ({error}) and left out."
-        )
-        self._note(position, end - position, what, torn_end=torn)
+        key = "part_file.cut_off" if follows is None else "part_file.damaged"
+        self._note(key, position, end - position, torn_end=follows is None, cause=error)
         return end
 
-    def _note(self, offset: int, length: int, what: str, *, torn_end: bool = False) -> None:
+    def _note(self, key: str, offset: int, length: int = 0, *, torn_end: bool = False, **values: object) -> None:
+        what = sentence(key, path=self.path, offset=offset, length=length, **values)
         self.damage.append(Damage(path=self.path, offset=offset, length_bytes=length, what=what, torn_end=torn_end))
 
     def _next_chunk(self, position: int) -> int | None:
@@ -222,31 +214,17 @@ class PartFile:
     def _check_start(self, start: bytes) -> None:
         """Refuse what is not ours; a few damaged bytes are forgiven."""
         expected = MAGIC + bytes([Opcode.HEADER])
-        profile = len(PROFILE).to_bytes(4, "little") + PROFILE.encode()
-        profile_at = len(MAGIC) + RECORD.size
-        there = start[: len(expected)] + start[profile_at : profile_at + len(profile)]
-        differ = sum(a != b for a, b in zip(there, expected + profile, strict=False))
+        there = start[: len(expected)] + start[_PROFILE_AT : _PROFILE_AT + len(_PROFILE)]
+        differ = sum(a != b for a, b in zip(there, expected + _PROFILE, strict=False))
         if not start:
-            raise self._foreign("is empty")
+            raise self._refused("part_file.empty")
         # The sixth byte of the magic is the version of MCAP, "0" up to now.
         if start[:5] == MAGIC[:5] and start[6:8] == MAGIC[6:8] and start[5] > MAGIC[5] and differ > _BYTES_MAY_DIFFER:
-            raise self._newer(f"MCAP version {chr(start[5])}")
+            raise self._refused("part_file.newer_mcap", Reason.NEWER, version=chr(start[5]), limit=VERSION)
         if differ > _BYTES_MAY_DIFFER:
-            is_mcap = start.startswith(MAGIC)
-            raise self._foreign("is an MCAP file of another program" if is_mcap else "is not an imufield recording")
+            raise self._refused("part_file.other_mcap" if start.startswith(MAGIC) else "part_file.foreign")
         if differ:
-            self._note(0, len(expected), f"{self.path}: {differ} bytes at its start are damaged, which costs nothing.")
+            self._note("part_file.start", 0, len(expected), found=differ)
 
-    def _newer(self, what: str) -> RecordingError:
-        return RecordingError(
-            f"{self.path} is of {what}, this imufield reads up to version {VERSION}: update imufield.",
-            Reason.NEWER,
-            path=str(self.path),
-        )
-
-    def _foreign(self, what: str) -> RecordingError:
-        return RecordingError(
-            f"{self.path} {what}: give a session folder or a part-*.mcap of one, `imufield import` takes other files.",
-            Reason.NOT_A_RECORDING,
-            path=str(self.path),
-        )
+    def _refused(self, key: str, reason: Reason = Reason.NOT_A_RECORDING, **values: object) -> RecordingError:
+        return RecordingError(sentence(key, path=str(self.path), **values), reason)

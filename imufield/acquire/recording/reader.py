@@ -20,21 +20,13 @@ import numpy as np
 from imufield.acquire.link.host_clock import HostClock, SystemClock
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.mcap_format import ARRIVAL, EVENTS_CHANNEL, LINK_CHANNEL, DamageError, messages
-from imufield.acquire.recording.part_file import Damage, PartFile
+from imufield.acquire.recording.part_file import Damage as Damage  # noqa: PLC0414  (handed on)
+from imufield.acquire.recording.part_file import PartFile
 from imufield.errors import LinkError, Reason, RecordingError, UsageError
 from imufield.samples import FloatArray, IntArray
+from imufield.sentences import Sentences
 
-__all__ = [
-    "Damage",
-    "EndOfRecordingError",
-    "PartStart",
-    "RecordedBlock",
-    "RecordedEvent",
-    "RecordingLink",
-    "read_blocks",
-    "read_part",
-    "read_session",
-]
+sentence = Sentences(__package__)
 
 BLOCK_SPAN_S = 1.0
 """A block joins at most this much of the wire."""
@@ -85,11 +77,6 @@ class RecordedBlock:
     monotonic_s: FloatArray
     utc_ns: int
 
-    @property
-    def arrival_s(self) -> float:
-        """Arrival of the last byte, monotonic clock."""
-        return float(self.monotonic_s[-1])
-
 
 class Parts(Protocol):
     """What has parts to read: a ``Session``."""
@@ -97,7 +84,6 @@ class Parts(Protocol):
     @property
     def parts(self) -> list[Path]:
         """Paths of the parts, in order."""
-        ...
 
 
 class EndOfRecordingError(LinkError):
@@ -118,16 +104,8 @@ def read_part(path: str | Path, damage: list[Damage] | None = None) -> Iterator[
     RecordingError
         Not a recording, a newer version, or the file cannot be read.
     """
-    for item in _messages_of(Path(path), damage):
-        if isinstance(item, PartStart):
-            yield item
-            continue
-        content, channel, utc_ns, start, end = item
-        if channel == LINK_CHANNEL:
-            (monotonic_s,) = ARRIVAL.unpack_from(content, start)
-            yield Chunk(content[start + ARRIVAL.size : end], monotonic_s, utc_ns)
-        else:
-            yield RecordedEvent(json.loads(content[start:end]), utc_ns)
+    for item in _items_of(Path(path), damage):
+        yield Chunk(*item) if isinstance(item, tuple) else item
 
 
 def read_session(session: Parts, damage: list[Damage] | None = None) -> Iterator[PartStart | Chunk | RecordedEvent]:
@@ -159,14 +137,9 @@ def read_blocks(
     """
     joiner = _Joiner(block_bytes=block_bytes, span_s=span_s)
     for path in _parts_begun(session, damage):
-        for item in _messages_of(path, damage):
-            if isinstance(item, PartStart):
-                yield item
-                continue
-            content, channel, utc_ns, start, end = item
-            if channel == LINK_CHANNEL:
-                (monotonic_s,) = ARRIVAL.unpack_from(content, start)
-                data = content[start + ARRIVAL.size : end]
+        for item in _items_of(path, damage):
+            if isinstance(item, tuple):
+                data, monotonic_s, utc_ns = item
                 if joiner.must_end_before(monotonic_s, len(data)):
                     yield joiner.take()
                 joiner.add(data, monotonic_s, utc_ns)
@@ -174,7 +147,7 @@ def read_blocks(
             # An operator's mark is about the bytes before it: they must be decoded first.
             if joiner.pieces:
                 yield joiner.take()
-            yield RecordedEvent(json.loads(content[start:end]), utc_ns)
+            yield item
         # A block never runs over the end of a part, where the decoder begins anew.
         if joiner.pieces:
             yield joiner.take()
@@ -224,42 +197,36 @@ def _parts_begun(session: Parts, damage: list[Damage] | None) -> Iterator[Path]:
         digits = path.stem.rpartition("-")[2]
         # A file that a person named otherwise has no place in the count.
         if digits.isdecimal():
-            found.extend(_missing_between(before, int(digits), path))
+            # Numbers are given one after the other.
+            if int(digits) > before + 1:
+                first, last = (path.with_name(f"part-{gone:03d}{path.suffix}") for gone in (before + 1, int(digits) - 1))
+                what = sentence("reader.part_gone" if first == last else "reader.parts_gone", path=first, last=last.name)
+                found.append(Damage(path=first, offset=0, length_bytes=0, what=what))
             before = int(digits)
         try:
             size = path.stat().st_size
         except OSError as error:
-            raise RecordingError(
-                f"{path} cannot be read ({error.strerror}): restore it, or remove it from the session.",
-                Reason.NOT_A_RECORDING,
-                path=str(path),
-            ) from error
+            unreadable = sentence("reader.unreadable", path=str(path), cause=error.strerror)
+            raise RecordingError(unreadable, Reason.NOT_A_RECORDING) from error
         # Bytes are compared only where the sizes agree, so that sound sessions are not read twice.
         original = next((other for other in begun if begun[other] == size and filecmp.cmp(path, other, shallow=False)), None)
         if original is not None:
-            what = f"{path} is a copy of {original.name}, byte for byte, and counts once."
+            what = sentence("reader.copy", path=path, original=original.name)
             found.append(Damage(path=path, offset=0, length_bytes=size, what=what))
         elif not size:
-            what = f"{path} is empty: the program was killed before anything arrived."
+            what = sentence("reader.empty", path=path)
             found.append(Damage(path=path, offset=0, length_bytes=0, what=what, torn_end=True))
         else:
             begun[path] = size
             yield path
 
 
-def _missing_between(before: int, number: int, path: Path) -> Iterator[Damage]:
-    """Yield what is gone between two parts: numbers are given one after the other."""
-    if number > before + 1:
-        first, last = (path.with_name(f"part-{missing:03d}{path.suffix}") for missing in (before + 1, number - 1))
-        gone = f"{first} is" if first == last else f"{first} to {last.name} are"
-        yield Damage(path=first, offset=0, length_bytes=0, what=f"{gone} gone, and what was recorded there.")
+# Bytes of a chunk, its arrival on the monotonic clock and in UTC: fields of ``Chunk``, an object of which costs more.
+_Chunk = tuple[bytes, float, int]
 
 
-_Message = tuple[bytes, int, int, int, int]
-
-
-def _messages_of(path: Path, damage: list[Damage] | None) -> Iterator[PartStart | _Message]:
-    """Yield the start of a part, then the messages of our two channels as (content, channel, utc_ns, start, end)."""
+def _items_of(path: Path, damage: list[Damage] | None) -> Iterator[PartStart | _Chunk | RecordedEvent]:
+    """Yield the start of a part, then what our two channels hold."""
     with PartFile(path) as part:
         contents = part.contents()
         # The metadata stand before the first chunk: reading that far makes them known.
@@ -269,11 +236,14 @@ def _messages_of(path: Path, damage: list[Damage] | None) -> Iterator[PartStart 
             try:
                 checked = [message for message in messages(content) if _is_sound(content, message)]
             except DamageError as error:
-                part.note(offset, f"it is left out because {error}")
+                part.note(offset, error)
                 continue
             # Nothing of a chunk is given away before all of it is checked: half of one would be lost samples without a trace.
             for channel, utc_ns, start, end in checked:
-                yield content, channel, utc_ns, start, end
+                if channel == EVENTS_CHANNEL:
+                    yield RecordedEvent(json.loads(content[start:end]), utc_ns)
+                else:
+                    yield content[start + ARRIVAL.size : end], ARRIVAL.unpack_from(content, start)[0], utc_ns
         if damage is not None:
             damage.extend(part.damage)
 
@@ -287,11 +257,49 @@ def _is_sound(content: bytes, message: tuple[int, int, int, int]) -> bool:
         except ValueError:
             is_object = False
         if not is_object:
-            raise DamageError("an event is not JSON")
+            raise DamageError(sentence("reader.no_json"))
         return True
     if channel == LINK_CHANNEL and end - start < ARRIVAL.size:
-        raise DamageError("a link message has no arrival time")
+        raise DamageError(sentence("reader.no_arrival"))
     return channel == LINK_CHANNEL
+
+
+class Pacer:
+    """Waits until what was recorded is due.
+
+    Parameters
+    ----------
+    pace : float, optional
+        1 is as fast as it was recorded, 8 eight times faster; by default nothing is waited for.
+    clock : HostClock, optional
+    longest_s : float
+        A jump of the times beyond this begins anew.
+    """
+
+    _SHORTEST_S = 0.001  # Below what a system sleeps reliably.
+
+    def __init__(self, pace: float | None, clock: HostClock | None = None, *, longest_s: float = math.inf) -> None:
+        if pace is not None and not pace > 0.0:
+            raise UsageError(sentence("reader.pace", pace=pace))
+        self._pace = pace
+        self._clock = clock or SystemClock()
+        self._longest_s = longest_s
+        self._offset_s: float | None = None
+
+    def begin_anew(self) -> None:
+        """Take the next time for due at once."""
+        self._offset_s = None
+
+    def wait(self, time_s: float) -> None:
+        """Wait until a time of the recording."""
+        if self._pace is None:
+            return
+        due_s, now_s = time_s / self._pace, self._clock.monotonic_s()
+        ahead_s = None if self._offset_s is None else due_s + self._offset_s - now_s
+        if ahead_s is None or abs(ahead_s) > self._longest_s:
+            self._offset_s, ahead_s = now_s - due_s, 0.0
+        if ahead_s >= self._SHORTEST_S:
+            self._clock.sleep(ahead_s)
 
 
 class RecordingLink:
@@ -308,15 +316,11 @@ class RecordingLink:
     """
 
     def __init__(self, session: Parts | Iterable[Path], *, pace: float | None = None, clock: HostClock | None = None) -> None:
-        if pace is not None and not pace > 0.0:
-            raise UsageError(f"a pace of {pace:g} cannot be replayed: give a number larger than 0.", pace=pace)
         paths = list(session) if isinstance(session, Iterable) else session.parts
         self.name = str(paths[0].parent) if paths else "recording"
         self.damage: list[Damage] = []
         self._items = itertools.chain.from_iterable(read_part(path, self.damage) for path in paths)
-        self._pace = pace
-        self._clock = clock or SystemClock()
-        self._offset_s: float | None = None
+        self._pacer = Pacer(pace, clock)
         # Whether what was read so far says when it arrived; an imported dump does not, and has no pace.
         self.has_arrival_times = True
 
@@ -333,30 +337,19 @@ class RecordingLink:
         for item in self._items:
             if isinstance(item, PartStart):
                 # Each run has a monotonic clock of its own, and the pause between runs is not waited for.
-                self._offset_s = None
+                self._pacer.begin_anew()
             elif isinstance(item, Chunk):
-                self._wait_for(item.monotonic_s)
+                if math.isnan(item.monotonic_s):
+                    self.has_arrival_times = False
+                else:
+                    self._pacer.wait(item.monotonic_s)
                 return item
-        raise EndOfRecordingError(f"{self.name} is read to its end.", Reason.DISCONNECTED)
+        raise EndOfRecordingError(sentence("reader.end", name=self.name), Reason.DISCONNECTED)
 
     def write(self, data: bytes) -> None:
         """Refuse: a recording takes no commands."""
-        raise LinkError(f"{self.name} is a recording and takes no commands ({len(data)} bytes).", Reason.USAGE)
+        raise LinkError(sentence("reader.no_commands", name=self.name, size=len(data)), Reason.USAGE)
 
     def close(self) -> None:
         """Stop reading; may be called again."""
         self._items = itertools.chain()
-
-    def _wait_for(self, monotonic_s: float) -> None:
-        if math.isnan(monotonic_s):
-            self.has_arrival_times = False
-            return
-        if self._pace is None:
-            return
-        due_s = monotonic_s / self._pace
-        now_s = self._clock.monotonic_s()
-        if self._offset_s is None:
-            self._offset_s = now_s - due_s
-        wait_s = due_s + self._offset_s - now_s
-        if wait_s > 0.0:
-            self._clock.sleep(wait_s)

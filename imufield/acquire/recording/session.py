@@ -17,7 +17,10 @@ import tomli_w
 from imufield.acquire.recording.session_record import FORMAT, VERSION, SessionRecord, Table, plain_table
 from imufield.errors import Reason, RecordingError
 from imufield.files import DEFAULT_ROOT, read_small_file, sync_folder, typed_write_errors, write_atomically
+from imufield.sentences import Sentences
 from imufield.version import __version__
+
+sentence = Sentences(__package__)
 
 SETTINGS_FILE = "session.toml"
 LOCK_FILE = "session.lock"  # A file of its own: session.toml is replaced while it is locked.
@@ -84,12 +87,9 @@ class Session:
             folder.mkdir(parents=True, exist_ok=True)
             is_empty = not any(folder.iterdir())
         if not is_empty:
-            what = "holds a session already" if (folder / SETTINGS_FILE).exists() else "is not empty"
-            raise RecordingError(
-                f"{folder} {what} and nothing is overwritten: choose a new folder.",
-                Reason.UNFINISHED if (folder / SETTINGS_FILE).exists() else Reason.FOREIGN,
-                folder=str(folder),
-            )
+            if (folder / SETTINGS_FILE).exists():
+                raise RecordingError(sentence("session.exists", folder=str(folder)), Reason.UNFINISHED)
+            raise RecordingError(sentence("session.not_empty", folder=str(folder)), Reason.FOREIGN)
         return cls._written(folder, content)
 
     @classmethod
@@ -116,17 +116,10 @@ class Session:
         try:
             content = tomllib.loads(read_small_file(path).decode())
         except (FileNotFoundError, NotADirectoryError) as error:
-            raise RecordingError(
-                f"{folder} is no session, it has no {SETTINGS_FILE}: give the folder that `imufield capture` or `import` made.",
-                Reason.NOT_A_RECORDING,
-                folder=str(folder),
-            ) from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise RecordingError(f"{path} cannot be read ({error}): restore it.", Reason.DAMAGED, path=str(path)) from error
-        except OSError as error:
-            raise RecordingError(
-                f"{path} cannot be read ({error.strerror}): check its permissions.", Reason.DAMAGED, path=str(path)
-            ) from error
+            raise RecordingError(sentence("session.no_session", folder=str(folder)), Reason.NOT_A_RECORDING) from error
+        except (OSError, ValueError) as error:
+            unreadable = sentence("session.unreadable", path=str(path), cause=getattr(error, "strerror", error))
+            raise RecordingError(unreadable, Reason.DAMAGED) from error
         return cls(folder, content)
 
     @classmethod
@@ -140,11 +133,7 @@ class Session:
         """
         folders = cls.newest_first(root)
         if not folders:
-            raise RecordingError(
-                f"there is no session in {root}: make one with `imufield capture` or `imufield import`, or name its folder.",
-                Reason.NOT_A_RECORDING,
-                root=str(root),
-            )
+            raise RecordingError(sentence("session.none", root=str(root)), Reason.NOT_A_RECORDING)
         return cls.open(folders[0])
 
     @staticmethod
@@ -210,12 +199,8 @@ class Session:
             if not _lock(file):
                 # Where there is no pread, as on Windows, the holder stays without a number.
                 holder = os.pread(file, 20, 0).decode(errors="replace") if hasattr(os, "pread") else ""
-                who = f"process {holder}" if holder.isdigit() else "another program"
-                raise RecordingError(
-                    f"{self.folder} is being recorded by {who}: wait for it to end, or choose another session.",
-                    Reason.LOCKED,
-                    folder=str(self.folder),
-                )
+                key = "session.locked_by" if holder.isdigit() else "session.locked"
+                raise RecordingError(sentence(key, folder=str(self.folder), process=holder), Reason.LOCKED)
             # The number of the process only names the holder: a full disk is no reason not to hold the lock.
             with suppress(OSError):
                 os.ftruncate(file, 0)

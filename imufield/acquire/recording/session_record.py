@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from enum import Enum
 from pathlib import Path, PurePath
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from imufield.earth import GRAVITY_RANGE_M_S2, HEIGHT_RANGE_M
 from imufield.errors import Reason, RecordingError
 from imufield.samples import ACCELEROMETER_COLUMNS, LARGEST_OUTPUT
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 FORMAT = "imufield-session"
 VERSION = 1
@@ -28,12 +31,14 @@ KEYS: Mapping[str, type] = {
 """What ``session.toml`` may hold: ``kind`` is "capture", "record" or "import"; tables are filled by those who use them."""
 
 Table = dict[str, Any]  # Of a TOML document, whose values have every type that TOML knows.
-ARecord = TypeVar("ARecord")
 
 
-def _number(low: float = -math.inf, high: float = math.inf, *, positive: bool = False) -> float | None:
+_POSITIVE = math.ulp(0.0)  # The smallest number above 0, as a lower limit.
+
+
+def _number(low: float = -math.inf, high: float = math.inf) -> float | None:
     """Declare a number that a person may edit and a program computes with; the limits are part of the sentence."""
-    return field(default=None, metadata={"low": low, "high": high, "positive": positive})
+    return field(default=None, metadata={"low": low, "high": high})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,12 +93,12 @@ class NominalRecord:
 class GuideRecord:
     """Table ``guide``: what was chosen when a guided session began, in the order in which it is written."""
 
-    hold_s: float | None = _number(positive=True)
-    target_bias_ug: float | None = _number(positive=True)
-    target_scale_ppm: float | None = _number(positive=True)
+    hold_s: float | None = _number(_POSITIVE)
+    target_bias_ug: float | None = _number(_POSITIVE)
+    target_scale_ppm: float | None = _number(_POSITIVE)
     rotations: str | None = None
-    earlier_scale_raw: float | None = _number(positive=True)
-    earlier_scale_sigma: float | None = _number(positive=True)
+    earlier_scale_raw: float | None = _number(_POSITIVE)
+    earlier_scale_sigma: float | None = _number(_POSITIVE)
     revisit_first: bool | None = None
 
 
@@ -110,6 +115,9 @@ class SiteRecord:
     def is_known(self) -> bool:
         """Whether gravity follows from these."""
         return self.gravity_m_s2 is not None or self.latitude_deg is not None
+
+
+_TABLES: Mapping[str, type] = {"link": LinkRecord, "protocol": ProtocolRecord, "guide": GuideRecord, "site": SiteRecord}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,46 +158,30 @@ class SessionRecord:
         """
         _check_keys(content, path)
         # Instruments are told apart by this table: a misspelt serial number would pass as one that is not known.
+        known = [entry.name for entry in fields(InstrumentRecord)]
         for name in content.get("instrument", {}):
-            if name not in {entry.name for entry in fields(InstrumentRecord)}:
-                known = ", ".join(entry.name for entry in fields(InstrumentRecord))
-                raise RecordingError(
-                    f"{path} has the unknown key `instrument.{name}`; known are {known}: remove it.",
-                    Reason.UNKNOWN_KEY,
-                    path=str(path),
-                    key=name,
-                )
+            if name not in known:
+                raise _refused("session_record.unknown_instrument_key", path, Reason.UNKNOWN_KEY, key=name, known=known)
         # A serial number of digits alone is a number in a file that a person has edited.
         instrument = {key: str(value) for key, value in content.get("instrument", {}).items()}
-        site = _read_table(SiteRecord, "site", content, path)
-        guide = _read_table(GuideRecord, "guide", content, path)
+        tables = {name: _read_table(kind, name, content, path) for name, kind in _TABLES.items()}
         zero = content.get("nominal", {}).get("raw_zero")
         zeros: list[Any] = zero if isinstance(zero, list) and len(zero) == len(ACCELEROMETER_COLUMNS) else [zero]
         for value in zeros:
             _check_number("nominal.raw_zero", value, path, low=-LARGEST_OUTPUT, high=LARGEST_OUTPUT)
+        # One number stands for all axes.
+        raw_zero = None if zero is None else tuple(float(value) for value in zeros * (3 // len(zeros)))
+        settings = {}
         for key, value in content.get("settings", {}).items():
             if not isinstance(value, dict) or "value" not in value:
-                raise RecordingError(
-                    f"{path} has {value!r} under `settings.{key}`, which is a table with value and origin: restore it.",
-                    Reason.DAMAGED,
-                    path=str(path),
-                    key=key,
-                )
+                raise _refused("session_record.setting", path, key=key, value=value)
+            settings[key] = SettingRecord(value["value"], str(value.get("origin", "")))
         return cls(
             **{key: content[key] for key in ("created", "model", "finished", "software", "kind", "scheme") if key in content},
             instrument=InstrumentRecord(**instrument),
-            link=_read_table(LinkRecord, "link", content, path),
-            protocol=_read_table(ProtocolRecord, "protocol", content, path),
-            settings={
-                name: SettingRecord(entry["value"], str(entry.get("origin", "")))
-                for name, entry in content.get("settings", {}).items()
-            },
-            # One number stands for all axes.
-            nominal=NominalRecord(
-                raw_zero=None if zero is None else tuple(float(value) for value in zeros * (3 // len(zeros)))
-            ),
-            guide=guide,
-            site=site,
+            settings=settings,
+            nominal=NominalRecord(raw_zero=raw_zero),
+            **tables,
         )
 
 
@@ -217,11 +209,11 @@ def _plain(value: object) -> object:
     return str(value) if isinstance(value, PurePath) else value
 
 
-def _read_table(kind: Callable[..., ARecord], name: str, content: Table, path: Path) -> ARecord:
+def _read_table(kind: type, name: str, content: Table, path: Path) -> Any:
     """Return a table as a record; its numbers are checked, keys that nothing reads stay in the file."""
     table = content.get(name, {})
     values = {}
-    for entry in fields(kind):  # type: ignore[arg-type]  # a class of records
+    for entry in fields(kind):
         if entry.name in table:
             value = table[entry.name]
             if entry.metadata:
@@ -232,52 +224,32 @@ def _read_table(kind: Callable[..., ARecord], name: str, content: Table, path: P
     return kind(**values)
 
 
-def _check_number(
-    key: str, value: object, path: Path, *, low: float = -math.inf, high: float = math.inf, positive: bool = False
-) -> None:
+def _check_number(key: str, value: object, path: Path, *, low: float = -math.inf, high: float = math.inf) -> None:
     """Refuse what nothing can be computed with."""
-    if value is None:
-        return
     # To Python a bool is an integer, and TOML can spell nan and inf.
     is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    limits = f" ({low:g} to {high:g})" if high < math.inf else ""
-    if not is_number or not low <= value <= high or (positive and value <= 0):  # type: ignore[operator]  # a number by now
-        raise RecordingError(
-            f"{path} has {value!r} under `{key}`, which is no possible value{limits}: correct it, or remove the line.",
-            Reason.DAMAGED,
-            path=str(path),
-            key=key,
-        )
+    if value is not None and not (is_number and low <= value <= high):  # type: ignore[operator]  # a number by now
+        text = "session_record.number" if high < math.inf else "session_record.value"
+        raise _refused(text, path, key=key, value=value, low=low, high=high)
 
 
 def _check_keys(content: Table, path: Path) -> None:
     """Refuse what is foreign, newer or unknown, and what lacks the keys that every session has."""
     if content.get("format") != FORMAT:
-        raise RecordingError(
-            f'{path} is no session file, its format is {content.get("format")!r} and not "{FORMAT}": name another folder.',
-            Reason.FOREIGN,
-            path=str(path),
-        )
+        raise _refused("session_record.format", path, Reason.FOREIGN, found=content.get("format"), format=FORMAT)
     # Before the keys: a newer version may have some that are unknown here.
     version = content.get("version")
     if not isinstance(version, int) or version > VERSION:
-        raise RecordingError(
-            f"{path} is of version {version}, this imufield reads up to {VERSION}: update imufield.",
-            Reason.NEWER,
-            path=str(path),
-            version=version,
-            limit=VERSION,
-        )
+        raise _refused("session_record.newer", path, Reason.NEWER, version=version, limit=VERSION)
     for key, value in content.items():
         if key not in KEYS:
-            raise RecordingError(f"{path} has the unknown key `{key}`: remove it.", Reason.UNKNOWN_KEY, path=str(path), key=key)
+            raise _refused("session_record.unknown_key", path, Reason.UNKNOWN_KEY, key=key)
         if not isinstance(value, KEYS[key]):
-            raise RecordingError(
-                f"{path} has a value of the wrong type under `{key}`: {value!r}; correct it.",
-                Reason.DAMAGED,
-                path=str(path),
-                key=key,
-            )
+            raise _refused("session_record.type", path, key=key, value=value)
     for key in ("created", "model", "finished"):
         if key not in content:
-            raise RecordingError(f"{path} lacks the key `{key}`: restore it.", Reason.DAMAGED, path=str(path), key=key)
+            raise _refused("session_record.missing_key", path, key=key)
+
+
+def _refused(sentence_key: str, path: Path, reason: Reason = Reason.DAMAGED, **values: object) -> RecordingError:
+    return RecordingError(sentence(sentence_key, path=str(path), **values), reason)

@@ -17,7 +17,7 @@ from imufield.commands.configuration import parse_settings
 from imufield.errors import UsageError
 
 if TYPE_CHECKING:
-    from imufield.acquire.instrument.connect import ConnectOptions
+    from imufield.acquire.instrument.connected import ConnectOptions
     from imufield.pipeline.site import SiteOptions
 
 LARGEST_SEED = 2**63 - 1
@@ -92,9 +92,9 @@ def _parse_mapping(texts: list[str] | None) -> dict[str, str]:
     # Only who gives --map pays for the room that reads it.
     if not texts:
         return {}
-    from imufield.acquire.instrument.connect import parse_mapping
+    from imufield.acquire.instrument.can_map import parse_map
 
-    return parse_mapping(texts)
+    return parse_map(texts)
 
 
 Port = Annotated[
@@ -178,7 +178,7 @@ def _connect_options(given: PortOrBus | Connection, typed: frozenset[str]) -> "C
     UsageError
         Both were typed.
     """
-    from imufield.acquire.instrument.connect import ConnectOptions
+    from imufield.acquire.instrument.connected import ConnectOptions
 
     port, bus = given.port, given.bus
     if port is not None and bus is not None:

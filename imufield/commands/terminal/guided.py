@@ -13,9 +13,9 @@ import numpy as np
 import typer
 
 from imufield.acquire.decode.statistics import remarks
-from imufield.acquire.instrument.connect import Connected
+from imufield.acquire.instrument.connected import Connected
+from imufield.acquire.link.background import PatientLink
 from imufield.acquire.link.host_clock import HostClock, ScaledClock
-from imufield.acquire.link.reconnect import PatientLink
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.recorder import Recorder

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from imufield.acquire.instrument.connect import Connected, ConnectOptions
+from imufield.acquire.instrument.connected import Connected, ConnectOptions
 from imufield.acquire.recording.session import Session
 from imufield.acquire.recording.session_record import GuideRecord
 from imufield.acquire.registry import driver_names

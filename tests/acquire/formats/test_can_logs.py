@@ -24,6 +24,7 @@ from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import concatenate
+from imufield.sentences import Sentence
 from tests.refused import refused
 
 START_S = 1_700_000_000.0
@@ -90,8 +91,10 @@ def test_a_damaged_time_stamp_costs_no_frame_or_is_said(tmp_path: Path) -> None:
     path.write_text("(1700000000.005) can0 100#00\n(nan) can0 100#01\n(1700000000.015) can0 100#02\n")
     losses: list[str] = []
     assert sum(1 for chunk in read_log(path, losses=losses) for _ in unpack_frames(chunk.data)) == 1
-    assert "frame 1 " in losses[0]
-    assert "nan" in losses[0]
+    (lost,) = losses
+    assert isinstance(lost, Sentence)
+    assert (lost.key, lost.values["frames"]) == ("can_logs.damaged", 1)
+    assert "nan" in lost
 
 
 def test_a_cut_blf_says_what_is_missing(tmp_path: Path) -> None:
@@ -106,11 +109,11 @@ def test_a_cut_blf_says_what_is_missing(tmp_path: Path) -> None:
         losses: list[str] = []
         count = sum(1 for chunk in read_log(path, losses=losses) for _ in unpack_frames(chunk.data))
         assert 0 < count < 20_000
-        assert losses == [
-            f"{path} is cut: {size} of {len(content)} bytes and {count} of up to 20000 frames are there: what follows is lost"
-        ]
-        with refused(RecordingError, Reason.DAMAGED, str(path), "bytes"):
+        with refused(RecordingError, Reason.DAMAGED, str(path), key="can_logs.cut") as caught:
             list(read_log(path))
+        named = {"path": str(path), "size": size, "whole": len(content), "frames": count, "most": 20_000}
+        assert caught.value.values == named
+        assert losses == [caught.value.message]
     losses = []
     assert sum(1 for chunk in read_log(whole, losses=losses) for _ in unpack_frames(chunk.data)) == 20_000
     assert losses == []
@@ -127,7 +130,7 @@ def test_a_logger_that_never_ended_and_a_torn_gzip(tmp_path: Path) -> None:
     path.write_bytes(content)
     losses: list[str] = []
     assert 0 < sum(1 for chunk in read_log(path, losses=losses) for _ in unpack_frames(chunk.data)) < 5000
-    assert "logger" in losses[0]
+    assert [getattr(lost, "key", None) for lost in losses] == ["can_logs.never_closed"]
     text = tmp_path / "drive.log"
     with can.Logger(text) as log:
         for message in make_messages(20_000):
@@ -136,7 +139,7 @@ def test_a_logger_that_never_ended_and_a_torn_gzip(tmp_path: Path) -> None:
     (tmp_path / "drive.log.gz").write_bytes(packed[: len(packed) // 2])
     losses = []
     assert sum(1 for chunk in read_log(tmp_path / "drive.log.gz", losses=losses) for _ in unpack_frames(chunk.data)) > 1000
-    assert "frame" in losses[0]
+    assert [getattr(lost, "key", None) for lost in losses] == ["can_logs.damaged"]
 
 
 def test_logs_are_told_from_others_of_the_same_suffix(tmp_path: Path) -> None:
@@ -195,7 +198,7 @@ def test_mf4_that_asks_for_too_much_memory_is_refused(tmp_path: Path) -> None:
     struct.pack_into("<Q", content, group_at + 24 + 6 * 8 + 8, size // row_bytes)
     content += b"##DZ" + bytes(4) + struct.pack("<QQ2sBBIQQ", 48 + len(packed), 0, b"DT", 0, 0, 0, size, len(packed)) + packed
     path.write_bytes(content)
-    with refused(RecordingError, Reason.DAMAGED, "MiB", "BLF"):
+    with refused(RecordingError, Reason.DAMAGED, str(path), "MiB", key="can_logs.memory"):
         list(read_log(path))
 
 
@@ -210,7 +213,7 @@ def test_mf4_without_its_package_says_what_to_install(tmp_path: Path, monkeypatc
 def test_two_buses_must_be_told_apart(tmp_path: Path) -> None:
     path = tmp_path / "two.log"
     path.write_text("(1.0) can0 123#00\n(1.1) can1 123#01\n(1.2) can0 123#02\n")
-    with refused(UsageError, Reason.USAGE, "can0", "can1", "--channel") as caught:
+    with refused(UsageError, Reason.USAGE, "can0", "can1", key="can_logs.several_buses") as caught:
         list(read_log(path))
     assert caught.value.values["channels"] == ("can0", "can1")
     (chunk, *_) = read_log(path, channel="can1")

@@ -128,7 +128,7 @@ def test_a_vanished_adapter_is_a_link_error(slcan: SlcanDevice) -> None:
     assert caught.value.reason is Reason.DISCONNECTED
     assert not link.reopen()
     link.close()
-    with refused(LinkError, Reason.DISCONNECTED, "slcan:"):
+    with refused(LinkError, Reason.DISCONNECTED, "slcan:", key="can.closed"):
         link.read()
 
 
@@ -150,7 +150,7 @@ def test_error_frames_are_kept_and_bus_off_ends_the_link(channel: str) -> None:
         bus.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8), is_extended_id=False))
         frames = read_all(link, 2)
         assert [frame.can_id for frame in frames] == [ERROR | 0x08, ERROR | 0x40]
-        with refused(LinkError, Reason.DISCONNECTED, "120 ohm"):
+        with refused(LinkError, Reason.DISCONNECTED, channel, key="can.off"):
             link.read()
         assert link.reopen()
         bus.send(can.Message(arbitration_id=1, is_extended_id=False))
@@ -214,25 +214,23 @@ def test_addresses(text: str, interface: str, channel: str, options: dict[str, o
 
 
 @pytest.mark.parametrize(
-    ("text", "wanted"),
+    ("text", "wanted", "key"),
     [
-        ("soketcan:can0", "'socketcan'"),
-        ("can0", "'can0'"),
-        ("socketcan", "socketcan:can0"),
-        ("pcan:", "pcan:PCAN_USBBUS1"),
-        ("pcan:1?bitrate", "NAME=VALUE"),
+        ("soketcan:can0", "'socketcan'", "can.interface"),
+        ("can0", "'can0'", "can.interface"),
+        ("socketcan", "socketcan:can0", "can.no_channel"),
+        ("pcan:", "pcan:PCAN_USBBUS1", "can.no_channel"),
+        ("pcan:1?bitrate", "'bitrate'", "can.option"),
     ],
 )
-def test_wrong_addresses(text: str, wanted: str) -> None:
-    with pytest.raises(UsageError) as caught:
+def test_wrong_addresses(text: str, wanted: str, key: str) -> None:
+    with refused(UsageError, Reason.USAGE, wanted, key=key):
         parse_bus(text)
-    assert wanted in str(caught.value)
 
 
 def test_what_is_not_there() -> None:
-    with pytest.raises(LinkError) as caught:
+    with refused(LinkError, Reason.PORT_NOT_FOUND, "slcan:/dev/nowhere", key="can.absent"):
         open_can_link("slcan:/dev/nowhere?sleep_after_open=0")
-    assert caught.value.reason is Reason.PORT_NOT_FOUND
     with pytest.raises((LinkError, UsageError)):
         open_can_link("socketcan:nowhere0")
     with pytest.raises((LinkError, UsageError)):

@@ -114,7 +114,7 @@ def test_commands_reach_the_instrument(terminal: Terminal) -> None:
 
 def test_an_instrument_that_takes_nothing_is_a_time_out(terminal: Terminal) -> None:
     link = open_link(terminal.port, baud=9600)
-    with refused(LinkTimeoutError, Reason.SILENCE, "1000000") as caught:
+    with refused(LinkTimeoutError, Reason.SILENCE, "1000000", key="serial.not_taken") as caught:
         link.write(b"x" * 1_000_000)
     assert caught.value.values["limit_s"] == 1
     link.close()
@@ -149,7 +149,7 @@ def test_another_bit_rate_on_the_open_port(terminal: Terminal) -> None:
 
 @pytest.mark.parametrize("baud", [0, -9600])
 def test_an_impossible_baud_rate_is_refused(terminal: Terminal, baud: int) -> None:
-    with refused(LinkError, Reason.BOUNDS, str(baud)) as caught:
+    with refused(LinkError, Reason.BOUNDS, str(baud), key="link_errors.baud") as caught:
         open_link(terminal.port, baud=baud)
     assert caught.value.values["baud"] == baud
     assert caught.value.reason is Reason.BOUNDS
@@ -157,7 +157,7 @@ def test_an_impossible_baud_rate_is_refused(terminal: Terminal, baud: int) -> No
 
 def test_a_second_reader_is_refused(terminal: Terminal) -> None:
     first = open_link(terminal.port, baud=9600)
-    with refused(LinkError, Reason.PORT_BUSY) as caught:
+    with refused(LinkError, Reason.PORT_BUSY, first.name, key="link_errors.busy") as caught:
         open_link(terminal.port, baud=9600)
     assert caught.value.reason is Reason.PORT_BUSY
     first.close()
@@ -175,7 +175,7 @@ def test_unplugging_is_noticed_and_plugging_in_again_too(terminal: Terminal, tmp
     assert error.values["port"] == str(name)
     name.unlink()
     assert not link.reopen()
-    with refused(LinkError, Reason.DISCONNECTED, "ttyUSB0"):
+    with refused(LinkError, Reason.DISCONNECTED, "ttyUSB0", key="serial.closed"):
         link.read()
     again = Terminal()
     name.symlink_to(again.port)
@@ -198,32 +198,33 @@ def test_closing_twice_is_allowed_and_reading_afterwards_is_not(terminal: Termin
     link = open_link(terminal.port, baud=9600)
     link.close()
     link.close()
-    with refused(LinkError, Reason.DISCONNECTED):
+    with refused(LinkError, Reason.DISCONNECTED, key="serial.closed"):
         link.read()
-    with refused(LinkError, Reason.DISCONNECTED):
+    with refused(LinkError, Reason.DISCONNECTED, key="serial.closed"):
         link.write(b"x")
 
 
 @pytest.mark.parametrize(
-    ("port", "kind", "reason", "facts"),
+    ("port", "kind", "reason", "key", "facts"),
     [
-        ("/dev/ttyUSB99", LinkError, Reason.PORT_NOT_FOUND, ()),
-        ("/etc/passwd", LinkError, Reason.PORT_NOT_FOUND, ()),
-        ("/tmp", LinkError, Reason.PORT_NOT_FOUND, ()),
-        ("/dev/null", LinkError, Reason.PORT_NOT_FOUND, ()),
-        ("socket://127.0.0.1:1", LinkError, Reason.PORT_NOT_FOUND, ("Connection refused",)),
-        ("telepathy://x", UsageError, Reason.USAGE, ("socket://host:port",)),
-        ("socket://", UsageError, Reason.USAGE, ("socket://192.168.1.5:4001",)),
-        ("socket://:99", UsageError, Reason.USAGE, ("socket://192.168.1.5:4001",)),
-        ("socket://there", UsageError, Reason.USAGE, ("socket://192.168.1.5:4001",)),
-        ("rfc2217://", UsageError, Reason.USAGE, ("rfc2217://192.168.1.5:4001",)),
+        ("/dev/ttyUSB99", LinkError, Reason.PORT_NOT_FOUND, "absent", ()),
+        ("/etc/passwd", LinkError, Reason.PORT_NOT_FOUND, "no_terminal", ()),
+        ("/tmp", LinkError, Reason.PORT_NOT_FOUND, "no_terminal", ()),
+        ("/dev/null", LinkError, Reason.PORT_NOT_FOUND, "no_terminal", ()),
+        ("socket://127.0.0.1:1", LinkError, Reason.PORT_NOT_FOUND, "no_answer", ("Connection refused",)),
+        ("telepathy://x", UsageError, Reason.USAGE, "unknown_kind", ("socket://host:port",)),
+        ("socket://", UsageError, Reason.USAGE, "no_host", ("socket://192.168.1.5:4001",)),
+        ("socket://:99", UsageError, Reason.USAGE, "no_host", ("socket://192.168.1.5:4001",)),
+        ("socket://there", UsageError, Reason.USAGE, "no_host", ("socket://192.168.1.5:4001",)),
+        ("rfc2217://", UsageError, Reason.USAGE, "no_host", ("rfc2217://192.168.1.5:4001",)),
     ],
 )
-def test_what_cannot_be_opened_says_why(port: str, kind: type[ImufieldError], reason: Reason, facts: tuple[str, ...]) -> None:
-    with refused(kind, reason, port, *facts) as caught:
+def test_what_cannot_be_opened_says_why(
+    port: str, kind: type[ImufieldError], reason: Reason, key: str, facts: tuple[str, ...]
+) -> None:
+    with refused(kind, reason, port, *facts, key=f"link_errors.{key}") as caught:
         open_link(port, baud=115200)
-    assert caught.value.reason is reason
-    assert port in caught.value.message
+    assert caught.value.values["port"] == port
     assert caught.value.message.count(". ") == 0
 
 
@@ -231,7 +232,8 @@ def test_a_missing_port_names_those_that_are_there(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(
         link_errors, "serial_ports", lambda: [SerialPort(device=f"/dev/ttyUSB{i}", description="") for i in range(8)]
     )
-    with refused(LinkError, Reason.PORT_NOT_FOUND, "/dev/ttyUSB99", "/dev/ttyUSB0", "/dev/ttyUSB5, ..."):
+    ports = ("/dev/ttyUSB99", "/dev/ttyUSB0", "/dev/ttyUSB5, ...")
+    with refused(LinkError, Reason.PORT_NOT_FOUND, *ports, key="link_errors.absent"):
         open_link("/dev/ttyUSB99", baud=115200)
     monkeypatch.setattr(link_errors, "serial_ports", list)
     with refused(LinkError, Reason.PORT_NOT_FOUND, "/dev/ttyUSB99") as caught:

@@ -63,19 +63,19 @@ def test_the_newest_is_taken_by_its_name_and_other_folders_are_passed_over(tmp_p
 
 def test_without_a_session_the_newest_is_an_error_that_says_how_to_make_one(tmp_path: Path) -> None:
     for root in (tmp_path, tmp_path / "imufield-sessions"):
-        with refused(RecordingError, Reason.NOT_A_RECORDING, "imufield capture"):
+        with refused(RecordingError, Reason.NOT_A_RECORDING, str(root), key="session.none"):
             Session.newest(root)
 
 
 def test_a_folder_of_the_user_s_choice(tmp_path: Path) -> None:
     session = Session.create_in(tmp_path / "deep" / "mine", "imu")
     assert Session.open(session.folder / "session.toml").folder == session.folder
-    with refused(RecordingError, Reason.UNFINISHED, "mine") as caught:
+    with refused(RecordingError, Reason.UNFINISHED, "mine", key="session.exists") as caught:
         Session.create_in(session.folder, "imu")
     assert caught.value.reason is Reason.UNFINISHED
     (tmp_path / "holiday").mkdir()
     (tmp_path / "holiday" / "beach.jpg").write_bytes(b"x")
-    with refused(RecordingError, Reason.FOREIGN, "holiday") as caught:
+    with refused(RecordingError, Reason.FOREIGN, "holiday", key="session.not_empty") as caught:
         Session.create_in(tmp_path / "holiday", "imu")
     assert caught.value.reason is Reason.FOREIGN
 
@@ -103,7 +103,7 @@ def test_updates_are_on_disk_and_bad_ones_change_nothing(tmp_path: Path) -> None
     assert again.finished
     assert again.metadata == session.metadata
     before = (session.folder / "session.toml").read_bytes()
-    with refused(RecordingError, Reason.UNKNOWN_KEY, "colour") as caught:
+    with refused(RecordingError, Reason.UNKNOWN_KEY, "colour", key="session_record.unknown_key") as caught:
         session.update(colour="red")
     assert caught.value.values["key"] == "colour"
     assert caught.value.reason is Reason.UNKNOWN_KEY
@@ -114,22 +114,32 @@ def test_updates_are_on_disk_and_bad_ones_change_nothing(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("content", "reason", "facts"),
+    ("content", "reason", "key", "facts"),
     [
-        (b"format = ", Reason.DAMAGED, ()),
-        (b"\xff\xfe", Reason.DAMAGED, ("utf-8",)),
-        (b'format = "something"\nversion = 1\n', Reason.FOREIGN, ("something", "imufield-session")),
-        (b'format = "imufield-session"\nversion = 2\n', Reason.NEWER, ("2",)),
-        (b'format = "imufield-session"\n', Reason.NEWER, ("version",)),
-        (b'format = "imufield-session"\nversion = 1\ncolour = 1\n', Reason.UNKNOWN_KEY, ("colour",)),
-        (b'format = "imufield-session"\nversion = 1\nsite = 1\n', Reason.DAMAGED, ("site",)),
+        (b"format = ", Reason.DAMAGED, "session.unreadable", ()),
+        (b"\xff\xfe", Reason.DAMAGED, "session.unreadable", ("utf-8",)),
+        (
+            b'format = "something"\nversion = 1\n',
+            Reason.FOREIGN,
+            "session_record.format",
+            ("something", "imufield-session"),
+        ),
+        (b'format = "imufield-session"\nversion = 2\n', Reason.NEWER, "session_record.newer", ("2",)),
+        (b'format = "imufield-session"\n', Reason.NEWER, "session_record.newer", ("version",)),
+        (
+            b'format = "imufield-session"\nversion = 1\ncolour = 1\n',
+            Reason.UNKNOWN_KEY,
+            "session_record.unknown_key",
+            ("colour",),
+        ),
+        (b'format = "imufield-session"\nversion = 1\nsite = 1\n', Reason.DAMAGED, "session_record.type", ("site",)),
     ],
 )
 def test_a_session_file_that_cannot_be_used_says_why(
-    tmp_path: Path, content: bytes, reason: Reason, facts: tuple[str, ...]
+    tmp_path: Path, content: bytes, reason: Reason, key: str, facts: tuple[str, ...]
 ) -> None:
     (tmp_path / "session.toml").write_bytes(content)
-    with refused(RecordingError, reason, *facts) as caught:
+    with refused(RecordingError, reason, *facts, key=key) as caught:
         Session.open(tmp_path)
     assert caught.value.reason is reason
     assert str(tmp_path) in caught.value.message
@@ -139,7 +149,7 @@ def test_what_is_no_session_says_so(tmp_path: Path) -> None:
     file = tmp_path / "file.txt"
     file.touch()
     for path in (tmp_path, tmp_path / "missing", file):
-        with refused(RecordingError, Reason.NOT_A_RECORDING, str(path)) as caught:
+        with refused(RecordingError, Reason.NOT_A_RECORDING, str(path), key="session.no_session") as caught:
             Session.open(path)
         assert caught.value.reason is Reason.NOT_A_RECORDING
 
@@ -156,7 +166,7 @@ def test_two_locks_exclude_each_other(tmp_path: Path) -> None:
     session = Session.create(tmp_path, "imu")
     other = Session.open(session.folder)
     with session.lock():
-        with refused(RecordingError, Reason.LOCKED, str(os.getpid())) as caught, other.lock():
+        with refused(RecordingError, Reason.LOCKED, str(os.getpid()), key="session.locked_by") as caught, other.lock():
             pass
         assert caught.value.reason is Reason.LOCKED
     with other.lock():
