@@ -29,6 +29,9 @@ from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
 
 ENOUGH_MOVES = 4  # Moves about one or two axes fit several permutations alike.
 _LEAST_TURN_DEG = 20.0  # A move that turns up by less says nothing about axes.
@@ -64,21 +67,24 @@ class AxesCheck:
         None where the moves do not decide (``words`` says why).
     permutation : ndarray, shape (3, 3)
         The signed permutation that fits best: right rates = permutation @ given rates.
-    misfit_deg, best_misfit_deg, second_misfit_deg : float
-        RMS angle between predicted and measured up with the axes as given, with the best permutation, with the next one.
+    misfit_deg, best_misfit_deg : float
+        RMS angle between predicted and measured up with the axes as given, and with the best permutation.
     gyroscope_scale : float
         Raw per rad/s, given or found.
-    words : str
+    words : Sentence
+    refusal : Refusal or None
+        The warning that gyroscope and accelerometer do not belong together, in the same words; None where they agree, or where
+        the moves are too few.
     turns_ratio : float
         True rate over the gyroscope's, where its scale is contradicted; otherwise 1.
     """
 
     agrees: bool | None
     permutation: FloatArray
-    words: str
+    words: Sentence
+    refusal: Refusal | None = None
     misfit_deg: float = math.nan
     best_misfit_deg: float = math.nan
-    second_misfit_deg: float = math.nan
     gyroscope_scale: float = math.nan
     turns_ratio: float = 1.0
 
@@ -94,18 +100,6 @@ class AxesCheck:
         if self.agrees is not False:
             return None
         return CalibrationError(self.words, Reason.HANDEDNESS, misfit_deg=self.misfit_deg, best_misfit_deg=self.best_misfit_deg)
-
-    def refusal(self) -> Refusal:
-        """Return the warning that gyroscope and accelerometer do not belong together, in the words of the check."""
-        row = refusals.AXES_DIFFER if self.turns_ratio == 1.0 else refusals.SCALE_DIFFERS
-        return Refusal(
-            reason=row.reason,
-            words=self.words,
-            remedy=row.remedy,
-            measured=self.misfit_deg,
-            limit=_GOOD_DEG,
-            unit=row.unit,
-        )
 
 
 class MoveLog:
@@ -156,7 +150,7 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
         Raw per rad/s; None where it is not known.
     """
     if len(moves) < ENOUGH_MOVES:
-        few = f"axes not checked: {len(moves)} moves of more than {_LEAST_TURN_DEG:g} deg, {ENOUGH_MOVES} are needed"
+        few = sentence("axes.few_moves", moves=len(moves), least_deg=_LEAST_TURN_DEG, needed=ENOUGH_MOVES)
         return AxesCheck(agrees=None, permutation=np.eye(3), words=few)
     given = _arrange(moves, gyroscope_scale or _find_scale(moves))
     if gyroscope_scale is None or given.agrees is not None or given.misfit_deg <= _GOOD_DEG:
@@ -166,16 +160,17 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
     # Turns about one axis leave others open, but that the given ones fit with a factor is enough to contradict the scale.
     if (scaled.agrees is None and scaled.misfit_deg > _GOOD_DEG) or abs(math.log(ratio)) < _SAME_FACTOR:
         return given
-    words = refusals.SCALE_DIFFERS.words.format(
+    kind = refusals.SCALE_AND_AXES if scaled.agrees is False else refusals.SCALE_DIFFERS
+    refusal = kind.refusal(
+        # The scale as given is contradicted, so the misfit is the one that it makes.
+        given.misfit_deg,
+        _GOOD_DEG,
         ratio=ratio,
         cause=next((f" ({cause})" for factor, cause in _CONFUSED if abs(math.log(ratio / factor)) < _SAME_FACTOR), ""),
-        measured=given.misfit_deg,
-        axes="" if scaled.agrees is not False else f" and with gyroscope {axes_words(scaled.permutation)}",
+        axes=axes_words(scaled.permutation),
         best=scaled.best_misfit_deg,
-        limit=_GOOD_DEG,
     )
-    # The scale as given is contradicted, so the misfit is the one that it makes.
-    return replace(scaled, misfit_deg=given.misfit_deg, words=words, turns_ratio=ratio)
+    return replace(scaled, misfit_deg=given.misfit_deg, words=refusal.words, refusal=refusal, turns_ratio=ratio)
 
 
 def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
@@ -187,27 +182,19 @@ def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
     best, given, second = (math.degrees(float(misfit[i])) for i in (order[0], identity, order[1]))
     clear = best <= _GOOD_DEG and second >= _MARGIN * best
     agrees = bool(order[0] == identity) if clear else None
-    permutation = permutations[order[0]]
-    if agrees:
-        words = f"axes agree: gyroscope and accelerometer turn together within {given:.1f} deg (any other way {second:.0f} deg)"
-    else:
-        left_handed = np.linalg.det(permutation) < 0
-        words = (refusals.AXES_OPEN if agrees is None else refusals.AXES_DIFFER).words.format(
-            measured=given,
-            best=best,
-            second=second,
-            limit=_GOOD_DEG,
-            handed="one triad is left-handed" if left_handed else "axes are exchanged or have the wrong sign",
-            axes=axes_words(permutation),
-        )
+    permutation, refusal = permutations[order[0]], None
+    if not agrees:
+        differ = refusals.AXES_LEFT_HANDED if np.linalg.det(permutation) < 0 else refusals.AXES_DIFFER
+        kind = refusals.AXES_OPEN if agrees is None else differ
+        refusal = kind.refusal(given, _GOOD_DEG, best=best, second=second, axes=axes_words(permutation))
     return AxesCheck(
         agrees=agrees,
         permutation=permutation,
+        words=refusal.words if refusal else sentence("axes.agree", within_deg=given, other_deg=second),
+        refusal=refusal,
         misfit_deg=given,
         best_misfit_deg=best,
-        second_misfit_deg=second,
         gyroscope_scale=scale,
-        words=words,
     )
 
 

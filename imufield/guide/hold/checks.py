@@ -71,16 +71,16 @@ def explain_flags(cells: Cells, usable_share: float, limit: float) -> Refusal:
         triad, first = ("accelerometer", 0) if flags & Status.ACCELEROMETER_SATURATED else ("gyroscope", 3)
         peak = np.fmax(np.abs(cells.low), np.abs(cells.high))[:, first : first + 3]
         axis = AXES[int(np.argmax(np.nan_to_num(np.nanmax(peak, axis=0))))] if np.isfinite(peak).any() else None
-        on_axis = f" on axis {axis}" if axis else ""
-        return refusals.SATURATED.refusal(percent, limit_percent, axis=axis, triad=triad, on_axis=on_axis)
-    for flag, sentence in (
+        kind = refusals.SATURATED_ON_AXIS if axis else refusals.SATURATED
+        return kind.refusal(percent, limit_percent, axis=axis, triad=triad)
+    for flag, kind in (
         (Status.START_UP, refusals.START_UP),
         (Status.INSTRUMENT_FAULT, refusals.FAULT),
         (Status.ACCELEROMETER_INVALID, refusals.ACCELEROMETER_INVALID),
         (Status.GYROSCOPE_INVALID, refusals.GYROSCOPE_INVALID),
     ):
         if flags & flag:
-            return sentence.refusal(percent, limit_percent)
+            return kind.refusal(percent, limit_percent)
     return refusals.SAMPLE_LOSS.refusal(percent, limit_percent)
 
 

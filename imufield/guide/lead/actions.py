@@ -355,9 +355,8 @@ class GuideActions:
             self._reject_hold()
         elif lasted_s >= _SILENT_S:
             self.moved_in_a_row += 1
-            sentence = refusals.MOVED if self.moved_in_a_row < _IN_A_ROW else refusals.MOVED_AGAIN
             self.hold.refusal = activity.refusal(
-                sentence,
+                refusals.MOVED if self.moved_in_a_row < _IN_A_ROW else refusals.MOVED_AGAIN,
                 LEAVE_FACTOR,
                 what="shook" if activity.kind == "vibration" else "moved",
                 lasted_s=lasted_s,

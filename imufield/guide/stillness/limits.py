@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.guide.refusals import Refusal, Sentence
+from imufield.guide.refusals import Refusal, RefusalKind
 from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
@@ -101,10 +101,10 @@ class Activity:
     limit: float
     unit: str
 
-    def refusal(self, sentence: Sentence, factor: float = 1.0, **values: float | str) -> Refusal:
+    def refusal(self, kind: RefusalKind, factor: float = 1.0, **values: float | str) -> Refusal:
         """Return the refusal of this motion, beyond a multiple of its limit."""
         values = {**values, "triad": self.triad, "verb": self.verb}
-        return sentence.refusal(self.measured, factor * self.limit, axis=self.axis, unit=self.unit, **values)
+        return kind.refusal(self.measured, factor * self.limit, axis=self.axis, unit=self.unit, **values)
 
     @property
     def verb(self) -> str:
