@@ -1,5 +1,6 @@
 """Guided sessions over simulated paths, for the tests of the guide."""
 
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -7,8 +8,11 @@ import numpy as np
 from imufield.guide.events import Rejected
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
 from imufield.guide.positions import scheme
 from imufield.guide.refusals import Refusal, RefusalKind
+from imufield.guide.stillness.cells import CellBuilder, Cells
+from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import Samples
 from imufield.sentences import Sentence
 
@@ -35,6 +39,24 @@ def run(
     for block in blocks or [samples]:
         events += guide.feed(block)
     return guide, events + guide.flush()
+
+
+def cells_of(blocks: Iterable[Samples]) -> Iterator[Cells]:
+    """Yield the cells of a whole recording, the last unfinished one included."""
+    builder = CellBuilder()
+    for cells in (*map(builder.feed, blocks), builder.flush()):
+        if cells is not None:
+            yield cells
+
+
+def find_still_intervals(blocks: Iterable[Samples], *, scale: RoughScale | None = None) -> StillIntervals:
+    """Return the still intervals of a recording; one block at least, cut anywhere."""
+    finder: StillIntervalFinder | None = None
+    for block in blocks:
+        finder = finder or StillIntervalFinder(block.units, scale)
+        finder.feed(block)
+    assert finder is not None
+    return finder.finish()
 
 
 def of(events: Any, kind: Any) -> Any:

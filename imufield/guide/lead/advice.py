@@ -6,6 +6,7 @@ Positions that the others contradict are suspects: each suspicion is told, and w
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from imufield.guide.events import Advice, Topic
 from imufield.guide.lead.plan import Plan
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.stillness.scale import RoughScale
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 # A position is proposed before its turn where its gain is larger by this factor: the order that drift cannot imitate is worth
 # more than a little gain.
@@ -28,6 +32,43 @@ _SCALE_SHARE = 0.02
 _EARLIER_SHARE = 2e-4
 _SCALE_SIGMAS = 4.0  # Nor is a change within the uncertainty of the scale told.
 _DRIFT_SIGMAS = 4.0  # A false alarm in 16 000 sessions.
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """One kind of advice: its topic, the keys of what was found and of what to do, and the unit of value and limit."""
+
+    topic: Topic
+    words: str
+    remedy: str
+    unit: str
+
+    def advice(self, now_s: float, measured: float, limit: float, position: str | None = None, **values: object) -> Advice:
+        """Return the advice with these numbers; ``values`` are those of the sentence."""
+        return Advice(
+            time_s=now_s,
+            topic=self.topic,
+            position=position,
+            words=sentence(self.words, position=position, **values),
+            remedy=sentence(self.remedy),
+            measured=measured,
+            limit=limit,
+            unit=self.unit,
+        )
+
+
+_DOUBTFUL = _Kind(Topic.DOUBTFUL, "advice.doubtful", "advice.doubtful_remedy", "m/s^2")
+_SETTLED = _Kind(Topic.SETTLED, "advice.settled", "advice.settled_remedy", "m/s^2")
+_DRIFTED = _Kind(Topic.DRIFT, "advice.drifted", "advice.drifted_remedy", "m/s^2")
+_NO_DRIFT = _Kind(Topic.DRIFT, "advice.no_drift", "advice.no_drift_remedy", "m/s^2")
+_BIAS_MET = _Kind(Topic.TARGET_MET, "advice.target_met", "advice.target_met_remedy", "ug")
+_SCALE_MET = _Kind(Topic.TARGET_MET, "advice.target_met", "advice.target_met_remedy", "ppm")
+_SCHEME = _Kind(Topic.SCHEME, "advice.scheme", "advice.scheme_remedy", "sigma")
+_FAR_SCALE = _Kind(Topic.SCALE, "advice.far_scale", "advice.far_scale_remedy", "1")
+_OFF_EARLIER = _Kind(Topic.SCALE, "advice.earlier_scale", "advice.off_scale_remedy", "1")
+_LIKE_EARLIER = _Kind(Topic.SCALE, "advice.earlier_scale", "advice.earlier_scale_remedy", "1")
+_OFF_NOMINAL = _Kind(Topic.SCALE, "advice.nominal_scale", "advice.off_scale_remedy", "1")
+_LIKE_NOMINAL = _Kind(Topic.SCALE, "advice.nominal_scale", "advice.nominal_scale_remedy", "1")
 
 
 class Suspects:
@@ -57,10 +98,17 @@ class Suspects:
         plan.wanted_again = {index for index in plan.wanted_again if plan.position(index).name not in asked}
         new = [suspect for suspect in self.now[:1] if suspect.name not in self._told]
         self._told.update(suspect.name for suspect in new)
+        told = [(_SETTLED, found) for found in settled] + [(_DOUBTFUL, found) for found in new]
         return [
-            _disagreement_advice(now_s, found, settled=is_settled)
-            for some, is_settled in ((settled, True), (new, False))
-            for found in some
+            kind.advice(
+                now_s,
+                abs(found.leave_one_out_m_s2),
+                found.limit_m_s2,
+                found.name,
+                off_mg=abs(found.leave_one_out_m_s2) / MILLI_G_M_S2,
+                sigmas=abs(found.sigmas),
+            )
+            for kind, found in told
         ]
 
     def ask_again(self) -> list[str]:
@@ -141,19 +189,9 @@ class Adviser:
         change = norms[1] - norms[0]
         limit = _DRIFT_SIGMAS * math.hypot(EXPECTED_SCATTER_M_S2, placement)
         minutes = (after.start_s - before.start_s) / 60
-        drifted = abs(change) > limit
-        found = "it has drifted" if drifted else f"no drift beyond {limit / MILLI_G_M_S2:.1f} mg"
-        advice = Advice(
-            time_s=now_s,
-            topic=Topic.DRIFT,
-            position=before.name,
-            words=f"{before.name} again after {minutes:.0f} min: {change / MILLI_G_M_S2:+.2f} mg, {found}",
-            remedy="let the unit warm up longer and measure again" if drifted else "nothing to do",
-            measured=abs(change),
-            limit=limit,
-            unit="m/s^2",
-        )
-        return [advice]
+        kind = _DRIFTED if abs(change) > limit else _NO_DRIFT
+        in_mg = {"change_mg": change / MILLI_G_M_S2, "limit_mg": limit / MILLI_G_M_S2}
+        return [kind.advice(now_s, abs(change), limit, before.name, minutes=minutes, **in_mg)]
 
     def final_advice(self, now_s: float) -> list[Advice]:
         """Return at the end the common scale against an earlier calibration's, or the nominal one where that was not told.
@@ -170,37 +208,11 @@ class Adviser:
         change = scale / reference - 1
         sigma = math.hypot(own_sigma, self._settings.earlier_scale_sigma if earlier else 0.0)
         limit = max(_EARLIER_SHARE if earlier else _SCALE_SHARE, _SCALE_SIGMAS * sigma)
-        whose = "the earlier calibration's" if earlier else "the instrument's nominal one"
-        if abs(change) > limit:
-            remedy = "check latitude, height and gravity: the residual cannot show a wrong one"
-        elif earlier:
-            remedy = "gravity and scale are what they were"
+        if earlier:
+            kind = _OFF_EARLIER if abs(change) > limit else _LIKE_EARLIER
         else:
-            remedy = "a wrong latitude (0.5 % from equator to pole) shows only against an earlier calibration: capture --preset"
-        words = f"the common scale is {1e6 * change:+.0f} ppm off {whose} (limit {1e6 * limit:.0f} ppm)"
-        return [_scale_advice(now_s, words, remedy, abs(change), limit=limit)]
-
-
-def _disagreement_advice(now_s: float, found: Disagreement, *, settled: bool) -> Advice:
-    """Return the advice to look at a suspect again, or the withdrawal of the suspicion."""
-    measured = abs(found.leave_one_out_m_s2)
-    value = f"{measured / MILLI_G_M_S2:.2g} mg"
-    if settled:
-        words = f"position {found.name} no longer disagrees with the others ({value}, {abs(found.sigmas):.1f} sigma)"
-        remedy = "the doubt is withdrawn"
-    else:
-        words = f"position {found.name} disagrees with the others by {value}, {abs(found.sigmas):.0f} sigma: moved or bumped"
-        remedy = "r retakes it now; otherwise it is asked for again at the end, if it disagrees then"
-    return Advice(
-        time_s=now_s,
-        topic=Topic.SETTLED if settled else Topic.DOUBTFUL,
-        position=found.name,
-        words=words,
-        remedy=remedy,
-        measured=measured,
-        limit=abs(found.leave_one_out_m_s2 / found.sigmas) * found.limit_sigmas if found.sigmas else 0.0,
-        unit="m/s^2",
-    )
+            kind = _OFF_NOMINAL if abs(change) > limit else _LIKE_NOMINAL
+        return [kind.advice(now_s, abs(change), limit, change_ppm=1e6 * change, limit_ppm=1e6 * limit)]
 
 
 def _target_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Advice | None:
@@ -212,35 +224,17 @@ def _target_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Ad
     if not asked or missed or len(fit.names) < _FEWEST_FOR_SCALE:
         return None
     unit = {"bias_ug": "ug", "scale_ppm": "ppm"}
-    known = ", ".join(f"{key.split('_')[0]} {forecast[key]:.3g} {unit[key]} (wanted {value:g})" for key, value in asked.items())
+    known = [f"{key.split('_')[0]} {forecast[key]:.3g} {unit[key]} (wanted {value:g})" for key, value in asked.items()]
     key, value = next(iter(asked.items()))
-    return Advice(
-        time_s=now_s,
-        topic=Topic.TARGET_MET,
-        position=None,
-        words=f"the target is met: {known}",
-        remedy="f, pressed twice, finishes now; going on makes it better still",
-        measured=forecast[key],
-        limit=value,
-        unit=unit[key],
-    )
+    return (_BIAS_MET if key == "bias_ug" else _SCALE_MET).advice(now_s, forecast[key], value, known=known)
 
 
 def _scheme_advice(now_s: float, fit: RunningFit, plan: Plan) -> Advice | None:
     """Return the proposal of corners24 where the quadratic terms matter."""
     known = len(fit.names) >= _FEWEST_FOR_QUADRATIC
-    if not known or not plan.scheme.name.startswith("paper") or fit.quadratic_sigmas() < _MATTERS_SIGMAS:
+    if not known or not plan.scheme.name.startswith("paper") or (sigmas := fit.quadratic_sigmas()) < _MATTERS_SIGMAS:
         return None
-    return Advice(
-        time_s=now_s,
-        topic=Topic.SCHEME,
-        position=None,
-        words=f"the quadratic terms matter here ({fit.quadratic_sigmas():.1f} sigma)",
-        remedy="next time use --positions corners24, which knows them and the biases a quarter better",
-        measured=fit.quadratic_sigmas(),
-        limit=_MATTERS_SIGMAS,
-        unit="sigma",
-    )
+    return _SCHEME.advice(now_s, sigmas, _MATTERS_SIGMAS, sigmas=sigmas)
 
 
 def _nominal_scale_advice(now_s: float, fit: RunningFit) -> Advice | None:
@@ -252,19 +246,4 @@ def _nominal_scale_advice(now_s: float, fit: RunningFit) -> Advice | None:
     share = found / nominal - 1
     if abs(share) < max(_SCALE_SHARE, _SCALE_SIGMAS * sigma):
         return None
-    words = f"the common scale is {100 * share:+.1f} % off the instrument's nominal one (limit {100 * _SCALE_SHARE:g} %)"
-    remedy = "check range and unit settings, latitude and gravity: the residual cannot show this"
-    return _scale_advice(now_s, words, remedy, abs(share), limit=_SCALE_SHARE)
-
-
-def _scale_advice(now_s: float, words: str, remedy: str, measured: float, *, limit: float) -> Advice:
-    return Advice(
-        time_s=now_s,
-        topic=Topic.SCALE,
-        position=None,
-        words=words,
-        remedy=remedy,
-        measured=measured,
-        limit=limit,
-        unit="1",
-    )
+    return _FAR_SCALE.advice(now_s, abs(share), _SCALE_SHARE, off_percent=100 * share, limit_percent=100 * _SCALE_SHARE)

@@ -92,8 +92,6 @@ class TerminalView:
         Face where the cable leaves, "-x".
     """
 
-    FRAMES_PER_SECOND = 10
-
     def __init__(self, scheme: Scheme, console: Console | None = None, *, big: bool = False, cable: str | None = None) -> None:
         self._cable = cable
         self.big = big  # Big letters instead of pictures.
@@ -109,7 +107,7 @@ class TerminalView:
         self._live.stop()
 
     def show(self, events: list[Event], snapshot: Snapshot, lost_samples: int | None = None, *, silent: bool = False) -> None:
-        """Draw the state after these events; call it at most ``FRAMES_PER_SECOND`` times a second.
+        """Draw the state after these events; at most 10 times a second.
 
         ``silent`` says that the port is there, but nothing arrives.
         """

@@ -8,11 +8,10 @@ import pytest
 from imufield.errors import CalibrationError, Reason
 from imufield.guide.cross_checks.axes import MoveLog, check_axes, signed_permutations
 from imufield.guide.refusals import AXES_DIFFER, AXES_LEFT_HANDED, SCALE_AND_AXES, SCALE_DIFFERS
-from imufield.guide.stillness.cells import cells_of
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import Samples
-from tests.guide.guided import is_said_by, values_of
+from tests.guide.guided import cells_of, is_said_by, values_of
 
 pytestmark = pytest.mark.numerical
 
