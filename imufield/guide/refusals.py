@@ -57,6 +57,10 @@ class RefusalKind:
             axis=axis,
         )
 
+    def beyond(self, measured: float, limit: float, *, axis: str | None = None, **values: float | str) -> Refusal | None:
+        """Return the refusal where the value passes its limit."""
+        return self.refusal(measured, limit, axis=axis, unit=None, **values) if measured > limit else None
+
 
 def quantity(value: float, unit: str) -> str:
     """Return a value in the unit people use for its size: mm/s^2, deg/s."""

@@ -16,6 +16,9 @@ from imufield.guide.stillness.cells import CELL_S, Cells
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 REPEAT_S = 0.2  # Least time between two ``turning`` or ``holding`` events: a screen shows no more.
 REMIND_S = 10.0  # Least time between two complaints about the same thing.
@@ -63,23 +66,23 @@ def move_event(now_s: float, plan: Plan, index: int) -> Move:
     """Return the event that proposes a position."""
     position = plan.position(index)
     if index == plan.revisiting:
-        why = "the first one again: a check for drift, replaces nothing"
+        why = "speaker.revisited"
     elif index in plan.wanted_again:
-        why = "to be measured again; the older measurement counts until then"
+        why = "speaker.wanted_again"
     elif index == plan.first and not plan.accepted:
-        why = "it lies there already"
+        why = "speaker.lies_there"
     elif not plan.accepted:
-        why = "the first of the list; any other order is fine"
+        why = "speaker.first_of_list"
     elif index == plan.preferred:
-        why = "it helps most now: what is known least shows best there; any pending position is taken"
+        why = "speaker.helps_most"
     else:
-        why = "next in an order that keeps drift and error parameters apart; any pending position is taken"
+        why = "speaker.next_in_order"
     return Move(
         time_s=now_s,
         position=position.name,
         direction=vector(position.direction),
         words=position.words,
-        why=why,
+        why=sentence(why),
         accepted=len(plan.accepted),
         planned=len(plan.scheme),
     )
@@ -98,8 +101,12 @@ def floor_event(now_s: float, floor: NoiseFloor, detector: StillnessDetector) ->
             (detector.limits.vibration[:3], force_factor),
         )
     )
-    gyroscope = f"gyroscope {quantity(rate, rate_unit)}" if floor.has_gyroscope else "no gyroscope"
-    learned = "; the scale is not known, so the norm of this still is taken as g" if scale.learned else ""
+    words = sentence(
+        "speaker.floor" if floor.has_gyroscope else "speaker.floor_without_gyroscope",
+        force=quantity(force, force_unit),
+        rate=quantity(rate, rate_unit),
+        limit=quantity(limit, force_unit),
+    )
     return NoiseFloorMeasured(
         time_s=now_s,
         accelerometer_sigma=force,
@@ -109,8 +116,7 @@ def floor_event(now_s: float, floor: NoiseFloor, detector: StillnessDetector) ->
         vibration_limit=limit,
         rate_hz=floor.samples_per_cell / CELL_S,
         scale_learned=scale.learned,
-        words=f"noise floor: accelerometer {quantity(force, force_unit)} rms per axis, {gyroscope}; "
-        f"still means below {quantity(limit, force_unit)}{learned}",
+        words=f"{words}; {sentence('speaker.scale_learned')}" if scale.learned else words,
     )
 
 
