@@ -69,10 +69,14 @@ class Scheme:
         return float(different.min()) if len(different) else 180.0
 
 
+def angle_rad(first: FloatArray, second: FloatArray) -> float:
+    """Return the angle between two vectors."""
+    return math.atan2(float(np.linalg.norm(np.cross(first, second))), float(np.dot(first, second)))
+
+
 def angle_deg(first: FloatArray, second: FloatArray) -> float:
     """Return the angle between two vectors."""
-    sine, cosine = np.linalg.norm(np.cross(first, second)), np.dot(first, second)
-    return math.degrees(math.atan2(float(sine), float(cosine)))
+    return math.degrees(angle_rad(first, second))
 
 
 def describe(direction: FloatArray) -> Sentence:

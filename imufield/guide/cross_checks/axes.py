@@ -24,6 +24,7 @@ import numpy as np
 
 from imufield.errors import CalibrationError, Reason
 from imufield.guide import refusals
+from imufield.guide.positions import angle_rad
 from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.scale import RoughScale
@@ -135,7 +136,7 @@ class MoveLog:
             start, end = (scale.up(np.array(mean[:3])) for mean in (before, after))
             bias = (np.array(before[3:]) + np.array(after[3:])) / 2
             rate = np.array(rates) - bias
-            if np.isfinite(rate).all() and _angle(start, end) > math.radians(_LEAST_TURN_DEG):
+            if np.isfinite(rate).all() and angle_rad(start, end) > math.radians(_LEAST_TURN_DEG):
                 found.append(MoveBetweenStills(start, end, rate))
         return found
 
@@ -227,7 +228,7 @@ def _find_scale(moves: list[MoveBetweenStills]) -> float:
     """Return the common scale (raw per rad/s) with which some permutation brings the moves together best."""
     permutations = signed_permutations()
     turned = [float(np.linalg.norm(move.rate_raw, axis=1).sum() * CELL_S) for move in moves]
-    needed = [_angle(move.up_before, move.up_after) for move in moves]
+    needed = [angle_rad(move.up_before, move.up_after) for move in moves]
     typical = max(float(np.median(np.array(turned) / needed)), 1e-12)
     few = sorted(moves, key=lambda move: len(move.rate_raw))[:_MOVES_FOR_SCALE]
     candidates = typical / np.geomspace(*_TURNS_OF_UP, _SCALES)
@@ -244,7 +245,3 @@ def axes_words(permutation: FloatArray) -> str:
     return ", ".join(
         f"{AXES[i]} = {'+' if row.sum() > 0 else '-'}{AXES[int(np.abs(row).argmax())]}" for i, row in enumerate(permutation)
     )
-
-
-def _angle(first: FloatArray, second: FloatArray) -> float:
-    return math.atan2(float(np.linalg.norm(np.cross(first, second))), float(first @ second))

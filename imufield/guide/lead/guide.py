@@ -300,7 +300,7 @@ class Guide:
     def _retake(self, name: str | None) -> tuple[int | None, str]:
         suspects = (suspect for suspect in self.adviser.suspects.names if self.plan.find(suspect) not in self.plan.wanted_again)
         named = name or next(suspects, None)
-        index = self.plan.last_accepted if named is None else self.plan.find(named)
+        index = next(reversed(self.plan.accepted), None) if named is None else self.plan.find(named)
         if index is None or index not in self.plan.accepted:
             return None, sentence("guide.not_measured" if name else "guide.nothing_to_retake", position=name)
         self.plan.want_again(index)

@@ -50,11 +50,6 @@ class Plan:
         self._history: list[tuple[str, int]] = []
 
     @property
-    def last_accepted(self) -> int | None:
-        """The position accepted last, None before the first."""
-        return next(reversed(self.accepted), None)
-
-    @property
     def first_accepted(self) -> int | None:
         """The position accepted first that still counts."""
         return next(iter(self.accepted), None)

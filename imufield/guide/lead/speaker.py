@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -65,24 +66,21 @@ class Speaker:
 def move_event(now_s: float, plan: Plan, index: int) -> Move:
     """Return the event that proposes a position."""
     position = plan.position(index)
-    if index == plan.revisiting:
-        why = "speaker.revisited"
-    elif index in plan.wanted_again:
-        why = "speaker.wanted_again"
-    elif index == plan.first and not plan.accepted:
-        why = "speaker.lies_there"
-    elif not plan.accepted:
-        why = "speaker.first_of_list"
-    elif index == plan.preferred:
-        why = "speaker.helps_most"
-    else:
-        why = "speaker.next_in_order"
+    # The first that applies.
+    reasons = {
+        "speaker.revisited": index == plan.revisiting,
+        "speaker.wanted_again": index in plan.wanted_again,
+        "speaker.lies_there": index == plan.first and not plan.accepted,
+        "speaker.first_of_list": not plan.accepted,
+        "speaker.helps_most": index == plan.preferred,
+        "speaker.next_in_order": True,
+    }
     return Move(
         time_s=now_s,
         position=position.name,
         direction=vector(position.direction),
         words=position.words,
-        why=sentence(why),
+        why=sentence(next(key for key, applies in reasons.items() if applies)),
         accepted=len(plan.accepted),
         planned=len(plan.scheme),
     )
@@ -91,8 +89,7 @@ def move_event(now_s: float, plan: Plan, index: int) -> Move:
 def floor_event(now_s: float, floor: NoiseFloor, detector: StillnessDetector) -> NoiseFloorMeasured:
     """Return the event of a noise floor just measured."""
     scale = detector.scale
-    force_unit, force_factor = ("m/s^2", scale.accelerometer) if scale.accelerometer else ("raw unit", 1.0)
-    rate_unit, rate_factor = ("rad/s", scale.gyroscope) if scale.gyroscope else ("raw unit", 1.0)
+    (_, force_unit, force_factor), (_, rate_unit, rate_factor) = scale.triads
     force, rate, limit = (
         float(np.sqrt(np.mean(sigma**2))) / factor
         for sigma, factor in (
@@ -127,8 +124,7 @@ def accepted_event(
     direction = scale.up(observation.mean_raw)
     sigma = math.sqrt(float(np.diag(observation.covariance_raw).max())) / (scale.accelerometer or math.nan)
     hand = observation.hand_mean
-    row = None if fit is None or observation.name not in fit.names else fit.names.index(observation.name)
-    return Accepted(
+    event = Accepted(
         time_s=now_s,
         position=observation.name,
         direction=vector(direction),
@@ -140,12 +136,18 @@ def accepted_event(
         accepted=len(plan.accepted),
         planned=len(plan.scheme),
         replaces=replaces,
-        residual_m_s2=None if fit is None or row is None else float(fit.residual_m_s2[row]),
-        forecast=None if fit is None else fit.forecast(),
-        leave_one_out_m_s2=None if fit is None or row is None else fit.disagreements()[row].leave_one_out_m_s2,
-        rank=None if fit is None else fit.rank,
-        condition=None if fit is None else fit.condition,
-        held=hand is not None,
-        tremor_deg=None if hand is None else hand.tremor_deg,
-        sway_deg=None if hand is None else hand.sway_deg,
     )
+    if hand is not None:
+        event = replace(event, held=True, tremor_deg=hand.tremor_deg, sway_deg=hand.sway_deg)
+    if fit is not None:
+        # A revisit replaces nothing: the row is that of the measurement before, which has the same name.
+        row = fit.names.index(observation.name)
+        event = replace(
+            event,
+            residual_m_s2=float(fit.residual_m_s2[row]),
+            forecast=fit.forecast(),
+            leave_one_out_m_s2=fit.disagreements()[row].leave_one_out_m_s2,
+            rank=fit.rank,
+            condition=fit.condition,
+        )
+    return event

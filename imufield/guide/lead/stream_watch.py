@@ -178,13 +178,12 @@ class StreamWatch:
         # After a long wait the settings are suspected, too, where the motion looks like noise.
         if waited_s > _IN_VAIN * FLOOR_S and cause.shakes and is_even(window, measure_floor(window), scale):
             kind = refusals.NOT_QUIET_EVEN
-        triads = (("accelerometer", scale.accelerometer, "m/s^2"), ("gyroscope", scale.gyroscope, "rad/s"))
-        triad, factor, unit = triads[cause.column // 3]
+        triad, unit, factor = scale.triads[cause.column // 3]
         refusal = kind.refusal(
-            cause.measured / (factor or 1.0),
-            cause.limit / (factor or 1.0),
+            cause.measured / factor,
+            cause.limit / factor,
             axis=AXES[cause.column % 3],
-            unit=unit if factor else "raw unit",
+            unit=unit,
             triad=triad,
             floor_s=FLOOR_S,
         )

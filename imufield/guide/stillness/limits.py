@@ -162,22 +162,13 @@ def largest_activity(vibration: FloatArray, change: FloatArray, limits: Limits, 
     scale : RoughScale
     """
     found: list[Activity] = []
-    triads = (("accelerometer", scale.accelerometer, "m/s^2"), ("gyroscope", scale.gyroscope, "rad/s"))
-    for (triad, factor, unit), axes in zip(triads, (slice(0, 3), slice(3, 6)), strict=True):
+    for (triad, unit, factor), axes in zip(scale.triads, (slice(0, 3), slice(3, 6)), strict=True):
         for kind, ratios, limit in (("vibration", vibration, limits.vibration), ("change", change, limits.change)):
             parts = np.nan_to_num(ratios[axes])
             ratio = float(np.sqrt((parts**2).mean() if kind == "vibration" else (parts**2).sum()))
             # A dead axis has no limit and no say in that of its triad.
             finite = limit[axes][np.isfinite(limit[axes])]
-            in_unit = float(np.sqrt((finite**2).mean())) / (factor or 1.0) if len(finite) else math.inf
-            activity = Activity(
-                ratio=ratio,
-                kind=kind,
-                triad=triad,
-                axis=AXES[int(np.argmax(parts))],
-                measured=ratio * in_unit,
-                limit=in_unit,
-                unit=unit if factor else "raw unit",
-            )
-            found.append(activity)
+            in_unit = float(np.sqrt((finite**2).mean())) / factor if len(finite) else math.inf
+            axis, measured = AXES[int(np.argmax(parts))], ratio * in_unit
+            found.append(Activity(ratio=ratio, kind=kind, triad=triad, axis=axis, measured=measured, limit=in_unit, unit=unit))
     return max(found, key=lambda activity: activity.ratio)
