@@ -264,7 +264,8 @@ class GuideActions:
         if hold.evaluate():
             return Input.LONG_ENOUGH
         if hold.position is not None and speaker.due("holding", REPEAT_S):
-            speaker.say(Holding(speaker.now_s, self.plan.position(hold.position).name, hold.fraction, hold.left_s))
+            left_s = (1 - hold.fraction) * hold.latest_s
+            speaker.say(Holding(speaker.now_s, self.plan.position(hold.position).name, hold.fraction, left_s))
         return None
 
     def judge(self) -> Input:
@@ -419,6 +420,6 @@ class GuideActions:
         self.speaker.say(*self.adviser.final_advice(self.speaker.now_s))
         accepted, planned, missing = len(self.plan.accepted), len(self.plan.scheme), self.plan.missing()
         words: str = sentence("actions.finished" if missing else "actions.all_measured", accepted=accepted, planned=planned)
-        if names := self.adviser.suspects.names:
+        if names := self.adviser.suspect_names:
             words += f"; {sentence('actions.in_doubt', names=names)}"
         self.speaker.say(Done(self.speaker.now_s, accepted, planned, missing, words))

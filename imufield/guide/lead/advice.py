@@ -71,53 +71,6 @@ _OFF_NOMINAL = _Kind(Topic.SCALE, "advice.nominal_scale", "advice.off_scale_reme
 _LIKE_NOMINAL = _Kind(Topic.SCALE, "advice.nominal_scale", "advice.nominal_scale_remedy", "1")
 
 
-class Suspects:
-    """Positions that the running fit to the others contradicts, and what was told of them."""
-
-    def __init__(self) -> None:
-        self.now: list[Disagreement] = []  # The worst first.
-        self._told: set[str] = set()
-        self._asked: set[str] = set()
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the suspects, the worst first."""
-        return tuple(suspect.name for suspect in self.now)
-
-    def follow(self, fit: RunningFit | None) -> None:
-        """Take over the suspects of the newest fit."""
-        found = [] if fit is None else [found for found in fit.disagreements() if found.is_suspect]
-        self.now = sorted(found, key=lambda suspect: -abs(suspect.sigmas))
-
-    def advise(self, now_s: float, fit: RunningFit, plan: Plan) -> list[Advice]:
-        """Return what to tell: suspicions that are settled, and the worst one if it was not told yet."""
-        settled = [found for found in fit.disagreements() if found.name in self._told - set(self.names)]
-        self._told &= set(self.names)
-        # What the guide asked for because of it, it asks for no longer; what the operator wants again stays.
-        asked = {found.name for found in settled} & self._asked
-        plan.wanted_again = {index for index in plan.wanted_again if plan.position(index).name not in asked}
-        new = [suspect for suspect in self.now[:1] if suspect.name not in self._told]
-        self._told.update(suspect.name for suspect in new)
-        told = [(_SETTLED, found) for found in settled] + [(_DOUBTFUL, found) for found in new]
-        return [
-            kind.advice(
-                now_s,
-                abs(found.leave_one_out_m_s2),
-                found.limit_m_s2,
-                found.name,
-                off_mg=abs(found.leave_one_out_m_s2) / MILLI_G_M_S2,
-                sigmas=abs(found.sigmas),
-            )
-            for kind, found in told
-        ]
-
-    def ask_again(self) -> list[str]:
-        """Return the suspects to be measured once more, each position once."""
-        names = [name for name in self.names if name not in self._asked]
-        self._asked.update(names)
-        return names
-
-
 class Adviser:
     """The running fit of a session and the advice that follows from it.
 
@@ -131,15 +84,23 @@ class Adviser:
         self._plan = plan
         self._settings = settings
         self.fit: RunningFit | None = None
-        self.suspects = Suspects()
+        self.suspects: list[Disagreement] = []  # Positions that the fit to the others contradicts, the worst first.
         self._told: set[Topic] = set()
+        self._told_suspects: set[str] = set()
+        self._asked_again: set[str] = set()
         self._revisited = False
+
+    @property
+    def suspect_names(self) -> tuple[str, ...]:
+        """Names of the suspects, the worst first."""
+        return tuple(suspect.name for suspect in self.suspects)
 
     def fit_again(self, scale: RoughScale) -> None:
         """Fit everything measured so far, and choose the next position where another helps clearly more."""
         settings, plan = self._settings, self._plan
         self.fit = running_fit(list(plan.accepted.values()), scale, settings.gravity_m_s2)
-        self.suspects.follow(self.fit)
+        found = [] if self.fit is None else self.fit.disagreements()
+        self.suspects = sorted((found for found in found if found.is_suspect), key=lambda suspect: -abs(suspect.sigmas))
         plan.preferred = None
         pending = plan.pending()
         if self.fit is None or len(pending) < 2:
@@ -154,7 +115,7 @@ class Adviser:
         """Return what the running fit shows that the operator may want to act on; each topic once."""
         if self.fit is None:
             return []
-        told = self.suspects.advise(now_s, self.fit, self._plan)
+        told = self._advise_suspects(now_s, self.fit)
         for advice in (
             _target_advice(now_s, self.fit, self._settings),
             _scheme_advice(now_s, self.fit, self._plan),
@@ -165,22 +126,38 @@ class Adviser:
                 told.append(advice)
         return told
 
+    def _advise_suspects(self, now_s: float, fit: RunningFit) -> list[Advice]:
+        """Return what to tell of suspects: suspicions that are settled, and the worst one if it was not told yet."""
+        plan, suspects = self._plan, set(self.suspect_names)
+        settled = [found for found in fit.disagreements() if found.name in self._told_suspects - suspects]
+        new = [suspect for suspect in self.suspects[:1] if suspect.name not in self._told_suspects]
+        self._told_suspects = (self._told_suspects & suspects) | {suspect.name for suspect in new}
+        # What the guide asked for because of it, it asks for no longer; what the operator wants again stays.
+        asked = {found.name for found in settled} & self._asked_again
+        plan.wanted_again = {index for index in plan.wanted_again if plan.position(index).name not in asked}
+        told = []
+        for kind, found in [(_SETTLED, found) for found in settled] + [(_DOUBTFUL, found) for found in new]:
+            off_m_s2, sigmas = abs(found.leave_one_out_m_s2), abs(found.sigmas)
+            off_mg = off_m_s2 / MILLI_G_M_S2
+            told.append(kind.advice(now_s, off_m_s2, found.limit_m_s2, found.name, off_mg=off_mg, sigmas=sigmas))
+        return told
+
     def ask_again(self) -> None:
         """Ask for suspects once more, each once, and then for the first position, as a check for drift."""
         plan = self._plan
-        for name in self.suspects.ask_again():
-            if (index := plan.find(name)) is not None:
+        for name in self.suspect_names:
+            if name not in self._asked_again and (index := plan.find(name)) is not None:
                 plan.want_again(index)
-        first, open_still = plan.first_accepted, not self._revisited and plan.revisited is None
+        self._asked_again.update(self.suspect_names)
+        first, open_still = next(iter(plan.accepted), None), not self._revisited and plan.revisited is None
         if plan.proposed() is None and self._settings.revisit_first and open_still and first is not None:
             self._revisited, plan.revisiting = True, first
 
     def drift_advice(self, now_s: float, scale: RoughScale) -> list[Advice]:
         """Return the change of the norm from the first measurement of the first position to that at the end."""
-        first, after = self._plan.first_accepted, self._plan.revisited
-        if first is None or after is None:
+        before, after = next(iter(self._plan.accepted.values()), None), self._plan.revisited
+        if before is None or after is None:
             return []
-        before = self._plan.accepted[first]
         forces = [scale.specific_force(observation.mean_raw) for observation in (before, after)]
         norms = [float(np.linalg.norm(force)) for force in forces]
         directions = [force / norm for force, norm in zip(forces, norms, strict=True)]
@@ -208,10 +185,8 @@ class Adviser:
         change = scale / reference - 1
         sigma = math.hypot(own_sigma, self._settings.earlier_scale_sigma if earlier else 0.0)
         limit = max(_EARLIER_SHARE if earlier else _SCALE_SHARE, _SCALE_SIGMAS * sigma)
-        if earlier:
-            kind = _OFF_EARLIER if abs(change) > limit else _LIKE_EARLIER
-        else:
-            kind = _OFF_NOMINAL if abs(change) > limit else _LIKE_NOMINAL
+        off, like = (_OFF_EARLIER, _LIKE_EARLIER) if earlier else (_OFF_NOMINAL, _LIKE_NOMINAL)
+        kind = off if abs(change) > limit else like
         return [kind.advice(now_s, abs(change), limit, change_ppm=1e6 * change, limit_ppm=1e6 * limit)]
 
 
@@ -223,10 +198,10 @@ def _target_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Ad
     missed = any(forecast.get(key, math.inf) > value for key, value in asked.items())
     if not asked or missed or len(fit.names) < _FEWEST_FOR_SCALE:
         return None
-    unit = {"bias_ug": "ug", "scale_ppm": "ppm"}
-    known = [f"{key.split('_')[0]} {forecast[key]:.3g} {unit[key]} (wanted {value:g})" for key, value in asked.items()]
+    kinds = {"bias_ug": _BIAS_MET, "scale_ppm": _SCALE_MET}
+    known = [f"{key.split('_')[0]} {forecast[key]:.3g} {kinds[key].unit} (wanted {value:g})" for key, value in asked.items()]
     key, value = next(iter(asked.items()))
-    return (_BIAS_MET if key == "bias_ug" else _SCALE_MET).advice(now_s, forecast[key], value, known=known)
+    return kinds[key].advice(now_s, forecast[key], value, known=known)
 
 
 def _scheme_advice(now_s: float, fit: RunningFit, plan: Plan) -> Advice | None:

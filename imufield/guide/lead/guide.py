@@ -108,7 +108,7 @@ class Guide:
     @property
     def finished_early(self) -> bool:
         """Whether the operator ended it with something left that was asked for."""
-        return self.done and (self.plan.proposed() is not None or self._actions.turns.was_given_up)
+        return self.done and (self.plan.proposed() is not None or bool(self._actions.turns.given_up))
 
     def asked_to_finish(self) -> Marked:
         """Return the answer to a first request to finish: what there would be, and how to confirm it."""
@@ -152,16 +152,14 @@ class Guide:
         return self._speaker.take()
 
     def link_lost(self) -> list[Event]:
-        """Note that no samples arrive any more; nothing measured is lost."""
+        """Note that no samples arrive any more; nothing measured is lost.
+
+        The link is back with the next samples, whose clock may have started anew.
+        """
         self._apply_marks_left()
         self._builder = CellBuilder()
         self._watch.forget_clock()
         self._handle(Input.LINK_LOST)
-        return self._speaker.take()
-
-    def link_back(self) -> list[Event]:
-        """Note that samples arrive again; the sample clock may have started anew."""
-        self._handle(Input.LINK_BACK)
         return self._speaker.take()
 
     def flush(self) -> list[Event]:
@@ -205,7 +203,7 @@ class Guide:
             temperature_degc=temperature_degc,
             accepted=tuple(plan.position(i).name for i in plan.accepted),
             skipped=tuple(plan.position(i).name for i in sorted(plan.skipped)),
-            suspects=self.adviser.suspects.names,
+            suspects=self.adviser.suspect_names,
             planned=len(plan.scheme),
             direction=vector(up) if np.isfinite(up).all() else None,
             target_direction=None if target is None else vector(plan.position(target).direction),
@@ -298,7 +296,7 @@ class Guide:
                 self._actions.propose()
 
     def _retake(self, name: str | None) -> tuple[int | None, str]:
-        suspects = (suspect for suspect in self.adviser.suspects.names if self.plan.find(suspect) not in self.plan.wanted_again)
+        suspects = (suspect for suspect in self.adviser.suspect_names if self.plan.find(suspect) not in self.plan.wanted_again)
         named = name or next(suspects, None)
         index = next(reversed(self.plan.accepted), None) if named is None else self.plan.find(named)
         if index is None or index not in self.plan.accepted:

@@ -99,11 +99,6 @@ class HoldUnderWay:
         """Length at which a hold ends at the latest."""
         return self._target.latest_s(self._allan.minimum_s)
 
-    @property
-    def left_s(self) -> float:
-        """Time left at most."""
-        return max((1 - self.fraction) * self.latest_s, 0.0)
-
     def begin(self) -> None:
         """Begin a hold."""
         self.fraction, self.measured = 0.0, None

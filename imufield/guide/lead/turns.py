@@ -86,20 +86,15 @@ class TurnLeader:
         self._move: _Move | None = None
         self._moved = False
         self._resting = False
-        self._given_up = self.left[:0]
-
-    @property
-    def was_given_up(self) -> bool:
-        """Whether turns were left when the session was ended."""
-        return bool(self._given_up)
+        self.given_up: list[WantedTurn] = []  # Those that were left when the session was ended.
 
     def give_up(self) -> None:
         """Ask for no more turns: the session is over."""
-        self.left, self._given_up = [], self.left
+        self.left, self.given_up = [], self.left
 
     def take_up(self) -> None:
         """Ask again for those that were given up: the session continues."""
-        self.left, self._given_up = self._given_up or self.left, []
+        self.left, self.given_up = self.given_up or self.left, []
 
     def forget_move(self) -> None:
         """Forget the move in progress: the link is gone."""

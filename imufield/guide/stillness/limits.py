@@ -116,9 +116,8 @@ class Activity:
 
 def noise_limits(floor: NoiseFloor, scale: RoughScale, allowances: Allowances = ON_TABLE) -> Limits:
     """Return the limits for a noise floor: a multiple of it, or the allowance where that is larger."""
-    accelerometer, gyroscope = scale.accelerometer or 0.0, scale.gyroscope or 0.0
-    vibration = np.repeat([allowances.vibration_m_s2 * accelerometer, allowances.vibration_rad_s * gyroscope], 3)
-    change = np.repeat([allowances.change_m_s2 * accelerometer, allowances.change_rad_s * gyroscope], 3)
+    vibration = scale.per_axis(allowances.vibration_m_s2, allowances.vibration_rad_s, missing=0.0)
+    change = scale.per_axis(allowances.change_m_s2, allowances.change_rad_s, missing=0.0)
     # Rounding to steps of the output makes up to half a step of scatter.
     least = floor.known_step / 2
     sigmas = max(_VIBRATION_SIGMAS, scatter_of_variance(3 * (floor.samples_per_cell - 1)))

@@ -134,7 +134,7 @@ def test_what_nobody_moved_is_no_second_position(make_path: Any, action: str, ti
     guide = Guide(scheme("corners24"), samples.units, settings=SHORT)
     events = guide.feed(samples)
     if action == "link":
-        events += guide.link_lost() + guide.link_back()
+        events += guide.link_lost()
     else:
         # A pause is over when it is asked for again.
         events += guide.mark(action, 15.0) + guide.mark(action if action == "pause" else "skip", 15.0)
@@ -221,7 +221,7 @@ def test_link_lost_and_back_with_a_clock_from_zero(make_path: Any) -> None:
     assert isinstance(events[-1], LinkLost)
     assert guide.state is State.LOST
     again = faces_session(make_path, ("-x", "-y")).samples(seed=2)
-    events = guide.link_back() + guide.feed(again) + guide.flush()
+    events = guide.feed(again) + guide.flush()
     assert isinstance(events[0], LinkBack)
     assert guide.observations().name == ("+z", "-x", "-y")
 
