@@ -60,13 +60,18 @@ def examine(hold: HoldUnderTest) -> Refusal | None:
 
 def _refusals_in_order(hold: HoldUnderTest) -> Iterator[Refusal | None]:
     hand = hold.hand_mean
-    yield _check_samples(hold)
+    slots = int(hold.cells.slot[-1] - hold.cells.slot[0]) + 1
+    usable_share = float(hold.cells.usable.sum()) / (slots * hold.floor.samples_per_cell)
+    if usable_share < 1 - LOST_SHARE:
+        yield explain_flags(hold.cells, usable_share, 1 - LOST_SHARE)
     yield _check_stuck(hold)
-    yield _check_gravity(hold)
+    norm = float(np.linalg.norm(hold.scale.specific_force(hold.cells.mean[:, :3].mean(axis=0))))
+    limit_m_s2 = (_GRAVITY_SHARE_LEARNED if hold.scale.learned else _GRAVITY_SHARE) * STANDARD_GRAVITY_M_S2
+    if abs(norm - STANDARD_GRAVITY_M_S2) > limit_m_s2:
+        yield refusals.GRAVITY.refusal(norm, limit_m_s2)
     if hand is not None:
         # Cutting a bump out would let the sway through.
-        limit_m_s2 = JOLT_SHARE * hand.usual_jolt_m_s2
-        yield refusals.BUMPED.beyond(hand.jolt_m_s2, limit_m_s2, after_s=hand.jolt_after_s)
+        yield refusals.BUMPED.beyond(hand.jolt_m_s2, JOLT_SHARE * hand.usual_jolt_m_s2, after_s=hand.jolt_after_s)
     knocked_percent = 100 * float(knocked(hold.cells, hold.limits).mean())
     # What is cut out of a hold in the hand leaves a hole through which the sway comes in.
     yield refusals.KNOCKED.beyond(knocked_percent, _KNOCKED_PERCENT if hand is None else 0.0)
@@ -99,13 +104,6 @@ def explain_flags(cells: Cells, usable_share: float, limit: float) -> Refusal:
     return refusals.SAMPLE_LOSS.refusal(percent, limit_percent)
 
 
-def _check_samples(hold: HoldUnderTest) -> Refusal | None:
-    slots = int(hold.cells.slot[-1] - hold.cells.slot[0]) + 1
-    share = float(hold.cells.usable.sum()) / (slots * hold.floor.samples_per_cell)
-    limit = 1 - LOST_SHARE
-    return explain_flags(hold.cells, share, limit) if share < limit else None
-
-
 def _check_stuck(hold: HoldUnderTest) -> Refusal | None:
     """Refuse an axis that does not change at all although its noise floor says that it should."""
     span = np.max(hold.cells.high[:, :3], axis=0) - np.min(hold.cells.low[:, :3], axis=0)
@@ -116,12 +114,6 @@ def _check_stuck(hold: HoldUnderTest) -> Refusal | None:
     axis = int(stuck[0])
     reading = float(hold.cells.high[0, axis])
     return refusals.STUCK.refusal(0.0, float(hold.floor.sigma[axis]), axis=AXES[axis], reading=reading)
-
-
-def _check_gravity(hold: HoldUnderTest) -> Refusal | None:
-    norm = float(np.linalg.norm(hold.scale.specific_force(hold.cells.mean[:, :3].mean(axis=0))))
-    limit = (_GRAVITY_SHARE_LEARNED if hold.scale.learned else _GRAVITY_SHARE) * STANDARD_GRAVITY_M_S2
-    return refusals.GRAVITY.refusal(norm, limit) if abs(norm - STANDARD_GRAVITY_M_S2) > limit else None
 
 
 def _check_shift(hold: HoldUnderTest) -> Refusal | None:

@@ -6,6 +6,7 @@ Positions that the others contradict are suspects: each suspicion is told, and w
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,15 +117,36 @@ class Adviser:
         if self.fit is None:
             return []
         told = self._advise_suspects(now_s, self.fit)
-        for advice in (
-            _target_advice(now_s, self.fit, self._settings),
-            _scheme_advice(now_s, self.fit, self._plan),
-            _nominal_scale_advice(now_s, self.fit),
-        ):
-            if advice is not None and advice.topic not in self._told:
+        for advice in self._advise_once(now_s, self.fit):
+            if advice.topic not in self._told:
                 self._told.add(advice.topic)
                 told.append(advice)
         return told
+
+    def _advise_once(self, now_s: float, fit: RunningFit) -> Iterator[Advice]:
+        """Yield what one fit shows; each topic is told the first time."""
+        settings, count = self._settings, len(fit.names)
+        if count < _FEWEST_FOR_SCALE:
+            return
+        wanted = {"bias_ug": settings.target_bias_ug, "scale_ppm": settings.target_scale_ppm}
+        asked = {key: value for key, value in wanted.items() if value is not None}
+        forecast = fit.forecast()
+        if asked and all(forecast.get(key, math.inf) <= value for key, value in asked.items()):
+            kinds = {"bias_ug": _BIAS_MET, "scale_ppm": _SCALE_MET}
+            known = [f"{key.split('_')[0]} {forecast[key]:.3g} {kinds[key].unit} (wanted {asked[key]:g})" for key in asked]
+            key, value = next(iter(asked.items()))
+            yield kinds[key].advice(now_s, forecast[key], value, known=known)
+        sigmas = fit.quadratic_sigmas()
+        if count >= _FEWEST_FOR_QUADRATIC and self._plan.scheme.name.startswith("paper") and sigmas >= _MATTERS_SIGMAS:
+            yield _SCHEME.advice(now_s, sigmas, _MATTERS_SIGMAS, sigmas=sigmas)
+        # The residual cannot show a common scale far from the instrument's nominal one.
+        if fit.scale.accelerometer and not fit.scale.learned:
+            found, sigma = fit.common_scale()
+            share = found / fit.scale.accelerometer - 1
+            if abs(share) >= max(_SCALE_SHARE, _SCALE_SIGMAS * sigma):
+                yield _FAR_SCALE.advice(
+                    now_s, abs(share), _SCALE_SHARE, off_percent=100 * share, limit_percent=100 * _SCALE_SHARE
+                )
 
     def _advise_suspects(self, now_s: float, fit: RunningFit) -> list[Advice]:
         """Return what to tell of suspects: suspicions that are settled, and the worst one if it was not told yet."""
@@ -188,37 +210,3 @@ class Adviser:
         off, like = (_OFF_EARLIER, _LIKE_EARLIER) if earlier else (_OFF_NOMINAL, _LIKE_NOMINAL)
         kind = off if abs(change) > limit else like
         return [kind.advice(now_s, abs(change), limit, change_ppm=1e6 * change, limit_ppm=1e6 * limit)]
-
-
-def _target_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Advice | None:
-    """Return the offer to finish early, None while the target is not met or there is none."""
-    forecast = fit.forecast()
-    wanted = {"bias_ug": settings.target_bias_ug, "scale_ppm": settings.target_scale_ppm}
-    asked = {key: value for key, value in wanted.items() if value is not None}
-    missed = any(forecast.get(key, math.inf) > value for key, value in asked.items())
-    if not asked or missed or len(fit.names) < _FEWEST_FOR_SCALE:
-        return None
-    kinds = {"bias_ug": _BIAS_MET, "scale_ppm": _SCALE_MET}
-    known = [f"{key.split('_')[0]} {forecast[key]:.3g} {kinds[key].unit} (wanted {value:g})" for key, value in asked.items()]
-    key, value = next(iter(asked.items()))
-    return kinds[key].advice(now_s, forecast[key], value, known=known)
-
-
-def _scheme_advice(now_s: float, fit: RunningFit, plan: Plan) -> Advice | None:
-    """Return the proposal of corners24 where the quadratic terms matter."""
-    known = len(fit.names) >= _FEWEST_FOR_QUADRATIC
-    if not known or not plan.scheme.name.startswith("paper") or (sigmas := fit.quadratic_sigmas()) < _MATTERS_SIGMAS:
-        return None
-    return _SCHEME.advice(now_s, sigmas, _MATTERS_SIGMAS, sigmas=sigmas)
-
-
-def _nominal_scale_advice(now_s: float, fit: RunningFit) -> Advice | None:
-    """Return a warning where the common scale is far from the instrument's nominal one: the residual cannot show it."""
-    nominal = fit.scale.accelerometer
-    if not nominal or fit.scale.learned or len(fit.names) < _FEWEST_FOR_SCALE:
-        return None
-    found, sigma = fit.common_scale()
-    share = found / nominal - 1
-    if abs(share) < max(_SCALE_SHARE, _SCALE_SIGMAS * sigma):
-        return None
-    return _FAR_SCALE.advice(now_s, abs(share), _SCALE_SHARE, off_percent=100 * share, limit_percent=100 * _SCALE_SHARE)

@@ -112,7 +112,9 @@ def draw_box(attitude: FloatArray, width: int, height: int, *, cable: str | None
         for sign in (1.0, -1.0):
             normal = sign * np.eye(3)[axis]
             if (view @ normal)[1] < _TOWARDS:
-                corners = _face(axis, sign) @ view.T
+                corners = np.full((4, 3), sign)
+                corners[:, [(axis + 1) % 3, (axis + 2) % 3]] = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+                corners = corners * _HALF_SIZE @ view.T
                 for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
                     canvas.line(start, end)
                 canvas.label(corners.mean(axis=0), f"{'+' if sign > 0 else '-'}{AXES[axis]}")
@@ -124,13 +126,6 @@ def draw_box(attitude: FloatArray, width: int, height: int, *, cable: str | None
         canvas.line(view @ foot, view @ end, dashed=hidden)
         canvas.label(view @ end, "cable", free=True)
     return canvas.lines()
-
-
-def _face(axis: int, sign: float) -> FloatArray:
-    """Return the four corners of a face in order, shape (4, 3)."""
-    corners = np.full((4, 3), sign)
-    corners[:, [(axis + 1) % 3, (axis + 2) % 3]] = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
-    return corners * _HALF_SIZE
 
 
 class _Canvas:
