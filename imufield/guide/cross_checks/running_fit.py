@@ -60,11 +60,6 @@ class Disagreement:
     limit_sigmas: float
 
     @property
-    def limit_m_s2(self) -> float:
-        """Disagreement at the limit."""
-        return abs(self.leave_one_out_m_s2 / self.sigmas) * self.limit_sigmas if self.sigmas else 0.0
-
-    @property
     def is_suspect(self) -> bool:
         """Whether the others contradict this position."""
         return abs(self.sigmas) > self.limit_sigmas and abs(self.leave_one_out_m_s2) > SUSPECT_M_S2

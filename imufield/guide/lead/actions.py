@@ -100,10 +100,6 @@ class Lingering:
         self._direction: FloatArray | None = None
         self._from_s = math.nan
 
-    def forget(self) -> None:
-        """Begin anew."""
-        self._direction = None
-
     def lasts(self, now_s: float, direction: FloatArray) -> bool:
         """Add where up is in the body, unit vector (3,); return whether the unit has lingered there for long enough."""
         before = self._direction
@@ -249,7 +245,7 @@ class GuideActions:
 
     def begin_hold(self) -> None:
         """Announce that the hold begins."""
-        self._lingering.forget()
+        self._lingering = Lingering()
         self.hold.begin()
         if self.hold.position is None:
             return
@@ -293,7 +289,7 @@ class GuideActions:
         adviser.fit_again(self.detector.scale)
         self.speaker.say(accepted_event(now_s, observation, hold.scale, plan, replaces=replaces, fit=adviser.fit))
         self.resting.begin(index, self.detector.scale.up(observation.mean_raw))
-        self._lingering.forget()
+        self._lingering = Lingering()
         self.hold.forget()
         self._moved_in_a_row = 0
         if is_revisit:
@@ -374,7 +370,7 @@ class GuideActions:
     def lift(self) -> None:
         """Begin to watch whether the unit is lifted or only knocked."""
         self.resting.lift()
-        self._lingering.forget()
+        self._lingering = Lingering()
 
     def rest(self) -> None:
         """Wait for the unit to be moved."""

@@ -160,8 +160,9 @@ class Adviser:
         told = []
         for kind, found in [(_SETTLED, found) for found in settled] + [(_DOUBTFUL, found) for found in new]:
             off_m_s2, sigmas = abs(found.leave_one_out_m_s2), abs(found.sigmas)
+            limit_m_s2 = off_m_s2 / sigmas * found.limit_sigmas if sigmas else 0.0
             off_mg = off_m_s2 / MILLI_G_M_S2
-            told.append(kind.advice(now_s, off_m_s2, found.limit_m_s2, found.name, off_mg=off_mg, sigmas=sigmas))
+            told.append(kind.advice(now_s, off_m_s2, limit_m_s2, found.name, off_mg=off_mg, sigmas=sigmas))
         return told
 
     def ask_again(self) -> None:

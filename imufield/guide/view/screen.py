@@ -144,8 +144,7 @@ def _accepted(event: events.Accepted) -> str:
     """Return one short line; the panel of positions shows the rest."""
     off_m_s2 = event.leave_one_out_m_s2
     fits = "" if off_m_s2 is None else f", {sentence('screen.off_fit', off_mg=off_m_s2 / MILLI_G_M_S2)}"
-    in_hand = ", in the hand" if event.held else ""
-    return f"accepted {event.position}{in_hand}: {event.duration_s:.1f} s{fits}"
+    return sentence("screen.accepted_in_hand" if event.held else "screen.accepted", event=event, fits=fits)
 
 
 class Instruction(NamedTuple):
@@ -302,10 +301,10 @@ def _bars(screen: Screen, snapshot: Snapshot) -> RenderableType:
     table.add_row("to target", bar(1 - screen.angle_deg / 180 if turning else 0.0, "cyan"), angle)
     table.add_row("hold", bar(snapshot.fraction if holding else 0.0, "green"), left)
     activity = snapshot.activity
+    state = "" if activity is None else "still" if activity.ratio <= 1 else "moving"
+    table.add_row("stillness", _stillness_bar(snapshot), state)
     if activity is None:
-        table.add_row("stillness", _stillness_bar(snapshot), "")
         return Group(table, Text())
-    table.add_row("stillness", _stillness_bar(snapshot), "still" if activity.ratio <= 1 else "moving")
     measured, limit = quantity(activity.measured, activity.unit), quantity(activity.limit, activity.unit)
     if measured.split()[1:] == limit.split()[1:]:
         measured = measured.split()[0]
