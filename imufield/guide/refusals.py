@@ -19,8 +19,8 @@ class Refusal:
     """Why a hold does not count, or why the guide cannot go on."""
 
     reason: RefusalCode
-    words: Sentence
-    remedy: Sentence
+    words: str
+    remedy: str
     measured: float
     limit: float
     unit: str

@@ -30,7 +30,7 @@ from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import Sentence, Sentences
+from imufield.sentences import Sentences
 
 sentence = Sentences(__package__)
 
@@ -72,7 +72,7 @@ class AxesCheck:
         RMS angle between predicted and measured up with the axes as given, and with the best permutation.
     gyroscope_scale : float
         Raw per rad/s, given or found.
-    words : Sentence
+    words : str
     refusal : Refusal or None
         The warning that gyroscope and accelerometer do not belong together, in the same words; None where they agree, or where
         the moves are too few.
@@ -82,7 +82,7 @@ class AxesCheck:
 
     agrees: bool | None
     permutation: FloatArray
-    words: Sentence
+    words: str
     refusal: Refusal | None = None
     misfit_deg: float = math.nan
     best_misfit_deg: float = math.nan
