@@ -29,7 +29,7 @@ from imufield.calibrate.model.result import GyroscopeParameters
 from imufield.calibrate.noise.noise import NoiseStream
 from imufield.calibrate.solvers.evolution import solve_ide
 from imufield.earth import EARTH_RATE_RAD_S, Gravity
-from imufield.guide.lead.unguided import StillIntervalFinder, find_still_intervals
+from imufield.guide.lead.unguided import StillIntervalFinder
 from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
@@ -73,7 +73,9 @@ def read_mikoff(name: str) -> tuple[Samples, float, float]:
 
 
 def prepare(samples: Samples, zero: float, gravity: float) -> GyroscopeInput:
-    found = find_still_intervals([samples], scale=RoughScale.of_units(samples.units, np.full(3, zero))).observations
+    finder = StillIntervalFinder(samples.units, RoughScale.of_units(samples.units, np.full(3, zero)))
+    finder.feed(samples)
+    found = finder.finish().observations
     calibration = calibrate_accelerometer(
         found, Gravity(gravity_m_s2=gravity, sigma_m_s2=1e-5, source="typed"), raw_zero=zero, model="linear"
     )

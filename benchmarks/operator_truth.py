@@ -13,7 +13,7 @@ from imufield.calibrate.model.models import recover
 from imufield.guide.events import Accepted
 from imufield.guide.hold.hand_mean import mean_in_hand
 from imufield.guide.hold.observe import Observation, knocks_of, observe
-from imufield.guide.stillness.cells import CELL_S, CellBuilder, Cells, cells_of, join_cells
+from imufield.guide.stillness.cells import CELL_S, CellBuilder, Cells, join_cells
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.limits import Limits
 from imufield.guide.stillness.noise_floor import NoiseFloor
@@ -168,7 +168,8 @@ def _measure(samples: Samples, event: Accepted, with_it: Observation, standards:
     end_s = event.start_s + event.duration_s
     rows = (samples.time_s >= event.start_s - 1e-9) & (samples.time_s <= end_s + 1e-9)
     inside = samples[rows]
-    cells: Cells = join_cells(list(cells_of([inside])))
+    builder = CellBuilder()
+    cells: Cells = join_cells([part for part in (builder.feed(inside), builder.flush()) if part is not None])
     in_hand = None
     if with_it.hand_mean is not None:
         density = standards.floor.cell_sigma[:3] * math.sqrt(CELL_S)

@@ -7,13 +7,16 @@ added. Times are of the sample clock. Terminal, plain lines, JSON lines and soun
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from typing import ClassVar
 
 import numpy as np
 
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 EVENT_VERSION = 1
 
@@ -277,7 +280,7 @@ class LinkLost(Event, kind="link_lost"):
 
     accepted: int
     planned: int
-    words: str = "the link is gone; everything measured so far is kept"
+    words: str = field(default_factory=lambda: sentence("events.link_lost"))
 
 
 @dataclass(frozen=True, slots=True)

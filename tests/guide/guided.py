@@ -1,7 +1,6 @@
 """Guided sessions over simulated paths, for the tests of the guide."""
 
-import re
-import string
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -9,9 +8,13 @@ import numpy as np
 from imufield.guide.events import Rejected
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
+from imufield.guide.lead.unguided import StillIntervalFinder, StillIntervals
 from imufield.guide.positions import scheme
-from imufield.guide.refusals import Refusal, Sentence
+from imufield.guide.refusals import Refusal, RefusalKind
+from imufield.guide.stillness.cells import CellBuilder, Cells
+from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import Samples
+from imufield.sentences import Sentence
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
 SHORT = GuideSettings(hold_s=3.0)
@@ -38,32 +41,42 @@ def run(
     return guide, events + guide.flush()
 
 
+def cells_of(blocks: Iterable[Samples]) -> Iterator[Cells]:
+    """Yield the cells of a whole recording, the last unfinished one included."""
+    builder = CellBuilder()
+    for cells in (*map(builder.feed, blocks), builder.flush()):
+        if cells is not None:
+            yield cells
+
+
+def find_still_intervals(blocks: Iterable[Samples], *, scale: RoughScale | None = None) -> StillIntervals:
+    """Return the still intervals of a recording; one block at least, cut anywhere."""
+    finder: StillIntervalFinder | None = None
+    for block in blocks:
+        finder = finder or StillIntervalFinder(block.units, scale)
+        finder.feed(block)
+    assert finder is not None
+    return finder.finish()
+
+
 def of(events: Any, kind: Any) -> Any:
     return [event for event in events if isinstance(event, kind)]
 
 
-def is_said_by(row: Sentence, told: Refusal | Rejected) -> bool:
-    """Whether a refusal is of this row of the table, which alone knows the wording."""
-    return told.reason is row.reason and fits(row.words, told.words) and fits(row.remedy, told.remedy)
+def is_said_by(kind: RefusalKind, told: Refusal | Rejected | None) -> bool:
+    """Whether a refusal is of this row of the table, by the keys of its sentences."""
+    if told is None:
+        return False
+    return (told.reason, key_of(told.words), key_of(told.remedy)) == (kind.reason, kind.words, kind.remedy)
 
 
-def fits(text: str, told: str) -> bool:
-    """Whether what was told is this text with anything in its fields."""
-    return re.fullmatch(_pattern(text), told) is not None
+def key_of(text: str) -> str:
+    """Return the key of a sentence."""
+    assert isinstance(text, Sentence), text
+    return text.key
 
 
-def fields_of(text: str, told: str) -> dict[str, str]:
-    """Return what the fields of a text hold in what was told."""
-    found = re.fullmatch(_pattern(text), told)
-    assert found is not None, told
-    return found.groupdict()
-
-
-def _pattern(text: str) -> str:
-    pattern, named = "", set()
-    for words, name, _, _ in string.Formatter().parse(text):
-        pattern += re.escape(words)
-        if name is not None:
-            pattern += ".*?" if name in named else f"(?P<{name}>.*?)"
-            named.add(name)
-    return pattern
+def values_of(text: str) -> dict[str, Any]:
+    """Return what a sentence names."""
+    assert isinstance(text, Sentence), text
+    return text.values

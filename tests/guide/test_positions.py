@@ -9,11 +9,14 @@ from imufield.guide.positions import (
     angle_deg,
     cube_directions,
     describe,
-    interleave,
     nearest_cube_direction,
     scheme,
 )
+from imufield.sentences import Sentences
+from tests.guide.proposed_order import IN_TURN, interleave
 from tests.refused import refused
+
+sentence = Sentences("imufield.guide")
 
 # Seen how often: positions of a direction, directions.
 COUNTS = {"paper24": {1: 12, 2: 6}, "paper36": {1: 24, 2: 6}, "corners24": {1: 4, 2: 10}, "faces6": {1: 6}}
@@ -45,9 +48,12 @@ def test_a_linear_drift_looks_like_no_bias(name: str) -> None:
     assert np.abs(correlation).max() < 0.06
 
 
-def test_order_is_always_the_same() -> None:
-    directions = scheme("paper24").directions()
-    assert interleave(directions) == interleave(directions.copy())
+@pytest.mark.parametrize("name", SCHEMES)
+def test_the_shipped_order_is_the_best_that_the_search_finds(name: str) -> None:
+    shipped = [position.name.partition(" ")[0] for position in scheme(name).positions]
+    direction = dict(zip(shipped, scheme(name).directions(), strict=True))
+    found = interleave(np.array([direction[side] for side in IN_TURN[name]]))
+    assert [IN_TURN[name][i] for i in found] == shipped
 
 
 def test_a_direction_as_the_papers_give_it() -> None:
@@ -55,14 +61,18 @@ def test_a_direction_as_the_papers_give_it() -> None:
     np.testing.assert_allclose(by_name["x+0"].direction, [0, 0, 1])
     np.testing.assert_allclose(by_name["x+45"].direction, [0, np.sqrt(0.5), np.sqrt(0.5)])
     np.testing.assert_allclose(by_name["z+90"].direction, [1, 0, 0])
-    assert by_name["x+45"].words == "edge between +y and +z up"
+    assert by_name["x+45"].words == sentence("positions.edge", first="+y", second="+z")
 
 
 def test_words() -> None:
-    assert describe(np.array([0.0, 0.0, -1.0])) == "-z up, standing on the +z face"
-    assert describe(np.array([1, -1, 1]) / np.sqrt(3)) == "corner +x -y +z up"
-    assert describe(np.array([0.0, 0.5, np.sqrt(0.75)])) == "+z up, leaning 30 deg towards +y"
-    assert describe(np.array([0.9, 0.1, 0.3])) == "+x up, leaning 26 deg towards +z and +y"
+    said = {
+        (0.0, 0.0, -1.0): sentence("positions.face", up="-z", down="+z"),
+        (1.0, -1.0, 1.0): sentence("positions.corner", sides="+x -y +z"),
+        (0.0, 0.5, np.sqrt(0.75)): sentence("positions.leaning", up="+z", lean_deg=30, towards="+y"),
+        (0.9, 0.1, 0.3): sentence("positions.leaning_between", up="+x", lean_deg=26, towards="+z", aside="+y"),
+    }
+    for up, words in said.items():
+        assert describe(np.array(up)) == words
 
 
 def test_nearest_of_26() -> None:
@@ -98,29 +108,29 @@ def test_own_positions(tmp_path: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "facts"),
+    ("text", "key", "facts"),
     [
-        ("", ("[[position]]",)),
-        ("position = 3", ("[[position]]",)),
-        ("colour = 1\n" + GOOD, ("'colour'",)),
-        (GOOD + "[[position]]\nup = [0, 0, 0]\n", ("line 8", "up = [0, 0, 0]")),
-        (GOOD + "[[position]]\nup = [0, 0]\n", ("line 8", "up = [0, 0]")),
-        (GOOD + "[[position]]\nup = 'z'\n", ("line 8", "up = 'z'")),
-        (GOOD + "[[position]]\nup = [0, nan, 1]\n", ("line 8", "up = [0, nan, 1]")),
-        (GOOD + "[[position]]\nup = [0, 0, 1]\nname = 'top'\n", ("line 8", "'top'")),
-        (GOOD + "[[position]]\nup = [0, 0, 1]\nheading = 3\n", ("line 8", "'heading'")),
-        (GOOD + "[[position]]\nup = [0, 0, 1]\nname = 3\n", ("line 8", "name", " 3 ")),
-        ("position = [3]", ("[[position]]", " 3")),
-        ("name = \n[[position]]\n", ("line 1",)),
+        ("", "no_position", ("[[position]]",)),
+        ("position = 3", "no_position", ("[[position]]",)),
+        ("colour = 1\n" + GOOD, "unknown_key_of_file", ("'colour'",)),
+        (GOOD + "[[position]]\nup = [0, 0, 0]\n", "no_direction", ("line 8", "up = [0, 0, 0]")),
+        (GOOD + "[[position]]\nup = [0, 0]\n", "no_direction", ("line 8", "up = [0, 0]")),
+        (GOOD + "[[position]]\nup = 'z'\n", "no_direction", ("line 8", "up = 'z'")),
+        (GOOD + "[[position]]\nup = [0, nan, 1]\n", "no_direction", ("line 8", "up = [0, nan, 1]")),
+        (GOOD + "[[position]]\nup = [0, 0, 1]\nname = 'top'\n", "name_twice", ("line 8", "'top'")),
+        (GOOD + "[[position]]\nup = [0, 0, 1]\nheading = 3\n", "unknown_key", ("line 8", "'heading'")),
+        (GOOD + "[[position]]\nup = [0, 0, 1]\nname = 3\n", "no_text", ("line 8", "name", " 3 ")),
+        ("position = [3]", "no_table", ("[[position]]", " 3")),
+        ("name = \n[[position]]\n", "no_toml", ("line 1",)),
     ],
 )
-def test_own_positions_that_make_no_sense(tmp_path: Any, text: str, facts: tuple[str, ...]) -> None:
+def test_own_positions_that_make_no_sense(tmp_path: Any, text: str, key: str, facts: tuple[str, ...]) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(text)
-    with refused(UsageError, Reason.USAGE, "mine.toml", *facts):
+    with refused(UsageError, Reason.USAGE, "mine.toml", *facts, key=f"positions.{key}"):
         scheme(path)
 
 
 def test_no_such_scheme() -> None:
-    with refused(UsageError, Reason.USAGE, "'paper25'", "paper24, paper36, corners24, faces6"):
+    with refused(UsageError, Reason.USAGE, "'paper25'", "paper24, paper36, corners24, faces6", key="positions.no_scheme"):
         scheme("paper25")

@@ -24,11 +24,15 @@ import numpy as np
 
 from imufield.errors import CalibrationError, Reason
 from imufield.guide import refusals
+from imufield.guide.positions import angle_rad
 from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import CELL_S
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 ENOUGH_MOVES = 4  # Moves about one or two axes fit several permutations alike.
 _LEAST_TURN_DEG = 20.0  # A move that turns up by less says nothing about axes.
@@ -64,11 +68,14 @@ class AxesCheck:
         None where the moves do not decide (``words`` says why).
     permutation : ndarray, shape (3, 3)
         The signed permutation that fits best: right rates = permutation @ given rates.
-    misfit_deg, best_misfit_deg, second_misfit_deg : float
-        RMS angle between predicted and measured up with the axes as given, with the best permutation, with the next one.
+    misfit_deg, best_misfit_deg : float
+        RMS angle between predicted and measured up with the axes as given, and with the best permutation.
     gyroscope_scale : float
         Raw per rad/s, given or found.
     words : str
+    refusal : Refusal or None
+        The warning that gyroscope and accelerometer do not belong together, in the same words; None where they agree, or where
+        the moves are too few.
     turns_ratio : float
         True rate over the gyroscope's, where its scale is contradicted; otherwise 1.
     """
@@ -76,9 +83,9 @@ class AxesCheck:
     agrees: bool | None
     permutation: FloatArray
     words: str
+    refusal: Refusal | None = None
     misfit_deg: float = math.nan
     best_misfit_deg: float = math.nan
-    second_misfit_deg: float = math.nan
     gyroscope_scale: float = math.nan
     turns_ratio: float = 1.0
 
@@ -94,18 +101,6 @@ class AxesCheck:
         if self.agrees is not False:
             return None
         return CalibrationError(self.words, Reason.HANDEDNESS, misfit_deg=self.misfit_deg, best_misfit_deg=self.best_misfit_deg)
-
-    def refusal(self) -> Refusal:
-        """Return the warning that gyroscope and accelerometer do not belong together, in the words of the check."""
-        row = refusals.AXES_DIFFER if self.turns_ratio == 1.0 else refusals.SCALE_DIFFERS
-        return Refusal(
-            reason=row.reason,
-            words=self.words,
-            remedy=row.remedy,
-            measured=self.misfit_deg,
-            limit=_GOOD_DEG,
-            unit=row.unit,
-        )
 
 
 class MoveLog:
@@ -141,7 +136,7 @@ class MoveLog:
             start, end = (scale.up(np.array(mean[:3])) for mean in (before, after))
             bias = (np.array(before[3:]) + np.array(after[3:])) / 2
             rate = np.array(rates) - bias
-            if np.isfinite(rate).all() and _angle(start, end) > math.radians(_LEAST_TURN_DEG):
+            if np.isfinite(rate).all() and angle_rad(start, end) > math.radians(_LEAST_TURN_DEG):
                 found.append(MoveBetweenStills(start, end, rate))
         return found
 
@@ -156,7 +151,7 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
         Raw per rad/s; None where it is not known.
     """
     if len(moves) < ENOUGH_MOVES:
-        few = f"axes not checked: {len(moves)} moves of more than {_LEAST_TURN_DEG:g} deg, {ENOUGH_MOVES} are needed"
+        few = sentence("axes.few_moves", moves=len(moves), least_deg=_LEAST_TURN_DEG, needed=ENOUGH_MOVES)
         return AxesCheck(agrees=None, permutation=np.eye(3), words=few)
     given = _arrange(moves, gyroscope_scale or _find_scale(moves))
     if gyroscope_scale is None or given.agrees is not None or given.misfit_deg <= _GOOD_DEG:
@@ -166,16 +161,17 @@ def check_axes(moves: list[MoveBetweenStills], gyroscope_scale: float | None) ->
     # Turns about one axis leave others open, but that the given ones fit with a factor is enough to contradict the scale.
     if (scaled.agrees is None and scaled.misfit_deg > _GOOD_DEG) or abs(math.log(ratio)) < _SAME_FACTOR:
         return given
-    words = refusals.SCALE_DIFFERS.words.format(
+    kind = refusals.SCALE_AND_AXES if scaled.agrees is False else refusals.SCALE_DIFFERS
+    refusal = kind.refusal(
+        # The scale as given is contradicted, so the misfit is the one that it makes.
+        given.misfit_deg,
+        _GOOD_DEG,
         ratio=ratio,
         cause=next((f" ({cause})" for factor, cause in _CONFUSED if abs(math.log(ratio / factor)) < _SAME_FACTOR), ""),
-        measured=given.misfit_deg,
-        axes="" if scaled.agrees is not False else f" and with gyroscope {axes_words(scaled.permutation)}",
+        axes=axes_words(scaled.permutation),
         best=scaled.best_misfit_deg,
-        limit=_GOOD_DEG,
     )
-    # The scale as given is contradicted, so the misfit is the one that it makes.
-    return replace(scaled, misfit_deg=given.misfit_deg, words=words, turns_ratio=ratio)
+    return replace(scaled, misfit_deg=given.misfit_deg, words=refusal.words, refusal=refusal, turns_ratio=ratio)
 
 
 def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
@@ -187,27 +183,19 @@ def _arrange(moves: list[MoveBetweenStills], scale: float) -> AxesCheck:
     best, given, second = (math.degrees(float(misfit[i])) for i in (order[0], identity, order[1]))
     clear = best <= _GOOD_DEG and second >= _MARGIN * best
     agrees = bool(order[0] == identity) if clear else None
-    permutation = permutations[order[0]]
-    if agrees:
-        words = f"axes agree: gyroscope and accelerometer turn together within {given:.1f} deg (any other way {second:.0f} deg)"
-    else:
-        left_handed = np.linalg.det(permutation) < 0
-        words = (refusals.AXES_OPEN if agrees is None else refusals.AXES_DIFFER).words.format(
-            measured=given,
-            best=best,
-            second=second,
-            limit=_GOOD_DEG,
-            handed="one triad is left-handed" if left_handed else "axes are exchanged or have the wrong sign",
-            axes=axes_words(permutation),
-        )
+    permutation, refusal = permutations[order[0]], None
+    if not agrees:
+        differ = refusals.AXES_LEFT_HANDED if np.linalg.det(permutation) < 0 else refusals.AXES_DIFFER
+        kind = refusals.AXES_OPEN if agrees is None else differ
+        refusal = kind.refusal(given, _GOOD_DEG, best=best, second=second, axes=axes_words(permutation))
     return AxesCheck(
         agrees=agrees,
         permutation=permutation,
+        words=refusal.words if refusal else sentence("axes.agree", within_deg=given, other_deg=second),
+        refusal=refusal,
         misfit_deg=given,
         best_misfit_deg=best,
-        second_misfit_deg=second,
         gyroscope_scale=scale,
-        words=words,
     )
 
 
@@ -240,7 +228,7 @@ def _find_scale(moves: list[MoveBetweenStills]) -> float:
     """Return the common scale (raw per rad/s) with which some permutation brings the moves together best."""
     permutations = signed_permutations()
     turned = [float(np.linalg.norm(move.rate_raw, axis=1).sum() * CELL_S) for move in moves]
-    needed = [_angle(move.up_before, move.up_after) for move in moves]
+    needed = [angle_rad(move.up_before, move.up_after) for move in moves]
     typical = max(float(np.median(np.array(turned) / needed)), 1e-12)
     few = sorted(moves, key=lambda move: len(move.rate_raw))[:_MOVES_FOR_SCALE]
     candidates = typical / np.geomspace(*_TURNS_OF_UP, _SCALES)
@@ -257,7 +245,3 @@ def axes_words(permutation: FloatArray) -> str:
     return ", ".join(
         f"{AXES[i]} = {'+' if row.sum() > 0 else '-'}{AXES[int(np.abs(row).argmax())]}" for i, row in enumerate(permutation)
     )
-
-
-def _angle(first: FloatArray, second: FloatArray) -> float:
-    return math.atan2(float(np.linalg.norm(np.cross(first, second))), float(first @ second))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,7 @@ from imufield.samples import AXES, FloatArray, Status
 _GRAVITY_SHARE = 0.25
 _GRAVITY_SHARE_LEARNED = 0.5  # The same where g itself was learned from a still, whose own bias is then in the scale.
 LOST_SHARE = 0.05  # Samples of a hold that may be missing or unusable.
-_KNOCKED_SHARE = 0.1  # Cells of a hold that may be left out because they stand out.
+_KNOCKED_PERCENT = 10.0  # Cells of a hold that may be left out because they stand out.
 # Change of the norm over a hold that is refused if it is beyond 4 sigma too; the mean corresponds to the middle of the line.
 _DRIFT_M_S2 = 0.01
 _TILT_DEG = 1.0  # Turn of the mean direction over a hold that is refused: the norm of the mean loses 13 ug by it.
@@ -55,12 +55,32 @@ class HoldUnderTest:
 
 def examine(hold: HoldUnderTest) -> Refusal | None:
     """Return the first reason to refuse a hold, None when there is none."""
-    if hold.hand_mean is None:
-        by_kind: tuple[Callable[[HoldUnderTest], Refusal | None], ...] = (_check_knocks, _check_shift, _check_drift)
+    return next((refusal for refusal in _refusals_in_order(hold) if refusal is not None), None)
+
+
+def _refusals_in_order(hold: HoldUnderTest) -> Iterator[Refusal | None]:
+    hand = hold.hand_mean
+    slots = int(hold.cells.slot[-1] - hold.cells.slot[0]) + 1
+    usable_share = float(hold.cells.usable.sum()) / (slots * hold.floor.samples_per_cell)
+    if usable_share < 1 - LOST_SHARE:
+        yield explain_flags(hold.cells, usable_share, 1 - LOST_SHARE)
+    yield _check_stuck(hold)
+    norm = float(np.linalg.norm(hold.scale.specific_force(hold.cells.mean[:, :3].mean(axis=0))))
+    limit_m_s2 = (_GRAVITY_SHARE_LEARNED if hold.scale.learned else _GRAVITY_SHARE) * STANDARD_GRAVITY_M_S2
+    if abs(norm - STANDARD_GRAVITY_M_S2) > limit_m_s2:
+        yield refusals.GRAVITY.refusal(norm, limit_m_s2)
+    if hand is not None:
+        # Cutting a bump out would let the sway through.
+        yield refusals.BUMPED.beyond(hand.jolt_m_s2, JOLT_SHARE * hand.usual_jolt_m_s2, after_s=hand.jolt_after_s)
+    knocked_percent = 100 * float(knocked(hold.cells, hold.limits).mean())
+    # What is cut out of a hold in the hand leaves a hole through which the sway comes in.
+    yield refusals.KNOCKED.beyond(knocked_percent, _KNOCKED_PERCENT if hand is None else 0.0)
+    if hand is None:
+        yield _check_shift(hold)
+        yield _check_drift(hold)
     else:
-        by_kind = (_check_hand_jolt, _check_knocks, _check_hand_motion)
-    refusals_in_order = (check(hold) for check in (_check_samples, _check_stuck, _check_gravity, *by_kind))
-    return next((refusal for refusal in refusals_in_order if refusal is not None), None)
+        yield refusals.TREMBLING.beyond(hand.tremor_deg, _TREMOR_DEG)
+        yield refusals.SWAYING.beyond(hand.sway_deg, _SWAY_DEG)
 
 
 def explain_flags(cells: Cells, usable_share: float, limit: float) -> Refusal:
@@ -71,24 +91,17 @@ def explain_flags(cells: Cells, usable_share: float, limit: float) -> Refusal:
         triad, first = ("accelerometer", 0) if flags & Status.ACCELEROMETER_SATURATED else ("gyroscope", 3)
         peak = np.fmax(np.abs(cells.low), np.abs(cells.high))[:, first : first + 3]
         axis = AXES[int(np.argmax(np.nan_to_num(np.nanmax(peak, axis=0))))] if np.isfinite(peak).any() else None
-        on_axis = f" on axis {axis}" if axis else ""
-        return refusals.SATURATED.refusal(percent, limit_percent, axis=axis, triad=triad, on_axis=on_axis)
-    for flag, sentence in (
+        kind = refusals.SATURATED_ON_AXIS if axis else refusals.SATURATED
+        return kind.refusal(percent, limit_percent, axis=axis, triad=triad)
+    for flag, kind in (
         (Status.START_UP, refusals.START_UP),
         (Status.INSTRUMENT_FAULT, refusals.FAULT),
         (Status.ACCELEROMETER_INVALID, refusals.ACCELEROMETER_INVALID),
         (Status.GYROSCOPE_INVALID, refusals.GYROSCOPE_INVALID),
     ):
         if flags & flag:
-            return sentence.refusal(percent, limit_percent)
+            return kind.refusal(percent, limit_percent)
     return refusals.SAMPLE_LOSS.refusal(percent, limit_percent)
-
-
-def _check_samples(hold: HoldUnderTest) -> Refusal | None:
-    slots = int(hold.cells.slot[-1] - hold.cells.slot[0]) + 1
-    share = float(hold.cells.usable.sum()) / (slots * hold.floor.samples_per_cell)
-    limit = 1 - LOST_SHARE
-    return explain_flags(hold.cells, share, limit) if share < limit else None
 
 
 def _check_stuck(hold: HoldUnderTest) -> Refusal | None:
@@ -103,19 +116,6 @@ def _check_stuck(hold: HoldUnderTest) -> Refusal | None:
     return refusals.STUCK.refusal(0.0, float(hold.floor.sigma[axis]), axis=AXES[axis], reading=reading)
 
 
-def _check_gravity(hold: HoldUnderTest) -> Refusal | None:
-    norm = float(np.linalg.norm(hold.scale.specific_force(hold.cells.mean[:, :3].mean(axis=0))))
-    limit = (_GRAVITY_SHARE_LEARNED if hold.scale.learned else _GRAVITY_SHARE) * STANDARD_GRAVITY_M_S2
-    return refusals.GRAVITY.refusal(norm, limit) if abs(norm - STANDARD_GRAVITY_M_S2) > limit else None
-
-
-def _check_knocks(hold: HoldUnderTest) -> Refusal | None:
-    share = float(knocked(hold.cells, hold.limits).mean())
-    # What is cut out of a hold in the hand leaves a hole through which the sway comes in.
-    allowed = _KNOCKED_SHARE if hold.hand_mean is None else 0.0
-    return refusals.KNOCKED.refusal(100 * share, 100 * allowed) if share > allowed else None
-
-
 def _check_shift(hold: HoldUnderTest) -> Refusal | None:
     """Refuse a unit that was pushed: its direction before and after some moment differ."""
     force = hold.scale.specific_force(hold.cells.mean[:, :3])
@@ -127,28 +127,8 @@ def _check_shift(hold: HoldUnderTest) -> Refusal | None:
     variance = float(along.var(ddof=1)) / len(along) * correlation_factor(along - along.mean())
     harmless = min(_SHIFT_DEG, max(_LEAST_SHIFT_DEG, math.degrees(math.sqrt(8 * math.sqrt(variance) / norm))))
     limit = max(harmless, _SHIFT_SIGMAS * math.degrees(sigma / norm))
-    if turn <= limit:
-        return None
     after_s = float(hold.cells.start_s[row] - hold.cells.start_s[0])
-    return refusals.PUSHED.refusal(turn, limit, axis=AXES[int(np.argmax(np.abs(step)))], after_s=after_s)
-
-
-def _check_hand_jolt(hold: HoldUnderTest) -> Refusal | None:
-    """Refuse a hold in the hand that was bumped: cutting the bump out would let the sway through."""
-    hand = hold.hand_mean
-    limit = math.inf if hand is None else JOLT_SHARE * hand.usual_jolt_m_s2
-    if hand is None or hand.jolt_m_s2 <= limit:
-        return None
-    return refusals.BUMPED.refusal(hand.jolt_m_s2, limit, after_s=hand.jolt_after_s)
-
-
-def _check_hand_motion(hold: HoldUnderTest) -> Refusal | None:
-    hand = hold.hand_mean
-    if hand is not None and hand.tremor_deg > _TREMOR_DEG:
-        return refusals.TREMBLING.refusal(hand.tremor_deg, _TREMOR_DEG)
-    if hand is not None and hand.sway_deg > _SWAY_DEG:
-        return refusals.SWAYING.refusal(hand.sway_deg, _SWAY_DEG)
-    return None
+    return refusals.PUSHED.beyond(turn, limit, axis=AXES[int(np.argmax(np.abs(step)))], after_s=after_s)
 
 
 def largest_step(series: FloatArray) -> tuple[FloatArray, float, int]:
@@ -189,7 +169,7 @@ def _check_drift(hold: HoldUnderTest) -> Refusal | None:
     sideways = changes[:, 0] - mean * (mean @ changes[:, 0]) / norm**2
     turn = math.degrees(float(np.linalg.norm(sideways)) / norm)
     limit = max(_TILT_DEG, _DRIFT_SIGMAS * math.degrees(float(changes[:, 1].max()) / norm))
-    return refusals.TILTS.refusal(turn, limit, axis=AXES[int(np.argmax(np.abs(sideways)))]) if turn > limit else None
+    return refusals.TILTS.beyond(turn, limit, axis=AXES[int(np.argmax(np.abs(sideways)))])
 
 
 def change_over(series: FloatArray) -> tuple[float, float]:

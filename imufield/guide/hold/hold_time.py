@@ -18,7 +18,7 @@ from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray
 
 SHORTEST_S = 3.0  # The scatter of a shorter hold does not tell how well its mean is known.
-_LONGEST_S = 60.0  # Where a target is given: a person's patience with a purpose.
+LONGEST_S = 60.0  # Where a target is given: a person's patience with a purpose.
 _USUAL_S = 10.0  # Longest hold where no target is given: a person's patience.
 # Good enough where no target is given: below what most instruments repeat from hold to hold.
 _USUAL_SIGMA_M_S2 = 10e-6 * STANDARD_GRAVITY_M_S2
@@ -45,13 +45,6 @@ class HoldTarget:
     fixed_s: float | None = None
     sigma_m_s2: float = _USUAL_SIGMA_M_S2
     longest_s: float = _USUAL_S
-
-    @classmethod
-    def of(cls, fixed_s: float | None, sigma_m_s2: float | None) -> HoldTarget:
-        """Return the target of a fixed time, of a sigma, or the usual one."""
-        if fixed_s is not None:
-            return cls(fixed_s, 0.0, fixed_s)
-        return cls() if sigma_m_s2 is None else cls(None, sigma_m_s2, _LONGEST_S)
 
     def latest_s(self, minimum_s: float) -> float:
         """Return the length at which a hold ends at the latest; ``minimum_s`` is that of the Allan deviation."""

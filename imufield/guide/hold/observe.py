@@ -40,6 +40,12 @@ _VIBRATION_OVER_MEDIAN = 1.25  # Times the scatter of a variance: the median of 
 _LEAST_RATIO = 0.1  # Nothing below this share of the detector's limit stands out: a perfectly quiet output has a median of 0.
 _KNOCK_RATIO = 2.0  # A cell inside that stands out this far holds a knock; less is the scatter of a long stretch.
 UNKNOWN_RESOLUTION = 1e-6  # Of the reading: resolution assumed where the output never changed.
+# Of the fields of one observation that the solvers take as arrays.
+_SHAPES: dict[str, tuple[int, ...]] = {
+    **dict.fromkeys(("mean_raw", "gyroscope_mean_raw", "direction"), (3,)),
+    **dict.fromkeys(("covariance_raw", "gyroscope_covariance_raw"), (3, 3)),
+    **dict.fromkeys(("start_s", "duration_s", "temperature_degc"), ()),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,21 +196,10 @@ def observe(
 
 def gather(observations: Sequence[Observation], units: SampleUnits) -> Observations:
     """Return observations as the arrays of the solvers."""
-
-    def stack(field: str, *shape: int) -> FloatArray:
+    count = len(observations)
+    arrays: dict[str, FloatArray] = {
         # The shape is given because there may be no observation at all.
-        values = [getattr(observation, field) for observation in observations]
-        return np.array(values, dtype=np.float64).reshape(len(values), *shape)
-
-    return Observations(
-        name=tuple(observation.name for observation in observations),
-        mean_raw=stack("mean_raw", 3),
-        covariance_raw=stack("covariance_raw", 3, 3),
-        gyroscope_mean_raw=stack("gyroscope_mean_raw", 3),
-        gyroscope_covariance_raw=stack("gyroscope_covariance_raw", 3, 3),
-        direction=stack("direction", 3),
-        start_s=stack("start_s"),
-        duration_s=stack("duration_s"),
-        temperature_degc=stack("temperature_degc"),
-        units=units,
-    )
+        name: np.array([getattr(observation, name) for observation in observations], dtype=np.float64).reshape(count, *shape)
+        for name, shape in _SHAPES.items()
+    }
+    return Observations(name=tuple(observation.name for observation in observations), units=units, **arrays)

@@ -26,7 +26,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.model.rotation import cross
 from imufield.samples import FloatArray
 
 USUAL_S = 0.002  # 1 sigma of the delays that instruments have: group delays of their filters differ by up to 2 ms.
@@ -107,15 +106,9 @@ def _lines(time_s: FloatArray, force: FloatArray, rate: FloatArray, weight: Floa
     omega = np.asarray(2 * np.pi * hz[band, None], dtype=np.float64)
     # A line next to that of the tremor is not another frequency but the taper: (h w)' = h w' + h' w.
     speeding = 1j * omega * spectrum(turning, taper) - spectrum(turning, np.gradient(taper, step_s))
-    arm: _Complex = np.stack([_cross(speeding, axis) for axis in np.eye(3)])
-    gravity = -_cross(spectrum(angle - taper @ angle / taper.sum(), taper), mean)
+    arm: _Complex = np.stack([np.cross(speeding, axis) for axis in np.eye(3)])
+    gravity: _Complex = -np.cross(spectrum(angle - taper @ angle / taper.sum(), taper), mean)
     return _Lines(omega, spectrum(shown - mean, taper), gravity, arm)
-
-
-def _cross(lines: _Complex, vector: FloatArray) -> _Complex:
-    """Return the cross product of complex vectors with a real one; that of ``rotation`` is typed for reals."""
-    product: _Complex = cross(lines.real, vector) + 1j * cross(lines.imag, vector)
-    return product
 
 
 def _step(lines: _Lines, delay_s: float) -> tuple[float, float]:

@@ -7,29 +7,32 @@ and whether it lingers without becoming still.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from imufield.guide import refusals
 from imufield.guide.cross_checks.sides import SidesCheck
-from imufield.guide.events import Done, Hold, Holding, LinkBack, LinkLost, Marked, RefusalCode, Turning, Vector, vector
+from imufield.guide.events import Done, Hold, Holding, LinkBack, LinkLost, Marked, RefusalCode, Turning, vector
 from imufield.guide.hold.checks import LOST_SHARE, examine, explain_flags
 from imufield.guide.hold.observe import observe
 from imufield.guide.lead.advice import Adviser
 from imufield.guide.lead.hold_under_way import HoldUnderWay
-from imufield.guide.lead.plan import Nearest, Plan
+from imufield.guide.lead.plan import Plan
+from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.speaker import REMIND_S, REPEAT_S, Speaker, accepted_event, floor_event, move_event
 from imufield.guide.lead.state_table import Input
 from imufield.guide.lead.stream_watch import StreamWatch
 from imufield.guide.lead.turns import TurnLeader
-from imufield.guide.positions import angle_deg
+from imufield.guide.positions import Scheme, angle_deg
 from imufield.guide.refusals import Refusal
 from imufield.guide.stillness.cells import CELL_S
-from imufield.guide.stillness.detector import StillnessDetector
+from imufield.guide.stillness.detector import LONGEST_S, StillnessDetector
+from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import LEAVE_FACTOR, Judgement, Phase
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 # No position is accepted first while the temperature changes faster than this: the bias of a chip would follow it.
 _WARM_UP_DEGC_MIN = 0.5
@@ -52,6 +55,7 @@ _MOVED_DEG = 10.0
 _MOVED_UNSEEN_DEG = 0.5
 # A unit that keeps its direction this long without becoming still: somebody waits for the guide.
 _LINGER_S = 5.0
+_HOLD_MARGIN_S = 10.0  # A stretch is kept for longer than the hold: guard bands, and ends that are cut off.
 _LINGER_COSINE = math.cos(math.radians(5.0))
 
 
@@ -60,28 +64,19 @@ class Resting:
 
     def __init__(self) -> None:
         self.position: int | None = None
+        self.unobserved = False  # Samples are missing since: it may have been moved meanwhile.
         self._direction: FloatArray | None = None
-        self._moved_cells = 0
-        self._moved_deg = 0.0
-        self._unobserved = False  # Samples are missing since: it may have been moved meanwhile.
+        self.lift()
 
     def begin(self, position: int, direction: FloatArray) -> None:
         """Remember where the unit rests; ``direction`` is that of up in the body, unit vector (3,)."""
-        self.position, self._direction, self._unobserved = position, direction, False
+        self.position, self._direction, self.unobserved = position, direction, False
         # The way here was observed already; only a move from here makes the next rest another one.
         self.lift()
 
     def lift(self) -> None:
         """Begin to watch whether the unit is lifted or only knocked."""
         self._moved_cells, self._moved_deg = 0, 0.0
-
-    def lose_link(self) -> None:
-        """Remember that samples are missing."""
-        self._unobserved = True
-
-    def forget(self) -> None:
-        """Let the unit be measured again where it is."""
-        self.position = None
 
     def follow(self, direction: FloatArray, *, moving: bool) -> None:
         """Add a cell that is not still, and where it has up."""
@@ -93,7 +88,7 @@ class Resting:
         """Return the position where the unit still rests, forgotten where it was moved; ``direction`` is that of up now."""
         lifted = self._moved_cells * CELL_S > _MOVED_S or self._moved_deg > _MOVED_DEG
         before = self._direction
-        if lifted or (self._unobserved and before is not None and angle_deg(before, direction) > _MOVED_UNSEEN_DEG):
+        if lifted or (self.unobserved and before is not None and angle_deg(before, direction) > _MOVED_UNSEEN_DEG):
             self.position = None
         return self.position
 
@@ -105,10 +100,6 @@ class Lingering:
         self._direction: FloatArray | None = None
         self._from_s = math.nan
 
-    def forget(self) -> None:
-        """Begin anew."""
-        self._direction = None
-
     def lasts(self, now_s: float, direction: FloatArray) -> bool:
         """Add where up is in the body, unit vector (3,); return whether the unit has lingered there for long enough."""
         before = self._direction
@@ -119,46 +110,49 @@ class Lingering:
         return now_s - self._from_s > _LINGER_S
 
 
-@dataclass(kw_only=True, eq=False)
 class GuideActions:
-    """The actions of a session, and what they remember between two cells. The parts are those of the session."""
+    """The parts of a session, the actions, and what they remember between two cells.
 
-    plan: Plan
-    detector: StillnessDetector
-    speaker: Speaker
-    hold: HoldUnderWay
-    adviser: Adviser
-    turns: TurnLeader
-    watch: StreamWatch
-    resting: Resting = field(default_factory=Resting)
-    lingering: Lingering = field(default_factory=Lingering)
-    sides: SidesCheck = field(default_factory=SidesCheck)
-    goes_on_cold: bool = False  # The operator does not wait for the temperature.
-    announced: bool = False  # Whether the noise floor was announced.
-    judgement: Judgement | None = None
-    moved_in_a_row: int = 0  # Holds that ended by motion, since the last one accepted.
+    Parameters
+    ----------
+    scheme : Scheme
+    scale : RoughScale
+    settings : GuideSettings
+    """
 
-    def run(self, name: str) -> Input | None:
-        """Run the action of a name; return its answer."""
-        action: Callable[[], Input | None] = getattr(self, name)
-        return action()
+    def __init__(self, scheme: Scheme, scale: RoughScale, settings: GuideSettings) -> None:
+        target = settings.hold_target
+        longest_s = max(LONGEST_S, target.longest_s + _HOLD_MARGIN_S)
+        self.plan = Plan(scheme)
+        self.detector = StillnessDetector(scale, hand=True, longest_s=longest_s)
+        self.speaker = Speaker()
+        self.hold = HoldUnderWay(self.detector, target, longest_s)
+        self.adviser = Adviser(self.plan, settings)
+        self.turns = TurnLeader(settings.rotations)
+        self.watch = StreamWatch(self.detector, self.speaker)
+        self.resting = Resting()
+        self.announced = False  # Whether the noise floor was announced.
+        self.goes_on_cold = False  # The operator does not wait for the temperature.
+        self.judgement: Judgement | None = None
+        self._lingering = Lingering()
+        self._sides = SidesCheck()
+        self._moved_in_a_row = 0  # Holds that ended by motion, since the last one accepted.
 
     def _reject_hold(self) -> None:
         position = self.hold.position
         self.speaker.reject(self.hold.refusal, None if position is None else self.plan.position(position).name)
 
-    def direction_now(self) -> Vector | None:
-        """Return where up is in the body by the latest cell, None while not known."""
+    def up_now(self) -> FloatArray:
+        """Return where up is in the body by the latest cell, unit vector (3,), NaN while not known."""
         if self.judgement is None:
-            return None
-        direction = self.detector.scale.up(self.judgement.cells.mean[self.judgement.row, :3])
-        return vector(direction) if np.isfinite(direction).all() else None
+            return np.full(3, np.nan)
+        return self.detector.scale.up(self.judgement.cells.mean[self.judgement.row, :3])
 
-    def note_motion(self, judgement: Judgement) -> None:
+    def note_motion(self, phase: Phase) -> None:
         """Remember how long and how far the unit has moved."""
-        direction = self.detector.scale.up(judgement.cells.mean[judgement.row, :3])
-        self.sides.follow(direction)
-        self.resting.follow(direction, moving=judgement.phase is Phase.MOVING)
+        up = self.up_now()
+        self._sides.follow(up)
+        self.resting.follow(up, moving=phase is Phase.MOVING)
 
     def announce_floor(self) -> None:
         """Announce the noise floor and the first position."""
@@ -191,8 +185,8 @@ class GuideActions:
         target, judgement, speaker = self.plan.proposed(), self.judgement, self.speaker
         if judgement is None or target is None:
             return
-        direction = self.detector.scale.up(judgement.cells.mean[judgement.row, :3])
-        if self.lingering.lasts(speaker.now_s, direction) and judgement.phase is Phase.MOVING:
+        direction = self.up_now()
+        if self._lingering.lasts(speaker.now_s, direction) and judgement.phase is Phase.MOVING:
             activity = self.detector.explain(judgement)
             if activity.ratio > 1 and speaker.due("not still", REMIND_S):
                 speaker.reject(activity.refusal(refusals.NOT_STILL))
@@ -225,28 +219,33 @@ class GuideActions:
         target = plan.proposed()
         if target is not None:
             asked = plan.position(target).direction
-            self.speaker.reject(self.sides.note(asked, direction, chosen=bool(plan.accepted)))
+            self.speaker.reject(self._sides.note(asked, direction, chosen=bool(plan.accepted)))
         if pending is not None and pending.angle_deg <= plan.tolerance_deg:
             self.hold.position = pending.index
             return Input.NEAR
-        self.hold.refusal = self._refuse_place(nearest, pending or nearest)
-        return Input.REFUSED
-
-    def _refuse_place(self, nearest: Nearest, closest: Nearest) -> Refusal:
-        """Return the refusal of a still unit that is in no pending position; ``closest`` is of the pending ones, if any."""
-        plan, limit = self.plan, self.plan.tolerance_deg
-        if nearest.angle_deg <= limit:
-            name, left = plan.position(nearest.index).name, refusals.what_is_left(plan.missing())
-            return refusals.ALREADY_DONE.refusal(nearest.angle_deg, limit, position=name, left=left)
+        if nearest.angle_deg <= plan.tolerance_deg:
+            self.hold.refusal = refusals.ALREADY_DONE.refusal(
+                nearest.angle_deg,
+                plan.tolerance_deg,
+                position=plan.position(nearest.index).name,
+                left=refusals.what_is_left(plan.missing()),
+            )
+            return Input.REFUSED
+        closest = pending or nearest
         # The picture shows what is proposed; the words must not ask for another side.
-        target = plan.proposed()
         wanted = plan.position(closest.index if target is None else target)
-        name = plan.position(closest.index).name
-        return refusals.NOT_NEAR.refusal(closest.angle_deg, limit, nearest=name, wanted=wanted.name, wanted_words=wanted.words)
+        self.hold.refusal = refusals.NOT_NEAR.refusal(
+            closest.angle_deg,
+            plan.tolerance_deg,
+            nearest=plan.position(closest.index).name,
+            wanted=wanted.name,
+            wanted_words=wanted.words,
+        )
+        return Input.REFUSED
 
     def begin_hold(self) -> None:
         """Announce that the hold begins."""
-        self.lingering.forget()
+        self._lingering = Lingering()
         self.hold.begin()
         if self.hold.position is None:
             return
@@ -261,7 +260,8 @@ class GuideActions:
         if hold.evaluate():
             return Input.LONG_ENOUGH
         if hold.position is not None and speaker.due("holding", REPEAT_S):
-            speaker.say(Holding(speaker.now_s, self.plan.position(hold.position).name, hold.fraction, hold.left_s))
+            left_s = (1 - hold.fraction) * hold.latest_s
+            speaker.say(Holding(speaker.now_s, self.plan.position(hold.position).name, hold.fraction, left_s))
         return None
 
     def judge(self) -> Input:
@@ -289,9 +289,9 @@ class GuideActions:
         adviser.fit_again(self.detector.scale)
         self.speaker.say(accepted_event(now_s, observation, hold.scale, plan, replaces=replaces, fit=adviser.fit))
         self.resting.begin(index, self.detector.scale.up(observation.mean_raw))
-        self.lingering.forget()
+        self._lingering = Lingering()
         self.hold.forget()
-        self.moved_in_a_row = 0
+        self._moved_in_a_row = 0
         if is_revisit:
             self.speaker.say(*adviser.drift_advice(now_s, self.detector.scale))
         self.speaker.say(*adviser.advise(now_s))
@@ -354,15 +354,14 @@ class GuideActions:
             self.hold.refusal = explain_flags(cells, 0.0, 1 - LOST_SHARE)
             self._reject_hold()
         elif lasted_s >= _SILENT_S:
-            self.moved_in_a_row += 1
-            sentence = refusals.MOVED if self.moved_in_a_row < _IN_A_ROW else refusals.MOVED_AGAIN
+            self._moved_in_a_row += 1
             self.hold.refusal = activity.refusal(
-                sentence,
+                refusals.MOVED if self._moved_in_a_row < _IN_A_ROW else refusals.MOVED_AGAIN,
                 LEAVE_FACTOR,
                 what="shook" if activity.kind == "vibration" else "moved",
                 lasted_s=lasted_s,
                 hold_s=self.hold.latest_s,
-                times=self.moved_in_a_row,
+                times=self._moved_in_a_row,
             )
             self._reject_hold()
         self.hold.forget()
@@ -371,19 +370,19 @@ class GuideActions:
     def lift(self) -> None:
         """Begin to watch whether the unit is lifted or only knocked."""
         self.resting.lift()
-        self.lingering.forget()
+        self._lingering = Lingering()
 
     def rest(self) -> None:
         """Wait for the unit to be moved."""
 
     def pause(self) -> None:
         """Stop measuring."""
-        self.speaker.say(Marked(self.speaker.now_s, "pause", None, "paused; nothing is measured until you go on"))
+        self.speaker.say(Marked(self.speaker.now_s, "pause", None, sentence("actions.paused")))
 
     def resume(self) -> Input | None:
         """Go on measuring."""
         self.detector.restart()
-        self.speaker.say(Marked(self.speaker.now_s, "pause", None, "going on"))
+        self.speaker.say(Marked(self.speaker.now_s, "pause", None, sentence("actions.resumed")))
         return self.go_on()
 
     def lose_link(self) -> None:
@@ -394,13 +393,13 @@ class GuideActions:
         self.watch.warmth.clear()
         self.turns.forget_move()
         self.hold.forget()
-        self.resting.lose_link()
+        self.resting.unobserved = True
         self.speaker.say(LinkLost(self.speaker.now_s, len(self.plan.accepted), len(self.plan.scheme)))
 
     def find_link(self) -> Input | None:
         """Announce that the link is back."""
-        done = f"{len(self.plan.accepted)} of {len(self.plan.scheme)}"
-        self.speaker.say(LinkBack(self.speaker.now_s, f"going on, {done} done; a hold that was under way begins anew"))
+        words = sentence("actions.link_back", accepted=len(self.plan.accepted), planned=len(self.plan.scheme))
+        self.speaker.say(LinkBack(self.speaker.now_s, words))
         answer = self.go_on() if self.announced else None
         # The sample clock may start anew.
         self.speaker.now_s = math.nan
@@ -416,7 +415,7 @@ class GuideActions:
         self.turns.give_up()
         self.speaker.say(*self.adviser.final_advice(self.speaker.now_s))
         accepted, planned, missing = len(self.plan.accepted), len(self.plan.scheme), self.plan.missing()
-        words = "all positions are measured" if not missing else f"finished with {accepted} of {planned} positions"
-        if self.adviser.suspects.now:
-            words += f"; still in doubt: {', '.join(self.adviser.suspects.names)}"
+        words: str = sentence("actions.finished" if missing else "actions.all_measured", accepted=accepted, planned=planned)
+        if names := self.adviser.suspect_names:
+            words += f"; {sentence('actions.in_doubt', names=names)}"
         self.speaker.say(Done(self.speaker.now_s, accepted, planned, missing, words))

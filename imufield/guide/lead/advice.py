@@ -6,6 +6,8 @@ Positions that the others contradict are suspects: each suspicion is told, and w
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +17,9 @@ from imufield.guide.events import Advice, Topic
 from imufield.guide.lead.plan import Plan
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.stillness.scale import RoughScale
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 # A position is proposed before its turn where its gain is larger by this factor: the order that drift cannot imitate is worth
 # more than a little gain.
@@ -30,44 +35,41 @@ _SCALE_SIGMAS = 4.0  # Nor is a change within the uncertainty of the scale told.
 _DRIFT_SIGMAS = 4.0  # A false alarm in 16 000 sessions.
 
 
-class Suspects:
-    """Positions that the running fit to the others contradicts, and what was told of them."""
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """One kind of advice: its topic, the keys of what was found and of what to do, and the unit of value and limit."""
 
-    def __init__(self) -> None:
-        self.now: list[Disagreement] = []  # The worst first.
-        self._told: set[str] = set()
-        self._asked: set[str] = set()
+    topic: Topic
+    words: str
+    remedy: str
+    unit: str
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the suspects, the worst first."""
-        return tuple(suspect.name for suspect in self.now)
+    def advice(self, now_s: float, measured: float, limit: float, position: str | None = None, **values: object) -> Advice:
+        """Return the advice with these numbers; ``values`` are those of the sentence."""
+        return Advice(
+            time_s=now_s,
+            topic=self.topic,
+            position=position,
+            words=sentence(self.words, position=position, **values),
+            remedy=sentence(self.remedy),
+            measured=measured,
+            limit=limit,
+            unit=self.unit,
+        )
 
-    def follow(self, fit: RunningFit | None) -> None:
-        """Take over the suspects of the newest fit."""
-        found = [] if fit is None else [found for found in fit.disagreements() if found.is_suspect]
-        self.now = sorted(found, key=lambda suspect: -abs(suspect.sigmas))
 
-    def advise(self, now_s: float, fit: RunningFit, plan: Plan) -> list[Advice]:
-        """Return what to tell: suspicions that are settled, and the worst one if it was not told yet."""
-        settled = [found for found in fit.disagreements() if found.name in self._told - set(self.names)]
-        self._told &= set(self.names)
-        # What the guide asked for because of it, it asks for no longer; what the operator wants again stays.
-        asked = {found.name for found in settled} & self._asked
-        plan.wanted_again = {index for index in plan.wanted_again if plan.position(index).name not in asked}
-        new = [suspect for suspect in self.now[:1] if suspect.name not in self._told]
-        self._told.update(suspect.name for suspect in new)
-        return [
-            _disagreement_advice(now_s, found, settled=is_settled)
-            for some, is_settled in ((settled, True), (new, False))
-            for found in some
-        ]
-
-    def ask_again(self) -> list[str]:
-        """Return the suspects to be measured once more, each position once."""
-        names = [name for name in self.names if name not in self._asked]
-        self._asked.update(names)
-        return names
+_DOUBTFUL = _Kind(Topic.DOUBTFUL, "advice.doubtful", "advice.doubtful_remedy", "m/s^2")
+_SETTLED = _Kind(Topic.SETTLED, "advice.settled", "advice.settled_remedy", "m/s^2")
+_DRIFTED = _Kind(Topic.DRIFT, "advice.drifted", "advice.drifted_remedy", "m/s^2")
+_NO_DRIFT = _Kind(Topic.DRIFT, "advice.no_drift", "advice.no_drift_remedy", "m/s^2")
+_BIAS_MET = _Kind(Topic.TARGET_MET, "advice.target_met", "advice.target_met_remedy", "ug")
+_SCALE_MET = _Kind(Topic.TARGET_MET, "advice.target_met", "advice.target_met_remedy", "ppm")
+_SCHEME = _Kind(Topic.SCHEME, "advice.scheme", "advice.scheme_remedy", "sigma")
+_FAR_SCALE = _Kind(Topic.SCALE, "advice.far_scale", "advice.far_scale_remedy", "1")
+_OFF_EARLIER = _Kind(Topic.SCALE, "advice.earlier_scale", "advice.off_scale_remedy", "1")
+_LIKE_EARLIER = _Kind(Topic.SCALE, "advice.earlier_scale", "advice.earlier_scale_remedy", "1")
+_OFF_NOMINAL = _Kind(Topic.SCALE, "advice.nominal_scale", "advice.off_scale_remedy", "1")
+_LIKE_NOMINAL = _Kind(Topic.SCALE, "advice.nominal_scale", "advice.nominal_scale_remedy", "1")
 
 
 class Adviser:
@@ -83,15 +85,23 @@ class Adviser:
         self._plan = plan
         self._settings = settings
         self.fit: RunningFit | None = None
-        self.suspects = Suspects()
+        self.suspects: list[Disagreement] = []  # Positions that the fit to the others contradicts, the worst first.
         self._told: set[Topic] = set()
+        self._told_suspects: set[str] = set()
+        self._asked_again: set[str] = set()
         self._revisited = False
+
+    @property
+    def suspect_names(self) -> tuple[str, ...]:
+        """Names of the suspects, the worst first."""
+        return tuple(suspect.name for suspect in self.suspects)
 
     def fit_again(self, scale: RoughScale) -> None:
         """Fit everything measured so far, and choose the next position where another helps clearly more."""
         settings, plan = self._settings, self._plan
         self.fit = running_fit(list(plan.accepted.values()), scale, settings.gravity_m_s2)
-        self.suspects.follow(self.fit)
+        found = [] if self.fit is None else self.fit.disagreements()
+        self.suspects = sorted((found for found in found if found.is_suspect), key=lambda suspect: -abs(suspect.sigmas))
         plan.preferred = None
         pending = plan.pending()
         if self.fit is None or len(pending) < 2:
@@ -106,33 +116,71 @@ class Adviser:
         """Return what the running fit shows that the operator may want to act on; each topic once."""
         if self.fit is None:
             return []
-        told = self.suspects.advise(now_s, self.fit, self._plan)
-        for advice in (
-            _target_advice(now_s, self.fit, self._settings),
-            _scheme_advice(now_s, self.fit, self._plan),
-            _nominal_scale_advice(now_s, self.fit),
-        ):
-            if advice is not None and advice.topic not in self._told:
+        told = self._advise_suspects(now_s, self.fit)
+        for advice in self._advise_once(now_s, self.fit):
+            if advice.topic not in self._told:
                 self._told.add(advice.topic)
                 told.append(advice)
+        return told
+
+    def _advise_once(self, now_s: float, fit: RunningFit) -> Iterator[Advice]:
+        """Yield what one fit shows; each topic is told the first time."""
+        settings, count = self._settings, len(fit.names)
+        if count < _FEWEST_FOR_SCALE:
+            return
+        wanted = {"bias_ug": settings.target_bias_ug, "scale_ppm": settings.target_scale_ppm}
+        asked = {key: value for key, value in wanted.items() if value is not None}
+        forecast = fit.forecast()
+        if asked and all(forecast.get(key, math.inf) <= value for key, value in asked.items()):
+            kinds = {"bias_ug": _BIAS_MET, "scale_ppm": _SCALE_MET}
+            known = [f"{key.split('_')[0]} {forecast[key]:.3g} {kinds[key].unit} (wanted {asked[key]:g})" for key in asked]
+            key, value = next(iter(asked.items()))
+            yield kinds[key].advice(now_s, forecast[key], value, known=known)
+        sigmas = fit.quadratic_sigmas()
+        if count >= _FEWEST_FOR_QUADRATIC and self._plan.scheme.name.startswith("paper") and sigmas >= _MATTERS_SIGMAS:
+            yield _SCHEME.advice(now_s, sigmas, _MATTERS_SIGMAS, sigmas=sigmas)
+        # The residual cannot show a common scale far from the instrument's nominal one.
+        if fit.scale.accelerometer and not fit.scale.learned:
+            found, sigma = fit.common_scale()
+            share = found / fit.scale.accelerometer - 1
+            if abs(share) >= max(_SCALE_SHARE, _SCALE_SIGMAS * sigma):
+                yield _FAR_SCALE.advice(
+                    now_s, abs(share), _SCALE_SHARE, off_percent=100 * share, limit_percent=100 * _SCALE_SHARE
+                )
+
+    def _advise_suspects(self, now_s: float, fit: RunningFit) -> list[Advice]:
+        """Return what to tell of suspects: suspicions that are settled, and the worst one if it was not told yet."""
+        plan, suspects = self._plan, set(self.suspect_names)
+        settled = [found for found in fit.disagreements() if found.name in self._told_suspects - suspects]
+        new = [suspect for suspect in self.suspects[:1] if suspect.name not in self._told_suspects]
+        self._told_suspects = (self._told_suspects & suspects) | {suspect.name for suspect in new}
+        # What the guide asked for because of it, it asks for no longer; what the operator wants again stays.
+        asked = {found.name for found in settled} & self._asked_again
+        plan.wanted_again = {index for index in plan.wanted_again if plan.position(index).name not in asked}
+        told = []
+        for kind, found in [(_SETTLED, found) for found in settled] + [(_DOUBTFUL, found) for found in new]:
+            off_m_s2, sigmas = abs(found.leave_one_out_m_s2), abs(found.sigmas)
+            limit_m_s2 = off_m_s2 / sigmas * found.limit_sigmas if sigmas else 0.0
+            off_mg = off_m_s2 / MILLI_G_M_S2
+            told.append(kind.advice(now_s, off_m_s2, limit_m_s2, found.name, off_mg=off_mg, sigmas=sigmas))
         return told
 
     def ask_again(self) -> None:
         """Ask for suspects once more, each once, and then for the first position, as a check for drift."""
         plan = self._plan
-        for name in self.suspects.ask_again():
-            if (index := plan.find(name)) is not None:
+        for name in self.suspect_names:
+            if name not in self._asked_again and (index := plan.find(name)) is not None:
                 plan.want_again(index)
-        first, open_still = plan.first_accepted, not self._revisited and plan.revisited is None
+        self._asked_again.update(self.suspect_names)
+        first, open_still = next(iter(plan.accepted), None), not self._revisited and plan.revisited is None
         if plan.proposed() is None and self._settings.revisit_first and open_still and first is not None:
             self._revisited, plan.revisiting = True, first
 
     def drift_advice(self, now_s: float, scale: RoughScale) -> list[Advice]:
         """Return the change of the norm from the first measurement of the first position to that at the end."""
-        first, after = self._plan.first_accepted, self._plan.revisited
-        if first is None or after is None:
+        before, after = next(iter(self._plan.accepted.values()), None), self._plan.revisited
+        if before is None or after is None:
             return []
-        before = self._plan.accepted[first]
         forces = [scale.specific_force(observation.mean_raw) for observation in (before, after)]
         norms = [float(np.linalg.norm(force)) for force in forces]
         directions = [force / norm for force, norm in zip(forces, norms, strict=True)]
@@ -141,19 +189,9 @@ class Adviser:
         change = norms[1] - norms[0]
         limit = _DRIFT_SIGMAS * math.hypot(EXPECTED_SCATTER_M_S2, placement)
         minutes = (after.start_s - before.start_s) / 60
-        drifted = abs(change) > limit
-        found = "it has drifted" if drifted else f"no drift beyond {limit / MILLI_G_M_S2:.1f} mg"
-        advice = Advice(
-            time_s=now_s,
-            topic=Topic.DRIFT,
-            position=before.name,
-            words=f"{before.name} again after {minutes:.0f} min: {change / MILLI_G_M_S2:+.2f} mg, {found}",
-            remedy="let the unit warm up longer and measure again" if drifted else "nothing to do",
-            measured=abs(change),
-            limit=limit,
-            unit="m/s^2",
-        )
-        return [advice]
+        kind = _DRIFTED if abs(change) > limit else _NO_DRIFT
+        in_mg = {"change_mg": change / MILLI_G_M_S2, "limit_mg": limit / MILLI_G_M_S2}
+        return [kind.advice(now_s, abs(change), limit, before.name, minutes=minutes, **in_mg)]
 
     def final_advice(self, now_s: float) -> list[Advice]:
         """Return at the end the common scale against an earlier calibration's, or the nominal one where that was not told.
@@ -170,101 +208,6 @@ class Adviser:
         change = scale / reference - 1
         sigma = math.hypot(own_sigma, self._settings.earlier_scale_sigma if earlier else 0.0)
         limit = max(_EARLIER_SHARE if earlier else _SCALE_SHARE, _SCALE_SIGMAS * sigma)
-        whose = "the earlier calibration's" if earlier else "the instrument's nominal one"
-        if abs(change) > limit:
-            remedy = "check latitude, height and gravity: the residual cannot show a wrong one"
-        elif earlier:
-            remedy = "gravity and scale are what they were"
-        else:
-            remedy = "a wrong latitude (0.5 % from equator to pole) shows only against an earlier calibration: capture --preset"
-        words = f"the common scale is {1e6 * change:+.0f} ppm off {whose} (limit {1e6 * limit:.0f} ppm)"
-        return [_scale_advice(now_s, words, remedy, abs(change), limit=limit)]
-
-
-def _disagreement_advice(now_s: float, found: Disagreement, *, settled: bool) -> Advice:
-    """Return the advice to look at a suspect again, or the withdrawal of the suspicion."""
-    measured = abs(found.leave_one_out_m_s2)
-    value = f"{measured / MILLI_G_M_S2:.2g} mg"
-    if settled:
-        words = f"position {found.name} no longer disagrees with the others ({value}, {abs(found.sigmas):.1f} sigma)"
-        remedy = "the doubt is withdrawn"
-    else:
-        words = f"position {found.name} disagrees with the others by {value}, {abs(found.sigmas):.0f} sigma: moved or bumped"
-        remedy = "r retakes it now; otherwise it is asked for again at the end, if it disagrees then"
-    return Advice(
-        time_s=now_s,
-        topic=Topic.SETTLED if settled else Topic.DOUBTFUL,
-        position=found.name,
-        words=words,
-        remedy=remedy,
-        measured=measured,
-        limit=abs(found.leave_one_out_m_s2 / found.sigmas) * found.limit_sigmas if found.sigmas else 0.0,
-        unit="m/s^2",
-    )
-
-
-def _target_advice(now_s: float, fit: RunningFit, settings: GuideSettings) -> Advice | None:
-    """Return the offer to finish early, None while the target is not met or there is none."""
-    forecast = fit.forecast()
-    wanted = {"bias_ug": settings.target_bias_ug, "scale_ppm": settings.target_scale_ppm}
-    asked = {key: value for key, value in wanted.items() if value is not None}
-    missed = any(forecast.get(key, math.inf) > value for key, value in asked.items())
-    if not asked or missed or len(fit.names) < _FEWEST_FOR_SCALE:
-        return None
-    unit = {"bias_ug": "ug", "scale_ppm": "ppm"}
-    known = ", ".join(f"{key.split('_')[0]} {forecast[key]:.3g} {unit[key]} (wanted {value:g})" for key, value in asked.items())
-    key, value = next(iter(asked.items()))
-    return Advice(
-        time_s=now_s,
-        topic=Topic.TARGET_MET,
-        position=None,
-        words=f"the target is met: {known}",
-        remedy="f, pressed twice, finishes now; going on makes it better still",
-        measured=forecast[key],
-        limit=value,
-        unit=unit[key],
-    )
-
-
-def _scheme_advice(now_s: float, fit: RunningFit, plan: Plan) -> Advice | None:
-    """Return the proposal of corners24 where the quadratic terms matter."""
-    known = len(fit.names) >= _FEWEST_FOR_QUADRATIC
-    if not known or not plan.scheme.name.startswith("paper") or fit.quadratic_sigmas() < _MATTERS_SIGMAS:
-        return None
-    return Advice(
-        time_s=now_s,
-        topic=Topic.SCHEME,
-        position=None,
-        words=f"the quadratic terms matter here ({fit.quadratic_sigmas():.1f} sigma)",
-        remedy="next time use --positions corners24, which knows them and the biases a quarter better",
-        measured=fit.quadratic_sigmas(),
-        limit=_MATTERS_SIGMAS,
-        unit="sigma",
-    )
-
-
-def _nominal_scale_advice(now_s: float, fit: RunningFit) -> Advice | None:
-    """Return a warning where the common scale is far from the instrument's nominal one: the residual cannot show it."""
-    nominal = fit.scale.accelerometer
-    if not nominal or fit.scale.learned or len(fit.names) < _FEWEST_FOR_SCALE:
-        return None
-    found, sigma = fit.common_scale()
-    share = found / nominal - 1
-    if abs(share) < max(_SCALE_SHARE, _SCALE_SIGMAS * sigma):
-        return None
-    words = f"the common scale is {100 * share:+.1f} % off the instrument's nominal one (limit {100 * _SCALE_SHARE:g} %)"
-    remedy = "check range and unit settings, latitude and gravity: the residual cannot show this"
-    return _scale_advice(now_s, words, remedy, abs(share), limit=_SCALE_SHARE)
-
-
-def _scale_advice(now_s: float, words: str, remedy: str, measured: float, *, limit: float) -> Advice:
-    return Advice(
-        time_s=now_s,
-        topic=Topic.SCALE,
-        position=None,
-        words=words,
-        remedy=remedy,
-        measured=measured,
-        limit=limit,
-        unit="1",
-    )
+        off, like = (_OFF_EARLIER, _LIKE_EARLIER) if earlier else (_OFF_NOMINAL, _LIKE_NOMINAL)
+        kind = off if abs(change) > limit else like
+        return [kind.advice(now_s, abs(change), limit, change_ppm=1e6 * change, limit_ppm=1e6 * limit)]

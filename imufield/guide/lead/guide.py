@@ -17,27 +17,22 @@ from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import Event, Marked, Vector, vector
 from imufield.guide.hold.observe import gather
 from imufield.guide.lead.actions import GuideActions
-from imufield.guide.lead.advice import Adviser
-from imufield.guide.lead.hold_under_way import HoldUnderWay
-from imufield.guide.lead.plan import Plan
 from imufield.guide.lead.settings import GuideSettings
-from imufield.guide.lead.speaker import Speaker
 from imufield.guide.lead.state_table import TABLE, Input, State
-from imufield.guide.lead.stream_watch import StreamWatch
-from imufield.guide.lead.turns import TurnLeader
 from imufield.guide.positions import Scheme
 from imufield.guide.stillness.cells import CELL_S, CellBuilder, Cells, join_cells, slots_of
-from imufield.guide.stillness.detector import LONGEST_S, StillnessDetector
 from imufield.guide.stillness.limits import Activity
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement, Phase
 from imufield.samples import Samples, SampleUnits
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 # What the operator says that is an input of the table and nothing else.
 _INPUTS = {"pause": Input.PAUSE, "finish": Input.FINISH, "reopen": Input.RESUMED}
 _ACTIONS = ("retake", "skip", "undo", "pause", "finish", "go_on", "reopen")
 _RECENT_CELLS = 10  # A second: rate and temperature that a live view shows.
-_HOLD_MARGIN_S = 10.0  # A stretch is kept for longer than the hold: guard bands, and ends that are cut off.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +46,7 @@ class Snapshot:
     fraction : float
         Part of the hold that is done.
     activity : Activity or None
-        Stillness of the latest cell against its limit.
+        Stillness of the latest cell against its limit; without a link nobody knows.
     rate_hz : float
         Over the last second; NaN before.
     lost_cells : int
@@ -95,27 +90,12 @@ class Guide:
     def __init__(
         self, scheme: Scheme, units: SampleUnits, *, scale: RoughScale | None = None, settings: GuideSettings | None = None
     ) -> None:
-        settings = settings or GuideSettings()
-        longest_s = max(LONGEST_S, settings.hold_target.longest_s + _HOLD_MARGIN_S)
-        self.plan = Plan(scheme)
         self.units = units
         self.state = State.LEARNING
         self.time_s = math.nan  # Sample clock of the latest sample.
-        self.detector = StillnessDetector(scale or RoughScale.of_units(units), hand=True, longest_s=longest_s)
-        self.adviser = Adviser(self.plan, settings)
-        self._speaker = Speaker()
-        self._hold = HoldUnderWay(self.detector, settings.hold_target, longest_s)
-        self._turns = TurnLeader(settings.rotations)
-        self._watch = StreamWatch(self.detector, self._speaker)
-        self._actions = GuideActions(
-            plan=self.plan,
-            detector=self.detector,
-            speaker=self._speaker,
-            hold=self._hold,
-            adviser=self.adviser,
-            turns=self._turns,
-            watch=self._watch,
-        )
+        self._actions = actions = GuideActions(scheme, scale or RoughScale.of_units(units), settings or GuideSettings())
+        self.plan, self.detector, self.adviser = actions.plan, actions.detector, actions.adviser
+        self._speaker, self._watch = actions.speaker, actions.watch
         self._builder = CellBuilder()
         self._marks: list[tuple[int, str, str | None]] = []  # Slot of the cell, action and position.
         self._recent: Cells | None = None
@@ -128,13 +108,18 @@ class Guide:
     @property
     def finished_early(self) -> bool:
         """Whether the operator ended it with something left that was asked for."""
-        return self.done and (self.plan.proposed() is not None or self._turns.was_given_up)
+        return self.done and (self.plan.proposed() is not None or bool(self._actions.turns.given_up))
 
     def asked_to_finish(self) -> Marked:
         """Return the answer to a first request to finish: what there would be, and how to confirm it."""
-        turns = self._turns
-        rolled = f" and {turns.planned - len(turns.left)} of {turns.planned} turns" if turns.planned else ""
-        words = f"f again to finish with {len(self.plan.accepted)} of {len(self.plan.scheme)} positions{rolled}"
+        turns = self._actions.turns
+        words = sentence(
+            "guide.finish_with_turns" if turns.planned else "guide.finish",
+            accepted=len(self.plan.accepted),
+            planned=len(self.plan.scheme),
+            turned=turns.planned - len(turns.left),
+            turns=turns.planned,
+        )
         return Marked(self.time_s, "finish", None, words)
 
     def feed(self, samples: Samples) -> list[Event]:
@@ -144,11 +129,11 @@ class Guide:
         if self.state is State.LOST:
             self._handle(Input.LINK_BACK)
         self.time_s = float(samples.time_s[-1])
-        self._hold.history.add(samples)
+        self._actions.hold.history.add(samples)
         cells = self._builder.feed(samples)
         if cells is not None:
             self._process(cells)
-        self._hold.history.prune()
+        self._actions.hold.history.prune()
         return self._speaker.take()
 
     def mark(self, action: str, time_s: float, position: str | None = None) -> list[Event]:
@@ -167,16 +152,14 @@ class Guide:
         return self._speaker.take()
 
     def link_lost(self) -> list[Event]:
-        """Note that no samples arrive any more; nothing measured is lost."""
+        """Note that no samples arrive any more; nothing measured is lost.
+
+        The link is back with the next samples, whose clock may have started anew.
+        """
         self._apply_marks_left()
         self._builder = CellBuilder()
         self._watch.forget_clock()
         self._handle(Input.LINK_LOST)
-        return self._speaker.take()
-
-    def link_back(self) -> list[Event]:
-        """Note that samples arrive again; the sample clock may have started anew."""
-        self._handle(Input.LINK_BACK)
         return self._speaker.take()
 
     def flush(self) -> list[Event]:
@@ -193,7 +176,7 @@ class Guide:
 
     def turn_rests(self) -> Observations:
         """Return the stills between the whole turns, which the gyroscope's calibration begins and ends each turn with."""
-        return gather(self._turns.rests, self.units)
+        return gather(self._actions.turns.rests, self.units)
 
     def check_axes(self) -> AxesCheck:
         """Compare the turns by accelerometer and gyroscope between the stills so far."""
@@ -201,7 +184,7 @@ class Guide:
 
     def snapshot(self) -> Snapshot:
         """Return the state for a live view."""
-        plan, judgement = self.plan, self._actions.judgement
+        plan, hold, judgement, up = self.plan, self._actions.hold, self._actions.judgement, self._actions.up_now()
         target = plan.proposed() if self._actions.announced else None
         rate_hz = temperature_degc = math.nan
         if self._recent is not None:
@@ -212,17 +195,17 @@ class Guide:
         return Snapshot(
             state=self.state,
             target=None if target is None else plan.position(target).name,
-            position=None if self._hold.position is None else plan.position(self._hold.position).name,
-            fraction=self._hold.fraction,
-            activity=None if judgement is None else self.detector.explain(judgement),
+            position=None if hold.position is None else plan.position(hold.position).name,
+            fraction=hold.fraction,
+            activity=None if judgement is None or self.state is State.LOST else self.detector.explain(judgement),
             rate_hz=rate_hz,
             lost_cells=self._watch.bad_cells,
             temperature_degc=temperature_degc,
             accepted=tuple(plan.position(i).name for i in plan.accepted),
             skipped=tuple(plan.position(i).name for i in sorted(plan.skipped)),
-            suspects=self.adviser.suspects.names,
+            suspects=self.adviser.suspect_names,
             planned=len(plan.scheme),
-            direction=self._actions.direction_now(),
+            direction=vector(up) if np.isfinite(up).all() else None,
             target_direction=None if target is None else vector(plan.position(target).direction),
             in_hand=self.detector.in_hand,
             forecast=None if self.adviser.fit is None else self.adviser.fit.forecast(),
@@ -265,7 +248,7 @@ class Guide:
         if judgement.phase is Phase.STILL:
             self._handle(Input.STILL)
         else:
-            self._actions.note_motion(judgement)
+            self._actions.note_motion(judgement.phase)
             self._handle(Input.MOVING)
         self._watch.follow_move(judgement, len(self.plan.accepted), len(self.plan.scheme))
 
@@ -277,7 +260,7 @@ class Guide:
             if transition is None:
                 return
             self.state = transition.to
-            answer = self._actions.run(transition.action)
+            answer = getattr(self._actions, transition.action)()
 
     def _apply_marks_left(self) -> None:
         """Apply the marks whose cell will not be completed any more."""
@@ -291,15 +274,15 @@ class Guide:
             return
         if action == "go_on":
             self._actions.goes_on_cold = True
-            self._speaker.say(Marked(now_s, action, None, "going on although the temperature changes"))
+            self._speaker.say(Marked(now_s, action, None, sentence("guide.goes_on_cold")))
             return
         before = plan.proposed()
         index, words = {"retake": self._retake, "skip": self._skip, "undo": self._undo}[action](name)
         self._speaker.say(Marked(now_s, action, None if index is None else plan.position(index).name, words))
         if action == "skip" and self.state is State.ROLLING and index is None:
-            self._turns.skip()
+            self._actions.turns.skip()
             self._actions.propose_turn()
-            if not self._turns.left:
+            if not self._actions.turns.left:
                 self._handle(Input.COMPLETE)
         elif plan.proposed() is None:
             answer = self._actions.go_on()
@@ -313,27 +296,27 @@ class Guide:
                 self._actions.propose()
 
     def _retake(self, name: str | None) -> tuple[int | None, str]:
-        suspects = (suspect for suspect in self.adviser.suspects.names if self.plan.find(suspect) not in self.plan.wanted_again)
+        suspects = (suspect for suspect in self.adviser.suspect_names if self.plan.find(suspect) not in self.plan.wanted_again)
         named = name or next(suspects, None)
-        index = self.plan.last_accepted if named is None else self.plan.find(named)
+        index = next(reversed(self.plan.accepted), None) if named is None else self.plan.find(named)
         if index is None or index not in self.plan.accepted:
-            return None, f"nothing to retake: {name or 'no position'} is not measured yet"
+            return None, sentence("guide.not_measured" if name else "guide.nothing_to_retake", position=name)
         self.plan.want_again(index)
-        self._actions.resting.forget()
-        return index, f"{self.plan.position(index).name} is measured again; the older measurement counts until then"
+        self._actions.resting.position = None
+        return index, sentence("guide.retake", position=self.plan.position(index).name)
 
     def _skip(self, name: str | None) -> tuple[int | None, str]:
         index = self.plan.proposed() if name is None else self.plan.find(name)
         if index is None or not self.plan.is_pending(index):
-            return None, "nothing to skip"
+            return None, sentence("guide.nothing_to_skip")
         self.plan.skip(index)
-        return index, f"{self.plan.position(index).name} is not asked for any more; shown all the same, it is taken"
+        return index, sentence("guide.skip", position=self.plan.position(index).name)
 
     def _undo(self, _name: str | None) -> tuple[int | None, str]:
         undone = self.plan.undo()
         if undone is None:
-            return None, "nothing to undo"
+            return None, sentence("guide.nothing_to_undo")
         action, index = undone
         # The fit without it is another one.
         self.adviser.fit_again(self.detector.scale)
-        return index, f"{action} of {self.plan.position(index).name} is undone; its samples stay in the recording"
+        return index, sentence("guide.undo", action=action, position=self.plan.position(index).name)

@@ -11,7 +11,7 @@ from collections import deque
 import numpy as np
 
 from imufield.guide.hold.checks import HoldUnderTest
-from imufield.guide.hold.hand_mean import HandMean, mean_in_hand
+from imufield.guide.hold.hand_mean import mean_in_hand
 from imufield.guide.hold.hold_time import SHORTEST_S, AllanMinimum, HoldTarget, sigma_along
 from imufield.guide.hold.observe import guard_cells, knocks_of, trim_stretch
 from imufield.guide.refusals import Refusal
@@ -99,11 +99,6 @@ class HoldUnderWay:
         """Length at which a hold ends at the latest."""
         return self._target.latest_s(self._allan.minimum_s)
 
-    @property
-    def left_s(self) -> float:
-        """Time left at most."""
-        return max((1 - self.fraction) * self.latest_s, 0.0)
-
     def begin(self) -> None:
         """Begin a hold."""
         self.fraction, self.measured = 0.0, None
@@ -146,9 +141,12 @@ class HoldUnderWay:
         hand_mean = None
         if detector.in_hand or (detector.knows_hands and detector.is_hand_like(cells[rows])):
             kept = self._trim_in_hand(cells, rows, latest, full=full)
-            if not len(kept) or not (full or len(kept) >= latest):
+            # None either where the hold began before the noise floor was known.
+            if not len(kept) or not (full or len(kept) >= latest) or not float(kept.start_s[0]) >= self.first_judged_s:
                 return None
-            hand_mean = self._mean_in_hand(kept)
+            samples = self.history.between(float(kept.start_s[0]), float(kept.end_s[-1]))
+            density, knocks_s = floor.cell_sigma[:3] * math.sqrt(CELL_S), knocks_of(kept, detector.limits)
+            hand_mean = None if samples is None else mean_in_hand(samples, detector.scale, density, knocks_s)
             if hand_mean is None:
                 return None
         else:
@@ -171,12 +169,3 @@ class HoldUnderWay:
         edges = self._detector.hold_edges(cells)
         start = max(rows.start, edges.start + guard)
         return cells[start : max(min(rows.stop, edges.stop - guard), start)]
-
-    def _mean_in_hand(self, cells: Cells) -> HandMean | None:
-        """Return the mean of a hold in the hand, from its samples; None for one from before the noise floor was known."""
-        floor, scale = self._detector.floor, self._detector.scale
-        if floor is None or not float(cells.start_s[0]) >= self.first_judged_s:
-            return None
-        samples = self.history.between(float(cells.start_s[0]), float(cells.end_s[-1]))
-        density = floor.cell_sigma[:3] * math.sqrt(CELL_S)
-        return None if samples is None else mean_in_hand(samples, scale, density, knocks_of(cells, self._detector.limits))

@@ -49,16 +49,6 @@ class Plan:
         self._directions = scheme.directions()
         self._history: list[tuple[str, int]] = []
 
-    @property
-    def last_accepted(self) -> int | None:
-        """The position accepted last, None before the first."""
-        return next(reversed(self.accepted), None)
-
-    @property
-    def first_accepted(self) -> int | None:
-        """The position accepted first that still counts."""
-        return next(iter(self.accepted), None)
-
     def position(self, index: int) -> Position:
         """Return a position by its place in the proposed order."""
         return self.scheme.positions[index]

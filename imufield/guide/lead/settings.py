@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from imufield.earth import MICRO_G_M_S2, STANDARD_GRAVITY_M_S2
-from imufield.guide.hold.hold_time import HoldTarget
+from imufield.guide.hold.hold_time import LONGEST_S, HoldTarget
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,5 +41,7 @@ class GuideSettings:
     @property
     def hold_target(self) -> HoldTarget:
         """What ends a hold: a bias or scale known to the target needs positions about as good."""
+        if self.hold_s is not None:
+            return HoldTarget(self.hold_s, 0.0, self.hold_s)
         wanted = [target for target in (self.target_bias_ug, self.target_scale_ppm) if target is not None]
-        return HoldTarget.of(self.hold_s, min(wanted) * MICRO_G_M_S2 if wanted else None)
+        return HoldTarget(None, min(wanted) * MICRO_G_M_S2, LONGEST_S) if wanted else HoldTarget()

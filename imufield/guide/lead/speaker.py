@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from imufield.guide.stillness.cells import CELL_S, Cells
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 REPEAT_S = 0.2  # Least time between two ``turning`` or ``holding`` events: a screen shows no more.
 REMIND_S = 10.0  # Least time between two complaints about the same thing.
@@ -62,24 +66,21 @@ class Speaker:
 def move_event(now_s: float, plan: Plan, index: int) -> Move:
     """Return the event that proposes a position."""
     position = plan.position(index)
-    if index == plan.revisiting:
-        why = "the first one again: a check for drift, replaces nothing"
-    elif index in plan.wanted_again:
-        why = "to be measured again; the older measurement counts until then"
-    elif index == plan.first and not plan.accepted:
-        why = "it lies there already"
-    elif not plan.accepted:
-        why = "the first of the list; any other order is fine"
-    elif index == plan.preferred:
-        why = "it helps most now: what is known least shows best there; any pending position is taken"
-    else:
-        why = "next in an order that keeps drift and error parameters apart; any pending position is taken"
+    # The first that applies.
+    reasons = {
+        "speaker.revisited": index == plan.revisiting,
+        "speaker.wanted_again": index in plan.wanted_again,
+        "speaker.lies_there": index == plan.first and not plan.accepted,
+        "speaker.first_of_list": not plan.accepted,
+        "speaker.helps_most": index == plan.preferred,
+        "speaker.next_in_order": True,
+    }
     return Move(
         time_s=now_s,
         position=position.name,
         direction=vector(position.direction),
         words=position.words,
-        why=why,
+        why=sentence(next(key for key, applies in reasons.items() if applies)),
         accepted=len(plan.accepted),
         planned=len(plan.scheme),
     )
@@ -88,8 +89,7 @@ def move_event(now_s: float, plan: Plan, index: int) -> Move:
 def floor_event(now_s: float, floor: NoiseFloor, detector: StillnessDetector) -> NoiseFloorMeasured:
     """Return the event of a noise floor just measured."""
     scale = detector.scale
-    force_unit, force_factor = ("m/s^2", scale.accelerometer) if scale.accelerometer else ("raw unit", 1.0)
-    rate_unit, rate_factor = ("rad/s", scale.gyroscope) if scale.gyroscope else ("raw unit", 1.0)
+    (_, force_unit, force_factor), (_, rate_unit, rate_factor) = scale.triads
     force, rate, limit = (
         float(np.sqrt(np.mean(sigma**2))) / factor
         for sigma, factor in (
@@ -98,8 +98,12 @@ def floor_event(now_s: float, floor: NoiseFloor, detector: StillnessDetector) ->
             (detector.limits.vibration[:3], force_factor),
         )
     )
-    gyroscope = f"gyroscope {quantity(rate, rate_unit)}" if floor.has_gyroscope else "no gyroscope"
-    learned = "; the scale is not known, so the norm of this still is taken as g" if scale.learned else ""
+    words = sentence(
+        "speaker.floor" if floor.has_gyroscope else "speaker.floor_without_gyroscope",
+        force=quantity(force, force_unit),
+        rate=quantity(rate, rate_unit),
+        limit=quantity(limit, force_unit),
+    )
     return NoiseFloorMeasured(
         time_s=now_s,
         accelerometer_sigma=force,
@@ -109,8 +113,7 @@ def floor_event(now_s: float, floor: NoiseFloor, detector: StillnessDetector) ->
         vibration_limit=limit,
         rate_hz=floor.samples_per_cell / CELL_S,
         scale_learned=scale.learned,
-        words=f"noise floor: accelerometer {quantity(force, force_unit)} rms per axis, {gyroscope}; "
-        f"still means below {quantity(limit, force_unit)}{learned}",
+        words=f"{words}; {sentence('speaker.scale_learned')}" if scale.learned else words,
     )
 
 
@@ -121,8 +124,7 @@ def accepted_event(
     direction = scale.up(observation.mean_raw)
     sigma = math.sqrt(float(np.diag(observation.covariance_raw).max())) / (scale.accelerometer or math.nan)
     hand = observation.hand_mean
-    row = None if fit is None or observation.name not in fit.names else fit.names.index(observation.name)
-    return Accepted(
+    event = Accepted(
         time_s=now_s,
         position=observation.name,
         direction=vector(direction),
@@ -134,12 +136,18 @@ def accepted_event(
         accepted=len(plan.accepted),
         planned=len(plan.scheme),
         replaces=replaces,
-        residual_m_s2=None if fit is None or row is None else float(fit.residual_m_s2[row]),
-        forecast=None if fit is None else fit.forecast(),
-        leave_one_out_m_s2=None if fit is None or row is None else fit.disagreements()[row].leave_one_out_m_s2,
-        rank=None if fit is None else fit.rank,
-        condition=None if fit is None else fit.condition,
-        held=hand is not None,
-        tremor_deg=None if hand is None else hand.tremor_deg,
-        sway_deg=None if hand is None else hand.sway_deg,
     )
+    if hand is not None:
+        event = replace(event, held=True, tremor_deg=hand.tremor_deg, sway_deg=hand.sway_deg)
+    if fit is not None:
+        # A revisit replaces nothing: the row is that of the measurement before, which has the same name.
+        row = fit.names.index(observation.name)
+        event = replace(
+            event,
+            residual_m_s2=float(fit.residual_m_s2[row]),
+            forecast=fit.forecast(),
+            leave_one_out_m_s2=fit.disagreements()[row].leave_one_out_m_s2,
+            rank=fit.rank,
+            condition=fit.condition,
+        )
+    return event

@@ -1,13 +1,15 @@
 """The states of the guide as a table: (state, input) -> what to do and where to go.
 
 The guide looks up every input here; an input that is not in the table does nothing. An action may answer with another input,
-which is looked up in the new state: ``recognise`` answers ``near``, ``refused`` or ``same``. The table is data so that the
-picture in the documentation and the tests are made from it.
+which is looked up in the new state: ``recognise`` answers ``near``, ``refused`` or ``same``. The table is data,
+``state_table.toml``: the picture in the documentation and the tests are made from it.
 """
 
 from __future__ import annotations
 
+import tomllib
 from enum import Enum
+from pathlib import Path
 from typing import NamedTuple
 
 
@@ -68,63 +70,15 @@ class Transition(NamedTuple):
     to: State
 
 
-# What can happen in any state of a running session.
-_ANY = {
-    Input.PAUSE: Transition("pause", State.PAUSED),
-    Input.FINISH: Transition("finish", State.DONE),
-    Input.LINK_LOST: Transition("lose_link", State.LOST),
-    Input.COMPLETE: Transition("finish", State.DONE),
-    Input.TURNS: Transition("propose_turn", State.ROLLING),
-    Input.FLOOR: Transition("announce_floor", State.TURNING),
-}
+def _read_table() -> dict[State, dict[Input, Transition]]:
+    groups = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+    always = groups.pop("any")
+    rows = {state: always | row if name == "running" else row for name, group in groups.items() for state, row in group.items()}
+    return {
+        state: {Input(happened): Transition(action, State(to)) for happened, (action, to) in rows[state.value].items()}
+        for state in State
+    }
 
-TABLE: dict[State, dict[Input, Transition]] = {
-    State.LEARNING: _ANY,
-    State.TURNING: _ANY
-    | {
-        Input.MOVING: Transition("show_turning", State.TURNING),
-        Input.STILL: Transition("recognise", State.RECOGNISING),
-    },
-    State.RECOGNISING: {
-        Input.NEAR: Transition("begin_hold", State.HOLDING),
-        Input.REFUSED: Transition("refuse", State.RESTING),
-        Input.SAME: Transition("rest", State.RESTING),
-    },
-    State.HOLDING: _ANY
-    | {
-        Input.STILL: Transition("count", State.HOLDING),
-        Input.LONG_ENOUGH: Transition("judge", State.JUDGING),
-        Input.ENDED: Transition("interrupt", State.TURNING),
-    },
-    State.JUDGING: {
-        Input.GOOD: Transition("accept", State.RESTING),
-        Input.REFUSED: Transition("refuse", State.RESTING),
-        Input.AGAIN: Transition("measure_again", State.TURNING),
-    },
-    State.RESTING: _ANY
-    | {
-        Input.STILL: Transition("rest", State.RESTING),
-        Input.ENDED: Transition("lift", State.TURNING),
-        Input.REOPENED: Transition("propose", State.TURNING),
-    },
-    State.ROLLING: _ANY
-    | {
-        Input.MOVING: Transition("follow_turn", State.ROLLING),
-        Input.STILL: Transition("see_turn", State.ROLLING),
-        Input.ENDED: Transition("begin_turn", State.ROLLING),
-        Input.REOPENED: Transition("propose", State.TURNING),
-    },
-    State.PAUSED: {
-        Input.PAUSE: Transition("resume", State.TURNING),
-        Input.FINISH: Transition("finish", State.DONE),
-        Input.LINK_LOST: Transition("lose_link", State.LOST),
-    },
-    State.LOST: {
-        Input.LINK_BACK: Transition("find_link", State.TURNING),
-        Input.FINISH: Transition("finish", State.DONE),
-    },
-    State.DONE: {
-        Input.REOPENED: Transition("propose", State.TURNING),
-        Input.RESUMED: Transition("reopen", State.LOST),
-    },
-}
+
+TABLE = _read_table()
+"""What to do and where to go, by state and input."""

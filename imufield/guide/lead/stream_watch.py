@@ -147,12 +147,13 @@ class StreamWatch:
             return
         axes = self.check_axes()
         self._positions_checked = accepted if axes.agrees is None else planned
-        refusal = axes.refusal()
+        if axes.refusal is None or not axes.is_contradicted:
+            return
         # That nothing fits, a scale, wrong axes: each is told once, as soon as the moves show it.
-        kind = (refusal.reason, axes.agrees is False)
-        if axes.is_contradicted and kind not in self._told:
+        kind = (axes.refusal.reason, axes.agrees is False)
+        if kind not in self._told:
             self._told.add(kind)
-            self._speaker.reject(refusal)
+            self._speaker.reject(axes.refusal)
 
     def check_axes(self) -> AxesCheck:
         """Compare the turns by accelerometer and gyroscope between the stills so far."""
@@ -173,17 +174,16 @@ class StreamWatch:
             whole_s = float((window.end_s - window.start_s).sum())
             self._speaker.reject(refusals.NOT_QUIET_MISSING.refusal(whole_s, FLOOR_S, floor_s=FLOOR_S))
             return
-        sentence = refusals.NOT_QUIET_SHAKES if cause.shakes else refusals.NOT_QUIET_STRAYS
+        kind = refusals.NOT_QUIET_SHAKES if cause.shakes else refusals.NOT_QUIET_STRAYS
         # After a long wait the settings are suspected, too, where the motion looks like noise.
         if waited_s > _IN_VAIN * FLOOR_S and cause.shakes and is_even(window, measure_floor(window), scale):
-            sentence = refusals.NOT_QUIET_EVEN
-        triads = (("accelerometer", scale.accelerometer, "m/s^2"), ("gyroscope", scale.gyroscope, "rad/s"))
-        triad, factor, unit = triads[cause.column // 3]
-        refusal = sentence.refusal(
-            cause.measured / (factor or 1.0),
-            cause.limit / (factor or 1.0),
+            kind = refusals.NOT_QUIET_EVEN
+        triad, unit, factor = scale.triads[cause.column // 3]
+        refusal = kind.refusal(
+            cause.measured / factor,
+            cause.limit / factor,
             axis=AXES[cause.column % 3],
-            unit=unit if factor else "raw unit",
+            unit=unit,
             triad=triad,
             floor_s=FLOOR_S,
         )

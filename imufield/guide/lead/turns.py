@@ -22,6 +22,9 @@ from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Judgement
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 HORIZONTAL = "horizontal"
 VERTICAL = "vertical"
@@ -45,12 +48,9 @@ class WantedTurn:
     def words(self) -> str:
         """What to do."""
         name = AXES[self.axis]
-        first, second = (AXES[(self.axis + k) % 3] for k in (1, 2))
-        way = f"{first} goes towards {second}" if self.sense > 0 else f"{second} goes towards {first}"
-        if self.about == HORIZONTAL:
-            return f"lay axis {name} level, roll it edge over edge about {name} ({way}), one whole turn, back on the same side"
-        up = "up" if self.sense > 0 else "up, the other way round"
-        return f"{name} {up}: turn it on the table against a stop, one whole turn ({way}), back to the stop"
+        first, second = (AXES[(self.axis + self.sense * k) % 3] for k in (1, 2))
+        standing = "turns.standing" if self.sense > 0 else "turns.standing_other_way"
+        return sentence("turns.rolled" if self.about == HORIZONTAL else standing, axis=name, first=first, second=second)
 
 
 @dataclass(slots=True)
@@ -86,20 +86,15 @@ class TurnLeader:
         self._move: _Move | None = None
         self._moved = False
         self._resting = False
-        self._given_up = self.left[:0]
-
-    @property
-    def was_given_up(self) -> bool:
-        """Whether turns were left when the session was ended."""
-        return bool(self._given_up)
+        self.given_up: list[WantedTurn] = []  # Those that were left when the session was ended.
 
     def give_up(self) -> None:
         """Ask for no more turns: the session is over."""
-        self.left, self._given_up = [], self.left
+        self.left, self.given_up = [], self.left
 
     def take_up(self) -> None:
         """Ask again for those that were given up: the session continues."""
-        self.left, self._given_up = self._given_up or self.left, []
+        self.left, self.given_up = self.given_up or self.left, []
 
     def forget_move(self) -> None:
         """Forget the move in progress: the link is gone."""
@@ -174,12 +169,13 @@ class TurnLeader:
         turns = round(size / 360.0) * int(np.sign(angle[axis]))
         aside = float(np.linalg.norm(np.delete(angle, axis)))
         off = abs(size - 360.0 * max(abs(turns), 1))
-        if tilt > _TILT_DEG:
-            return refusals.TURN_TILTED.refusal(tilt, _TILT_DEG, axis=AXES[axis])
-        if aside > _ASIDE_DEG:
-            return refusals.TURN_ASIDE.refusal(aside, _ASIDE_DEG, axis=AXES[axis])
-        if off > _WHOLE_DEG:
-            return refusals.TURN_SHORT.refusal(off, _WHOLE_DEG, axis=AXES[axis], angle=float(angle[axis]))
+        refusal = (
+            refusals.TURN_TILTED.beyond(tilt, _TILT_DEG, axis=AXES[axis])
+            or refusals.TURN_ASIDE.beyond(aside, _ASIDE_DEG, axis=AXES[axis])
+            or refusals.TURN_SHORT.beyond(off, _WHOLE_DEG, axis=AXES[axis], angle=float(angle[axis]))
+        )
+        if refusal is not None:
+            return refusal
         up = move.up / np.linalg.norm(move.up)
         about = VERTICAL if abs(float(up[axis])) > math.cos(math.radians(_TILT_DEG)) else HORIZONTAL
         wanted = WantedTurn(axis, int(np.sign(turns)), about)

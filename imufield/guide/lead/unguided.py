@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from imufield.calibrate.model.observations import Observations
-from imufield.errors import CalibrationError, Reason, RecordingError
+from imufield.errors import CalibrationError, Reason
 from imufield.guide.cross_checks.axes import AxesCheck, MoveLog, check_axes
 from imufield.guide.hold.checks import HoldUnderTest, examine
 from imufield.guide.hold.observe import Observation, gather, observe, trim_stretch
@@ -18,6 +17,9 @@ from imufield.guide.stillness.noise_floor import FLOOR_S, MAX_FLOOR_M_S2, NoiseF
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Phase, Stretch
 from imufield.samples import Samples, SampleUnits
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _SHORTEST_S = 1.0  # A still interval shorter than this, guard bands off, is a pause in a motion.
 
@@ -36,6 +38,8 @@ class StillIntervals:
 
 class StillIntervalFinder:
     """Collects an observation from each still interval of a stream; memory does not grow with its length.
+
+    An observation is named after the nearest face, edge or corner of a cube, "free 7: near +x+y", and has no planned direction.
 
     Parameters
     ----------
@@ -69,11 +73,8 @@ class StillIntervalFinder:
             self._add(self.detector.stretch)
             self.detector.restart()
         if self.detector.floor is None:
-            raise CalibrationError(
-                f"no {FLOOR_S:g} s of the recording are quiet (each cell alike, at most "
-                f"{MAX_FLOOR_M_S2} m/s^2 rms), so stillness cannot be judged; lay the unit down for some seconds each time",
-                Reason.TOO_FEW,
-            )
+            never_quiet = sentence("unguided.never_quiet", floor_s=FLOOR_S, limit_m_s2=MAX_FLOOR_M_S2)
+            raise CalibrationError(never_quiet, Reason.TOO_FEW)
         scale = self.detector.scale
         return StillIntervals(
             observations=gather(self._found, self.units),
@@ -101,39 +102,5 @@ class StillIntervalFinder:
             self._refused.append((float(cells.start_s[0]), refusal))
             return
         force = detector.scale.specific_force(cells.mean[:, :3].mean(axis=0))
-        self._found.append(
-            observe(cells, detector.limits, f"free {len(self._found) + 1}: near {nearest_cube_direction(force)}")
-        )
-
-
-def find_still_intervals(blocks: Iterable[Samples], *, scale: RoughScale | None = None) -> StillIntervals:
-    """Find every still interval of a recording.
-
-    Parameters
-    ----------
-    blocks : iterable of Samples
-        In time order, of the same units, cut anywhere.
-    scale : RoughScale, optional
-        See ``StillIntervalFinder``.
-
-    Returns
-    -------
-    StillIntervals
-        Observations named after the nearest face, edge or corner of a cube ("free 7: near +x+y"), without a planned
-        direction.
-
-    Raises
-    ------
-    RecordingError
-        If there are no samples.
-    CalibrationError
-        If no stretch is quiet enough to be a noise floor.
-    """
-    finder: StillIntervalFinder | None = None
-    for block in blocks:
-        if finder is None:
-            finder = StillIntervalFinder(block.units, scale)
-        finder.feed(block)
-    if finder is None:
-        raise RecordingError("the recording holds no samples; check that it is the right one", Reason.NOT_A_RECORDING)
-    return finder.finish()
+        name = f"free {len(self._found) + 1}: near {nearest_cube_direction(force)}"
+        self._found.append(observe(cells, detector.limits, name))

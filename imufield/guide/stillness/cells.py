@@ -11,7 +11,7 @@ Deviations are summed from the first sample of the cell, not from zero: the vari
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -176,15 +176,3 @@ def measure_cells(samples: Samples, slot: IntArray) -> Cells:
         high=np.ascontiguousarray(np.fmax.reduceat(values, starts, axis=1).T),
         temperature_degc=np.where(known > 0, warmth / np.maximum(known, 1), np.nan),
     )
-
-
-def cells_of(blocks: Iterable[Samples]) -> Iterable[Cells]:
-    """Yield the cells of a whole recording, the last unfinished one included."""
-    builder = CellBuilder()
-    for block in blocks:
-        cells = builder.feed(block)
-        if cells is not None:
-            yield cells
-    cells = builder.flush()
-    if cells is not None:
-        yield cells

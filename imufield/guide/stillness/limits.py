@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.guide.refusals import Refusal, Sentence
+from imufield.guide.refusals import Refusal, RefusalKind
 from imufield.guide.stillness.cells import Cells
 from imufield.guide.stillness.noise_floor import NoiseFloor
 from imufield.guide.stillness.scale import RoughScale
@@ -101,10 +101,10 @@ class Activity:
     limit: float
     unit: str
 
-    def refusal(self, sentence: Sentence, factor: float = 1.0, **values: float | str) -> Refusal:
+    def refusal(self, kind: RefusalKind, factor: float = 1.0, **values: float | str) -> Refusal:
         """Return the refusal of this motion, beyond a multiple of its limit."""
         values = {**values, "triad": self.triad, "verb": self.verb}
-        return sentence.refusal(self.measured, factor * self.limit, axis=self.axis, unit=self.unit, **values)
+        return kind.refusal(self.measured, factor * self.limit, axis=self.axis, unit=self.unit, **values)
 
     @property
     def verb(self) -> str:
@@ -116,9 +116,8 @@ class Activity:
 
 def noise_limits(floor: NoiseFloor, scale: RoughScale, allowances: Allowances = ON_TABLE) -> Limits:
     """Return the limits for a noise floor: a multiple of it, or the allowance where that is larger."""
-    accelerometer, gyroscope = scale.accelerometer or 0.0, scale.gyroscope or 0.0
-    vibration = np.repeat([allowances.vibration_m_s2 * accelerometer, allowances.vibration_rad_s * gyroscope], 3)
-    change = np.repeat([allowances.change_m_s2 * accelerometer, allowances.change_rad_s * gyroscope], 3)
+    vibration = scale.per_axis(allowances.vibration_m_s2, allowances.vibration_rad_s, missing=0.0)
+    change = scale.per_axis(allowances.change_m_s2, allowances.change_rad_s, missing=0.0)
     # Rounding to steps of the output makes up to half a step of scatter.
     least = floor.known_step / 2
     sigmas = max(_VIBRATION_SIGMAS, scatter_of_variance(3 * (floor.samples_per_cell - 1)))
@@ -162,22 +161,13 @@ def largest_activity(vibration: FloatArray, change: FloatArray, limits: Limits, 
     scale : RoughScale
     """
     found: list[Activity] = []
-    triads = (("accelerometer", scale.accelerometer, "m/s^2"), ("gyroscope", scale.gyroscope, "rad/s"))
-    for (triad, factor, unit), axes in zip(triads, (slice(0, 3), slice(3, 6)), strict=True):
+    for (triad, unit, factor), axes in zip(scale.triads, (slice(0, 3), slice(3, 6)), strict=True):
         for kind, ratios, limit in (("vibration", vibration, limits.vibration), ("change", change, limits.change)):
             parts = np.nan_to_num(ratios[axes])
             ratio = float(np.sqrt((parts**2).mean() if kind == "vibration" else (parts**2).sum()))
             # A dead axis has no limit and no say in that of its triad.
             finite = limit[axes][np.isfinite(limit[axes])]
-            in_unit = float(np.sqrt((finite**2).mean())) / (factor or 1.0) if len(finite) else math.inf
-            activity = Activity(
-                ratio=ratio,
-                kind=kind,
-                triad=triad,
-                axis=AXES[int(np.argmax(parts))],
-                measured=ratio * in_unit,
-                limit=in_unit,
-                unit=unit if factor else "raw unit",
-            )
-            found.append(activity)
+            in_unit = float(np.sqrt((finite**2).mean())) / factor if len(finite) else math.inf
+            axis, measured = AXES[int(np.argmax(parts))], ratio * in_unit
+            found.append(Activity(ratio=ratio, kind=kind, triad=triad, axis=axis, measured=measured, limit=in_unit, unit=unit))
     return max(found, key=lambda activity: activity.ratio)

@@ -121,7 +121,7 @@ def is_quiet(cells: Cells, scale: RoughScale) -> bool:
     if not unbroken or np.isnan(cells.mean[:, :3]).any() or not cells.usable.all():
         return False
     floor = measure_floor(cells)
-    limits = _per_axis(scale.learn(floor.mean[:3]), MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)
+    limits = scale.learn(floor.mean[:3]).per_axis(MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)
     plausible = all(bool((floor.sigma[triad] <= limits[triad]).all()) for triad in floor.triads)
     return plausible and is_even(cells, floor, scale)
 
@@ -152,7 +152,7 @@ def _straying(cells: Cells, floor: NoiseFloor, scale: RoughScale) -> tuple[Float
         successive = np.mean(np.diff(cells.mean, axis=0) ** 2, axis=0) / 2
         if not any(float(spread[triad].sum()) > _WHITE * float(successive[triad].sum()) for triad in floor.triads):
             sigmas = max(_STRAY_SIGMAS, _STRAY_SIGMAS_OF_MEAN / math.sqrt(floor.samples_per_cell))
-    always = _per_axis(scale, _STRAY_M_S2, _STRAY_RAD_S, missing=0.0)
+    always = scale.per_axis(_STRAY_M_S2, _STRAY_RAD_S, missing=0.0)
     allowed = np.maximum(sigmas * np.maximum(floor.sigma, floor.known_step), always)
     stray: FloatArray = np.abs(cells.mean - floor.mean).max(axis=0)
     return stray, allowed
@@ -174,7 +174,7 @@ def why_not_quiet(cells: Cells, scale: RoughScale) -> Unquiet | None:
     floor = measure_floor(cells)
     scale = scale.learn(floor.mean[:3])
     pairs = (
-        (True, floor.sigma, _per_axis(scale, MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)),
+        (True, floor.sigma, scale.per_axis(MAX_FLOOR_M_S2, MAX_FLOOR_RAD_S, missing=np.inf)),
         (True, np.sqrt(cells.variance.max(axis=0)), math.sqrt(_noisiest(floor)) * np.fmax(floor.sigma, floor.known_step)),
         (False, *_straying(cells, floor, scale)),
     )
@@ -185,13 +185,6 @@ def why_not_quiet(cells: Cells, scale: RoughScale) -> Unquiet | None:
         if measured[column] > limit[column] > 0
     ]
     return max(found, key=lambda cause: cause.measured / cause.limit, default=None)
-
-
-def _per_axis(scale: RoughScale, accelerometer_m_s2: float, gyroscope_rad_s: float, *, missing: float) -> FloatArray:
-    """Return SI amounts in raw units, shape (6,), ``missing`` where the scale is not known."""
-    accelerometer = missing if scale.accelerometer is None else accelerometer_m_s2 * scale.accelerometer
-    gyroscope = missing if scale.gyroscope is None else gyroscope_rad_s * scale.gyroscope
-    return np.repeat([accelerometer, gyroscope], 3)
 
 
 def is_quieter(floor: NoiseFloor, than: NoiseFloor) -> bool:

@@ -52,6 +52,19 @@ class RoughScale:
             np.zeros(3) if raw_zero is None else np.asarray(raw_zero, dtype=np.float64),
         )
 
+    @property
+    def triads(self) -> tuple[tuple[str, str, float], tuple[str, str, float]]:
+        """Name, unit and raw rate per unit of both triads, for people: in the raw unit where the scale is not known."""
+        force = ("m/s^2", self.accelerometer) if self.accelerometer else ("raw unit", 1.0)
+        rate = ("rad/s", self.gyroscope) if self.gyroscope else ("raw unit", 1.0)
+        return ("accelerometer", *force), ("gyroscope", *rate)
+
+    def per_axis(self, accelerometer_m_s2: float, gyroscope_rad_s: float, *, missing: float) -> FloatArray:
+        """Return SI amounts in raw units, shape (6,), ``missing`` where the scale is not known."""
+        accelerometer = missing if self.accelerometer is None else accelerometer_m_s2 * self.accelerometer
+        gyroscope = missing if self.gyroscope is None else gyroscope_rad_s * self.gyroscope
+        return np.repeat([accelerometer, gyroscope], 3)
+
     def learn(self, mean_raw: FloatArray) -> RoughScale:
         """Return a scale whose accelerometer is known: unchanged, or from a still mean (3,) whose norm counts as g."""
         if self.accelerometer is not None:

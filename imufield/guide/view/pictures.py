@@ -13,6 +13,9 @@ Big letters are readable from three metres: five by seven dots, two columns and 
 from __future__ import annotations
 
 import math
+import tomllib
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
@@ -22,18 +25,12 @@ _DOT = "##"  # A character is twice as high as wide.
 LETTER_WIDTH = 12  # Five dots and a gap.
 ROWS = 7
 
-# Five columns of each letter, the lowest bit on top: the shapes of common dot-matrix displays.
-_COLUMNS = {
-    "+": "08083e0808", "-": "0808080808", "?": "0201590906", ".": "0060600000",
-    "0": "3e5149453e", "1": "00427f4000", "2": "7249494946", "3": "2141494d33", "4": "1814127f10",
-    "5": "2745454539", "6": "3c4a494931", "7": "4121110907", "8": "3649494936", "9": "464949291e",
-    "A": "7c1211127c", "B": "7f49494936", "C": "3e41414122", "D": "7f4141413e", "E": "7f49494941",
-    "F": "7f09090901", "G": "3e41415173", "H": "7f0808087f", "I": "00417f4100", "J": "2040413f01",
-    "K": "7f08142241", "L": "7f40404040", "M": "7f021c027f", "N": "7f0408107f", "O": "3e4141413e",
-    "P": "7f09090906", "Q": "3e4151215e", "R": "7f09192946", "S": "2649494932", "T": "03017f0103",
-    "U": "3f4040403f", "V": "1f2040201f", "W": "3f4038403f", "X": "6314081463", "Y": "0304780403",
-    "Z": "6159494d43",
-}  # fmt: skip
+
+@cache
+def _letters() -> dict[str, bytes]:
+    """Return five columns of each letter, the lowest bit on top, and the gap after it."""
+    table = tomllib.loads((Path(__file__).parent / "letters.toml").read_text(encoding="utf-8"))
+    return {letter: bytes.fromhex(columns) + b"\0" for letter, columns in table.items()}
 
 
 def big_lines(text: str, width: int) -> list[str]:
@@ -46,8 +43,7 @@ def big_lines(text: str, width: int) -> list[str]:
         Characters of the screen.
     """
     letters = text.upper()[: width // LETTER_WIDTH]
-    columns = [bytes.fromhex(_COLUMNS.get(letter, "0000000000")) + b"\0" for letter in letters]
-    dots = b"".join(columns)
+    dots = b"".join(_letters().get(letter, bytes(6)) for letter in letters)
     blank = " " * len(_DOT)
     return ["".join(_DOT if column >> row & 1 else blank for column in dots).rstrip() for row in range(ROWS)]
 
@@ -112,7 +108,9 @@ def draw_box(attitude: FloatArray, width: int, height: int, *, cable: str | None
         for sign in (1.0, -1.0):
             normal = sign * np.eye(3)[axis]
             if (view @ normal)[1] < _TOWARDS:
-                corners = _face(axis, sign) @ view.T
+                corners = np.full((4, 3), sign)
+                corners[:, [(axis + 1) % 3, (axis + 2) % 3]] = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
+                corners = corners * _HALF_SIZE @ view.T
                 for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
                     canvas.line(start, end)
                 canvas.label(corners.mean(axis=0), f"{'+' if sign > 0 else '-'}{AXES[axis]}")
@@ -124,13 +122,6 @@ def draw_box(attitude: FloatArray, width: int, height: int, *, cable: str | None
         canvas.line(view @ foot, view @ end, dashed=hidden)
         canvas.label(view @ end, "cable", free=True)
     return canvas.lines()
-
-
-def _face(axis: int, sign: float) -> FloatArray:
-    """Return the four corners of a face in order, shape (4, 3)."""
-    corners = np.full((4, 3), sign)
-    corners[:, [(axis + 1) % 3, (axis + 2) % 3]] = [(1, 1), (-1, 1), (-1, -1), (1, -1)]
-    return corners * _HALF_SIZE
 
 
 class _Canvas:

@@ -15,6 +15,9 @@ from functools import singledispatch
 from imufield.earth import MICRO_G_M_S2
 from imufield.guide import events
 from imufield.guide.events import Event, RefusalCode
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 NOT_TOLD = "not known yet"
 _LARGE = 999.5  # Three digits of the smaller unit end here.
@@ -75,11 +78,6 @@ def line(event: Event, origin_s: float = 0.0) -> str:
     return f"{time}  {words(event)}"
 
 
-def force_words(value_m_s2: float) -> str:
-    """Return a specific force in micro-g or milli-g, by its size."""
-    return _in_unit(value_m_s2 / MICRO_G_M_S2, "ug", 1e3, "mg")
-
-
 def known_words(forecast: dict[str, float], name: str) -> str:
     """Return how well a group of parameters is known, 1 sigma, in a unit by its size: 172 ug, 25.8 mg, 2.6 %."""
     return _in_unit(forecast[name], *_KNOWN_UNITS[name]) if name in forecast else NOT_TOLD
@@ -89,50 +87,50 @@ def _in_unit(value: float, unit: str, larger: float, larger_unit: str) -> str:
     return f"{value:.3g} {unit}" if value < _LARGE else f"{value / larger:.3g} {larger_unit}"
 
 
-# Formats of the events whose words depend on nothing but their values; the others have a function below.
-_WORDS: dict[type[Event], str] = {
-    events.NoiseFloorMeasured: "{0.words}",
-    events.Move: "next ({0.accepted} of {0.planned} done): {0.position}, {0.words}; {0.why}",
-    events.Hold: "hold still: {0.position}, {0.words} ({0.angle_deg:.0f} deg off), {0.hold_s:g} s",
-    events.Advice: "{0.words}; {0.remedy}",
-    events.Turn: "next turn ({0.done} of {0.planned} done): {0.words}",
-    events.Turned: "turned {0.turns:+d} about {0.axis}: {0.angle_deg:.0f} deg by the uncalibrated gyroscope, "
-    "{0.tilt_deg:.1f} deg off where it began; {0.done} of {0.planned} done",
-    events.Marked: "{0.action}: {0.words}",
-    events.LinkLost: "{0.words} ({0.accepted} of {0.planned} done)",
-    events.LinkBack: "{0.words}",
+# Sentences of the events whose words depend on nothing but their values; the others have a function below.
+_KEYS: dict[type[Event], str] = {
+    events.NoiseFloorMeasured: "plain.words",
+    events.Move: "plain.move",
+    events.Hold: "plain.hold",
+    events.Advice: "plain.advice",
+    events.Turn: "plain.turn",
+    events.Turned: "plain.turned",
+    events.Marked: "plain.marked",
+    events.LinkLost: "plain.link_lost",
+    events.LinkBack: "plain.words",
 }
 
 
 @singledispatch
 def words(event: Event) -> str:
     """Return the words of an event; a test walks ``EVENTS``."""
-    return _WORDS[type(event)].format(event)
+    return sentence(_KEYS[type(event)], event=event)
 
 
 @words.register
 def _turning(event: events.Turning) -> str:
-    nearest = f"; nearest pending {event.position} at {event.angle_deg:.0f} deg" if event.position != event.target else ""
-    return f"turning: {event.target_angle_deg:.0f} deg from {event.target}{nearest}"
+    return sentence("plain.turning" if event.position == event.target else "plain.turning_elsewhere", event=event)
 
 
 @words.register
 def _holding(event: events.Holding) -> str:
-    return f"holding {event.position}: {100 * event.fraction:.0f} %, {event.remaining_s:.0f} s left"
+    return sentence("plain.holding", event=event, percent=100 * event.fraction)
 
 
 @words.register
 def _accepted(event: events.Accepted) -> str:
-    sigma = f", mean known to {force_words(event.sigma_m_s2)}" if math.isfinite(event.sigma_m_s2) else ""
-    warmth = f", {event.temperature_degc:.1f} degC" if math.isfinite(event.temperature_degc) else ""
-    again = " (replaces the older one)" if event.replaces else ""
-    in_hand = f", in the hand (tremor {event.tremor_deg:.2f} deg)" if event.tremor_deg is not None else ""
-    known = ""
+    details, known = "", ""
+    if math.isfinite(event.sigma_m_s2):
+        details += f", {sentence('plain.mean_known', sigma=_in_unit(event.sigma_m_s2 / MICRO_G_M_S2, 'ug', 1e3, 'mg'))}"
+    if math.isfinite(event.temperature_degc):
+        details += f", {event.temperature_degc:.1f} degC"
+    if event.tremor_deg is not None:
+        details += f", {sentence('plain.in_hand', tremor_deg=event.tremor_deg)}"
     if event.forecast is not None:
         bias, scale = known_words(event.forecast, "bias_ug"), known_words(event.forecast, "scale_ppm")
-        known = f"; known now: bias {bias}, scale {scale}"
-    done = f"; {event.accepted} of {event.planned} done"
-    return f"accepted {event.position}{again}: {event.duration_s:.1f} s{sigma}{warmth}{in_hand}{done}{known}"
+        known = f"; {sentence('plain.known', bias=bias, scale=scale)}"
+    again = f" {sentence('plain.again')}" if event.replaces else ""
+    return sentence("plain.accepted", event=event, again=again, details=details, known=known)
 
 
 @words.register
@@ -147,5 +145,4 @@ def _rejected(event: events.Rejected) -> str:
 
 @words.register
 def _done(event: events.Done) -> str:
-    missing = f"; without {', '.join(event.skipped)}" if event.skipped else ""
-    return f"done: {event.words}{missing}"
+    return sentence("plain.done_without" if event.skipped else "plain.done", event=event)

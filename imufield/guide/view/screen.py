@@ -29,6 +29,9 @@ from imufield.guide.refusals import quantity
 from imufield.guide.view.pictures import big_lines, draw_box, turn_shortest
 from imufield.guide.view.plain import NOT_TOLD, known_words, words
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 WIDTH = 80
 HEIGHT = 24
@@ -39,6 +42,7 @@ _PICTURE_WIDTH = 20
 _PICTURE_HEIGHT = 8
 _BAR_WIDTH = 16
 _BAR_ROWS = 4
+_DETAIL_ROWS = 3
 _MAP_ROWS = 12
 _MESSAGES = 4
 _BIG_MESSAGES = 2  # Below the big letters.
@@ -57,6 +61,7 @@ _WAITS = (RefusalCode.START_UP, RefusalCode.WARMING_UP, RefusalCode.NOT_QUIET)
 _NO_MESSAGE = (events.Turning, events.Hold, events.Holding, events.Move, events.Turn)
 # Events after which a refusal is over.
 _ANSWERS = (events.Hold, events.Accepted, events.Marked, events.Done, events.Turn, events.Turned)
+
 _KEYS = Text("r retake  s skip  u undo  p pause  f finish  b big  q quit (resume later)", style="dim", no_wrap=True)
 
 
@@ -138,9 +143,8 @@ class Screen:
 def _accepted(event: events.Accepted) -> str:
     """Return one short line; the panel of positions shows the rest."""
     off_m_s2 = event.leave_one_out_m_s2
-    fits = "" if off_m_s2 is None else f", {off_m_s2 / MILLI_G_M_S2:+.2f} mg off the others' fit"
-    in_hand = ", in the hand" if event.held else ""
-    return f"accepted {event.position}{in_hand}: {event.duration_s:.1f} s{fits}"
+    fits = "" if off_m_s2 is None else f", {sentence('screen.off_fit', off_mg=off_m_s2 / MILLI_G_M_S2)}"
+    return sentence("screen.accepted_in_hand" if event.held else "screen.accepted", event=event, fits=fits)
 
 
 class Instruction(NamedTuple):
@@ -152,21 +156,20 @@ class Instruction(NamedTuple):
     big: tuple[str, str]
 
 
+# States with one instruction each, the details by their key.
 _BY_STATE = {
-    State.LEARNING: Instruction(
-        "LEAVE IT STILL", "measuring the noise floor; hands off for some seconds", "bold yellow", ("LEAVE", "IT")
-    ),
-    State.PAUSED: Instruction("PAUSED", "press p to go on", "bold", ("PAUSED", "")),
-    State.LOST: Instruction("NO LINK", "plug it in again; nothing measured is lost", "bold red", ("NO", "LINK")),
-    State.DONE: Instruction("DONE", "all that was asked for is measured", "bold green", ("DONE", "")),
+    State.LEARNING: Instruction("LEAVE IT STILL", "screen.learning", "bold yellow", ("LEAVE", "IT")),
+    State.PAUSED: Instruction("PAUSED", "screen.paused", "bold", ("PAUSED", "")),
+    State.LOST: Instruction("NO LINK", "screen.lost", "bold red", ("NO", "LINK")),
+    State.DONE: Instruction("DONE", "screen.done", "bold green", ("DONE", "")),
 }
 
 
 def instruct(screen: Screen, snapshot: Snapshot) -> Instruction:
     """Return what to do now."""
     state, refused, turn, hold = snapshot.state, screen.refused, screen.turn, screen.hold
-    if state in _BY_STATE:
-        return _BY_STATE[state]
+    if (now := _BY_STATE.get(state)) is not None:
+        return now._replace(details=sentence(now.details))
     target, side = (f"{screen.move.position}: {screen.move.words}", screen.move.position) if screen.move else (": ", "")
     if snapshot.target_direction is not None:
         side = nearest_cube_direction(np.array(snapshot.target_direction))
@@ -195,14 +198,14 @@ def draw(
 ) -> RenderableType:
     """Return the whole screen; what the window (columns, lines) has beyond the least size is for messages."""
     now = instruct(screen, snapshot)
+    details = textwrap.wrap(now.details, _LEFT_WIDTH - 4, max_lines=_DETAIL_ROWS, placeholder="...", break_on_hyphens=False)
     left = Group(
         Text(" ".join(now.headline), style=now.style, no_wrap=True),
-        Text("\n".join(_wrap(now.details, _LEFT_WIDTH - 4, 3)), no_wrap=True),
+        Text("\n".join([*details, *[""] * (_DETAIL_ROWS - len(details))]), no_wrap=True),
         _pictures(screen, snapshot, link.cable, ascii_only=ascii_only),
         _bars(screen, snapshot),
     )
-    legend = Text("x done > next @ here ? doubt", style="dim", no_wrap=True)
-    right = Group(_map(snapshot, scheme), legend, *_known(snapshot.forecast))
+    right = Group(_map(snapshot, scheme), _dim("screen.legend"), *_known(snapshot.forecast))
     middle = Table.grid(padding=0, expand=False)
     middle.add_column(width=_LEFT_WIDTH)
     middle.add_column(width=_MAP_WIDTH)
@@ -249,25 +252,16 @@ def draw_small(screen: Screen, snapshot: Snapshot, link: LinkState, *, width: in
         lines.append(_bars(screen, snapshot))
         room -= _BAR_ROWS
     newest = _newest(messages, room)[: max(room, 0)]
-    size = f"window {width} x {height}: pictures need {WIDTH} x {HEIGHT}"
-    return Group(*lines, *(Text(line, no_wrap=True) for line in newest), Text(size, style="dim", no_wrap=True))
+    size = _dim("screen.small", width=width, height=height, least_width=WIDTH, least_height=HEIGHT)
+    return Group(*lines, *(Text(line, no_wrap=True) for line in newest), size)
+
+
+def _dim(key: str, **values: object) -> Text:
+    return Text(sentence(key, **values), style="dim", no_wrap=True)
 
 
 def _done(snapshot: Snapshot) -> str:
     return f"{len(snapshot.accepted)} of {snapshot.planned} done"
-
-
-def _wrap(text: str, width: int, rows: int) -> list[str]:
-    """Return a fixed number of rows of whole words; a longer text ends in an ellipsis."""
-    lines = [""]
-    for word in text.split():
-        if len(lines[-1]) + len(word) + 1 <= width or not lines[-1]:
-            lines[-1] = f"{lines[-1]} {word}".strip()
-        else:
-            lines.append(word)
-    if len(lines) > rows:
-        lines = [*lines[: rows - 1], f"{lines[rows - 1][: width - 3]}..."]
-    return [line[:width] for line in (*lines, *[""] * (rows - len(lines)))]
 
 
 def _pictures(screen: Screen, snapshot: Snapshot, cable: str | None, *, ascii_only: bool) -> Text:
@@ -307,17 +301,16 @@ def _bars(screen: Screen, snapshot: Snapshot) -> RenderableType:
     table.add_row("to target", bar(1 - screen.angle_deg / 180 if turning else 0.0, "cyan"), angle)
     table.add_row("hold", bar(snapshot.fraction if holding else 0.0, "green"), left)
     activity = snapshot.activity
-    if activity is None or snapshot.state is State.LOST:
-        # Without a link nobody knows.
-        table.add_row("stillness", _stillness_bar(snapshot), "")
+    state = "" if activity is None else "still" if activity.ratio <= 1 else "moving"
+    table.add_row("stillness", _stillness_bar(snapshot), state)
+    if activity is None:
         return Group(table, Text())
-    table.add_row("stillness", _stillness_bar(snapshot), "still" if activity.ratio <= 1 else "moving")
     measured, limit = quantity(activity.measured, activity.unit), quantity(activity.limit, activity.unit)
     if measured.split()[1:] == limit.split()[1:]:
         measured = measured.split()[0]
     sensor = "acc" if activity.triad == "accelerometer" else "gyro"
-    cause = f"{activity.verb} {measured}, {limit} allowed ({sensor} {activity.axis})"
-    return Group(table, Text(cause, no_wrap=True, style="dim"))
+    cause = {"verb": activity.verb, "measured": measured, "limit": limit, "sensor": sensor, "axis": activity.axis}
+    return Group(table, _dim("screen.cause", **cause))
 
 
 def bar(fraction: float, style: str) -> Text:
@@ -328,8 +321,7 @@ def bar(fraction: float, style: str) -> Text:
 
 def _stillness_bar(snapshot: Snapshot) -> Text:
     """Return activity against the limit, which stands in the middle of the bar."""
-    activity = None if snapshot.state is State.LOST else snapshot.activity
-    ratio = 0.0 if activity is None else activity.ratio
+    ratio = 0.0 if snapshot.activity is None else snapshot.activity.ratio
     shown = bar(ratio / 2, "green" if ratio <= 1 else "red")
     middle = _BAR_WIDTH // 2
     return Text.assemble(shown[:middle], "|", shown[middle + 1 :])
@@ -338,7 +330,7 @@ def _stillness_bar(snapshot: Snapshot) -> Text:
 def _known(forecast: dict[str, float] | None) -> list[Text]:
     """Return how well the parameters are known, in two lines as wide as the map."""
     if forecast is None:
-        return [Text("known from the 4th position on", style="dim", no_wrap=True)]
+        return [_dim("screen.not_known")]
     bias, scale, angles = (known_words(forecast, name) for name in ("bias_ug", "scale_ppm", "misalignment_urad"))
     # Thirty columns do not hold the words twice.
     both = f"bias {bias}, scale {scale}".replace(NOT_TOLD, "unknown")
@@ -385,7 +377,7 @@ def _link_line(screen: Screen, snapshot: Snapshot, state: LinkState) -> Text:
     if screen.link_paused and not state.silent:
         lost += ", pauses not counted"
     warmth = f"{snapshot.temperature_degc:.1f} degC" if math.isfinite(snapshot.temperature_degc) else "no temperature"
-    link = "link ok" if arrives else "NOTHING ARRIVES: check power and cable" if screen.link else "LINK LOST"
+    link = "link ok" if arrives else sentence("screen.nothing_arrives") if screen.link else "LINK LOST"
     return Text(f" {link}   {rate}   {lost}   {warmth}", style="bold" if arrives else "bold red", no_wrap=True)
 
 

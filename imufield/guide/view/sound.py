@@ -10,7 +10,6 @@ A thread of its own plays: the guide never waits for a sound, and sounds that co
 from __future__ import annotations
 
 import io
-import math
 import os
 import queue
 import shutil
@@ -19,11 +18,12 @@ import sys
 import tempfile
 import threading
 import wave
-from array import array
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from enum import Enum
 from pathlib import Path
+
+import numpy as np
 
 from imufield.guide import events
 from imufield.guide.events import Event, RefusalCode, Topic
@@ -154,9 +154,11 @@ def open_sound(*, speak: bool = False) -> Iterator[SoundView]:
     """Yield a view with the means of this system: sound card or bell, and speech where asked for and installed."""
     with tempfile.TemporaryDirectory(prefix="imufield-sound-") as folder:
         player = _find(_PLAYERS) if _has_sound_card() else None
-        play = _ring if player is None else _card_player(player, Path(folder))
         speaker = _find(_SPEAKERS) if speak else None
-        view = SoundView(play, None if speaker is None else _speaker(speaker))
+        view = SoundView(
+            _card_player(player, Path(folder)) if player else _ring,
+            _speaker(speaker) if speaker else None,
+        )
         try:
             yield view
         finally:
@@ -165,22 +167,18 @@ def open_sound(*, speak: bool = False) -> Iterator[SoundView]:
 
 def tone(cue: Cue) -> bytes:
     """Return a cue as a WAV file, mono, 16 bit; edges are rounded so that nothing clicks."""
-    samples = array("h")
+    parts = []
     for frequency_hz, length_s in cue.tones:
         count = int(length_s * RATE_HZ)
-        edge = max(count // 10, 1)
-        for i in range(count):
-            loudness = min(1.0, i / edge, (count - i) / edge)
-            samples.append(int(_LOUDNESS * loudness * math.sin(2 * math.pi * frequency_hz * i / RATE_HZ)))
-        samples.extend([0] * (RATE_HZ // 25))
-    if sys.byteorder == "big":
-        samples.byteswap()
+        edge, i = max(count // 10, 1), np.arange(count)
+        loudness = np.minimum(1.0, np.minimum(i, count - i) / edge)
+        parts += [_LOUDNESS * loudness * np.sin(2 * np.pi * frequency_hz * i / RATE_HZ), np.zeros(RATE_HZ // 25)]
     content = io.BytesIO()
     with wave.open(content, "wb") as file:
         file.setnchannels(1)
         file.setsampwidth(2)
         file.setframerate(RATE_HZ)
-        file.writeframes(samples.tobytes())
+        file.writeframes(np.concatenate(parts).astype("<i2").tobytes())
     return content.getvalue()
 
 

@@ -9,8 +9,7 @@ import atexit
 import importlib
 import os
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from types import ModuleType, TracebackType
 from typing import Self
 
@@ -24,15 +23,15 @@ from imufield.guide.positions import Scheme
 from imufield.guide.view.screen import HEIGHT, WIDTH, LinkState, Screen, draw, draw_big, draw_small
 
 
-class Keyboard:
+class Keyboard(ExitStack):
     """Keys typed since the last read; none where standard input is no terminal.
 
     Use as a context manager: the terminal is restored, whatever happens. Ctrl-C keeps its meaning.
     """
 
     def __init__(self) -> None:
+        super().__init__()
         self._descriptor: int | None = None
-        self._restore: Callable[[], None] | None = None
 
     def __enter__(self) -> Self:
         if os.name == "posix" and sys.stdin is not None and sys.stdin.isatty():
@@ -47,17 +46,13 @@ class Keyboard:
                 with suppress(termios.error):
                     termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
 
-            self._restore = restore
-            # An interrupt that comes before the ``with`` has begun, or while it ends, passes by ``__exit__`` or breaks it off.
+            self.callback(setattr, self, "_descriptor", None)
+            self.callback(atexit.unregister, restore)
+            self.callback(restore)
+            # An interrupt that comes before the ``with`` has begun, or while it ends, passes by these or breaks them off.
             atexit.register(restore)
             tty.setcbreak(descriptor)
         return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._restore is not None:
-            self._restore()
-            atexit.unregister(self._restore)
-        self._descriptor = self._restore = None
 
     def read(self) -> str:
         """Return the characters typed since the last call, lower case, "" when there are none."""
@@ -92,8 +87,6 @@ class TerminalView:
         Face where the cable leaves, "-x".
     """
 
-    FRAMES_PER_SECOND = 10
-
     def __init__(self, scheme: Scheme, console: Console | None = None, *, big: bool = False, cable: str | None = None) -> None:
         self._cable = cable
         self.big = big  # Big letters instead of pictures.
@@ -109,7 +102,7 @@ class TerminalView:
         self._live.stop()
 
     def show(self, events: list[Event], snapshot: Snapshot, lost_samples: int | None = None, *, silent: bool = False) -> None:
-        """Draw the state after these events; call it at most ``FRAMES_PER_SECOND`` times a second.
+        """Draw the state after these events; at most 10 times a second.
 
         ``silent`` says that the port is there, but nothing arrives.
         """

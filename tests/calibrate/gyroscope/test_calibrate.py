@@ -21,10 +21,10 @@ from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_R
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, GyroscopeParameters
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
-from imufield.guide.lead.unguided import find_still_intervals
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
 from imufield.simulate.truth.motion import Site
+from tests.guide.guided import find_still_intervals
 from tests.refused import refused
 
 

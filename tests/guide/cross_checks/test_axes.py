@@ -7,12 +7,11 @@ import pytest
 
 from imufield.errors import CalibrationError, Reason
 from imufield.guide.cross_checks.axes import MoveLog, check_axes, signed_permutations
-from imufield.guide.refusals import AXES_DIFFER, SCALE_DIFFERS
-from imufield.guide.stillness.cells import cells_of
+from imufield.guide.refusals import AXES_DIFFER, AXES_LEFT_HANDED, SCALE_AND_AXES, SCALE_DIFFERS
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import Samples
-from tests.guide.guided import fields_of
+from tests.guide.guided import cells_of, is_said_by, values_of
 
 pytestmark = pytest.mark.numerical
 
@@ -69,9 +68,8 @@ def test_a_left_handed_triad_is_refused_with_the_angles(moves: Any) -> None:
     assert found.error.reason is Reason.HANDEDNESS
     assert found.error.values["misfit_deg"] > 20
     assert np.linalg.det(found.permutation) < 0
-    told = fields_of(AXES_DIFFER.words, found.words)
-    assert "hand" in told["handed"]
-    assert "y = -y" in told["axes"]
+    assert is_said_by(AXES_LEFT_HANDED, found.refusal)
+    assert "y = -y" in values_of(found.words)["axes"]
 
 
 def test_exchanged_axes_are_not_called_left_handed(moves: Any) -> None:
@@ -79,7 +77,7 @@ def test_exchanged_axes_are_not_called_left_handed(moves: Any) -> None:
     found = check_axes([dataclasses.replace(move, rate_raw=move.rate_raw @ turned.T) for move in moves], 1.0)
     assert found.agrees is False
     assert np.linalg.det(found.permutation) > 0
-    assert "hand" not in fields_of(AXES_DIFFER.words, found.words)["handed"]
+    assert is_said_by(AXES_DIFFER, found.refusal)
 
 
 def test_an_unknown_scale_is_found(moves: Any) -> None:
@@ -98,9 +96,10 @@ def test_a_scale_that_the_moves_contradict_is_named(moves: Any, factor: float, c
     assert found.error is None
     assert found.is_contradicted
     assert found.misfit_deg > 20 > found.best_misfit_deg
-    told = fields_of(SCALE_DIFFERS.words, found.words)
+    assert is_said_by(SCALE_DIFFERS, found.refusal)
+    told = values_of(found.words)
     assert re.findall("deg/s|rad/s", told["cause"]) == confused
-    assert float(told["ratio"]) == pytest.approx(1 / factor, rel=0.03)
+    assert told["ratio"] == pytest.approx(1 / factor, rel=0.03)
 
 
 def test_turns_about_one_axis_tell_a_wrong_scale(make_path: Any) -> None:
@@ -117,8 +116,9 @@ def test_a_wrong_scale_and_wrong_axes_are_both_named(moves: Any) -> None:
     wrong = [dataclasses.replace(move, rate_raw=move.rate_raw * [1, -1, 1] / 57.3) for move in moves]
     found = check_axes(wrong, 1.0)
     assert found.agrees is False
-    told = fields_of(SCALE_DIFFERS.words, found.words)
-    assert float(told["ratio"]) == pytest.approx(57.3, rel=0.03)
+    assert is_said_by(SCALE_AND_AXES, found.refusal)
+    told = values_of(found.words)
+    assert told["ratio"] == pytest.approx(57.3, rel=0.03)
     assert "y = -y" in told["axes"]
 
 

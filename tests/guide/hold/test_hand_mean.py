@@ -12,7 +12,7 @@ import pytest
 from imufield.guide.hold.checks import JOLT_SHARE, HoldUnderTest, examine
 from imufield.guide.hold.hand_mean import HandMean, mean_in_hand
 from imufield.guide.refusals import BUMPED
-from imufield.guide.stillness.cells import cells_of, join_cells
+from imufield.guide.stillness.cells import join_cells
 from imufield.guide.stillness.limits import noise_limits
 from imufield.guide.stillness.noise_floor import measure_floor
 from imufield.guide.stillness.scale import RoughScale
@@ -21,7 +21,7 @@ from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
 from imufield.simulate.truth.pieces import Shock
-from tests.guide.guided import is_said_by
+from tests.guide.guided import cells_of, is_said_by
 
 pytestmark = pytest.mark.numerical
 

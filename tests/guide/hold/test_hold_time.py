@@ -4,15 +4,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from imufield.earth import MICRO_G_M_S2
 from imufield.guide.events import Accepted
-from imufield.guide.hold.hold_time import AllanMinimum, HoldTarget
+from imufield.guide.hold.hold_time import AllanMinimum
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
 
 
 def test_a_fixed_time_is_all_that_counts() -> None:
-    target = HoldTarget.of(8.0, None)
+    target = GuideSettings(hold_s=8.0).hold_target
     assert not target.is_met(7.9, 0.0, 1.0)
     assert target.is_met(8.0, math.inf, math.inf)
 
@@ -30,11 +31,11 @@ def test_a_fixed_time_is_all_that_counts() -> None:
 def test_good_enough_ends_a_hold_and_the_allan_minimum_caps_it(
     length_s: float, sigma: float, minimum_s: float, enough: bool
 ) -> None:
-    assert HoldTarget.of(None, None).is_met(length_s, sigma, minimum_s) is enough
+    assert GuideSettings().hold_target.is_met(length_s, sigma, minimum_s) is enough
 
 
 def test_a_target_lifts_the_cap() -> None:
-    target = HoldTarget.of(None, 1e-4)
+    target = GuideSettings(target_bias_ug=1e-4 / MICRO_G_M_S2).hold_target
     assert not target.is_met(30.0, 2e-4, math.inf)
     assert target.is_met(30.0, 1e-4, math.inf)
     assert target.is_met(60.0, 1.0, math.inf)

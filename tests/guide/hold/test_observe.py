@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from imufield.guide.hold.observe import cell_means, correlation_factor, gather, observe, trim_stretch
-from imufield.guide.stillness.cells import CellBuilder, cells_of, join_cells
+from imufield.guide.stillness.cells import CellBuilder, join_cells
 from imufield.guide.stillness.limits import noise_limits
 from imufield.guide.stillness.noise_floor import measure_floor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import SampleUnits, make_samples
+from tests.guide.guided import cells_of
 
 pytestmark = pytest.mark.numerical
 

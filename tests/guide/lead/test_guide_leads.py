@@ -12,15 +12,17 @@ import pytest
 
 from imufield.guide import refusals
 from imufield.guide.events import Accepted, Advice, Done, Event, Move, RefusalCode, Rejected, Topic
-from imufield.guide.lead.advice import Suspects
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import scheme
 from imufield.samples import Samples
+from imufield.sentences import Sentences
 from imufield.simulate.truth.grades import TACTICAL, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings
-from tests.guide.guided import fields_of, is_said_by
+from tests.guide.guided import is_said_by, values_of
+
+sentence = Sentences("imufield.guide.lead")
 
 FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
 ORDER = ("+z", "+x", "-z", "+y", "-x", "-y")
@@ -81,7 +83,7 @@ def test_letting_go_too_early_again_and_again_is_helped() -> None:
     assert is_said_by(refusals.MOVED, let_go[0])
     for times, event in enumerate(let_go[1:], start=2):
         assert is_said_by(refusals.MOVED_AGAIN, event)
-        assert fields_of(refusals.MOVED_AGAIN.remedy, event.remedy)["times"] == str(times)
+        assert values_of(event.remedy)["times"] == times
 
 
 def test_events_of_a_hand_do_not_depend_on_the_cuts() -> None:
@@ -157,26 +159,24 @@ def test_a_doubt_that_no_longer_stands_is_withdrawn_aloud(make_path: Any) -> Non
 
 def test_a_doubt_that_others_settle_asks_for_nothing_any_more(make_path: Any) -> None:
     guide, _ = feed(corners(make_path), "corners24")
-    fit = guide.adviser.fit
-    assert fit is not None
-    first = fit.names[3]
-    suspects = Suspects()
-    suspects.now = [replace(fit.disagreements()[3], sigmas=50.0)]
-    assert [one.topic for one in suspects.advise(1.0, fit, guide.plan)] == [Topic.DOUBTFUL]
-    (asked,) = suspects.ask_again()
-    index = guide.plan.find(asked)
-    assert index is not None
-    guide.plan.want_again(index)
-    suspects.follow(fit)
-    assert [(one.topic, one.position) for one in suspects.advise(2.0, fit, guide.plan)] == [(Topic.SETTLED, first)]
-    assert not guide.plan.wanted_again
-    assert suspects.ask_again() == []
+    adviser, plan = guide.adviser, guide.plan
+    assert adviser.fit is not None
+    first = adviser.fit.names[3]
+    adviser.suspects = [replace(adviser.fit.disagreements()[3], sigmas=50.0)]
+    assert [(one.topic, one.position) for one in adviser.advise(1.0)] == [(Topic.DOUBTFUL, first)]
+    adviser.ask_again()
+    assert plan.wanted_again == {plan.find(first)}
+    adviser.fit_again(guide.detector.scale)
+    assert [(one.topic, one.position) for one in adviser.advise(2.0)] == [(Topic.SETTLED, first)]
+    assert not plan.wanted_again
+    adviser.ask_again()
+    assert not plan.wanted_again
 
 
 def test_a_doubt_that_stands_is_named_at_the_end(make_path: Any) -> None:
     guide, _ = feed(corners(make_path, spoil=14), "corners24")
     done = of(guide.mark("finish", guide.time_s) + guide.flush(), Done)
-    assert done[0].words.endswith(f"still in doubt: {scheme('corners24').positions[14].name}")
+    assert done[0].words.endswith(sentence("actions.in_doubt", names=scheme("corners24").positions[14].name))
 
 
 def test_retake_means_the_doubtful_position(make_path: Any) -> None:

@@ -16,7 +16,7 @@ from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.lead.turns import plan_turns
 from imufield.guide.positions import scheme
 from imufield.samples import Samples, SampleUnits, make_samples
-from tests.guide.guided import fields_of, is_said_by
+from tests.guide.guided import is_said_by, values_of
 
 RATE = 100.0
 G = 9.80665
@@ -161,7 +161,7 @@ def test_too_little_about_the_vertical_is_told_in_degrees() -> None:
     refused = of(run(Roll((0.0, 0.0, 1.0)).rest(9).turn(2, 300, 4).rest(2), "vertical"), Rejected)
     assert [event.reason for event in refused] == [RefusalCode.NOT_WHOLE]
     assert is_said_by(refusals.TURN_SHORT, refused[0])
-    assert float(fields_of(refusals.TURN_SHORT.words, refused[0].words)["angle"]) == pytest.approx(300, abs=3)
+    assert values_of(refused[0].words)["angle"] == pytest.approx(300, abs=3)
     assert refused[0].measured == pytest.approx(60, abs=3)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imufield.guide.lead.stream_watch import Warmth
-from imufield.guide.stillness.cells import cells_of
+from tests.guide.guided import cells_of
 
 
 def slope(make_path: Any, temperature: Any, seconds: float = 30.0) -> float:

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imufield.guide.stillness.cells import CellBuilder, Cells, cells_of, join_cells
+from imufield.guide.stillness.cells import CellBuilder, Cells, join_cells
 from imufield.samples import Samples, SampleUnits, Status, make_samples
+from tests.guide.guided import cells_of
 
 NAMES = Cells.__dataclass_fields__
 

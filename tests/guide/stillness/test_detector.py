@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from imufield.guide.hold.observe import guard_cells, trim_stretch
-from imufield.guide.stillness.cells import CellBuilder, cells_of
+from imufield.guide.stillness.cells import CellBuilder
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.limits import scatter_of_variance
 from imufield.guide.stillness.noise_floor import measure_floor
 from imufield.guide.stillness.scale import RoughScale
 from imufield.guide.stillness.stretch import Phase
 from imufield.samples import SampleUnits, Status
+from tests.guide.guided import cells_of
 
 pytestmark = pytest.mark.numerical
 

@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imufield.guide.stillness.cells import Cells, cells_of, join_cells
+from imufield.guide.stillness.cells import Cells, join_cells
 from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.hand_edges import FEWEST, hand_edges
 from imufield.guide.stillness.scale import RoughScale
@@ -12,6 +12,7 @@ from imufield.samples import Samples
 from imufield.simulate.truth.grades import INDUSTRIAL, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings, TrueMove
+from tests.guide.guided import cells_of
 
 pytestmark = pytest.mark.numerical
 

@@ -8,7 +8,7 @@ import pytest
 from imufield.guide import refusals
 from imufield.guide.events import NoiseFloorMeasured, RefusalCode, Rejected
 from imufield.guide.lead.state_table import State
-from tests.guide.guided import FACES, faces_session, fields_of, is_said_by, of, run
+from tests.guide.guided import FACES, faces_session, is_said_by, of, run, values_of
 
 
 def test_even_noise_waited_for_in_vain_is_said_to_be_a_wrong_unit(make_path: Any) -> None:
@@ -50,8 +50,8 @@ def test_a_dead_axis_is_named_after_three_sides(make_path: Any, axis: int, value
     (named,) = (event for event in of(events, Rejected) if event.reason is RefusalCode.INVALID)
     assert is_said_by(refusals.DEAD_AXIS, named)
     assert named.axis == "xyz"[axis]
-    told = fields_of(refusals.DEAD_AXIS.words, named.words)
-    assert (float(told["reading"]), told["sides"]) == (value, "3")
+    told = values_of(named.words)
+    assert (told["reading"], told["sides"]) == (value, 3)
     assert named.time_s < 20
 
 

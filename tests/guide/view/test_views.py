@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from imufield.guide.events import EVENT_VERSION, EVENTS, Hold, LinkLost, RefusalCode, Rejected, Turning
+from imufield.guide.events import EVENT_VERSION, EVENTS, Hold, LinkBack, LinkLost, RefusalCode, Rejected, Turning
 from imufield.guide.lead.guide import Guide
 from imufield.guide.lead.settings import GuideSettings
 from imufield.guide.positions import SCHEMES, scheme
@@ -135,7 +135,7 @@ def test_screen_tells_a_lost_link(session: Any) -> None:
     text = picture(screen, guide)
     assert "N O   L I N K" in text
     assert "LINK LOST" in text
-    screen.follow(guide.link_back())
+    screen.follow([LinkBack(9.0, "")])
     assert "0 samples lost, pauses not counted   no temperature" in picture(screen, guide)
 
 
