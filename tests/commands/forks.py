@@ -20,7 +20,7 @@ from typing import Any
 
 SERVER = Path(__file__).with_name("fork_server.py")
 # Variables that an interpreter reads at its start, and libraries at their import.
-READ_AT_START = ("PYTHON", "LC_", "LANG", "OPENBLAS", "MPL")
+READ_AT_START = ("PYTHON", "LC_", "LANG", "OPENBLAS", "MPL", "TYPER", "FORCE_COLOR", "PY_COLORS", "TERMINAL_WIDTH")
 ENDED_UNSEEN = 1 << 8
 
 
