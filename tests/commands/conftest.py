@@ -35,6 +35,7 @@ IMUFIELD = [sys.executable, "-m", "imufield"]
 AT_START = dict(os.environ)
 SPEED = 16.0
 RATE_HZ = 125.0
+FACES = tuple(position.name for position in scheme("faces6").positions)
 LONGEST_S = 900.0  # Only a program that hangs takes so long, however busy the machine.
 CHUNK_SAMPLES = 5
 BLOCK_CHUNKS = 200  # made at once; what is recorded is the same whatever it is
@@ -86,7 +87,7 @@ class Program:
         assert process.stdout is not None
         return str(json.loads(process.stdout.readline())["port"])
 
-    def show(self, *names: str, hold_s: float = 6, rate_hz: float = RATE_HZ) -> str:
+    def show(self, *names: str, options: tuple[object, ...] = (), hold_s: float = 6, rate_hz: float = RATE_HZ) -> str:
         """Start an emulator whose operator shows these faces again and again and never another; return its port.
 
         However late a key or a signal comes, a capture of six faces is then not at its end.
@@ -98,7 +99,7 @@ class Program:
                 lines += ["[[position]]", f'name = "{name} round {number}"', f"up = {up.tolist()}"]
         path = self.folder / "shown.toml"
         path.write_text("\n".join(lines))
-        return self.emulate("--positions", path, "--hold-s", hold_s, "--wait", rate_hz=rate_hz)
+        return self.emulate("--positions", path, "--hold-s", hold_s, "--wait", *options, rate_hz=rate_hz)
 
     def capture(self, port: str, *options: object) -> tuple[str, ...]:
         """Return the arguments that capture six faces in short holds from a fast emulator."""

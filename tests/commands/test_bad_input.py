@@ -24,6 +24,7 @@ from imufield.acquire.recording.session import Session
 from imufield.cli.run import _interrupted_words
 from imufield.errors import Reason
 from imufield.samples import Samples, Status
+from tests.commands.conftest import FACES
 from tests.commands.told import failure, missing
 
 if TYPE_CHECKING:
@@ -228,7 +229,7 @@ def test_unplugged_while_recording(program: Program) -> None:
 def test_unplugged_while_capturing(program: Program) -> None:
     link = program.folder / "imu"
     faults = ("--fault", "disconnect_at_s=30", "--fault", "disconnect_s=5")
-    port = program.emulate("--positions", "corners24", "--hold-s", 6, "--wait", "--link", link, *faults)
+    port = program.show(*FACES, options=("--link", link, *faults))
     ended = program.run(*program.capture(port, "--json"))
     assert ended.returncode == 0, ended.stderr
     kinds = [json.loads(line).get("event") for line in ended.stdout.splitlines()]

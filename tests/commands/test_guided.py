@@ -12,6 +12,7 @@ import pytest
 
 from imufield.acquire.recording.reader import RecordedEvent, read_session
 from imufield.acquire.recording.session import Session
+from tests.commands.conftest import FACES
 from tests.commands.pty_terminal import Terminal
 
 if TYPE_CHECKING:
@@ -111,7 +112,7 @@ def test_unplugged_and_plugged_in_again(program: Program, terminals: list[Termin
 
 def test_a_stopped_process_goes_on_where_it_was(program: Program, terminals: list[Terminal]) -> None:
     """What a suspended computer does: the program stands still, the instrument goes on, the host's clock jumps."""
-    port = program.emulate("--positions", "corners24", "--hold-s", 6)
+    port = program.show(*FACES)
     terminal = open_terminal(terminals, program, *program.capture(port, "--latitude", 48))
     place = terminal.expect("accepted")
     terminal.process.send_signal(signal.SIGSTOP)
