@@ -11,6 +11,7 @@ import atexit
 import contextlib
 import fcntl
 import gc
+import importlib
 import io
 import json
 import os
@@ -26,6 +27,7 @@ from typing import Any
 
 MESSAGE_BYTES = 1 << 20
 MOST_DESCRIPTORS = 4096
+EMULATOR_SLICE_S = 0.03
 # What commands import when they run: imported here once for all of them, beside the modules of the commands themselves.
 MODULES = (
     "numpy.random",
@@ -55,11 +57,11 @@ def serve(channel: socket.socket) -> None:
     signal.signal(signal.SIGCHLD, lambda number, frame: None)
     signal.set_wakeup_fd(ends, warn_on_full_buffer=False)
     while True:
-        ready = select.select([channel, ended], [], [])[0]
+        ready = select.select([channel.fileno(), ended], [], [])[0]
         if ended in ready:
             os.read(ended, MESSAGE_BYTES)
             tell_ends(reports)
-        if channel not in ready:
+        if channel.fileno() not in ready:
             continue
         message, ancillary, _, _ = channel.recvmsg(MESSAGE_BYTES, socket.CMSG_SPACE(4 * array.array("i").itemsize))
         if not message:
@@ -106,6 +108,9 @@ def run_command(wanted: dict[str, Any], descriptors: array.array[int]) -> int:
     os.environ.clear()
     os.environ.update(wanted["environment"])
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    if wanted["at_start"]:
+        function, *values = wanted["at_start"]
+        getattr(importlib.import_module("at_start"), function)(*values)
     encoding = sys.__stdout__.encoding if sys.__stdout__ else "utf-8"
     for number, (name, errors) in enumerate((("stdin", "strict"), ("stdout", "strict"), ("stderr", "backslashreplace"))):
         stream = open(number, "w" if number else "r", encoding=encoding, errors=errors, closefd=False)  # noqa: SIM115
@@ -141,7 +146,10 @@ def leave(code: int) -> None:
 def warm_up() -> None:
     """Import everything, and run what needs nothing for what is imported and made only then."""
     import imufield.commands
+    import imufield.simulate.emulator.core
 
+    # Half of the time of a captured session goes in waking up, and at 16 times the speed nobody needs it so often.
+    imufield.simulate.emulator.core.SLICE_S = EMULATOR_SLICE_S
     for name in MODULES:
         __import__(name)
     for module in pkgutil.iter_modules(imufield.commands.__path__):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import signal
 import time
 from collections.abc import Iterator
@@ -131,7 +130,7 @@ def test_a_full_disk_ends_with_a_sentence_and_a_resume(program: Program, termina
     port = program.show("+x", rate_hz=500)
     options = program.capture(port, "--latitude", 48)
     limit = 500_000
-    full = Terminal(program, *options, at_start=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    full = Terminal(program, *options, at_start=("limit_file_size", limit))
     terminals.append(full)
     assert full.wait() == 4
     assert "free some space" in " ".join(full.text.split())

@@ -75,8 +75,9 @@ def test_every_method_gives_a_result_of_the_same_model(
     seed: int, quadratic: float, polish: bool, method: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The studies give these two all of the paper's generations; the swarm converges in fewer.
-    for function in (library.solve_ga, library.solve_pso):
-        monkeypatch.setattr(library, function.__name__, partial(function, settings=library.LibrarySettings(generations=350)))
+    for name in ("solve_ga", "solve_pso"):
+        shorter = partial(getattr(library, name), settings=library.LibrarySettings(generations=350))
+        monkeypatch.setattr(library, name, shorter)
     observations, plain = calibrated(seed, quadratic)
     found = solve_with(method, observations, plain, rng=np.random.default_rng(0), polish=polish)
     assert np.isfinite(to_vector(found.accelerometer)).all()
