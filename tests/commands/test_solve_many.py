@@ -31,32 +31,27 @@ if TYPE_CHECKING:
 NAMES = ("a", "b", "c")
 
 
-@pytest.fixture
-def sessions(tmp_path: Path, whole_session: Path) -> list[Path]:
-    """Three sessions, the last of which takes every still interval for itself."""
-    folders = [tmp_path / name for name in NAMES]
-    for folder in folders[:2]:
+def make_sessions(whole_session: Path, parent: Path) -> list[Path]:
+    """Make three sessions, the last of which takes every still interval for itself."""
+    folders = [parent / name for name in NAMES]
+    for folder in folders:
         shutil.copytree(whole_session, folder)
-    free_session(whole_session, folders[2])
+    settings = (folders[2] / "session.toml").read_text()
+    (folders[2] / "session.toml").write_text(settings.replace('scheme = "paper24"\n', ""))
     return folders
 
 
-def free_session(whole_session: Path, folder: Path) -> Path:
-    """Make a session that takes every still interval."""
-    shutil.copytree(whole_session, folder)
-    settings = (folder / "session.toml").read_text()
-    (folder / "session.toml").write_text(settings.replace('scheme = "paper24"\n', ""))
-    return folder
+@pytest.fixture
+def sessions(tmp_path: Path, whole_session: Path) -> list[Path]:
+    return make_sessions(whole_session, tmp_path)
 
 
 @pytest.fixture(scope="module")
 def alone(whole_session: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
     """Return what each of the sessions gives when it is solved by itself."""
-    folder = free_session(whole_session, tmp_path_factory.mktemp("alone") / "c")
-    assert run(["solve", str(folder)]) == 0
-    usual = tmp_path_factory.mktemp("alone") / "usual.toml"
-    assert run(["solve", str(whole_session), "-o", str(usual)]) == 0
-    return {"a": numbers(usual), "b": numbers(usual), "c": written(folder)}
+    folders = make_sessions(whole_session, tmp_path_factory.mktemp("alone"))
+    assert [run(["solve", str(folder)]) for folder in folders] == [0, 0, 0]
+    return {folder.name: written(folder) for folder in folders}
 
 
 def numbers(path: Path) -> list[str]:
