@@ -35,7 +35,7 @@ def dump(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a file of the bytes that an instrument sent while somebody showed its six faces."""
     operator = OperatorSettings(hold_s=6.0, initial_still_s=6.0)
     directions = scheme("faces6").directions()
-    source = make_virtual_imu(Emulation(rate_hz=RATE_HZ, seed=2, directions=directions, operator=operator))
+    source = make_virtual_imu(Emulation(rate_hz=RATE_HZ, seed=4, directions=directions, operator=operator))
     samples = source.next_block(int(source.operator.plan_all() * RATE_HZ))
     path = tmp_path_factory.mktemp("dump") / "imu.bin"
     path.write_bytes(Stim300Encoder(Stim300Format(rate_hz=RATE_HZ)).encode(samples).tobytes())

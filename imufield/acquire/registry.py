@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from importlib.metadata import EntryPoint, entry_points
+import sys
+from functools import cache
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 
 from imufield.acquire.driver import Driver
 from imufield.acquire.protocol.toml import near
@@ -20,7 +22,7 @@ _STATED = ("name", "title", "protocol", "default_baud", "bauds", "status", "manu
 
 def driver_names() -> list[str]:
     """Return the names of the drivers there are, sorted. One of another distribution may still fail to load."""
-    return sorted({*shipped_names()} | {point.name for point in entry_points(group=GROUP)})
+    return sorted({*shipped_names()} | {point.name for point in _installed()})
 
 
 def load_driver(name: str) -> type[Driver]:
@@ -33,7 +35,7 @@ def load_driver(name: str) -> type[Driver]:
     ProtocolError
         If two distributions have one of that name, or it cannot be imported.
     """
-    points = tuple(entry_points(group=GROUP, name=name))
+    points = tuple(_installed().select(name=name))
     shipped = name in shipped_names()
     # Which of two is meant, nobody can tell; the order of installation must not decide.
     if shipped + len(points) > 1:
@@ -59,6 +61,16 @@ def shipped_names() -> list[str]:
     """Return the names of the drivers that ship with imufield, sorted."""
     folder = importlib.import_module(GROUP).__path__
     return sorted(module.name for module in pkgutil.iter_modules(folder) if not module.name.startswith("_"))
+
+
+def _installed() -> EntryPoints:
+    return _points_on(tuple(sys.path))
+
+
+# Asking every distribution takes milliseconds, and recognising an instrument asks for one driver after another.
+@cache
+def _points_on(path: tuple[str, ...]) -> EntryPoints:  # noqa: ARG001  (where the distributions are looked for)
+    return entry_points(group=GROUP)
 
 
 def _owner(point: EntryPoint) -> str:

@@ -30,11 +30,13 @@ from imufield.simulate.truth.imu import Imu
 from imufield.simulate.truth.operator import OperatorSettings
 from imufield.simulate.truth.source import VirtualImu
 from imufield.simulate.wire.stim300 import Stim300Format
+from tests.commands import at_start as before
 
 IMUFIELD = [sys.executable, "-m", "imufield"]
 AT_START = dict(os.environ)
 SPEED = 16.0
 RATE_HZ = 125.0
+FACES = tuple(position.name for position in scheme("faces6").positions)
 LONGEST_S = 900.0  # Only a program that hangs takes so long, however busy the machine.
 CHUNK_SAMPLES = 5
 BLOCK_CHUNKS = 200  # made at once; what is recorded is the same whatever it is
@@ -66,7 +68,7 @@ class Program:
         return subprocess.CompletedProcess(process.args, process.returncode, output, error)
 
     def start(self, *arguments: object, variables: dict[str, str] | None = None, **options: Any) -> subprocess.Popen[str]:
-        """Start the program; ``terminal`` makes its standard input the terminal that controls it."""
+        """Start the program; ``terminal`` makes its standard input the terminal that controls it, ``at_start`` as in forks."""
         streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         process = self._open(map(str, arguments), self.environment(variables), {**streams, **options})
         self.started.append(process)
@@ -77,6 +79,9 @@ class Program:
 
         if can_fork({name: value for name, value in variables.items() if AT_START.get(name) != value}, options):
             return Forked([*arguments], cwd=self.folder, env=variables, text=True, **options)
+        at_start = options.pop("at_start", None)
+        if at_start:
+            options["preexec_fn"] = lambda: getattr(before, at_start[0])(*at_start[1:])
         return subprocess.Popen([*IMUFIELD, *arguments], cwd=self.folder, env=variables, text=True, **options)
 
     def emulate(self, *options: object, driver: str = "stim300", speed: float = SPEED, rate_hz: float = RATE_HZ) -> str:
@@ -86,7 +91,7 @@ class Program:
         assert process.stdout is not None
         return str(json.loads(process.stdout.readline())["port"])
 
-    def show(self, *names: str, hold_s: float = 6, rate_hz: float = RATE_HZ) -> str:
+    def show(self, *names: str, options: tuple[object, ...] = (), hold_s: float = 6, rate_hz: float = RATE_HZ) -> str:
         """Start an emulator whose operator shows these faces again and again and never another; return its port.
 
         However late a key or a signal comes, a capture of six faces is then not at its end.
@@ -98,7 +103,7 @@ class Program:
                 lines += ["[[position]]", f'name = "{name} round {number}"', f"up = {up.tolist()}"]
         path = self.folder / "shown.toml"
         path.write_text("\n".join(lines))
-        return self.emulate("--positions", path, "--hold-s", hold_s, "--wait", rate_hz=rate_hz)
+        return self.emulate("--positions", path, "--hold-s", hold_s, "--wait", *options, rate_hz=rate_hz)
 
     def capture(self, port: str, *options: object) -> tuple[str, ...]:
         """Return the arguments that capture six faces in short holds from a fast emulator."""

@@ -1,7 +1,7 @@
 """Starts the program without starting an interpreter: the modules are imported once, each command is a fork of this process.
 
 Run by ``forks.py``, which asks through a socket: a message with the command, and with it the three standard streams and a
-pipe. A guardian, forked first, writes the number of the program's process to the pipe and later how it ended.
+pipe, to which the number of the program's process is written and later how it ended.
 """
 
 from __future__ import annotations
@@ -11,8 +11,12 @@ import atexit
 import contextlib
 import fcntl
 import gc
+import importlib
+import io
 import json
 import os
+import pkgutil
+import select
 import signal
 import socket
 import struct
@@ -22,7 +26,9 @@ import threading
 from typing import Any
 
 MESSAGE_BYTES = 1 << 20
-# What commands import when they run: imported here once for all of them.
+MOST_DESCRIPTORS = 4096
+EMULATOR_SLICE_S = 0.03
+# What commands import when they run: imported here once for all of them, beside the modules of the commands themselves.
 MODULES = (
     "numpy.random",
     "scipy.linalg",
@@ -32,56 +38,60 @@ MODULES = (
     "rich.live",
     "can",
     "cantools",
-    "imufield.cli.run",
-    "imufield.commands.apply",
-    "imufield.commands.capture",
-    "imufield.commands.emulate",
-    "imufield.commands.import_files",
-    "imufield.commands.probe",
-    "imufield.commands.record",
-    "imufield.commands.replay",
-    "imufield.commands.solve",
-    "imufield.commands.verify",
+    "imufield.deliver.exports.registry",
     "imufield.guide.view.sound",
     "imufield.guide.view.terminal",
 )
+SELDOM_RUN = ("study",)
+# These need no instrument and no session; typer and rich import much of themselves only for such a line.
+RUN_FIRST = (["capture", "--help"], ["devices"], ["solve", "nowhere"])
 
 
 def serve(channel: socket.socket) -> None:
     """Fork for each message until the other end closes; does not return in a fork."""
+    reports: dict[int, int] = {}
+    ended, ends = os.pipe()
+    for end in (ended, ends):
+        os.set_blocking(end, False)
+    # A handler, or the signal would not be written to the pipe.
+    signal.signal(signal.SIGCHLD, lambda number, frame: None)
+    signal.set_wakeup_fd(ends, warn_on_full_buffer=False)
     while True:
+        ready = select.select([channel.fileno(), ended], [], [])[0]
+        if ended in ready:
+            os.read(ended, MESSAGE_BYTES)
+            tell_ends(reports)
+        if channel.fileno() not in ready:
+            continue
         message, ancillary, _, _ = channel.recvmsg(MESSAGE_BYTES, socket.CMSG_SPACE(4 * array.array("i").itemsize))
-        reap()
         if not message:
             return
         descriptors = array.array("i")
         for _, _, data in ancillary:
             descriptors.frombytes(data)
-        if not os.fork():
-            channel.close()
-            if guard(descriptors[3]):
-                os._exit(0)
+        process = os.fork()
+        if not process:
+            signal.set_wakeup_fd(-1)
+            signal.signal(signal.SIGCHLD, signal.SIG_DFL)
             leave(run_command(json.loads(message), descriptors))
-        for descriptor in descriptors:
+        *streams, report = descriptors
+        for descriptor in streams:
             os.close(descriptor)
-
-
-def reap() -> None:
-    """Take in the guardians that have ended, and with them the processor time of what they guarded."""
-    with contextlib.suppress(ChildProcessError):
-        while os.waitpid(-1, os.WNOHANG)[0]:
-            pass
-
-
-def guard(report: int) -> int:
-    """Fork and return 0 in the program; in the guardian report how it ends, and return its number."""
-    process = os.fork()
-    if process:
-        # What is open here would keep a reader of the program's output waiting.
-        os.closerange(0, report)
+        reports[process] = report
         os.write(report, struct.pack("i", process))
-        os.write(report, struct.pack("i", os.waitpid(process, 0)[1]))
-    return process
+
+
+def tell_ends(reports: dict[int, int]) -> None:
+    """Write how each program that has ended did so, and close its pipe."""
+    with contextlib.suppress(ChildProcessError):
+        while True:
+            process, status = os.waitpid(-1, os.WNOHANG)
+            if not process:
+                return
+            report = reports.pop(process)
+            with contextlib.suppress(BrokenPipeError):
+                os.write(report, struct.pack("i", status))
+            os.close(report)
 
 
 def run_command(wanted: dict[str, Any], descriptors: array.array[int]) -> int:
@@ -90,13 +100,17 @@ def run_command(wanted: dict[str, Any], descriptors: array.array[int]) -> int:
         os.setsid()
     for number, descriptor in enumerate(descriptors[:3]):
         os.dup2(descriptor, number)
-    os.closerange(3, max(descriptors) + 1)
+    # What is open here would keep others waiting, and a file that the program opens has the number it would have.
+    os.closerange(3, MOST_DESCRIPTORS)
     if wanted["terminal"]:
         fcntl.ioctl(0, termios.TIOCSCTTY, 0)
     os.chdir(wanted["folder"])
     os.environ.clear()
     os.environ.update(wanted["environment"])
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    if wanted["at_start"]:
+        function, *values = wanted["at_start"]
+        getattr(importlib.import_module("at_start"), function)(*values)
     encoding = sys.__stdout__.encoding if sys.__stdout__ else "utf-8"
     for number, (name, errors) in enumerate((("stdin", "strict"), ("stdout", "strict"), ("stderr", "backslashreplace"))):
         stream = open(number, "w" if number else "r", encoding=encoding, errors=errors, closefd=False)  # noqa: SIM115
@@ -129,9 +143,27 @@ def leave(code: int) -> None:
     os._exit(code)
 
 
-if __name__ == "__main__":
+def warm_up() -> None:
+    """Import everything, and run what needs nothing for what is imported and made only then."""
+    import imufield.commands
+    import imufield.simulate.emulator.core
+
+    # Half of the time of a captured session goes in waking up, and at 16 times the speed nobody needs it so often.
+    imufield.simulate.emulator.core.SLICE_S = EMULATOR_SLICE_S
     for name in MODULES:
         __import__(name)
+    for module in pkgutil.iter_modules(imufield.commands.__path__):
+        if module.name not in SELDOM_RUN:
+            __import__(f"imufield.commands.{module.name}")
+    from imufield.cli.run import run
+
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        for arguments in RUN_FIRST:
+            run(arguments)
+
+
+if __name__ == "__main__":
+    warm_up()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # A collection in a fork would copy every page it looks at.
     gc.collect()

@@ -20,7 +20,7 @@ from typing import Any
 
 SERVER = Path(__file__).with_name("fork_server.py")
 # Variables that an interpreter reads at its start, and libraries at their import.
-READ_AT_START = ("PYTHON", "LC_", "LANG", "OPENBLAS", "MPL")
+READ_AT_START = ("PYTHON", "LC_", "LANG", "OPENBLAS", "MPL", "TYPER", "FORCE_COLOR", "PY_COLORS", "TERMINAL_WIDTH")
 ENDED_UNSEEN = 1 << 8
 
 
@@ -51,10 +51,15 @@ def server() -> socket.socket:
 
 
 class Forked(subprocess.Popen[str]):
-    """``imufield`` with these arguments, as ``subprocess.Popen`` would start it; ``terminal`` makes stdin its terminal."""
+    """``imufield`` with these arguments, as ``subprocess.Popen`` would start it.
 
-    def __init__(self, arguments: list[str], *, terminal: bool = False, **options: Any) -> None:
-        self._terminal = terminal
+    ``terminal`` makes stdin its terminal; ``at_start`` names a function of ``at_start.py`` and its arguments, called first.
+    """
+
+    def __init__(
+        self, arguments: list[str], *, terminal: bool = False, at_start: tuple[object, ...] = (), **options: Any
+    ) -> None:
+        self._terminal, self._at_start = terminal, at_start
         self._report = -1
         super().__init__(arguments, **options)
 
@@ -68,6 +73,7 @@ class Forked(subprocess.Popen[str]):
             "environment": environment,
             "session": rest[5],
             "terminal": self._terminal,
+            "at_start": self._at_start,
         }
         socket.send_fds(server(), [json.dumps(wanted).encode()], [*streams, report])
         os.close(report)

@@ -10,7 +10,6 @@ import select
 import struct
 import termios
 import time
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -21,25 +20,19 @@ _CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
 class Terminal:
-    """A terminal of 80 columns and 24 lines with the program in it; ``at_start`` is called in its process."""
+    """A terminal of 80 columns and 24 lines with the program in it; ``at_start`` as in ``forks.Forked``."""
 
     def __init__(
         self,
         program: Program,
         *arguments: object,
         variables: dict[str, str] | None = None,
-        at_start: Callable[[], None] | None = None,
+        at_start: tuple[object, ...] = (),
     ) -> None:
         self._master, self._slave = pty.openpty()
         self._is_open = True
         fcntl.ioctl(self._slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
         self._before = termios.tcgetattr(self._slave)
-
-        def begin() -> None:
-            fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-            if at_start is not None:
-                at_start()
-
         self.process = program.start(
             *arguments,
             variables={"TERM": "xterm-256color", **(variables or {})},
@@ -47,7 +40,8 @@ class Terminal:
             stdout=self._slave,
             stderr=self._slave,
             start_new_session=True,
-            **({"terminal": True} if at_start is None else {"preexec_fn": begin}),
+            terminal=True,
+            at_start=at_start,
         )
         self.raw = ""
         """All that was sent, control sequences included."""

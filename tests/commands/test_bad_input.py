@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
-import resource
 import shutil
 import signal
 import socket
@@ -24,6 +22,7 @@ from imufield.acquire.recording.session import Session
 from imufield.cli.run import _interrupted_words
 from imufield.errors import Reason
 from imufield.samples import Samples, Status
+from tests.commands.conftest import FACES
 from tests.commands.told import failure, missing
 
 if TYPE_CHECKING:
@@ -186,17 +185,9 @@ def test_a_port_that_another_program_holds(program: Program) -> None:
     assert first.wait(120) == INTERRUPTED
 
 
-def give_up_privileges() -> None:
-    """Take from root, to whom nothing is forbidden, the right to pass over the permissions of files (Linux)."""
-    drop_from_bounding_set, override, read_search = 24, 1, 2
-    library = ctypes.CDLL(None)
-    for capability in (override, read_search):
-        library.prctl(drop_from_bounding_set, capability, 0, 0, 0)
-
-
 def test_no_permission(program: Program, wire: tuple[int, str]) -> None:
     Path(wire[1]).chmod(0)
-    ended = program.run("capture", "--port", wire[1], preexec_fn=give_up_privileges if os.geteuid() == 0 else None)
+    ended = program.run("capture", "--port", wire[1], at_start=("give_up_privileges",))
     assert ended.returncode == LINK
     assert not missing(one_sentence(ended.stderr), wire[1], "usermod")
 
@@ -228,7 +219,7 @@ def test_unplugged_while_recording(program: Program) -> None:
 def test_unplugged_while_capturing(program: Program) -> None:
     link = program.folder / "imu"
     faults = ("--fault", "disconnect_at_s=30", "--fault", "disconnect_s=5")
-    port = program.emulate("--positions", "corners24", "--hold-s", 6, "--wait", "--link", link, *faults)
+    port = program.show(*FACES, options=("--link", link, *faults))
     ended = program.run(*program.capture(port, "--json"))
     assert ended.returncode == 0, ended.stderr
     kinds = [json.loads(line).get("event") for line in ended.stdout.splitlines()]
@@ -239,14 +230,10 @@ def test_unplugged_while_capturing(program: Program) -> None:
     assert program.run("solve").returncode == 0
 
 
-def limit_file_size(size: int) -> Callable[[], None]:
-    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
-
-
 def test_disk_full_while_recording(program: Program) -> None:
     port = program.emulate("--positions", "none", rate_hz=2000)
     arguments = ("record", "--port", port, "--driver", "stim300", "--clock-speed", 16)
-    ended = program.run(*arguments, preexec_fn=limit_file_size(1_000_000))
+    ended = program.run(*arguments, at_start=("limit_file_size", 1_000_000))
     assert ended.returncode == RECORDING
     assert not missing(one_sentence(ended.stderr), "part-001.mcap", "space")
     assert bytes_on_disk(only_session(program.folder)) > 300_000
@@ -254,7 +241,7 @@ def test_disk_full_while_recording(program: Program) -> None:
 
 def test_disk_full_while_capturing(program: Program) -> None:
     port = program.emulate("--positions", "none", rate_hz=2000)
-    ended = program.run(*program.capture(port), preexec_fn=limit_file_size(1_000_000))
+    ended = program.run(*program.capture(port), at_start=("limit_file_size", 1_000_000))
     assert ended.returncode == RECORDING
     assert "space" in one_sentence(ended.stderr)
     session = only_session(program.folder)
@@ -270,7 +257,7 @@ def test_disk_full_at_a_desk(furnished: Program, arguments: str, code: int) -> N
     rows = np.random.default_rng(0).normal(0, 1, (20_000, 6)).round(4)
     np.savetxt(furnished.folder / "rows.csv", rows, fmt="%.4f", delimiter=",", header="ax,ay,az,gx,gy,gz", comments="")
     before = sorted((furnished.folder / "whole").iterdir())
-    ended = furnished.run(*arguments.split(), preexec_fn=limit_file_size(10_000))
+    ended = furnished.run(*arguments.split(), at_start=("limit_file_size", 10_000))
     assert ended.returncode == code, ended.stderr
     assert "space" in one_sentence(ended.stderr)
     assert sorted((furnished.folder / "whole").iterdir()) == before
@@ -332,7 +319,7 @@ def test_interrupted(program: Program, command: str, number: signal.Signals) -> 
 def test_nohup_lets_a_recording_go_on_when_the_terminal_is_closed(program: Program) -> None:
     port = program.emulate("--positions", "none")
     arguments = ("record", "--port", port, "--json", "--clock-speed", 16)
-    process = program.start(*arguments, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    process = program.start(*arguments, at_start=("ignore_hangup",))
     assert process.stdout is not None
     assert '"recording"' in process.stdout.readline()
     process.send_signal(signal.SIGHUP)

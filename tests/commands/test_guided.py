@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import signal
 import time
 from collections.abc import Iterator
@@ -12,6 +11,7 @@ import pytest
 
 from imufield.acquire.recording.reader import RecordedEvent, read_session
 from imufield.acquire.recording.session import Session
+from tests.commands.conftest import FACES
 from tests.commands.pty_terminal import Terminal
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def test_unplugged_and_plugged_in_again(program: Program, terminals: list[Termin
 
 def test_a_stopped_process_goes_on_where_it_was(program: Program, terminals: list[Terminal]) -> None:
     """What a suspended computer does: the program stands still, the instrument goes on, the host's clock jumps."""
-    port = program.emulate("--positions", "corners24", "--hold-s", 6)
+    port = program.show(*FACES)
     terminal = open_terminal(terminals, program, *program.capture(port, "--latitude", 48))
     place = terminal.expect("accepted")
     terminal.process.send_signal(signal.SIGSTOP)
@@ -130,7 +130,7 @@ def test_a_full_disk_ends_with_a_sentence_and_a_resume(program: Program, termina
     port = program.show("+x", rate_hz=500)
     options = program.capture(port, "--latitude", 48)
     limit = 500_000
-    full = Terminal(program, *options, at_start=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    full = Terminal(program, *options, at_start=("limit_file_size", limit))
     terminals.append(full)
     assert full.wait() == 4
     assert "free some space" in " ".join(full.text.split())

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import imufield
+from imufield.cli.run import run
 from imufield.commands.options.calibrate import SolveOptions
 from imufield.commands.solve import run_solve_many
 from imufield.deliver.parameters.file import load
@@ -30,10 +31,9 @@ if TYPE_CHECKING:
 NAMES = ("a", "b", "c")
 
 
-@pytest.fixture
-def sessions(tmp_path: Path, whole_session: Path) -> list[Path]:
-    """Three sessions, the last of which takes every still interval for itself."""
-    folders = [tmp_path / name for name in NAMES]
+def make_sessions(whole_session: Path, parent: Path) -> list[Path]:
+    """Make three sessions, the last of which takes every still interval for itself."""
+    folders = [parent / name for name in NAMES]
     for folder in folders:
         shutil.copytree(whole_session, folder)
     settings = (folders[2] / "session.toml").read_text()
@@ -41,11 +41,17 @@ def sessions(tmp_path: Path, whole_session: Path) -> list[Path]:
     return folders
 
 
-def alone(program: Program, folder: Path) -> list[str]:
-    """Return what the same session gives when it is solved by itself."""
-    ended = program.run("solve", folder, "-o", f"{folder.name}.toml")
-    assert ended.returncode == 0, ended.stderr
-    return numbers(program.folder / f"{folder.name}.toml")
+@pytest.fixture
+def sessions(tmp_path: Path, whole_session: Path) -> list[Path]:
+    return make_sessions(whole_session, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def alone(whole_session: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
+    """Return what each of the sessions gives when it is solved by itself."""
+    folders = make_sessions(whole_session, tmp_path_factory.mktemp("alone"))
+    assert [run(["solve", str(folder)]) for folder in folders] == [0, 0, 0]
+    return {folder.name: written(folder) for folder in folders}
 
 
 def numbers(path: Path) -> list[str]:
@@ -58,7 +64,7 @@ def written(folder: Path) -> list[str]:
     return numbers(folder / "parameters.toml")
 
 
-def test_one_that_fails_does_not_stop_the_others(program: Program, sessions: list[Path]) -> None:
+def test_one_that_fails_does_not_stop_the_others(program: Program, sessions: list[Path], alone: dict[str, list[str]]) -> None:
     part = next(sessions[1].glob("part-*.mcap"))
     part.write_bytes(b"nothing")
     ended = program.run("solve", *sessions, "nowhere", "--workers", 2)
@@ -72,8 +78,8 @@ def test_one_that_fails_does_not_stop_the_others(program: Program, sessions: lis
         "a, good", "b, failed", f"c, {rows['c']}", "nowhere, failed"
     ]  # fmt: skip
     assert max(map(len, ended.stdout.splitlines()[:5])) <= 80
-    assert written(sessions[0]) == alone(program, sessions[0])
-    assert written(sessions[2]) == alone(program, sessions[2])
+    assert written(sessions[0]) == alone["a"]
+    assert written(sessions[2]) == alone["c"]
     assert not (sessions[1] / "parameters.toml").exists()
 
 
@@ -92,8 +98,8 @@ def test_what_stood_there_is_kept_and_told(program: Program, sessions: list[Path
     assert not any("parameters-1.toml" in line for line in of["b"])
     assert any("gravity" in line for line in of["b"])
     assert re.search(r"\b2\b.*\b2\b", ended.stdout.splitlines()[-1])
-    alone = program.run("solve", sessions[0], "--gravity", 9.8)
-    assert "--latitude 45" not in alone.stdout
+    again = program.run("solve", sessions[0], "--gravity", 9.8)
+    assert "--latitude 45" not in again.stdout
 
 
 def test_json_has_one_entry_a_session(program: Program, sessions: list[Path]) -> None:
@@ -123,7 +129,7 @@ def cluster() -> Iterator[Any]:
 
 
 def test_sessions_of_a_killed_cluster_worker_are_done_again(
-    cluster: Any, program: Program, sessions: list[Path], capsys: pytest.CaptureFixture[str]
+    cluster: Any, sessions: list[Path], alone: dict[str, list[str]], capsys: pytest.CaptureFixture[str]
 ) -> None:
     nanny = next(iter(cluster.workers.values()))
     killed: list[int] = []
@@ -134,7 +140,7 @@ def test_sessions_of_a_killed_cluster_worker_are_done_again(
     assert killed
     assert code == 0, capsys.readouterr().out
     for folder in sessions:
-        assert written(folder) == alone(program, folder)
+        assert written(folder) == alone[folder.name]
 
 
 def kill_when_busy(cluster: Any, nanny: Any, killed: list[int]) -> None:

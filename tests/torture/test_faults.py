@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import json
 import os
 import random
-import resource
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -55,17 +53,13 @@ def sentence_of(error: str) -> str:
     return " ".join(lines)
 
 
-def limit_file_size(size: int) -> Callable[[], None]:
-    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
-
-
 def test_disk_full_again_and_again(program: Program, campaign: Campaign) -> None:
     rng = random.Random(31)
     folder, port = program.folder / "session", show_rounds(program, POSITIONS)
     times, kept = campaign.times(2, 40), set[str]()
     for number in range(times):
         limit = rng.randrange(20_000, 250_000) if campaign.full else 80_000
-        ended = program.run(*capture_into(program, port, folder, POSITIONS), preexec_fn=limit_file_size(limit))
+        ended = program.run(*capture_into(program, port, folder, POSITIONS), at_start=("limit_file_size", limit))
         if ended.returncode == 0:
             times = number
             break
@@ -127,14 +121,6 @@ def test_a_small_file_system(program: Program, small_disk: Path, campaign: Campa
     )
 
 
-def give_up_privileges() -> None:
-    """Take from root, to whom nothing is forbidden, the right to pass over the permissions of files (Linux)."""
-    drop_from_bounding_set, override, read_search = 24, 1, 2
-    library = ctypes.CDLL(None)
-    for capability in (override, read_search):
-        library.prctl(drop_from_bounding_set, capability, 0, 0, 0)
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="takes root's privileges as Linux does")
 def test_read_only_folders(program: Program, solved_session: Path, campaign: Campaign) -> None:
     port, closed = program.emulate("--positions", "none"), program.folder / "closed"
@@ -151,9 +137,8 @@ def test_read_only_folders(program: Program, solved_session: Path, campaign: Cam
         (RECORDING, ("export-data", closed / "session", "-o", closed / "samples.csv")),
         (PARAMETERS, ("export", closed / "session" / "parameters.toml", "--to", "c", "-o", closed / "out.h")),
     )
-    before_start = give_up_privileges if os.geteuid() == 0 else None
     for code, command in commands:
-        ended = program.run(*command, preexec_fn=before_start)
+        ended = program.run(*command, at_start=("give_up_privileges",))
         assert ended.returncode == code, (command[0], ended.stderr)
         assert "ermission" in sentence_of(ended.stderr) or "cannot be written" in sentence_of(ended.stderr)
     assert {path: path.read_bytes() for path in closed.rglob("*") if path.is_file()} == before

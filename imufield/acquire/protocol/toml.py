@@ -9,11 +9,13 @@ A value may be written out, or taken from a setting::
 
 from __future__ import annotations
 
+import copy
 import difflib
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Self
 
 from imufield.errors import ProtocolError, Reason
@@ -59,11 +61,17 @@ class Source:
             If it is no TOML; the message has the line.
         """
         try:
-            return tomllib.loads(self.text)
+            return copy.deepcopy(_loaded(self.text))
         except tomllib.TOMLDecodeError as error:
             raise ProtocolError(f"{self.label} is not a readable TOML file: {error}") from error
         except RecursionError as error:
             raise ProtocolError(f"{self.label} nests its tables too deeply; a protocol needs three levels") from error
+
+
+# Recognising an instrument reads each protocol several times, and reading the text is most of the work.
+@lru_cache(maxsize=64)
+def _loaded(text: str) -> dict[str, object]:
+    return tomllib.loads(text)
 
 
 def _find(lines: list[str], at: int, column: int, part: str | int) -> tuple[int, int] | None:

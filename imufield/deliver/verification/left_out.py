@@ -107,7 +107,11 @@ def _scatter(left: FloatArray, within: FloatArray, freedom: int) -> FloatArray:
         weight = 1 / (within + tau2[:, None])
         weighted = left**2 * weight
         excess = np.sum(weighted, axis=1) - freedom
-        tau2 += np.maximum(excess, 0.0) / np.sum(weighted * weight, axis=1)
+        after = tau2 + np.maximum(excess, 0.0) / np.sum(weighted * weight, axis=1)
+        # Where no run moves by a bit any more, none ever will.
+        if np.array_equal(after, tau2):
+            break
+        tau2 = after
     return tau2
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from statistics import median
 
 import numpy as np
 
@@ -123,7 +124,7 @@ class StreamWatch:
             return
         usual = floor.samples_per_cell
         # The median does not mind cells with lost samples; those are told elsewhere.
-        share = float(np.median(self._counts)) / usual - 1
+        share = median(self._counts) / usual - 1
         # A cell of a few samples holds one more or less by chance.
         if abs(share) > _RATE_SHARE and abs(share) * usual > 1 and self._speaker.due("rate", _RATE_REMIND_S):
             usual_hz = usual / CELL_S

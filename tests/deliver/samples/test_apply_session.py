@@ -87,7 +87,7 @@ def test_memory_does_not_grow_with_the_recording(loaded: Parameters, tmp_path: P
         return (block(number) for number in range(count))
 
     peaks = []
-    for count in (60, 300):
+    for count in (60, 150):
         tracemalloc.start()
         apply_session(loaded, stream(count), tmp_path / "corrected.csv")
         peaks.append(tracemalloc.get_traced_memory()[1])

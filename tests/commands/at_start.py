@@ -1,0 +1,32 @@
+"""What a program can be asked to do before it begins, by name: it is called in the process of the program."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import resource
+import signal
+
+
+def limit_file_size(size: int) -> None:
+    """Let no file grow beyond this, as a disk that is full."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+def ignore_hangup() -> None:
+    """Ignore that the terminal is closed, as ``nohup`` does."""
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+
+def give_up_privileges() -> None:
+    """Take from root, to whom nothing is forbidden, the right to pass over the permissions of files (Linux)."""
+    if os.geteuid() != 0:
+        return
+    version_3, override, read_search = 0x20080522, 1, 2
+    header, sets, library = (ctypes.c_uint32 * 2)(version_3, 0), (ctypes.c_uint32 * 6)(), ctypes.CDLL(None)
+    library.capget(header, sets)
+    # Effective, permitted and inheritable of the first 32 capabilities.
+    for number in range(3):
+        sets[number] &= ~(1 << override | 1 << read_search)
+    if library.capset(header, sets):
+        raise OSError("the capabilities cannot be changed")
