@@ -29,6 +29,9 @@ import numpy as np
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.whole_model import WholeModel, apply_header, gauge_note, whole_model
 from imufield.errors import ParameterFileError, Reason
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 MAGIC = b"IMUFIELD"
 VERSION = 1  # apply.h and unpack refuse a newer one.
@@ -68,11 +71,8 @@ def pack(job: Job, model: WholeModel) -> bytes:
     ):
         texts.append(text.encode())
         if len(texts[-1]) > size:
-            raise ParameterFileError(
-                f"the {what} {text!r} has {len(texts[-1])} bytes and the binary block holds {size}; shorten it in the "
-                "parameter file",
-                Reason.BOUNDS,
-            )
+            refused = sentence("binary.text_size", what=what, text=text, found=len(texts[-1]), most=size)
+            raise ParameterFileError(refused, Reason.BOUNDS)
     numbers = np.concatenate([values.ravel() for values in model.arrays().values()])
     site = (calibration.gravity.gravity_m_s2, *context.session.temperature_degc)
     flags = model.has_gyroscope | model.quadratic_on_body_axes << 1
@@ -91,17 +91,15 @@ def unpack(block: bytes) -> dict[str, object]:
     """
     # The magic first: a file of another kind is neither cut nor damaged.
     if block[:8] != MAGIC:
-        raise ParameterFileError(f"this is no imufield block: it begins with {block[:8]!r} and not {MAGIC!r}", Reason.DAMAGED)
+        raise ParameterFileError(sentence("binary.foreign", found=block[:8], wanted=MAGIC))
     if len(block) < SIZE:
-        raise ParameterFileError(f"the imufield block is cut: {len(block)} of {SIZE} bytes; copy it again", Reason.DAMAGED)
+        raise ParameterFileError(sentence("binary.cut", found=len(block), wanted=SIZE))
     _, version, size, flags, *rest = _LAYOUT.unpack(block[: _LAYOUT.size])
     # Before size and CRC, which a newer version may have elsewhere.
     if version > VERSION:
-        raise ParameterFileError(
-            f"the imufield block has version {version} and this program knows {VERSION}; update imufield", Reason.NEWER
-        )
+        raise ParameterFileError(sentence("binary.newer", version=version, known=VERSION), Reason.NEWER)
     if size != SIZE or struct.unpack("<I", block[SIZE - 4 : SIZE])[0] != zlib.crc32(block[: SIZE - 4]):
-        raise ParameterFileError("the imufield block is damaged: size or CRC-32 is wrong; copy it again", Reason.DAMAGED)
+        raise ParameterFileError(sentence("binary.damaged"))
     names = ("accelerometer_raw_unit", "gyroscope_raw_unit", "serial_number", "created")
     content: dict[str, object] = {name: text.rstrip(b"\0").decode() for name, text in zip(names, rest[:4], strict=True)}
     content |= {"has_gyroscope": bool(flags & 1), "quadratic_on_body_axes": bool(flags & 2)}

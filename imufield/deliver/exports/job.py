@@ -18,13 +18,16 @@ from imufield.deliver.exports.conventions import (
     rotation_vector,
 )
 from imufield.deliver.exports.loss import loss_sentences
-from imufield.deliver.exports.target import Exported, ExportOptions, Target, TargetModel
+from imufield.deliver.exports.target import Exported, ExportOptions, Target
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import to_ascii
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import Sentences
 
-BIAS_ONLY = "scale and misalignment cannot be held"
+sentence = Sentences(__package__)
+
+BIAS_ONLY = sentence("job.bias_only")
 _NO_TURN_RAD = 1e-9  # A smaller turn is rounding.
 
 
@@ -33,8 +36,8 @@ class Draft:
     """What an exporter returns."""
 
     files: dict[str, bytes]
-    target_model: TargetModel | None = None
-    """None where the target has a place for the whole model."""
+    target_model: Corrections | None = None
+    """What the target will compute from this instrument's raw output; None where the target has a place for the whole model."""
     accelerometer_lacks: str = ""
     """Why the accelerometer differs, to be put before the numbers."""
     gyroscope_lacks: str = ""
@@ -64,9 +67,7 @@ class Job:
     def fixed_frame(self, frame: Frame) -> Frame:
         """Return the only body frame the target can take; refuses another that the user asked for."""
         if self.options.gauge not in (None, frame):
-            raise UsageError(
-                f"{self.target.name} fixes the body frame itself, so gauge = {self.options.gauge} cannot be had; leave it out"
-            )
+            raise UsageError(sentence("job.gauge", target=self.target.name, gauge=self.options.gauge))
         return frame
 
     def corrections(self, frame: Frame) -> Corrections:
@@ -109,7 +110,7 @@ class Job:
     def _si_scale(self, triad: str, unit: str, typed: float | None) -> float:
         if typed is not None:
             if not (np.isfinite(typed) and typed != 0):
-                raise UsageError(f"{triad}_nominal = {typed} is no scale; give the raw unit per SI unit, finite and not zero")
+                raise UsageError(sentence("job.nominal", triad=triad, value=typed))
             return typed
         known = nominal_scale(unit)
         if known is not None:
@@ -123,13 +124,8 @@ class Job:
         if gyroscope is not None and options.gyroscope_nominal is None and nominal_scale(gyroscope.raw_unit) is None:
             wanted["gyroscope_nominal"] = f"{gyroscope.raw_unit} per rad/s"
         settings = " and ".join(f"--set {name}=NUMBER ({per})" for name, per in wanted.items())
-        raise ParameterFileError(
-            f"{self.target.name} corrects values in SI and this {triad} is calibrated in {unit}; give the scale by which "
-            f"the target's driver makes SI of it, {settings}, or export to c, imu_tk or imucal",
-            Reason.UNITS,
-            unit=unit,
-            target=self.target.name,
-        )
+        refused = sentence("job.unit", target=self.target.name, triad=triad, unit=unit, settings=settings)
+        raise ParameterFileError(refused, Reason.UNITS)
 
     def gyroscope_bias_only(self, corrections: Corrections) -> Corrections:
         """Return corrections whose gyroscope has the nominal scale and no misalignment.
@@ -150,18 +146,8 @@ class Job:
         """Check that the signs of a triad's axes can be expressed by a target that knows positive scales only."""
         for axis, value in zip(AXES, scale, strict=True):
             if not value > 0:
-                raise ParameterFileError(
-                    f"{self.target.name} cannot express the sign of this {triad}: the scale of axis {axis} is {value:.6g} and "
-                    "must be positive; reverse that axis in the target's driver or rotation and calibrate behind it",
-                    Reason.BOUNDS,
-                    axis=axis,
-                    scale=float(value),
-                )
-
-    def temperature_degc(self) -> float | None:
-        """Return the middle of the session's temperatures, or None where not known."""
-        low, high = self.parameters.context.session.temperature_degc
-        return None if np.isnan(low + high) else (low + high) / 2
+                refused = sentence("job.sign", target=self.target.name, triad=triad, axis=axis, scale=float(value))
+                raise ParameterFileError(refused, Reason.BOUNDS)
 
     def example(self, corrections: Corrections) -> list[str]:
         """Return a worked number for the file: what these corrections make of one raw sample in SI."""
@@ -199,7 +185,7 @@ def run(export: Callable[[Job], Draft], parameters: Parameters, target: Target, 
     draft = export(job)
     notes = draft.notes
     if not job.has_gyroscope and parameters.calibration.gyroscope is not None:
-        notes = ("the gyroscope is left out, because its scale is not known", *notes)
+        notes = (sentence("job.no_gyroscope"), *notes)
     if draft.target_model is None:
         return Exported(draft.files, draft.losses, notes)
     losses = loss_sentences(parameters, draft.target_model, draft.accelerometer_lacks, draft.gyroscope_lacks)
@@ -212,8 +198,4 @@ def frame_note(rotation: FloatArray) -> tuple[str, ...]:
     if np.linalg.norm(turn_rad) < _NO_TURN_RAD:
         return ()
     x, y, z = turn_rad * 1e3
-    note = (
-        f"the target's body frame is that of the parameter file turned by ({x:.4f}, {y:.4f}, {z:.4f}) mrad about x, y, z; "
-        "accelerometer and gyroscope were turned together"
-    )
-    return (note,)
+    return (sentence("job.turned", x=x, y=y, z=z),)

@@ -12,6 +12,9 @@ from imufield.deliver.exports.job import BIAS_ONLY, Draft, Job
 from imufield.deliver.exports.text import comment, row, text_file
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _COMMANDS_3DM = 0x0C  # Descriptor set of all commands here.
 # Title, field descriptor, and the unit of the packet in SI.
@@ -44,7 +47,7 @@ def export(job: Job) -> Draft:
         target_model=job.gyroscope_bias_only(bias_only),
         accelerometer_lacks=BIAS_ONLY,
         gyroscope_lacks=BIAS_ONLY,
-        notes=("set the instrument to idle before the packets; they replace the biases in it and keep single precision",),
+        notes=(sentence("microstrain.idle"),),
     )
 
 

@@ -15,6 +15,9 @@ from imufield.deliver.exports.text import comment, text_file, yaml_matrix
 from imufield.deliver.exports.vio import bias_lines, bias_loss, noise_lines
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
 def export(job: Job) -> Draft:
@@ -53,10 +56,7 @@ def _corrections(job: Job) -> Corrections:
         return job.corrections(job.fixed_frame("lower"))
     corrections = job.corrections(job.fixed_frame("file"))
     if corrections.gyroscope is None:
-        raise ParameterFileError(
-            "the IMU frame of OpenVINS' model rpng is the gyroscope's and this file has none with a scale; take model kalibr",
-            Reason.UNITS,
-        )
+        raise ParameterFileError(sentence("openvins.no_gyroscope"), Reason.UNITS)
     turn, _ = rotation_times_triangle(corrections.gyroscope.matrix, "upper")
     return corrections.turned(turn.T)
 

@@ -9,6 +9,9 @@ from imufield.deliver.exports.job import Job
 from imufield.deliver.exports.text import number, row
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
 def noise_lines(job: Job, indent: int) -> tuple[list[str], tuple[str, ...]]:
@@ -17,7 +20,7 @@ def noise_lines(job: Job, indent: int) -> tuple[list[str], tuple[str, ...]]:
     unknown = [name for name, value in figures.items() if value is None]
     lines = [f"{' ' * indent}{name}: {number(value)}" for name, value in figures.items() if value is not None]
     lines += [f"{' ' * indent}# {name}: not known, fill in" for name in unknown]
-    return lines, (f"fill in before use, because nothing here knows them: {', '.join(unknown)}",) if unknown else ()
+    return lines, (sentence("vio.unknown", names=unknown),) if unknown else ()
 
 
 def noise_figures(job: Job) -> dict[str, float | None]:
@@ -47,8 +50,8 @@ def bias_lines(si: Corrections) -> list[str]:
 def bias_loss(si: Corrections) -> tuple[str, ...]:
     """Say how large the biases are that the target does not store."""
     units = {"accelerometer": ("mg", MILLI_G_M_S2), "gyroscope": ("mrad/s", 1e-3)}
-    return tuple(
-        f"{triad}: the bias of {np.linalg.norm(correction.offset) / units[triad][1]:.3g} {units[triad][0]} is no part of the "
-        "file, the target estimates it at run time"
-        for triad, correction in si.triads.items()
-    )
+    losses = []
+    for triad, correction in si.triads.items():
+        unit, size = units[triad]
+        losses.append(sentence("vio.bias", triad=triad, size=np.linalg.norm(correction.offset) / size, unit=unit))
+    return tuple(losses)

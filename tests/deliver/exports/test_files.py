@@ -17,7 +17,7 @@ from made_up_instruments import loaded, made_up
 from imufield.deliver.exports import TARGETS, ExportOptions, export_options, export_parameters, write_exported
 from imufield.deliver.exports.microstrain import packet
 from imufield.deliver.exports.text import number, yaml_lines
-from imufield.deliver.exports.vectornav import sentence
+from imufield.deliver.exports.vectornav import with_checksum
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 from tests.refused import refused
 
@@ -143,11 +143,11 @@ def test_vectornav_checksums(shared_folder: Path) -> None:
     known = [v["ascii"] for v in (vector.get("decoded", {}) for vector in vectors) if "VNWRG" in v.get("ascii", "")]
     assert len(known) >= 3
     for line in (text.removesuffix("<CR><LF>") for text in known):
-        assert sentence(line[1:].partition("*")[0]) == line
+        assert with_checksum(line[1:].partition("*")[0]) == line
     text = export_parameters(made_up(12), "vectornav").files["vectornav.txt"].decode()
     assert text.endswith("$VNWNV*57\r\n")
     for line in text.split("\r\n")[:-1]:
-        assert sentence(line[1:].partition("*")[0]) == line
+        assert with_checksum(line[1:].partition("*")[0]) == line
         assert len(line) < 256
 
 
