@@ -21,9 +21,12 @@ import numpy as np
 from imufield.deliver.navigation.drift import Drift, make_drift
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+sentence = Sentences(__package__)
 
 PIECE = 16384
 """Samples integrated at once: less makes more tables, more makes them larger."""
@@ -44,11 +47,7 @@ def load_pyins() -> SimpleNamespace:
         modules = {name: importlib.import_module(f"pyins.{name}") for name in ("earth", "strapdown", "transform", "util")}
         return SimpleNamespace(pandas=importlib.import_module("pandas"), **modules)
     except ImportError as error:
-        raise UsageError(
-            "navigation needs the package python-ins; install it with `pip install 'imufield[nav]'`",
-            Reason.MISSING_PACKAGE,
-            package="python-ins",
-        ) from error
+        raise UsageError(sentence("mechanise.package", package="python-ins"), Reason.MISSING_PACKAGE) from error
 
 
 def integrate(state: FloatArray, start_s: float, increments: DataFrame) -> DataFrame:

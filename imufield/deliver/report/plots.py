@@ -22,11 +22,14 @@ from imufield.deliver.report.data import Closure, Convergence, Trace
 from imufield.earth import MILLI_G_M_S2
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+
+sentence = Sentences(__package__)
 
 INK = "#111111"
 BLUE = "#0b5394"
@@ -86,11 +89,7 @@ def load_matplotlib() -> ModuleType:
 
 def missing_package(name: str) -> UsageError:
     """Return the error that names the extra."""
-    return UsageError(
-        f"the report needs the package {name}; install it with `pip install 'imufield[report]'`",
-        Reason.MISSING_PACKAGE,
-        package=name,
-    )
+    return UsageError(sentence("plots.package", package=name), Reason.MISSING_PACKAGE)
 
 
 def figure(height_in: float) -> Figure:
@@ -154,7 +153,7 @@ def sphere_map(up: FloatArray, residual_m_s2: FloatArray, names: tuple[str, ...]
                 fontsize=_LABEL_SIZE, arrowprops={"arrowstyle": "-", "linewidth": 0.4, "color": GREY},
             )  # fmt: skip
     unit, size_si = acceleration_unit(largest)
-    drawn.supxlabel(f"filled: longer than gravity, hollow: shorter; largest {largest / size_si:.3g} {unit}", fontsize=8)
+    drawn.supxlabel(sentence("plots.sphere", largest=largest / size_si, unit=unit), fontsize=8)
     return to_svg(drawn, "sphere")
 
 

@@ -13,7 +13,7 @@ CDR, little-endian (OMG DDS-XTypes 1.3, section 7.4.3: each number at a multiple
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,9 @@ from numpy.typing import NDArray
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import UNUSABLE, FloatArray, Samples, Status
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 TOPIC = "/imu/data_raw"  # REP 145: data without orientation.
 # Flags of one triad alone: they leave the other usable.
@@ -58,7 +61,7 @@ _MESSAGE = np.dtype(
 )
 
 
-def write_ros2(blocks: Iterable[Samples], path: Path) -> int:
+def write_ros2(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (units of ROS are fixed)
     """Write an MCAP file; return the number of messages.
 
     Raises
@@ -89,11 +92,8 @@ def write_ros2(blocks: Iterable[Samples], path: Path) -> int:
 
 def _nanoseconds(time_s: FloatArray) -> NDArray[np.int64]:
     if len(time_s) and not (time_s[0] >= 0 and time_s[-1] < _LARGEST_S):
-        raise RecordingError(
-            f"times from {time_s[0]:g} s to {time_s[-1]:g} s do not fit into stamps of ROS, 0 to {_LARGEST_S} s; export "
-            "another format",
-            Reason.BOUNDS,
-        )
+        refused = sentence("export_ros2.stamp", first_s=time_s[0], last_s=time_s[-1], limit_s=_LARGEST_S)
+        raise RecordingError(refused, Reason.BOUNDS)
     whole = np.floor(time_s)
     # Whole seconds apart: a float64 of both together has no nanoseconds left after an hour.
     parts = np.rint((time_s - whole) * NANOSECONDS).astype(np.int64)
@@ -104,11 +104,8 @@ def _nanoseconds(time_s: FloatArray) -> NDArray[np.int64]:
 def _messages(samples: Samples, stamps: NDArray[np.int64]) -> NDArray[np.void]:
     units = samples.units
     if not units.is_si:
-        raise UsageError(
-            f"ROS knows m/s^2 and rad/s, the session holds {units.accelerometer} and {units.gyroscope}: export csv, parquet or "
-            "hdf5, or correct it first with `imufield apply`",
-            Reason.UNITS,
-        )
+        refused = sentence("export_ros2.units", accelerometer=units.accelerometer, gyroscope=units.gyroscope)
+        raise UsageError(refused, Reason.UNITS)
     messages = np.zeros(len(samples), dtype=_MESSAGE)
     messages["head"][:, 1] = 1
     messages["sec"], messages["nanosec"] = stamps // NANOSECONDS, stamps % NANOSECONDS
