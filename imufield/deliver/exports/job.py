@@ -28,6 +28,7 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 BIAS_ONLY = sentence("job.bias_only")
+_SI = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 _NO_TURN_RAD = 1e-9  # A smaller turn is rounding.
 
 
@@ -86,7 +87,7 @@ class Job:
         accelerometer = corrections.accelerometer.of_scaled(scale, zero)
         if corrections.gyroscope is None:
             return replace(corrections, accelerometer=accelerometer)
-        scale = self.gyroscope_si()
+        scale = self.si_scale("gyroscope")
         return replace(
             corrections,
             accelerometer=accelerometer,
@@ -96,34 +97,28 @@ class Job:
 
     def accelerometer_si(self) -> tuple[float, FloatArray]:
         """Return scale and zero by which the target's driver makes m/s^2: (N - zero) / scale; raises as ``in_si``."""
-        calibration, typed = self.parameters.calibration, self.options.accelerometer_nominal
-        scale = self._si_scale("accelerometer", calibration.accelerometer_raw_unit, typed)
         # A driver that turns counts into SI takes the mid-scale off; what comes in SI already is taken as it comes.
-        return scale, calibration.accelerometer.raw_zero * (typed is not None)
+        is_count = self.options.accelerometer_nominal is not None
+        return self.si_scale("accelerometer"), self.parameters.calibration.accelerometer.raw_zero * is_count
 
-    def gyroscope_si(self) -> float:
-        """Return the scale by which the target's driver makes rad/s; raises as ``in_si``."""
-        gyroscope = self.parameters.calibration.gyroscope
-        unit = "rad/s" if gyroscope is None else gyroscope.raw_unit
-        return self._si_scale("gyroscope", unit, self.options.gyroscope_nominal)
-
-    def _si_scale(self, triad: str, unit: str, typed: float | None) -> float:
-        if typed is not None:
-            if not (np.isfinite(typed) and typed != 0):
-                raise UsageError(sentence("job.nominal", triad=triad, value=typed))
-            return typed
-        known = nominal_scale(unit)
-        if known is not None:
-            return known
+    def si_scale(self, triad: str) -> float:
+        """Return the scale by which the target's driver makes SI of a triad that there is; raises as ``in_si``."""
+        calibration = self.parameters.calibration
+        units = {"accelerometer": calibration.accelerometer_raw_unit}
+        if calibration.gyroscope is not None and self.has_gyroscope:
+            units["gyroscope"] = calibration.gyroscope.raw_unit
+        typed: dict[str, float | None] = {name: getattr(self.options, f"{name}_nominal") for name in units}
+        scale = typed[triad]
+        if scale is not None and not (np.isfinite(scale) and scale != 0):
+            raise UsageError(sentence("job.nominal", triad=triad, value=scale))
+        if scale is None:
+            scale = nominal_scale(units[triad])
+        if scale is not None:
+            return scale
         # Every option that is missing at once, so that a user need not run into one after the other.
-        calibration, options = self.parameters.calibration, self.options
-        wanted = {}
-        if options.accelerometer_nominal is None and nominal_scale(calibration.accelerometer_raw_unit) is None:
-            wanted["accelerometer_nominal"] = f"{calibration.accelerometer_raw_unit} per m/s^2"
-        gyroscope = calibration.gyroscope if self.has_gyroscope else None
-        if gyroscope is not None and options.gyroscope_nominal is None and nominal_scale(gyroscope.raw_unit) is None:
-            wanted["gyroscope_nominal"] = f"{gyroscope.raw_unit} per rad/s"
-        settings = " and ".join(f"--set {name}=NUMBER ({per})" for name, per in wanted.items())
+        missing = [name for name in units if typed[name] is None and nominal_scale(units[name]) is None]
+        settings = " and ".join(f"--set {name}_nominal=NUMBER ({units[name]} per {_SI[name]})" for name in missing)
+        unit = units[triad]
         refused = sentence("job.unit", target=self.target.name, triad=triad, unit=unit, settings=settings)
         raise ParameterFileError(refused, Reason.UNITS)
 
@@ -137,7 +132,7 @@ class Job:
         """
         if corrections.gyroscope is None:
             return corrections
-        scale = self.gyroscope_si()
+        scale = self.si_scale("gyroscope")
         self.require_positive("gyroscope", scale * np.diag(corrections.gyroscope.matrix))
         bias_only = Correction(np.eye(3) / scale, corrections.gyroscope.offset)
         return replace(corrections.without_g_sensitivity(), gyroscope=bias_only)

@@ -54,50 +54,44 @@ _TINY = 1e-22  # Square of a nanogal, with which a covariance of zeros can be in
 _NEWTON_STEPS = 20  # Of the scatter: it converges quadratically.
 
 
-@dataclass(frozen=True, slots=True)
-class LinearSession:
-    """The linearised session: residual = jacobian z + noise."""
+def _simulated_misfits(
+    calibration: Calibration, observations: Observations, groups: list[NDArray[np.bool_]], seed: int = 0
+) -> FloatArray:
+    """Return the pooled misfit of simulated sessions whose noise is as the calibration states, shape (RUNS,).
 
-    jacobian: FloatArray
-    """Independent columns, shape (m, n)."""
-    within: FloatArray
-    """Variance of each mean, shape (m,)."""
-    tau_m_s2: float
-
-
-def simulated_misfits(session: LinearSession, groups: list[NDArray[np.bool_]], seed: int = 0) -> FloatArray:
-    """Return the pooled misfit of simulated sessions whose noise is as stated, shape (RUNS,).
-
-    Parameters
-    ----------
-    session : LinearSession
-    groups : list of ndarray of bool, shape (m,)
-        Positions left out together; every position in one of them.
-    seed : int
+    Every position is in one of the groups that are left out together. The session is linearised: residual = J z + noise.
     """
-    m = len(session.within)
-    sigma = np.sqrt(session.within + session.tau_m_s2**2)
+    p, quality = calibration.accelerometer, calibration.quality
+    at = _derivatives(p, observations)
+    fitted = np.diag(_covariance(calibration))[:-1] > 0
+    size = parameter_scale(to_vector(p), calibration.gravity.gravity_m_s2)
+    # In most gauges columns hang together; as many as were fitted are independent.
+    J = np.linalg.svd((at.jacobian * size)[:, fitted], full_matrices=False)[0][:, : quality.parameters_fitted]
+    within, m = _within(at, observations), len(observations)
+    sigma = np.sqrt(within + quality.between_position_sigma_m_s2**2)
     noise = sigma * np.random.default_rng(seed).standard_normal((RUNS, m))
-    squares = [_squares(session, group, noise, sigma) for group in groups]
+    squares = [_squares(J, within, group, noise, sigma=sigma) for group in groups]
     return np.asarray(np.sum(squares, axis=0) / m)
 
 
-def _squares(session: LinearSession, group: NDArray[np.bool_], noise: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Return r^T S^-1 r of one group of every run, shape (RUNS,)."""
+def _squares(
+    jacobian: FloatArray, within: FloatArray, group: NDArray[np.bool_], noise: FloatArray, *, sigma: FloatArray
+) -> FloatArray:
+    """Return r^T S^-1 r of one group of every run, shape (RUNS,); ``within`` is the variance of each mean."""
     rest = ~group
-    J, H = session.jacobian[rest], session.jacobian[group]
+    J, H = jacobian[rest], jacobian[group]
     # Q spans the weighted columns; the fit at the true weights stands for that at the estimated ones.
     Q, R = np.linalg.qr(J / sigma[rest, None])
     whitened = noise[:, rest] / sigma[rest]
     z = np.linalg.solve(R, Q.T @ whitened.T).T
     left = noise[:, rest] - z @ J.T
-    tau2 = _scatter(left, session.within[rest], int(rest.sum()) - J.shape[1])
+    tau2 = _scatter(left, within[rest], int(rest.sum()) - J.shape[1])
     residual = noise[:, group] - z @ H.T
-    weight = 1 / (session.within[rest] + tau2[:, None] + _TINY)
+    weight = 1 / (within[rest] + tau2[:, None] + _TINY)
     normal = np.einsum("ai,ra,aj->rij", J, weight, J, optimize=True)
     S = H @ np.linalg.solve(normal, np.broadcast_to(H.T, (len(normal), *H.T.shape)))
     diagonal = np.arange(len(H))
-    S[:, diagonal, diagonal] += session.within[group] + tau2[:, None] + _TINY
+    S[:, diagonal, diagonal] += within[group] + tau2[:, None] + _TINY
     return np.asarray(np.einsum("rh,rh->r", residual, np.linalg.solve(S, residual[..., None])[..., 0]))
 
 
@@ -272,7 +266,7 @@ def cross_validate(
         residual[group], S = _residual(others, observations[group], calibration.gravity)
         sigma[group] = np.sqrt(np.diag(S))
         misfit += _misfit(residual[group], S) * int(group.sum()) / m
-    by_chance = simulated_misfits(_linearised(calibration, observations), groups)
+    by_chance = _simulated_misfits(calibration, observations, groups)
     return LeftOutPositions(
         name=observations.name,
         up=_up(calibration, observations),
@@ -286,17 +280,6 @@ def cross_validate(
         chance=float((1 + np.count_nonzero(by_chance >= misfit)) / (1 + len(by_chance))),
         is_own=True,
     )
-
-
-def _linearised(calibration: Calibration, observations: Observations) -> LinearSession:
-    """Return the session as ``simulated_misfits`` takes it."""
-    p, quality = calibration.accelerometer, calibration.quality
-    at = _derivatives(p, observations)
-    fitted = np.diag(_covariance(calibration))[:-1] > 0
-    size = parameter_scale(to_vector(p), calibration.gravity.gravity_m_s2)
-    # In most gauges columns hang together; as many as were fitted are independent.
-    columns = np.linalg.svd((at.jacobian * size)[:, fitted], full_matrices=False)[0][:, : quality.parameters_fitted]
-    return LinearSession(columns, _within(at, observations), quality.between_position_sigma_m_s2)
 
 
 def _rms(values: FloatArray) -> float:

@@ -33,10 +33,8 @@ sentence = Sentences(__package__)
 
 FORMAT = "imufield-verification"
 VERSION = 1  # A report leaves out results of another one.
-REQUIREMENTS = {
-    "residual-ug": "RMS residual of held-out positions, micro-g",
-    "nav-nmi-per-h": "largest position error over the time navigated, nautical miles an hour",
-}
+# RMS residual of held-out positions, micro-g; largest position error over the time navigated, nautical miles an hour.
+REQUIREMENTS = ("residual-ug", "nav-nmi-per-h")
 _WIDTH = 80
 _HOURS_FROM_S = 7200.0  # Shorter recordings are told in minutes: a sixth of them has one decimal in hours.
 _POINTS = 600  # Of each curve in the file: more than a plot shows.
@@ -102,7 +100,7 @@ def parse_requirements(text: str | None) -> dict[str, float]:
     for part in [] if text is None else text.split(","):
         name, _, value = (piece.strip() for piece in part.partition("="))
         if name not in REQUIREMENTS:
-            raise UsageError(sentence("result.requirement", given=part.strip(), known=list(REQUIREMENTS)))
+            raise UsageError(sentence("result.requirement", given=part.strip(), known=REQUIREMENTS))
         try:
             limit = float(value)
         except ValueError:
