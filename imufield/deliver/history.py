@@ -252,11 +252,9 @@ def compare(old: Entry, new: Entry) -> tuple[Change, ...]:
 def _open_index(folder: Path) -> sqlite3.Connection:
     """Open the index; in memory where the folder is read-only or the file is not an index."""
     for place in (folder / INDEX_FILE, ":memory:"):
+        connection = None
         try:
             connection = sqlite3.connect(place)
-        except sqlite3.Error:
-            continue
-        try:
             # A file of another version, or of another program: its content is dropped, as the index can be made anew.
             version = connection.execute("PRAGMA user_version").fetchone()[0]
             if version != INDEX_VERSION:
@@ -265,9 +263,10 @@ def _open_index(folder: Path) -> sqlite3.Connection:
             connection.execute(f"PRAGMA user_version = {INDEX_VERSION}")
             connection.execute("SELECT COUNT(*) FROM entry").fetchone()
         except sqlite3.Error:
-            connection.close()
-            continue
-        return connection
+            if connection is not None:
+                connection.close()
+        else:
+            return connection
     raise UsageError(sentence("history.no_index", folder=folder))
 
 

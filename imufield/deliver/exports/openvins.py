@@ -12,7 +12,7 @@ import numpy as np
 from imufield.deliver.exports.conventions import Corrections, rotation_times_triangle
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import comment, text_file, yaml_matrix
-from imufield.deliver.exports.vio import bias_lines, bias_loss, noise_lines
+from imufield.deliver.exports.vio import bias_lines, bias_loss, imu_lines
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
@@ -31,15 +31,12 @@ def export(job: Job) -> Draft:
         matrices["R_IMUtoGYRO"], matrices["Tw"] = _split(si.gyroscope.matrix, job)
     R, T = _split(si.accelerometer.matrix, job)
     matrices |= {"Ta": T, "R_IMUtoACC": R, "Tg": si.g_sensitivity}
-    noise, unknown = noise_lines(job, 2)
+    imu, unknown = imu_lines(job)
     lines = [
         "%YAML:1.0",  # cv::FileStorage, which OpenVINS reads with, refuses a file without this line
         *comment([*job.heading(), *bias_lines(si), *job.example(si)]),
         "",
-        "imu0:",
-        "  T_i_b:",
-        *yaml_matrix(np.eye(4), 4),
-        *noise,
+        *imu,
         "  rostopic: /imu0",
         "  time_offset: 0.0",
         f'  model: "{job.options.model}"',

@@ -6,7 +6,7 @@ import numpy as np
 
 from imufield.deliver.exports.conventions import Corrections
 from imufield.deliver.exports.job import Job
-from imufield.deliver.exports.text import number, row
+from imufield.deliver.exports.text import number, row, yaml_matrix
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
 from imufield.sentences import Sentences
@@ -14,12 +14,14 @@ from imufield.sentences import Sentences
 sentence = Sentences(__package__)
 
 
-def noise_lines(job: Job, indent: int) -> tuple[list[str], tuple[str, ...]]:
-    """Return the YAML lines of the four noise figures and the rate, and what to say about those that are not known."""
+def imu_lines(job: Job) -> tuple[list[str], tuple[str, ...]]:
+    """Return how the YAML table of an IMU begins, with noise figures and rate, and what to say about those not known."""
     figures = noise_figures(job)
     unknown = [name for name, value in figures.items() if value is None]
-    lines = [f"{' ' * indent}{name}: {number(value)}" for name, value in figures.items() if value is not None]
-    lines += [f"{' ' * indent}# {name}: not known, fill in" for name in unknown]
+    # The first IMU is the reference: T_i_b is the identity.
+    lines = ["imu0:", "  T_i_b:", *yaml_matrix(np.eye(4), 4)]
+    lines += [f"  {name}: {number(value)}" for name, value in figures.items() if value is not None]
+    lines += [f"  # {name}: not known, fill in" for name in unknown]
     return lines, (sentence("vio.unknown", names=unknown),) if unknown else ()
 
 

@@ -29,7 +29,7 @@ import numpy as np
 
 from imufield.calibrate.model.result import Calibration
 from imufield.deliver.navigation.alignment import Alignment, cross_matrix, earth_rate
-from imufield.deliver.navigation.drift import QUANTITIES, Drift, make_drift
+from imufield.deliver.navigation.drift import QUANTITIES, Drift
 from imufield.deliver.navigation.uncertain import DrawnParameters, draw_parameters
 from imufield.samples import FloatArray
 
@@ -165,8 +165,15 @@ def simulate(
         states.append(x)
         slow.advance(step_s)
     latitude, longitude, north, east = np.array(states).transpose(2, 1, 0)[:4]
-    place = np.degrees(latitude), np.degrees(longitude)
-    return make_drift(time_s, *place, north, east_velocity_m_s=east, true_latitude_deg=scene.latitude_deg), phi
+    drift = Drift(
+        time_s=time_s,
+        latitude_deg=np.degrees(latitude),
+        longitude_deg=np.degrees(longitude),
+        north_velocity_m_s=north,
+        east_velocity_m_s=east,
+        true_latitude_deg=scene.latitude_deg,
+    )
+    return drift, phi
 
 
 def transition(scene: Scene, step_s: float) -> tuple[FloatArray, FloatArray]:

@@ -11,7 +11,7 @@ import pytest
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration
 from imufield.deliver.navigation.check import CheckSettings, NavigationResult
-from imufield.deliver.navigation.drift import make_drift
+from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.rest import RestNoise
 from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import Parameters, from_document
@@ -62,8 +62,14 @@ def left_out() -> LeftOutPositions:
 @pytest.fixture
 def navigation() -> NavigationResult:
     time_s = np.linspace(0, 3600, 3601)
-    drift = make_drift(
-        time_s, time_s * 1e-6, np.zeros(3601), np.zeros(3601), east_velocity_m_s=np.zeros(3601), true_latitude_deg=45.0
+    still = np.zeros(3601)
+    drift = Drift(
+        time_s=time_s,
+        latitude_deg=time_s * 1e-6,
+        longitude_deg=still,
+        north_velocity_m_s=still,
+        east_velocity_m_s=still,
+        true_latitude_deg=45.0,
     )
     noise = RestNoise(np.ones(6), np.full(6, np.nan))
     return NavigationResult(
