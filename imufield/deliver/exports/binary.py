@@ -112,8 +112,9 @@ def unpack(block: bytes) -> dict[str, object]:
         raise ParameterFileError(sentence("binary.newer", version=record["version"], known=VERSION), Reason.NEWER)
     if record["size"] != SIZE or record["crc"] != zlib.crc32(block[: SIZE - 4]):
         raise ParameterFileError(sentence("binary.damaged"))
-    content: dict[str, object] = {
-        name: record[name].decode() if _LAYOUT[name].kind == "S" else record[name].copy() for name in (_LAYOUT.names or ())[4:-2]
-    }
     flags = int(record["flags"])
-    return content | {"has_gyroscope": bool(flags & 1), "quadratic_on_body_axes": bool(flags & 2)}
+    content: dict[str, object] = {"has_gyroscope": bool(flags & 1), "quadratic_on_body_axes": bool(flags & 2)}
+    # Behind the head, and before the reserved bytes and the CRC.
+    for name in (_LAYOUT.names or ())[4:-2]:
+        content[name] = record[name].decode() if _LAYOUT[name].kind == "S" else record[name].copy()
+    return content

@@ -52,7 +52,8 @@ def parse_document(text: str, where: str = "parameter file") -> VersionedDocumen
             try:
                 document = to_current(document, version)
             except ParameterFileError as error:
-                raise ParameterFileError(f"{where}: {error.message}", error.reason, where=where, **error.values) from error
+                refused = sentence("read.older", where=where, what=error.message)
+                raise ParameterFileError(refused, error.reason, **error.values) from error
         _check(document, where)
     except ParameterFileError:
         raise
