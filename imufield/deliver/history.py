@@ -19,7 +19,6 @@ from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,9 +26,6 @@ from imufield.deliver.parameters.file import Parameters, load
 from imufield.deliver.parameters.gauge_free import Number, numbers_of
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
 from imufield.sentences import Sentences
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 sentence = Sentences(__package__)
 
@@ -376,29 +372,27 @@ def plot_history(instrument: InstrumentHistory) -> bytes:
         drawn = plots.figure(1.7 * len(kinds) + 0.6)
         panels = drawn.subplots(len(kinds), 1, sharex=True, squeeze=False)[:, 0]
         for axes, kind in zip(panels, kinds, strict=True):
-            _plot_kind(axes, instrument, kind, [name for name in names if name.rpartition(" ")[0] == kind])
+            shown = [name for name in names if name.rpartition(" ")[0] == kind]
+            is_scale, unit = "scale" in kind, ""
+            for name, marker, style, color in zip(shown, _MARKERS, ("-", "--", ":") * 3, _COLORS * 3, strict=False):
+                points = [
+                    (entry.time, number) for entry in instrument.entries for number in entry.numbers if number.name == name
+                ]
+                first, unit = points[0][1].value, points[0][1].unit
+                # Scales differ by parts in a million of one another, whatever their unit.
+                size = 1e6 / abs(first) if is_scale else 1.0
+                axes.errorbar(
+                    np.array([time for time, _ in points]),
+                    np.array([number.value - first for _, number in points]) * size,
+                    yerr=np.array([number.sigma for _, number in points]) * size,
+                    fmt=marker + style,
+                    capsize=3,
+                    label=name.rpartition(" ")[2],
+                    markerfacecolor="white",
+                    color=color,
+                )
+            axes.set_ylabel(f"{kind}\n{'ppm' if is_scale else unit}")
+            axes.legend(ncols=3, loc="upper left", fontsize=7)
         panels[0].set_title(instrument.title, loc="left", fontweight="bold")
         panels[-1].tick_params(axis="x", rotation=30)
         return plots.to_svg(drawn, "history").encode("utf-8")
-
-
-def _plot_kind(axes: Axes, instrument: InstrumentHistory, kind: str, names: list[str]) -> None:
-    is_scale, unit = "scale" in kind, ""
-    for name, marker, style, color in zip(names, _MARKERS, ("-", "--", ":") * 3, _COLORS * 3, strict=False):
-        times = [entry.time for entry in instrument.entries for number in entry.numbers if number.name == name]
-        numbers = [number for entry in instrument.entries for number in entry.numbers if number.name == name]
-        first, unit = numbers[0].value, numbers[0].unit
-        # Scales differ by parts in a million of one another, whatever their unit.
-        size = 1e6 / abs(first) if is_scale else 1.0
-        axes.errorbar(
-            np.array(times),
-            np.array([number.value - first for number in numbers]) * size,
-            yerr=np.array([number.sigma for number in numbers]) * size,
-            fmt=marker + style,
-            capsize=3,
-            label=name.rpartition(" ")[2],
-            markerfacecolor="white",
-            color=color,
-        )
-    axes.set_ylabel(f"{kind}\n{'ppm' if is_scale else unit}")
-    axes.legend(ncols=3, loc="upper left", fontsize=7)

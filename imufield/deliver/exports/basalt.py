@@ -7,12 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import json_file
 from imufield.deliver.exports.vio import noise_figures
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 # calib_bias.hpp, CalibAccelBias::getBiasAndScale: params 3 to 8 fill the lower triangle column by column.
 _LOWER_BY_COLUMNS = ((0, 1, 2, 1, 2, 2), (0, 0, 0, 1, 1, 2))

@@ -25,12 +25,9 @@ import zlib
 
 import numpy as np
 
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.whole_model import WholeModel, apply_header, gauge_note, whole_model
 from imufield.errors import ParameterFileError, Reason
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 MAGIC = b"IMUFIELD"
 VERSION = 1  # apply.h and unpack refuse a newer one.

@@ -7,14 +7,11 @@ import re
 import numpy as np
 
 from imufield.calibrate.model.models import predict, predict_gyroscope
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import number, text_file
 from imufield.deliver.exports.whole_model import WholeModel, apply_header, gauge_note, whole_model
 from imufield.errors import UsageError
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 
 def export(job: Job) -> Draft:

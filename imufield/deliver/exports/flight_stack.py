@@ -9,13 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from imufield.deliver.exports.conventions import Correction, diagonal_corrections
-from imufield.deliver.exports.job import BIAS_ONLY, Draft, Job
+from imufield.deliver.exports.job import BIAS_ONLY, Draft, Job, sentence
 from imufield.deliver.exports.text import comment, number, text_file
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 INSTANCES = {
     "px4": 4,  # MAX_SENSOR_COUNT in src/lib/sensor_calibration/Accelerometer.hpp and Gyroscope.hpp.

@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from imufield.deliver.exports.conventions import Correction
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import json_file
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 FORMAT_VERSION = "2.0.0"  # _format_version of imucal 2 (calibration_info.py); it refuses newer ones.
 

@@ -8,13 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from imufield.deliver.exports.conventions import Correction
-from imufield.deliver.exports.job import BIAS_ONLY, Draft, Job
+from imufield.deliver.exports.job import BIAS_ONLY, Draft, Job, sentence
 from imufield.deliver.exports.text import comment, row, text_file
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 _COMMANDS_3DM = 0x0C  # Descriptor set of all commands here.
 # Title, field descriptor, and the unit of the packet in SI.

@@ -10,14 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from imufield.deliver.exports.conventions import Corrections, rotation_times_triangle
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import comment, text_file, yaml_matrix
 from imufield.deliver.exports.vio import bias_lines, bias_loss, imu_lines
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 
 def export(job: Job) -> Draft:

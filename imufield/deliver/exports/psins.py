@@ -21,12 +21,9 @@ import numpy as np
 
 from imufield.calibrate.model.gauge import turn_accelerometer
 from imufield.deliver.exports.conventions import Corrections, rotation_to
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import comment, row, rows, text_file
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from imufield.deliver.exports.job import BIAS_ONLY, Draft, Job
+from imufield.deliver.exports.job import BIAS_ONLY, Draft, Job, sentence
 from imufield.deliver.exports.text import comment, row, text_file
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 
 def export(job: Job) -> Draft:

@@ -8,11 +8,8 @@ from __future__ import annotations
 from functools import reduce
 from operator import xor
 
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import text_file
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 # Manual UM001, 6.2: C by rows, then B.
 REGISTERS = {"accelerometer": 25, "gyroscope": 84}

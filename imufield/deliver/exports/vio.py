@@ -5,13 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from imufield.deliver.exports.conventions import Corrections
-from imufield.deliver.exports.job import Job
+from imufield.deliver.exports.job import Job, sentence
 from imufield.deliver.exports.text import number, row, yaml_matrix
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 
 def imu_lines(job: Job) -> tuple[list[str], tuple[str, ...]]:

@@ -10,12 +10,9 @@ import numpy as np
 
 from imufield.calibrate.model.gauge import turn_accelerometer
 from imufield.deliver.exports.conventions import linear_corrections, rotation_to
-from imufield.deliver.exports.job import Job, frame_note
+from imufield.deliver.exports.job import Job, frame_note, sentence
 from imufield.errors import UsageError
 from imufield.samples import FloatArray
-from imufield.sentences import Sentences
-
-sentence = Sentences(__package__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

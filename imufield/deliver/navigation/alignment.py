@@ -102,7 +102,11 @@ def align(means: RestMeans, latitude_deg: float, noise: NoiseDensity, heading: H
     """
     if not abs(latitude_deg) <= LARGEST_LATITUDE_DEG:
         raise UsageError(sentence("alignment.latitude", latitude_deg=latitude_deg, limit_deg=LARGEST_LATITUDE_DEG))
-    means = _thinned(means)
+    # Longer means, where there are more of them than the filter needs.
+    factor = max(1, len(means.force) // STEPS)
+    first = len(means.force) % factor
+    force, rate = (values[first:].reshape(-1, factor, 3).mean(axis=1) for values in (means.force, means.rate))
+    means = RestMeans(means.interval_s * factor, force, rate)
     attitude, covariance = _fine(means, latitude_deg, noise, heading)
     return Alignment(attitude, covariance, _response(means, latitude_deg, noise, attitude, heading=heading))
 
@@ -168,14 +172,6 @@ def rotation(vector: FloatArray) -> FloatArray:
     # np.sinc is sin(pi x)/(pi x): both factors are exact at zero.
     half = np.sinc(angle / (2 * np.pi))
     return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * A + 0.5 * half**2 * (A @ A))
-
-
-def _thinned(means: RestMeans) -> RestMeans:
-    """Return longer means, where there are more of them than the filter needs."""
-    factor = max(1, len(means.force) // STEPS)
-    kept = len(means.force) // factor * factor
-    force, rate = (values[len(values) - kept :].reshape(-1, factor, 3).mean(axis=1) for values in (means.force, means.rate))
-    return RestMeans(means.interval_s * factor, force, rate)
 
 
 def _fine(means: RestMeans, latitude_deg: float, noise: NoiseDensity, heading: Heading | None) -> tuple[FloatArray, FloatArray]:

@@ -142,7 +142,10 @@ def simulate(
     white, flicker, turn_on = (name in sources for name in SOURCES[2:])
     slow = _Slow(random, rng, runs, flicker=flicker, turn_on=turn_on)
     density = random.density if white else np.zeros(6)
-    time_s, attitudes = _grid(scene)
+    # Equal steps from zero to the end, and the attitude at each.
+    end_s = float(scene.time_s[-1])
+    time_s = np.linspace(0.0, end_s, max(2, min(_STEPS, int(end_s / _SHORTEST_STEP_S))) + 1)
+    attitudes = scene.attitudes[np.minimum(np.searchsorted(scene.time_s, time_s), len(scene.time_s) - 1)]
     step_s = float(time_s[1])
     forward, gain = transition(scene, step_s)
     x = np.zeros((runs, 7))
@@ -228,15 +231,6 @@ class _Slow:
         decay = np.exp(-step_s / _TIME_CONSTANTS_S)[:, None, None]
         shocks = self._stationary * self._rng.standard_normal(self._states.shape)
         self._states = decay * self._states + np.sqrt(1 - decay**2) * shocks
-
-
-def _grid(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Return equal steps from zero to the end, and the attitude at each."""
-    end_s = float(scene.time_s[-1])
-    steps = max(2, min(_STEPS, int(end_s / _SHORTEST_STEP_S)))
-    time_s = np.linspace(0.0, end_s, steps + 1)
-    nearest = np.minimum(np.searchsorted(scene.time_s, time_s), len(scene.time_s) - 1)
-    return time_s, scene.attitudes[nearest]
 
 
 def _errors(parameters: DrawnParameters, scene: Scene, before: FloatArray, after: FloatArray, *, step_s: float) -> FloatArray:

@@ -85,7 +85,6 @@ class Mechanisation:
         self._start_s = start_s
         self._latitude_deg = latitude_deg
         self._state = np.array([latitude_deg, 0.0, height_m, 0, 0, 0, 0, 0, 0])
-        self._time_s = start_s
         self._waiting: list[FloatArray] = []
         self._count = 0
         self._last = np.empty((0, 7))

@@ -156,11 +156,7 @@ def _instability(tau_s: FloatArray, variance: FloatArray, seconds: int) -> float
         squares = np.linalg.lstsq(A, variance * weight, rcond=None)[0]
         expected = X @ np.maximum(squares, 0.0)
     sigma = _SHARED * math.sqrt(np.linalg.inv(A.T @ A)[1, 1])
-    return math.sqrt(_mean_above_zero(float(squares[1]), sigma))
-
-
-def _mean_above_zero(mean: float, sigma: float) -> float:
-    """Return the mean of what is left of a normal distribution above zero."""
-    z = max(mean / sigma, -30.0)  # beyond, what is left is too little for a float
+    # The mean of what is left of a normal distribution above zero; beyond z = -30 that is too little for a float.
+    z = max(float(squares[1]) / sigma, -30.0)
     above = math.erfc(-z / math.sqrt(2)) / 2
-    return sigma * (z + math.exp(-(z**2) / 2) / math.sqrt(2 * math.pi) / above)
+    return math.sqrt(sigma * (z + math.exp(-(z**2) / 2) / math.sqrt(2 * math.pi) / above))

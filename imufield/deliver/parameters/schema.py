@@ -74,24 +74,19 @@ def _faults(value: object, rule: Document, key: str, definitions: Document) -> I
     if wrong:
         yield wrong
     elif isinstance(value, dict):
-        yield from _table_faults(value, rule, f"{key}." if key else "", definitions)
+        above = f"{key}." if key else ""
+        for name, item in value.items():
+            if name in rule["properties"]:
+                yield from _faults(item, rule["properties"][name], above + name, definitions)
+            else:
+                yield _fault(above + name, "schema.unknown", Reason.UNKNOWN_KEY)
+        yield from (_fault(above + name, "schema.missing") for name in rule.get("required", ()) if name not in value)
     elif isinstance(value, list):
         fewest, most = rule.get("minItems", 0), rule.get("maxItems", math.inf)
         if not fewest <= len(value) <= most:
             yield _fault(key, "schema.entries", found=len(value), wanted=fewest)
         for index, item in enumerate(value):
             yield from _faults(item, rule["items"], f"{key}[{index}]", definitions)
-
-
-def _table_faults(table: Document, rule: Document, above: str, definitions: Document) -> Iterator[Fault]:
-    for name, value in table.items():
-        if name in rule["properties"]:
-            yield from _faults(value, rule["properties"][name], above + name, definitions)
-        else:
-            yield _fault(above + name, "schema.unknown", Reason.UNKNOWN_KEY)
-    for name in rule.get("required", ()):
-        if name not in table:
-            yield _fault(above + name, "schema.missing")
 
 
 def _fault(key: str, name: str, reason: Reason = Reason.DAMAGED, **values: object) -> Fault:
