@@ -33,17 +33,6 @@ _OF_GYROSCOPE = Status.GYROSCOPE_INVALID | Status.GYROSCOPE_SATURATED
 SCHEMA_NAME = "sensor_msgs/msg/Imu"
 _NOT_AVAILABLE = -1.0  # First element of a covariance (sensor_msgs/Imu.msg).
 _LARGEST_S = 2**31 - 1  # builtin_interfaces/Time has an int32.
-_PARTS = (
-    ("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id"),
-    ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec"),
-    ("geometry_msgs/Quaternion", "float64 x\nfloat64 y\nfloat64 z\nfloat64 w"),
-    ("geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z"),
-)
-SCHEMA = (
-    "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
-    "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
-    "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n"
-) + "".join(f"{'=' * 80}\nMSG: {name}\n{fields}\n" for name, fields in _PARTS)
 _MESSAGE = np.dtype(
     [
         ("head", "u1", (4,)),
@@ -77,7 +66,8 @@ def write_ros2(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) 
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="imufield")
-        schema = writer.register_schema(name=SCHEMA_NAME, encoding="ros2msg", data=SCHEMA.encode())
+        definition = Path(__file__).with_name("sensor_msgs_Imu.msg").read_text(encoding="ascii").encode()
+        schema = writer.register_schema(name=SCHEMA_NAME, encoding="ros2msg", data=definition)
         channel = writer.register_channel(topic=TOPIC, message_encoding="cdr", schema_id=schema)
         for block in blocks:
             stamps = _nanoseconds(block.time_s)
