@@ -19,16 +19,15 @@ from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from imufield.deliver.parameters.file import Parameters, load
 from imufield.deliver.parameters.gauge_free import Number, numbers_of
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
+from imufield.sentences import Sentences
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+sentence = Sentences(__package__)
 
 INDEX_FILE = ".imufield-history.sqlite"
 INDEX_VERSION = 5  # Of the index alone, which is made anew when it changes.
@@ -194,8 +193,8 @@ def one_instrument(history: History) -> InstrumentHistory:
     """
     only, *others = history.instruments
     if others:
-        names = ", ".join(instrument.serial_number or instrument.title for instrument in history.instruments)
-        raise UsageError(f"{history.folder} holds {len(history.instruments)} instruments ({names}); choose one with --serial")
+        names = [instrument.serial_number or instrument.title for instrument in history.instruments]
+        raise UsageError(sentence("history.several", folder=history.folder, found=len(names), names=names))
     return only
 
 
@@ -213,29 +212,19 @@ def read_history(folder: Path, serial_number: str | None = None) -> History:
         If there is no such folder, or nothing in it is a parameter file.
     """
     if not folder.is_dir():
-        raise ParameterFileError(
-            f"{folder} is no folder; give the folder that holds the parameter files", Reason.FOREIGN, folder=str(folder)
-        )
+        raise ParameterFileError(sentence("history.no_folder", folder=str(folder)), Reason.FOREIGN)
     if next(folder.rglob("*.toml"), None) is None:  # an index of nothing is not left behind
-        raise ParameterFileError(
-            f"{folder} holds no parameter file; give the folder of your sessions, or of parameter files you kept",
-            Reason.FOREIGN,
-            folder=str(folder),
-        )
+        raise ParameterFileError(sentence("history.none", folder=str(folder), first_fault=""), Reason.FOREIGN)
     with closing(_open_index(folder)) as index, index:
         read = _refresh(index, folder)
         faults = tuple(fault for (fault,) in index.execute("SELECT fault FROM entry WHERE fault != ''"))
         entries = [Entry.from_json(text) for (text,) in index.execute("SELECT content FROM entry WHERE content IS NOT NULL")]
     chosen = [entry for entry in entries if serial_number in (None, entry.serial_number)]
     if not chosen:
-        what = "" if serial_number is None else f" of serial number {serial_number}"
-        first = f"; the first that cannot be read: {faults[0]}" if faults else ""
-        raise ParameterFileError(
-            f"{folder} holds no parameter file{what} ({len(entries)} in all){first}; give the folder of your sessions, or of "
-            "parameter files you kept",
-            Reason.FOREIGN,
-            folder=str(folder),
-        )
+        key = "history.none" if serial_number is None else "history.none_of_serial"
+        said = {"serial_number": serial_number, "found": len(entries)}
+        first = sentence("history.first_fault", fault=faults[0]) if faults else ""
+        raise ParameterFileError(sentence(key, folder=str(folder), first_fault=first, **said), Reason.FOREIGN)
     return History(folder, _by_instrument(chosen), faults, read)
 
 
@@ -259,11 +248,9 @@ def compare(old: Entry, new: Entry) -> tuple[Change, ...]:
 def _open_index(folder: Path) -> sqlite3.Connection:
     """Open the index; in memory where the folder is read-only or the file is not an index."""
     for place in (folder / INDEX_FILE, ":memory:"):
+        connection = None
         try:
             connection = sqlite3.connect(place)
-        except sqlite3.Error:
-            continue
-        try:
             # A file of another version, or of another program: its content is dropped, as the index can be made anew.
             version = connection.execute("PRAGMA user_version").fetchone()[0]
             if version != INDEX_VERSION:
@@ -272,10 +259,11 @@ def _open_index(folder: Path) -> sqlite3.Connection:
             connection.execute(f"PRAGMA user_version = {INDEX_VERSION}")
             connection.execute("SELECT COUNT(*) FROM entry").fetchone()
         except sqlite3.Error:
-            connection.close()
-            continue
-        return connection
-    raise UsageError(f"the history of {folder} cannot be indexed; check the disk space and the SQLite of this Python")
+            if connection is not None:
+                connection.close()
+        else:
+            return connection
+    raise UsageError(sentence("history.no_index", folder=folder))
 
 
 def _refresh(index: sqlite3.Connection, folder: Path) -> int:
@@ -343,23 +331,23 @@ def to_csv(history: History) -> str:
 def sentences(instrument: InstrumentHistory, now: datetime, stale_days: float = STALE_DAYS) -> Iterator[str]:
     """Yield what there is to say: every number that moved, against the one before and the first, and a stale calibration."""
     if not instrument.serial_number and len(instrument.entries) > 1:
-        yield "the serial number is not known: these calibrations may be of several instruments"
+        yield sentence("history.no_serial")
     edited = [entry.path for entry in instrument.entries if entry.edited]
     if edited:
-        yield f"edited by hand, so that their numbers are not those that imufield solve wrote: {', '.join(edited)}"
+        yield sentence("history.edited", paths=edited)
     entries = list(instrument.entries)
     if len(entries) >= 2 and entries[-2].time == entries[-1].time:
-        yield f"{entries[-2].path} and {entries[-1].path} bear the same time: the last by name counts as the newest"
+        yield sentence("history.same_time", first=entries[-2].path, second=entries[-1].path)
     # Against the one before and, where that is another, against the first.
     for place in sorted({len(entries) - 2, 0}, reverse=True) if len(entries) >= 2 else ():
         since = _moment(entries[place], entries[-1])
         for change in instrument.changes(place):
-            if not abs(change.in_sigma) > MOVED_SIGMA:
-                continue
-            yield f"{change.name} moved {abs(change.in_sigma):.1f} sigma since {since} ({change.difference:+.4g} {change.unit})"
+            said = {"name": change.name, "since": since, "difference": change.difference, "unit": change.unit}
+            if abs(change.in_sigma) > MOVED_SIGMA:
+                yield sentence("history.moved", in_sigma=abs(change.in_sigma), **said)
     age_days = instrument.age_days(now)
     if age_days > stale_days:
-        yield f"the newest calibration is {age_days:.0f} days old (limit {stale_days:g}): calibrate again"
+        yield sentence("history.stale", age_days=age_days, limit_days=stale_days)
 
 
 def _moment(old: Entry, new: Entry) -> str:
@@ -384,29 +372,27 @@ def plot_history(instrument: InstrumentHistory) -> bytes:
         drawn = plots.figure(1.7 * len(kinds) + 0.6)
         panels = drawn.subplots(len(kinds), 1, sharex=True, squeeze=False)[:, 0]
         for axes, kind in zip(panels, kinds, strict=True):
-            _plot_kind(axes, instrument, kind, [name for name in names if name.rpartition(" ")[0] == kind])
+            shown = [name for name in names if name.rpartition(" ")[0] == kind]
+            is_scale, unit = "scale" in kind, ""
+            for name, marker, style, color in zip(shown, _MARKERS, ("-", "--", ":") * 3, _COLORS * 3, strict=False):
+                points = [
+                    (entry.time, number) for entry in instrument.entries for number in entry.numbers if number.name == name
+                ]
+                first, unit = points[0][1].value, points[0][1].unit
+                # Scales differ by parts in a million of one another, whatever their unit.
+                size = 1e6 / abs(first) if is_scale else 1.0
+                axes.errorbar(
+                    np.array([time for time, _ in points]),
+                    np.array([number.value - first for _, number in points]) * size,
+                    yerr=np.array([number.sigma for _, number in points]) * size,
+                    fmt=marker + style,
+                    capsize=3,
+                    label=name.rpartition(" ")[2],
+                    markerfacecolor="white",
+                    color=color,
+                )
+            axes.set_ylabel(f"{kind}\n{'ppm' if is_scale else unit}")
+            axes.legend(ncols=3, loc="upper left", fontsize=7)
         panels[0].set_title(instrument.title, loc="left", fontweight="bold")
         panels[-1].tick_params(axis="x", rotation=30)
         return plots.to_svg(drawn, "history").encode("utf-8")
-
-
-def _plot_kind(axes: Axes, instrument: InstrumentHistory, kind: str, names: list[str]) -> None:
-    is_scale, unit = "scale" in kind, ""
-    for name, marker, style, color in zip(names, _MARKERS, ("-", "--", ":") * 3, _COLORS * 3, strict=False):
-        times = [entry.time for entry in instrument.entries for number in entry.numbers if number.name == name]
-        numbers = [number for entry in instrument.entries for number in entry.numbers if number.name == name]
-        first, unit = numbers[0].value, numbers[0].unit
-        # Scales differ by parts in a million of one another, whatever their unit.
-        size = 1e6 / abs(first) if is_scale else 1.0
-        axes.errorbar(
-            np.array(times),
-            np.array([number.value - first for number in numbers]) * size,
-            yerr=np.array([number.sigma for number in numbers]) * size,
-            fmt=marker + style,
-            capsize=3,
-            label=name.rpartition(" ")[2],
-            markerfacecolor="white",
-            color=color,
-        )
-    axes.set_ylabel(f"{kind}\n{'ppm' if is_scale else unit}")
-    axes.legend(ncols=3, loc="upper left", fontsize=7)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imufield.deliver.navigation.alignment import coarse_attitude
-from imufield.deliver.navigation.drift import Drift, make_drift
+from imufield.deliver.navigation.drift import Drift
 from imufield.deliver.navigation.mechanise import integrate, load_pyins
 from imufield.earth import MICRO_G_M_S2
 from imufield.samples import FloatArray
@@ -93,11 +93,11 @@ def navigate_at_rest(
     start = np.array([latitude_deg, LONGITUDE_DEG, 0.0, 0.0, 0.0, 0.0, *np.asarray(attitude_rph_deg)])
     flown = integrate(start, 0.0, increments)
     latitude, longitude, north, east = (flown[name].to_numpy() for name in ("lat", "lon", "VN", "VE"))
-    return make_drift(
-        flown.index.to_numpy(),
-        latitude - latitude_deg,
-        longitude - LONGITUDE_DEG,
-        north,
+    return Drift(
+        time_s=flown.index.to_numpy(),
+        latitude_deg=latitude - latitude_deg,
+        longitude_deg=longitude - LONGITUDE_DEG,
+        north_velocity_m_s=north,
         east_velocity_m_s=east,
         true_latitude_deg=latitude_deg,
     )

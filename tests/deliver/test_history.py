@@ -19,6 +19,7 @@ from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.file import write_parameters
 from imufield.deliver.parameters.gauge_free import numbers_of
 from imufield.errors import ParameterFileError, Reason
+from tests.deliver.told import key_of, keys
 from tests.refused import refused
 
 NOW = datetime(2026, 9, 1, tzinfo=UTC)
@@ -55,6 +56,7 @@ def test_a_move_is_told_in_sigma_of_the_difference(tmp_path: Path, write) -> Non
     change = {one.name: one for one in instrument.changes()}["bias y"]
     assert change.in_sigma == pytest.approx(-4.1, rel=1e-6)
     told = list(sentences(instrument, NOW))
+    assert keys(told) == ["history.moved"]
     assert "bias y" in told[0]
     assert "4.1 sigma" in told[0]
     assert "4 March 2026 (" in told[0]
@@ -73,7 +75,7 @@ def test_slow_drift_is_told_against_the_first(tmp_path: Path, write) -> None:  #
     for k in range(4):
         write(f"s{k}", f"2026-0{k + 1}-01", moved=2.0 * k, session=f"{k}" * 64)
     (instrument,) = read_history(tmp_path).instruments
-    assert any("since 1 January 2026" in one for one in sentences(instrument, NOW))
+    assert any("1 January 2026" in one for one in sentences(instrument, NOW) if key_of(one) == "history.moved")
 
 
 def test_a_step_is_told_beside_the_way_since_the_first(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -95,7 +97,9 @@ def test_of_two_at_one_moment_one_counts_everywhere_and_it_is_said(tmp_path: Pat
     (instrument,) = read_history(tmp_path).instruments
     assert instrument.entries[-1].path.startswith("b")
     assert instrument.nearest(NOW) is instrument.entries[-1]
-    assert "same time" in next(iter(sentences(instrument, NOW)))
+    first = next(iter(sentences(instrument, NOW)))
+    assert key_of(first) == "history.same_time"
+    assert first.startswith("a/parameters.toml and b/parameters.toml")
 
 
 def test_another_variant_of_the_model_is_the_same_instrument(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -116,6 +120,7 @@ def test_an_old_calibration_is_called_old(tmp_path: Path, write) -> None:  # typ
     write("a", "2025-08-01")
     (instrument,) = read_history(tmp_path).instruments
     said = next(iter(sentences(instrument, NOW)))
+    assert key_of(said) == "history.stale"
     assert "396 days" in said
     assert "365" in said
     assert not list(sentences(instrument, NOW, stale_days=400))
@@ -133,7 +138,7 @@ def test_instruments_are_kept_apart_and_one_can_be_chosen(tmp_path: Path, write)
     write("b", "2026-03-05", serial="N2")
     assert [one.serial_number for one in read_history(tmp_path).instruments] == ["N1", "N2"]
     assert [one.serial_number for one in read_history(tmp_path, "N2").instruments] == ["N2"]
-    with refused(ParameterFileError, Reason.FOREIGN, "N3"):
+    with refused(ParameterFileError, Reason.FOREIGN, "N3", key="history.none_of_serial"):
         read_history(tmp_path, "N3")
 
 
@@ -141,7 +146,7 @@ def test_unknown_serial_numbers_are_not_trusted(tmp_path: Path, write) -> None: 
     write("a", "2026-03-04", serial="", session="a" * 64)
     write("b", "2026-03-05", serial="", session="b" * 64)
     (instrument,) = read_history(tmp_path).instruments
-    assert "may be of several instruments" in next(iter(sentences(instrument, NOW)))
+    assert key_of(next(iter(sentences(instrument, NOW)))) == "history.no_serial"
 
 
 def test_files_are_read_once_and_again_after_a_change(tmp_path: Path, write) -> None:  # type: ignore[no-untyped-def]
@@ -185,9 +190,9 @@ def test_an_index_of_another_version_is_made_anew(tmp_path: Path, write) -> None
 
 
 def test_empty_and_missing_folders_are_refused(tmp_path: Path) -> None:
-    with refused(ParameterFileError, Reason.FOREIGN):
+    with refused(ParameterFileError, Reason.FOREIGN, key="history.none"):
         read_history(tmp_path)
-    with refused(ParameterFileError, Reason.FOREIGN, "nowhere"):
+    with refused(ParameterFileError, Reason.FOREIGN, "nowhere", key="history.no_folder"):
         read_history(tmp_path / "nowhere")
 
 
@@ -234,5 +239,5 @@ def test_the_calibration_closest_in_time_is_found(tmp_path: Path, write) -> None
     for day, expected in ((datetime(2025, 1, 1), 0), (datetime(2026, 3, 20, tzinfo=UTC), 1), (datetime(2026, 6, 1), 2)):  # noqa: DTZ001
         assert find(tmp_path, "N1", day).path == paths[expected]
     assert find(str(tmp_path), "N1").path == paths[2]
-    with refused(ParameterFileError, Reason.FOREIGN, "N3"):
+    with refused(ParameterFileError, Reason.FOREIGN, "N3", key="history.none_of_serial"):
         find(tmp_path, "N3")

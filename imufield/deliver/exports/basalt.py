@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import json_file
 from imufield.deliver.exports.vio import noise_figures
 
@@ -37,8 +37,5 @@ def export(job: Job) -> Draft:
         if figures[name] is not None:
             # One number for the rate, one for each axis for all others.
             values[key] = figures[name] if name == "update_rate" else [figures[name]] * 3
-    notes = (
-        "the file has the IMU's keys only: put them into the calibration.json that has the cameras",
-        "Basalt estimates the rest of the biases at run time",
-    )
+    notes = (sentence("basalt.keys"), sentence("basalt.estimates"))
     return Draft(files={"calibration.json": json_file({"value0": values})}, target_model=corrections, notes=notes)

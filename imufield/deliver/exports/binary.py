@@ -21,31 +21,41 @@ offset    size  content
 
 from __future__ import annotations
 
-import struct
 import zlib
 
 import numpy as np
 
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.whole_model import WholeModel, apply_header, gauge_note, whole_model
 from imufield.errors import ParameterFileError, Reason
 
 MAGIC = b"IMUFIELD"
 VERSION = 1  # apply.h and unpack refuse a newer one.
 # The table above; apply.h reads the same offsets.
-_LAYOUT = struct.Struct("<8sHHI16s16s32s24s45dI")
-SIZE = _LAYOUT.size + 4
-_SHAPES = {
-    "scale": (3,),
-    "bias": (3,),
-    "inverse_alignment": (3, 3),
-    "quadratic": (3,),
-    "raw_zero": (3,),
-    "rate_matrix": (3, 3),
-    "rate_offset": (3,),
-    "g_sensitivity": (3, 3),
-    "site": (3,),
-}
+_LAYOUT = np.dtype(
+    [
+        ("magic", "S8"),
+        ("version", "<u2"),
+        ("size", "<u2"),
+        ("flags", "<u4"),
+        ("accelerometer_raw_unit", "S16"),
+        ("gyroscope_raw_unit", "S16"),
+        ("serial_number", "S32"),
+        ("created", "S24"),
+        ("scale", "<f8", (3,)),
+        ("bias", "<f8", (3,)),
+        ("inverse_alignment", "<f8", (3, 3)),
+        ("quadratic", "<f8", (3,)),
+        ("raw_zero", "<f8", (3,)),
+        ("rate_matrix", "<f8", (3, 3)),
+        ("rate_offset", "<f8", (3,)),
+        ("g_sensitivity", "<f8", (3, 3)),
+        ("site", "<f8", (3,)),
+        ("reserved", "<u4"),
+        ("crc", "<u4"),
+    ]
+)
+SIZE = _LAYOUT.itemsize
 
 
 def export(job: Job) -> Draft:
@@ -58,27 +68,26 @@ def export(job: Job) -> Draft:
 def pack(job: Job, model: WholeModel) -> bytes:
     """Return the block."""
     calibration, context = job.parameters.calibration, job.parameters.context
-    gyroscope = calibration.gyroscope
-    texts = []
-    for what, text, size in (
-        ("raw unit", calibration.accelerometer_raw_unit, 16),
-        ("raw unit", gyroscope.raw_unit if model.has_gyroscope and gyroscope is not None else "", 16),
-        ("serial number", context.instrument.serial_number, 32),
-        ("time", context.created, 24),
+    gyroscope = calibration.gyroscope if model.has_gyroscope else None
+    record = np.zeros((), _LAYOUT)
+    record["magic"], record["version"], record["size"] = MAGIC, VERSION, SIZE
+    record["flags"] = model.has_gyroscope | model.quadratic_on_body_axes << 1
+    for name, what, text in (
+        ("accelerometer_raw_unit", "raw unit", calibration.accelerometer_raw_unit),
+        ("gyroscope_raw_unit", "raw unit", "" if gyroscope is None else gyroscope.raw_unit),
+        ("serial_number", "serial number", context.instrument.serial_number),
+        ("created", "time", context.created),
     ):
-        texts.append(text.encode())
-        if len(texts[-1]) > size:
-            raise ParameterFileError(
-                f"the {what} {text!r} has {len(texts[-1])} bytes and the binary block holds {size}; shorten it in the "
-                "parameter file",
-                Reason.BOUNDS,
-            )
-    numbers = np.concatenate([values.ravel() for values in model.arrays().values()])
-    site = (calibration.gravity.gravity_m_s2, *context.session.temperature_degc)
-    flags = model.has_gyroscope | model.quadratic_on_body_axes << 1
-    head = (MAGIC, VERSION, SIZE, flags)
-    body = _LAYOUT.pack(*head, *texts, *numbers, *site, 0)
-    return body + struct.pack("<I", zlib.crc32(body))
+        encoded, most = text.encode(), _LAYOUT[name].itemsize
+        if len(encoded) > most:
+            refused = sentence("binary.text_size", what=what, text=text, found=len(encoded), most=most)
+            raise ParameterFileError(refused, Reason.BOUNDS)
+        record[name] = encoded
+    for name, values in model.arrays().items():
+        record[name] = values
+    record["site"] = (calibration.gravity.gravity_m_s2, *context.session.temperature_degc)
+    record["crc"] = zlib.crc32(record.tobytes()[:-4])
+    return record.tobytes()
 
 
 def unpack(block: bytes) -> dict[str, object]:
@@ -91,23 +100,18 @@ def unpack(block: bytes) -> dict[str, object]:
     """
     # The magic first: a file of another kind is neither cut nor damaged.
     if block[:8] != MAGIC:
-        raise ParameterFileError(f"this is no imufield block: it begins with {block[:8]!r} and not {MAGIC!r}", Reason.DAMAGED)
+        raise ParameterFileError(sentence("binary.foreign", found=block[:8], wanted=MAGIC))
     if len(block) < SIZE:
-        raise ParameterFileError(f"the imufield block is cut: {len(block)} of {SIZE} bytes; copy it again", Reason.DAMAGED)
-    _, version, size, flags, *rest = _LAYOUT.unpack(block[: _LAYOUT.size])
+        raise ParameterFileError(sentence("binary.cut", found=len(block), wanted=SIZE))
+    record = np.frombuffer(block, _LAYOUT, 1)[0]
     # Before size and CRC, which a newer version may have elsewhere.
-    if version > VERSION:
-        raise ParameterFileError(
-            f"the imufield block has version {version} and this program knows {VERSION}; update imufield", Reason.NEWER
-        )
-    if size != SIZE or struct.unpack("<I", block[SIZE - 4 : SIZE])[0] != zlib.crc32(block[: SIZE - 4]):
-        raise ParameterFileError("the imufield block is damaged: size or CRC-32 is wrong; copy it again", Reason.DAMAGED)
-    names = ("accelerometer_raw_unit", "gyroscope_raw_unit", "serial_number", "created")
-    content: dict[str, object] = {name: text.rstrip(b"\0").decode() for name, text in zip(names, rest[:4], strict=True)}
-    content |= {"has_gyroscope": bool(flags & 1), "quadratic_on_body_axes": bool(flags & 2)}
-    at = 4
-    for name, shape in _SHAPES.items():
-        count = int(np.prod(shape))
-        content[name] = np.array(rest[at : at + count]).reshape(shape)
-        at += count
+    if record["version"] > VERSION:
+        raise ParameterFileError(sentence("binary.newer", version=record["version"], known=VERSION), Reason.NEWER)
+    if record["size"] != SIZE or record["crc"] != zlib.crc32(block[: SIZE - 4]):
+        raise ParameterFileError(sentence("binary.damaged"))
+    flags = int(record["flags"])
+    content: dict[str, object] = {"has_gyroscope": bool(flags & 1), "quadratic_on_body_axes": bool(flags & 2)}
+    # Behind the head, and before the reserved bytes and the CRC.
+    for name in (_LAYOUT.names or ())[4:-2]:
+        content[name] = record[name].decode() if _LAYOUT[name].kind == "S" else record[name].copy()
     return content

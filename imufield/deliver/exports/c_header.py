@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from imufield.calibrate.model.models import predict, predict_gyroscope
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import number, text_file
 from imufield.deliver.exports.whole_model import WholeModel, apply_header, gauge_note, whole_model
 from imufield.errors import UsageError
@@ -18,10 +18,10 @@ def export(job: Job) -> Draft:
     """Return the header; include it in one or many files."""
     name = job.options.name
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
-        raise UsageError(f"name = {name!r} is no name in C; use letters, digits and underscores", name=name)
+        raise UsageError(sentence("c_header.no_name", name=name))
     # Two meanings of one name would end in an error of the compiler that names neither this option nor this program.
     if re.search(rf"\b{name}\b", apply_header()):
-        raise UsageError(f"name = {name!r} stands for something else in the header; choose another", name=name)
+        raise UsageError(sentence("c_header.taken_name", name=name))
     model = whole_model(job)
     guard = f"{name.upper()}_NUMBERS_H"
     calibration = job.parameters.calibration

@@ -32,9 +32,18 @@ from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.deliver.parameters.apply import correction_matrix
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Frame = Literal["file", "lower", "upper", "symmetric", "sensor"]
 """Body frame of an export: as in the parameter file, one of three gauges, or nearest to the accelerometer's sensing axes."""
+
+# What an export computes with, by triad.
+_NEEDED = {
+    "accelerometer": ("scale", "bias_m_s2", "misalignment_rad", "quadratic", "raw_zero"),
+    "gyroscope": ("scale", "misalignment_rad", "bias", "g_sensitivity"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,25 +220,13 @@ def rotation_times_triangle(matrix: FloatArray, triangle: Literal["lower", "uppe
 
 def require_usable(calibration: Calibration) -> None:
     """Check that every parameter that will be used is a number and no scale is zero; raise ``ParameterFileError``."""
-    keys: dict[str, tuple[str, ...]] = {
-        "accelerometer": ("scale", "bias_m_s2", "misalignment_rad", "quadratic", "raw_zero"),
-        "gyroscope": ("scale", "misalignment_rad", "bias", "g_sensitivity"),
-    }
-    triads: dict[str, AccelerometerParameters | GyroscopeParameters] = {"accelerometer": calibration.accelerometer}
-    gyroscope = _usable_gyroscope(calibration)
-    if gyroscope is not None:
-        triads["gyroscope"] = gyroscope
-    for triad, parameters in triads.items():
-        for key in keys[triad]:
-            name, values = f"{triad}.{key}", np.asarray(getattr(parameters, key))
+    triads = {"accelerometer": calibration.accelerometer, "gyroscope": _usable_gyroscope(calibration)}
+    for triad, keys in _NEEDED.items():
+        for key in keys if triads[triad] is not None else ():
+            values = np.asarray(getattr(triads[triad], key))
             if not np.all(np.isfinite(values) & ((values != 0) | (key != "scale"))):
-                raise ParameterFileError(
-                    f"{name} is {values.tolist()} and cannot be used: every entry must be finite and a scale not zero; solve "
-                    "again",
-                    Reason.NOT_FINITE,
-                    name=name,
-                    value=values.tolist(),
-                )
+                refused = sentence("conventions.not_usable", name=f"{triad}.{key}", value=values.tolist())
+                raise ParameterFileError(refused, Reason.NOT_FINITE)
 
 
 def _usable_gyroscope(calibration: Calibration) -> GyroscopeParameters | None:

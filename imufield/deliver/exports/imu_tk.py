@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import number, rows, text_file
 
 
@@ -17,5 +17,4 @@ def export(job: Job) -> Draft:
         lines = [*rows(T, "", "", " "), "", *rows(K, "", "", " "), "", *map(number, correction.offset)]
         files[f"imu_tk_{short[triad]}.calib"] = text_file(lines)
     unit = job.parameters.calibration.accelerometer_raw_unit
-    note = (f"the files are for raw values in {unit}, the unit the calibration was made in",)
-    return Draft(files=files, target_model=corrections, notes=note)
+    return Draft(files=files, target_model=corrections, notes=(sentence("imu_tk.unit", unit=unit),))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imufield.deliver.exports.conventions import Correction
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import json_file
 
 FORMAT_VERSION = "2.0.0"  # _format_version of imucal 2 (calibration_info.py); it refuses newer ones.
@@ -16,14 +16,14 @@ def export(job: Job) -> Draft:
     corrections = job.corrections(job.free_frame)
     calibration = job.parameters.calibration
     K_a, R_a = corrections.accelerometer.split_rows()
-    notes = ["imucal gives angular rate in deg/s"]
+    notes = [sentence("imucal.degrees")]
     if corrections.gyroscope is not None and calibration.gyroscope is not None:
         gyroscope = Correction(np.degrees(corrections.gyroscope.matrix), corrections.gyroscope.offset)
         gyroscope_unit = calibration.gyroscope.raw_unit
     else:
         # Without a gyroscope imucal still wants its numbers: deg/s passed through unchanged.
         gyroscope, gyroscope_unit = Correction(np.eye(3), np.zeros(3)), "deg/s"
-        notes.append("the gyroscope is passed through unchanged in deg/s, because imucal wants numbers for it")
+        notes.append(sentence("imucal.no_gyroscope"))
     K_g, R_g = gyroscope.split_rows()
     document = {
         "acc_unit": "m/s^2",

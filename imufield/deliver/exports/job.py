@@ -18,13 +18,17 @@ from imufield.deliver.exports.conventions import (
     rotation_vector,
 )
 from imufield.deliver.exports.loss import loss_sentences
-from imufield.deliver.exports.target import Exported, ExportOptions, Target, TargetModel
+from imufield.deliver.exports.target import Exported, ExportOptions, Target
 from imufield.deliver.parameters.file import Parameters
 from imufield.deliver.parameters.numbers import to_ascii
 from imufield.errors import ParameterFileError, Reason, UsageError
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import Sentences
 
-BIAS_ONLY = "scale and misalignment cannot be held"
+sentence = Sentences(__package__)
+
+BIAS_ONLY = sentence("job.bias_only")
+_SI = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 _NO_TURN_RAD = 1e-9  # A smaller turn is rounding.
 
 
@@ -33,8 +37,8 @@ class Draft:
     """What an exporter returns."""
 
     files: dict[str, bytes]
-    target_model: TargetModel | None = None
-    """None where the target has a place for the whole model."""
+    target_model: Corrections | None = None
+    """What the target will compute from this instrument's raw output; None where the target has a place for the whole model."""
     accelerometer_lacks: str = ""
     """Why the accelerometer differs, to be put before the numbers."""
     gyroscope_lacks: str = ""
@@ -64,9 +68,7 @@ class Job:
     def fixed_frame(self, frame: Frame) -> Frame:
         """Return the only body frame the target can take; refuses another that the user asked for."""
         if self.options.gauge not in (None, frame):
-            raise UsageError(
-                f"{self.target.name} fixes the body frame itself, so gauge = {self.options.gauge} cannot be had; leave it out"
-            )
+            raise UsageError(sentence("job.gauge", target=self.target.name, gauge=self.options.gauge))
         return frame
 
     def corrections(self, frame: Frame) -> Corrections:
@@ -85,7 +87,7 @@ class Job:
         accelerometer = corrections.accelerometer.of_scaled(scale, zero)
         if corrections.gyroscope is None:
             return replace(corrections, accelerometer=accelerometer)
-        scale = self.gyroscope_si()
+        scale = self.si_scale("gyroscope")
         return replace(
             corrections,
             accelerometer=accelerometer,
@@ -95,41 +97,30 @@ class Job:
 
     def accelerometer_si(self) -> tuple[float, FloatArray]:
         """Return scale and zero by which the target's driver makes m/s^2: (N - zero) / scale; raises as ``in_si``."""
-        calibration, typed = self.parameters.calibration, self.options.accelerometer_nominal
-        scale = self._si_scale("accelerometer", calibration.accelerometer_raw_unit, typed)
         # A driver that turns counts into SI takes the mid-scale off; what comes in SI already is taken as it comes.
-        return scale, calibration.accelerometer.raw_zero * (typed is not None)
+        is_count = self.options.accelerometer_nominal is not None
+        return self.si_scale("accelerometer"), self.parameters.calibration.accelerometer.raw_zero * is_count
 
-    def gyroscope_si(self) -> float:
-        """Return the scale by which the target's driver makes rad/s; raises as ``in_si``."""
-        gyroscope = self.parameters.calibration.gyroscope
-        unit = "rad/s" if gyroscope is None else gyroscope.raw_unit
-        return self._si_scale("gyroscope", unit, self.options.gyroscope_nominal)
-
-    def _si_scale(self, triad: str, unit: str, typed: float | None) -> float:
-        if typed is not None:
-            if not (np.isfinite(typed) and typed != 0):
-                raise UsageError(f"{triad}_nominal = {typed} is no scale; give the raw unit per SI unit, finite and not zero")
-            return typed
-        known = nominal_scale(unit)
-        if known is not None:
-            return known
+    def si_scale(self, triad: str) -> float:
+        """Return the scale by which the target's driver makes SI of a triad that there is; raises as ``in_si``."""
+        calibration = self.parameters.calibration
+        units = {"accelerometer": calibration.accelerometer_raw_unit}
+        if calibration.gyroscope is not None and self.has_gyroscope:
+            units["gyroscope"] = calibration.gyroscope.raw_unit
+        typed: dict[str, float | None] = {name: getattr(self.options, f"{name}_nominal") for name in units}
+        scale = typed[triad]
+        if scale is not None and not (np.isfinite(scale) and scale != 0):
+            raise UsageError(sentence("job.nominal", triad=triad, value=scale))
+        if scale is None:
+            scale = nominal_scale(units[triad])
+        if scale is not None:
+            return scale
         # Every option that is missing at once, so that a user need not run into one after the other.
-        calibration, options = self.parameters.calibration, self.options
-        wanted = {}
-        if options.accelerometer_nominal is None and nominal_scale(calibration.accelerometer_raw_unit) is None:
-            wanted["accelerometer_nominal"] = f"{calibration.accelerometer_raw_unit} per m/s^2"
-        gyroscope = calibration.gyroscope if self.has_gyroscope else None
-        if gyroscope is not None and options.gyroscope_nominal is None and nominal_scale(gyroscope.raw_unit) is None:
-            wanted["gyroscope_nominal"] = f"{gyroscope.raw_unit} per rad/s"
-        settings = " and ".join(f"--set {name}=NUMBER ({per})" for name, per in wanted.items())
-        raise ParameterFileError(
-            f"{self.target.name} corrects values in SI and this {triad} is calibrated in {unit}; give the scale by which "
-            f"the target's driver makes SI of it, {settings}, or export to c, imu_tk or imucal",
-            Reason.UNITS,
-            unit=unit,
-            target=self.target.name,
-        )
+        missing = [name for name in units if typed[name] is None and nominal_scale(units[name]) is None]
+        settings = " and ".join(f"--set {name}_nominal=NUMBER ({units[name]} per {_SI[name]})" for name in missing)
+        unit = units[triad]
+        refused = sentence("job.unit", target=self.target.name, triad=triad, unit=unit, settings=settings)
+        raise ParameterFileError(refused, Reason.UNITS)
 
     def gyroscope_bias_only(self, corrections: Corrections) -> Corrections:
         """Return corrections whose gyroscope has the nominal scale and no misalignment.
@@ -141,7 +132,7 @@ class Job:
         """
         if corrections.gyroscope is None:
             return corrections
-        scale = self.gyroscope_si()
+        scale = self.si_scale("gyroscope")
         self.require_positive("gyroscope", scale * np.diag(corrections.gyroscope.matrix))
         bias_only = Correction(np.eye(3) / scale, corrections.gyroscope.offset)
         return replace(corrections.without_g_sensitivity(), gyroscope=bias_only)
@@ -150,18 +141,8 @@ class Job:
         """Check that the signs of a triad's axes can be expressed by a target that knows positive scales only."""
         for axis, value in zip(AXES, scale, strict=True):
             if not value > 0:
-                raise ParameterFileError(
-                    f"{self.target.name} cannot express the sign of this {triad}: the scale of axis {axis} is {value:.6g} and "
-                    "must be positive; reverse that axis in the target's driver or rotation and calibrate behind it",
-                    Reason.BOUNDS,
-                    axis=axis,
-                    scale=float(value),
-                )
-
-    def temperature_degc(self) -> float | None:
-        """Return the middle of the session's temperatures, or None where not known."""
-        low, high = self.parameters.context.session.temperature_degc
-        return None if np.isnan(low + high) else (low + high) / 2
+                refused = sentence("job.sign", target=self.target.name, triad=triad, axis=axis, scale=float(value))
+                raise ParameterFileError(refused, Reason.BOUNDS)
 
     def example(self, corrections: Corrections) -> list[str]:
         """Return a worked number for the file: what these corrections make of one raw sample in SI."""
@@ -199,7 +180,7 @@ def run(export: Callable[[Job], Draft], parameters: Parameters, target: Target, 
     draft = export(job)
     notes = draft.notes
     if not job.has_gyroscope and parameters.calibration.gyroscope is not None:
-        notes = ("the gyroscope is left out, because its scale is not known", *notes)
+        notes = (sentence("job.no_gyroscope"), *notes)
     if draft.target_model is None:
         return Exported(draft.files, draft.losses, notes)
     losses = loss_sentences(parameters, draft.target_model, draft.accelerometer_lacks, draft.gyroscope_lacks)
@@ -212,8 +193,4 @@ def frame_note(rotation: FloatArray) -> tuple[str, ...]:
     if np.linalg.norm(turn_rad) < _NO_TURN_RAD:
         return ()
     x, y, z = turn_rad * 1e3
-    note = (
-        f"the target's body frame is that of the parameter file turned by ({x:.4f}, {y:.4f}, {z:.4f}) mrad about x, y, z; "
-        "accelerometer and gyroscope were turned together"
-    )
-    return (note,)
+    return (sentence("job.turned", x=x, y=y, z=z),)

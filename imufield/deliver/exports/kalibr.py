@@ -10,21 +10,17 @@ import numpy as np
 from imufield.deliver.exports.conventions import rotation_times_triangle
 from imufield.deliver.exports.job import Draft, Job
 from imufield.deliver.exports.text import comment, text_file, yaml_matrix
-from imufield.deliver.exports.vio import bias_lines, bias_loss, noise_lines
+from imufield.deliver.exports.vio import bias_lines, bias_loss, imu_lines
 
 
 def export(job: Job) -> Draft:
     """Return imu.yaml."""
     corrections = job.corrections(job.fixed_frame("lower"))
     si = job.in_si(corrections)
-    noise, unknown = noise_lines(job, 2)
+    imu, unknown = imu_lines(job)
     lines = [
         *comment([*job.heading(), *bias_lines(si), *job.example(si)]),
-        "imu0:",
-        # The first IMU of Kalibr is its reference: T_i_b is the identity.
-        "  T_i_b:",
-        *yaml_matrix(np.eye(4), 4),
-        *noise,
+        *imu,
         "  model: scale-misalignment",
         "  rostopic: /imu0",
         "  time_offset: 0.0",

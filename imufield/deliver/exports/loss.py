@@ -2,36 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from imufield.calibrate.model.models import predict, predict_gyroscope
-from imufield.deliver.exports.target import TargetModel
+from imufield.deliver.exports.conventions import Corrections
 from imufield.deliver.parameters.file import Parameters
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 DIRECTIONS = 500  # Of the sphere: the mean of a square over them is exact to a per mille.
 _NOTHING = 1e-9  # Relative difference that counts as none: what rounding in a text of 12 digits leaves.
-
-
-class Difference(NamedTuple):
-    """Length of the difference of two vectors over all directions."""
-
-    rms: float
-    largest: float
-
-
-class Loss(NamedTuple):
-    """What a target's correction differs from ours by."""
-
-    accelerometer_m_s2: Difference
-    """At 1 g."""
-    gyroscope_rad_s: Difference
-    """At 1 rad/s, free of specific force."""
-    g_sensitivity_rad_s: Difference
-    """At 1 g, without rotation, with the force that the target takes for the true one."""
 
 
 def directions(count: int = DIRECTIONS) -> FloatArray:
@@ -43,55 +26,51 @@ def directions(count: int = DIRECTIONS) -> FloatArray:
     return np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z])
 
 
-def measure_loss(parameters: Parameters, target: TargetModel) -> Loss:
-    """Compare what the target computes with the truth of the model, in the target's frame."""
-    calibration = parameters.calibration
+def loss_sentences(
+    parameters: Parameters, target: Corrections, accelerometer_lacks: str, gyroscope_lacks: str
+) -> tuple[str, ...]:
+    """Return one sentence for each thing the target cannot hold; none where it computes the same.
+
+    What the target computes is compared with the truth of the model, in the target's frame: the accelerometer at 1 g, the
+    gyroscope at 1 rad/s and free of specific force, and its g-sensitivity at 1 g without rotation, with the force that the
+    target takes for the true one.
+    """
+    calibration, sentences = parameters.calibration, []
     unit = directions()
     force = calibration.gravity.gravity_m_s2 * unit
     raw = predict(calibration.accelerometer, force)
-    recovered = target.apply_accelerometer(raw)
-    accelerometer = _difference(recovered - force @ target.rotation.T)
+    rms, largest = _length(target.apply_accelerometer(raw) - force @ target.rotation.T)
+    if largest > _NOTHING * calibration.gravity.gravity_m_s2:
+        quadratic = np.any(calibration.accelerometer.quadratic)
+        lacks = accelerometer_lacks or sentence("loss.quadratic" if quadratic else "loss.model")
+        sizes = {"rms": rms / MILLI_G_M_S2, "largest": largest / MILLI_G_M_S2}
+        at_positions = _at_positions(parameters, target)
+        sentences.append(sentence("loss.accelerometer", lacks=lacks, at_positions=at_positions, **sizes))
     if calibration.gyroscope is None or not parameters.gyroscope_is_complete:
-        nothing = Difference(0.0, 0.0)
-        return Loss(accelerometer, nothing, nothing)
+        return tuple(sentences)
     gyroscope = calibration.gyroscope.parameters
     still = np.zeros_like(unit)
     turning = target.apply_gyroscope(predict_gyroscope(gyroscope, unit), still) - unit @ target.rotation.T
     standing = target.apply_gyroscope(predict_gyroscope(gyroscope, still, force), target.gyroscope_force(raw))
     at_rest = target.apply_gyroscope(predict_gyroscope(gyroscope, still), still)
-    return Loss(accelerometer, _difference(turning), _difference(standing - at_rest))
-
-
-def _difference(vectors: FloatArray) -> Difference:
-    length = np.linalg.norm(vectors, axis=-1)
-    return Difference(float(np.sqrt(np.mean(length**2))), float(length.max()))
-
-
-def loss_sentences(
-    parameters: Parameters, target: TargetModel, accelerometer_lacks: str, gyroscope_lacks: str
-) -> tuple[str, ...]:
-    """Return one sentence for each thing the target cannot hold; none where it computes the same."""
-    loss = measure_loss(parameters, target)
-    sentences = []
-    if loss.accelerometer_m_s2.largest > _NOTHING * parameters.calibration.gravity.gravity_m_s2:
-        has_term = np.any(parameters.calibration.accelerometer.quadratic)
-        quadratic = "the quadratic term was replaced by the straight line nearest to it"
-        lacks = accelerometer_lacks or (quadratic if has_term else "the model cannot be held")
-        rms, largest = (f"{value / MILLI_G_M_S2:.3g}" for value in loss.accelerometer_m_s2)
-        at_positions = _at_positions(parameters, target)
-        sentences.append(f"accelerometer: {lacks}: {rms} mg rms, {largest} mg at most at 1 g{at_positions}")
-    force = "is held with a force that lacks the quadratic term" if target.has_g_sensitivity else "cannot be held"
+    sensitivity = sentence("loss.sensitivity_by_force" if target.has_g_sensitivity else "loss.sensitivity")
     for difference, lacks, where in (
-        (loss.gyroscope_rad_s, gyroscope_lacks, "1 rad/s"),
-        (loss.g_sensitivity_rad_s, f"the g-sensitivity {force}", "1 g"),
+        (turning, gyroscope_lacks, "1 rad/s"),
+        (standing - at_rest, sensitivity, "1 g"),
     ):
-        if difference.largest > _NOTHING:
-            rms, largest = (f"{value * 1e3:.3g}" for value in difference)
-            sentences.append(f"gyroscope: {lacks}: {rms} mrad/s rms, {largest} mrad/s at most at {where}")
+        rms, largest = _length(difference)
+        if largest > _NOTHING:
+            sentences.append(sentence("loss.gyroscope", lacks=lacks, rms=rms * 1e3, largest=largest * 1e3, where=where))
     return tuple(sentences)
 
 
-def _at_positions(parameters: Parameters, target: TargetModel) -> str:
+def _length(vectors: FloatArray) -> tuple[float, float]:
+    """Return the length of vectors over all directions: root mean square, and the largest."""
+    length = np.linalg.norm(vectors, axis=-1)
+    return float(np.sqrt(np.mean(length**2))), float(length.max())
+
+
+def _at_positions(parameters: Parameters, target: Corrections) -> str:
     """Say what became of the residual at the positions the calibration rests on."""
     raw = np.array([row["mean_raw"] for row in parameters.document.get("position", []) if row["used"]])
     if not len(raw):
@@ -102,4 +81,4 @@ def _at_positions(parameters: Parameters, target: TargetModel) -> str:
         round(float(np.sqrt(np.mean((np.linalg.norm(force, axis=1) - g) ** 2)) / MILLI_G_M_S2), 6)
         for force in (parameters.apply_accelerometer(raw), target.apply_accelerometer(raw))
     )
-    return f" (residual of its {len(raw)} positions {theirs:.3g} mg rms, {ours:.3g} mg with the whole model)"
+    return " " + sentence("loss.positions", positions=len(raw), theirs=theirs, ours=ours)

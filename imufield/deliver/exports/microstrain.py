@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from imufield.deliver.exports.conventions import Correction
-from imufield.deliver.exports.job import BIAS_ONLY, Draft, Job
+from imufield.deliver.exports.job import BIAS_ONLY, Draft, Job, sentence
 from imufield.deliver.exports.text import comment, row, text_file
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray
@@ -44,7 +44,7 @@ def export(job: Job) -> Draft:
         target_model=job.gyroscope_bias_only(bias_only),
         accelerometer_lacks=BIAS_ONLY,
         gyroscope_lacks=BIAS_ONLY,
-        notes=("set the instrument to idle before the packets; they replace the biases in it and keep single precision",),
+        notes=(sentence("microstrain.idle"),),
     )
 
 

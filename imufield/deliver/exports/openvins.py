@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from imufield.deliver.exports.conventions import Corrections, rotation_times_triangle
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import comment, text_file, yaml_matrix
-from imufield.deliver.exports.vio import bias_lines, bias_loss, noise_lines
+from imufield.deliver.exports.vio import bias_lines, bias_loss, imu_lines
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray
 
@@ -28,15 +28,12 @@ def export(job: Job) -> Draft:
         matrices["R_IMUtoGYRO"], matrices["Tw"] = _split(si.gyroscope.matrix, job)
     R, T = _split(si.accelerometer.matrix, job)
     matrices |= {"Ta": T, "R_IMUtoACC": R, "Tg": si.g_sensitivity}
-    noise, unknown = noise_lines(job, 2)
+    imu, unknown = imu_lines(job)
     lines = [
         "%YAML:1.0",  # cv::FileStorage, which OpenVINS reads with, refuses a file without this line
         *comment([*job.heading(), *bias_lines(si), *job.example(si)]),
         "",
-        "imu0:",
-        "  T_i_b:",
-        *yaml_matrix(np.eye(4), 4),
-        *noise,
+        *imu,
         "  rostopic: /imu0",
         "  time_offset: 0.0",
         f'  model: "{job.options.model}"',
@@ -53,10 +50,7 @@ def _corrections(job: Job) -> Corrections:
         return job.corrections(job.fixed_frame("lower"))
     corrections = job.corrections(job.fixed_frame("file"))
     if corrections.gyroscope is None:
-        raise ParameterFileError(
-            "the IMU frame of OpenVINS' model rpng is the gyroscope's and this file has none with a scale; take model kalibr",
-            Reason.UNITS,
-        )
+        raise ParameterFileError(sentence("openvins.no_gyroscope"), Reason.UNITS)
     turn, _ = rotation_times_triangle(corrections.gyroscope.matrix, "upper")
     return corrections.turned(turn.T)
 

@@ -15,45 +15,30 @@ large again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from imufield.calibrate.model.gauge import turn_accelerometer
 from imufield.deliver.exports.conventions import Corrections, rotation_to
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import comment, row, rows, text_file
 from imufield.samples import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _PsinsModel:
-    """What imuclbt computes, in rates; the accelerometer's numbers in SI."""
+class _PsinsModel(Corrections):
+    """What imuclbt computes, in rates; the accelerometer's numbers in SI. The gyroscope's force is that of the line."""
 
-    linear: Corrections
     Ka: FloatArray
     db: FloatArray
     Ka2: FloatArray
     scale: float
     zero: FloatArray  # The driver's m/s^2 are (N - zero) / scale.
 
-    @property
-    def rotation(self) -> FloatArray:
-        return self.linear.rotation
-
-    @property
-    def has_g_sensitivity(self) -> bool:
-        return self.linear.has_g_sensitivity
-
     def apply_accelerometer(self, raw: FloatArray) -> FloatArray:
         r = (raw - self.zero) / self.scale
         return np.asarray(r @ self.Ka.T - self.db - self.Ka2 * r**2)
-
-    def gyroscope_force(self, raw: FloatArray) -> FloatArray:
-        return self.linear.gyroscope_force(raw)
-
-    def apply_gyroscope(self, raw: FloatArray, specific_force: FloatArray) -> FloatArray:
-        return self.linear.apply_gyroscope(raw, specific_force)
 
 
 def export(job: Job) -> Draft:
@@ -74,9 +59,11 @@ def export(job: Job) -> Draft:
         "clbt.tGA = 0.0;",
         "end",
     ]
-    lacks = "the quadratic term is held to first order and on body axes"
     return Draft(
-        files={"imufield_clbt.m": text_file(lines)}, target_model=model, accelerometer_lacks=lacks, notes=_notes(job, si)
+        files={"imufield_clbt.m": text_file(lines)},
+        target_model=model,
+        accelerometer_lacks=sentence("psins.lacks"),
+        notes=_notes(model, job.parameters.calibration.accelerometer.quadratic),
     )
 
 
@@ -91,7 +78,12 @@ def _psins_model(job: Job, linear: Corrections) -> _PsinsModel:
     inverse = np.tril(np.linalg.inv(np.eye(3) + turned.misalignment_rad))
     Ka: FloatArray = inverse * ((1 + 2 * k * b) / K)
     return _PsinsModel(
-        linear=linear, Ka=Ka, db=inverse @ (b + k * b**2), Ka2=np.diag(inverse) * k / K**2, scale=scale, zero=zero
+        **{item.name: getattr(linear, item.name) for item in fields(linear)},
+        Ka=Ka,
+        db=inverse @ (b + k * b**2),
+        Ka2=np.diag(inverse) * k / K**2,
+        scale=scale,
+        zero=zero,
     )
 
 
@@ -106,18 +98,14 @@ def _gyroscope(si: Corrections) -> list[str]:
     return lines
 
 
-def _notes(job: Job, si: Corrections) -> tuple[str, ...]:
+def _notes(model: _PsinsModel, quadratic: FloatArray) -> tuple[str, ...]:
     notes = []
-    quadratic = job.parameters.calibration.accelerometer.quadratic
     if np.any(quadratic):
-        notes.append(
-            "the versions of PSINS differ in the order of matrix and quadratic term; the difference is the term times "
-            "scale error and misalignment"
-        )
+        notes.append(sentence("psins.order"))
     if np.any(quadratic) and not np.all(quadratic):
-        notes.append("imuclbt leaves Ka2 out unless all three are different from zero")
-    if np.any(si.g_sensitivity):
-        notes.append("gSens needs a PSINS of 2023 or later; an older one leaves it out without a word")
+        notes.append(sentence("psins.all_three"))
+    if model.has_g_sensitivity:
+        notes.append(sentence("psins.sensitivity"))
     return tuple(notes)
 
 

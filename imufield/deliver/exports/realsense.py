@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import json_file
 
 
@@ -14,9 +14,5 @@ def export(job: Job) -> Draft:
         triad: {"scale_and_alignment": correction.matrix.ravel(), "bias": correction.output_offset}
         for triad, correction in job.in_si(corrections).triads.items()
     }
-    order = (
-        "scale_and_alignment is by rows; the tool that writes the EEPROM transposes the accelerometer's and not the "
-        "gyroscope's, so read it back and compare one corrected sample"
-    )
-    axes = "librealsense turns the axes of some models before it corrects: calibrate the raw stream with its correction off"
-    return Draft(files={"calibration.json": json_file({"imus": [imu]})}, target_model=corrections, notes=(order, axes))
+    notes = (sentence("realsense.order"), sentence("realsense.axes"))
+    return Draft(files={"calibration.json": json_file({"imus": [imu]})}, target_model=corrections, notes=notes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -11,36 +12,16 @@ from typing import TYPE_CHECKING, NamedTuple
 from imufield.deliver.exports.target import Exported, ExportOptions, Target
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, typed_write_errors, write_keeping
+from imufield.sentences import Sentences
 
 if TYPE_CHECKING:  # the parameter file needs NumPy and SciPy; a list of targets does not
     from imufield.deliver.parameters.file import Parameters
 
-# What of the model a target holds, in the words of docs/exports.md.
-_LINEAR = "bias, scale and misalignment of both triads"
-_EVERYTHING = "the whole model"
+sentence = Sentences(__package__)
 
 TARGETS: Mapping[str, Target] = {
-    target.name: target
-    for target in (
-        Target("c", "C99 header: numbers, functions that apply them, reader of `binary`", _EVERYTHING, "c_header"),
-        Target("binary", "little-endian block with CRC-32 for flash or EEPROM, and its reader in C", _EVERYTHING, "binary"),
-        Target("json", "JSON for your own program", _EVERYTHING, "plain"),
-        Target("yaml", "YAML for your own program", _EVERYTHING, "plain"),
-        Target("vectornav", "VectorNav registers 25 and 84, write commands with checksum", _LINEAR, "vectornav"),
-        Target("px4", "PX4 parameters CAL_ACC*, CAL_GYRO* (QGroundControl .params)", "scale and bias, gyroscope bias", "px4"),
-        Target("ardupilot", "ArduPilot parameters INS_* (.param)", "scale and bias, gyroscope bias", "ardupilot"),
-        Target("kalibr", "Kalibr imu.yaml, model scale-misalignment", "scale, misalignment, g-sensitivity; no bias", "kalibr"),
-        Target("openvins", "OpenVINS kalibr_imu_chain.yaml", "scale, misalignment, g-sensitivity; no bias", "openvins"),
-        Target("basalt", "Basalt calibration.json, calib_accel_bias and calib_gyro_bias", _LINEAR, "basalt"),
-        Target("realsense", "RealSense calibration.json", _LINEAR, "realsense"),
-        Target("dlio", "Direct LiDAR-Inertial Odometry dlio.yaml", "accelerometer, gyroscope bias", "dlio"),
-        Target("imu_calib", "ROS imu_calib (dpkoch) YAML", "accelerometer", "imu_calib"),
-        Target("imu_tk", "imu_tk .calib, one file per triad", _LINEAR, "imu_tk"),
-        Target("imucal", "imucal JSON, Ferraris", f"{_LINEAR}, g-sensitivity", "imucal"),
-        Target("psins", "PSINS clbt struct for MATLAB and Octave", f"{_LINEAR}, quadratic term, g-sensitivity", "psins"),
-        Target("pyins", "pyins inertial_sensor.Parameters, Python", _LINEAR, "pyins"),
-        Target("microstrain", "MicroStrain MIP bias commands 0x0C,0x37 and 0x38", "bias", "microstrain"),
-    )
+    name: Target(name, **facts)
+    for name, facts in tomllib.loads(Path(__file__).with_name("targets.toml").read_text(encoding="utf-8")).items()
 }
 
 
@@ -53,7 +34,7 @@ def target(name: str) -> Target:
         If there is no such target.
     """
     if name not in TARGETS:
-        raise UsageError(f"there is no export target {name!r}; there are: {', '.join(TARGETS)}", name=name)
+        raise UsageError(sentence("registry.target", name=name, known=list(TARGETS)))
     return TARGETS[name]
 
 
@@ -95,7 +76,7 @@ def export_options(settings: Mapping[str, str]) -> ExportOptions:
     values: dict[str, object] = {}
     for name, text in settings.items():
         if name not in known:
-            raise UsageError(f"there is no export option {name!r}; there are: {', '.join(known)}", name=name)
+            raise UsageError(sentence("registry.option", name=name, known=list(known)))
         values[name] = _value(name, known[name], text)
     return ExportOptions(**values)  # type: ignore[arg-type]  # each value was made by its field's type
 
@@ -105,12 +86,12 @@ def _value(name: str, kind: str, text: str) -> object:
     if choices is not None:
         if text in choices:
             return text
-        raise UsageError(f"export option {name} = {text!r} is none of {', '.join(choices)}", name=name, value=text)
+        raise UsageError(sentence("registry.choice", name=name, value=text, choices=choices))
     try:
         # Base 0: device IDs are written in hexadecimal as well.
         return int(text, 0) if "int" in kind else float(text) if "float" in kind else text
     except ValueError as error:
-        raise UsageError(f"export option {name} = {text!r} is not a number", name=name, value=text) from error
+        raise UsageError(sentence("registry.number", name=name, value=text)) from error
 
 
 class Written(NamedTuple):
@@ -142,10 +123,8 @@ def write_exported(exported: Exported, output: str | Path | None = None, *, inpu
     elif len(exported.files) == 1:
         paths = [folder]
     else:
-        raise UsageError(
-            f"this target has {len(exported.files)} files ({', '.join(exported.files)}) and {output} is not a folder; give a "
-            "folder that exists"
-        )
+        names = list(exported.files)
+        raise UsageError(sentence("registry.folder", count=len(names), files=names, output=output))
     # All names before the first write: half an export is worse than none.
     for path in paths:
         refuse_overwriting(path, inputs)

@@ -1,4 +1,4 @@
-"""The types that every export shares: the target, the options, the result, and what the target computes with the numbers.
+"""The types that every export shares: the target, the options and the result.
 
 Nothing here imports NumPy: a list of targets is to appear at once.
 """
@@ -7,10 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol
-
-if TYPE_CHECKING:
-    from imufield.samples import FloatArray
+from typing import Literal
 
 # Not "preset": a preset is not in the file.
 ExportGauge = Literal["lower", "upper", "symmetric"]
@@ -65,29 +62,3 @@ class Exported:
     """Sentences with numbers: what of the model the target cannot hold. Empty: it computes the same as ``apply``."""
     notes: tuple[str, ...]
     """Sentences: the frame, and what to mind in the target."""
-
-
-class TargetModel(Protocol):
-    """What the target will compute from this instrument's raw output."""
-
-    @property
-    def rotation(self) -> FloatArray:
-        """R of u' = R u from the parameter file's body frame to the target's."""
-        ...
-
-    @property
-    def has_g_sensitivity(self) -> bool:
-        """Whether anything of a specific force is taken off the gyroscope."""
-        ...
-
-    def apply_accelerometer(self, raw: FloatArray) -> FloatArray:
-        """Return specific force in m/s^2, shape (n, 3)."""
-        ...
-
-    def gyroscope_force(self, raw: FloatArray) -> FloatArray:
-        """Return the specific force that its g-sensitivity takes off the gyroscope, from the accelerometer's raw output."""
-        ...
-
-    def apply_gyroscope(self, raw: FloatArray, specific_force: FloatArray) -> FloatArray:
-        """Return angular rate in rad/s, shape (n, 3), with what ``gyroscope_force`` gives."""
-        ...

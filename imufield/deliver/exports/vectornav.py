@@ -8,7 +8,7 @@ from __future__ import annotations
 from functools import reduce
 from operator import xor
 
-from imufield.deliver.exports.job import Draft, Job
+from imufield.deliver.exports.job import Draft, Job, sentence
 from imufield.deliver.exports.text import text_file
 
 # Manual UM001, 6.2: C by rows, then B.
@@ -23,15 +23,11 @@ def export(job: Job) -> Draft:
         numbers = [*correction.matrix.ravel(), *correction.offset]
         # Eleven decimals, not seventeen digits: the whole command stays below the 256 bytes of the receiver.
         commands.append(f"VNWRG,{REGISTERS[triad]:02d},{','.join(f'{value:.11f}' for value in numbers)}")
-    content = text_file([sentence(command) for command in (*commands, "VNWNV")], end="\r\n")
-    notes = (
-        "the last command (VNWNV) stores the registers in flash; leave it out to try them until the next reset",
-        "these registers act on top of the factory calibration: set them to identity and zero before recording a calibration",
-        "the instrument keeps single precision (relative error up to 6e-8)",
-    )
+    content = text_file([with_checksum(command) for command in (*commands, "VNWNV")], end="\r\n")
+    notes = tuple(map(sentence, ("vectornav.stores", "vectornav.factory", "vectornav.single_precision")))
     return Draft(files={"vectornav.txt": content}, target_model=corrections, notes=notes)
 
 
-def sentence(body: str) -> str:
+def with_checksum(body: str) -> str:
     """Return a command with its checksum, exclusive or of the characters between $ and *."""
     return f"${body}*{reduce(xor, body.encode('ascii')):02X}"

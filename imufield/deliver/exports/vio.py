@@ -5,19 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from imufield.deliver.exports.conventions import Corrections
-from imufield.deliver.exports.job import Job
-from imufield.deliver.exports.text import number, row
+from imufield.deliver.exports.job import Job, sentence
+from imufield.deliver.exports.text import number, row, yaml_matrix
 from imufield.earth import MILLI_G_M_S2
 from imufield.samples import FloatArray
 
 
-def noise_lines(job: Job, indent: int) -> tuple[list[str], tuple[str, ...]]:
-    """Return the YAML lines of the four noise figures and the rate, and what to say about those that are not known."""
+def imu_lines(job: Job) -> tuple[list[str], tuple[str, ...]]:
+    """Return how the YAML table of an IMU begins, with noise figures and rate, and what to say about those not known."""
     figures = noise_figures(job)
     unknown = [name for name, value in figures.items() if value is None]
-    lines = [f"{' ' * indent}{name}: {number(value)}" for name, value in figures.items() if value is not None]
-    lines += [f"{' ' * indent}# {name}: not known, fill in" for name in unknown]
-    return lines, (f"fill in before use, because nothing here knows them: {', '.join(unknown)}",) if unknown else ()
+    # The first IMU is the reference: T_i_b is the identity.
+    lines = ["imu0:", "  T_i_b:", *yaml_matrix(np.eye(4), 4)]
+    lines += [f"  {name}: {number(value)}" for name, value in figures.items() if value is not None]
+    lines += [f"  # {name}: not known, fill in" for name in unknown]
+    return lines, (sentence("vio.unknown", names=unknown),) if unknown else ()
 
 
 def noise_figures(job: Job) -> dict[str, float | None]:
@@ -47,8 +49,8 @@ def bias_lines(si: Corrections) -> list[str]:
 def bias_loss(si: Corrections) -> tuple[str, ...]:
     """Say how large the biases are that the target does not store."""
     units = {"accelerometer": ("mg", MILLI_G_M_S2), "gyroscope": ("mrad/s", 1e-3)}
-    return tuple(
-        f"{triad}: the bias of {np.linalg.norm(correction.offset) / units[triad][1]:.3g} {units[triad][0]} is no part of the "
-        "file, the target estimates it at run time"
-        for triad, correction in si.triads.items()
-    )
+    losses = []
+    for triad, correction in si.triads.items():
+        unit, size = units[triad]
+        losses.append(sentence("vio.bias", triad=triad, size=np.linalg.norm(correction.offset) / size, unit=unit))
+    return tuple(losses)

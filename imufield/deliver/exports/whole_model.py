@@ -10,7 +10,7 @@ import numpy as np
 
 from imufield.calibrate.model.gauge import turn_accelerometer
 from imufield.deliver.exports.conventions import linear_corrections, rotation_to
-from imufield.deliver.exports.job import Job, frame_note
+from imufield.deliver.exports.job import Job, frame_note, sentence
 from imufield.errors import UsageError
 from imufield.samples import FloatArray
 
@@ -50,10 +50,7 @@ def whole_model(job: Job) -> WholeModel:
     on_body = accelerometer.quadratic_axes == "body" and bool(np.any(accelerometer.quadratic))
     if job.options.gauge is not None:
         if on_body:
-            raise UsageError(
-                f"gauge = {job.options.gauge} cannot be had: the quadratic term of this file is on body axes and changes with "
-                "them; solve again with that gauge"
-            )
+            raise UsageError(sentence("whole_model.gauge", gauge=job.options.gauge))
         accelerometer = turn_accelerometer(accelerometer, rotation_to(accelerometer, job.options.gauge))
     gyroscope = corrections.gyroscope
     return WholeModel(
@@ -74,7 +71,7 @@ def gauge_note(job: Job) -> tuple[str, ...]:
     """Say which body frame the numbers are in."""
     calibration, gauge = job.parameters.calibration, job.options.gauge
     turned = () if gauge is None else frame_note(rotation_to(calibration.accelerometer, gauge))
-    return (f"body frame: gauge {gauge or calibration.gauge}", *turned)
+    return (sentence("whole_model.frame", gauge=gauge or calibration.gauge), *turned)
 
 
 @cache

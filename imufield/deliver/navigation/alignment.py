@@ -33,6 +33,9 @@ import numpy as np
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 STEPS = 100
 """Means the filter works on, at least: a settling slower than a hundredth of the alignment is followed."""
@@ -98,12 +101,12 @@ def align(means: RestMeans, latitude_deg: float, noise: NoiseDensity, heading: H
         If there is no specific force, or no rate at right angles to it.
     """
     if not abs(latitude_deg) <= LARGEST_LATITUDE_DEG:
-        raise UsageError(
-            f"latitude {latitude_deg:g} deg is beyond {LARGEST_LATITUDE_DEG:g} deg, where an instrument at rest "
-            "finds no north; navigate elsewhere, or check held-out positions only",
-            latitude_deg=latitude_deg,
-        )
-    means = _thinned(means)
+        raise UsageError(sentence("alignment.latitude", latitude_deg=latitude_deg, limit_deg=LARGEST_LATITUDE_DEG))
+    # Longer means, where there are more of them than the filter needs.
+    factor = max(1, len(means.force) // STEPS)
+    first = len(means.force) % factor
+    force, rate = (values[first:].reshape(-1, factor, 3).mean(axis=1) for values in (means.force, means.rate))
+    means = RestMeans(means.interval_s * factor, force, rate)
     attitude, covariance = _fine(means, latitude_deg, noise, heading)
     return Alignment(attitude, covariance, _response(means, latitude_deg, noise, attitude, heading=heading))
 
@@ -120,11 +123,8 @@ def coarse_attitude(force: FloatArray, rate: FloatArray) -> FloatArray:
     # 1e-300 keeps a force of zero from dividing; the check below refuses it.
     north = rate - (rate @ force) / max(length, 1e-300) ** 2 * force
     if not (length > 0 and np.linalg.norm(north) > 0):
-        raise RecordingError(
-            f"specific force {force.tolist()} m/s^2 and rate {rate.tolist()} rad/s show no level and north; "
-            "record both triads at rest",
-            Reason.BAD_DATA,
-        )
+        refused = sentence("alignment.no_north", force=force.tolist(), rate=rate.tolist())
+        raise RecordingError(refused, Reason.BAD_DATA)
     down = -force / length
     north = north / np.linalg.norm(north)
     return np.array([north, np.cross(down, north), down], dtype=np.float64)
@@ -142,15 +142,11 @@ def level_attitude(force: FloatArray, heading: Heading) -> FloatArray:
     """
     length = float(np.linalg.norm(force))
     if not length > 0:
-        raise RecordingError("there is no specific force to level with; record the accelerometer at rest", Reason.BAD_DATA)
+        raise RecordingError(sentence("alignment.no_force"), Reason.BAD_DATA)
     down = -force / length
     steep_deg = float(np.degrees(np.arcsin(min(abs(down[0]), 1.0))))
     if steep_deg > STEEPEST_X_DEG:
-        raise UsageError(
-            f"the body x axis stands {steep_deg:.0f} deg steep and has a heading up to {STEEPEST_X_DEG:g} deg only; record "
-            "with another side down, or leave --heading out",
-            steep_deg=steep_deg,
-        )
+        raise UsageError(sentence("alignment.steep", steep_deg=steep_deg, limit_deg=STEEPEST_X_DEG))
     ahead: FloatArray = np.array([1.0, 0.0, 0.0]) - down[0] * down
     ahead /= np.linalg.norm(ahead)
     north = np.cos(heading.angle_rad) * ahead - np.sin(heading.angle_rad) * np.cross(down, ahead)
@@ -176,14 +172,6 @@ def rotation(vector: FloatArray) -> FloatArray:
     # np.sinc is sin(pi x)/(pi x): both factors are exact at zero.
     half = np.sinc(angle / (2 * np.pi))
     return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * A + 0.5 * half**2 * (A @ A))
-
-
-def _thinned(means: RestMeans) -> RestMeans:
-    """Return longer means, where there are more of them than the filter needs."""
-    factor = max(1, len(means.force) // STEPS)
-    kept = len(means.force) // factor * factor
-    force, rate = (values[len(values) - kept :].reshape(-1, factor, 3).mean(axis=1) for values in (means.force, means.rate))
-    return RestMeans(means.interval_s * factor, force, rate)
 
 
 def _fine(means: RestMeans, latitude_deg: float, noise: NoiseDensity, heading: Heading | None) -> tuple[FloatArray, FloatArray]:

@@ -24,6 +24,9 @@ from imufield.deliver.navigation.rest import SECOND_S, IntervalMeans, RestNoise,
 from imufield.deliver.parameters.file import Corrected
 from imufield.errors import ImufieldError, Reason, RecordingError, UsageError
 from imufield.samples import FloatArray, Samples
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Apply = Callable[[Samples], Corrected]
 
@@ -99,11 +102,7 @@ class StaticNavigation:
 
     def __init__(self, sets: Mapping[str, Apply], settings: CheckSettings) -> None:
         if not settings.align_s >= SHORTEST_ALIGN_S:
-            raise UsageError(
-                f"an alignment of {settings.align_s:g} s is too short, at least {SHORTEST_ALIGN_S:g} s are "
-                "needed; give a larger --align-s",
-                align_s=settings.align_s,
-            )
+            raise UsageError(sentence("check.align_s", align_s=settings.align_s, limit_s=SHORTEST_ALIGN_S))
         load_pyins()
         self.settings = settings
         self.stopped: ImufieldError | None = None  # Why this recording cannot be navigated; set at once, raised by ``finish``.
@@ -167,31 +166,16 @@ class StaticNavigation:
     def _check_whole(self) -> None:
         total, lost = (int(count) for count in self._counts)
         if total and lost > LARGEST_LOSS * total:
-            raise RecordingError(
-                f"{lost} of {total} samples are flagged or not a number (at most {LARGEST_LOSS:.0%} may be); mend "
-                "the recording or its protocol",
-                Reason.NOT_FINITE,
-                lost=lost,
-                total=total,
-            )
+            raise RecordingError(sentence("check.lost", lost=lost, total=total, limit=LARGEST_LOSS), Reason.NOT_FINITE)
         if self.stopped is not None:
             raise self.stopped
         needed_s, there_s = self.settings.align_s + SHORTEST_S, self._last_s - (self._start_s or 0.0)
         if there_s < needed_s:
-            raise RecordingError(
-                f"the recording holds {there_s:.0f} s and static navigation needs {needed_s:.0f} s "
-                f"({self.settings.align_s:g} s to align and more to navigate); record longer, or give a shorter --align-s",
-                Reason.TOO_FEW,
-                duration_s=there_s,
-                needed_s=needed_s,
-            )
+            align_s = self.settings.align_s
+            refused = sentence("check.too_short", duration_s=there_s, needed_s=needed_s, align_s=align_s)
+            raise RecordingError(refused, Reason.TOO_FEW)
         if self._gap_s > LONGEST_GAP_S:
-            raise RecordingError(
-                f"{self._gap_s:.1f} s of the recording are missing in one piece (at most {LONGEST_GAP_S:g} s are "
-                "bridged); record it again, without a break",
-                Reason.DAMAGED,
-                gap_s=self._gap_s,
-            )
+            raise RecordingError(sentence("check.gap", gap_s=self._gap_s, limit_s=LONGEST_GAP_S))
 
     def _check_moves(self, means: FloatArray, moving: NDArray[np.bool_]) -> None:
         at_s, turned_deg = int(np.argmax(moving)) * SECOND_S, 0.0
@@ -201,20 +185,12 @@ class StaticNavigation:
             first, last = (part.mean(axis=0) / np.linalg.norm(part.mean(axis=0)) for part in (still[:10], still[-10:]))
             turned_deg = float(np.degrees(np.arccos(np.clip(first @ last, -1, 1))))
         if self.settings.turned and turned_deg < TURNED_DEG:
-            raise RecordingError(
-                f"the instrument ends {turned_deg:.1f} deg from where it was aligned and --turned expects "
-                f"{TURNED_DEG:g} deg or more; leave --turned out, or turn the instrument over after the alignment",
-                Reason.BAD_DATA,
-                turned_deg=turned_deg,
-            )
-        if not self.settings.turned and (moving.sum() > TOUCHED_S or turned_deg > TURNED_DEG):
-            raise RecordingError(
-                f"the instrument was moved {at_s:.0f} s after the start, for {moving.sum():d} s (at most {TOUCHED_S:g} s are "
-                "forgiven); leave it alone, or give --turned where it was turned over on purpose",
-                Reason.BAD_DATA,
-                at_s=at_s,
-                moving_s=int(moving.sum()),
-            )
+            refused = sentence("check.not_turned", turned_deg=turned_deg, limit_deg=TURNED_DEG)
+            raise RecordingError(refused, Reason.BAD_DATA)
+        moving_s = int(moving.sum())
+        if not self.settings.turned and (moving_s > TOUCHED_S or turned_deg > TURNED_DEG):
+            refused = sentence("check.moved", at_s=at_s, moving_s=moving_s, limit_s=TOUCHED_S)
+            raise RecordingError(refused, Reason.BAD_DATA)
 
     def _forecast(
         self, tested: ParameterSet, calibration: Calibration | None, noise: RestNoise
@@ -223,7 +199,7 @@ class StaticNavigation:
         if calibration is None or alignment is None or flown is None:
             return None, ()
         if not np.isfinite(calibration.covariance).all():
-            return None, ("no forecast: the parameter file does not know its own uncertainty",)
+            return None, (sentence("check.no_uncertainty"),)
         instability = noise.instability if settings.instability is None else settings.instability
         # A bias that is new at each start is as large as what it wanders, where nobody knows better.
         turn_on = np.nan_to_num(instability) if settings.turn_on is None else settings.turn_on
@@ -238,9 +214,7 @@ class StaticNavigation:
         )
         expected = forecast(calibration, scene, random, np.random.default_rng(settings.seed), runs=settings.runs)
         if expected.heading_sigma_rad > LARGEST_HEADING_SIGMA_RAD:
-            sigma_deg = np.degrees(expected.heading_sigma_rad)
-            what = f"this gyroscope finds north to {sigma_deg:.0f} deg only, and the equations hold for small angles"
-            return None, (f"no forecast: {what}; give --heading where it is known",)
+            return None, (sentence("check.no_heading", sigma_deg=np.degrees(expected.heading_sigma_rad)),)
         return expected, ()
 
 
@@ -286,12 +260,8 @@ class ParameterSet:
         means = fill_gaps(self.means()[:seconds])
         moving = moving_seconds(means)
         if moving.sum() > TOUCHED_S:
-            raise RecordingError(
-                f"the instrument moves {int(np.argmax(moving))} s after the start, during the alignment of "
-                f"{settings.align_s:g} s; leave it alone at the start, or give a shorter --align-s",
-                Reason.BAD_DATA,
-                at_s=int(np.argmax(moving)),
-            )
+            refused = sentence("check.moves_in_alignment", at_s=int(np.argmax(moving)), align_s=settings.align_s)
+            raise RecordingError(refused, Reason.BAD_DATA)
         rest = RestMeans(SECOND_S, means[:, :3], means[:, 3:])
         self.alignment = align(rest, settings.latitude_deg, measure_noise(means).triads(), settings.heading)
         self.mechanisation = Mechanisation(self.alignment.attitude, end_s, settings.latitude_deg, settings.height_m)

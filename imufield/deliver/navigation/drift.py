@@ -23,7 +23,7 @@ QUANTITIES = ("latitude_deg", "longitude_deg", "north_velocity_m_s", "east_veloc
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drift:
-    """Errors since the end of the alignment, arrays of shape (..., n)."""
+    """Errors since the end of the alignment, arrays of shape (..., n), the first two as angles off the true place."""
 
     time_s: FloatArray
     """Shape (n,)."""
@@ -31,8 +31,15 @@ class Drift:
     longitude_deg: FloatArray
     north_velocity_m_s: FloatArray
     east_velocity_m_s: FloatArray
-    position_nmi: FloatArray
-    """Eq. 23 of [1]_."""
+    true_latitude_deg: float
+
+    @property
+    def position_nmi(self) -> FloatArray:
+        """Position error of eq. 23 of [1]_."""
+        # The latitude of the moment, as printed, is the true one to first order; with it errors add up linearly.
+        east_deg = self.longitude_deg * np.cos(np.radians(self.true_latitude_deg))
+        position_m = EARTH_RADIUS_M * np.radians(np.hypot(self.latitude_deg, east_deg))
+        return np.asarray(position_m / NAUTICAL_MILE_M)
 
     @property
     def hours(self) -> FloatArray:
@@ -43,26 +50,3 @@ class Drift:
     def rate_nmi_per_h(self) -> float:
         """Largest position error over the time it was navigated; the last one alone may be a zero of an oscillation."""
         return float(self.position_nmi.max() / (self.time_s[-1] / 3600))
-
-
-def make_drift(
-    time_s: FloatArray,
-    latitude_deg: FloatArray,
-    longitude_deg: FloatArray,
-    north_velocity_m_s: FloatArray,
-    *,
-    east_velocity_m_s: FloatArray,
-    true_latitude_deg: float,
-) -> Drift:
-    """Return errors, the first two as angles off the true place, with the position error of eq. 23 of [1]_."""
-    # The latitude of the moment, as printed, is the true one to first order; with it errors add up linearly.
-    east_deg = longitude_deg * np.cos(np.radians(true_latitude_deg))
-    position_m = EARTH_RADIUS_M * np.radians(np.hypot(latitude_deg, east_deg))
-    return Drift(
-        time_s=time_s,
-        latitude_deg=latitude_deg,
-        longitude_deg=longitude_deg,
-        north_velocity_m_s=north_velocity_m_s,
-        east_velocity_m_s=east_velocity_m_s,
-        position_nmi=position_m / NAUTICAL_MILE_M,
-    )

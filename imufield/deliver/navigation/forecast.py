@@ -29,7 +29,7 @@ import numpy as np
 
 from imufield.calibrate.model.result import Calibration
 from imufield.deliver.navigation.alignment import Alignment, cross_matrix, earth_rate
-from imufield.deliver.navigation.drift import QUANTITIES, Drift, make_drift
+from imufield.deliver.navigation.drift import QUANTITIES, Drift
 from imufield.deliver.navigation.uncertain import DrawnParameters, draw_parameters
 from imufield.samples import FloatArray
 
@@ -142,7 +142,10 @@ def simulate(
     white, flicker, turn_on = (name in sources for name in SOURCES[2:])
     slow = _Slow(random, rng, runs, flicker=flicker, turn_on=turn_on)
     density = random.density if white else np.zeros(6)
-    time_s, attitudes = _grid(scene)
+    # Equal steps from zero to the end, and the attitude at each.
+    end_s = float(scene.time_s[-1])
+    time_s = np.linspace(0.0, end_s, max(2, min(_STEPS, int(end_s / _SHORTEST_STEP_S))) + 1)
+    attitudes = scene.attitudes[np.minimum(np.searchsorted(scene.time_s, time_s), len(scene.time_s) - 1)]
     step_s = float(time_s[1])
     forward, gain = transition(scene, step_s)
     x = np.zeros((runs, 7))
@@ -165,8 +168,15 @@ def simulate(
         states.append(x)
         slow.advance(step_s)
     latitude, longitude, north, east = np.array(states).transpose(2, 1, 0)[:4]
-    place = np.degrees(latitude), np.degrees(longitude)
-    return make_drift(time_s, *place, north, east_velocity_m_s=east, true_latitude_deg=scene.latitude_deg), phi
+    drift = Drift(
+        time_s=time_s,
+        latitude_deg=np.degrees(latitude),
+        longitude_deg=np.degrees(longitude),
+        north_velocity_m_s=north,
+        east_velocity_m_s=east,
+        true_latitude_deg=scene.latitude_deg,
+    )
+    return drift, phi
 
 
 def transition(scene: Scene, step_s: float) -> tuple[FloatArray, FloatArray]:
@@ -221,15 +231,6 @@ class _Slow:
         decay = np.exp(-step_s / _TIME_CONSTANTS_S)[:, None, None]
         shocks = self._stationary * self._rng.standard_normal(self._states.shape)
         self._states = decay * self._states + np.sqrt(1 - decay**2) * shocks
-
-
-def _grid(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Return equal steps from zero to the end, and the attitude at each."""
-    end_s = float(scene.time_s[-1])
-    steps = max(2, min(_STEPS, int(end_s / _SHORTEST_STEP_S)))
-    time_s = np.linspace(0.0, end_s, steps + 1)
-    nearest = np.minimum(np.searchsorted(scene.time_s, time_s), len(scene.time_s) - 1)
-    return time_s, scene.attitudes[nearest]
 
 
 def _errors(parameters: DrawnParameters, scene: Scene, before: FloatArray, after: FloatArray, *, step_s: float) -> FloatArray:

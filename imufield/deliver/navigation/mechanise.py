@@ -18,12 +18,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from imufield.deliver.navigation.drift import Drift, make_drift
+from imufield.deliver.navigation.drift import Drift
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+sentence = Sentences(__package__)
 
 PIECE = 16384
 """Samples integrated at once: less makes more tables, more makes them larger."""
@@ -44,11 +47,7 @@ def load_pyins() -> SimpleNamespace:
         modules = {name: importlib.import_module(f"pyins.{name}") for name in ("earth", "strapdown", "transform", "util")}
         return SimpleNamespace(pandas=importlib.import_module("pandas"), **modules)
     except ImportError as error:
-        raise UsageError(
-            "navigation needs the package python-ins; install it with `pip install 'imufield[nav]'`",
-            Reason.MISSING_PACKAGE,
-            package="python-ins",
-        ) from error
+        raise UsageError(sentence("mechanise.package", package="python-ins"), Reason.MISSING_PACKAGE) from error
 
 
 def integrate(state: FloatArray, start_s: float, increments: DataFrame) -> DataFrame:
@@ -86,7 +85,6 @@ class Mechanisation:
         self._start_s = start_s
         self._latitude_deg = latitude_deg
         self._state = np.array([latitude_deg, 0.0, height_m, 0, 0, 0, 0, 0, 0])
-        self._time_s = start_s
         self._waiting: list[FloatArray] = []
         self._count = 0
         self._last = np.empty((0, 7))
@@ -110,12 +108,11 @@ class Mechanisation:
         # At the start every error is zero, and the latitude the true one.
         rows = np.concatenate([np.zeros((1, 5)), *self._rows])
         rows[0, 1] = self._latitude_deg
-        time_s = rows[:, 0]
-        return make_drift(
-            time_s,
-            rows[:, 1] - self._latitude_deg,
-            rows[:, 2],
-            rows[:, 3],
+        return Drift(
+            time_s=rows[:, 0],
+            latitude_deg=rows[:, 1] - self._latitude_deg,
+            longitude_deg=rows[:, 2],
+            north_velocity_m_s=rows[:, 3],
             east_velocity_m_s=rows[:, 4],
             true_latitude_deg=self._latitude_deg,
         )
@@ -139,15 +136,10 @@ class Mechanisation:
         increments = self._pyins.strapdown.compute_increments_from_imu(imu, "rate")
         trajectory = integrate(self._state, rows[0, 0], increments)
         self._state = trajectory.iloc[-1].to_numpy()
-        self._keep(trajectory)
-
-    def _keep(self, trajectory: DataFrame) -> None:
-        """Keep the first row of each second."""
+        # The first row of each second is kept.
         time_s = trajectory.index.to_numpy() - self._start_s
         slot = np.floor(time_s / OUTPUT_INTERVAL_S)
         first = np.flatnonzero(np.diff(slot) > 0) + 1
         chosen = trajectory.iloc[first]
         self._rows.append(np.column_stack([time_s[first], chosen[list(_COLUMNS)].to_numpy()]))
-        self._attitudes.append(
-            self._pyins.transform.mat_from_rph(chosen[self._pyins.util.RPH_COLS].to_numpy()).reshape(-1, 3, 3)
-        )
+        self._attitudes.append(self._pyins.transform.mat_from_rph(chosen[util.RPH_COLS].to_numpy()).reshape(-1, 3, 3))

@@ -51,10 +51,8 @@ class IntervalMeans:
         self.start_s = start_s
         self.interval_s = interval_s
         self._columns = columns
-        self._sums: list[FloatArray] = []
-        self._counts: list[FloatArray] = []
-        self._open = (np.zeros(self._columns), 0.0)
-        self._slot = 0
+        # Sum and number of samples by interval, those without any left out.
+        self._intervals: dict[int, tuple[FloatArray, float]] = {}
 
     def feed(self, time_s: FloatArray, values: FloatArray) -> None:
         """Take samples of rising time, shape (n,) and (n, columns)."""
@@ -62,24 +60,18 @@ class IntervalMeans:
         first = np.flatnonzero(np.diff(slot, prepend=slot[:1] - 1))
         sums = np.add.reduceat(values, first, axis=0)
         counts = np.diff(first, append=len(slot)).astype(np.float64)
-        for number, total, count in zip(slot[first], sums, counts, strict=True):
-            while self._slot < number:
-                self._close()
-            self._open = (self._open[0] + total, self._open[1] + count)
+        for number, total, count in zip(slot[first].tolist(), sums, counts.tolist(), strict=True):
+            before, so_far = self._intervals.get(number, (np.zeros(self._columns), 0.0))
+            self._intervals[number] = (before + total, so_far + count)
 
     def finish(self) -> FloatArray:
         """Return the means of all complete intervals, shape (m, columns); NaN where one had no sample."""
-        counts = np.array(self._counts)[:, None]
-        if not len(counts):
-            return np.empty((0, self._columns))
-        with np.errstate(invalid="ignore"):
-            return np.array(self._sums) / counts
-
-    def _close(self) -> None:
-        self._sums.append(self._open[0])
-        self._counts.append(np.asarray(self._open[1]))
-        self._open = (np.zeros(self._columns), 0.0)
-        self._slot += 1
+        # The last interval may still get samples.
+        means = np.full((max(self._intervals, default=0), self._columns), np.nan)
+        for number, (total, count) in self._intervals.items():
+            if number < len(means):
+                means[number] = total / count
+        return means
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,11 +156,7 @@ def _instability(tau_s: FloatArray, variance: FloatArray, seconds: int) -> float
         squares = np.linalg.lstsq(A, variance * weight, rcond=None)[0]
         expected = X @ np.maximum(squares, 0.0)
     sigma = _SHARED * math.sqrt(np.linalg.inv(A.T @ A)[1, 1])
-    return math.sqrt(_mean_above_zero(float(squares[1]), sigma))
-
-
-def _mean_above_zero(mean: float, sigma: float) -> float:
-    """Return the mean of what is left of a normal distribution above zero."""
-    z = max(mean / sigma, -30.0)  # beyond, what is left is too little for a float
+    # The mean of what is left of a normal distribution above zero; beyond z = -30 that is too little for a float.
+    z = max(float(squares[1]) / sigma, -30.0)
     above = math.erfc(-z / math.sqrt(2)) / 2
-    return sigma * (z + math.exp(-(z**2) / 2) / math.sqrt(2 * math.pi) / above)
+    return math.sqrt(sigma * (z + math.exp(-(z**2) / 2) / math.sqrt(2 * math.pi) / above))

@@ -12,17 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.model.models import (
-    predict,
-    predict_gyroscope,
-    recover_vectors,
-    to_vector,
-)
+from imufield.calibrate.model.models import predict, predict_gyroscope, recover_vectors, to_vector
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Calibration
-from imufield.samples import FloatArray
+from imufield.samples import AXES, FloatArray
 
 _GYROSCOPE_FIELDS = ("scale", "misalignment_rad", "bias", "g_sensitivity")
-_AXIS = {"x": 0, "y": 1, "z": 2}
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,14 +37,11 @@ class DrawnParameters:
         errors = np.zeros((len(self.vector), 6))
         errors[:, :3] = recovered - force
         if self.calibration.gyroscope is not None and self.gyroscope:
-            errors[:, 3:] = self._rate(predict_gyroscope(self.calibration.gyroscope.parameters, rate, force), recovered) - rate
+            drawn, raw = self.gyroscope, predict_gyroscope(self.calibration.gyroscope.parameters, rate, force)
+            unbiased = raw - drawn["bias"] - np.einsum("mij,mj->mi", drawn["g_sensitivity"], recovered)
+            matrix = np.eye(3) + drawn["misalignment_rad"]
+            errors[:, 3:] = np.linalg.solve(matrix, (unbiased / drawn["scale"])[:, :, None])[:, :, 0] - rate
         return errors
-
-    def _rate(self, raw: FloatArray, force: FloatArray) -> FloatArray:
-        drawn = self.gyroscope
-        unbiased = raw - drawn["bias"] - np.einsum("mij,mj->mi", drawn["g_sensitivity"], force)
-        matrix = np.eye(3) + drawn["misalignment_rad"]
-        return np.asarray(np.linalg.solve(matrix, (unbiased / drawn["scale"])[:, :, None])[:, :, 0])
 
 
 def draw_parameters(
@@ -63,7 +54,10 @@ def draw_parameters(
     names = calibration.covariance_names
     offsets = _normal(calibration.covariance, count, rng)
     vector = np.tile(to_vector(calibration.accelerometer), (count, 1))
-    drawn = _gyroscope(calibration, count)
+    drawn: dict[str, FloatArray] = {}
+    if calibration.gyroscope is not None:
+        own = calibration.gyroscope.parameters
+        drawn = {field: np.repeat(getattr(own, field)[None], count, axis=0) for field in _GYROSCOPE_FIELDS}
     for name, column in zip(names, offsets.T, strict=True):
         triad = name.partition(".")[0]
         # Drawn all the same, so that the other triad gets the numbers it would get with both.
@@ -72,7 +66,9 @@ def draw_parameters(
         if name in ACCELEROMETER_NAMES:
             vector[:, ACCELEROMETER_NAMES.index(name)] += column
         elif drawn and triad == "gyroscope":
-            _add(drawn, name, column)
+            # As in gyroscope.misalignment_rad.xy: the field, and the place in it.
+            _, field, place = name.split(".")
+            np.moveaxis(drawn[field], 0, -1)[tuple(AXES.index(axis) for axis in place)] += column
     return DrawnParameters(calibration, vector, drawn)
 
 
@@ -84,17 +80,3 @@ def _normal(covariance: FloatArray, count: int, rng: np.random.Generator) -> Flo
     value, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
     root = vectors * np.sqrt(np.maximum(value, 0.0))
     return np.asarray((rng.standard_normal((count, len(sigma))) @ root.T) * sigma)
-
-
-def _gyroscope(calibration: Calibration, count: int) -> dict[str, FloatArray]:
-    if calibration.gyroscope is None:
-        return {}
-    parameters = calibration.gyroscope.parameters
-    values = {name: np.asarray(getattr(parameters, name), dtype=np.float64) for name in _GYROSCOPE_FIELDS}
-    return {name: np.broadcast_to(value, (count, *value.shape)).copy() for name, value in values.items()}
-
-
-def _add(drawn: dict[str, FloatArray], name: str, column: FloatArray) -> None:
-    """Add to the parameter that a name of the joint covariance means, e.g. ``gyroscope.misalignment_rad.xy``."""
-    _, field, place = name.split(".")
-    np.moveaxis(drawn[field], 0, -1)[tuple(_AXIS[axis] for axis in place)] += column

@@ -14,6 +14,9 @@ from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _ROWS_AT_ONCE = 4096  # Pieces of 96 KiB a triad, read and written: they stay in a second-level cache.
 
@@ -68,9 +71,7 @@ def correct_gyroscope(
     if not np.any(parameters.g_sensitivity):
         return _affine(inverse, parameters.bias, raw, out=out)
     if specific_force is None:
-        raise ParameterFileError(
-            "these gyroscope parameters contain a g-sensitivity; give the corrected specific force as well", Reason.USAGE
-        )
+        raise ParameterFileError(sentence("apply.no_force"), Reason.USAGE)
     # One force for many rates is allowed: an instrument at rest.
     force = np.broadcast_to(three_columns(specific_force, "specific force"), raw.shape)
     return _affine(inverse, parameters.bias, raw, (inverse @ parameters.g_sensitivity, force), out=out)
@@ -156,7 +157,5 @@ def three_columns(values: FloatArray, what: str) -> FloatArray:
     """
     array = np.asarray(values, dtype=np.float64)
     if array.shape[-1:] != (3,):
-        raise ParameterFileError(
-            f"{what} values of shape {array.shape} cannot be corrected; give an array whose last axis is x, y, z", Reason.USAGE
-        )
+        raise ParameterFileError(sentence("apply.columns", what=what, shape=array.shape), Reason.USAGE)
     return array

@@ -15,19 +15,24 @@ from imufield.calibrate.accelerometer.accelerometer import EQUATIONS
 from imufield.calibrate.accelerometer.quality import poor_sentences
 from imufield.calibrate.model.gauge import constraint_jacobian, intrinsic, make_intrinsic
 from imufield.calibrate.model.models import to_vector
-from imufield.calibrate.model.result import GRAVITY_NAME, Calibration
+from imufield.calibrate.model.result import GRAVITY_NAME, Calibration, GyroscopeCalibration
 from imufield.deliver.parameters.apply import correct_accelerometer
 from imufield.deliver.parameters.document import GYROSCOPE_EQUATION, calibration_from_document, gyroscope_bias_rad_s
 from imufield.deliver.parameters.schema import Document
 from imufield.errors import CalibrationError
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 UNITS = {
     "accelerometer": ("m/s^2", "g", "count", "pulse", "count/s", "pulse/s"),
     "gyroscope": ("rad/s", "count", "pulse", "count/s", "pulse/s"),
 }
 """Raw units that samples and files of position means can have, increments divided by their interval."""
+_ROUNDING = 1e-9  # Relative: a covariance that was computed and printed is symmetric to a few units of the last digit.
 _TYPED = 1e-6  # What a person types with seven digits is exact enough: it is below every uncertainty.
+_FLATTEST = 1e-3  # Determinant of axes so close to one plane that they measure no third direction.
 _ROUNDED = 1e-4  # Of a variance: what the propagation through a joint fit and the printing leave may lie this far below zero.
 # Factor by which an instrument's scale is off the nominal one of its unit at most: far more than any, less than g is m/s^2.
 _NEAR = 3.0
@@ -42,24 +47,56 @@ def contradiction(document: Document, *, is_edited: bool = False) -> str:
 
 
 def _contradictions(document: Document, *, is_edited: bool) -> Iterator[str]:
+    yield from _shape(document)
     # From what is typed most often to what only a program gets wrong: the first sentence is the one a person reads.
     calibration, table = calibration_from_document(document), document["accelerometer"]
     wanted = EQUATIONS[table["quadratic_axes"]]
     if table["equation"] != wanted:
-        yield f'accelerometer.equation is "{table["equation"]}", but quadratic_axes "{table["quadratic_axes"]}" is "{wanted}"'
+        yield sentence("consistency.equation", stated=table["equation"], axes=table["quadratic_axes"], wanted=wanted)
     yield from _units(document)
     gauge, vector = table["gauge"], to_vector(calibration.accelerometer)
     # Of the gauge "preset" the frame is that of a preset, which is not in the file.
     if gauge != "preset" and np.any(np.abs(constraint_jacobian(vector, gauge) @ vector) > _TYPED):
         shape = "symmetric" if gauge == "symmetric" else f"{gauge} triangular"
-        yield f'accelerometer.gauge is "{gauge}", but accelerometer.misalignment_rad is not {shape}'
+        yield sentence("consistency.gauge", gauge=gauge, shape=shape)
     yield from _intrinsic(calibration)
-    yield from _gyroscope(calibration, document.get("gyroscope"), gauge)
+    if calibration.gyroscope is not None:
+        yield from _gyroscope(calibration.gyroscope, document["gyroscope"], gauge)
     yield from _possible(calibration)
     if not is_edited:
         yield from _positions(calibration, document)
         yield from _verdict(calibration)
         yield from _sigma(calibration, document)
+
+
+def _shape(document: Document) -> Iterator[str]:
+    """Yield what keeps the numbers from being arrays that can be computed with."""
+    names, rows = document["covariance"]["names"], document["covariance"]["matrix"]
+    positions, tables = document["session"]["positions"], len(document["position"])
+    if positions != tables:
+        yield sentence("consistency.position_count", positions=positions, tables=tables)
+    if any(len(row) != len(names) for row in [rows, *rows]):
+        yield sentence("consistency.covariance_size", names=len(names))
+    # Elements that are not known, NaN, contradict nothing.
+    matrix = np.array(rows, dtype=np.float64).reshape(len(rows), len(rows))
+    if np.any(np.diagonal(matrix) < 0):
+        yield sentence("consistency.variance")
+    # Where the gauge fixes a parameter nothing but rounding is left of its row.
+    free = np.diagonal(matrix) > 0
+    deviation = np.sqrt(np.diagonal(matrix)[free])
+    correlation = matrix[np.ix_(free, free)] / np.outer(deviation, deviation)
+    if np.any(np.abs(correlation - correlation.T) > _ROUNDING):
+        yield sentence("consistency.not_symmetric")
+    if np.any(np.abs(correlation) > 1 + _ROUNDING):
+        yield sentence("consistency.correlation")
+    for triad in (triad for triad in UNITS if triad in document):
+        misalignment = np.array(document[triad]["misalignment_rad"], dtype=np.float64)
+        if 0 in document[triad]["scale"]:
+            yield sentence("consistency.zero_scale", triad=triad)
+        if np.any(np.diagonal(misalignment) != 0):
+            yield sentence("consistency.diagonal", triad=triad)
+        if abs(np.linalg.det(np.eye(3) + misalignment)) < _FLATTEST:
+            yield sentence("consistency.one_plane", triad=triad)
 
 
 def _units(document: Document) -> Iterator[str]:
@@ -69,13 +106,13 @@ def _units(document: Document) -> Iterator[str]:
             continue
         unit, scale = table["raw_unit"], np.abs(np.array(table["scale"], dtype=np.float64))
         if unit not in known:
-            yield f'{triad}.raw_unit is "{unit}", which is none of {", ".join(known)}'
+            yield sentence("consistency.unit", triad=triad, unit=unit, known=known)
             continue
         nominal = nominal_scale(unit)
         # A poor calibration says so itself; its scale may be anything.
         believed = document["quality"]["verdict"] != "poor"
         if believed and nominal is not None and np.any((scale < nominal / _NEAR) | (scale > nominal * _NEAR)):
-            yield f'{triad}.raw_unit is "{unit}", whose scale is about {nominal:.4g}, and {triad}.scale is {table["scale"]}'
+            yield sentence("consistency.unit_of_scale", triad=triad, unit=unit, nominal=nominal, scale=table["scale"])
 
 
 def _intrinsic(calibration: Calibration) -> Iterator[str]:
@@ -88,23 +125,19 @@ def _intrinsic(calibration: Calibration) -> Iterator[str]:
         values: FloatArray = getattr(follows, key)
         # NaN, an angle that is not known, contradicts nothing.
         if np.any(np.abs(stated - values) > _TYPED * unit):
-            yield (
-                f"accelerometer.intrinsic.{key} is {stated.tolist()}, but scale, bias_m_s2, misalignment_rad and quadratic of "
-                f"the accelerometer give {[float(f'{value:.10g}') for value in values]}"
-            )
+            rounded = [float(f"{value:.10g}") for value in values]
+            yield sentence("consistency.intrinsic", name=key, stated=stated.tolist(), follows=rounded)
 
 
-def _gyroscope(calibration: Calibration, table: Document | None, gauge: str) -> Iterator[str]:
-    if table is None or calibration.gyroscope is None:
-        return
+def _gyroscope(gyroscope: GyroscopeCalibration, table: Document, gauge: str) -> Iterator[str]:
     if table["equation"] != GYROSCOPE_EQUATION:
-        yield f'gyroscope.equation is "{table["equation"]}" instead of "{GYROSCOPE_EQUATION}"'
+        yield sentence("consistency.gyroscope_equation", stated=table["equation"], wanted=GYROSCOPE_EQUATION)
     if table["gauge"] != gauge:
-        yield f'gyroscope.gauge is "{table["gauge"]}", but accelerometer.gauge "{gauge}": both triads have one frame'
-    follows = gyroscope_bias_rad_s(calibration.gyroscope)[0]
+        yield sentence("consistency.gyroscope_gauge", stated=table["gauge"], gauge=gauge)
+    follows = gyroscope_bias_rad_s(gyroscope)[0]
     stated = np.array(table["bias_rad_s"], dtype=np.float64)
     if np.any(np.abs(stated - follows) > _TYPED * np.maximum(np.abs(follows), _TYPED)):
-        yield f"gyroscope.bias_rad_s is {table['bias_rad_s']}, but bias and scale of the gyroscope give {follows.tolist()}"
+        yield sentence("consistency.bias_rate", stated=table["bias_rad_s"], follows=follows.tolist())
 
 
 def _positions(calibration: Calibration, document: Document) -> Iterator[str]:
@@ -114,21 +147,18 @@ def _positions(calibration: Calibration, document: Document) -> Iterator[str]:
     try:
         force = correct_accelerometer(calibration.accelerometer, raw)
     except CalibrationError as error:
-        yield f"position.mean_raw cannot come from these parameters: {error.message.partition(';')[0]}"
+        yield sentence("consistency.mean_raw", cause=error.message.partition(";")[0])
         return
     follows = np.linalg.norm(force, axis=1) - calibration.gravity.gravity_m_s2
     stated = calibration.positions.residual_m_s2
     for k in np.flatnonzero(np.abs(stated - follows) > _TYPED):
-        yield (
-            f"position[{k}].residual_m_s2 is {stated[k]:.6g}, but mean_raw, the accelerometer and site.gravity_m_s2 give "
-            f"{follows[k]:.6g}"
-        )
+        yield sentence("consistency.residual", number=k, stated=stated[k], follows=follows[k])
     known = np.abs(stated[np.isfinite(stated)])
     if not len(known):
         return
     for key, value in (("residual_rms_m_s2", float(np.sqrt(np.mean(known**2)))), ("residual_max_m_s2", float(known.max()))):
         if abs(getattr(quality, key) - value) > _TYPED:
-            yield f"quality.{key} is {getattr(quality, key):.6g}, but the residuals of the positions give {value:.6g}"
+            yield sentence("consistency.residual_summary", name=key, stated=getattr(quality, key), follows=value)
 
 
 def _verdict(calibration: Calibration) -> Iterator[str]:
@@ -138,7 +168,7 @@ def _verdict(calibration: Calibration) -> Iterator[str]:
         return
     unsettled = None if solver.converged else solver.message
     for reason in poor_sentences(unsettled, quality.degrees_of_freedom, quality.leave_one_out_rms_m_s2):
-        yield f'quality.verdict is "{quality.verdict}" instead of "poor", but {reason.partition(": ")[0]}'
+        yield sentence("consistency.verdict", verdict=quality.verdict, reason=reason.partition(": ")[0])
 
 
 def _possible(calibration: Calibration) -> Iterator[str]:
@@ -151,10 +181,7 @@ def _possible(calibration: Calibration) -> Iterator[str]:
         return
     lowest = float(np.linalg.eigvalsh(correlation)[0])
     if lowest < -_ROUNDED:
-        yield (
-            "covariance.matrix is not positive semi-definite: some combination of its parameters has a variance below zero "
-            f"(lowest eigenvalue {lowest:.3g} of its correlations, limit {-_ROUNDED:g})"
-        )
+        yield sentence("consistency.indefinite", lowest=lowest, limit=-_ROUNDED)
 
 
 def _sigma(calibration: Calibration, document: Document) -> Iterator[str]:
@@ -170,6 +197,6 @@ def _sigma(calibration: Calibration, document: Document) -> Iterator[str]:
         if name == GRAVITY_NAME:
             stated = document["site"]["gravity_sigma_m_s2"]
         if not isinstance(stated, int | float):
-            yield f"covariance.names has {name}, which is no parameter of this file"
+            yield sentence("consistency.covariance_name", name=name)
         elif abs(stated - value) > _TYPED * max(value, stated):
-            yield f"covariance.matrix gives {name} a standard deviation of {value:.6g}, and the file states {stated:.6g}"
+            yield sentence("consistency.sigma", name=name, follows=value, stated=stated)

@@ -10,14 +10,12 @@ import numpy as np
 from imufield.samples import FloatArray
 from imufield.version import __version__
 
+SOFTWARE = f"imufield {__version__}"
 
-def _now() -> str:
-    # Without fractions and with Z: files sort by it as text.
+
+def now_text() -> str:
+    """Return the time without fractions and with Z: files sort by it as text."""
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-
-
-def _software() -> str:
-    return f"imufield {__version__}"
 
 
 def _unknown() -> FloatArray:
@@ -71,6 +69,6 @@ class Context:
     instrument: InstrumentFacts = field(default_factory=InstrumentFacts)
     session: SessionFacts = field(default_factory=SessionFacts)
     noise: Noise | None = None
-    created: str = field(default_factory=_now)
+    created: str = field(default_factory=now_text)
     """UTC, ISO 8601."""
-    software: str = field(default_factory=_software)
+    software: str = SOFTWARE

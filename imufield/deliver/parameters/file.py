@@ -20,6 +20,9 @@ from imufield.deliver.parameters.schema import Document, json_ready, parameter_s
 from imufield.deliver.parameters.write import EDITED, to_toml, write_document, write_parameters
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import FloatArray, Samples
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 PARAMETER_FILE = "parameters.toml"
 """Its name in the folder of a session."""
@@ -100,16 +103,9 @@ class Parameters:
 
     def _gyroscope(self) -> GyroscopeParameters:
         if self.calibration.gyroscope is None:
-            raise ParameterFileError(
-                f"{self._name} has no gyroscope parameters; calibrate from a session whose instrument sends its gyroscope",
-                Reason.UNITS,
-            )
+            raise ParameterFileError(sentence("file.no_gyroscope", name=self._name), Reason.UNITS)
         if not self.gyroscope_is_complete:
-            raise ParameterFileError(
-                f"the gyroscope scale is not known in {self._name}, only its bias; solve again with a preset or a driver that "
-                "gives the scale",
-                Reason.UNITS,
-            )
+            raise ParameterFileError(sentence("file.no_scale", name=self._name), Reason.UNITS)
         return self.calibration.gyroscope.parameters
 
     @overload
@@ -167,42 +163,31 @@ class Parameters:
     @property
     def edited_note(self) -> str:
         """The sentence that says so where the file was edited by hand, else an empty one."""
-        return f"{self._name} was edited by hand: its numbers are not those that imufield solve wrote" if self.edited else ""
+        return sentence("file.edited", name=self._name) if self.edited else ""
 
     @property
     def gyroscope_note(self) -> str:
         """The sentence that says so where the gyroscope was not calibrated, or its bias alone, else an empty one."""
         gyroscope = self.calibration.gyroscope
         if gyroscope is None:
-            return f"{self._name} has no gyroscope: it was not calibrated"
+            return sentence("file.not_calibrated", name=self._name)
         if np.isfinite(gyroscope.sigma.scale).any():
             return ""
-        scale = "those of preset or driver, not calibrated" if self.gyroscope_is_complete else "not known"
-        return f"of the gyroscope in {self._name} the bias alone was calibrated; scale and misalignment are {scale}"
+        return sentence("file.bias_with_scale" if self.gyroscope_is_complete else "file.bias_alone", name=self._name)
 
     def check_unit(self, triad: str, unit: str) -> None:
         """Raise ``ParameterFileError`` if a triad whose rates are in this unit is not what the parameters are for."""
         wanted = self.document[triad]["raw_unit"]
         if wanted != unit:
-            raise ParameterFileError(
-                f"{self._name} is for {triad} values in {wanted}, these samples are in {unit}; take the parameters of this "
-                "instrument and setting, or solve again (a table names its units in its heading, as ax_m_s2, ax_g, gx_deg_s)",
-                Reason.UNITS,
-                wanted=wanted,
-                unit=unit,
-            )
+            refused = sentence("file.unit", name=self._name, triad=triad, wanted=wanted, unit=unit)
+            raise ParameterFileError(refused, Reason.UNITS)
 
     def check_instrument(self, serial_number: str) -> None:
         """Raise ``ParameterFileError`` if both serial numbers are known and these parameters are of another instrument."""
         known = self.context.instrument.serial_number
         if known and serial_number and known != serial_number:
-            raise ParameterFileError(
-                f"{self._name} is for the instrument with serial number {known} and this recording is of {serial_number}; take "
-                "the parameters of that instrument",
-                Reason.FOREIGN,
-                parameters=known,
-                recording=serial_number,
-            )
+            refused = sentence("file.instrument", name=self._name, parameters=known, recording=serial_number)
+            raise ParameterFileError(refused, Reason.FOREIGN)
 
 
 def from_document(document: Document, *, path: Path | None = None) -> Parameters:

@@ -15,6 +15,9 @@ from importlib.resources import files
 from typing import Any, NamedTuple, TypeGuard
 
 from imufield.errors import Reason
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 # What TOML and JSON hold; the schema says which types stand where, and no type checker reads that.
 Document = dict[str, Any]
@@ -30,7 +33,7 @@ LARGEST_EXACT_INTEGER = 2**53
 
 
 class Fault(NamedTuple):
-    """One broken rule: where (dotted key), what is wrong, and the reason for programs."""
+    """One broken rule: where (dotted key), what is wrong with it in words, and the reason for programs."""
 
     key: str
     what: str
@@ -71,24 +74,23 @@ def _faults(value: object, rule: Document, key: str, definitions: Document) -> I
     if wrong:
         yield wrong
     elif isinstance(value, dict):
-        yield from _table_faults(value, rule, f"{key}." if key else "", definitions)
+        above = f"{key}." if key else ""
+        for name, item in value.items():
+            if name in rule["properties"]:
+                yield from _faults(item, rule["properties"][name], above + name, definitions)
+            else:
+                yield _fault(above + name, "schema.unknown", Reason.UNKNOWN_KEY)
+        yield from (_fault(above + name, "schema.missing") for name in rule.get("required", ()) if name not in value)
     elif isinstance(value, list):
         fewest, most = rule.get("minItems", 0), rule.get("maxItems", math.inf)
         if not fewest <= len(value) <= most:
-            yield Fault(key, f"has {len(value)} entries instead of {fewest}", Reason.DAMAGED)
+            yield _fault(key, "schema.entries", found=len(value), wanted=fewest)
         for index, item in enumerate(value):
             yield from _faults(item, rule["items"], f"{key}[{index}]", definitions)
 
 
-def _table_faults(table: Document, rule: Document, above: str, definitions: Document) -> Iterator[Fault]:
-    for name, value in table.items():
-        if name in rule["properties"]:
-            yield from _faults(value, rule["properties"][name], above + name, definitions)
-        else:
-            yield Fault(above + name, "is not a key of this format", Reason.UNKNOWN_KEY)
-    for name in rule.get("required", ()):
-        if name not in table:
-            yield Fault(above + name, "is missing", Reason.DAMAGED)
+def _fault(key: str, name: str, reason: Reason = Reason.DAMAGED, **values: object) -> Fault:
+    return Fault(key, sentence(name, key=key, **values), reason)
 
 
 def _is_number(value: object) -> TypeGuard[float]:
@@ -110,7 +112,7 @@ _TYPE_CHECKS: dict[str, tuple[str, Callable[[object], bool]]] = {
 
 def _type_fault(value: object, rule: Document, key: str) -> Fault | None:
     if isinstance(value, float) and math.isinf(value):
-        return Fault(key, "is infinite", Reason.NOT_FINITE)
+        return _fault(key, "schema.infinite", Reason.NOT_FINITE)
     wanted = rule.get("type", ())
     # A schema names one type, or several of which one must fit.
     checks = [_TYPE_CHECKS[name] for name in ([wanted] if isinstance(wanted, str) else wanted)]
@@ -118,26 +120,26 @@ def _type_fault(value: object, rule: Document, key: str) -> Fault | None:
         return None
     # None stands for NaN here (json_ready).
     if value is None:
-        return Fault(key, "is nan where a number is needed", Reason.NOT_FINITE)
-    return Fault(key, f"is {shown(value)} instead of {' or '.join(words for words, _ in checks)}", Reason.DAMAGED)
+        return _fault(key, "schema.nan", Reason.NOT_FINITE)
+    return _fault(key, "schema.type", shown=shown(value), wanted=" or ".join(words for words, _ in checks))
+
+
+# By keyword: the sentence where a value breaks the rule, and whether a value keeps it.
+_VALUE_CHECKS: dict[str, tuple[str, Callable[[object, Any], bool]]] = {
+    "const": ("schema.const", lambda value, limit: value == limit and not isinstance(value, bool)),
+    "enum": ("schema.enum", lambda value, limit: value in limit),
+    "pattern": ("schema.pattern", lambda value, limit: re.search(limit, str(value)) is not None),
+    "minimum": ("schema.minimum", lambda value, limit: not _is_number(value) or value >= limit),
+    "maximum": ("schema.maximum", lambda value, limit: not _is_number(value) or value <= limit),
+    "exclusiveMinimum": ("schema.above", lambda value, limit: not _is_number(value) or value > limit),
+}
 
 
 def _value_fault(value: object, rule: Document, key: str) -> Fault | None:
-    what = ""
-    if "const" in rule and (value != rule["const"] or isinstance(value, bool)):
-        what = f"is {shown(value)} instead of {rule['const']!r}"
-    elif "enum" in rule and value not in rule["enum"]:
-        what = f"is {shown(value)}, not one of {', '.join(rule['enum'])}"
-    elif "pattern" in rule and not re.search(rule["pattern"], str(value)):
-        what = f"is {shown(value)}, which has not the form {rule['pattern']}"
-    elif _is_number(value):
-        if value < rule.get("minimum", -math.inf):
-            what = f"is {value:g}, below {rule['minimum']:g}"
-        elif value > rule.get("maximum", math.inf):
-            what = f"is {value:g}, above {rule['maximum']:g}"
-        elif value <= rule.get("exclusiveMinimum", -math.inf):
-            what = f"is {value:g} and must be above {rule['exclusiveMinimum']:g}"
-    return Fault(key, what, Reason.DAMAGED) if what else None
+    for keyword, (name, holds) in _VALUE_CHECKS.items():
+        if keyword in rule and not holds(value, rule[keyword]):
+            return _fault(key, name, shown=shown(value), value=value, limit=rule[keyword])
+    return None
 
 
 def shown(value: object) -> str:

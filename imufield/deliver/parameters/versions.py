@@ -10,51 +10,48 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 from imufield.deliver.parameters.document import VERSION
 from imufield.deliver.parameters.schema import Document
 from imufield.deliver.parameters.write import EDITED, content_sha256
 from imufield.errors import ParameterFileError, Reason
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _ZEROS = [0.0] * 3
 _UNKNOWN = [math.nan] * 3
-# What version 0, a draft with linear models only, could not say; by table.
-_NEW_IN_1: dict[tuple[str, ...], Document] = {
-    ("accelerometer",): {
+# What version 0, a draft with linear models only, could not say.
+_NEW_IN_1: Document = {
+    "accelerometer": {
         "raw_zero": _ZEROS,
         "quadratic": _ZEROS,
         "quadratic_axes": "sensing",
         "quadratic_fitted": False,
+        "uncertainty": {"quadratic": _UNKNOWN},
+        "intrinsic": {"quadratic": _ZEROS, "quadratic_sigma": _UNKNOWN},
     },
-    ("accelerometer", "uncertainty"): {"quadratic": _UNKNOWN},
-    ("accelerometer", "intrinsic"): {"quadratic": _ZEROS, "quadratic_sigma": _UNKNOWN},
-    ("gyroscope",): {"g_sensitivity": [_ZEROS] * 3},
-    ("gyroscope", "uncertainty"): {"g_sensitivity": [_UNKNOWN] * 3},
+    "gyroscope": {"g_sensitivity": [_ZEROS] * 3, "uncertainty": {"g_sensitivity": [_UNKNOWN] * 3}},
 }
 
 
 def _from_0(document: Document) -> Document:
     """Version 0 knew no mid-scale, no quadratic term and no g-sensitivity: they are zero and were not estimated."""
-    for place, keys in _NEW_IN_1.items():
-        table: object = document
-        for name in place:
-            table = table.get(name) if isinstance(table, dict) else None
-        # What is missing or no table is for the schema to say.
-        if isinstance(table, dict):
-            _add(table, keys, place)
+    _add(document, _NEW_IN_1, "")
     return document
 
 
-def _add(table: Document, keys: Mapping[str, object], place: tuple[str, ...]) -> None:
+def _add(table: Document, keys: Document, above: str) -> None:
     for key, value in keys.items():
-        if key in table:
-            raise ParameterFileError(
-                f"{'.'.join((*place, key))} is not a key of version 0; solve the session again, or write the version it is of",
-                Reason.UNKNOWN_KEY,
-                key=key,
-            )
-        table[key] = copy.deepcopy(value)
+        if isinstance(value, dict):
+            # What is missing or no table is for the schema to say.
+            if isinstance(table.get(key), dict):
+                _add(table[key], value, f"{above}{key}.")
+        elif key in table:
+            raise ParameterFileError(sentence("versions.unknown", key=above + key), Reason.UNKNOWN_KEY)
+        else:
+            table[key] = copy.deepcopy(value)
 
 
 CONVERTERS: dict[int, Callable[[Document], Document]] = {0: _from_0}

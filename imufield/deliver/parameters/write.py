@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from imufield.calibrate.model.observations import Observations
@@ -18,42 +19,14 @@ from imufield.deliver.parameters.document import to_document
 from imufield.deliver.parameters.schema import Document, first_fault, json_ready
 from imufield.errors import ParameterFileError
 from imufield.files import typed_write_errors, write_keeping
+from imufield.sentences import Sentences
 
 EDITED = "edited"
 """Stands in place of the hash where a person changed the file on purpose."""
 
 _ROW_WIDTH = 100  # an array of texts longer than this gets one line each
 
-_HEADER = """\
-imufield parameter file: a calibrated instrument, and how well each number is known.
-
-Corrected values from raw output N (raw unit: what the instrument sends, increments divided by their interval):
-  accelerometer   N - raw_zero = K (s + b) + K2 s^2 with s = T a      a: specific force, m/s^2, +g along the axis pointing up
-                  (quadratic_axes = "body":  N - raw_zero = K (T a + b) + K2 a^2)
-  gyroscope       N = K E w + e + G a                                 w: angular rate, rad/s
-  K scale, b bias_m_s2, T and E identity + misalignment_rad (rows are sensing axes), K2 quadratic, e bias, G g_sensitivity
-In Python: imufield.load("parameters.toml").apply(samples).
-
-Vectors are x, y, z. nan: not known or not estimated. Uncertainties are 1 sigma; 0 where the gauge fixes a number.
-"""
-
-_COMMENTS = {
-    "site": "Gravity is a common scale factor of the accelerometer: its error goes into every scale.",
-    "accelerometer": "scale: raw_unit per m/s^2. quadratic: raw_unit per (m/s^2)^2.",
-    "accelerometer.uncertainty": "1 sigma, the same keys and units.",
-    "accelerometer.intrinsic": (
-        "Free of the gauge, for comparison with other programs: row lengths of K T, K b in raw_unit, "
-        "angles x-y, x-z, y-z\nbetween the sensing axes less a right angle."
-    ),
-    "gyroscope": "scale: raw_unit per rad/s. bias: raw_unit. g_sensitivity: raw_unit per m/s^2.",
-    "gyroscope.uncertainty": "1 sigma, the same keys and units.",
-    "quality": "Residual: norm of the corrected specific force less gravity, at rest.",
-    "covariance": "Joint covariance of all parameters, rows and columns in the order of names.",
-    "integrity": (
-        'SHA-256 of the values above. Whoever changes a value on purpose writes sha256 = "edited" here;\n'
-        "imufield then loads the file and says that it was edited."
-    ),
-}
+sentence = Sentences(__package__)
 
 
 def content_sha256(document: Document) -> str:
@@ -74,14 +47,11 @@ def to_toml(document: Document) -> str:
     """
     fault = first_fault(document)
     if fault is not None:
-        raise ParameterFileError(
-            f"the parameters cannot be written because {fault.key} {fault.what}; solve again from better data",
-            fault.reason,
-            key=fault.key,
-        )
+        raise ParameterFileError(sentence("write.fault", what=fault.what), fault.reason, key=fault.key)
+    comments = tomllib.loads(Path(__file__).with_name("comments.toml").read_text(encoding="utf-8"))
     # The hash last, in a table of its own: a file cut short has none.
     complete = document | {"integrity": {"sha256": content_sha256(document)}}
-    return "\n".join([_comment(_HEADER), *_table_lines(complete, "")]) + "\n"
+    return "\n".join([_comment(comments["head"]), *_table_lines(complete, "", comments["tables"])]) + "\n"
 
 
 def write_parameters(path: Path | str, calibration: Calibration, observations: Observations, context: Context) -> Path | None:
@@ -110,7 +80,7 @@ def write_document(path: Path | str, document: Document) -> Path | None:
         return write_keeping(path, text.encode("utf-8"))
 
 
-def _table_lines(table: Document, name: str) -> Iterator[str]:
+def _table_lines(table: Document, name: str, comments: Mapping[str, str]) -> Iterator[str]:
     plain = {key: value for key, value in table.items() if not _tables(value)}
     for key, value in plain.items():
         yield f"{key} = {_value(value)}"
@@ -121,10 +91,10 @@ def _table_lines(table: Document, name: str) -> Iterator[str]:
         inner = f"{name}.{key}" if name else key
         for part in _tables(value):
             yield ""
-            if inner in _COMMENTS:
-                yield _comment(_COMMENTS[inner])
+            if inner in comments:
+                yield _comment(comments[inner])
             yield f"[[{inner}]]" if isinstance(value, list) else f"[{inner}]"
-            yield from _table_lines(part, inner)
+            yield from _table_lines(part, inner, comments)
 
 
 def _tables(value: object) -> list[Document]:

@@ -44,10 +44,7 @@ def correlations(calibration: Calibration) -> Correlations:
     known = np.flatnonzero(np.isfinite(variance) & (variance > 0))
     sigma = np.sqrt(variance[known])
     matrix: FloatArray = calibration.covariance[np.ix_(known, known)] / np.outer(sigma, sigma)
-    return Correlations(tuple(_short(calibration.covariance_names[k]) for k in known), matrix)
-
-
-def _short(name: str) -> str:
+    names = [calibration.covariance_names[k] for k in known]
     for long, short in _SHORT:
-        name = name.replace(long, short)
-    return name
+        names = [name.replace(long, short) for name in names]
+    return Correlations(tuple(names), matrix)

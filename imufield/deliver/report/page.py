@@ -18,7 +18,9 @@ from imufield.deliver.report.data import ReportData
 from imufield.deliver.report.rows import VERDICT_WORDS, parameter_rows
 from imufield.deliver.verification.result import duration_words
 from imufield.earth import MICRO_G_M_S2, height_words
-from imufield.sentences import counted
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _GRAVITY_WORDS = {
     "typed": "given by the user",
@@ -199,10 +201,10 @@ def _provenance(data: ReportData) -> Iterator[tuple[str, str]]:
         yield "Preset", f"content SHA-256 {content_sha256(data.preset.document)}"
     yield "Solved by", parameters.context.software
     seed = "" if solver.seed is None else f", seed {solver.seed}"
-    ended = f"{'converged' if solver.converged else 'did NOT converge'} after {counted(solver.evaluations, 'evaluation')}"
     # Earlier versions wrote down what the library said, which names settings in backquotes.
     how = "" if "`" in solver.message else f": {solver.message}"
-    yield "Method", f"{solver.method}{seed}, {ended}{how}"
+    key = "page.method" if solver.converged else "page.method_open"
+    yield "Method", sentence(key, method=solver.method, seed=seed, evaluations=solver.evaluations, how=how)
 
 
 def _figures(data: ReportData) -> Iterator[Figure]:
@@ -211,76 +213,35 @@ def _figures(data: ReportData) -> Iterator[Figure]:
     if tables:
         force = data.parameters.apply_accelerometer(np.array([table["mean_raw"] for table in tables], dtype=np.float64))
         up = force / np.linalg.norm(force, axis=1)[:, None]
-        yield Figure(
-            "Residual on the sphere",
-            plots.sphere_map(up, results.residual_m_s2, names),
-            "Each mark is a position at its measured direction of up, seen along the body's z axis; its size is "
-            "the residual. Large marks of one kind side by side mean that the error model lacks something; a "
-            "single large one, that a hold was touched.",
-            "Map of residuals by direction",
-        )
-        yield Figure(
-            "Residual by position",
-            plots.residuals(names, results.residual_m_s2, results.leave_one_out_m_s2),
-            "How far the corrected specific force is from gravity, and the same with parameters that have not "
-            "seen the position.",
-            "Residual of each position",
-        )
+        svg = plots.sphere_map(up, results.residual_m_s2, names)
+        yield Figure("Residual on the sphere", svg, sentence("page.sphere"), "Map of residuals by direction")
+        svg = plots.residuals(names, results.residual_m_s2, results.leave_one_out_m_s2)
+        yield Figure("Residual by position", svg, sentence("page.residuals"), "Residual of each position")
     if data.trace is not None:
         start, duration = (np.array([table[key] for table in tables], dtype=np.float64) for key in ("start_s", "duration_s"))
-        yield Figure(
-            "Stillness",
-            plots.stillness(data.trace, start, duration),
-            "Scatter of the specific force inside half a second, and the rate of turning.",
-            "Stillness over time",
-        )
+        svg = plots.stillness(data.trace, start, duration)
+        yield Figure("Stillness", svg, sentence("page.stillness"), "Stillness over time")
     if data.convergence:
-        ended = " ".join(f"{run.method} {'converged' if run.converged else 'did NOT converge'}." for run in data.convergence)
-        yield Figure(
-            "Convergence",
-            plots.convergence(data.convergence),
-            f"The methods of the papers, started from what they would know without this result. {ended}",
-            "Cost over iterations",
-        )
+        keys = {run.method: "page.converged" if run.converged else "page.not_converged" for run in data.convergence}
+        ended = " ".join(sentence(key, method=method) for method, key in keys.items())
+        caption = sentence("page.convergence", ended=ended)
+        yield Figure("Convergence", plots.convergence(data.convergence), caption, "Cost over iterations")
     if data.closure is not None and len(data.closure.after_deg):
-        yield Figure(
-            "Gyroscope closure",
-            plots.closure(data.closure),
-            "Each move between two positions, integrated from the gyroscope, ends this far from where gravity says.",
-            "Angle error of each move",
-        )
+        yield Figure("Gyroscope closure", plots.closure(data.closure), sentence("page.closure"), "Angle error of each move")
     found = correlations(data.parameters.calibration)
     if len(found.names) > 1:
         pairs = found.strongest(_STRONGEST_SHOWN)
         strongest = "; ".join(f"{first} and {second} {value:+.2f}" for first, second, value in pairs)
-        yield Figure(
-            "Correlations",
-            plots.correlations(found),
-            "How the errors of two parameters hang together: full marks the same way, open marks against each other, the "
-            f"larger the more; below {plots.LEAST_CORRELATION:g} nothing is drawn. The strongest: {strongest}.",
-            "Correlation of each pair of parameters",
-        )
+        caption = sentence("page.correlations", least=plots.LEAST_CORRELATION, strongest=strongest)
+        yield Figure("Correlations", plots.correlations(found), caption, "Correlation of each pair of parameters")
     yield from _check_figures(data.verification or {})
 
 
 def _check_figures(verification: Document) -> Iterator[Figure]:
     positions, navigation = verification.get("positions"), verification.get("navigation")
     if positions and positions["forecast_rms_m_s2"] is not None and len(positions["name"]) > 1:
-        yield Figure(
-            "Held-out positions",
-            plots.left_out(positions),
-            f"Residuals of {positions['how']}, and what the stated uncertainty forecasts for them: "
-            f"{_forecast_words(positions)}.",
-            "Residuals of held-out positions",
-        )
+        caption = sentence("page.left_out", how=positions["how"], forecast=_forecast_words(positions))
+        yield Figure("Held-out positions", plots.left_out(positions), caption, "Residuals of held-out positions")
     if navigation:
-        turned = " The instrument was turned over after the alignment." if navigation["turned"] else (
-            " Alignment hides the accelerometer here: what is seen is the gyroscope."
-        )  # fmt: skip
-        yield Figure(
-            "Static navigation",
-            plots.navigation(navigation),
-            "Errors of a strapdown navigation at rest, with the parameters before and after, in the band where "
-            f"the calibration, random walk, alignment and turn-on bias let them be.{turned}",
-            "Navigation errors over time",
-        )
+        caption = sentence("page.navigation_turned" if navigation["turned"] else "page.navigation")
+        yield Figure("Static navigation", plots.navigation(navigation), caption, "Navigation errors over time")

@@ -9,6 +9,7 @@ import importlib
 import io
 import re
 from contextlib import AbstractContextManager
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -22,11 +23,14 @@ from imufield.deliver.report.data import Closure, Convergence, Trace
 from imufield.earth import MILLI_G_M_S2
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+
+sentence = Sentences(__package__)
 
 INK = "#111111"
 BLUE = "#0b5394"
@@ -35,25 +39,6 @@ GREY = "#8a8a8a"
 """Dark enough on paper; blue and orange differ in lightness too."""
 WIDTH_IN = 7.0
 _TALLEST_IN = 8.5  # With title and caption on one sheet.
-_STYLE = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "imufield",
-    "font.family": "sans-serif",
-    "font.sans-serif": ["Helvetica", "Arial", "Liberation Sans", "DejaVu Sans"],
-    "font.size": 9,
-    "axes.titlesize": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": INK,
-    "axes.linewidth": 0.6,
-    "axes.grid": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.5,
-    "lines.linewidth": 1.3,
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-    "hatch.linewidth": 0.5,
-}
 _LABELS = {
     "latitude_deg": "latitude, deg",
     "longitude_deg": "longitude, deg",
@@ -86,11 +71,7 @@ def load_matplotlib() -> ModuleType:
 
 def missing_package(name: str) -> UsageError:
     """Return the error that names the extra."""
-    return UsageError(
-        f"the report needs the package {name}; install it with `pip install 'imufield[report]'`",
-        Reason.MISSING_PACKAGE,
-        package=name,
-    )
+    return UsageError(sentence("plots.package", package=name), Reason.MISSING_PACKAGE)
 
 
 def figure(height_in: float) -> Figure:
@@ -120,7 +101,10 @@ def to_svg(drawn: Figure, name: str) -> str:
 
 def style() -> AbstractContextManager[None]:
     """Return a context in which figures are drawn and written in the style of the report."""
-    context: AbstractContextManager[None] = load_matplotlib().rc_context(_STYLE)
+    matplotlib = load_matplotlib()
+    # On top of what is set: without the defaults of matplotlib, which the file would bring along.
+    settings = matplotlib.rc_params_from_file(Path(__file__).with_name("plots.mplstyle"), use_default_template=False)
+    context: AbstractContextManager[None] = matplotlib.rc_context(settings)
     return context
 
 
@@ -154,7 +138,7 @@ def sphere_map(up: FloatArray, residual_m_s2: FloatArray, names: tuple[str, ...]
                 fontsize=_LABEL_SIZE, arrowprops={"arrowstyle": "-", "linewidth": 0.4, "color": GREY},
             )  # fmt: skip
     unit, size_si = acceleration_unit(largest)
-    drawn.supxlabel(f"filled: longer than gravity, hollow: shorter; largest {largest / size_si:.3g} {unit}", fontsize=8)
+    drawn.supxlabel(sentence("plots.sphere", largest=largest / size_si, unit=unit), fontsize=8)
     return to_svg(drawn, "sphere")
 
 

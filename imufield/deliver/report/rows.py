@@ -121,8 +121,8 @@ def _gyroscope(gyroscope: GyroscopeCalibration, preset: GyroscopeCalibration | N
         # Beyond, the figures of a consumer instrument would have six digits.
         slow = float(np.abs(bias).max()) < 1000 * DEG_PER_HOUR_RAD_S
         unit, size = ("°/h", DEG_PER_HOUR_RAD_S) if slow else ("°/s", 3600 * DEG_PER_HOUR_RAD_S)
-        before = None if preset is None else gyroscope_bias_rad_s(preset)[0]
-        yield _quantity(triad, "bias", unit, (bias, bias_sigma, before), divisor=size)
+        before = np.full(3, np.nan) if preset is None else gyroscope_bias_rad_s(preset)[0]
+        yield _quantity(triad, "bias", unit, np.array([bias, bias_sigma, before]), divisor=size)
     else:
         yield _quantity(triad, "bias", gyroscope.raw_unit, _numbers(*sources, "bias"))
     if not np.isfinite(sigma.scale).all():
@@ -136,50 +136,36 @@ def _gyroscope(gyroscope: GyroscopeCalibration, preset: GyroscopeCalibration | N
         yield _quantity(triad, "g-sensitivity", "°/h/g", numbers, factor=size_of_row, places=places)
 
 
-# Value, 1 sigma, and the preset's value.
-_Numbers = tuple[FloatArray, FloatArray, FloatArray | None]
-
-
-def _numbers(parameters: object, sigma: object, preset: object | None, key: str) -> _Numbers:
-    # Row by row where it is a matrix: xx, xy, xz, yx, ...
-    flat = np.ravel
-    return flat(getattr(parameters, key)), flat(getattr(sigma, key)), None if preset is None else flat(getattr(preset, key))
+def _numbers(parameters: object, sigma: object, preset: object | None, key: str) -> FloatArray:
+    """Return value, 1 sigma and the preset's value, NaN without one, row by row where they are matrices, shape (3, n)."""
+    value = np.ravel(getattr(parameters, key))
+    before = np.full(len(value), np.nan) if preset is None else np.ravel(getattr(preset, key))
+    return np.array([value, np.ravel(getattr(sigma, key)), before], dtype=np.float64)
 
 
 def _quantity(
     triad: str,
     name: str,
     unit: str,
-    numbers: _Numbers,
+    numbers: FloatArray,
     *,
     factor: FloatArray | float = 1.0,
     divisor: float = 1.0,
     places: tuple[str, ...] = AXES,
 ) -> Quantity:
-    value, sigma, before = numbers
-    return Quantity(
-        triad=triad,
-        name=name,
-        unit=unit,
-        places=places,
-        value=value * factor / divisor,
-        sigma=sigma * np.abs(factor) / divisor,
-        preset=np.full(len(value), np.nan) if before is None else before * factor / divisor,
-    )
+    value, sigma, preset = (row * size / divisor for row, size in zip(numbers, (factor, np.abs(factor), factor), strict=True))
+    return Quantity(triad=triad, name=name, unit=unit, places=places, value=value, sigma=sigma, preset=preset)
 
 
-def _scale(triad: str, raw_unit: str, per: str, numbers: _Numbers) -> Quantity:
+def _scale(triad: str, raw_unit: str, per: str, numbers: FloatArray) -> Quantity:
     nominal = nominal_scale(raw_unit)
     if nominal is None:
         return _quantity(triad, "scale", f"{raw_unit} per {per}", numbers)
-    scale, sigma, before = numbers
-    errors = (scale / nominal - 1, sigma / nominal, None if before is None else before / nominal - 1)
-    return _quantity(triad, "scale error", "ppm", errors, factor=1e6)
+    # Errors of value and preset; a sigma stays what it is.
+    return _quantity(triad, "scale error", "ppm", numbers / nominal - [[1], [0], [1]], factor=1e6)
 
 
-def _misalignment(triad: str, numbers: _Numbers) -> Quantity:
-    matrix, sigma, before = numbers
+def _misalignment(triad: str, numbers: FloatArray) -> Quantity:
     off_diagonal = ~np.eye(3, dtype=np.bool_).ravel()  # the diagonal belongs to the scale
-    flat = (matrix[off_diagonal], sigma[off_diagonal], None if before is None else before[off_diagonal])
     places = tuple(row + column for row in AXES for column in AXES if row != column)
-    return _quantity(triad, "misalignment", "mrad", flat, factor=1e3, places=places)
+    return _quantity(triad, "misalignment", "mrad", numbers[:, off_diagonal], factor=1e3, places=places)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import math
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,6 +32,9 @@ from imufield.deliver.parameters.numbers import (
 from imufield.deliver.report.rows import VERDICT_WORDS, Quantity, quantities
 from imufield.earth import MICRO_G_M_S2, height_words
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _VERDICT_STYLES = {"good": "bold green", "usable": "bold yellow", "poor": "bold red"}
 _GAUGE_WORDS = {
@@ -151,15 +154,14 @@ def _facts(calibration: Calibration) -> Table:
     table.add_column()
     source: str = gravity.source
     if gravity.source == "assumed":
-        source = "ASSUMED: nobody said where this was; give --latitude or --gravity"
+        source = sentence("summary.assumed")
     elif gravity.source == "normal" and gravity.latitude_deg is not None:
-        source = f"WGS-84 at latitude {gravity.latitude_deg:g}°, {height_words(gravity)}"
+        source = sentence("summary.normal", latitude_deg=gravity.latitude_deg, height=height_words(gravity))
     table.add_row("Gravity", f"{with_sigma(gravity.gravity_m_s2, gravity.sigma_m_s2)} m/s², {source}")
     table.add_row("Frame", f"gauge {calibration.gauge}: {_GAUGE_WORDS[calibration.gauge]}")
     factor = quality.student_factor_95
-    spare = f"; {factor:.2f} times that is the 95 % limit ({quality.degrees_of_freedom} to spare)"
-    alone = " of the holds alone: no position is left to check the others"
-    table.add_row("Sigma", f"± is 1 sigma{spare if math.isfinite(factor) else alone}")
+    key = "summary.sigma" if math.isfinite(factor) else "summary.sigma_of_holds"
+    table.add_row("Sigma", sentence(key, factor=factor, spare=quality.degrees_of_freedom))
     return table
 
 
@@ -217,18 +219,18 @@ def _verdict(parameters: Parameters) -> RenderableType:
     line.append(quality.verdict.upper(), style=_VERDICT_STYLES[quality.verdict])
     line.append(f", {VERDICT_WORDS[quality.verdict]}", style="not bold")
     if parameters.edited:
-        line.append(" (the file was edited by hand)", style="bold yellow")
+        line.append(f" {sentence('summary.edited')}", style="bold yellow")
     if parameters.version != VERSION:
-        line.append(f" (converted from version {parameters.version} of the file)", style="bold yellow")
+        line.append(f" {sentence('summary.converted', version=parameters.version)}", style="bold yellow")
     return Group(line, *_bullets(quality.reasons))
 
 
-def _bullets(sentences: Iterator[str] | tuple[str, ...] | list[str]) -> Iterator[RenderableType]:
+def _bullets(texts: Iterable[str]) -> Iterator[RenderableType]:
     table = Table.grid(padding=(0, 1, 0, 0))
     table.add_column(no_wrap=True)
     table.add_column()
-    for sentence in sentences:
-        table.add_row(" ·", Text(sentence))
+    for text in texts:
+        table.add_row(" ·", Text(text))
     if table.row_count:
         yield table
 
@@ -238,17 +240,17 @@ def _next_steps(parameters: Parameters, outcome: Outcome) -> Iterator[Renderable
     calibration = parameters.calibration
     if calibration.gravity.source == "assumed":
         again = "imufield solve" if outcome.session is None else f"imufield solve {shlex.quote(str(outcome.session))}"
-        yield from _bullets(["tell where this was:"])
+        yield from _bullets([sentence("summary.tell_place")])
         yield _unbroken(f"   {again} --latitude DEGREES --height METRES")
     if calibration.quality.degrees_of_freedom < 1:
-        steps.append("take a session of 24 positions, in which each is checked by the others: imufield capture")
+        steps.append(sentence("summary.take_24"))
     elif calibration.quality.verdict == "poor":
-        steps.append("take the session again, the marked position with most care: imufield capture")
+        steps.append(sentence("summary.take_again"))
     if outcome.path is not None:
         if outcome.kept is not None:
-            steps.append(f"the file that stood there before is now {outcome.kept.name}")
+            steps.append(sentence("summary.kept", name=outcome.kept.name))
         if calibration.quality.verdict != "poor":
-            steps.append("use it in Python: imufield.load(FILE).apply(samples)")
+            steps.append(sentence("summary.use"))
         yield Text("")
         yield Text("Written to", style="bold")
         yield _unbroken(str(outcome.path))

@@ -124,16 +124,12 @@ def _write_csv(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) 
     return rows
 
 
-def _write_ros2(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (units of ROS are fixed)
-    return write_ros2(blocks, path)
-
-
 _LACKING = "messages of ROS hold no temperature, counter, losses or status"
 FORMATS = {
     "csv": Format("csv", "text, one line for each sample", _write_csv),
     "parquet": Format("parquet", "Parquet (extra `parquet`)", write_parquet),
     "hdf5": Format("h5", "HDF5, one dataset for each column (extra `hdf5`)", write_hdf5),
-    "ros2": Format("mcap", "sensor_msgs/msg/Imu for ROS 2, Foxglove, PlotJuggler", _write_ros2, _LACKING),
+    "ros2": Format("mcap", "sensor_msgs/msg/Imu for ROS 2, Foxglove, PlotJuggler", write_ros2, _LACKING),
 }
 
 

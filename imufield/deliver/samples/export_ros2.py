@@ -13,7 +13,7 @@ CDR, little-endian (OMG DDS-XTypes 1.3, section 7.4.3: each number at a multiple
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,9 @@ from numpy.typing import NDArray
 from imufield.acquire.link.host_clock import NANOSECONDS
 from imufield.errors import Reason, RecordingError, UsageError
 from imufield.samples import UNUSABLE, FloatArray, Samples, Status
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 TOPIC = "/imu/data_raw"  # REP 145: data without orientation.
 # Flags of one triad alone: they leave the other usable.
@@ -30,17 +33,6 @@ _OF_GYROSCOPE = Status.GYROSCOPE_INVALID | Status.GYROSCOPE_SATURATED
 SCHEMA_NAME = "sensor_msgs/msg/Imu"
 _NOT_AVAILABLE = -1.0  # First element of a covariance (sensor_msgs/Imu.msg).
 _LARGEST_S = 2**31 - 1  # builtin_interfaces/Time has an int32.
-_PARTS = (
-    ("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id"),
-    ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec"),
-    ("geometry_msgs/Quaternion", "float64 x\nfloat64 y\nfloat64 z\nfloat64 w"),
-    ("geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z"),
-)
-SCHEMA = (
-    "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
-    "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
-    "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n"
-) + "".join(f"{'=' * 80}\nMSG: {name}\n{fields}\n" for name, fields in _PARTS)
 _MESSAGE = np.dtype(
     [
         ("head", "u1", (4,)),
@@ -58,7 +50,7 @@ _MESSAGE = np.dtype(
 )
 
 
-def write_ros2(blocks: Iterable[Samples], path: Path) -> int:
+def write_ros2(blocks: Iterable[Samples], path: Path, facts: Mapping[str, str]) -> int:  # noqa: ARG001  (units of ROS are fixed)
     """Write an MCAP file; return the number of messages.
 
     Raises
@@ -74,7 +66,8 @@ def write_ros2(blocks: Iterable[Samples], path: Path) -> int:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="imufield")
-        schema = writer.register_schema(name=SCHEMA_NAME, encoding="ros2msg", data=SCHEMA.encode())
+        definition = Path(__file__).with_name("sensor_msgs_Imu.msg").read_text(encoding="ascii").encode()
+        schema = writer.register_schema(name=SCHEMA_NAME, encoding="ros2msg", data=definition)
         channel = writer.register_channel(topic=TOPIC, message_encoding="cdr", schema_id=schema)
         for block in blocks:
             stamps = _nanoseconds(block.time_s)
@@ -89,11 +82,8 @@ def write_ros2(blocks: Iterable[Samples], path: Path) -> int:
 
 def _nanoseconds(time_s: FloatArray) -> NDArray[np.int64]:
     if len(time_s) and not (time_s[0] >= 0 and time_s[-1] < _LARGEST_S):
-        raise RecordingError(
-            f"times from {time_s[0]:g} s to {time_s[-1]:g} s do not fit into stamps of ROS, 0 to {_LARGEST_S} s; export "
-            "another format",
-            Reason.BOUNDS,
-        )
+        refused = sentence("export_ros2.stamp", first_s=time_s[0], last_s=time_s[-1], limit_s=_LARGEST_S)
+        raise RecordingError(refused, Reason.BOUNDS)
     whole = np.floor(time_s)
     # Whole seconds apart: a float64 of both together has no nanoseconds left after an hour.
     parts = np.rint((time_s - whole) * NANOSECONDS).astype(np.int64)
@@ -104,11 +94,8 @@ def _nanoseconds(time_s: FloatArray) -> NDArray[np.int64]:
 def _messages(samples: Samples, stamps: NDArray[np.int64]) -> NDArray[np.void]:
     units = samples.units
     if not units.is_si:
-        raise UsageError(
-            f"ROS knows m/s^2 and rad/s, the session holds {units.accelerometer} and {units.gyroscope}: export csv, parquet or "
-            "hdf5, or correct it first with `imufield apply`",
-            Reason.UNITS,
-        )
+        refused = sentence("export_ros2.units", accelerometer=units.accelerometer, gyroscope=units.gyroscope)
+        raise UsageError(refused, Reason.UNITS)
     messages = np.zeros(len(samples), dtype=_MESSAGE)
     messages["head"][:, 1] = 1
     messages["sec"], messages["nanosec"] = stamps // NANOSECONDS, stamps % NANOSECONDS

@@ -36,6 +36,9 @@ from imufield.calibrate.solvers.agreement import AGREEMENT_SIGMA
 from imufield.earth import MICRO_G_M_S2, Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 RUNS = 4000
 """Four times what the rarest statement, 1 in 1000, needs."""
@@ -51,50 +54,44 @@ _TINY = 1e-22  # Square of a nanogal, with which a covariance of zeros can be in
 _NEWTON_STEPS = 20  # Of the scatter: it converges quadratically.
 
 
-@dataclass(frozen=True, slots=True)
-class LinearSession:
-    """The linearised session: residual = jacobian z + noise."""
+def _simulated_misfits(
+    calibration: Calibration, observations: Observations, groups: list[NDArray[np.bool_]], seed: int = 0
+) -> FloatArray:
+    """Return the pooled misfit of simulated sessions whose noise is as the calibration states, shape (RUNS,).
 
-    jacobian: FloatArray
-    """Independent columns, shape (m, n)."""
-    within: FloatArray
-    """Variance of each mean, shape (m,)."""
-    tau_m_s2: float
-
-
-def simulated_misfits(session: LinearSession, groups: list[NDArray[np.bool_]], seed: int = 0) -> FloatArray:
-    """Return the pooled misfit of simulated sessions whose noise is as stated, shape (RUNS,).
-
-    Parameters
-    ----------
-    session : LinearSession
-    groups : list of ndarray of bool, shape (m,)
-        Positions left out together; every position in one of them.
-    seed : int
+    Every position is in one of the groups that are left out together. The session is linearised: residual = J z + noise.
     """
-    m = len(session.within)
-    sigma = np.sqrt(session.within + session.tau_m_s2**2)
+    p, quality = calibration.accelerometer, calibration.quality
+    at = _derivatives(p, observations)
+    fitted = np.diag(_covariance(calibration))[:-1] > 0
+    size = parameter_scale(to_vector(p), calibration.gravity.gravity_m_s2)
+    # In most gauges columns hang together; as many as were fitted are independent.
+    J = np.linalg.svd((at.jacobian * size)[:, fitted], full_matrices=False)[0][:, : quality.parameters_fitted]
+    within, m = _within(at, observations), len(observations)
+    sigma = np.sqrt(within + quality.between_position_sigma_m_s2**2)
     noise = sigma * np.random.default_rng(seed).standard_normal((RUNS, m))
-    squares = [_squares(session, group, noise, sigma) for group in groups]
+    squares = [_squares(J, within, group, noise, sigma=sigma) for group in groups]
     return np.asarray(np.sum(squares, axis=0) / m)
 
 
-def _squares(session: LinearSession, group: NDArray[np.bool_], noise: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Return r^T S^-1 r of one group of every run, shape (RUNS,)."""
+def _squares(
+    jacobian: FloatArray, within: FloatArray, group: NDArray[np.bool_], noise: FloatArray, *, sigma: FloatArray
+) -> FloatArray:
+    """Return r^T S^-1 r of one group of every run, shape (RUNS,); ``within`` is the variance of each mean."""
     rest = ~group
-    J, H = session.jacobian[rest], session.jacobian[group]
+    J, H = jacobian[rest], jacobian[group]
     # Q spans the weighted columns; the fit at the true weights stands for that at the estimated ones.
     Q, R = np.linalg.qr(J / sigma[rest, None])
     whitened = noise[:, rest] / sigma[rest]
     z = np.linalg.solve(R, Q.T @ whitened.T).T
     left = noise[:, rest] - z @ J.T
-    tau2 = _scatter(left, session.within[rest], int(rest.sum()) - J.shape[1])
+    tau2 = _scatter(left, within[rest], int(rest.sum()) - J.shape[1])
     residual = noise[:, group] - z @ H.T
-    weight = 1 / (session.within[rest] + tau2[:, None] + _TINY)
+    weight = 1 / (within[rest] + tau2[:, None] + _TINY)
     normal = np.einsum("ai,ra,aj->rij", J, weight, J, optimize=True)
     S = H @ np.linalg.solve(normal, np.broadcast_to(H.T, (len(normal), *H.T.shape)))
     diagonal = np.arange(len(H))
-    S[:, diagonal, diagonal] += session.within[group] + tau2[:, None] + _TINY
+    S[:, diagonal, diagonal] += within[group] + tau2[:, None] + _TINY
     return np.asarray(np.einsum("rh,rh->r", residual, np.linalg.solve(S, residual[..., None])[..., 0]))
 
 
@@ -167,21 +164,15 @@ class LeftOutPositions:
             return self.objection
         if not np.isfinite(self.misfit):
             return ""
-        figures = f"misfit {self.misfit:.2f}; 1 in 20 sound checks has more than {self.misfit_limit:.2f}"
+        figures = sentence("left_out.figures", misfit=self.misfit, limit=self.misfit_limit)
         if self.as_forecast:
-            return f"as forecast ({figures})"
+            return sentence("left_out.as_forecast", figures=figures)
         if self.chance >= STRONG:
-            again = "another --hold-out" if self.is_own else "a second session"
-            rare = f"so large in 1 of {1 / self.chance:.0f} sound checks"
-            return f"larger than forecast, by chance {rare} ({figures}): look at the largest, and check again with {again}"
-        cause = (
-            "the stated uncertainty is too small, or single positions were disturbed"
-            if self.is_own
-            else "this is not the instrument the parameters were made for, or it has changed since"
-            if self.misfit > FOREIGN
-            else "the instrument has changed since, or the stated uncertainty is too small"
-        )
-        return f"LARGER THAN FORECAST, by chance in fewer than 1 of {1 / STRONG:.0f} sound checks ({figures}): {cause}"
+            again = sentence("left_out.again_own" if self.is_own else "left_out.again_other")
+            return sentence("left_out.larger", one_of=1 / self.chance, figures=figures, again=again)
+        changed = "left_out.cause_foreign" if self.misfit > FOREIGN else "left_out.cause_changed"
+        cause = sentence("left_out.cause_own" if self.is_own else changed)
+        return sentence("left_out.defect", one_of=1 / STRONG, figures=figures, cause=cause)
 
 
 def check_positions(
@@ -207,7 +198,7 @@ def check_positions(
         sigma_m_s2=np.sqrt(np.diag(S)),
         misfit=misfit,
         misfit_limit=f_limit_95(m, freedom),
-        how=f"{m} position{'s' if m > 1 else ''} of another session",
+        how=sentence("left_out.other_session", found=m),
         chance=f_chance(misfit, m, freedom),
     )
 
@@ -235,13 +226,11 @@ def contradiction(
     if apart <= AGREEMENT_SIGMA:
         return None
     m = len(observations)
-    residuals = f"{_rms(stated) / MICRO_G_M_S2:.0f} ug RMS at the {m} positions they are said to come from"
-    objection = (
-        f"NOT WHAT THIS SESSION GIVES: these parameters leave {residuals}, where solving again leaves "
-        f"{_rms(solved) / MICRO_G_M_S2:.0f} ug, and are up to {apart:.0f} sigma away from that, {AGREEMENT_SIGMA:g} at most by "
-        "another method: the file was changed, or its solver did not converge; solve the session again"
+    stated_ug, solved_ug = _rms(stated) / MICRO_G_M_S2, _rms(solved) / MICRO_G_M_S2
+    objection = sentence(
+        "left_out.contradiction", stated_ug=stated_ug, found=m, solved_ug=solved_ug, apart=apart, limit=AGREEMENT_SIGMA
     )
-    how = f"{m} positions of its own session, as the parameters under test leave them"
+    how = sentence("left_out.as_left", found=m)
     as_stated = check_positions(calibration, observations, gravity, before)
     return replace(as_stated, how=how, misfit=float("nan"), chance=float("nan"), is_own=True, objection=objection)
 
@@ -270,12 +259,8 @@ def cross_validate(
     _require_finite(observations)
     m = len(observations)
     if not 1 <= hold_out <= m - FEWEST_LEFT:
-        raise UsageError(
-            f"--hold-out {hold_out} of {m} positions is not possible, {FEWEST_LEFT} must be left to calibrate from; give 1 to "
-            f"{max(m - FEWEST_LEFT, 1)}",
-            hold_out=hold_out,
-            positions=m,
-        )
+        most = max(m - FEWEST_LEFT, 1)
+        raise UsageError(sentence("left_out.hold_out", hold_out=hold_out, positions=m, fewest=FEWEST_LEFT, most=most))
     count = -(-m // hold_out)
     residual, misfit, sigma = np.empty(m), 0.0, np.empty(m)
     # Every count-th position: neighbours in time, which drift alike, part ways.
@@ -285,7 +270,7 @@ def cross_validate(
         residual[group], S = _residual(others, observations[group], calibration.gravity)
         sigma[group] = np.sqrt(np.diag(S))
         misfit += _misfit(residual[group], S) * int(group.sum()) / m
-    by_chance = simulated_misfits(_linearised(calibration, observations), groups)
+    by_chance = _simulated_misfits(calibration, observations, groups)
     return LeftOutPositions(
         name=observations.name,
         up=_up(calibration, observations),
@@ -294,22 +279,11 @@ def cross_validate(
         sigma_m_s2=sigma,
         misfit=misfit,
         misfit_limit=float(np.quantile(by_chance, 0.95)),
-        how=f"{m} positions of its own session, up to {hold_out} at a time predicted by a calibration from all the others",
+        how=sentence("left_out.cross_validated", found=m, hold_out=hold_out),
         # The check itself counts as one of the runs: a chance of zero is more than any number of runs can show.
         chance=float((1 + np.count_nonzero(by_chance >= misfit)) / (1 + len(by_chance))),
         is_own=True,
     )
-
-
-def _linearised(calibration: Calibration, observations: Observations) -> LinearSession:
-    """Return the session as ``simulated_misfits`` takes it."""
-    p, quality = calibration.accelerometer, calibration.quality
-    at = _derivatives(p, observations)
-    fitted = np.diag(_covariance(calibration))[:-1] > 0
-    size = parameter_scale(to_vector(p), calibration.gravity.gravity_m_s2)
-    # In most gauges columns hang together; as many as were fitted are independent.
-    columns = np.linalg.svd((at.jacobian * size)[:, fitted], full_matrices=False)[0][:, : quality.parameters_fitted]
-    return LinearSession(columns, _within(at, observations), quality.between_position_sigma_m_s2)
 
 
 def _rms(values: FloatArray) -> float:
@@ -318,14 +292,10 @@ def _rms(values: FloatArray) -> float:
 
 def _require_finite(observations: Observations) -> None:
     if not len(observations):
-        raise CalibrationError("the session holds no position to check; hold the instrument still in some", Reason.TOO_FEW)
+        raise CalibrationError(sentence("left_out.no_position"))
     for row in np.flatnonzero(~np.isfinite(observations.mean_raw).all(axis=1)):
-        raise CalibrationError(
-            f"position {observations.name[row]} has the mean output {observations.mean_raw[row].tolist()}, which "
-            "is not finite; remove or retake it",
-            Reason.NOT_FINITE,
-            position=observations.name[row],
-        )
+        mean = observations.mean_raw[row].tolist()
+        raise CalibrationError(sentence("left_out.not_finite", position=observations.name[row], mean=mean), Reason.NOT_FINITE)
 
 
 def _again(calibration: Calibration, observations: Observations) -> Calibration:

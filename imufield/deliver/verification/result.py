@@ -12,13 +12,13 @@ import math
 import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from imufield.deliver.navigation.check import NavigationResult
 from imufield.deliver.navigation.drift import QUANTITIES
+from imufield.deliver.parameters.context import SOFTWARE, now_text
 from imufield.deliver.parameters.file import Parameters, json_ready
 from imufield.deliver.parameters.numbers import acceleration_unit
 from imufield.deliver.parameters.schema import Document
@@ -27,14 +27,14 @@ from imufield.deliver.verification.left_out import LeftOutPositions
 from imufield.earth import MICRO_G_M_S2
 from imufield.errors import UsageError
 from imufield.files import read_small_file, typed_write_errors, write_atomically
-from imufield.version import __version__
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 FORMAT = "imufield-verification"
 VERSION = 1  # A report leaves out results of another one.
-REQUIREMENTS = {
-    "residual-ug": "RMS residual of held-out positions, micro-g",
-    "nav-nmi-per-h": "largest position error over the time navigated, nautical miles an hour",
-}
+# RMS residual of held-out positions, micro-g; largest position error over the time navigated, nautical miles an hour.
+REQUIREMENTS = ("residual-ug", "nav-nmi-per-h")
 _WIDTH = 80
 _HOURS_FROM_S = 7200.0  # Shorter recordings are told in minutes: a sixth of them has one decimal in hours.
 _POINTS = 600  # Of each curve in the file: more than a plot shows.
@@ -83,13 +83,9 @@ def doubt(parameters: Parameters) -> str:
     """Say why parameters are not to be relied on by what their own file says; empty where it says nothing of the kind."""
     solver, quality = parameters.calibration.solver, parameters.calibration.quality
     if not solver.converged:
-        return (
-            f"the file says itself that {solver.method} did not converge (status {solver.status}: {solver.message}); "
-            f"its verdict is {quality.verdict}; solve again"
-        )
-    if quality.verdict == "poor":
-        return f"the file itself has the verdict poor: {quality.main_reason}"
-    return ""
+        said = {"method": solver.method, "status": solver.status, "message": solver.message}
+        return sentence("result.not_converged", verdict=quality.verdict, **said)
+    return sentence("result.poor", reason=quality.main_reason) if quality.verdict == "poor" else ""
 
 
 def parse_requirements(text: str | None) -> dict[str, float]:
@@ -104,17 +100,15 @@ def parse_requirements(text: str | None) -> dict[str, float]:
     for part in [] if text is None else text.split(","):
         name, _, value = (piece.strip() for piece in part.partition("="))
         if name not in REQUIREMENTS:
-            raise UsageError(
-                f"--require {part.strip()!r} is unknown; give NAME=LIMIT with NAME one of {', '.join(REQUIREMENTS)}"
-            )
+            raise UsageError(sentence("result.requirement", given=part.strip(), known=REQUIREMENTS))
         try:
             limit = float(value)
         except ValueError:
             limit = math.nan  # lies in no range, so that the next sentence is said of it too
         if not 0 < limit < math.inf:
-            raise UsageError(f"--require {name} has the limit {value!r}; give a positive number, e.g. {name}=50")
+            raise UsageError(sentence("result.limit", name=name, limit=value))
         if name in limits:
-            raise UsageError(f"--require gives {name} twice, {limits[name]:g} and {limit:g}; give the limit that is meant")
+            raise UsageError(sentence("result.twice", name=name, first=limits[name], second=limit))
         limits[name] = limit
     return limits
 
@@ -137,8 +131,8 @@ def to_document(verification: Verification) -> Document:
     document: Document = {
         "format": FORMAT,
         "version": VERSION,
-        "created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        "software": f"imufield {__version__}",
+        "created": now_text(),
+        "software": SOFTWARE,
         "parameters_sha256": content_sha256(verification.parameters.document),
         "session": verification.session,
         "passed": verification.passed,
@@ -237,10 +231,7 @@ def verification_note(path: Path, parameters_sha256: str) -> str:
     """Return a sentence where the results that lie there cannot be used for these parameters, else an empty one."""
     if not path.exists() or read_verification(path, parameters_sha256) is not None:
         return ""
-    return (
-        f"{path.name} is left out: it belongs to other parameters, or was damaged or changed after it was written; run "
-        "imufield verify again"
-    )
+    return sentence("result.left_out", name=path.name)
 
 
 def verification_text(verification: Verification) -> str:
@@ -253,9 +244,9 @@ def verification_text(verification: Verification) -> str:
         lines += [*_navigation_lines(verification.navigation), ""]
     for note in verification.notes:
         lines += textwrap.wrap(f" · {note}", _WIDTH, subsequent_indent="   ")
-    for sentence in verification.objections:
-        if left_out is None or sentence != left_out.objection:  # which stands below its table
-            lines += _wrapped(f"Objection: {sentence}")
+    for objection in verification.objections:
+        if left_out is None or objection != left_out.objection:  # which stands below its table
+            lines += _wrapped(f"Objection: {objection}")
     for requirement in verification.requirements:
         word = "met" if requirement.passed else "NOT MET"
         measured = "not measured" if math.isnan(requirement.measured) else f"{requirement.measured:.4g}"
@@ -265,8 +256,8 @@ def verification_text(verification: Verification) -> str:
     return "\n".join(lines).rstrip("\n") + "\n"
 
 
-def _wrapped(sentence: str) -> list[str]:
-    return textwrap.wrap(sentence, _WIDTH, subsequent_indent="  ")
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(text, _WIDTH, subsequent_indent="  ")
 
 
 def _position_lines(left_out: LeftOutPositions) -> Iterator[str]:
@@ -294,9 +285,12 @@ def _cell(value: float, sign: str = "+") -> str:
 
 def _navigation_lines(result: NavigationResult) -> Iterator[str]:
     settings, forecast = result.settings, result.forecast
-    turned = ", turned over after it" if settings.turned else ""
-    heading = "" if settings.heading is None else f", heading {math.degrees(settings.heading.angle_rad):g} deg as told"
-    how = f"{duration_words(result.navigated_s)} after an alignment of {settings.align_s:g} s{heading}{turned}"
+    turned = sentence("result.turned") if settings.turned else ""
+    heading = ""
+    if settings.heading is not None:
+        heading = sentence("result.heading", heading_deg=math.degrees(settings.heading.angle_rad))
+    duration = duration_words(result.navigated_s)
+    how = sentence("result.navigation", duration=duration, align_s=settings.align_s, heading=heading, turned=turned)
     yield from _wrapped(f"Static navigation: {how}")
     yield f"  {'time':>8} {'latitude':>12} {'longitude':>12} {'v north':>9} {'v east':>9} {'position':>9}  95 %"
     unit, size_s = ("h", 3600) if result.navigated_s >= _HOURS_FROM_S else ("min", 60)
@@ -320,14 +314,12 @@ def _navigation_lines(result: NavigationResult) -> Iterator[str]:
         for note in result.notes:
             yield from _wrapped(f"  {note}")
         return
-    word = "as forecast" if forecast.holds(result.tested) else "MORE THAN FORECAST"
-    most = f"with 95 % probability at most {forecast.rate_95_nmi_per_h:.3f} nmi/h; each source alone:"
-    yield from _wrapped(f"  {word}: {most}")
+    key = "result.as_forecast" if forecast.holds(result.tested) else "result.more_than_forecast"
+    yield from _wrapped(f"  {sentence(key, rate_95_nmi_per_h=forecast.rate_95_nmi_per_h)}")
     for source, rate in sorted(forecast.sources.items(), key=lambda item: -item[1]):
         yield f"    {source:<26}{rate:8.3f}"
     if not settings.turned:
-        yield "  Alignment hides the accelerometer: held-out positions prove it, or turn over"
-        yield "  after it (--turned)."
+        yield from _wrapped(f"  {sentence('result.hidden')}")
 
 
 def duration_words(duration_s: float) -> str:

@@ -17,8 +17,9 @@ from made_up_instruments import loaded, made_up
 from imufield.deliver.exports import TARGETS, ExportOptions, export_options, export_parameters, write_exported
 from imufield.deliver.exports.microstrain import packet
 from imufield.deliver.exports.text import number, yaml_lines
-from imufield.deliver.exports.vectornav import sentence
+from imufield.deliver.exports.vectornav import with_checksum
 from imufield.errors import ImufieldError, ParameterFileError, Reason, UsageError
+from tests.deliver.told import keys, with_key
 from tests.refused import refused
 
 SI_ONLY = sorted(set(TARGETS) - {"c", "binary", "json", "yaml", "imu_tk", "imucal"})
@@ -47,7 +48,7 @@ def test_every_target_exports_and_says_what_it_lost(target: str) -> None:
 @pytest.mark.parametrize("target", TARGETS)
 def test_every_target_goes_without_gyroscope(target: str) -> None:
     exported = export_parameters(made_up(2, gyroscope=False), target)
-    assert not any("gyroscope:" in loss for loss in exported.losses)
+    assert "loss.gyroscope" not in keys(exported.losses)
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -55,7 +56,7 @@ def test_gyroscope_without_scale_is_left_out_and_said(target: str) -> None:
     made = made_up(3).calibration
     gyroscope = replace(made.gyroscope.parameters, scale=np.full(3, np.nan))
     exported = export_parameters(loaded(made.accelerometer, gyroscope, "lower", ("m/s^2", "count")), target)
-    assert any("scale" in note for note in exported.notes)
+    assert "job.no_gyroscope" in keys(exported.notes)
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -65,7 +66,7 @@ def test_nan_is_refused(target: str, name: str) -> None:
     spoilt = getattr(made.accelerometer, name).copy()
     spoilt.flat[1] = np.nan
     accelerometer = replace(made.accelerometer, **{name: spoilt})
-    with refused(ParameterFileError, Reason.NOT_FINITE, name) as caught:
+    with refused(ParameterFileError, Reason.NOT_FINITE, name, key="conventions.not_usable") as caught:
         export_parameters(loaded(accelerometer, None, "lower", ("m/s^2", "rad/s")), target)
     assert caught.value.exit_code == 5
     assert caught.value.reason is Reason.NOT_FINITE
@@ -74,7 +75,7 @@ def test_nan_is_refused(target: str, name: str) -> None:
 @pytest.mark.parametrize("target", SI_ONLY)
 def test_counts_are_refused_where_only_si_is_known(target: str) -> None:
     parameters = made_up(5, units=("count", "count"), scale=(1670.7, 7509.9))
-    with refused(ParameterFileError, Reason.UNITS, "accelerometer") as caught:
+    with refused(ParameterFileError, Reason.UNITS, "accelerometer", key="job.unit") as caught:
         export_parameters(parameters, target)
     assert caught.value.values["unit"] == "count"
     assert caught.value.values["target"] == target
@@ -85,7 +86,7 @@ def test_counts_are_refused_where_only_si_is_known(target: str) -> None:
 @pytest.mark.parametrize("target", POSITIVE_ONLY)
 @pytest.mark.parametrize("sign", [(-1.0, -1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, -1.0, -1.0)])
 def test_sign_that_cannot_be_expressed_is_refused(target: str, sign: tuple[float, float, float]) -> None:
-    with refused(ParameterFileError, Reason.BOUNDS, target, "accelerometer") as caught:
+    with refused(ParameterFileError, Reason.BOUNDS, target, "accelerometer", key="job.sign") as caught:
         export_parameters(made_up(6, sign=sign), target)
     assert caught.value.values["scale"] < 0
     assert caught.value.exit_code == 5
@@ -93,20 +94,20 @@ def test_sign_that_cannot_be_expressed_is_refused(target: str, sign: tuple[float
 
 @pytest.mark.parametrize("target", ONE_FRAME)
 def test_another_gauge_is_refused_where_the_target_fixes_it(target: str) -> None:
-    with refused(UsageError, Reason.USAGE, target, "gauge = symmetric"):
+    with refused(UsageError, Reason.USAGE, target, "gauge = symmetric", key="job.gauge"):
         export_parameters(made_up(7), target, ExportOptions(gauge="symmetric"))
 
 
 def test_ardupilot_refuses_what_is_out_of_its_range() -> None:
     made = made_up(8).calibration.accelerometer
     for accelerometer in (replace(made, scale=made.scale * 1.4), replace(made, bias_m_s2=np.array([0.0, 4.0, 0.0]))):
-        with refused(ParameterFileError, Reason.BOUNDS, "ArduPilot", "axis"):
+        with refused(ParameterFileError, Reason.BOUNDS, "ArduPilot", "axis", key="flight_stack.range"):
             export_parameters(loaded(accelerometer, None, "lower", ("m/s^2", "rad/s")), "ardupilot")
 
 
 @pytest.mark.parametrize(("target", "instance"), [("px4", 4), ("px4", -1), ("ardupilot", 5)])
 def test_instance_that_does_not_exist(target: str, instance: int) -> None:
-    with refused(UsageError, Reason.USAGE, f"{instance}", "instance"):
+    with refused(UsageError, Reason.USAGE, f"{instance}", "instance", key="flight_stack.instance"):
         export_parameters(made_up(9), target, ExportOptions(instance=instance))
 
 
@@ -143,11 +144,11 @@ def test_vectornav_checksums(shared_folder: Path) -> None:
     known = [v["ascii"] for v in (vector.get("decoded", {}) for vector in vectors) if "VNWRG" in v.get("ascii", "")]
     assert len(known) >= 3
     for line in (text.removesuffix("<CR><LF>") for text in known):
-        assert sentence(line[1:].partition("*")[0]) == line
+        assert with_checksum(line[1:].partition("*")[0]) == line
     text = export_parameters(made_up(12), "vectornav").files["vectornav.txt"].decode()
     assert text.endswith("$VNWNV*57\r\n")
     for line in text.split("\r\n")[:-1]:
-        assert sentence(line[1:].partition("*")[0]) == line
+        assert with_checksum(line[1:].partition("*")[0]) == line
         assert len(line) < 256
 
 
@@ -216,13 +217,13 @@ def test_a_name_cannot_break_out_of_its_comment() -> None:
 def test_noise_that_is_not_known_is_asked_for() -> None:
     parameters = made_up(17)
     exported = export_parameters(parameters, "kalibr")
-    assert any("accelerometer_random_walk, gyroscope_random_walk" in note for note in exported.notes)
+    assert "accelerometer_random_walk, gyroscope_random_walk" in with_key(exported.notes, "vio.unknown")
     options = ExportOptions(accelerometer_random_walk=1e-4, gyroscope_random_walk=2e-6)
     exported = export_parameters(parameters, "kalibr", options)
     imu = yaml.safe_load(exported.files["imu.yaml"])["imu0"]
     assert (imu["accelerometer_noise_density"], imu["gyroscope_random_walk"]) == (pytest.approx(7e-4), 2e-6)
     assert imu["update_rate"] == 1999.987
-    assert not any("fill in" in note for note in exported.notes)
+    assert "vio.unknown" not in keys(exported.notes)
 
 
 def test_options_from_text() -> None:
@@ -232,26 +233,34 @@ def test_options_from_text() -> None:
     assert options == ExportOptions(instance=1, accelerometer_id=31, gauge="upper", gyroscope_nominal=16.4, name="a")
 
 
-@pytest.mark.parametrize("settings", [{"colour": "red"}, {"instance": "one"}, {"gauge": "left"}, {"model": "vins"}])
-def test_options_that_make_no_sense(settings: dict[str, str]) -> None:
-    with pytest.raises(UsageError):
+@pytest.mark.parametrize(
+    ("settings", "key"),
+    [
+        ({"colour": "red"}, "option"),
+        ({"instance": "one"}, "number"),
+        ({"gauge": "left"}, "choice"),
+        ({"model": "vins"}, "choice"),
+    ],
+)
+def test_options_that_make_no_sense(settings: dict[str, str], key: str) -> None:
+    with refused(UsageError, Reason.USAGE, *settings, key=f"registry.{key}"):
         export_options(settings)
 
 
 def test_unknown_target() -> None:
-    with refused(UsageError, Reason.USAGE, "px4") as caught:
+    with refused(UsageError, Reason.USAGE, "px4", key="registry.target") as caught:
         export_parameters(made_up(18), "px5")
     assert caught.value.values["name"] == "px5"
 
 
 @pytest.mark.parametrize("nominal", [0.0, float("nan"), float("inf")])
 def test_nominal_scale_that_is_none(nominal: float) -> None:
-    with refused(UsageError, Reason.USAGE, f"accelerometer_nominal = {nominal}"):
+    with refused(UsageError, Reason.USAGE, f"accelerometer_nominal = {nominal}", key="job.nominal"):
         export_parameters(made_up(19), "vectornav", ExportOptions(accelerometer_nominal=nominal))
 
 
 def test_openvins_rpng_needs_a_gyroscope() -> None:
-    with refused(ParameterFileError, Reason.UNITS, "rpng", "kalibr"):
+    with refused(ParameterFileError, Reason.UNITS, "rpng", "kalibr", key="openvins.no_gyroscope"):
         export_parameters(made_up(20, gyroscope=False), "openvins", ExportOptions(model="rpng"))
 
 
@@ -261,7 +270,7 @@ def test_files_go_into_a_folder_or_under_one_name(tmp_path: Path) -> None:
     one = export_parameters(made_up(21), "px4")
     assert write_exported(one, tmp_path / "drone.params") == [(tmp_path / "drone.params", None)]
     assert (tmp_path / "drone.params").read_bytes() == one.files["px4.params"]
-    with refused(UsageError, Reason.USAGE, "2 files", "imu_tk_acc.calib", "one.calib"):
+    with refused(UsageError, Reason.USAGE, "2 files", "imu_tk_acc.calib", "one.calib", key="registry.folder"):
         write_exported(two, tmp_path / "one.calib")
 
 

@@ -86,13 +86,13 @@ def test_slow_settling_is_forgiven_by_the_fine_alignment_only() -> None:
 
 
 def test_pole_is_refused() -> None:
-    with refused(UsageError, Reason.USAGE, "85 deg") as caught:
+    with refused(UsageError, Reason.USAGE, "85 deg", key="alignment.latitude") as caught:
         align(means(random_attitude(0)), 89.0, NOISE)
     assert caught.value.values["latitude_deg"] == 89
 
 
 def test_no_rate_is_refused() -> None:
-    with refused(RecordingError, Reason.BAD_DATA, "m/s^2", "rad/s"):
+    with refused(RecordingError, Reason.BAD_DATA, "m/s^2", "rad/s", key="alignment.no_north"):
         coarse_attitude(np.array([0.0, 0.0, 9.8]), np.zeros(3))
 
 
@@ -125,6 +125,6 @@ def test_a_told_heading_is_as_uncertain_as_its_teller() -> None:
 
 def test_a_told_heading_of_a_vertical_axis_is_refused() -> None:
     attitude = rotation(np.array([0.0, np.radians(-85), 0.0]))
-    with refused(UsageError, Reason.USAGE, "80 deg", "--heading") as caught:
+    with refused(UsageError, Reason.USAGE, "80 deg", "--heading", key="alignment.steep") as caught:
         align(means(attitude), LATITUDE_DEG, NOISE, Heading(0.0))
     assert caught.value.values["steep_deg"] == pytest.approx(85)

@@ -10,7 +10,7 @@ import pytest
 from at_rest import LATITUDE_DEG, MICRO_G, inputs, random_attitude, recording
 
 from imufield.deliver.navigation import mechanise
-from imufield.deliver.navigation.drift import NAUTICAL_MILE_M, make_drift
+from imufield.deliver.navigation.drift import NAUTICAL_MILE_M, Drift
 from imufield.deliver.navigation.mechanise import Mechanisation, load_pyins
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray, Samples
@@ -78,11 +78,11 @@ def test_exact_data_stay_where_they_are() -> None:
 
 
 def test_position_error_is_equation_23() -> None:
-    drift = make_drift(
-        np.array([0.0, 3600.0]),
-        np.array([0, 0.03]),
-        np.array([0, 0.08]),
-        np.zeros(2),
+    drift = Drift(
+        time_s=np.array([0.0, 3600.0]),
+        latitude_deg=np.array([0, 0.03]),
+        longitude_deg=np.array([0, 0.08]),
+        north_velocity_m_s=np.zeros(2),
         east_velocity_m_s=np.zeros(2),
         true_latitude_deg=60.0,
     )
@@ -94,7 +94,7 @@ def test_position_error_is_equation_23() -> None:
 def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     load_pyins.cache_clear()
     monkeypatch.setitem(sys.modules, "pyins.strapdown", None)
-    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[nav]") as caught:
+    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[nav]", key="mechanise.package") as caught:
         load_pyins()
     assert caught.value.values["package"] == "python-ins"
     assert caught.value.reason is Reason.MISSING_PACKAGE

@@ -66,7 +66,7 @@ def test_undoes_the_gyroscope_equation() -> None:
 
 
 def test_g_sensitivity_asks_for_the_specific_force() -> None:
-    with refused(ParameterFileError, Reason.USAGE, "g-sensitivity"):
+    with refused(ParameterFileError, Reason.USAGE, "g-sensitivity", key="apply.no_force"):
         correct_gyroscope(FULL_GYROSCOPE, RATE)
 
 
@@ -117,12 +117,12 @@ def test_increments_are_divided_by_their_interval(made: Parameters) -> None:
 
 def test_other_units_and_shapes_are_refused(made: Parameters) -> None:
     samples = make_samples(np.arange(50) / 200, FORCE, RATE, units=SampleUnits(accelerometer="g", gyroscope="count"))
-    with refused(ParameterFileError, Reason.UNITS, "accelerometer") as caught:
+    with refused(ParameterFileError, Reason.UNITS, "accelerometer", key="file.unit") as caught:
         made.apply(samples)
     assert caught.value.values["wanted"] == "m/s^2"
     assert caught.value.values["unit"] == "g"
     assert caught.value.reason is Reason.UNITS
-    with refused(ParameterFileError, Reason.USAGE, "(50, 4)"):
+    with refused(ParameterFileError, Reason.USAGE, "(50, 4)", key="apply.columns"):
         made.apply(np.zeros((50, 4)))
 
 
@@ -130,7 +130,7 @@ def test_without_gyroscope(made: Parameters, six_faces: Calibration) -> None:
     bare = replace(made, calibration=six_faces)
     samples = make_samples(np.arange(50) / 200, FORCE, RATE, units=SampleUnits())
     assert np.isnan(bare.apply(samples).angular_rate_rad_s).all()
-    with refused(ParameterFileError, Reason.UNITS, "gyroscope"):
+    with refused(ParameterFileError, Reason.UNITS, "gyroscope", key="file.no_gyroscope"):
         bare.apply_gyroscope(RATE)
 
 
@@ -141,7 +141,7 @@ def test_gyroscope_scale_not_known(made: Parameters, observations: Observations,
     document = to_document(replace(made.calibration, gyroscope=unknown), observations, context)
     assert first_fault(document) is None
     bare = from_document(document)
-    with refused(ParameterFileError, Reason.UNITS, "gyroscope scale"):
+    with refused(ParameterFileError, Reason.UNITS, "gyroscope", key="file.no_scale"):
         bare.apply_gyroscope(RATE)
     samples = make_samples(np.arange(50) / 200, FORCE, RATE, units=SampleUnits(gyroscope="count"))
     assert np.isnan(bare.apply(samples).angular_rate_rad_s).all()

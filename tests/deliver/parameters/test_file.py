@@ -31,6 +31,7 @@ from imufield.deliver.parameters.file import (
 )
 from imufield.deliver.parameters.read import parse_document, read_document
 from imufield.errors import ImufieldError, ParameterFileError, Reason
+from tests.deliver.told import key_of
 from tests.refused import refused
 
 
@@ -84,11 +85,10 @@ def test_a_gyroscope_that_was_not_calibrated_is_said_to_be_none(
     file: Path, six_faces: Calibration, observations: Observations, context: Context
 ) -> None:
     loaded = load(file)
-    assert "bias" in loaded.gyroscope_note
-    assert "scale and misalignment" in loaded.gyroscope_note
+    assert key_of(loaded.gyroscope_note) == "file.bias_with_scale"
     write_parameters(file, six_faces, observations, context)
     assert "parameters.toml" in load(file).gyroscope_note
-    assert "gyroscope" in load(file).gyroscope_note
+    assert key_of(load(file).gyroscope_note) == "file.not_calibrated"
     gyroscope = loaded.calibration.gyroscope
     assert gyroscope is not None
     known = replace(gyroscope, sigma=replace(gyroscope.sigma, scale=np.full(3, 1e-4)))
@@ -154,7 +154,7 @@ def test_a_parameter_that_is_nan_is_not_written(
 ) -> None:
     before = file.read_bytes()
     broken = replace(calibration, accelerometer=replace(calibration.accelerometer, scale=np.array([1.0, np.nan, 1.0])))
-    with refused(ParameterFileError, Reason.NOT_FINITE, "nan") as caught:
+    with refused(ParameterFileError, Reason.NOT_FINITE, "nan", key="write.fault") as caught:
         write_parameters(file, broken, observations, context)
     assert caught.value.values["key"] == "accelerometer.scale[1]"
     assert caught.value.reason is Reason.NOT_FINITE
@@ -178,7 +178,7 @@ def test_every_changed_value_is_refused_and_a_changed_comment_is_not(file: Path)
         file.write_text(text.replace(old, new, 1), encoding="utf-8")
         error = refusal(file)
         assert error.reason is Reason.DAMAGED
-        assert "sha256" in error.message
+        assert key_of(error.message) == "read.changed"
 
 
 def test_a_change_on_purpose_is_taken_and_remembered(file: Path) -> None:
@@ -282,42 +282,46 @@ def edit(file: Path, old: str, new: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "reason", "words"),
+    ("old", "new", "reason", "key", "facts"),
     [
-        ("version = 1", "version = 2", Reason.NEWER, "update imufield"),
-        ("version = 1", "version = true", Reason.DAMAGED, "version is True"),
-        ("version = 1", "version = -1", Reason.DAMAGED, "version is -1"),
-        ("version = 1", "version = 0", Reason.UNKNOWN_KEY, "accelerometer.raw_zero is not a key of version 0"),
-        ('"imufield-parameters"', '"imufield-recording"', Reason.FOREIGN, "no line format"),
-        ("gauge = ", 'colour = "red"\ngauge = ', Reason.UNKNOWN_KEY, "accelerometer.colour is not a key"),
-        ("positions = 24", "positions = 23", Reason.DAMAGED, "there are 24 [[position]] tables"),
-        ("used = true", 'used = "yes"', Reason.DAMAGED, "position[0].used is 'yes'"),
-        ("scale = [1.000123456789", "scale = [0.0", Reason.DAMAGED, "accelerometer.scale has a zero"),
-        ("scale = [1.000123456789", "scale = [nan", Reason.NOT_FINITE, "accelerometer.scale[0] is nan"),
-        ("[0.0, 0.0, 0.0],\n", "[0.1, 0.0, 0.0],\n", Reason.DAMAGED, "has a diagonal other than zero"),
-        ('names = ["', 'names = ["extra", "', Reason.DAMAGED, "is not 20 by 20"),
-        ("created = ", "created = 2025-01-01 #", Reason.DAMAGED, "created is"),
-        ("version = 1", "version = 1" + 5000 * "0", Reason.DAMAGED, "no TOML"),
-        ("gravity_m_s2 = 9.8", "gravity_m_s2 = 98.", Reason.DAMAGED, "site.gravity_m_s2 is 98"),
-        ("rank = 12", "rank = 0x" + 9000 * "f", Reason.DAMAGED, "damaged"),
-        ("rank = 12", "rank = " + 5000 * "[", Reason.DAMAGED, "damaged"),
-        ("rank = 12", "rank" + 5000 * ".a" + " = 1", Reason.DAMAGED, "damaged"),
+        ("version = 1", "version = 2", Reason.NEWER, "read.newer", ["version 2"]),
+        ("version = 1", "version = true", Reason.DAMAGED, "read.version", ["True"]),
+        ("version = 1", "version = -1", Reason.DAMAGED, "read.version", ["-1"]),
+        ("version = 1", "version = 0", Reason.UNKNOWN_KEY, "versions.unknown", ["accelerometer.raw_zero", "version 0"]),
+        ('"imufield-parameters"', '"imufield-recording"', Reason.FOREIGN, "read.format", ['format = "imufield-parameters"']),
+        ("gauge = ", 'colour = "red"\ngauge = ', Reason.UNKNOWN_KEY, "schema.unknown", ["accelerometer.colour"]),
+        ("positions = 24", "positions = 23", Reason.DAMAGED, "consistency.position_count", ["23", "24 [[position]]"]),
+        ("used = true", 'used = "yes"', Reason.DAMAGED, "schema.type", ["position[0].used", "'yes'", "true or false"]),
+        ("scale = [1.000123456789", "scale = [0.0", Reason.DAMAGED, "consistency.zero_scale", ["accelerometer.scale"]),
+        ("scale = [1.000123456789", "scale = [nan", Reason.NOT_FINITE, "schema.nan", ["accelerometer.scale[0]"]),
+        ("[0.0, 0.0, 0.0],\n", "[0.1, 0.0, 0.0],\n", Reason.DAMAGED, "consistency.diagonal", ["misalignment_rad"]),
+        ('names = ["', 'names = ["extra", "', Reason.DAMAGED, "consistency.covariance_size", ["20 by 20"]),
+        ("created = ", "created = 2025-01-01 #", Reason.DAMAGED, "schema.type", ["created"]),
+        ("version = 1", "version = 1" + 5000 * "0", Reason.DAMAGED, "read.no_toml", []),
+        ("gravity_m_s2 = 9.8", "gravity_m_s2 = 98.", Reason.DAMAGED, "schema.maximum", ["site.gravity_m_s2", "98", "9.84"]),
+        ("rank = 12", "rank = 0x" + 9000 * "f", Reason.DAMAGED, "read.no_toml", []),
+        ("rank = 12", "rank = " + 5000 * "[", Reason.DAMAGED, "read.no_toml", []),
+        ("rank = 12", "rank" + 5000 * ".a" + " = 1", Reason.DAMAGED, "read.no_toml", []),
     ],
 )
-def test_refused_in_one_sentence(file: Path, old: str, new: str, reason: Reason, words: str) -> None:
+def test_refused_in_one_sentence(file: Path, old: str, new: str, reason: Reason, key: str, facts: list[str]) -> None:
     if 'names = ["' in old:
         old, new = "names = [\n", 'names = [\n    "extra",\n'
     edit(file, old, new)
     error = refusal(file)
-    assert words in error.message
+    # What is wrong with a key stands inside the sentence that names the file.
+    what = error.message if key.startswith("read.") else error.values["what"]
+    assert key_of(what) == key, error
+    assert "parameters.toml" in error.message
+    assert all(fact in what for fact in facts), error
     assert error.reason is reason
 
 
 @pytest.mark.parametrize(
-    ("row", "column", "factor", "words"),
-    [(0, 0, -1.0, "a variance below zero"), (0, 1, 1.1, "not symmetric"), (1, 1, 1e-6, "a correlation beyond 1")],
+    ("row", "column", "factor", "key"),
+    [(0, 0, -1.0, "variance"), (0, 1, 1.1, "not_symmetric"), (1, 1, 1e-6, "correlation")],
 )
-def test_a_covariance_that_is_none_is_refused(file: Path, row: int, column: int, factor: float, words: str) -> None:
+def test_a_covariance_that_is_none_is_refused(file: Path, row: int, column: int, factor: float, key: str) -> None:
     document = dict(load(file).document)
     matrix = np.array(document["covariance"]["matrix"], dtype=np.float64)
     assert matrix[0, 1] != 0
@@ -325,7 +329,9 @@ def test_a_covariance_that_is_none_is_refused(file: Path, row: int, column: int,
     document["covariance"] = document["covariance"] | {"matrix": matrix.tolist()}
     del document["integrity"]
     file.write_text(to_toml(document), encoding="utf-8")
-    assert words in refusal(file).message
+    error = refusal(file)
+    assert key_of(error.values["what"]) == f"consistency.{key}"
+    assert error.values["key"] == "covariance.matrix"
 
 
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
@@ -350,9 +356,11 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
     assert refusal(tmp_path).reason is Reason.FOREIGN
     (tmp_path / "b.toml").write_bytes(b"\xff\xfe\x00")
     assert "b.toml" in refusal(tmp_path / "b.toml").message
+    assert key_of(refusal(tmp_path / "b.toml").message) == "read.no_text"
     with (tmp_path / "large.toml").open("wb") as large:
         large.truncate(2**30)
     assert "large.toml" in refusal(tmp_path / "large.toml").message
+    assert key_of(refusal(tmp_path / "large.toml").message) == "read.not_there"
 
 
 def test_importing_the_package_imports_nothing_heavy() -> None:
@@ -372,7 +380,7 @@ def test_document_to_parameters_without_a_file(
     made = from_document(to_document(calibration, observations, context))
     assert made.path is None
     assert_same(made.calibration.accelerometer, parameters)
-    with refused(ImufieldError, Reason.UNITS) as caught:
+    with refused(ImufieldError, Reason.UNITS, key="file.unit") as caught:
         made.check_unit("accelerometer", "g")
     assert caught.value.values["wanted"] == "m/s^2"
     assert caught.value.values["unit"] == "g"

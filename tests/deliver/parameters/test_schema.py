@@ -14,6 +14,7 @@ from imufield.deliver.parameters.context import Context
 from imufield.deliver.parameters.document import to_document
 from imufield.deliver.parameters.schema import KEYWORDS, first_fault, json_ready, parameter_schema
 from imufield.errors import Reason
+from tests.deliver.told import key_of
 
 
 @pytest.fixture
@@ -70,23 +71,27 @@ def test_agrees_with_a_full_validator_on_damage(document: dict[str, Any], choice
 
 
 @pytest.mark.parametrize(
-    ("table", "key", "value", "reason", "words"),
+    ("table", "key", "value", "reason", "rule", "facts"),
     [
-        ("accelerometer", "scale", [1.0, 2.0], Reason.DAMAGED, "accelerometer.scale has 2 entries instead of 3"),
-        ("accelerometer", "scale", [1.0, 2.0, float("nan")], Reason.NOT_FINITE, "accelerometer.scale[2] is nan where a number"),
-        ("accelerometer", "gauge", "left", Reason.DAMAGED, "is 'left', not one of preset, lower, upper, symmetric"),
-        ("accelerometer", "colour", "red", Reason.UNKNOWN_KEY, "accelerometer.colour is not a key of this format"),
-        ("site", "latitude_deg", 91.0, Reason.DAMAGED, "site.latitude_deg is 91, above 90"),
-        ("quality", "rank", 12.5, Reason.DAMAGED, "quality.rank is 12.5 instead of a whole number"),
-        ("quality", "rank", 2**60, Reason.DAMAGED, "instead of a whole number"),
-        ("site", "gravity_sigma_m_s2", -1.0, Reason.DAMAGED, "is -1, below 0"),
-        ("site", "gravity_m_s2", 0.0, Reason.DAMAGED, "is 0, below 9.76"),
-        ("solver", "cost", float("inf"), Reason.NOT_FINITE, "solver.cost is infinite"),
+        ("accelerometer", "scale", [1.0, 2.0], Reason.DAMAGED, "entries", ["accelerometer.scale", "2", "3"]),
+        ("accelerometer", "scale", [1.0, 2.0, float("nan")], Reason.NOT_FINITE, "nan", ["accelerometer.scale[2]"]),
+        ("accelerometer", "gauge", "left", Reason.DAMAGED, "enum", ["'left'", "preset, lower, upper, symmetric"]),
+        ("accelerometer", "colour", "red", Reason.UNKNOWN_KEY, "unknown", ["accelerometer.colour"]),
+        ("site", "latitude_deg", 91.0, Reason.DAMAGED, "maximum", ["site.latitude_deg", "91", "90"]),
+        ("quality", "rank", 12.5, Reason.DAMAGED, "type", ["quality.rank", "12.5", "a whole number"]),
+        ("quality", "rank", 2**60, Reason.DAMAGED, "type", ["a whole number"]),
+        ("site", "gravity_sigma_m_s2", -1.0, Reason.DAMAGED, "minimum", ["-1", "0"]),
+        ("site", "gravity_m_s2", 0.0, Reason.DAMAGED, "minimum", ["0", "9.76"]),
+        ("solver", "cost", float("inf"), Reason.NOT_FINITE, "infinite", ["solver.cost"]),
     ],
 )
-def test_says_what_is_wrong(document: dict[str, Any], table: str, key: str, value: Any, reason: Reason, words: str) -> None:
+def test_says_what_is_wrong(
+    document: dict[str, Any], table: str, key: str, value: Any, reason: Reason, rule: str, facts: list[str]
+) -> None:
     document[table][key] = value
     fault = first_fault(document)
     assert fault is not None
-    assert words in f"{fault.key} {fault.what}"
+    assert key_of(fault.what) == f"schema.{rule}"
+    assert fault.what.startswith(fault.key)
+    assert all(fact in fault.what for fact in facts), fault
     assert fault.reason is reason

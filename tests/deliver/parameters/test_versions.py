@@ -15,6 +15,7 @@ from imufield.deliver.parameters.file import json_ready, load, parameter_schema
 from imufield.deliver.parameters.versions import CONVERTERS, to_current
 from imufield.deliver.parameters.write import content_sha256
 from imufield.errors import ParameterFileError, Reason
+from imufield.sentences import Sentences
 from tests.refused import refused
 
 OLD = Path(__file__).with_name("parameters-version-0.toml")
@@ -74,7 +75,7 @@ def test_what_is_no_table_is_left_for_the_schema_to_refuse() -> None:
 def test_the_hash_is_that_of_what_was_written(tmp_path: Path) -> None:
     changed = tmp_path / "p.toml"
     changed.write_text(OLD.read_text(encoding="utf-8").replace("used = true", "used = false", 1), encoding="utf-8")
-    with refused(ParameterFileError, Reason.DAMAGED, "p.toml", "sha256"):
+    with refused(ParameterFileError, Reason.DAMAGED, "p.toml", "sha256", key="read.changed"):
         load(changed)
     edited = load(rewritten(changed, "used = true", "used = false"))
     assert edited.edited
@@ -102,6 +103,7 @@ def test_commands_take_it_and_newer_ones_leave_with_5(tmp_path: Path, capsys: py
     assert run(["export", str(OLD), "--to", "vectornav", "-o", str(output)]) == 0
     newer = rewritten(tmp_path / "newer.toml", "version = 0", f"version = {VERSION + 1}")
     assert run(["export", str(newer), "--to", "vectornav", "-o", str(tmp_path / "none")]) == 5
-    message = " ".join(capsys.readouterr().err.split())
-    assert f"has version {VERSION + 1} and this imufield reads up to version {VERSION}; update imufield" in message
+    told = " ".join(capsys.readouterr().err.split())
+    sentence = Sentences("imufield.deliver.parameters")
+    assert sentence("read.newer", where=str(newer), version=VERSION + 1, known=VERSION) in told
     assert not (tmp_path / "none").exists()

@@ -228,7 +228,7 @@ def test_the_same_data_give_the_same_page(data: ReportData) -> None:
 @pytest.mark.parametrize("package", ["matplotlib", "jinja2"])
 def test_missing_package_is_named(data: ReportData, monkeypatch: pytest.MonkeyPatch, package: str) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[report]'") as caught:
+    with refused(UsageError, Reason.MISSING_PACKAGE, "pip install 'imufield[report]'", key="plots.package") as caught:
         render_report(data)
     assert caught.value.values["package"] == package
     assert caught.value.reason is Reason.MISSING_PACKAGE

@@ -15,6 +15,7 @@ from imufield.deliver.parameters.file import Parameters, from_document, to_docum
 from imufield.deliver.samples.apply_session import apply_session
 from imufield.errors import ParameterFileError, Reason
 from imufield.samples import Samples, SampleUnits, make_samples
+from tests.refused import refused
 
 ROWS = 1000
 
@@ -58,21 +59,20 @@ def test_increments_become_rates(loaded: Parameters, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("serial_number", "units", "reason"),
+    ("serial_number", "units", "reason", "key"),
     [
-        ("N1", SampleUnits(), Reason.FOREIGN),
-        ("", SampleUnits(accelerometer="g"), Reason.UNITS),
-        ("", SampleUnits(accelerometer="count", gyroscope="count"), Reason.UNITS),
+        ("N1", SampleUnits(), Reason.FOREIGN, "file.instrument"),
+        ("", SampleUnits(accelerometer="g"), Reason.UNITS, "file.unit"),
+        ("", SampleUnits(accelerometer="count", gyroscope="count"), Reason.UNITS, "file.unit"),
     ],
 )
 def test_another_instrument_or_unit_is_refused_and_the_old_file_stays(
-    serial_number: str, units: SampleUnits, reason: Reason, loaded: Parameters, tmp_path: Path
+    serial_number: str, units: SampleUnits, reason: Reason, key: str, loaded: Parameters, tmp_path: Path
 ) -> None:
     path = tmp_path / "corrected.csv"
     path.write_text("old")
-    with pytest.raises(ParameterFileError) as caught:
+    with refused(ParameterFileError, reason, key=key) as caught:
         apply_session(loaded, [block(0), block(1, units)], path, serial_number=serial_number)
-    assert caught.value.reason is reason
     assert caught.value.exit_code == 5
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]

@@ -186,10 +186,10 @@ def test_what_is_not_usable_does_not_become_good_by_ros(tmp_path: Path) -> None:
 
 def test_what_ros_cannot_hold(tmp_path: Path) -> None:
     counts = dataclasses.replace(block(10), units=SampleUnits(accelerometer="count", gyroscope="count"))
-    with refused(UsageError, Reason.UNITS, "m/s^2", "rad/s", "count"):
+    with refused(UsageError, Reason.UNITS, "m/s^2", "rad/s", "count", key="export_ros2.units"):
         export_samples([counts], tmp_path / "out.mcap", "ros2")
     early = dataclasses.replace(block(10), time_s=np.arange(-5.0, 5.0))
-    with refused(RecordingError, Reason.BOUNDS, "-5 s", "2147483647 s"):
+    with refused(RecordingError, Reason.BOUNDS, "-5 s", "2147483647 s", key="export_ros2.stamp"):
         export_samples([early], tmp_path / "out.mcap", "ros2")
     assert list(tmp_path.iterdir()) == []
 

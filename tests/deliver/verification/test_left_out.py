@@ -12,11 +12,13 @@ from imufield.calibrate.model.models import predict
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
 from imufield.deliver.verification import left_out
-from imufield.deliver.verification.left_out import check_positions, cross_validate
+from imufield.deliver.verification.left_out import LeftOutPositions, check_positions, cross_validate
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.guide.positions import scheme
 from imufield.samples import FloatArray, SampleUnits
+from imufield.sentences import Sentences
+from tests.deliver.told import key_of
 from tests.refused import refused
 
 GRAVITY = Gravity(gravity_m_s2=9.81, sigma_m_s2=5e-4, source="normal", latitude_deg=48.0, height_m=300.0)
@@ -113,20 +115,27 @@ def test_limit_of_the_own_session_grows_with_what_is_held_out() -> None:
     assert 1.0 < limits[0] < limits[1] < limits[2] < 4.0
 
 
+def cause(found: LeftOutPositions) -> str:
+    """Return which cause a sentence about a defect names."""
+    return key_of(found.words.values["cause"])  # type: ignore[attr-defined]  # a sentence keeps its values
+
+
 def test_words_say_how_probable_and_accuse_only_where_chance_does_not_do_it() -> None:
     found = check_positions(calibrated(), observe(9), GRAVITY)
-    assert "(misfit " in found.words
+    figures = Sentences("imufield.deliver.verification")("left_out.figures", misfit=found.misfit, limit=found.misfit_limit)
+    assert key_of(found.words) == "left_out.as_forecast"
+    assert figures in found.words
     larger = replace(found, misfit=3.15, misfit_limit=2.9, chance=0.02, is_own=True)
+    assert key_of(larger.words) == "left_out.larger"
     assert "1 of 50" in larger.words
-    assert "misfit 3.15" in larger.words
-    assert "uncertainty" not in larger.words
+    assert "3.15" in larger.words
     rare = replace(larger, chance=2e-4)
-    assert rare.words.startswith("LARGER")
+    assert key_of(rare.words) == "left_out.defect"
     assert "1 of 1000" in rare.words
-    assert "uncertainty" in rare.words
+    assert cause(rare) == "left_out.cause_own"
     foreign = replace(rare, misfit=55.0, is_own=False)
-    assert "instrument" in foreign.words
-    assert "uncertainty" not in foreign.words
+    assert cause(foreign) == "left_out.cause_foreign"
+    assert cause(replace(foreign, misfit=9.0)) == "left_out.cause_changed"
 
 
 def test_one_at_a_time_is_leave_one_out() -> None:
@@ -137,7 +146,7 @@ def test_one_at_a_time_is_leave_one_out() -> None:
 
 @pytest.mark.parametrize("hold_out", [0, 19, 24])
 def test_too_many_held_out_are_refused(hold_out: int) -> None:
-    with refused(UsageError, Reason.USAGE, "--hold-out") as caught:
+    with refused(UsageError, Reason.USAGE, "--hold-out", key="left_out.hold_out") as caught:
         cross_validate(calibrated(), observe(0), hold_out)
     assert caught.value.values["hold_out"] == hold_out
     assert caught.value.values["positions"] == 24
@@ -146,7 +155,7 @@ def test_too_many_held_out_are_refused(hold_out: int) -> None:
 def test_positions_that_are_no_numbers_are_refused() -> None:
     observations = observe(0)
     observations.mean_raw[7, 1] = np.nan
-    with refused(CalibrationError, Reason.NOT_FINITE) as caught:
+    with refused(CalibrationError, Reason.NOT_FINITE, key="left_out.not_finite") as caught:
         check_positions(calibrated(), observations, GRAVITY)
     assert caught.value.values["position"] == "p7"
 
