@@ -22,6 +22,9 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
@@ -82,7 +85,7 @@ def run_campaign(
         If the scheduler does not answer or is lost.
     """
     if workers is not None and workers < 1:
-        raise UsageError(f"{workers} workers can do nothing; use 1 or more, or leave it out for one per core", workers=workers)
+        raise UsageError(sentence("campaign.workers", workers=workers))
     count = min(workers or os.cpu_count() or 1, max(len(arguments), 1))
     campaign = _Campaign(
         run=run,
@@ -160,12 +163,8 @@ def _on_processes(campaign: _Campaign[Argument, Result], workers: int) -> list[R
             if batch[0] not in campaign.results:
                 campaign.take(batch[0], [campaign.on_killed(argument) for argument in batch[1]])
         return campaign.in_order()
-    raise UsageError(
-        f"workers of the campaign were killed {_KILLS_ACCEPTED + 1} times, {len(open_batches)} batches are not "
-        "done; use fewer workers (the usual reason is lack of memory)",
-        Reason.USAGE,
-        workers=workers,
-    )
+    times, batches = _KILLS_ACCEPTED + 1, len(open_batches)
+    raise UsageError(sentence("campaign.killed", times=times, batches=batches), workers=workers)
 
 
 def _pool_pass(campaign: _Campaign[Argument, Result], batches: list[_Batch[Argument]], workers: int) -> None:
@@ -202,18 +201,12 @@ def one_blas_thread() -> Iterator[None]:
 def _on_cluster(campaign: _Campaign[Argument, Result], scheduler: str) -> list[Result]:
     distributed = _distributed()
     if not _ADDRESS.fullmatch(scheduler):
-        raise UsageError(
-            f"--scheduler {scheduler!r} is no address of a Dask scheduler reached by tcp; write e.g. tcp://host:8786"
-        )
+        raise UsageError(sentence("campaign.scheduler_address", scheduler=scheduler))
     try:
         client = distributed.Client(scheduler, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
-        raise LinkTimeoutError(
-            f"no Dask scheduler answers at {scheduler!r} within {_CONNECT_TIMEOUT_S:g} s ({error or 'silence'}); "
-            "check the address and that the scheduler runs",
-            Reason.SILENCE,
-            scheduler=scheduler,
-        ) from error
+        told = {"timeout_s": _CONNECT_TIMEOUT_S, "cause": str(error) or "silence"}
+        raise LinkTimeoutError(sentence("campaign.scheduler_silent", scheduler=scheduler, **told), Reason.SILENCE) from error
     with client:
         batches = campaign.batches(max(len(client.nthreads()), 1))
         # Not pure: two campaigns with the same arguments are two campaigns. Tasks of a worker that dies go to another.
@@ -230,12 +223,8 @@ def _on_cluster(campaign: _Campaign[Argument, Result], scheduler: str) -> list[R
                     results = [campaign.on_killed(argument) for argument in arguments]
                 campaign.take(first, results)
         except (distributed.KilledWorker, OSError) as error:
-            raise LinkError(
-                f"the Dask cluster at {scheduler!r} lost {len(batches) - len(campaign.results)} of {len(batches)} batches "
-                f"({error}); check its workers and start again, the result will be the same",
-                Reason.DISCONNECTED,
-                scheduler=scheduler,
-            ) from error
+            told = {"lost": len(batches) - len(campaign.results), "batches": len(batches), "cause": error}
+            raise LinkError(sentence("campaign.cluster_lost", scheduler=scheduler, **told), Reason.DISCONNECTED) from error
     return campaign.in_order()
 
 
@@ -243,9 +232,6 @@ def _distributed() -> ModuleType:
     try:
         import distributed  # pyright: ignore[reportMissingImports]  (of the study extra)
     except ModuleNotFoundError as error:
-        raise UsageError(
-            f"--scheduler needs the package distributed, which is not installed ({error}); install imufield[study]",
-            Reason.MISSING_PACKAGE,
-            package="distributed",
-        ) from error
+        missing = sentence("campaign.no_distributed", cause=error, package="distributed")
+        raise UsageError(missing, Reason.MISSING_PACKAGE) from error
     return distributed
