@@ -21,8 +21,11 @@ from numpy.typing import ArrayLike
 from imufield.calibrate.model.rotation import conjugate, exponential, logarithm, multiply, rotate
 from imufield.errors import UsageError
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
 from imufield.simulate.truth.motion import Site, TrueMotion, sample_motion, shortest_turn, up_direction
 from imufield.simulate.truth.pieces import Hand, Piece, Shock, draw_hand
+
+sentence = Sentences(__package__)
 
 DEG = math.radians(1.0)
 SPIN_S = (3.0, 4.0)
@@ -141,7 +144,7 @@ class Operator:
         length = np.linalg.norm(rows, axis=1, keepdims=True)
         if not np.all(np.isfinite(rows)) or np.any(length == 0):
             row = int(np.flatnonzero(~np.isfinite(length) | (length == 0))[0])
-            raise UsageError(f"direction {row} of the operator's plan is {rows[row]}; give a vector of some length", row=row)
+            raise UsageError(sentence("operator.direction", row=row, direction=rows[row]))
         self.directions: FloatArray = rows / length
         self.lever_arm_m = np.array(self.settings.lever_arm_m)
         self._seed = seed
