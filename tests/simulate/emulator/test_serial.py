@@ -230,7 +230,7 @@ def test_link_never_replaces_a_file(tmp_path: Path) -> None:
 
 def test_every_byte_value_passes_both_ways() -> None:
     pty = PseudoTerminal()
-    descriptor = open_port(pty.port)
+    descriptor = open_port(pty.address)
     try:
         everything = bytes(range(256))
         pty.write(everything)
