@@ -40,7 +40,6 @@ from imufield.simulate.truth.motion import Site
 from imufield.simulate.truth.operator import Operator, OperatorSettings, StillInterval, TrueMove
 from imufield.simulate.truth.source import SampleSource, VirtualImu
 from imufield.simulate.wire.forms import DEFAULT_RATE_HZ, WireForm, choose_form
-from imufield.simulate.wire.lines import TextFormat
 from imufield.simulate.wire.stim300 import ACCELEROMETER_BITS, Stim300Format
 from imufield.version import __version__
 
@@ -90,7 +89,6 @@ class Emulation:
     run: EmulatorSettings = field(default_factory=EmulatorSettings)
     stim300: Stim300Format | None = None
     """None: accelerometer, inclinometer, CR LF and the smallest range that holds the grade's."""
-    text: TextFormat = field(default_factory=TextFormat)
     truth: Path | None = None
     """File for the truth, TOML or (by its suffix) JSON."""
     form: str | None = None
@@ -111,7 +109,6 @@ class WireChoice:
     rate_hz: float
     form: WireForm | None
     """None on a CAN bus."""
-    baud: int
     settings: dict[str, object]
     """What a reader must be told."""
     driver: type[Driver] | None
@@ -158,8 +155,7 @@ def choose_wire(options: Emulation) -> WireChoice:
             for name, value in settings.items()
             if str(defaults.get(name)) != str(value) and (name != "rate_hz" or by_increment or counts_by_rate)
         }
-    baud = 115200 if driver is None else driver.default_baud
-    return WireChoice(protocol=protocol, rate_hz=rate_hz, form=form, baud=baud, settings=told, driver=driver)
+    return WireChoice(protocol=protocol, rate_hz=rate_hz, form=form, settings=told, driver=driver)
 
 
 def make_virtual_imu(options: Emulation, rate_hz: float | None = None) -> VirtualImu:
@@ -319,16 +315,15 @@ def make_device(options: Emulation, wire: WireChoice) -> Device:
     form, rate_hz, device = wire.form or _OWN_FORM, wire.rate_hz, options.device
     if device not in OWN_RATE_HZ:
         script = SCRIPTS.get(device)
-        return ProtocolDevice(wire.protocol, form, rate_hz, wire.baud, script=None if script is None else script(rate_hz, form))
+        return ProtocolDevice(wire.protocol, form, rate_hz, None if script is None else script(rate_hz, form))
     # Values as the protocol has read them, which a format of the same names takes.
     chosen: dict[str, Any] = {name: wire.protocol.settings[name].value for name in options.settings}
     if wrong := [name for name in chosen if name not in _EMULATED_SETTINGS[device]]:
         allowed = _EMULATED_SETTINGS[device]
         raise UsageError(sentence("emulate.setting", setting=wrong[0], device=device, allowed=allowed))
     if device == "text":
-        if "columns" in chosen:
-            chosen["columns"] = tuple(name.strip() for name in str(chosen["columns"]).split(","))
-        return TextDevice(replace(options.text, **chosen))
+        columns = [name.strip() for name in str(wire.protocol.settings["columns"].value).split(",")]
+        return TextDevice(columns, str(wire.protocol.settings["prefix"].value))
     if rate_hz not in _STIM300_RATES_HZ:
         raise UsageError(sentence("emulate.rate", rate_hz=rate_hz, rates_hz=_STIM300_RATES_HZ))
     identity = Stim300Identity.of_seed(options.seed)

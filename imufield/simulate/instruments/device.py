@@ -26,40 +26,32 @@ class Frames:
 class Device(Protocol):
     """An instrument on the other end of the wire."""
 
-    baud: int
     start_up_s: float
     """Samples of this time after power-on are flagged ``Status.START_UP``."""
 
     @property
     def streaming(self) -> bool:
         """Whether samples are sent in the present mode."""
-        ...
 
     @property
     def rate_hz(self) -> float | None:
         """Output rate that commands have set; None: that of its samples."""
-        ...
 
     @property
     def answers_replace_samples(self) -> bool:
         """Whether an answer takes the place of a sample; otherwise it comes between two."""
-        ...
 
     def encode(self, samples: Samples) -> Frames:
         """Return the frames of a block of samples."""
-        ...
 
     def power_on(self) -> bytes:
         """Return what is sent at power-on before the first sample."""
-        ...
 
     def receive(self, data: bytes) -> Answer:
         """Return the answer to bytes of the host, whole commands or parts of them."""
-        ...
 
     def jump_counter(self, by: int) -> None:
         """Let the counter jump."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,6 @@ class ProtocolDevice:
     form : WireForm
     rate_hz : float
         Nominal rate of the samples.
-    baud : int
     script : ScriptedInstrument, optional
         What it answers; nothing without.
 
@@ -47,18 +46,9 @@ class ProtocolDevice:
     start_up_s = 0.0
     answers_replace_samples = False
 
-    def __init__(
-        self,
-        protocol: Protocol,
-        form: WireForm,
-        rate_hz: float,
-        baud: int = 115200,
-        *,
-        script: ScriptedInstrument | None = None,
-    ) -> None:
+    def __init__(self, protocol: Protocol, form: WireForm, rate_hz: float, script: ScriptedInstrument | None = None) -> None:
         self.protocol = protocol
         self.script = script or NoCommands(rate_hz)
-        self.baud = baud
         self._clock = WireClock(protocol, rate_hz)
         lines = [frame for frame in form.frames if frame.line]
         self._sentences: list[SentenceEncoder | LineEncoder] = [

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from crccheck.crc import Crc8Base
+from crccheck.crc import Crc8Smbus
 
 from imufield.samples import Samples, Status
 from imufield.simulate.instruments.device import Answer, Frames
@@ -215,23 +215,10 @@ class Stim300Device:
         return self._special(0xBC, 0xBD, bytes(body))
 
 
-class _UtilityCrc(Crc8Base):  # type: ignore[misc]
-    """CRC-8 of utility mode: polynomial 0x07, start 0xFF."""
-
-    _names = ("utility mode",)
-    _width = 8
-    _poly = 0x07
-    _initvalue = 0xFF
-    _reflect_input = False
-    _reflect_output = False
-    _xor_output = 0
-    _check_result = 0
-
-
 def utility_message(body: str) -> bytes:
-    """Return a message of utility mode: body, comma, decimal CRC-8 of both, carriage return."""
+    """Return a message of utility mode: body, comma, decimal CRC-8 of both (polynomial 0x07, start 0xFF), carriage return."""
     covered = f"{body},".encode("ascii", "replace")
-    return covered + str(_UtilityCrc.calc(covered)).encode("ascii") + COMMAND_END
+    return covered + str(Crc8Smbus.calc(covered, initvalue=0xFF)).encode("ascii") + COMMAND_END
 
 
 def _pack_nibbles(nibbles: list[int]) -> bytes:

@@ -6,25 +6,24 @@ STIM300 normal datagram (datasheet TS1524, section "Normal Mode"), all numbers b
 values and a status byte (gyroscope, accelerometer, inclinometer); clusters of 16-bit temperatures and a status byte; AUX or
 PPS of 24 bits and a status byte; counter u8; latency u16; CRC-32/MPEG-2 over all of it, filled up with zero bytes to a
 multiple of four that are not sent; CR LF if configured.
-
-A CRC is an affine function of its message over GF(2): the CRC of a message is the CRC of the zero message of that length, XOR
-one word for each byte, found in a table of that byte's place. So n frames cost one table look-up of n x length.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from crccheck.crc import Crc32Mpeg2
 from numpy.typing import ArrayLike, NDArray
 
+from imufield.acquire.protocol.checksum import make_checksum
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, IntArray, Samples, Status
+from imufield.sentences import Sentences
 from imufield.simulate.wire.frames import Bytes, bytes_of
+
+sentence = Sentences(__package__)
 
 INTERNAL_RATE_HZ = 2000
 """The datagram counter counts samples of this rate, modulo 256."""
@@ -44,6 +43,7 @@ _STATUS_INTEGRITY = 0x80
 _STATUS_START_UP = 0x40
 _STATUS_OVERLOAD = 0x10
 _STATUS_CHANNEL = 0x08
+_CRC = make_checksum("CRC-32/MPEG-2", pad_to=4)
 _INT24 = (-(2**23), 2**23 - 1)
 _INT16 = (-(2**15), 2**15 - 1)
 
@@ -124,31 +124,7 @@ def stim300_frames(datagram_id: int, raw: Stim300Raw, *, crlf: bool) -> Bytes:
 def close_datagrams(body: Bytes, *, crlf: bool) -> Bytes:
     """Append CRC (and CR LF) to n datagram bodies, shape (n, length)."""
     end = [np.broadcast_to(np.frombuffer(CRLF, dtype=np.uint8), (len(body), 2))] if crlf else []
-    return np.concatenate([body, bytes_of(crc32_mpeg2(body)[:, np.newaxis].astype(np.int64), 4, True), *end], axis=1)
-
-
-def crc32_mpeg2(messages: Bytes) -> NDArray[np.uint32]:
-    """Return the CRC-32/MPEG-2 of n messages of one length, dummy zero bytes included. Shape (n, length) to (n,)."""
-    tables, offset = _place_tables(messages.shape[1])
-    places = np.arange(messages.shape[1])
-    words: NDArray[np.uint32] = np.bitwise_xor.reduce(tables[places, messages], axis=1)
-    return words ^ offset
-
-
-@lru_cache(maxsize=64)
-def _place_tables(length: int) -> tuple[NDArray[np.uint32], np.uint32]:
-    """Return a table of 256 words for each place of a message, and the CRC of the zero message."""
-    dummy = -length % 4
-    zero = Crc32Mpeg2.calc(bytes(length + dummy))
-    tables = np.zeros((length, 256), dtype=np.uint32)
-    for place in range(length):
-        for bit in range(8):
-            # The CRC is affine: what one bit changes does not depend on the others.
-            message = bytearray(length + dummy)
-            message[place] = 1 << bit
-            with_bit = (np.arange(256) >> bit) & 1 == 1
-            tables[place, with_bit] ^= np.uint32(Crc32Mpeg2.calc(message) ^ zero)
-    return tables, np.uint32(zero)
+    return np.concatenate([body, bytes_of(_CRC.of_rows(body)[:, np.newaxis].astype(np.int64), 4, True), *end], axis=1)
 
 
 class Stim300Encoder:
@@ -165,11 +141,8 @@ class Stim300Encoder:
 
     def __init__(self, settings: Stim300Format) -> None:
         if settings.accelerometer_range_g not in ACCELEROMETER_BITS:
-            raise UsageError(
-                f"accelerometer range {settings.accelerometer_range_g} g is not one of a STIM300's; "
-                f"choose one of {', '.join(map(str, ACCELEROMETER_BITS))} g",
-                accelerometer_range_g=settings.accelerometer_range_g,
-            )
+            found_g, ranges_g = settings.accelerometer_range_g, [*ACCELEROMETER_BITS]
+            raise UsageError(sentence("stim300.range", accelerometer_range_g=found_g, ranges_g=ranges_g))
         self.format = settings
         self.counter_offset = 0  # Added to the counter: where it stood at the first sample, and jumps of a faulty unit.
 
