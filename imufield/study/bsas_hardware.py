@@ -17,7 +17,7 @@ from functools import cache, partial
 import numpy as np
 
 from imufield.calibrate.accelerometer.whitening import whitened_problem
-from imufield.calibrate.model.models import BIAS, MISALIGNMENT, QUADRATIC, SCALE, from_vector, predict, recover
+from imufield.calibrate.model.models import SCALE, from_vector, predict, recover
 from imufield.calibrate.solvers.beetles import solve_bsas
 from imufield.deliver.navigation.drift import Drift
 from imufield.earth import MICRO_G_M_S2
@@ -29,22 +29,18 @@ from imufield.study.instruments import (
     BSAS_GRAVITY_M_S2,
     BSAS_TRUTH,
     HARBIN_LATITUDE_DEG,
+    PresetError,
     bsas_directions,
     bsas_outputs,
 )
-from imufield.study.navigation import WhiteNoise, minute_curves, navigate_at_rest, rest_inputs
+from imufield.study.navigation import minute_curves, navigate_at_rest, rest_inputs
 from imufield.study.report import Findings, numbered_table
 
 REPEATABILITY_M_S2 = 5 * MICRO_G_M_S2
 """1 sigma of the norm of a position: noise of the mean, flicker and turn-on of a 10 ug class instrument."""
-OLD_BIAS_M_S2 = 10 * MICRO_G_M_S2
-OLD_SCALE = 10e-6
-OLD_MISALIGNMENT_RAD = 10e-6
-OLD_QUADRATIC = 0.5
-"""1 sigma of what the old calibration is off by, quadratic term as a share of itself."""
+OLD = PresetError(scale=10e-6, bias_m_s2=10 * MICRO_G_M_S2, misalignment_rad=10e-6, quadratic=0.5)
+"""1 sigma of what the old calibration is off by."""
 GYROSCOPE_BIAS_DEG_PER_H = 0.01
-HOURS = 5.0
-"""As in the paper's Table 6."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +57,7 @@ class Recalibration:
 def run_recalibration(_number: int, rng: np.random.Generator) -> Recalibration:
     """Recalibrate one instrument and check it at 36 positions."""
     # The old calibration, off the truth by a normal error of each kind of parameter.
-    size = np.zeros(len(BSAS_TRUTH))
-    size[SCALE] = OLD_SCALE * np.abs(BSAS_TRUTH[SCALE])
-    size[BIAS] = OLD_BIAS_M_S2
-    size[MISALIGNMENT] = OLD_MISALIGNMENT_RAD
-    size[QUADRATIC] = OLD_QUADRATIC * np.abs(BSAS_TRUTH[QUADRATIC])
-    old = BSAS_TRUTH + size * rng.standard_normal(len(size))
+    old = BSAS_TRUTH + OLD.of_each() * rng.standard_normal(len(BSAS_TRUTH))
     # 24 positions to calibrate, 36 others to check, each with an error of its own.
     raw = bsas_outputs(rng, REPEATABILITY_M_S2)
     problem = whitened_problem(old, raw, BSAS_GRAVITY_M_S2, quadratic_axes=BSAS_AXES)
@@ -110,17 +101,11 @@ def figure_9(context: StudyContext) -> Findings:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Navigation:
-    """Five hours with old and new parameters: aligned with each, and told the attitude."""
-
-    old: Drift
-    new: Drift
-    old_told: Drift
-    new_told: Drift
+# Five hours with old and new parameters: aligned with each, and told the attitude.
+_FLIGHTS = ("old", "new", "old_told", "new_told")
 
 
-def run_navigation(number: int, rng: np.random.Generator) -> Navigation:
+def run_navigation(number: int, rng: np.random.Generator) -> dict[str, Drift]:
     """Recalibrate one instrument and let it navigate at rest, same recording for both parameter sets."""
     recalibrated = run_recalibration(number, rng)
     heading = 30.0
@@ -131,17 +116,17 @@ def run_navigation(number: int, rng: np.random.Generator) -> Navigation:
     rate = rate + np.radians(GYROSCOPE_BIAS_DEG_PER_H / 3600) * rng.choice([-1.0, 1.0], 3)
     seed = int(rng.integers(2**32))
     flown = []
-    navigate = partial(navigate_at_rest, rate_rad_s=rate, latitude_deg=HARBIN_LATITUDE_DEG, hours=HOURS, noise=WhiteNoise())
+    navigate = partial(navigate_at_rest, rate_rad_s=rate, latitude_deg=HARBIN_LATITUDE_DEG)
     for told in (None, np.array([0.0, 0.0, heading])):
         for vector in (recalibrated.old, recalibrated.new):
             shown = recover(from_vector(vector, None, BSAS_AXES), raw)[0]
             # The same noise: one recording, two parameter sets.
             flown.append(navigate(shown, rng=np.random.default_rng(seed), attitude_rph_deg=told))
-    return Navigation(*flown)
+    return dict(zip(_FLIGHTS, flown, strict=True))
 
 
 @cache
-def _navigations(context: StudyContext) -> list[Navigation]:
+def _navigations(context: StudyContext) -> list[dict[str, Drift]]:
     return context.campaign("bsas-table6", run_navigation, range(context.runs(40, 2)))
 
 
@@ -150,8 +135,7 @@ def table_6(context: StudyContext) -> Findings:
     runs = _navigations(context)
     # Maximum and mean over the five hours, one column per instrument.
     found = {
-        name: np.transpose([[getattr(r, name).position_nmi.max(), getattr(r, name).position_nmi.mean()] for r in runs])
-        for name in ("old", "new", "old_told", "new_told")
+        name: np.transpose([[run[name].position_nmi.max(), run[name].position_nmi.mean()] for run in runs]) for name in _FLIGHTS
     }
     old, new = found["old"], found["new"]
     columns = ("instrument", "old maximum", "old mean", "new maximum", "new mean")
@@ -164,7 +148,7 @@ def table_6(context: StudyContext) -> Findings:
 
 def _first(context: StudyContext) -> dict[str, Drift]:
     run = _navigations(context)[0]
-    return {"old": run.old, "recalibrated": run.new}
+    return {"old": run["old"], "recalibrated": run["new"]}
 
 
 def figure_10(context: StudyContext) -> Findings:

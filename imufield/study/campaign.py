@@ -8,6 +8,7 @@ matrices are 3 x 3, and two workers with two threads each would compete for the 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import math
 import multiprocessing
 import os
@@ -16,7 +17,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from types import ModuleType
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -199,7 +199,11 @@ def one_blas_thread() -> Iterator[None]:
 
 
 def _on_cluster(campaign: _Campaign[Argument, Result], scheduler: str) -> list[Result]:
-    distributed = _distributed()
+    try:
+        distributed = importlib.import_module("distributed")
+    except ModuleNotFoundError as error:
+        missing = sentence("campaign.no_distributed", cause=error, package="distributed")
+        raise UsageError(missing, Reason.MISSING_PACKAGE) from error
     if not _ADDRESS.fullmatch(scheduler):
         raise UsageError(sentence("campaign.scheduler_address", scheduler=scheduler))
     try:
@@ -226,12 +230,3 @@ def _on_cluster(campaign: _Campaign[Argument, Result], scheduler: str) -> list[R
             told = {"lost": len(batches) - len(campaign.results), "batches": len(batches), "cause": error}
             raise LinkError(sentence("campaign.cluster_lost", scheduler=scheduler, **told), Reason.DISCONNECTED) from error
     return campaign.in_order()
-
-
-def _distributed() -> ModuleType:
-    try:
-        import distributed  # pyright: ignore[reportMissingImports]  (of the study extra)
-    except ModuleNotFoundError as error:
-        missing = sentence("campaign.no_distributed", cause=error, package="distributed")
-        raise UsageError(missing, Reason.MISSING_PACKAGE) from error
-    return distributed

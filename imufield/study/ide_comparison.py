@@ -34,8 +34,8 @@ from imufield.study.instruments import (
     per_deg_h,
     triad_outputs,
 )
-from imufield.study.navigation import WhiteNoise, minute_curves, navigate_at_rest, rest_inputs
-from imufield.study.optimum import squares_optimum
+from imufield.study.navigation import minute_curves, navigate_at_rest, rest_inputs
+from imufield.study.optimum import ComparedRun, compare
 from imufield.study.report import CsvTable, Findings
 
 METHODS = ("ga", "pso", "ide")
@@ -43,18 +43,8 @@ COSTS = ("accelerometer", "norm", "vector")
 SUCCESS = 1.1
 """A run counts as a success within this many times the global optimum; the paper does not define its success."""
 _NAMES = {"accelerometer": "accelerometer, L_a", "norm": "gyroscope, L_gm as printed", "vector": "gyroscope, vector form"}
-HOURS = 5.0
-"""As in the paper's Fig. 10."""
 _FLOWN = (*METHODS, "ide, vector form")
 _QUICK_GENERATIONS = 100  # Of GA and PSO in a quick study: enough to see that they work.
-
-
-@dataclass(frozen=True, slots=True)
-class MethodRun:
-    """One run of one method on one cost."""
-
-    cost: float
-    optimum: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,16 +64,15 @@ class MethodJob:
         return load_solver(name)
 
 
-def run_method(job: MethodJob, rng: np.random.Generator) -> MethodRun:
+def run_method(job: MethodJob, rng: np.random.Generator) -> ComparedRun:
     """Draw a data set and solve it."""
     cost_name = job.cost_name
     problem: TriadProblem | TurnsProblem = ide_problem(rng) if cost_name == "accelerometer" else make_problem(cost_name, rng)
-    optimum, _ = squares_optimum(problem)
-    return MethodRun(job.solver()(problem, rng=rng).cost, optimum)
+    return compare(job.solver(), problem, rng)
 
 
 @cache
-def _runs(context: StudyContext) -> dict[tuple[str, str], list[MethodRun]]:
+def _runs(context: StudyContext) -> dict[tuple[str, str], list[ComparedRun]]:
     jobs = [MethodJob(method, cost, context.quick) for cost in COSTS for method in METHODS]
     found = context.campaign_of_each("ide-table5", run_method, jobs, context.runs(30, 2))
     return {(job.method, job.cost_name): runs for job, runs in zip(jobs, found, strict=True)}
@@ -93,11 +82,11 @@ def table_5(context: StudyContext) -> Findings:
     """Compare success rate, mean and standard deviation of GA, PSO and IDE."""
     rows = {}
     for (method, cost), runs in _runs(context).items():
-        values = np.array([run.cost for run in runs])
-        success = np.mean([run.cost <= SUCCESS * run.optimum for run in runs])
+        values = np.array([run.found.cost for run in runs])
+        success = np.mean([run.found.cost <= SUCCESS * run.optimum for run in runs])
         # Within 1e-6 of the optimum: far below what noise or another data set would change.
-        at_optimum = sum(run.cost <= run.optimum * (1 + 1e-6) for run in runs)
-        ratio = float(np.median([run.cost / run.optimum for run in runs]))
+        at_optimum = sum(run.found.cost <= run.optimum * (1 + 1e-6) for run in runs)
+        ratio = float(np.median([run.found.cost / run.optimum for run in runs]))
         name = f"{_NAMES[cost]}, {method.upper()}"
         rows[name] = (cost, method, success, values.mean(), values.std(ddof=1), ratio, at_optimum)
     columns = ("cost", "method", "success rate", "mean", "SD", "median over optimum", "at the optimum")
@@ -127,9 +116,7 @@ def run_flight(job: MethodJob, rng: np.random.Generator) -> Drift:
     force = force * IDE_GRAVITY_M_S2 / np.linalg.norm(force)
     shown_force = _inputs(accelerometer, triad_outputs(IDE_TRUTH, force[None]))
     shown_rate = np.radians(_inputs(gyroscope, triad_outputs(GYROSCOPE_TRUTH, np.degrees(rate)[None])))
-    return navigate_at_rest(
-        shown_force, shown_rate, BEIJING_LATITUDE_DEG, hours=HOURS, noise=WhiteNoise(), rng=rng, attitude_rph_deg=np.zeros(3)
-    )
+    return navigate_at_rest(shown_force, shown_rate, BEIJING_LATITUDE_DEG, rng=rng, attitude_rph_deg=np.zeros(3))
 
 
 def _static_bias(turns: FloatArray, rng: np.random.Generator) -> FloatArray:

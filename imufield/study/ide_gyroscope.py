@@ -24,7 +24,7 @@ from imufield.study.instruments import (
     gyroscope_turns_problem,
     per_deg_h,
 )
-from imufield.study.optimum import squares_optimum
+from imufield.study.optimum import ComparedRun, compare
 from imufield.study.report import CsvTable, Findings, curves_table
 
 PATHS = ("static", "norm", "vector")
@@ -35,13 +35,10 @@ _STATIC_PARAMETERS = 12  # K, E and the bias; turns say nothing of the bias, so 
 class GyroscopeRun:
     """One run of IDE on one of the three costs."""
 
-    cost: float
-    optimum: float
-    converged: bool
+    compared: ComparedRun
     rank: int
     errors: FloatArray
     """Errors of the 9 or 12 parameters, those of K relative."""
-    history: FloatArray
 
 
 def make_problem(path: str, rng: np.random.Generator) -> TriadProblem | TurnsProblem:
@@ -52,19 +49,16 @@ def make_problem(path: str, rng: np.random.Generator) -> TriadProblem | TurnsPro
 def run_gyroscope(path: str, rng: np.random.Generator) -> GyroscopeRun:
     """Draw a data set and solve it with IDE."""
     problem = make_problem(path, rng)
-    optimum, _ = squares_optimum(problem)
-    found = solve_ide(problem, rng=rng)
+    compared = compare(solve_ide, problem, rng)
     # At rest the unit is deg/h, on the turntable deg/s; only K depends on it.
     truth = per_deg_h(GYROSCOPE_TRUTH) if path == "static" else GYROSCOPE_TRUTH[:9]
     reach = (problem.upper - problem.lower) / 2
     # Columns scaled by half the width of the bounds: an entry that cannot move the cost within them counts as undetermined.
     rank = int(np.linalg.matrix_rank(problem.jacobian(truth) * reach, rtol=1e-9))
-    errors = found.x - truth
+    errors = compared.found.x - truth
     # Scale factors are compared by their relative error, in ppm; the entries of E are angles already.
     errors[:3] /= truth[:3]
-    return GyroscopeRun(
-        cost=found.cost, optimum=optimum, converged=found.converged, rank=rank, errors=errors, history=found.history
-    )
+    return GyroscopeRun(compared=compared, rank=rank, errors=errors)
 
 
 @cache
@@ -76,14 +70,21 @@ def runs_of(context: StudyContext) -> dict[str, list[GyroscopeRun]]:
 def table_4(context: StudyContext) -> Findings:
     """Compare static and dynamic path."""
     found = runs_of(context)
-    costs = {path: np.array([run.cost for run in runs]) for path, runs in found.items()}
-    optima = {path: np.array([run.optimum for run in runs]) for path, runs in found.items()}
+    costs = {path: np.array([run.compared.found.cost for run in runs]) for path, runs in found.items()}
+    optima = {path: np.array([run.compared.optimum for run in runs]) for path, runs in found.items()}
     # RMSE over runs and parameters: the scale factors K (relative, in ppm) and the entries of E (rad).
     rmse_k = {path: 1e6 * float(np.sqrt(np.mean([run.errors[:3] ** 2 for run in runs]))) for path, runs in found.items()}
     rmse_e = {path: float(np.sqrt(np.mean([run.errors[3:9] ** 2 for run in runs]))) for path, runs in found.items()}
     names = dict(zip(PATHS, ("static path", "eq. 26", "vector form"), strict=True))
     rows = tuple(
-        (path, i + 1, run.cost, run.optimum, *run.errors, *[""] * (_STATIC_PARAMETERS - len(run.errors)))
+        (
+            path,
+            i + 1,
+            run.compared.found.cost,
+            run.compared.optimum,
+            *run.errors,
+            *[""] * (_STATIC_PARAMETERS - len(run.errors)),
+        )
         for path, runs in found.items()
         for i, run in enumerate(runs)
     )
@@ -106,9 +107,9 @@ def table_4(context: StudyContext) -> Findings:
 def figure(context: StudyContext, *, path: str) -> Findings:
     """Show the fitness of three runs over the generations."""
     runs = runs_of(context)[path][:3]
-    curves = {f"test {i + 1}": 1 / run.history for i, run in enumerate(runs)}
+    curves = {f"test {i + 1}": 1 / run.compared.found.history for i, run in enumerate(runs)}
     return Findings(
-        values={"final": np.array([run.cost for run in runs])},
+        values={"final": np.array([run.compared.found.cost for run in runs])},
         tables=(curves_table("fitness", "generation", curves),),
         draw=figures.convergence({"": curves}, "fitness 1 / L", xlabel="generation", log=False),
     )

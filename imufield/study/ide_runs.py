@@ -8,44 +8,27 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from imufield.calibrate.solvers.registry import load_solver
-from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext
 from imufield.study.instruments import ide_problem
-from imufield.study.optimum import squares_optimum
+from imufield.study.optimum import ComparedRun, compare
 from imufield.study.report import CsvTable, Findings, curves_table, texts
 
 STRATEGIES = ("de-rand-1", "de-current-to-best-1", "de-combined", "ide")
 
 
-@dataclass(frozen=True, slots=True)
-class Evolution:
-    """One run of one strategy."""
-
-    cost: float
-    optimum: float
-    converged: bool
-    history: FloatArray
-    """Best cost after each generation."""
-
-
-def run_strategy(name: str, rng: np.random.Generator) -> Evolution:
+def run_strategy(name: str, rng: np.random.Generator) -> ComparedRun:
     """Draw a data set and solve it with one strategy."""
-    # Fresh noise in every run; the optimum of the same data is what the strategy is compared with.
-    problem = ide_problem(rng)
-    optimum, _ = squares_optimum(problem)
-    found = load_solver(name)(problem, rng=rng)
-    return Evolution(found.cost, optimum, found.converged, found.history)
+    return compare(load_solver(name), ide_problem(rng), rng)
 
 
 @cache
-def _evolutions(context: StudyContext) -> dict[str, list[Evolution]]:
+def _evolutions(context: StudyContext) -> dict[str, list[ComparedRun]]:
     found = context.campaign_of_each("ide-table2", run_strategy, STRATEGIES, context.runs(30, 3))
     return dict(zip(STRATEGIES, found, strict=True))
 
@@ -53,10 +36,10 @@ def _evolutions(context: StudyContext) -> dict[str, list[Evolution]]:
 def table_2(context: StudyContext) -> Findings:
     """Compare L_a of the strategies."""
     found = _evolutions(context)
-    costs = {name: np.array([run.cost for run in runs]) for name, runs in found.items()}
+    costs = {name: np.array([run.found.cost for run in runs]) for name, runs in found.items()}
     optima = {name: np.array([run.optimum for run in runs]) for name, runs in found.items()}
     excess = costs["ide"] / optima["ide"] - 1
-    rows = tuple((name, i + 1, run.cost, run.optimum) for name, runs in found.items() for i, run in enumerate(runs))
+    rows = tuple((name, i + 1, run.found.cost, run.optimum) for name, runs in found.items() for i, run in enumerate(runs))
     means = {"paper": np.array(texts()["ide-table2"]["paper"]["mean"]), "ours": np.array([c.mean() for c in costs.values()])}
     return Findings(
         values={
@@ -65,7 +48,7 @@ def table_2(context: StudyContext) -> Findings:
             "within": (np.abs(excess) <= 1e-6).sum(),
             "excess": excess,
             "ratios": {name: costs[name] / optima[name] for name in STRATEGIES[:3]},
-            "converged": ", ".join(f"{name} {sum(run.converged for run in runs)}" for name, runs in found.items()),
+            "converged": ", ".join(f"{name} {sum(run.found.converged for run in runs)}" for name, runs in found.items()),
             "runs": len(excess),
         },
         tables=(CsvTable("runs", ("strategy", "run", "L_a", "optimum"), rows),),
@@ -77,7 +60,7 @@ def figure(context: StudyContext, *, strategy: str, tests: int) -> Findings:
     """Show the fitness of a strategy over the generations."""
     runs = _evolutions(context)[strategy][:tests]
     # The fitness is 1 / L_a, as the paper draws it; half of the final one says how early the search is nearly done.
-    curves = {f"test {i + 1}": 1 / run.history for i, run in enumerate(runs)}
+    curves = {f"test {i + 1}": 1 / run.found.history for i, run in enumerate(runs)}
     ends = np.array([curve[-1] for curve in curves.values()])
     half = [int(np.argmax(curve >= curve[-1] / 2)) + 1 for curve in curves.values()]
     return Findings(

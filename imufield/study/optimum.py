@@ -19,6 +19,7 @@ References
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -28,7 +29,7 @@ from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import norm_derivatives
 from imufield.calibrate.model.observability import generators
 from imufield.calibrate.model.result import QuadraticAxes
-from imufield.calibrate.solvers.base import Problem
+from imufield.calibrate.solvers.base import Problem, Solver, SolverResult
 from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.samples import FloatArray
@@ -77,6 +78,20 @@ def squares_optimum(problem: Problem) -> tuple[float, FloatArray]:
     if not np.all((lower <= x) & (x <= upper)):
         x = _bounded(problem)
     return float(problem.cost(x[None])[0]), x
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedRun:
+    """What a solver found, and the optimum of the same data."""
+
+    found: SolverResult
+    optimum: float
+
+
+def compare(solver: Solver, problem: Problem, rng: np.random.Generator) -> ComparedRun:
+    """Solve a problem whose cost is a root of a sum of squares."""
+    optimum, _ = squares_optimum(problem)
+    return ComparedRun(solver(problem, rng=rng), optimum)
 
 
 def _bounded(problem: Problem) -> FloatArray:

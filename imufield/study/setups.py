@@ -14,7 +14,7 @@ from imufield.calibrate.solvers.beetles import BsasSettings
 from imufield.calibrate.solvers.triad_costs import TRIAD_NAMES
 from imufield.earth import MICRO_G_M_S2
 from imufield.study import instruments
-from imufield.study.bsas_hardware import GYROSCOPE_BIAS_DEG_PER_H, OLD_BIAS_M_S2, REPEATABILITY_M_S2
+from imufield.study.bsas_hardware import GYROSCOPE_BIAS_DEG_PER_H, OLD, REPEATABILITY_M_S2
 from imufield.study.context import StudyContext
 from imufield.study.instruments import BSAS_NAMES, BSAS_TRUTH
 from imufield.study.report import Findings
@@ -34,7 +34,7 @@ def bsas_table_4(_context: StudyContext) -> Findings:
     """List the performance of the hardware."""
     return Findings(
         values={
-            "bias_ug": OLD_BIAS_M_S2 / MICRO_G_M_S2,
+            "bias_ug": OLD.bias_m_s2 / MICRO_G_M_S2,
             "gyroscope_bias_deg_h": GYROSCOPE_BIAS_DEG_PER_H,
             "repeatability_ug": REPEATABILITY_M_S2 / MICRO_G_M_S2,
         }

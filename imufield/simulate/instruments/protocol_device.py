@@ -10,7 +10,7 @@ import numpy as np
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray, Samples
-from imufield.simulate.instruments.device import Answer, Frames
+from imufield.simulate.instruments.device import Answer, Device, Frames
 from imufield.simulate.instruments.scripted import NoCommands, ScriptedInstrument
 from imufield.simulate.truth.source import SampleSource
 from imufield.simulate.wire.forms import WireForm
@@ -24,7 +24,7 @@ CONVERTER_RANGE_RAD_S = math.radians(500.0)
 """What the end of the converter stands for where a protocol says neither scale nor range."""
 
 
-class ProtocolDevice:
+class ProtocolDevice(Device):
     """An instrument that sends samples in the units of its protocol.
 
     Parameters
@@ -42,9 +42,6 @@ class ProtocolDevice:
     UsageError
         If the form does not fit the protocol.
     """
-
-    start_up_s = 0.0
-    answers_replace_samples = False
 
     def __init__(self, protocol: Protocol, form: WireForm, rate_hz: float, script: ScriptedInstrument | None = None) -> None:
         self.protocol = protocol
@@ -86,10 +83,6 @@ class ProtocolDevice:
         ends = (np.arange(len(rows))[:, np.newaxis] * rows.shape[1] + np.cumsum(lengths)).reshape(-1)
         last = np.array([encoder.length - encoder.checksum_at for encoder in self._frames])
         return Frames(rows.reshape(-1), ends, ends - np.tile(last, len(rows)))
-
-    def power_on(self) -> bytes:
-        """Return nothing."""
-        return b""
 
     def receive(self, data: bytes) -> Answer:
         """Return what the script answers."""

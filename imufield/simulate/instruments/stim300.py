@@ -15,12 +15,11 @@ import numpy as np
 from crccheck.crc import Crc8Smbus
 
 from imufield.samples import Samples, Status
-from imufield.simulate.instruments.device import Answer, Frames
+from imufield.simulate.instruments.device import Answer, Device, Frames
 from imufield.simulate.wire.stim300 import Stim300Encoder, Stim300Format, close_datagrams
 
 COMMAND_END = b"\r"
 _LONGEST_COMMAND = 256  # Bytes kept while waiting for the end of a command; those of a STIM300 have at most some 60.
-_START_UP_S = 0.281
 # At start-up the rates are at full scale, beyond the 400 deg/s of the range.
 _START_UP_RATE_RAD_S = np.radians(480.0)
 # Codes of the configuration datagram; a rate or baud without one has the last code.
@@ -51,7 +50,7 @@ class Stim300Identity:
         return cls(serial_number=f"{number:014d}")
 
 
-class Stim300Device:
+class Stim300Device(Device):
     """A STIM300 that answers its commands.
 
     Parameters
@@ -61,7 +60,7 @@ class Stim300Device:
     baud : int, optional
     """
 
-    start_up_s = _START_UP_S
+    start_up_s = 0.281
     answers_replace_samples = True
 
     def __init__(

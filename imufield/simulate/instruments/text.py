@@ -10,7 +10,7 @@ import numpy as np
 from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, Samples
 from imufield.sentences import Sentences
-from imufield.simulate.instruments.device import Answer, Frames
+from imufield.simulate.instruments.device import Device, Frames
 from imufield.simulate.wire.forms import number_template
 from imufield.simulate.wire.lines import LINE_END
 
@@ -20,7 +20,7 @@ TEXT_COLUMNS = ("time", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS)
 """What a line holds unless told otherwise; ``counter`` and ``temperature`` may be added."""
 
 
-class TextDevice:
+class TextDevice(Device):
     """A home-made instrument: values in the unit of the samples, nothing where one is not available.
 
     Parameters
@@ -34,11 +34,6 @@ class TextDevice:
     UsageError
         If a column has no such name.
     """
-
-    start_up_s = 0.0
-    rate_hz = None
-    answers_replace_samples = False
-    streaming = True
 
     def __init__(self, columns: Sequence[str] = TEXT_COLUMNS, prefix: str = "") -> None:
         known = (*TEXT_COLUMNS, "counter", "temperature")
@@ -64,14 +59,6 @@ class TextDevice:
         lines = [(self._prefix + ",".join(row) + LINE_END).encode("ascii") for row in zip(*cells, strict=True)]
         ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
         return Frames(np.frombuffer(b"".join(lines), dtype=np.uint8), ends, ends - len(LINE_END) - 1)
-
-    def power_on(self) -> bytes:
-        """Return nothing."""
-        return b""
-
-    def receive(self, data: bytes) -> Answer:  # noqa: ARG002  commands are ignored
-        """Return nothing."""
-        return Answer()
 
     def jump_counter(self, by: int) -> None:
         """Let the counter column, if there is one, jump."""

@@ -16,10 +16,10 @@ from imufield.errors import Reason, UsageError
 from imufield.samples import Samples, SampleUnits, Status, make_samples
 from imufield.simulate.wire.stim300 import (
     Auxiliary,
+    Cluster,
     OutputUnit,
     Stim300Encoder,
     Stim300Format,
-    Stim300Raw,
     close_datagrams,
     stim300_frames,
 )
@@ -53,30 +53,15 @@ def block(n: int = 5, **columns: Any) -> Samples:
     return make_samples(np.arange(n) / 100, **{**base, **columns})
 
 
-def raw_of(decoded: dict[str, Any]) -> Stim300Raw:
-    def integers(key: str, scale: int = 1) -> np.ndarray | None:
-        return np.rint(np.array([decoded[key]]) * scale).astype(np.int64) if key in decoded else None
-
-    gyroscope = integers("gyro_raw")
-    assert gyroscope is not None
-    return Stim300Raw(
-        counter=np.array([decoded["counter"]]),
-        latency_us=decoded["latency_us"],
-        gyroscope=gyroscope,
-        gyroscope_status=decoded["gyro_status"],
-        accelerometer=integers("acc_raw"),
-        accelerometer_status=decoded.get("acc_status", 0),
-        inclinometer=integers("incl_raw"),
-        inclinometer_status=decoded.get("incl_status", 0),
-        gyroscope_temperature=integers("gyro_temp_c", 256),
-        gyroscope_temperature_status=decoded.get("gyro_temp_status", 0),
-        accelerometer_temperature=integers("acc_temp_c", 256),
-        accelerometer_temperature_status=decoded.get("acc_temp_status", 0),
-        inclinometer_temperature=integers("incl_temp_c", 256),
-        inclinometer_temperature_status=decoded.get("incl_temp_status", 0),
-        auxiliary=integers("aux_raw"),
-        auxiliary_status=decoded.get("aux_status", 0),
-    )
+def clusters_of(decoded: dict[str, Any]) -> list[Cluster]:
+    """Return what a datagram holds; temperatures are printed in degrees."""
+    rates = [("gyro_raw", "gyro_status", 1, 3), ("acc_raw", "acc_status", 1, 3), ("incl_raw", "incl_status", 1, 3)]
+    degrees = [(f"{name}_temp_c", f"{name}_temp_status", 256, 2) for name in ("gyro", "acc", "incl")]
+    return [
+        Cluster(np.rint(np.array(decoded[key]) * scale).astype(np.int64).reshape(1, -1), decoded.get(status, 0), size)
+        for key, status, scale, size in (*rates, *degrees, ("aux_raw", "aux_status", 1, 3))
+        if key in decoded
+    ]
 
 
 def test_recorded_datagrams_are_made_byte_for_byte(shared_folder: Path) -> None:
@@ -85,7 +70,9 @@ def test_recorded_datagrams_are_made_byte_for_byte(shared_folder: Path) -> None:
     assert len(datagrams) == 9
     for vector in datagrams:
         decoded = vector["decoded"]
-        made = stim300_frames(int(decoded["id"], 16), raw_of(decoded), crlf=bool(decoded["trailer"]))
+        counter, latency_us = np.array([decoded["counter"]]), decoded["latency_us"]
+        clusters, crlf = clusters_of(decoded), bool(decoded["trailer"])
+        made = stim300_frames(int(decoded["id"], 16), clusters, counter, latency_us, crlf=crlf)
         assert made.tobytes().hex() == vector["hex"], vector["source"]
 
 
