@@ -43,12 +43,10 @@ _ONE_DATA_SET = 20200210  # Seed of the one data set that all of the paper's run
 class StagedRun:
     """Each category on its own, the others at the truth: the setting in which the paper's figures are reached."""
 
-    vector: FloatArray
-    """All 15, each from the stage of its category, shape (15,)."""
+    vectors: FloatArray
+    """All 15, each from the stage of its category, by swarm and by single beetle, shape (2, 15)."""
     costs: FloatArray
-    """Final cost of each category, shape (4,)."""
-    bas_vector: FloatArray
-    bas_costs: FloatArray
+    """Final cost of each category, shape (2, 4)."""
     truth_cost: float
 
 
@@ -68,7 +66,7 @@ def run_categories(one_data_set: bool, rng: np.random.Generator) -> StagedRun:
             # Truth plus what is left of the error: x is counted from the preset.
             vectors[row, list(members)] += found.x[list(members)] + (preset - BSAS_TRUTH)[list(members)]
     truth_cost = float(stage_problem(BSAS_TRUTH, raw).cost(np.zeros((1, 15)))[0])
-    return StagedRun(vector=vectors[0], costs=costs[0], bas_vector=vectors[1], bas_costs=costs[1], truth_cost=truth_cost)
+    return StagedRun(vectors=vectors, costs=costs, truth_cost=truth_cost)
 
 
 @cache
@@ -81,12 +79,12 @@ def figure_5(context: StudyContext) -> Findings:
     """Show final costs of the swarm."""
     one, fresh = _categories(context, True), _categories(context, False)
     # The quadratic terms are the last of the four categories: their cost is the final one.
-    last, all_fresh = (np.array([run.costs[3] for run in runs]) for runs in (one, fresh))
+    last, all_fresh = (np.array([run.costs[0, 3] for run in runs]) for runs in (one, fresh))
     return Findings(
         values={
             "one": last,
             "fresh": all_fresh,
-            "categories": np.median([run.costs for run in one], axis=0),
+            "categories": np.median([run.costs[0] for run in one], axis=0),
             "truth": np.array([run.truth_cost for run in fresh]),
             "exact": np.array([run.exact for run in _whitened(context)]),
             "runs": len(one),
@@ -99,7 +97,7 @@ def figure_5(context: StudyContext) -> Findings:
 def figure_6(context: StudyContext) -> Findings:
     """Show final costs of the single beetle."""
     runs = _categories(context, True)
-    costs = np.array([run.bas_costs for run in runs])
+    costs = np.array([run.costs[1] for run in runs])
     final = costs.max(axis=1)
     return Findings(
         values={"final": final, "categories": dict(zip(CATEGORIES, costs.T, strict=True)), "runs": len(runs)},
@@ -111,7 +109,7 @@ def figure_6(context: StudyContext) -> Findings:
 def figure_7(context: StudyContext) -> Findings:
     """Show errors of the three scale factors over the runs."""
     runs = _categories(context, True)
-    errors = np.array([run.vector[:3] - BSAS_TRUTH[:3] for run in runs])
+    errors = np.array([run.vectors[0, :3] - BSAS_TRUTH[:3] for run in runs])
     of_scale = dict(zip(BSAS_NAMES[:3], errors.T, strict=True))
     return Findings(
         values={"errors": of_scale, "runs": len(runs)},
@@ -123,9 +121,9 @@ def figure_7(context: StudyContext) -> Findings:
 def table_3(context: StudyContext) -> Findings:
     """Compare the 15 parameters of 50 runs."""
     one, fresh = _categories(context, True), _categories(context, False)
-    errors = np.array([run.vector for run in one]) - BSAS_TRUTH
-    bas_errors = np.array([run.bas_vector for run in one]) - BSAS_TRUTH
-    fresh_errors = np.array([run.vector for run in fresh]) - BSAS_TRUTH
+    errors = np.array([run.vectors[0] for run in one]) - BSAS_TRUTH
+    bas_errors = np.array([run.vectors[1] for run in one]) - BSAS_TRUTH
+    fresh_errors = np.array([run.vectors[0] for run in fresh]) - BSAS_TRUTH
     paper = texts()["bsas-table3"]["paper"]
     parameters = {
         name: {

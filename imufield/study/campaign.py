@@ -14,7 +14,7 @@ import multiprocessing
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
@@ -172,12 +172,9 @@ def _pool_pass(campaign: _Campaign[Argument, Result], batches: list[_Batch[Argum
     # "spawn": a forked child would inherit BLAS with the threads the parent started it with.
     pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
     try:
-        waiting: dict[Future[list[Result]], _Batch[Argument]] = {
-            pool.submit(run_batch, campaign.run, batch): batch for batch in batches
-        }
-        while waiting:
-            for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                campaign.take(waiting.pop(future)[0], future.result())
+        first_runs = {pool.submit(run_batch, campaign.run, batch): batch[0] for batch in batches}
+        for future in as_completed(first_runs):
+            campaign.take(first_runs[future], future.result())
     finally:
         # Also after an error of a run: no worker is left behind.
         pool.shutdown(wait=True, cancel_futures=True)
@@ -186,16 +183,14 @@ def _pool_pass(campaign: _Campaign[Argument, Result], batches: list[_Batch[Argum
 @contextlib.contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Let processes started within keep to one BLAS thread each."""
-    before = {name: os.environ.get(name) for name in BLAS_VARIABLES}
+    before = {name: os.environ[name] for name in BLAS_VARIABLES if name in os.environ}
     os.environ.update(dict.fromkeys(BLAS_VARIABLES, "1"))
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        for name in BLAS_VARIABLES:
+            os.environ.pop(name, None)
+        os.environ.update(before)
 
 
 def _on_cluster(campaign: _Campaign[Argument, Result], scheduler: str) -> list[Result]:

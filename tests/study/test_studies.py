@@ -124,8 +124,8 @@ def test_equation_26_is_said_to_be_rank_3(report_of: Callable[[str], StudyReport
 def test_estimates_keep_their_own_presets() -> None:
     # The vector of a run is truth plus what the stage found, not plus its preset's error.
     run = bsas_runs.run_categories(False, np.random.default_rng(1))
-    assert np.abs(run.vector[:3] - BSAS_TRUTH[:3]).max() < 1e-5
-    assert np.abs(run.vector[3:6] - BSAS_TRUTH[3:6]).max() < 1e-6
+    assert np.abs(run.vectors[0, :3] - BSAS_TRUTH[:3]).max() < 1e-5
+    assert np.abs(run.vectors[0, 3:6] - BSAS_TRUTH[3:6]).max() < 1e-6
 
 
 def test_presets_stay_within_what_is_said() -> None:

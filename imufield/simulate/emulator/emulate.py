@@ -192,28 +192,28 @@ def make_emulator(options: Emulation) -> EmulatorCore:
     if options.device not in OWN_RATE_HZ:
         scale = (grade.accelerometer_scale, grade.gyroscope_scale)
         source = InProtocolUnits(virtual, scale, wire.protocol, wire.rate_hz)
-    emulator = _on_wire(options, wire, source, session_seed(options))
-    if options.truth is not None:
-        emulator.on_progress = _truth_writer(options, virtual, options.truth)
-    return emulator
-
-
-def _on_wire(options: Emulation, wire: WireChoice, source: SampleSource, seed: int) -> EmulatorCore:
+    seed = session_seed(options)
+    emulator: EmulatorCore
     if wire.form is not None:
         device = make_device(options, wire)
         if options.bus is not None:
             raise UsageError(sentence("emulate.no_bus", device=options.device), bus=options.bus)
         if not isinstance(options.faults, Faults):
             raise UsageError(sentence("emulate.faults_of_frames", device=options.device))
-        return Emulator(device, source, options.run, faults=options.faults, seed=seed)
-    # Imported here: python-can takes longer to load than all the rest, and a serial line does not need it.
-    from imufield.simulate.emulator.can import CanEmulator
+        emulator = Emulator(device, source, options.run, faults=options.faults, seed=seed)
+    else:
+        # Imported here: python-can takes longer to load than all the rest, and a serial line does not need it.
+        from imufield.simulate.emulator.can import CanEmulator
 
-    # The default of the options is no fault at all, on whatever wire.
-    faults = CanFaults() if options.faults == Faults() else options.faults
-    if not isinstance(faults, CanFaults):
-        raise UsageError(sentence("emulate.faults_of_bytes", device=options.device))
-    return CanEmulator(wire.protocol, source, options.bus or DEFAULT_BUS, options.run, faults=faults, seed=seed)
+        # The default of the options is no fault at all, on whatever wire.
+        faults = CanFaults() if options.faults == Faults() else options.faults
+        if not isinstance(faults, CanFaults):
+            raise UsageError(sentence("emulate.faults_of_bytes", device=options.device))
+        bus = options.bus or DEFAULT_BUS
+        emulator = CanEmulator(wire.protocol, source, bus, options.run, faults=faults, seed=seed)
+    if options.truth is not None:
+        emulator.on_progress = _truth_writer(options, virtual, options.truth)
+    return emulator
 
 
 def emulate(options: Emulation, on_start: Callable[[EmulatorCore], None] | None = None) -> EmulatorCore:

@@ -36,8 +36,6 @@ class AceinnaInstrument(ScriptedInstrument):
         return aceinna_packet(command[2:4], command[5:-2]) == command
 
     def _answer(self, command: bytes) -> bytes:
-        if not command:
-            return b""
         letters, data = command[2:4], command[5:-2]
         if letters in _MEMORY:
             self.memory_writes.append(command)
