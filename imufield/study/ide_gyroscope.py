@@ -18,6 +18,7 @@ from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem
 from imufield.samples import FloatArray
 from imufield.study import figures
 from imufield.study.context import StudyContext
+from imufield.study.ide_runs import fitness
 from imufield.study.instruments import (
     GYROSCOPE_TRUTH,
     gyroscope_static_problem,
@@ -25,7 +26,7 @@ from imufield.study.instruments import (
     per_deg_h,
 )
 from imufield.study.optimum import ComparedRun, compare
-from imufield.study.report import CsvTable, Findings, curves_table
+from imufield.study.report import CsvTable, Findings
 
 PATHS = ("static", "norm", "vector")
 _STATIC_PARAMETERS = 12  # K, E and the bias; turns say nothing of the bias, so the other paths have nine.
@@ -106,10 +107,4 @@ def table_4(context: StudyContext) -> Findings:
 
 def figure(context: StudyContext, *, path: str) -> Findings:
     """Show the fitness of three runs over the generations."""
-    runs = runs_of(context)[path][:3]
-    curves = {f"test {i + 1}": 1 / run.compared.found.history for i, run in enumerate(runs)}
-    return Findings(
-        values={"final": np.array([run.compared.found.cost for run in runs])},
-        tables=(curves_table("fitness", "generation", curves),),
-        draw=figures.convergence({"": curves}, "fitness 1 / L", xlabel="generation", log=False),
-    )
+    return fitness([run.compared for run in runs_of(context)[path][:3]], "fitness 1 / L")

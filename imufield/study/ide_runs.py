@@ -8,6 +8,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -58,13 +59,20 @@ def table_2(context: StudyContext) -> Findings:
 
 def figure(context: StudyContext, *, strategy: str, tests: int) -> Findings:
     """Show the fitness of a strategy over the generations."""
-    runs = _evolutions(context)[strategy][:tests]
-    # The fitness is 1 / L_a, as the paper draws it; half of the final one says how early the search is nearly done.
+    return fitness(_evolutions(context)[strategy][:tests], "fitness 1 / L$_a$")
+
+
+def fitness(runs: Sequence[ComparedRun], label: str) -> Findings:
+    """Show the fitness of runs over the generations: 1 over the cost, as the paper draws it."""
     curves = {f"test {i + 1}": 1 / run.found.history for i, run in enumerate(runs)}
-    ends = np.array([curve[-1] for curve in curves.values()])
-    half = [int(np.argmax(curve >= curve[-1] / 2)) + 1 for curve in curves.values()]
     return Findings(
-        values={"tests": len(runs), "final": 1 / ends, "fitness": ends, "half": half},
+        values={
+            "tests": len(runs),
+            "final": np.array([run.found.cost for run in runs]),
+            "fitness": np.array([curve[-1] for curve in curves.values()]),
+            # Half of the final fitness says how early the search is nearly done.
+            "half": [int(np.argmax(curve >= curve[-1] / 2)) + 1 for curve in curves.values()],
+        },
         tables=(curves_table("fitness", "generation", curves),),
-        draw=figures.convergence({"": curves}, "fitness 1 / L$_a$", xlabel="generation", log=False),
+        draw=figures.convergence({"": curves}, label, xlabel="generation", log=False),
     )
