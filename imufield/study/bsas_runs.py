@@ -110,7 +110,7 @@ def figure_7(context: StudyContext) -> Findings:
     """Show errors of the three scale factors over the runs."""
     runs = _categories(context, True)
     errors = np.array([run.vectors[0, :3] - BSAS_TRUTH[:3] for run in runs])
-    of_scale = dict(zip(BSAS_NAMES[:3], errors.T, strict=True))
+    of_scale: dict[str, FloatArray] = dict(zip(BSAS_NAMES[:3], errors.T, strict=True))
     return Findings(
         values={"errors": of_scale, "runs": len(runs)},
         tables=(numbered_table("errors", ("run", *of_scale), errors),),

@@ -73,10 +73,25 @@ def _absolute_step(residual: FloatArray, A: FloatArray) -> FloatArray:
 
 def squares_optimum(problem: Problem) -> tuple[float, FloatArray]:
     """Return the minimum of a root-sum-of-squares cost within the bounds and where it is, from their middle."""
+    from scipy.optimize import least_squares  # slow to load, and only a study needs it
+
     x = solve_least_squares(problem, loss="linear").x
     lower, upper = problem.bounds
     if not np.all((lower <= x) & (x <= upper)):
-        x = _bounded(problem)
+        tolerance = 1e-14
+        bounded = least_squares(
+            problem.residuals,
+            problem.start,
+            jac=cast("Any", problem.jacobian),  # pyright's stubs of scipy know strings only
+            bounds=problem.bounds,
+            # Half the bounds is the size of a coordinate; an entry with equal bounds must not scale by zero.
+            x_scale=np.maximum((upper - lower) / 2, 1e-12),
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=tolerance,
+            max_nfev=2000,
+        )
+        x = np.asarray(bounded.x, dtype=np.float64)
     return float(problem.cost(x[None])[0]), x
 
 
@@ -92,25 +107,6 @@ def compare(solver: Solver, problem: Problem, rng: np.random.Generator) -> Compa
     """Solve a problem whose cost is a root of a sum of squares."""
     optimum, _ = squares_optimum(problem)
     return ComparedRun(solver(problem, rng=rng), optimum)
-
-
-def _bounded(problem: Problem) -> FloatArray:
-    from scipy.optimize import least_squares  # slow to load, and only a study needs it
-
-    tolerance = 1e-14
-    found = least_squares(
-        problem.residuals,
-        problem.start,
-        jac=cast("Any", problem.jacobian),  # pyright's stubs of scipy know strings only
-        bounds=problem.bounds,
-        # Half the bounds is the size of a coordinate; an entry with equal bounds must not scale by zero.
-        x_scale=np.maximum((problem.bounds[1] - problem.bounds[0]) / 2, 1e-12),
-        ftol=tolerance,
-        xtol=tolerance,
-        gtol=tolerance,
-        max_nfev=2000,
-    )
-    return np.asarray(found.x, dtype=np.float64)
 
 
 def cramer_rao_bound(

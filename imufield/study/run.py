@@ -18,23 +18,10 @@ from imufield.version import __version__
 
 sentence = Sentences(__package__)
 
-STUDIES = tuple(name for name in texts() if name != "instruments")
+STUDIES = tuple(name for name, text in texts().items() if "function" in text)
 """In the order of the papers, which is that of the document."""
 TITLE = "# The papers' tables and figures, reproduced"
 """First line of the document."""
-_HEAD = """{title}
-
-Every table and figure of the two papers that can be computed, the paper's figure beside ours. Where the paper used
-hardware, a simulated instrument stands in its place, and the setting says so.
-
-From {size} of all studies with seed {seed} and imufield {version}. The same seed gives the same figures on any number of
-workers.
-
-* BSAS: P. Wang et al., "In-Field Calibration of Triaxial Accelerometer Based on Beetle Swarm Antenna Search Algorithm",
-  Sensors, 2020.
-* IDE: Y. Liu et al., "A New Norm-Observed Calibration Method Based on Improved Differential Evolution Algorithm for
-  SINS", 2021.
-"""
 
 
 def find_studies(name: str) -> tuple[str, ...]:
@@ -83,7 +70,7 @@ def write_document(reports: Iterable[StudyReport], path: Path, context: StudyCon
     """Write reports as one Markdown document, with seed and version."""
     # The words of a quick run warn whoever finds the document later.
     size = "a quick run, too few runs to quote" if context.quick else "a full run"
-    head = _HEAD.format(title=TITLE, size=size, seed=context.seed, version=__version__)
+    head = str(texts()["document"]["head"]).format(title=TITLE, size=size, seed=context.seed, version=__version__)
     sections = [as_markdown(report) for report in reports]
     with typed_write_errors(path):
         write_atomically(path, "\n".join([head, *sections]).encode())

@@ -65,9 +65,11 @@ class Port(Protocol):
     @property
     def address(self) -> str:
         """What a host opens."""
+        ...
 
     def has_reader(self) -> bool:
         """Return whether a host is there."""
+        ...
 
     def close(self) -> None:
         """Take the port away."""

@@ -78,9 +78,11 @@ class Path(Protocol):
 
     def attitude(self, time_s: FloatArray) -> FloatArray:
         """Return ``quaternion_nb``, shape (n, 4)."""
+        ...
 
     def acceleration(self, time_s: FloatArray) -> FloatArray:
         """Return the acceleration of the pivot in the local level frame, shape (n, 3), m/s^2."""
+        ...
 
     def resting_attitude(self, start_s: float, end_s: float) -> FloatArray | None:
         """Return the quaternion if nothing moves from ``start_s`` to ``end_s``, otherwise None."""

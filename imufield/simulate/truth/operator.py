@@ -266,8 +266,7 @@ class Operator:
             if rng.random() < 0.5:
                 index = int(rng.integers(len(self.directions)))
                 return _Visit(index, self.directions[index])
-            unknown = rng.standard_normal(3)
-            return _Visit(NO_POSITION, unknown / np.linalg.norm(unknown))
+            return _Visit(NO_POSITION, _random_direction(rng))
         return self._agenda.pop(0)
 
     def _target(self, quaternion: FloatArray, direction: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -15,9 +15,11 @@ class SampleSource(Protocol):
     @property
     def interval_s(self) -> float:
         """True time between samples."""
+        ...
 
     def next_block(self, count: int) -> Samples:
         """Return the next ``count`` samples, fewer where some are lost; ``counter`` is the number of the sample."""
+        ...
 
     def set_rate(self, rate_hz: float) -> None:
         """Go on at another nominal rate, from the next whole sample of it since the beginning."""
