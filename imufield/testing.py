@@ -26,6 +26,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from imufield.sentences import Sentences
+
 if TYPE_CHECKING:
     from imufield.acquire.recording.session import Session
     from imufield.deliver.parameters.file import Parameters
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
     from imufield.simulate.emulator.core import EmulatorCore
     from imufield.simulate.emulator.faults import WireFaults
     from imufield.simulate.emulator.serial import Emulator
+
+sentence = Sentences(__package__)
 
 
 @dataclass(frozen=True)
@@ -114,7 +118,7 @@ def imufield_pty() -> Iterator[Callable[..., Emulator]]:
 
             emulator = _make_emulator(driver, Faults(**(faults or {})), {"wait_for_reader": True, **options})
             if not isinstance(emulator, Emulator):
-                pytest.fail(f"{driver} is on a CAN bus; use imufield_can_bus")
+                pytest.fail(sentence("testing.on_bus", driver=driver))
             return stack.enter_context(emulator)
 
         yield start
@@ -131,7 +135,7 @@ def imufield_can_bus() -> Iterator[Callable[..., CanEmulator]]:
 
             emulator = _make_emulator(driver, CanFaults(**(faults or {})), {"bus": bus, **options})
             if not isinstance(emulator, CanEmulator):
-                pytest.fail(f"{driver} is on a serial line; use imufield_pty")
+                pytest.fail(sentence("testing.on_line", driver=driver))
             return stack.enter_context(emulator)
 
         yield start
@@ -159,14 +163,15 @@ def imufield_golden(request: pytest.FixtureRequest) -> Callable[..., None]:
             path.write_text(json.dumps(values, indent=1, sort_keys=True) + "\n")
             return
         if not path.is_file():
-            pytest.fail(f"there is no {path}; make it with: pytest --imufield-update")
+            pytest.fail(sentence("testing.no_golden", path=path))
         expected = json.loads(path.read_text())
         differing = [
             key for key in sorted({*expected, *values}) if not _agree(expected.get(key), values.get(key), relative, absolute)
         ]
         if differing:
             key = differing[0]
-            pytest.fail(f"{name}: {key} is {values.get(key)!r}, golden is {expected.get(key)!r} ({len(differing)} differ)")
+            told = {"value": values.get(key), "expected": expected.get(key), "differing": len(differing)}
+            pytest.fail(sentence("testing.golden", name=name, key=key, **told))
 
     return check
 

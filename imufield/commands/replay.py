@@ -98,7 +98,7 @@ def _replay_to_slcan(session: Session, speed: float) -> None:
             device.port.write(b"")
 
     try:
-        typer.echo(f"waiting for a reader of slcan:{device.port.port}  (Ctrl-C ends)")
+        typer.echo(f"waiting for a reader of slcan:{device.port.address}  (Ctrl-C ends)")
         while not device.is_open:
             device.receive()
             time.sleep(WAIT_S)
@@ -117,7 +117,7 @@ def _replay_to_pty(session: Session, speed: float) -> None:
     port = PseudoTerminal()
     sent, said = 0, False
     try:
-        typer.echo(f"waiting for a reader of {port.port}  (Ctrl-C ends)")
+        typer.echo(f"waiting for a reader of {port.address}  (Ctrl-C ends)")
         while not port.has_reader():
             time.sleep(WAIT_S)
         while True:

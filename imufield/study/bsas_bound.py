@@ -22,7 +22,6 @@ import numpy as np
 
 from imufield.calibrate.accelerometer.whitening import whitened_problem
 from imufield.calibrate.model.gauge import change_gauge, intrinsic
-from imufield.calibrate.model.result import QuadraticAxes
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.samples import FloatArray
 from imufield.study import figures
@@ -37,7 +36,7 @@ from imufield.study.instruments import (
     bsas_preset,
 )
 from imufield.study.optimum import INTRINSIC_NAMES, cramer_rao_bound
-from imufield.study.report import Comparison, CsvTable, StudyReport, make_report
+from imufield.study.report import Findings, keyed_table
 
 TURN_SIGMA_RAD = FIELD_PRESET.misalignment_rad / np.sqrt(6)
 """1 sigma of the turn in a preset whose misalignments are uniform within their limit: a turn is half a difference of two."""
@@ -70,16 +69,16 @@ def _solve(start: FloatArray, raw: FloatArray) -> tuple[FloatArray, bool]:
     return problem.vector(found.x), found.converged
 
 
-def bound(turn_sigma_rad: float = 0.0, axes: QuadraticAxes = BSAS_AXES) -> FloatArray:
+def bound(turn_sigma_rad: float = 0.0) -> FloatArray:
     """Return the Cramér-Rao bound of the 12 gauge-free numbers for a frame known to this, per axis, shape (12,)."""
     # Noise of zero: the Jacobian is taken at the true outputs, and the generator is not used.
     clean = bsas_outputs(np.random.default_rng(0), 0.0)
     return cramer_rao_bound(
-        BSAS_TRUTH, clean, BSAS_GRAVITY_M_S2, BSAS_NOISE_M_S2, quadratic_axes=axes, turn_sigma_rad=turn_sigma_rad
+        BSAS_TRUTH, clean, BSAS_GRAVITY_M_S2, BSAS_NOISE_M_S2, quadratic_axes=BSAS_AXES, turn_sigma_rad=turn_sigma_rad
     )
 
 
-def least_squares_bound(context: StudyContext) -> StudyReport:
+def least_squares_bound(context: StudyContext) -> Findings:
     """Hold least squares against the bounds, over enough data sets that the ratio is known to 2 %."""
     runs = context.campaign("bsas-bound", run_bound, range(context.runs(2000, 40)))
     known, as_preset = bound(), bound(TURN_SIGMA_RAD)
@@ -92,27 +91,21 @@ def least_squares_bound(context: StudyContext) -> StudyReport:
         "as solved, bound of a frame known as the preset": rmse["as_solved"] / as_preset,
         "in the true frame, bound of a known frame": rmse["in_true_frame"] / known,
     }
-    comparisons = (
-        Comparison("runs that converged", "not given", f"{sum(run.converged for run in runs)} of {len(runs)}"),
-        *(
-            Comparison(f"RMSE over the bound, largest of 12: {name}", "not given", _largest(ratio))
-            for name, ratio in ratios.items()
-        ),
-        Comparison("bound of a frame known as the preset over that of a known one", "not given", _largest(as_preset / known)),
-    )
-    rows = tuple(
-        (name, known[k], as_preset[k], *(ratio[k] for ratio in ratios.values())) for k, name in enumerate(INTRINSIC_NAMES)
-    )
-    return make_report(
-        "bsas-bound",
-        comparisons,
-        tables=(CsvTable("ratios", ("number", "bound", "bound with frame as the preset", *ratios), rows),),
+    columns = {"bound": known, "bound with frame as the preset": as_preset, **ratios}
+    rows = {name: {label: column[k] for label, column in columns.items()} for k, name in enumerate(INTRINSIC_NAMES)}
+    return Findings(
+        values={
+            "converged": sum(run.converged for run in runs),
+            "largest": {name: _largest(ratio) for name, ratio in ratios.items()},
+            "frame": _largest(as_preset / known),
+            "runs": len(runs),
+            "known": 1 / np.sqrt(2 * len(runs)),
+        },
+        tables=(keyed_table("ratios", "number", rows),),
         draw=figures.bars(INTRINSIC_NAMES, ratios, "RMSE over Cramér-Rao bound"),
-        runs=len(runs),
-        known=1 / np.sqrt(2 * len(runs)),
     )
 
 
-def _largest(ratio: FloatArray) -> str:
+def _largest(ratio: FloatArray) -> tuple[float, str]:
     worst = int(np.argmax(ratio))
-    return f"{ratio[worst]:.3f} ({INTRINSIC_NAMES[worst]})"
+    return ratio[worst], INTRINSIC_NAMES[worst]

@@ -17,7 +17,7 @@ from functools import cache, partial
 import numpy as np
 
 from imufield.calibrate.accelerometer.whitening import whitened_problem
-from imufield.calibrate.model.models import BIAS, MISALIGNMENT, QUADRATIC, SCALE, from_vector, predict, recover
+from imufield.calibrate.model.models import SCALE, from_vector, predict, recover
 from imufield.calibrate.solvers.beetles import solve_bsas
 from imufield.deliver.navigation.drift import Drift
 from imufield.earth import MICRO_G_M_S2
@@ -29,26 +29,18 @@ from imufield.study.instruments import (
     BSAS_GRAVITY_M_S2,
     BSAS_TRUTH,
     HARBIN_LATITUDE_DEG,
+    PresetError,
     bsas_directions,
     bsas_outputs,
 )
-from imufield.study.navigation import WhiteNoise, minute_curves, navigate_at_rest, rest_inputs
-from imufield.study.report import Comparison, StudyReport, make_report, numbered_table
+from imufield.study.navigation import minute_curves, navigate_at_rest, rest_inputs
+from imufield.study.report import Findings, numbered_table
 
 REPEATABILITY_M_S2 = 5 * MICRO_G_M_S2
 """1 sigma of the norm of a position: noise of the mean, flicker and turn-on of a 10 ug class instrument."""
-OLD_BIAS_M_S2 = 10 * MICRO_G_M_S2
-OLD_SCALE = 10e-6
-OLD_MISALIGNMENT_RAD = 10e-6
-OLD_QUADRATIC = 0.5
-"""1 sigma of what the old calibration is off by, quadratic term as a share of itself."""
+OLD = PresetError(scale=10e-6, bias_m_s2=10 * MICRO_G_M_S2, misalignment_rad=10e-6, quadratic=0.5)
+"""1 sigma of what the old calibration is off by."""
 GYROSCOPE_BIAS_DEG_PER_H = 0.01
-HOURS = 5.0
-"""As in the paper's Table 6."""
-_SETTING = (
-    "Instrument of BSAS Tables 1 and 4, simulated in place of the hardware. The old calibration is off by 10 ug, "
-    "10 ppm, 10 urad (1 sigma) and half of K2; a position repeats to 5 ug. Recalibrated from 24 positions by bsas."
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +57,7 @@ class Recalibration:
 def run_recalibration(_number: int, rng: np.random.Generator) -> Recalibration:
     """Recalibrate one instrument and check it at 36 positions."""
     # The old calibration, off the truth by a normal error of each kind of parameter.
-    size = np.zeros(len(BSAS_TRUTH))
-    size[SCALE] = OLD_SCALE * np.abs(BSAS_TRUTH[SCALE])
-    size[BIAS] = OLD_BIAS_M_S2
-    size[MISALIGNMENT] = OLD_MISALIGNMENT_RAD
-    size[QUADRATIC] = OLD_QUADRATIC * np.abs(BSAS_TRUTH[QUADRATIC])
-    old = BSAS_TRUTH + size * rng.standard_normal(len(size))
+    old = BSAS_TRUTH + OLD.of_each() * rng.standard_normal(len(BSAS_TRUTH))
     # 24 positions to calibrate, 36 others to check, each with an error of its own.
     raw = bsas_outputs(rng, REPEATABILITY_M_S2)
     problem = whitened_problem(old, raw, BSAS_GRAVITY_M_S2, quadratic_axes=BSAS_AXES)
@@ -86,64 +73,39 @@ def _recalibrations(context: StudyContext) -> list[Recalibration]:
     return context.campaign("bsas-table5", run_recalibration, range(context.runs(200, 5)))
 
 
-def table_5(context: StudyContext) -> StudyReport:
+def table_5(context: StudyContext) -> Findings:
     """Compare the norm error at 36 positions before and after."""
     runs = _recalibrations(context)
-    # Mean and standard deviation over the 36 positions, one row per instrument.
-    old = np.array([[run.old_error_ug.mean(), run.old_error_ug.std(ddof=1)] for run in runs])
-    new = np.array([[run.new_error_ug.mean(), run.new_error_ug.std(ddof=1)] for run in runs])
-    comparisons = (
-        Comparison("mean error, old parameters (ug)", "12.025", _spread(old[:, 0])),
-        Comparison("mean error, recalibrated (ug)", "7.253", _spread(new[:, 0])),
-        Comparison("SD of the error, old parameters (ug)", "8.296", _spread(old[:, 1])),
-        Comparison("SD of the error, recalibrated (ug)", "4.786", _spread(new[:, 1])),
-        Comparison("instruments whose mean error falls", "1 of 1", f"{(new[:, 0] < old[:, 0]).sum()} of {len(runs)}"),
-    )
+    # Mean and standard deviation over the 36 positions, one column per instrument.
+    old = np.transpose([[run.old_error_ug.mean(), run.old_error_ug.std(ddof=1)] for run in runs])
+    new = np.transpose([[run.new_error_ug.mean(), run.new_error_ug.std(ddof=1)] for run in runs])
+    # Unit vectors: their product is 1 where a check direction is one of the calibration.
+    near = bsas_directions("paper36") @ bsas_directions("paper24").T > 1 - 1e-9
+    shared = int(near.any(axis=1).sum())
     columns = ("instrument", "old mean", "old SD", "new mean", "new SD")
-    return make_report(
-        "bsas-table5",
-        comparisons,
-        tables=(numbered_table("errors", columns, np.hstack([old, new])),),
-        draw=figures.runs({"old": old[:, 0], "recalibrated": new[:, 0]}, "mean error (µg)"),
-        instrument=_SETTING,
-        runs=len(runs),
-        shared=directions_shared(),
+    return Findings(
+        values={"old": old, "new": new, "falls": (new[0] < old[0]).sum(), "runs": len(runs), "shared": shared},
+        tables=(numbered_table("errors", columns, np.vstack([old, new]).T),),
+        draw=figures.runs({"old": old[0], "recalibrated": new[0]}, "mean error (µg)"),
     )
 
 
-def _spread(values: FloatArray) -> str:
-    low, high = np.quantile(values, [0.05, 0.95])
-    return f"{np.median(values):.2f} (5 to 95 %: {low:.2f} to {high:.2f})"
-
-
-def figure_9(context: StudyContext) -> StudyReport:
+def figure_9(context: StudyContext) -> Findings:
     """Show the norm error at each of 36 positions for one instrument."""
     run = _recalibrations(context)[0]
-    comparisons = (
-        Comparison("range, old parameters (ug)", "1 to 35", f"{run.old_error_ug.min():.1f} to {run.old_error_ug.max():.1f}"),
-        Comparison("range, recalibrated (ug)", "1 to 25", f"{run.new_error_ug.min():.1f} to {run.new_error_ug.max():.1f}"),
-    )
     rows = zip(run.old_error_ug, run.new_error_ug, strict=True)
-    return make_report(
-        "bsas-fig9",
-        comparisons,
+    return Findings(
+        values={"old": run.old_error_ug, "new": run.new_error_ug},
         tables=(numbered_table("errors", ("position", "old (ug)", "recalibrated (ug)"), rows),),
         draw=figures.runs({"old": run.old_error_ug, "recalibrated": run.new_error_ug}, "error (µg)", xlabel="position"),
-        instrument=_SETTING,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Navigation:
-    """Five hours with old and new parameters: aligned with each, and told the attitude."""
-
-    old: Drift
-    new: Drift
-    old_told: Drift
-    new_told: Drift
+# Five hours with old and new parameters: aligned with each, and told the attitude.
+_FLIGHTS = ("old", "new", "old_told", "new_told")
 
 
-def run_navigation(number: int, rng: np.random.Generator) -> Navigation:
+def run_navigation(number: int, rng: np.random.Generator) -> dict[str, Drift]:
     """Recalibrate one instrument and let it navigate at rest, same recording for both parameter sets."""
     recalibrated = run_recalibration(number, rng)
     heading = 30.0
@@ -154,94 +116,64 @@ def run_navigation(number: int, rng: np.random.Generator) -> Navigation:
     rate = rate + np.radians(GYROSCOPE_BIAS_DEG_PER_H / 3600) * rng.choice([-1.0, 1.0], 3)
     seed = int(rng.integers(2**32))
     flown = []
-    navigate = partial(navigate_at_rest, rate_rad_s=rate, latitude_deg=HARBIN_LATITUDE_DEG, hours=HOURS, noise=WhiteNoise())
+    navigate = partial(navigate_at_rest, rate_rad_s=rate, latitude_deg=HARBIN_LATITUDE_DEG)
     for told in (None, np.array([0.0, 0.0, heading])):
         for vector in (recalibrated.old, recalibrated.new):
             shown = recover(from_vector(vector, None, BSAS_AXES), raw)[0]
             # The same noise: one recording, two parameter sets.
             flown.append(navigate(shown, rng=np.random.default_rng(seed), attitude_rph_deg=told))
-    return Navigation(*flown)
+    return dict(zip(_FLIGHTS, flown, strict=True))
 
 
 @cache
-def _navigations(context: StudyContext) -> list[Navigation]:
+def _navigations(context: StudyContext) -> list[dict[str, Drift]]:
     return context.campaign("bsas-table6", run_navigation, range(context.runs(40, 2)))
 
 
-def table_6(context: StudyContext) -> StudyReport:
+def table_6(context: StudyContext) -> Findings:
     """Compare the position error of five hours at rest before and after."""
     runs = _navigations(context)
-    figures_of = {
-        name: np.array([[getattr(r, name).position_nmi.max(), getattr(r, name).position_nmi.mean()] for r in runs])
-        for name in ("old", "new", "old_told", "new_told")
+    # Maximum and mean over the five hours, one column per instrument.
+    found = {
+        name: np.transpose([[run[name].position_nmi.max(), run[name].position_nmi.mean()] for run in runs]) for name in _FLIGHTS
     }
-    change = figures_of["new"][:, 0] / figures_of["old"][:, 0] - 1
-    median = np.median(change)
-    low, high = np.quantile(change, [0.05, 0.95])
-    comparisons = (
-        Comparison("maximum error, old parameters (nmi)", "3.1229", _spread(figures_of["old"][:, 0])),
-        Comparison("maximum error, recalibrated (nmi)", "3.0273", _spread(figures_of["new"][:, 0])),
-        Comparison("mean error, old parameters (nmi)", "1.8165", _spread(figures_of["old"][:, 1])),
-        Comparison("mean error, recalibrated (nmi)", "1.7583", _spread(figures_of["new"][:, 1])),
-        Comparison("change of the maximum by recalibration", "-3.1 %", f"{median:+.1%} (5 to 95 %: {low:+.1%} to {high:+.1%})"),
-        Comparison("maximum error told the attitude, old (nmi)", "not done", _spread(figures_of["old_told"][:, 0])),
-        Comparison("maximum error told the attitude, recalibrated (nmi)", "not done", _spread(figures_of["new_told"][:, 0])),
-    )
+    old, new = found["old"], found["new"]
     columns = ("instrument", "old maximum", "old mean", "new maximum", "new mean")
-    return make_report(
-        "bsas-table6",
-        comparisons,
-        tables=(numbered_table("errors", columns, np.hstack([figures_of["old"], figures_of["new"]])),),
-        draw=figures.bars(("maximum", "mean"), {name: np.median(figures_of[name], axis=0) for name in ("old", "new")}, "nmi"),
-        instrument=_SETTING,
-        runs=len(runs),
+    return Findings(
+        values={**found, "change": new[0] / old[0] - 1, "runs": len(runs)},
+        tables=(numbered_table("errors", columns, np.vstack([old, new]).T),),
+        draw=figures.bars(("maximum", "mean"), {name: np.median(found[name], axis=1) for name in ("old", "new")}, "nmi"),
     )
 
 
 def _first(context: StudyContext) -> dict[str, Drift]:
     run = _navigations(context)[0]
-    return {"old": run.old, "recalibrated": run.new}
+    return {"old": run["old"], "recalibrated": run["new"]}
 
 
-def figure_10(context: StudyContext) -> StudyReport:
+def figure_10(context: StudyContext) -> Findings:
     """Show latitude and longitude error over five hours."""
     runs = _first(context)
-    comparisons, panels = [], {}
-    for angle, old, recalibrated in (("latitude", "-0.0416", "-0.0402"), ("longitude", "0.0445", "0.0434")):
-        curves = {name: (run.hours, getattr(run, f"{angle}_deg")) for name, run in runs.items()}
-        panels[f"{angle} error (deg)"] = curves
-        comparisons += [
-            Comparison(f"{angle} error after 5 h, {name} (deg)", paper, f"{curves[name][1][-1]:.4f}")
-            for name, paper in (("old", old), ("recalibrated", recalibrated))
-        ]
-    return make_report(
-        "bsas-fig10",
-        comparisons,
+    curves = {
+        f"{angle} error": {name: (run.hours, getattr(run, f"{angle}_deg")) for name, run in runs.items()}
+        for angle in ("latitude", "longitude")
+    }
+    errors = {
+        f"{angle} after 5 h, {name}": degrees[-1] for angle, of_run in curves.items() for name, (_, degrees) in of_run.items()
+    }
+    return Findings(
+        values={"errors": errors},
         tables=(minute_curves(runs, ("latitude_deg", "longitude_deg")),),
-        draw=figures.over_time(panels),
-        instrument=_SETTING,
+        draw=figures.over_time({f"{angle} (deg)": of_run for angle, of_run in curves.items()}),
     )
 
 
-def figure_11(context: StudyContext) -> StudyReport:
+def figure_11(context: StudyContext) -> Findings:
     """Show the position error over five hours."""
     runs = _first(context)
-    comparisons = tuple(
-        Comparison(f"position error, {name} (nmi)", f"maximum {paper}", f"maximum {runs[name].position_nmi.max():.3f}")
-        for name, paper in (("old", "3.1229"), ("recalibrated", "3.0273"))
-    )
     curves = {name: (run.hours, run.position_nmi) for name, run in runs.items()}
-    return make_report(
-        "bsas-fig11",
-        comparisons,
+    return Findings(
+        values={"errors": {name: run.position_nmi for name, run in runs.items()}},
         tables=(minute_curves(runs, ("position_nmi",)),),
         draw=figures.over_time({"position error (nmi)": curves}),
-        instrument=_SETTING,
     )
-
-
-def directions_shared() -> int:
-    """Return how many of the 36 check directions are among the 24 of the calibration."""
-    # Unit vectors: their product is 1 where they are the same.
-    near = bsas_directions("paper36") @ bsas_directions("paper24").T > 1 - 1e-9
-    return int(near.any(axis=1).sum())

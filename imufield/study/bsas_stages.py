@@ -24,28 +24,17 @@ from imufield.study.context import StudyContext
 from imufield.study.instruments import (
     BSAS_AXES,
     BSAS_GRAVITY_M_S2,
-    BSAS_NOISE_M_S2,
     BSAS_TRUTH,
     FIELD_PRESET,
     PresetError,
     bsas_outputs,
     bsas_preset,
 )
-from imufield.study.report import Comparison, StudyReport, curves_table, make_report
+from imufield.study.report import Findings, curves_table
 
 CATEGORIES = ("scale factors", "biases", "misalignments", "quadratic terms")
 CATEGORY_OFF = (0.5, 0.5e-3, 1e-5, 0.002)
 """How far the preset of a category is off: raw/(m/s^2), m/s^2, rad, raw/(m/s^2)^2."""
-SETTING = (
-    "Instrument of BSAS Table 1, simulated: 24 positions, quadratic term on body axes as printed, noise of "
-    f"{BSAS_NOISE_M_S2:g} m/s^2 in the norm of a position, swarm of Table 2 with 300 iterations a category."
-)
-# Final costs at m beetles in the order of the panels; read as K, b, K2, T, which is the order of Fig. 4.
-_PAPER_FIG_3 = {
-    10: (8.365e-7, 7.564e-7, 8.112e-7, 7.344e-7),
-    6: (3.262e-6, 1.545e-6, 2.036e-6, 1.134e-6),
-    2: (6.112e-4, 6.335e-6, 4.513e-6, 1.620e-6),
-}
 _PANELS = (0, 1, 3, 2)  # Categories in the order of the paper's panels.
 _VARIED = (0.2, 0.5, 0.8)  # Probabilities tried; the paper prints them in its legends only.
 
@@ -86,63 +75,42 @@ def run_stage(stage: Stage, rng: np.random.Generator) -> FloatArray:
     return np.concatenate([history, np.full(stage.swarm.k_max - len(history), history[-1])])
 
 
-def _stages(context: StudyContext, name: str, stages: list[Stage], runs: int) -> list[FloatArray]:
-    """Return for each stage the histories of its runs, shape (runs, iterations)."""
-    return [np.array(histories) for histories in context.campaign_of_each(name, run_stage, stages, runs)]
+def _medians(context: StudyContext, name: str, stages: dict[str, Stage], runs: int) -> dict[str, FloatArray]:
+    """Return for each stage the median of the histories of its runs."""
+    found = context.campaign_of_each(name, run_stage, [*stages.values()], runs)
+    return {label: np.median(histories, axis=0) for label, histories in zip(stages, found, strict=True)}
 
 
-def figure_3(context: StudyContext) -> StudyReport:
+def figure_3(context: StudyContext) -> Findings:
     """Show convergence with different numbers of beetles and probabilities."""
     runs = context.runs(50, 2)
     plain = BsasSettings()
     variants = {f"m = {m}": replace(plain, m=m) for m in (2, 6, 10)}
     variants |= {f"p_st = {p:g}": replace(plain, p_st=p) for p in _VARIED}
     variants |= {f"p_pos = {p:g}": replace(plain, p_pos=p) for p in _VARIED}
-    stages = [Stage(panel, swarm) for panel in _PANELS for swarm in variants.values()]
-    found = _stages(context, "bsas-fig3", stages, runs)
-    median = {
-        (panel, label): np.median(histories, axis=0)
-        for (panel, label), histories in zip(((p, v) for p in _PANELS for v in variants), found, strict=True)
-    }
-    comparisons = [
-        Comparison(f"final cost, {CATEGORIES[panel]}, m = {m}", f"{paper:.3g}", f"{median[panel, f'm = {m}'][-1]:.3g}")
-        for m, papers in _PAPER_FIG_3.items()
-        for panel, paper in zip(_PANELS, papers, strict=True)
-    ]
-    curves = {f"{CATEGORIES[panel]}, {label}": curve for (panel, label), curve in median.items()}
-    panels = {CATEGORIES[panel]: {label: median[panel, label] for label in variants} for panel in _PANELS}
-    return make_report(
-        "bsas-fig3",
-        comparisons,
+    stages = {f"{CATEGORIES[p]}, {label}": Stage(p, swarm) for p in _PANELS for label, swarm in variants.items()}
+    curves = _medians(context, "bsas-fig3", stages, runs)
+    panels = {CATEGORIES[p]: {label: curves[f"{CATEGORIES[p]}, {label}"] for label in variants} for p in _PANELS}
+    final = {name: curves[name][-1] for m in (10, 6, 2) for name in (f"{CATEGORIES[p]}, m = {m}" for p in _PANELS)}
+    return Findings(
+        values={"final": final, "off": CATEGORY_OFF, "runs": runs},
         tables=(curves_table("convergence", "iteration", curves),),
         draw=figures.convergence(panels, "cost (m/s$^2$)"),
-        instrument=SETTING,
-        off=CATEGORY_OFF,
-        runs=runs,
     )
 
 
-def figure_4(context: StudyContext) -> StudyReport:
+def figure_4(context: StudyContext) -> Findings:
     """Compare BSAS with BAS by category."""
     runs = context.runs(50, 3)
-    stages = [Stage(panel, single=single) for panel in _PANELS for single in (False, True)]
-    found = _stages(context, "bsas-fig4", stages, runs)
-    comparisons = []
-    panels: dict[str, dict[str, FloatArray]] = {}
-    curves: dict[str, FloatArray] = {}
-    for k, panel in enumerate(_PANELS):
-        swarm, single = (np.median(found[2 * k + j], axis=0) for j in (0, 1))
-        paper = "BSAS below BAS" if panel != 2 else "BSAS below BAS, which hardly moves"
-        comparisons.append(Comparison(f"final cost, {CATEGORIES[panel]}", paper, f"BSAS {swarm[-1]:.3g}, BAS {single[-1]:.3g}"))
-        panels[CATEGORIES[panel]] = {"BSAS": swarm, "BAS": single}
-        curves |= {f"{CATEGORIES[panel]}, BSAS": swarm, f"{CATEGORIES[panel]}, BAS": single}
-    return make_report(
-        "bsas-fig4",
-        comparisons,
+    methods = {"BSAS": False, "BAS": True}
+    stages = {f"{CATEGORIES[p]}, {label}": Stage(p, single=single) for p in _PANELS for label, single in methods.items()}
+    curves = _medians(context, "bsas-fig4", stages, runs)
+    panels = {CATEGORIES[p]: {label: curves[f"{CATEGORIES[p]}, {label}"] for label in methods} for p in _PANELS}
+    final = {category: [curve[-1] for curve in of_method.values()] for category, of_method in panels.items()}
+    return Findings(
+        values={"final": final, "runs": runs},
         tables=(curves_table("convergence", "iteration", curves),),
         draw=figures.convergence(panels, "cost (m/s$^2$)"),
-        instrument=SETTING,
-        runs=runs,
     )
 
 
@@ -182,30 +150,22 @@ def _staged(context: StudyContext) -> dict[str, FloatArray]:
     return {**found, "bias off": np.array(off)}
 
 
-def staged(context: StudyContext) -> StudyReport:
+def staged(context: StudyContext) -> Findings:
     """Follow the staged procedure from presets as they are in the field."""
     found = _staged(context)
     runs = len(found["field"])
     moderate, field = (np.median(found[name][:, :-1], axis=0) for name in ("moderate", "field"))
-    claims = int(sum(found[name][:, -1].sum() for name in ("moderate", "field")))
-    bias_off = np.median(found["bias off"])
-    first, last = "cost after 1 round, presets off by", f"cost after {_ROUNDS} rounds of the same"
-    comparisons = (
-        Comparison("cost, four categories, truth as presets", "7.2e-7 to 7.4e-7", "see bsas-fig5"),
-        Comparison(f"{first} 0.5 raw/(m/s^2), 0.5e-3 m/s^2, 1e-5 rad", "not given", f"{moderate[0]:.2g}"),
-        Comparison(last, '"until the requirements are met"', f"{moderate[-1]:.2g}"),
-        Comparison(f"{first} up to 500 ppm, 1 mg, 100 urad, 100 % of K2", "not given", f"{field[0]:.2g}"),
-        Comparison(last, "not given", f"{field[-1]:.2g}"),
-        Comparison("scale stage with the bias presets off by 10 ug, best cost", "not given", f"{bias_off:.2g}"),
-        Comparison("runs that claim to have converged", "not said", f"{claims} of {2 * runs}"),
-    )
     curves = {"moderate presets": moderate, "field presets": field}
-    return make_report(
-        "bsas-staged",
-        comparisons,
+    return Findings(
+        values={
+            "moderate": moderate,
+            "field": field,
+            "bias_off": found["bias off"],
+            "claims": int(sum(found[name][:, -1].sum() for name in ("moderate", "field"))),
+            "claimants": 2 * runs,
+            "rounds": _ROUNDS,
+            "runs": runs,
+        },
         tables=(curves_table("rounds", "round", curves),),
         draw=figures.convergence({"median cost": curves}, "cost (m/s$^2$)", xlabel="round"),
-        instrument=SETTING,
-        rounds=_ROUNDS,
-        runs=runs,
     )

@@ -8,20 +8,23 @@ matrices are 3 x 3, and two workers with two threads each would compete for the 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import math
 import multiprocessing
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from types import ModuleType
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from imufield.errors import LinkError, LinkTimeoutError, Reason, UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
@@ -82,7 +85,7 @@ def run_campaign(
         If the scheduler does not answer or is lost.
     """
     if workers is not None and workers < 1:
-        raise UsageError(f"{workers} workers can do nothing; use 1 or more, or leave it out for one per core", workers=workers)
+        raise UsageError(sentence("campaign.workers", workers=workers))
     count = min(workers or os.cpu_count() or 1, max(len(arguments), 1))
     campaign = _Campaign(
         run=run,
@@ -160,12 +163,8 @@ def _on_processes(campaign: _Campaign[Argument, Result], workers: int) -> list[R
             if batch[0] not in campaign.results:
                 campaign.take(batch[0], [campaign.on_killed(argument) for argument in batch[1]])
         return campaign.in_order()
-    raise UsageError(
-        f"workers of the campaign were killed {_KILLS_ACCEPTED + 1} times, {len(open_batches)} batches are not "
-        "done; use fewer workers (the usual reason is lack of memory)",
-        Reason.USAGE,
-        workers=workers,
-    )
+    times, batches = _KILLS_ACCEPTED + 1, len(open_batches)
+    raise UsageError(sentence("campaign.killed", times=times, batches=batches), workers=workers)
 
 
 def _pool_pass(campaign: _Campaign[Argument, Result], batches: list[_Batch[Argument]], workers: int) -> None:
@@ -173,12 +172,9 @@ def _pool_pass(campaign: _Campaign[Argument, Result], batches: list[_Batch[Argum
     # "spawn": a forked child would inherit BLAS with the threads the parent started it with.
     pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
     try:
-        waiting: dict[Future[list[Result]], _Batch[Argument]] = {
-            pool.submit(run_batch, campaign.run, batch): batch for batch in batches
-        }
-        while waiting:
-            for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                campaign.take(waiting.pop(future)[0], future.result())
+        first_runs = {pool.submit(run_batch, campaign.run, batch): batch[0] for batch in batches}
+        for future in as_completed(first_runs):
+            campaign.take(first_runs[future], future.result())
     finally:
         # Also after an error of a run: no worker is left behind.
         pool.shutdown(wait=True, cancel_futures=True)
@@ -187,33 +183,29 @@ def _pool_pass(campaign: _Campaign[Argument, Result], batches: list[_Batch[Argum
 @contextlib.contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Let processes started within keep to one BLAS thread each."""
-    before = {name: os.environ.get(name) for name in BLAS_VARIABLES}
+    before = {name: os.environ[name] for name in BLAS_VARIABLES if name in os.environ}
     os.environ.update(dict.fromkeys(BLAS_VARIABLES, "1"))
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        for name in BLAS_VARIABLES:
+            os.environ.pop(name, None)
+        os.environ.update(before)
 
 
 def _on_cluster(campaign: _Campaign[Argument, Result], scheduler: str) -> list[Result]:
-    distributed = _distributed()
+    try:
+        distributed = importlib.import_module("distributed")
+    except ModuleNotFoundError as error:
+        missing = sentence("campaign.no_distributed", cause=error, package="distributed")
+        raise UsageError(missing, Reason.MISSING_PACKAGE) from error
     if not _ADDRESS.fullmatch(scheduler):
-        raise UsageError(
-            f"--scheduler {scheduler!r} is no address of a Dask scheduler reached by tcp; write e.g. tcp://host:8786"
-        )
+        raise UsageError(sentence("campaign.scheduler_address", scheduler=scheduler))
     try:
         client = distributed.Client(scheduler, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
-        raise LinkTimeoutError(
-            f"no Dask scheduler answers at {scheduler!r} within {_CONNECT_TIMEOUT_S:g} s ({error or 'silence'}); "
-            "check the address and that the scheduler runs",
-            Reason.SILENCE,
-            scheduler=scheduler,
-        ) from error
+        told = {"timeout_s": _CONNECT_TIMEOUT_S, "cause": str(error) or "silence"}
+        raise LinkTimeoutError(sentence("campaign.scheduler_silent", scheduler=scheduler, **told), Reason.SILENCE) from error
     with client:
         batches = campaign.batches(max(len(client.nthreads()), 1))
         # Not pure: two campaigns with the same arguments are two campaigns. Tasks of a worker that dies go to another.
@@ -230,22 +222,6 @@ def _on_cluster(campaign: _Campaign[Argument, Result], scheduler: str) -> list[R
                     results = [campaign.on_killed(argument) for argument in arguments]
                 campaign.take(first, results)
         except (distributed.KilledWorker, OSError) as error:
-            raise LinkError(
-                f"the Dask cluster at {scheduler!r} lost {len(batches) - len(campaign.results)} of {len(batches)} batches "
-                f"({error}); check its workers and start again, the result will be the same",
-                Reason.DISCONNECTED,
-                scheduler=scheduler,
-            ) from error
+            told = {"lost": len(batches) - len(campaign.results), "batches": len(batches), "cause": error}
+            raise LinkError(sentence("campaign.cluster_lost", scheduler=scheduler, **told), Reason.DISCONNECTED) from error
     return campaign.in_order()
-
-
-def _distributed() -> ModuleType:
-    try:
-        import distributed  # pyright: ignore[reportMissingImports]  (of the study extra)
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"--scheduler needs the package distributed, which is not installed ({error}); install imufield[study]",
-            Reason.MISSING_PACKAGE,
-            package="distributed",
-        ) from error
-    return distributed

@@ -22,9 +22,7 @@ def convergence(panels: dict[str, dict[str, FloatArray]], ylabel: str, *, xlabel
         for ax, (title, curves) in zip(_panels(figure, len(panels)), panels.items(), strict=True):
             for label, curve in curves.items():
                 ax.plot(np.arange(1, len(curve) + 1), curve, label=label, linewidth=1)
-            ax.set(title=title, xlabel=xlabel, ylabel=ylabel)
-            if log:
-                ax.set_yscale("log")
+            ax.set(title=title, xlabel=xlabel, ylabel=ylabel, yscale="log" if log else "linear")
             ax.legend(fontsize=7)
 
     return draw
@@ -50,9 +48,7 @@ def runs(series: dict[str, FloatArray], ylabel: str, *, xlabel: str = "run", log
         ax = figure.subplots()
         for label, values in series.items():
             ax.plot(np.arange(1, len(values) + 1), values, ".-", label=label, linewidth=0.7, markersize=4)
-        ax.set(xlabel=xlabel, ylabel=ylabel)
-        if log:
-            ax.set_yscale("log")
+        ax.set(xlabel=xlabel, ylabel=ylabel, yscale="log" if log else "linear")
         ax.legend(fontsize=8)
 
     return draw
@@ -68,9 +64,7 @@ def bars(labels: Sequence[str], series: dict[str, FloatArray], ylabel: str, *, l
         for k, (label, values) in enumerate(series.items()):
             ax.bar(np.arange(len(labels)) + (k - (len(series) - 1) / 2) * width, values, width, label=label)
         ax.set_xticks(range(len(labels)), labels, rotation=45, ha="right", fontsize=8)
-        ax.set_ylabel(ylabel)
-        if log:
-            ax.set_yscale("log")
+        ax.set(ylabel=ylabel, yscale="log" if log else "linear")
         ax.legend(fontsize=8)
 
     return draw

@@ -34,36 +34,17 @@ from imufield.study.instruments import (
     per_deg_h,
     triad_outputs,
 )
-from imufield.study.navigation import WhiteNoise, minute_curves, navigate_at_rest, rest_inputs
-from imufield.study.optimum import squares_optimum
-from imufield.study.report import Comparison, CsvTable, StudyReport, make_report
+from imufield.study.navigation import minute_curves, navigate_at_rest, rest_inputs
+from imufield.study.optimum import ComparedRun, compare
+from imufield.study.report import CsvTable, Findings
 
 METHODS = ("ga", "pso", "ide")
 COSTS = ("accelerometer", "norm", "vector")
 SUCCESS = 1.1
 """A run counts as a success within this many times the global optimum; the paper does not define its success."""
-# Table 5 of [1]_: success in per cent, mean and standard deviation of the cost.
-_PAPER = {
-    ("ga", "accelerometer"): (73.33, 0.1513, 0.1096),
-    ("pso", "accelerometer"): (86.67, 0.03387, 0.04783),
-    ("ide", "accelerometer"): (96.67, 0.004854, 8.5377e-4),
-    ("ga", "norm"): (60.0, 0.08360, 0.09456),
-    ("pso", "norm"): (83.33, 0.05049, 0.03806),
-    ("ide", "norm"): (100.0, 0.003075, 7.8156e-4),
-}
 _NAMES = {"accelerometer": "accelerometer, L_a", "norm": "gyroscope, L_gm as printed", "vector": "gyroscope, vector form"}
-HOURS = 5.0
-"""As in the paper's Fig. 10."""
 _FLOWN = (*METHODS, "ide, vector form")
 _QUICK_GENERATIONS = 100  # Of GA and PSO in a quick study: enough to see that they work.
-
-
-@dataclass(frozen=True, slots=True)
-class MethodRun:
-    """One run of one method on one cost."""
-
-    cost: float
-    optimum: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,48 +64,41 @@ class MethodJob:
         return load_solver(name)
 
 
-def run_method(job: MethodJob, rng: np.random.Generator) -> MethodRun:
+def run_method(job: MethodJob, rng: np.random.Generator) -> ComparedRun:
     """Draw a data set and solve it."""
     cost_name = job.cost_name
     problem: TriadProblem | TurnsProblem = ide_problem(rng) if cost_name == "accelerometer" else make_problem(cost_name, rng)
-    optimum, _ = squares_optimum(problem)
-    return MethodRun(job.solver()(problem, rng=rng).cost, optimum)
+    return compare(job.solver(), problem, rng)
 
 
 @cache
-def _runs(context: StudyContext) -> dict[tuple[str, str], list[MethodRun]]:
+def _runs(context: StudyContext) -> dict[tuple[str, str], list[ComparedRun]]:
     jobs = [MethodJob(method, cost, context.quick) for cost in COSTS for method in METHODS]
     found = context.campaign_of_each("ide-table5", run_method, jobs, context.runs(30, 2))
     return {(job.method, job.cost_name): runs for job, runs in zip(jobs, found, strict=True)}
 
 
-def table_5(context: StudyContext) -> StudyReport:
+def table_5(context: StudyContext) -> Findings:
     """Compare success rate, mean and standard deviation of GA, PSO and IDE."""
-    comparisons, rows = [], []
+    rows = {}
     for (method, cost), runs in _runs(context).items():
-        values = np.array([run.cost for run in runs])
-        success = np.mean([run.cost <= SUCCESS * run.optimum for run in runs])
+        values = np.array([run.found.cost for run in runs])
+        success = np.mean([run.found.cost <= SUCCESS * run.optimum for run in runs])
         # Within 1e-6 of the optimum: far below what noise or another data set would change.
-        at_optimum = sum(run.cost <= run.optimum * (1 + 1e-6) for run in runs)
-        paper = "not done" if (method, cost) not in _PAPER else "{:.2f} %, mean {:.4g}, SD {:.2g}".format(*_PAPER[method, cost])
-        ours = (
-            f"{success:.2%}, mean {values.mean():.4g}, SD {values.std(ddof=1):.2g}; at the optimum {at_optimum} of {len(runs)}"
-        )
-        comparisons.append(Comparison(f"{_NAMES[cost]}, {method.upper()}", paper, ours))
-        ratio = float(np.median([run.cost / run.optimum for run in runs]))
-        rows.append((cost, method, success, values.mean(), values.std(ddof=1), ratio, at_optimum))
+        at_optimum = sum(run.found.cost <= run.optimum * (1 + 1e-6) for run in runs)
+        ratio = float(np.median([run.found.cost / run.optimum for run in runs]))
+        name = f"{_NAMES[cost]}, {method.upper()}"
+        rows[name] = (cost, method, success, values.mean(), values.std(ddof=1), ratio, at_optimum)
     columns = ("cost", "method", "success rate", "mean", "SD", "median over optimum", "at the optimum")
-    return make_report(
-        "ide-table5",
-        comparisons,
-        tables=(CsvTable("methods", columns, tuple(rows)),),
+    return Findings(
+        values={"methods": rows, "runs": len(_runs(context)["ide", "norm"]), "success": SUCCESS},
+        tables=(CsvTable("methods", columns, tuple(rows.values())),),
         draw=figures.bars(
             [f"{_NAMES[cost].split(',')[0]} {cost} {method.upper()}" for method, cost in _runs(context)],
-            {"median cost over the optimum": np.array([row[5] for row in rows])},
+            {"median cost over the optimum": np.array([row[5] for row in rows.values()])},
             "cost / optimum",
             log=True,
         ),
-        success=SUCCESS,
     )
 
 
@@ -142,9 +116,7 @@ def run_flight(job: MethodJob, rng: np.random.Generator) -> Drift:
     force = force * IDE_GRAVITY_M_S2 / np.linalg.norm(force)
     shown_force = _inputs(accelerometer, triad_outputs(IDE_TRUTH, force[None]))
     shown_rate = np.radians(_inputs(gyroscope, triad_outputs(GYROSCOPE_TRUTH, np.degrees(rate)[None])))
-    return navigate_at_rest(
-        shown_force, shown_rate, BEIJING_LATITUDE_DEG, hours=HOURS, noise=WhiteNoise(), rng=rng, attitude_rph_deg=np.zeros(3)
-    )
+    return navigate_at_rest(shown_force, shown_rate, BEIJING_LATITUDE_DEG, rng=rng, attitude_rph_deg=np.zeros(3))
 
 
 def _static_bias(turns: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -183,18 +155,18 @@ def _flights(context: StudyContext) -> dict[str, list[Drift]]:
     return dict(zip(_FLOWN, context.campaign_of_each("ide-fig10", run_flight, jobs, context.runs(10, 1)), strict=True))
 
 
-def figure_10(context: StudyContext) -> StudyReport:
+def figure_10(context: StudyContext) -> Findings:
     """Show velocity and position errors of five hours at rest by method."""
     flights = _flights(context)
-    paper = {"ide": "less than 2 m/s north, 10 m/s east"}
-    comparisons = []
-    for method, runs in flights.items():
-        north = np.median([np.abs(run.north_velocity_m_s).max() for run in runs])
-        east = np.median([np.abs(run.east_velocity_m_s).max() for run in runs])
-        position = np.median([run.position_nmi.max() for run in runs])
-        ours = f"{north:.3g} m/s north, {east:.3g} m/s east, {position:.3g} nmi"
-        given = paper.get(method, "larger than ide" if method in METHODS else "not done")
-        comparisons.append(Comparison(f"largest errors in 5 h, {method}", given, ours))
+    largest = {
+        method: np.transpose(
+            [
+                [np.abs(curve).max() for curve in (run.north_velocity_m_s, run.east_velocity_m_s, run.position_nmi)]
+                for run in runs
+            ]
+        )
+        for method, runs in flights.items()
+    }
     first = {method: runs[0] for method, runs in flights.items()}
     quantities = {
         "east velocity error (m/s)": "east_velocity_m_s",
@@ -203,10 +175,8 @@ def figure_10(context: StudyContext) -> StudyReport:
         "longitude error (deg)": "longitude_deg",
     }
     panels = {label: {m: (run.hours, getattr(run, name)) for m, run in first.items()} for label, name in quantities.items()}
-    return make_report(
-        "ide-fig10",
-        comparisons,
+    return Findings(
+        values={"methods": largest, "runs": len(flights["ide"])},
         tables=(minute_curves(first, tuple(quantities.values())),),
         draw=figures.over_time(panels),
-        runs=len(flights["ide"]),
     )

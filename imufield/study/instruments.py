@@ -86,6 +86,15 @@ class PresetError:
     quadratic: float
     """Share of K2."""
 
+    def of_each(self) -> FloatArray:
+        """Return the size of the error of each parameter of [1]_, shape (15,)."""
+        size = np.empty(PARAMETERS)
+        size[SCALE] = self.scale * np.abs(BSAS_TRUTH[SCALE])
+        size[BIAS] = self.bias_m_s2
+        size[MISALIGNMENT] = self.misalignment_rad
+        size[QUADRATIC] = self.quadratic * np.abs(BSAS_TRUTH[QUADRATIC])
+        return size
+
 
 FIELD_PRESET = PresetError(500e-6, 1000 * MICRO_G_M_S2, 100e-6, 1.0)
 """An instrument long after its factory calibration: 500 ppm, 1 mg, 100 urad, all of K2."""
@@ -107,12 +116,7 @@ def bsas_outputs(rng: np.random.Generator, noise_m_s2: float = BSAS_NOISE_M_S2, 
 
 def bsas_preset(rng: np.random.Generator, error: PresetError = FIELD_PRESET) -> FloatArray:
     """Return the true parameters of [1]_, off by ``error``, shape (15,)."""
-    size = np.empty(PARAMETERS)
-    size[SCALE] = error.scale * np.abs(BSAS_TRUTH[SCALE])
-    size[BIAS] = error.bias_m_s2
-    size[MISALIGNMENT] = error.misalignment_rad
-    size[QUADRATIC] = error.quadratic * np.abs(BSAS_TRUTH[QUADRATIC])
-    preset: FloatArray = BSAS_TRUTH + size * rng.uniform(-1, 1, PARAMETERS)
+    preset: FloatArray = BSAS_TRUTH + error.of_each() * rng.uniform(-1, 1, PARAMETERS)
     return preset
 
 

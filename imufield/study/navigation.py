@@ -22,6 +22,8 @@ from imufield.samples import FloatArray
 from imufield.study.report import CsvTable
 
 STEP_S = 1.0
+HOURS = 5.0
+"""As in BSAS Table 6 and IDE Fig. 10."""
 ALIGNMENT_S = 600.0
 LONGITUDE_DEG = 120.0
 DOWN_UP = np.diag([1.0, -1.0, -1.0])
@@ -34,6 +36,9 @@ class WhiteNoise:
 
     accelerometer_m_s2_per_root_hz: float = 10 * MICRO_G_M_S2
     gyroscope_deg_per_root_hour: float = 0.003
+
+
+INSTRUMENT_NOISE = WhiteNoise()
 
 
 def rest_inputs(latitude_deg: float, heading_deg: float = 0.0) -> tuple[FloatArray, FloatArray]:
@@ -50,8 +55,8 @@ def navigate_at_rest(
     rate_rad_s: FloatArray,
     latitude_deg: float,
     *,
-    hours: float,
-    noise: WhiteNoise,
+    hours: float = HOURS,
+    noise: WhiteNoise = INSTRUMENT_NOISE,
     rng: np.random.Generator,
     attitude_rph_deg: FloatArray | None = None,
 ) -> Drift:
@@ -62,8 +67,8 @@ def navigate_at_rest(
     force_m_s2, rate_rad_s : ndarray, shape (3,)
         What the calibrated instrument shows at rest, noise apart, in our body axes.
     latitude_deg : float
-    hours : float
-    noise : WhiteNoise
+    hours : float, optional
+    noise : WhiteNoise, optional
     rng : Generator
     attitude_rph_deg : ndarray, shape (3,), optional
         Roll, pitch, heading to start with; without it the unit aligns itself for ten minutes first.

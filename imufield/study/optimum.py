@@ -19,6 +19,7 @@ References
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -28,7 +29,7 @@ from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import norm_derivatives
 from imufield.calibrate.model.observability import generators
 from imufield.calibrate.model.result import QuadraticAxes
-from imufield.calibrate.solvers.base import Problem
+from imufield.calibrate.solvers.base import Problem, Solver, SolverResult
 from imufield.calibrate.solvers.costs import NormProblem
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.samples import FloatArray
@@ -72,30 +73,40 @@ def _absolute_step(residual: FloatArray, A: FloatArray) -> FloatArray:
 
 def squares_optimum(problem: Problem) -> tuple[float, FloatArray]:
     """Return the minimum of a root-sum-of-squares cost within the bounds and where it is, from their middle."""
+    from scipy.optimize import least_squares  # slow to load, and only a study needs it
+
     x = solve_least_squares(problem, loss="linear").x
     lower, upper = problem.bounds
     if not np.all((lower <= x) & (x <= upper)):
-        x = _bounded(problem)
+        tolerance = 1e-14
+        bounded = least_squares(
+            problem.residuals,
+            problem.start,
+            jac=cast("Any", problem.jacobian),  # pyright's stubs of scipy know strings only
+            bounds=problem.bounds,
+            # Half the bounds is the size of a coordinate; an entry with equal bounds must not scale by zero.
+            x_scale=np.maximum((upper - lower) / 2, 1e-12),
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=tolerance,
+            max_nfev=2000,
+        )
+        x = np.asarray(bounded.x, dtype=np.float64)
     return float(problem.cost(x[None])[0]), x
 
 
-def _bounded(problem: Problem) -> FloatArray:
-    from scipy.optimize import least_squares  # slow to load, and only a study needs it
+@dataclass(frozen=True, slots=True)
+class ComparedRun:
+    """What a solver found, and the optimum of the same data."""
 
-    tolerance = 1e-14
-    found = least_squares(
-        problem.residuals,
-        problem.start,
-        jac=cast("Any", problem.jacobian),  # pyright's stubs of scipy know strings only
-        bounds=problem.bounds,
-        # Half the bounds is the size of a coordinate; an entry with equal bounds must not scale by zero.
-        x_scale=np.maximum((problem.bounds[1] - problem.bounds[0]) / 2, 1e-12),
-        ftol=tolerance,
-        xtol=tolerance,
-        gtol=tolerance,
-        max_nfev=2000,
-    )
-    return np.asarray(found.x, dtype=np.float64)
+    found: SolverResult
+    optimum: float
+
+
+def compare(solver: Solver, problem: Problem, rng: np.random.Generator) -> ComparedRun:
+    """Solve a problem whose cost is a root of a sum of squares."""
+    optimum, _ = squares_optimum(problem)
+    return ComparedRun(solver(problem, rng=rng), optimum)
 
 
 def cramer_rao_bound(

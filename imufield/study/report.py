@@ -9,21 +9,29 @@ import csv
 import importlib
 import io
 import re
+import string
 import tomllib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from imufield.deliver.parameters.numbers import WIDTH, hanging
 from imufield.errors import Reason, UsageError
 from imufield.files import typed_write_errors, write_atomically
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+from imufield.study import instruments
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+sentence = Sentences(__package__)
 
 _GAP = "  "  # Between the columns of a terminal.
 Draw = Callable[["Figure"], None]
@@ -65,38 +73,80 @@ class StudyReport:
     columns: tuple[str, str, str] = ("", "paper", "ours")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Findings:
+    """What a study computes; ``make_report`` puts it into words."""
+
+    values: Mapping[str, object] = field(default_factory=dict)
+    """What the words of ``texts.toml`` name."""
+    tables: tuple[CsvTable, ...] = ()
+    draw: Draw | None = None
+
+
 @cache
-def _texts() -> dict[str, dict[str, object]]:
+def texts() -> dict[str, dict[str, Any]]:
+    """Return the words of ``texts.toml`` by study, and those of the ``instruments``."""
     return tomllib.loads((files("imufield.study") / "texts.toml").read_text(encoding="utf-8"))
 
 
-def make_report(
-    name: str,
-    comparisons: Iterable[Comparison],
-    *,
-    tables: tuple[CsvTable, ...] = (),
-    draw: Draw | None = None,
-    columns: tuple[str, str, str] = ("", "paper", "ours"),
-    **values: object,
-) -> StudyReport:
-    """Return the report of a study: its words of ``texts.toml``, with ``values`` filled in."""
-
-    def fill(text: object) -> str:
-        # Line breaks of the file mean nothing.
-        return " ".join(str(text).format(**values).split())
-
-    text = _texts()[name]
-    differences = text["differences"]
+def make_report(name: str, findings: Findings) -> StudyReport:
+    """Return the report of a study: its words, with what was found filled in."""
+    text = texts()[name]
+    told = {key: _fill(words, vars(instruments)) for key, words in texts()["instruments"].items()}
+    values = {**told, **findings.values}
+    comparisons: list[Comparison] = []
+    for row in text["comparisons"]:
+        if len(row) == 3:
+            comparisons.append(Comparison(*(_fill(cell, values) for cell in row)))
+            continue
+        # Once for each entry of a value: what is compared beside it has the same place in the paper.
+        entries = findings.values[row[0]]
+        assert isinstance(entries, Mapping)  # noqa: S101  texts.toml and the studies belong together
+        papers = text.get("paper", {}).get(row[0], [""] * len(entries))
+        for (label, value), paper in zip(entries.items(), papers, strict=True):
+            of_entry = {**values, "name": label, "value": value, "paper": paper}
+            comparisons.append(Comparison(*(_fill(cell, of_entry) for cell in row[1:])))
     return StudyReport(
         name=name,
-        title=fill(text["title"]),
-        setting=fill(text["setting"]),
+        title=_fill(text["title"], values),
+        setting=_fill(text["setting"], values),
         comparisons=tuple(comparisons),
-        differences=tuple(map(fill, differences)) if isinstance(differences, list) else (),
-        tables=tables,
-        draw=draw,
-        columns=columns,
+        differences=tuple(_fill(difference, values) for difference in text["differences"]),
+        tables=findings.tables,
+        draw=findings.draw,
+        columns=tuple(text.get("columns", ("", "paper", "ours"))),
     )
+
+
+# Figures of an array that a text can name, and the words between them where there are several.
+_STATISTICS: dict[str, tuple[str, Callable[[FloatArray], ArrayLike]]] = {
+    "mean": ("{}", np.mean),
+    "median": ("{}", np.median),
+    "sd": ("{}", lambda values: np.std(values, ddof=1)),
+    "rms": ("{}", lambda values: np.sqrt(np.mean(values**2))),
+    "largest": ("{}", np.max),
+    "range": ("{} to {}", lambda values: (np.min(values), np.max(values))),
+    "spread": ("{} (5 to 95 %: {} to {})", lambda values: (np.median(values), *np.quantile(values, [0.05, 0.95]))),
+}
+
+
+class _Format(string.Formatter):
+    def format_field(self, value: Any, format_spec: str) -> str:
+        name, _, of_number = format_spec.partition(" ")
+        if name not in _STATISTICS:
+            return format(value, format_spec)
+        words, statistic = _STATISTICS[name]
+        return words.format(*(format(number, of_number) for number in np.atleast_1d(statistic(value))))
+
+
+def _fill(text: str, values: Mapping[str, object]) -> str:
+    return " ".join(_Format().vformat(text, (), values).split())
+
+
+def keyed_table(name: str, label: str, rows: Mapping[str, Mapping[str, object]]) -> CsvTable:
+    """Return a table whose first column has the keys, the others are named as the values of each row."""
+    columns = next(iter(rows.values()))
+    return CsvTable(name, (label, *columns), tuple((key, *row.values()) for key, row in rows.items()))
 
 
 def numbered_table(name: str, columns: tuple[str, ...], rows: Iterable[Iterable[object]]) -> CsvTable:
@@ -127,7 +177,7 @@ def as_text(report: StudyReport) -> str:
             lines.append(comparison.what)
             for name, words in zip(report.columns[1:], (comparison.paper, comparison.ours), strict=True):
                 lines += [hanging(f"  {name:<{width}}  ", words)] if words else []
-    lines += ["", *(hanging("* ", sentence) for sentence in report.differences)]
+    lines += ["", *(hanging("* ", difference) for difference in report.differences)]
     return "\n".join(lines) + "\n"
 
 
@@ -136,7 +186,7 @@ def as_markdown(report: StudyReport) -> str:
     lines = [f"## {report.name}: {report.title}", "", report.setting, ""]
     lines += [_markdown_row(report.columns), "|---|---|---|"]
     lines += [_markdown_row((c.what, c.paper, c.ours)) for c in report.comparisons]
-    lines += ["", *(f"* {sentence}" for sentence in report.differences)]
+    lines += ["", *(f"* {difference}" for difference in report.differences)]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -145,13 +195,13 @@ def _markdown_row(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-def save(report: StudyReport, folder: Path, *, plot: bool = True) -> tuple[Path, ...]:
+def save(report: StudyReport, folder: Path) -> tuple[Path, ...]:
     """Write the CSV files and the plot of a report; return their paths.
 
     Raises
     ------
     UsageError
-        If a plot is wanted and matplotlib is not installed.
+        If matplotlib, which draws the plot, is not installed.
     """
     with typed_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -161,9 +211,9 @@ def save(report: StudyReport, folder: Path, *, plot: bool = True) -> tuple[Path,
     for table in report.tables:
         written.append(folder / f"{report.name}-{re.sub(r'[^a-z0-9]+', '-', table.name.lower())}.csv")
         _write_csv(written[-1], table)
-    if plot and report.draw is not None:
+    if report.draw is not None:
         written.append(folder / f"{report.name}.png")
-        _write_plot(report, written[-1])
+        _write_plot(report, report.draw, written[-1])
     return tuple(written)
 
 
@@ -176,18 +226,13 @@ def _write_csv(path: Path, table: CsvTable) -> None:
         write_atomically(path, text.getvalue().encode())
 
 
-def _write_plot(report: StudyReport, path: Path) -> None:
+def _write_plot(report: StudyReport, draw: Draw, path: Path) -> None:
     try:
         figures = importlib.import_module("matplotlib.figure")
     except ModuleNotFoundError as error:
-        raise UsageError(
-            f"plots need the package matplotlib, which is not installed ({error}); install imufield[study], or ask for no plot",
-            Reason.MISSING_PACKAGE,
-            package="matplotlib",
-        ) from error
+        raise UsageError(sentence("report.no_matplotlib", cause=error, package="matplotlib"), Reason.MISSING_PACKAGE) from error
     figure = figures.Figure(figsize=(8, 5), layout="constrained")
-    if report.draw is not None:
-        report.draw(figure)
+    draw(figure)
     figure.suptitle(f"{report.name}: {report.title}", fontsize=10)
     image = io.BytesIO()
     figure.savefig(image, format="png")

@@ -1,48 +1,54 @@
-"""Run studies, save their results, and write the document: the calls behind ``imufield study``."""
+"""Find studies by name, run them, save their results, and write the document: the calls behind ``imufield study``.
+
+Listing imports nothing; a study's module is imported when it runs.
+"""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from imufield.errors import UsageError
 from imufield.files import typed_write_errors, write_atomically
+from imufield.sentences import Sentences
 from imufield.study.context import StudyContext
-from imufield.study.registry import find_studies, load_study
-from imufield.study.report import StudyReport, as_markdown, save
+from imufield.study.report import StudyReport, as_markdown, make_report, save, texts
 from imufield.version import __version__
 
+sentence = Sentences(__package__)
+
+STUDIES = tuple(name for name, text in texts().items() if "function" in text)
+"""In the order of the papers, which is that of the document."""
 TITLE = "# The papers' tables and figures, reproduced"
 """First line of the document."""
-_HEAD = """{title}
-
-Every table and figure of the two papers that can be computed, the paper's figure beside ours. Where the paper used
-hardware, a simulated instrument stands in its place, and the setting says so.
-
-From {size} of all studies with seed {seed} and imufield {version}. The same seed gives the same figures on any number of
-workers.
-
-* BSAS: P. Wang et al., "In-Field Calibration of Triaxial Accelerometer Based on Beetle Swarm Antenna Search Algorithm",
-  Sensors, 2020.
-* IDE: Y. Liu et al., "A New Norm-Observed Calibration Method Based on Improved Differential Evolution Algorithm for
-  SINS", 2021.
-"""
 
 
-def run_study(
-    name: str, context: StudyContext | None = None, *, folder: Path | None = None, plot: bool = True
-) -> Iterator[StudyReport]:
+def find_studies(name: str) -> tuple[str, ...]:
+    """Return the studies of a name: one, "all", or all of a paper ("bsas", "ide").
+
+    Raises
+    ------
+    UsageError
+        If there is none.
+    """
+    found = tuple(study for study in STUDIES if name in (study, "all", study.partition("-")[0]))
+    if not found:
+        raise UsageError(sentence("run.no_study", study=name, studies=STUDIES))
+    return found
+
+
+def run_study(name: str, context: StudyContext, *, folder: Path | None = None) -> Iterator[StudyReport]:
     """Run one study, all of a paper, or all; yield each report as it is done.
 
     Parameters
     ----------
     name : str
-        A name of ``registry.STUDIES``, "bsas", "ide" or "all".
-    context : StudyContext, optional
+        One of ``STUDIES``, "bsas", "ide" or "all".
+    context : StudyContext
         Seed, size, workers.
     folder : Path, optional
         Where CSV files and plots go; without it nothing is written.
-    plot : bool
-        Whether to draw (needs matplotlib).
 
     Raises
     ------
@@ -51,11 +57,12 @@ def run_study(
     LinkError
         If a scheduler was given and does not answer.
     """
-    context = context or StudyContext()
     for study in find_studies(name):
-        report = load_study(study)(context)
+        module, _, function = texts()[study]["function"].partition(".")
+        compute = getattr(importlib.import_module(f"imufield.study.{module}"), function)
+        report = make_report(study, compute(context, **texts()[study].get("arguments", {})))
         if folder is not None:
-            save(report, folder, plot=plot)
+            save(report, folder)
         yield report
 
 
@@ -63,7 +70,7 @@ def write_document(reports: Iterable[StudyReport], path: Path, context: StudyCon
     """Write reports as one Markdown document, with seed and version."""
     # The words of a quick run warn whoever finds the document later.
     size = "a quick run, too few runs to quote" if context.quick else "a full run"
-    head = _HEAD.format(title=TITLE, size=size, seed=context.seed, version=__version__)
+    head = str(texts()["document"]["head"]).format(title=TITLE, size=size, seed=context.seed, version=__version__)
     sections = [as_markdown(report) for report in reports]
     with typed_write_errors(path):
         write_atomically(path, "\n".join([head, *sections]).encode())

@@ -63,7 +63,7 @@ def sending(data: bytes) -> Iterator[str]:
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
     try:
-        yield terminal.port
+        yield terminal.address
     finally:
         stopping.set()
         thread.join()
@@ -120,7 +120,7 @@ def test_nothing_is_sent_unless_asked_to() -> None:
 
 def test_silence_and_noise_are_told_apart() -> None:
     terminal = PseudoTerminal()
-    silent = probe_port(terminal.port, None, SystemClock())
+    silent = probe_port(terminal.address, None, SystemClock())
     terminal.close()
     assert silent.error is not None
     assert (silent.found, silent.error.reason) == (None, Reason.SILENCE)
@@ -148,7 +148,7 @@ def test_several_bit_rates_are_tried_on_a_port_that_stays_open() -> None:
 def test_a_silent_port_is_given_up_early() -> None:
     terminal, clock = PseudoTerminal(), SystemClock()
     begin_s = clock.monotonic_s()
-    found = search(terminal.port, serial_candidates(), [115200, 9600, 921600], clock)
+    found = search(terminal.address, serial_candidates(), [115200, 9600, 921600], clock)
     found.link.close()
     terminal.close()
     assert len(found.hearings) == 3

@@ -17,9 +17,8 @@ from imufield.errors import Reason, UsageError
 from imufield.study import bsas_bound, bsas_runs, instruments
 from imufield.study.context import StudyContext
 from imufield.study.instruments import BSAS_TRUTH, bsas_preset, static_rates_deg_s
-from imufield.study.registry import STUDIES, find_studies
-from imufield.study.report import Comparison, CsvTable, StudyReport, as_markdown, as_text, save
-from imufield.study.run import run_study, write_document
+from imufield.study.report import Comparison, CsvTable, Findings, StudyReport, as_markdown, as_text, make_report, save
+from imufield.study.run import STUDIES, find_studies, run_study, write_document
 from tests.refused import refused
 
 # The papers' tables and figures (docs/study.md), and the papers' input tables.
@@ -125,8 +124,8 @@ def test_equation_26_is_said_to_be_rank_3(report_of: Callable[[str], StudyReport
 def test_estimates_keep_their_own_presets() -> None:
     # The vector of a run is truth plus what the stage found, not plus its preset's error.
     run = bsas_runs.run_categories(False, np.random.default_rng(1))
-    assert np.abs(run.vector[:3] - BSAS_TRUTH[:3]).max() < 1e-5
-    assert np.abs(run.vector[3:6] - BSAS_TRUTH[3:6]).max() < 1e-6
+    assert np.abs(run.vectors[0, :3] - BSAS_TRUTH[:3]).max() < 1e-5
+    assert np.abs(run.vectors[0, 3:6] - BSAS_TRUTH[3:6]).max() < 1e-6
 
 
 def test_presets_stay_within_what_is_said() -> None:
@@ -145,12 +144,25 @@ def test_the_earth_turns_once_a_sidereal_day_at_every_position() -> None:
 
 
 def test_names_of_studies() -> None:
-    assert [study.name for study in find_studies("ide-fig5")] == ["ide-fig5"]
-    assert all(study.name.startswith("bsas") for study in find_studies("bsas"))
+    assert find_studies("ide-fig5") == ("ide-fig5",)
+    assert find_studies("bsas") == tuple(name for name in STUDIES if name.startswith("bsas"))
     assert len(find_studies("all")) == len(STUDIES)
-    with refused(UsageError, Reason.USAGE, "all, bsas, ide", "bsas-table1") as caught:
+    with refused(UsageError, Reason.USAGE, "all, bsas, ide", "bsas-table1, bsas-table2", key="run.no_study") as caught:
         find_studies("table9")
     assert caught.value.values["study"] == "table9"
+
+
+def test_words_name_figures_of_what_was_found() -> None:
+    five = np.array([1.0, 2.0, 3.0, 4.0, 10.0])
+    found = Findings(values={"old": [five, five], "new": [five / 2, five], "falls": 1, "runs": 1, "shared": 6})
+    report = make_report("bsas-table5", found)
+    # Quantiles by hand: 5 % of four intervals is a fifth of the first, 95 % four fifths of the last.
+    expected = Comparison("mean error, old parameters (ug)", "12.025", "3.00 (5 to 95 %: 1.20 to 8.80)")
+    assert report.comparisons[0] == expected
+    assert report.comparisons[4].ours == "1 of 1"
+    errors = make_report("bsas-fig7", Findings(values={"errors": {f"K_{n}": np.array([3.0, -4.0]) for n in "xyz"}, "runs": 2}))
+    assert [c.ours for c in errors.comparisons] == ["RMSE 3.54"] * 3
+    assert [c.paper for c in errors.comparisons] == [f"RMSE {x:.3g}" for x in (3.535e-5, 4.945e-5, 2.523e-5)]
 
 
 EXAMPLE = StudyReport(

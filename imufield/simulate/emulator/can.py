@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import can
@@ -83,13 +82,11 @@ class CanEmulator(EmulatorCore):
     faults : CanFaults, optional
     seed : int
         Of the faults.
-    on_progress : callable, optional
-        Called by the thread after each slice that sent samples.
 
     Raises
     ------
     UsageError
-        If the speed or the bus makes no sense.
+        If the bus makes no sense.
     LinkError
         If the bus cannot be opened.
     """
@@ -103,43 +100,36 @@ class CanEmulator(EmulatorCore):
         *,
         faults: CanFaults | None = None,
         seed: int = 0,
-        on_progress: Callable[[], None] | None = None,
     ) -> None:
+        settings = settings or EmulatorSettings()
         self.injector = CanFaultInjector(faults or CanFaults(), seed)
-        super().__init__(source, settings, self.injector, 0.0, on_progress=on_progress)
         self.encoder = CanEncoder(protocol)
+        self._bus: BusPort | SlcanDevice = SlcanDevice(PseudoTerminal(settings.link)) if bus == SLCAN else BusPort(bus)
+        super().__init__(source, settings, self._bus, self.injector)
+        # An adapter hands out nothing before its channel is open, so it always waits for that.
+        self._waits |= bus == SLCAN
         self.frames_sent = 0
         messages = protocol.can.messages if protocol.can else ()
         # By PGN: bits 8 to 25 of the 29 of an identifier.
         self._messages = {message.can_id >> 8 & 0x3FFFF: message.name for message in messages}
-        self._port: BusPort | SlcanDevice = SlcanDevice(PseudoTerminal(self.settings.link)) if bus == SLCAN else BusPort(bus)
         self._start_wall_s = 0.0
         self._pending: list[Frame] = []  # Kept back while the instrument stalls.
 
     @property
-    def address(self) -> str:
-        """What a host opens."""
-        return self._port.address
-
-    @property
     def bus(self) -> str:
         """What a host opens."""
-        return self._port.address
-
-    def _must_wait(self) -> bool:
-        # An adapter hands out nothing before its channel is open, so it always waits for that.
-        return (self.settings.wait_for_reader or isinstance(self._port, SlcanDevice)) and not self._port.has_reader()
+        return self.address
 
     def _power_on(self) -> None:
         self._start_wall_s = time.time()
 
     def _listen(self) -> None:
         """Answer J1939 requests for the messages this instrument has."""
-        for frame in self._port.receive():
+        for frame in self._bus.receive():
             if frame.can_id & EXTENDED and frame.can_id >> 16 & 0xFF == _REQUEST_PF and len(frame.data) >= 3:
                 name = self._messages.get(int.from_bytes(frame.data[:3], "little"))
                 if name is not None:
-                    self._port.send([self.encoder.frame(name, _VERSION if name == "SoftwareVersion" else {})])
+                    self._bus.send([self.encoder.frame(name, _VERSION if name == "SoftwareVersion" else {})])
 
     def _put(self, samples: Samples, duration_s: float, *, stalled: bool) -> None:
         self.encoder.counter_offset += self.injector.counter_jump(duration_s)
@@ -160,12 +150,12 @@ class CanEmulator(EmulatorCore):
             self._send_pending()
 
     def _send_pending(self) -> None:
-        self._port.send(self._pending)
+        self._bus.send(self._pending)
         self.frames_sent += len(self._pending)
         self._pending = []
 
     def _go_away(self) -> None:
-        self._port.send(error_burst(self.time_s))
+        self._bus.send(error_burst(self.time_s))
 
     def _come_back(self) -> None:
         """Do nothing: the next frames are sent."""
@@ -173,6 +163,3 @@ class CanEmulator(EmulatorCore):
     def _linger(self) -> None:
         self._send_pending()
         self._stopping.wait(LINGER_S)
-
-    def _close(self) -> None:
-        self._port.close()

@@ -14,15 +14,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Self
+from typing import Protocol, Self
 
 import numpy as np
 
 from imufield.errors import UsageError
 from imufield.samples import Samples, Status
+from imufield.sentences import Sentences
 from imufield.simulate.emulator.faults import Chances
 from imufield.simulate.truth.source import SampleSource
+
+sentence = Sentences(__package__)
 
 SLICE_S = 0.008
 """Wall time between writes: short against the 20 ms a reader gathers, long against the cost of a wake-up."""
@@ -35,7 +37,13 @@ _LARGEST_BLOCK_S = 1.0  # Instrument's time made at once after a delay; keeps st
 
 @dataclass(frozen=True, slots=True)
 class EmulatorSettings:
-    """How the emulator runs."""
+    """How the emulator runs.
+
+    Raises
+    ------
+    UsageError
+        If the speed makes no sense.
+    """
 
     speed: float = 1.0
     """Times real time."""
@@ -46,6 +54,26 @@ class EmulatorSettings:
     link: Path | None = None
     """Symbolic link to the port."""
 
+    def __post_init__(self) -> None:
+        if not 0 < self.speed <= MAXIMUM_SPEED:
+            raise UsageError(sentence("core.speed", speed=self.speed, limit=MAXIMUM_SPEED))
+
+
+class Port(Protocol):
+    """The instrument's end of a wire."""
+
+    @property
+    def address(self) -> str:
+        """What a host opens."""
+        ...
+
+    def has_reader(self) -> bool:
+        """Return whether a host is there."""
+        ...
+
+    def close(self) -> None:
+        """Take the port away."""
+
 
 class EmulatorCore(ABC):
     """An instrument on a wire, run by a thread from ``start`` (or ``with``) to ``stop``.
@@ -54,39 +82,32 @@ class EmulatorCore(ABC):
     ----------
     source : SampleSource
         Gives the samples.
-    settings : EmulatorSettings or None
+    settings : EmulatorSettings
+    port : Port
     chances : Chances
         Of faults.
     start_up_s : float
         Time after power-on in which samples are flagged as those of an instrument that starts.
-    on_progress : callable or None
-        Called by the thread after each slice that sent samples.
 
-    Raises
-    ------
-    UsageError
-        If the speed makes no sense.
+    Attributes
+    ----------
+    on_progress : callable or None
+        Called by the thread after each slice that sent samples; set before ``start``.
     """
 
     def __init__(
-        self,
-        source: SampleSource,
-        settings: EmulatorSettings | None,
-        chances: Chances,
-        start_up_s: float,
-        *,
-        on_progress: Callable[[], None] | None,
+        self, source: SampleSource, settings: EmulatorSettings, port: Port, chances: Chances, *, start_up_s: float = 0.0
     ) -> None:
         self.source = source
-        self.settings = settings or EmulatorSettings()
-        if not 0 < self.settings.speed <= MAXIMUM_SPEED:
-            raise UsageError(f"speed {self.settings.speed:g} is outside 0 to {MAXIMUM_SPEED:g}; 1 is real time")
+        self.settings = settings
+        self.on_progress: Callable[[], None] | None = None
         self.samples_sent = 0
         self.failure: BaseException | None = None  # What ended the thread, if it did not end by itself.
         self._chances = chances
         asked_s = chances.common.start_up_s
         self._start_up_s = start_up_s if asked_s is None else asked_s
-        self._on_progress = on_progress
+        self._port = port
+        self._waits = settings.wait_for_reader
         self._stopping = threading.Event()
         self._finished = threading.Event()
         self._thread = threading.Thread(target=self._run, name="emulator", daemon=True)
@@ -96,9 +117,9 @@ class EmulatorCore(ABC):
         self._gone_until_s = 0.0
 
     @property
-    @abstractmethod
     def address(self) -> str:
         """What a host opens."""
+        return self._port.address
 
     @property
     def time_s(self) -> float:
@@ -120,7 +141,7 @@ class EmulatorCore(ABC):
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join()
-        self._close()
+        self._port.close()
 
     def wait(self, timeout_s: float | None = None) -> bool:
         """Wait for the thread to end and return whether it did."""
@@ -129,12 +150,8 @@ class EmulatorCore(ABC):
     def __enter__(self) -> Self:
         return self.start()
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+    def __exit__(self, *error: object) -> None:
         self.stop()
-
-    @abstractmethod
-    def _must_wait(self) -> bool:
-        """Return whether to wait before power-on."""
 
     @abstractmethod
     def _power_on(self) -> None:
@@ -160,10 +177,6 @@ class EmulatorCore(ABC):
     def _linger(self) -> None:
         """Send what is kept back and give a late reader time to take it."""
 
-    @abstractmethod
-    def _close(self) -> None:
-        """Take the port away."""
-
     def _run(self) -> None:
         try:
             self._serve()
@@ -173,7 +186,7 @@ class EmulatorCore(ABC):
             self._finished.set()
 
     def _serve(self) -> None:
-        while self._must_wait():
+        while self._waits and not self._port.has_reader():
             if self._stopping.wait(SLICE_S):
                 return
         self._power_on()
@@ -215,8 +228,8 @@ class EmulatorCore(ABC):
         if chances.happens("stalls", faults.stalls_per_s, duration_s):
             self._stalled_until_s = self.time_s + faults.stall_s
         self._put(samples, duration_s, stalled=self._is_stalled)
-        if self._on_progress is not None:
-            self._on_progress()
+        if self.on_progress is not None:
+            self.on_progress()
         return True
 
     def _set_rate(self, rate_hz: float) -> None:

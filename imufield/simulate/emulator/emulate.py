@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from imufield.calibrate.model.result import AccelerometerParameters, GyroscopePa
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
 from imufield.files import typed_write_errors, write_atomically
+from imufield.sentences import Sentences
 from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
 from imufield.simulate.emulator.serial import Emulator
@@ -39,9 +40,10 @@ from imufield.simulate.truth.motion import Site
 from imufield.simulate.truth.operator import Operator, OperatorSettings, StillInterval, TrueMove
 from imufield.simulate.truth.source import SampleSource, VirtualImu
 from imufield.simulate.wire.forms import DEFAULT_RATE_HZ, WireForm, choose_form
-from imufield.simulate.wire.lines import TextFormat
 from imufield.simulate.wire.stim300 import ACCELEROMETER_BITS, Stim300Format
 from imufield.version import __version__
+
+sentence = Sentences(__package__)
 
 TRUTH_FORMAT = "imufield-truth"
 TRUTH_VERSION = 1
@@ -60,6 +62,11 @@ SCRIPTS: Mapping[str, Callable[[float, WireForm], ScriptedInstrument]] = {
 DEFAULT_BUS = "slcan"
 _OWN_FORM = WireForm("", 0.0, {}, ())
 _STIM300_RATES_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0)
+# Settings of the protocol that an instrument with a device class of its own takes.
+_EMULATED_SETTINGS = {
+    "text": ("columns", "prefix"),
+    "stim300": ("accelerometer_range_g", "accelerometer_output", "gyroscope_output"),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +89,6 @@ class Emulation:
     run: EmulatorSettings = field(default_factory=EmulatorSettings)
     stim300: Stim300Format | None = None
     """None: accelerometer, inclinometer, CR LF and the smallest range that holds the grade's."""
-    text: TextFormat = field(default_factory=TextFormat)
     truth: Path | None = None
     """File for the truth, TOML or (by its suffix) JSON."""
     form: str | None = None
@@ -103,7 +109,6 @@ class WireChoice:
     rate_hz: float
     form: WireForm | None
     """None on a CAN bus."""
-    baud: int
     settings: dict[str, object]
     """What a reader must be told."""
     driver: type[Driver] | None
@@ -150,8 +155,7 @@ def choose_wire(options: Emulation) -> WireChoice:
             for name, value in settings.items()
             if str(defaults.get(name)) != str(value) and (name != "rate_hz" or by_increment or counts_by_rate)
         }
-    baud = 115200 if driver is None else driver.default_baud
-    return WireChoice(protocol=protocol, rate_hz=rate_hz, form=form, baud=baud, settings=told, driver=driver)
+    return WireChoice(protocol=protocol, rate_hz=rate_hz, form=form, settings=told, driver=driver)
 
 
 def make_virtual_imu(options: Emulation, rate_hz: float | None = None) -> VirtualImu:
@@ -183,28 +187,33 @@ def make_emulator(options: Emulation) -> EmulatorCore:
     """
     wire = choose_wire(options)
     virtual = make_virtual_imu(options, wire.rate_hz)
-    grade, seed = virtual.imu.instrument.grade, session_seed(options)
+    grade = virtual.imu.instrument.grade
     source: SampleSource = virtual
     if options.device not in OWN_RATE_HZ:
         scale = (grade.accelerometer_scale, grade.gyroscope_scale)
         source = InProtocolUnits(virtual, scale, wire.protocol, wire.rate_hz)
-    progress = _truth_writer(options, virtual)
+    seed = session_seed(options)
+    emulator: EmulatorCore
     if wire.form is not None:
         device = make_device(options, wire)
         if options.bus is not None:
-            raise UsageError(f"{options.device} is no instrument of a CAN bus; leave --bus out", bus=options.bus)
+            raise UsageError(sentence("emulate.no_bus", device=options.device), bus=options.bus)
         if not isinstance(options.faults, Faults):
-            raise UsageError(f"{options.device} has a serial line, which cannot lose or double CAN frames")
-        return Emulator(device, source, options.run, faults=options.faults, seed=seed, on_progress=progress)
-    # Imported here: python-can takes longer to load than all the rest, and a serial line does not need it.
-    from imufield.simulate.emulator.can import CanEmulator
+            raise UsageError(sentence("emulate.faults_of_frames", device=options.device))
+        emulator = Emulator(device, source, options.run, faults=options.faults, seed=seed)
+    else:
+        # Imported here: python-can takes longer to load than all the rest, and a serial line does not need it.
+        from imufield.simulate.emulator.can import CanEmulator
 
-    # The default of the options is no fault at all, on whatever wire.
-    faults = CanFaults() if options.faults == Faults() else options.faults
-    if not isinstance(faults, CanFaults):
-        raise UsageError(f"{options.device} is on a CAN bus, which lets no damaged bytes through; choose faults of frames")
-    bus = options.bus or DEFAULT_BUS
-    return CanEmulator(wire.protocol, source, bus, options.run, faults=faults, seed=seed, on_progress=progress)
+        # The default of the options is no fault at all, on whatever wire.
+        faults = CanFaults() if options.faults == Faults() else options.faults
+        if not isinstance(faults, CanFaults):
+            raise UsageError(sentence("emulate.faults_of_bytes", device=options.device))
+        bus = options.bus or DEFAULT_BUS
+        emulator = CanEmulator(wire.protocol, source, bus, options.run, faults=faults, seed=seed)
+    if options.truth is not None:
+        emulator.on_progress = _truth_writer(options, virtual, options.truth)
+    return emulator
 
 
 def emulate(options: Emulation, on_start: Callable[[EmulatorCore], None] | None = None) -> EmulatorCore:
@@ -277,11 +286,8 @@ def _timed(record: StillInterval | TrueMove, imu: Imu) -> dict[str, object]:
     return values
 
 
-def _truth_writer(options: Emulation, source: VirtualImu) -> Callable[[], None] | None:
-    """Return what writes the truth at the start and whenever the operator has planned further; None without a file."""
-    path = options.truth
-    if path is None:
-        return None
+def _truth_writer(options: Emulation, source: VirtualImu, path: Path) -> Callable[[], None]:
+    """Return what writes the truth at the start and whenever the operator has planned further."""
     written: tuple[int, float] | None = None
 
     def write() -> None:
@@ -309,32 +315,22 @@ def make_device(options: Emulation, wire: WireChoice) -> Device:
     form, rate_hz, device = wire.form or _OWN_FORM, wire.rate_hz, options.device
     if device not in OWN_RATE_HZ:
         script = SCRIPTS.get(device)
-        return ProtocolDevice(wire.protocol, form, rate_hz, wire.baud, script=None if script is None else script(rate_hz, form))
+        return ProtocolDevice(wire.protocol, form, rate_hz, None if script is None else script(rate_hz, form))
     # Values as the protocol has read them, which a format of the same names takes.
     chosen: dict[str, Any] = {name: wire.protocol.settings[name].value for name in options.settings}
-    allowed = (
-        ("columns", "prefix") if device == "text" else ("accelerometer_range_g", "accelerometer_output", "gyroscope_output")
-    )
+    if wrong := [name for name in chosen if name not in _EMULATED_SETTINGS[device]]:
+        allowed = _EMULATED_SETTINGS[device]
+        raise UsageError(sentence("emulate.setting", setting=wrong[0], device=device, allowed=allowed))
     if device == "text":
-        _refuse_others(chosen, device, allowed)
-        if "columns" in chosen:
-            chosen["columns"] = tuple(name.strip() for name in str(chosen["columns"]).split(","))
-        return TextDevice(replace(options.text, **chosen))
+        columns = [name.strip() for name in str(wire.protocol.settings["columns"].value).split(",")]
+        return TextDevice(columns, str(wire.protocol.settings["prefix"].value))
     if rate_hz not in _STIM300_RATES_HZ:
-        raise UsageError(
-            f"sample rate {rate_hz:g} Hz is not one of a STIM300's; choose 125, 250, 500, 1000 or 2000 Hz", rate_hz=rate_hz
-        )
+        raise UsageError(sentence("emulate.rate", rate_hz=rate_hz, rates_hz=_STIM300_RATES_HZ))
+    identity = Stim300Identity.of_seed(options.seed)
     if options.stim300 is not None:
-        return Stim300Device(replace(options.stim300, rate_hz=rate_hz), Stim300Identity.of_seed(options.seed))
-    _refuse_others(chosen, device, allowed)
+        return Stim300Device(replace(options.stim300, rate_hz=rate_hz), identity)
     # The smallest range that holds the grade's: a step of the wire is as fine as the instrument allows.
     grade_g = round(find_grade(options.grade).accelerometer.range_si / STANDARD_GRAVITY_M_S2, 6)
     range_g = min(range_g for range_g in ACCELEROMETER_BITS if range_g >= grade_g)
     settings = replace(Stim300Format(rate_hz=rate_hz, accelerometer_range_g=range_g), **chosen)
-    return Stim300Device(settings, Stim300Identity.of_seed(options.seed))
-
-
-def _refuse_others(chosen: Iterable[str], device: str, allowed: tuple[str, ...]) -> None:
-    wrong = next((name for name in chosen if name not in allowed), None)
-    if wrong is not None:
-        raise UsageError(f"--set {wrong} is not emulated for {device}; choose among {', '.join(allowed)}", setting=wrong)
+    return Stim300Device(settings, identity)

@@ -13,7 +13,10 @@ import numpy as np
 
 from imufield.acquire.protocol.can_frames import ERROR, Frame
 from imufield.errors import UsageError
+from imufield.sentences import Sentences
 from imufield.simulate.wire.frames import Bytes
+
+sentence = Sentences(__package__)
 
 GARBAGE_BYTES = (1, 64)
 """Length of a burst of garbage."""
@@ -42,9 +45,7 @@ class WireFaults:
             value = getattr(self, field.name)
             limit = 1.0 if field.name.endswith("_probability") else np.inf
             if value is not None and not np.all((np.asarray(value) >= 0) & (np.asarray(value) <= limit)):
-                raise UsageError(
-                    f"fault {field.name} = {value} is outside 0 to {limit:g}; give a value inside", fault=field.name
-                )
+                raise UsageError(sentence("faults.outside", fault=field.name, value=value, limit=limit))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

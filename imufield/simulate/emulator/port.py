@@ -9,6 +9,9 @@ import sys
 from pathlib import Path
 
 from imufield.errors import LinkError, UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 BUFFER_BYTES = 65536
 """Kept for a reader who is late, as the driver of a USB adapter does; beyond it bytes are lost."""
@@ -34,9 +37,9 @@ class PseudoTerminal:
 
     def __init__(self, link: Path | None = None) -> None:
         if link is not None and not link.parent.is_dir():
-            raise UsageError(f"{link.parent} is no folder; choose another name for the port", path=str(link))
+            raise UsageError(sentence("port.no_folder", path=str(link.parent)))
         if link is not None and link.exists() and not link.is_symlink():
-            raise UsageError(f"{link} exists and is not a symbolic link; choose another name for the port", path=str(link))
+            raise UsageError(sentence("port.no_link", path=str(link)))
         self._link = link
         self._master = -1
         self._waiting = b""
@@ -45,14 +48,9 @@ class PseudoTerminal:
         self.open()
 
     @property
-    def port(self) -> str:
+    def address(self) -> str:
         """What a host opens: the link where there is one, otherwise the device."""
         return str(self._link) if self._link is not None else self.device
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the port is there."""
-        return self._master >= 0
 
     @property
     def bytes_waiting(self) -> int:
@@ -62,7 +60,7 @@ class PseudoTerminal:
     def open(self) -> None:
         """Bring the port into being, under a new device path."""
         if sys.platform == "win32":
-            raise LinkError("this system has no pseudo-terminals; run the emulator on Linux or macOS")
+            raise LinkError(sentence("port.no_pseudo_terminals"))
         import tty
 
         master, slave = os.openpty()

@@ -11,7 +11,6 @@ Bytes that do not fit into the buffer of the system are dropped and counted, as 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
 from imufield.samples import Samples
 from imufield.simulate.emulator.core import LINGER_S, SLICE_S, EmulatorCore, EmulatorSettings
@@ -34,13 +33,6 @@ class Emulator(EmulatorCore):
     faults : Faults, optional
     seed : int
         Of the faults.
-    on_progress : callable, optional
-        Called by the thread after each slice that sent samples.
-
-    Raises
-    ------
-    UsageError
-        If the speed makes no sense.
     """
 
     def __init__(
@@ -51,39 +43,31 @@ class Emulator(EmulatorCore):
         *,
         faults: Faults | None = None,
         seed: int = 0,
-        on_progress: Callable[[], None] | None = None,
     ) -> None:
-        self.injector = FaultInjector(faults or Faults(), seed)
-        super().__init__(source, settings, self.injector, device.start_up_s, on_progress=on_progress)
+        settings = settings or EmulatorSettings()
         self.device = device
+        self.injector = FaultInjector(faults or Faults(), seed)
+        self._terminal = PseudoTerminal(settings.link)
+        super().__init__(source, settings, self._terminal, self.injector, start_up_s=device.start_up_s)
         self._rate_hz = device.rate_hz
-        self._port = PseudoTerminal(self.settings.link)
         self._answers = b""
         self._pending = b""  # Kept back while the instrument stalls.
 
     @property
-    def address(self) -> str:
-        """What a host opens."""
-        return self._port.port
-
-    @property
     def port(self) -> str:
         """What a host opens."""
-        return self._port.port
+        return self.address
 
     @property
     def bytes_dropped(self) -> int:
         """Bytes that nobody took in time."""
-        return self._port.bytes_dropped
-
-    def _must_wait(self) -> bool:
-        return self.settings.wait_for_reader and not self._port.has_reader()
+        return self._terminal.bytes_dropped
 
     def _power_on(self) -> None:
         self._answers = self.device.power_on()
 
     def _listen(self) -> None:
-        answer = self.device.receive(self._port.read())
+        answer = self.device.receive(self._terminal.read())
         self._answers += answer.data
         if answer.resets:
             self._boot_sample = self._samples_made
@@ -111,20 +95,17 @@ class Emulator(EmulatorCore):
         self._pending += self._answers + data
         self._answers = b""
         if not stalled:
-            self._port.write(self._pending)
+            self._terminal.write(self._pending)
             self._pending = b""
 
     def _go_away(self) -> None:
-        self._port.close()
+        self._terminal.close()
 
     def _come_back(self) -> None:
-        self._port.open()
+        self._terminal.open()
 
     def _linger(self) -> None:
         self._send(b"")
         end_s = time.monotonic() + LINGER_S
-        while self._port.has_reader() and time.monotonic() < end_s and not self._stopping.wait(SLICE_S):
-            self._port.write(b"")
-
-    def _close(self) -> None:
-        self._port.close()
+        while self._terminal.has_reader() and time.monotonic() < end_s and not self._stopping.wait(SLICE_S):
+            self._terminal.write(b"")

@@ -31,7 +31,7 @@ class SlcanDevice:
     @property
     def address(self) -> str:
         """What a host opens."""
-        return f"{SLCAN}:{self.port.port}"
+        return f"{SLCAN}:{self.port.address}"
 
     def has_reader(self) -> bool:
         """Answer what the host asks; return whether it has opened the channel."""

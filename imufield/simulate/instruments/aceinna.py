@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import struct
 
+from crccheck.crc import Crc16SpiFujitsu
+
 from imufield.simulate.instruments.scripted import ScriptedInstrument, nearest
 from imufield.simulate.wire.forms import WireForm
 
@@ -34,8 +36,6 @@ class AceinnaInstrument(ScriptedInstrument):
         return aceinna_packet(command[2:4], command[5:-2]) == command
 
     def _answer(self, command: bytes) -> bytes:
-        if not command:
-            return b""
         letters, data = command[2:4], command[5:-2]
         if letters in _MEMORY:
             self.memory_writes.append(command)
@@ -82,9 +82,4 @@ class AceinnaInstrument(ScriptedInstrument):
 def aceinna_packet(letters: bytes, data: bytes) -> bytes:
     """Return a packet with its CRC: polynomial 0x1021, start 0x1D0F."""
     body = letters + bytes([len(data)]) + data
-    crc = 0x1D0F
-    for byte in body:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1) & 0xFFFF
-    return b"UU" + body + crc.to_bytes(2, "big")
+    return b"UU" + body + bytes(Crc16SpiFujitsu.calcbytes(body))

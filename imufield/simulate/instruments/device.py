@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -23,45 +23,6 @@ class Frames:
     """Place of one byte of the checksum of each frame; of any byte where the form has no checksum."""
 
 
-class Device(Protocol):
-    """An instrument on the other end of the wire."""
-
-    baud: int
-    start_up_s: float
-    """Samples of this time after power-on are flagged ``Status.START_UP``."""
-
-    @property
-    def streaming(self) -> bool:
-        """Whether samples are sent in the present mode."""
-        ...
-
-    @property
-    def rate_hz(self) -> float | None:
-        """Output rate that commands have set; None: that of its samples."""
-        ...
-
-    @property
-    def answers_replace_samples(self) -> bool:
-        """Whether an answer takes the place of a sample; otherwise it comes between two."""
-        ...
-
-    def encode(self, samples: Samples) -> Frames:
-        """Return the frames of a block of samples."""
-        ...
-
-    def power_on(self) -> bytes:
-        """Return what is sent at power-on before the first sample."""
-        ...
-
-    def receive(self, data: bytes) -> Answer:
-        """Return the answer to bytes of the host, whole commands or parts of them."""
-        ...
-
-    def jump_counter(self, by: int) -> None:
-        """Let the counter jump."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class Answer:
     """Answer to a command."""
@@ -69,3 +30,38 @@ class Answer:
     data: bytes = b""
     resets: bool = False
     """The instrument starts anew."""
+
+
+class Device(ABC):
+    """An instrument on the other end of the wire; unless it says otherwise it always sends, and takes no commands."""
+
+    start_up_s = 0.0
+    """Samples of this time after power-on are flagged ``Status.START_UP``."""
+    answers_replace_samples = False
+    """Whether an answer takes the place of a sample; otherwise it comes between two."""
+
+    @property
+    def streaming(self) -> bool:
+        """Whether samples are sent in the present mode."""
+        return True
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Output rate that commands have set; None: that of its samples."""
+        return None
+
+    @abstractmethod
+    def encode(self, samples: Samples) -> Frames:
+        """Return the frames of a block of samples."""
+
+    @abstractmethod
+    def jump_counter(self, by: int) -> None:
+        """Let the counter jump; without one, the time stamp by as many samples."""
+
+    def power_on(self) -> bytes:
+        """Return what is sent at power-on before the first sample."""
+        return b""
+
+    def receive(self, data: bytes) -> Answer:  # noqa: ARG002  commands are ignored
+        """Return the answer to bytes of the host, whole commands or parts of them."""
+        return Answer()

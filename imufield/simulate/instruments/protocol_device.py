@@ -10,7 +10,7 @@ import numpy as np
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.samples import FloatArray, Samples
-from imufield.simulate.instruments.device import Answer, Frames
+from imufield.simulate.instruments.device import Answer, Device, Frames
 from imufield.simulate.instruments.scripted import NoCommands, ScriptedInstrument
 from imufield.simulate.truth.source import SampleSource
 from imufield.simulate.wire.forms import WireForm
@@ -24,7 +24,7 @@ CONVERTER_RANGE_RAD_S = math.radians(500.0)
 """What the end of the converter stands for where a protocol says neither scale nor range."""
 
 
-class ProtocolDevice:
+class ProtocolDevice(Device):
     """An instrument that sends samples in the units of its protocol.
 
     Parameters
@@ -34,7 +34,6 @@ class ProtocolDevice:
     form : WireForm
     rate_hz : float
         Nominal rate of the samples.
-    baud : int
     script : ScriptedInstrument, optional
         What it answers; nothing without.
 
@@ -44,21 +43,9 @@ class ProtocolDevice:
         If the form does not fit the protocol.
     """
 
-    start_up_s = 0.0
-    answers_replace_samples = False
-
-    def __init__(
-        self,
-        protocol: Protocol,
-        form: WireForm,
-        rate_hz: float,
-        baud: int = 115200,
-        *,
-        script: ScriptedInstrument | None = None,
-    ) -> None:
+    def __init__(self, protocol: Protocol, form: WireForm, rate_hz: float, script: ScriptedInstrument | None = None) -> None:
         self.protocol = protocol
         self.script = script or NoCommands(rate_hz)
-        self.baud = baud
         self._clock = WireClock(protocol, rate_hz)
         lines = [frame for frame in form.frames if frame.line]
         self._sentences: list[SentenceEncoder | LineEncoder] = [
@@ -96,10 +83,6 @@ class ProtocolDevice:
         ends = (np.arange(len(rows))[:, np.newaxis] * rows.shape[1] + np.cumsum(lengths)).reshape(-1)
         last = np.array([encoder.length - encoder.checksum_at for encoder in self._frames])
         return Frames(rows.reshape(-1), ends, ends - np.tile(last, len(rows)))
-
-    def power_on(self) -> bytes:
-        """Return nothing."""
-        return b""
 
     def receive(self, data: bytes) -> Answer:
         """Return what the script answers."""

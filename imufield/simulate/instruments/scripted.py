@@ -46,7 +46,8 @@ class ScriptedInstrument(ABC):
             command, self._received = self._cut(self._received)
             if command is None:
                 return answers
-            answers += self._answer(command)
+            if command:
+                answers += self._answer(command)
 
     def _cut(self, received: bytes) -> tuple[bytes | None, bytes]:
         """Return the first whole command, None where there is none, empty in place of a damaged one; and what follows."""

@@ -12,15 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from crccheck.crc import Crc8Base
+from crccheck.crc import Crc8Smbus
 
 from imufield.samples import Samples, Status
-from imufield.simulate.instruments.device import Answer, Frames
+from imufield.simulate.instruments.device import Answer, Device, Frames
 from imufield.simulate.wire.stim300 import Stim300Encoder, Stim300Format, close_datagrams
 
 COMMAND_END = b"\r"
 _LONGEST_COMMAND = 256  # Bytes kept while waiting for the end of a command; those of a STIM300 have at most some 60.
-_START_UP_S = 0.281
 # At start-up the rates are at full scale, beyond the 400 deg/s of the range.
 _START_UP_RATE_RAD_S = np.radians(480.0)
 # Codes of the configuration datagram; a rate or baud without one has the last code.
@@ -51,7 +50,7 @@ class Stim300Identity:
         return cls(serial_number=f"{number:014d}")
 
 
-class Stim300Device:
+class Stim300Device(Device):
     """A STIM300 that answers its commands.
 
     Parameters
@@ -61,7 +60,7 @@ class Stim300Device:
     baud : int, optional
     """
 
-    start_up_s = _START_UP_S
+    start_up_s = 0.281
     answers_replace_samples = True
 
     def __init__(
@@ -215,23 +214,10 @@ class Stim300Device:
         return self._special(0xBC, 0xBD, bytes(body))
 
 
-class _UtilityCrc(Crc8Base):  # type: ignore[misc]
-    """CRC-8 of utility mode: polynomial 0x07, start 0xFF."""
-
-    _names = ("utility mode",)
-    _width = 8
-    _poly = 0x07
-    _initvalue = 0xFF
-    _reflect_input = False
-    _reflect_output = False
-    _xor_output = 0
-    _check_result = 0
-
-
 def utility_message(body: str) -> bytes:
-    """Return a message of utility mode: body, comma, decimal CRC-8 of both, carriage return."""
+    """Return a message of utility mode: body, comma, decimal CRC-8 of both (polynomial 0x07, start 0xFF), carriage return."""
     covered = f"{body},".encode("ascii", "replace")
-    return covered + str(_UtilityCrc.calc(covered)).encode("ascii") + COMMAND_END
+    return covered + str(Crc8Smbus.calc(covered, initvalue=0xFF)).encode("ascii") + COMMAND_END
 
 
 def _pack_nibbles(nibbles: list[int]) -> bytes:

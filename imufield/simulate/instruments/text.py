@@ -2,43 +2,63 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from imufield.samples import Samples
-from imufield.simulate.instruments.device import Answer, Frames
-from imufield.simulate.wire.lines import TextFormat, encode_text
+from imufield.errors import UsageError
+from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, Samples
+from imufield.sentences import Sentences
+from imufield.simulate.instruments.device import Device, Frames
+from imufield.simulate.wire.forms import number_template
+from imufield.simulate.wire.lines import LINE_END
+
+sentence = Sentences(__package__)
+
+TEXT_COLUMNS = ("time", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS)
+"""What a line holds unless told otherwise; ``counter`` and ``temperature`` may be added."""
 
 
-class TextDevice:
-    """A home-made instrument that prints lines; it takes no commands."""
+class TextDevice(Device):
+    """A home-made instrument: values in the unit of the samples, nothing where one is not available.
 
-    start_up_s = 0.0
-    rate_hz = None
-    answers_replace_samples = False
+    Parameters
+    ----------
+    columns : sequence of str
+    prefix : str
+        Stands before the first number.
 
-    def __init__(self, settings: TextFormat | None = None, baud: int = 921600) -> None:
-        self.format = settings or TextFormat()
-        self.baud = baud
-        self.streaming = True
+    Raises
+    ------
+    UsageError
+        If a column has no such name.
+    """
+
+    def __init__(self, columns: Sequence[str] = TEXT_COLUMNS, prefix: str = "") -> None:
+        known = (*TEXT_COLUMNS, "counter", "temperature")
+        if unknown := [name for name in columns if name not in known]:
+            raise UsageError(sentence("text.column", column=unknown[0], columns=known))
+        self._templates = {name: number_template(name) for name in columns}
+        self._prefix = prefix
         self._offset = 0
 
     def encode(self, samples: Samples) -> Frames:
         """Return one line for each sample."""
-        if self._offset:
-            samples = replace(samples, counter=samples.counter + self._offset)
-        lines = encode_text(samples, self.format)
+        values = {
+            "time": samples.time_s,
+            "counter": samples.counter + self._offset,
+            **dict(zip(ACCELEROMETER_COLUMNS, samples.accelerometer.T, strict=True)),
+            **dict(zip(GYROSCOPE_COLUMNS, samples.gyroscope.T, strict=True)),
+            "temperature": samples.temperature_degc,
+        }
+        cells = [
+            ["" if math.isnan(value) else template.format(value) for value in values[name].tolist()]
+            for name, template in self._templates.items()
+        ]
+        lines = [(self._prefix + ",".join(row) + LINE_END).encode("ascii") for row in zip(*cells, strict=True)]
         ends = np.cumsum([len(line) for line in lines], dtype=np.int64)
-        return Frames(np.frombuffer(b"".join(lines), dtype=np.uint8), ends, ends - len(self.format.line_end) - 1)
-
-    def power_on(self) -> bytes:
-        """Return nothing."""
-        return b""
-
-    def receive(self, data: bytes) -> Answer:  # noqa: ARG002  commands are ignored
-        """Return nothing."""
-        return Answer()
+        return Frames(np.frombuffer(b"".join(lines), dtype=np.uint8), ends, ends - len(LINE_END) - 1)
 
     def jump_counter(self, by: int) -> None:
         """Let the counter column, if there is one, jump."""

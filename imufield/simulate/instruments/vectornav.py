@@ -36,9 +36,10 @@ class VectorNavInstrument(ScriptedInstrument):
 
     def _cut(self, received: bytes) -> tuple[bytes | None, bytes]:
         line, end, rest = received.partition(b"\n")
-        return (line.strip(), rest) if end else (None, received)
+        return (line + end, rest) if end else (None, received)
 
     def _answer(self, command: bytes) -> bytes:
+        command = command.strip()
         body, _, checksum = command.decode("ascii", "replace").partition("*")
         text = body.removeprefix("$")
         if checksum != "XX" and sentence(text) != command + b"\r\n":

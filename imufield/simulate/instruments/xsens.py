@@ -29,8 +29,6 @@ class XsensInstrument(ScriptedInstrument):
         return sum(command[1:]) % 256 == 0
 
     def _answer(self, command: bytes) -> bytes:
-        if not command:
-            return b""
         message, data = command[2], command[4:-1]
         if self.streaming and message not in _ANYWHERE:
             return b""

@@ -18,10 +18,15 @@ from numpy.typing import NDArray
 from imufield.calibrate.model.models import predict, predict_gyroscope
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, Samples, Status, no_samples
+from imufield.sentences import Sentences
 from imufield.simulate.truth.drift import BiasDrift
 from imufield.simulate.truth.grades import REFERENCE_TEMPERATURE_DEGC, TrueInstrument
 from imufield.simulate.truth.motion import TrueMotion
 
+sentence = Sentences(__package__)
+
+MAXIMUM_RATE_HZ = 1e5
+"""No instrument sends faster: a limit against slips of the keyboard."""
 MAXIMUM_TRIAD_DELAY_S = 0.01
 """Bound of the history that is kept; group delays of real instruments stay below 2 ms."""
 _ROUNDING = 1e-6  # Of a sample number at another rate.
@@ -76,15 +81,12 @@ class Imu:
     def _use(self, settings: ImuSettings) -> None:
         """Check the settings and prepare what depends on the rate."""
         grade, rate_hz, delay_s = self.instrument.grade, settings.rate_hz, self.instrument.triad_delay_s
-        if not 0 < rate_hz <= 1e5:
-            raise UsageError(f"sample rate {rate_hz:g} Hz is outside 0 to 100000 Hz; give the instrument's rate")
+        if not 0 < rate_hz <= MAXIMUM_RATE_HZ:
+            raise UsageError(sentence("imu.rate", rate_hz=rate_hz, limit_hz=MAXIMUM_RATE_HZ))
         if not 0 <= settings.loss_probability < 1:
-            raise UsageError(f"loss probability {settings.loss_probability:g} is outside 0 to 1; give a fraction")
+            raise UsageError(sentence("imu.loss", probability=settings.loss_probability))
         if not abs(delay_s) <= MAXIMUM_TRIAD_DELAY_S:
-            raise UsageError(
-                f"delay {delay_s:g} s of the gyroscope is outside -{MAXIMUM_TRIAD_DELAY_S:g} to "
-                f"{MAXIMUM_TRIAD_DELAY_S:g} s; choose less"
-            )
+            raise UsageError(sentence("imu.delay", delay_s=delay_s, limit_s=MAXIMUM_TRIAD_DELAY_S))
         self.settings = settings
         # A noise density N gives a standard deviation of N sqrt(rate) per sample (IEEE Std 952).
         self._sigma = np.sqrt(rate_hz) * _six(grade.accelerometer.noise_density, grade.gyroscope.noise_density)

@@ -86,7 +86,6 @@ class Path(Protocol):
 
     def resting_attitude(self, start_s: float, end_s: float) -> FloatArray | None:
         """Return the quaternion if nothing moves from ``start_s`` to ``end_s``, otherwise None."""
-        ...
 
 
 def up_direction(quaternion_nb: FloatArray) -> FloatArray:

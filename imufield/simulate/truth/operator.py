@@ -21,8 +21,11 @@ from numpy.typing import ArrayLike
 from imufield.calibrate.model.rotation import conjugate, exponential, logarithm, multiply, rotate
 from imufield.errors import UsageError
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
 from imufield.simulate.truth.motion import Site, TrueMotion, sample_motion, shortest_turn, up_direction
 from imufield.simulate.truth.pieces import Hand, Piece, Shock, draw_hand
+
+sentence = Sentences(__package__)
 
 DEG = math.radians(1.0)
 SPIN_S = (3.0, 4.0)
@@ -141,7 +144,7 @@ class Operator:
         length = np.linalg.norm(rows, axis=1, keepdims=True)
         if not np.all(np.isfinite(rows)) or np.any(length == 0):
             row = int(np.flatnonzero(~np.isfinite(length) | (length == 0))[0])
-            raise UsageError(f"direction {row} of the operator's plan is {rows[row]}; give a vector of some length", row=row)
+            raise UsageError(sentence("operator.direction", row=row, direction=rows[row]))
         self.directions: FloatArray = rows / length
         self.lever_arm_m = np.array(self.settings.lever_arm_m)
         self._seed = seed
@@ -152,22 +155,13 @@ class Operator:
         self._generated_s = 0.0
         # True time when the last planned hold ends, None while not known; the unit then stays where it is.
         self.finished_s: float | None = None
-        self._stills: list[StillInterval] = []
-        self._moves: list[TrueMove] = []
+        # What he did so far, in time order; the last still interval may end at infinity.
+        self.stills: list[StillInterval] = []
+        self.moves: list[TrueMove] = []
         habits, rng = self.settings, np.random.default_rng([seed, 201])
         self._hand = draw_hand(rng, habits.tremor_rad, habits.sway_rad, habits.sway_m, tremor_band_hz=habits.tremor_band_hz)
         self._pieces: list[Piece] = []
         self._lie_down()
-
-    @property
-    def stills(self) -> tuple[StillInterval, ...]:
-        """True still intervals so far, in time order; the last may end at infinity."""
-        return tuple(self._stills)
-
-    @property
-    def moves(self) -> tuple[TrueMove, ...]:
-        """True moves so far, in time order."""
-        return tuple(self._moves)
 
     def plan(self, until_s: float) -> None:
         """Plan the motion up to a time at least."""
@@ -240,7 +234,7 @@ class Operator:
         """Add a piece without motion and note it among the true still intervals."""
         self._pieces.append(piece)
         up, start_s = up_direction(piece.quaternion_nb), max(piece.start_s, 0.0)
-        self._stills.append(
+        self.stills.append(
             StillInterval(start_s=start_s, end_s=piece.end_s, direction=up, position=position, kind=kind, bumped=bumped)
         )
 
@@ -249,7 +243,7 @@ class Operator:
         if math.isinf(last.end_s):
             return
         self.finished_s = last.end_s
-        self._stills[-1] = replace(self._stills[-1], end_s=math.inf)
+        self.stills[-1] = replace(self.stills[-1], end_s=math.inf)
         self._pieces.append(_rest(last.end_s, math.inf, last.final_quaternion, last.hand))
 
     def _next_visit(self) -> None:
@@ -272,8 +266,7 @@ class Operator:
             if rng.random() < 0.5:
                 index = int(rng.integers(len(self.directions)))
                 return _Visit(index, self.directions[index])
-            unknown = rng.standard_normal(3)
-            return _Visit(NO_POSITION, unknown / np.linalg.norm(unknown))
+            return _Visit(NO_POSITION, _random_direction(rng))
         return self._agenda.pop(0)
 
     def _target(self, quaternion: FloatArray, direction: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -291,7 +284,7 @@ class Operator:
         """Note a turn that begins where the last piece ends, and return its piece."""
         last = self._pieces[-1]
         end_s = last.end_s + duration_s
-        self._moves.append(TrueMove(last.end_s, end_s, "turn"))
+        self.moves.append(TrueMove(last.end_s, end_s, "turn"))
         return Piece(
             start_s=last.end_s,
             end_s=end_s,
@@ -321,7 +314,7 @@ class Operator:
         last = self._pieces[-1]
         shock = self._draw_shock(last.end_s, self.settings.put_down_m_s2, rng)
         self._pieces.append(replace(_rest(last.end_s, shock.end_s, last.final_quaternion), shocks=(shock,)))
-        self._moves[-1] = replace(self._moves[-1], end_s=shock.end_s)
+        self.moves[-1] = replace(self.moves[-1], end_s=shock.end_s)
 
     def _draw_shock(self, start_s: float, peak_m_s2: float, rng: np.random.Generator) -> Shock:
         acceleration = peak_m_s2 * rng.uniform(0.3, 1.0) * _random_direction(rng)
@@ -365,7 +358,7 @@ class Operator:
         start = last.final_quaternion
         piece = replace(last, start_s=last.end_s, end_s=shock.end_s, quaternion_nb=start, turn_rad=turn, shocks=(shock,))
         self._pieces.append(piece)
-        self._moves.append(TrueMove(piece.start_s, piece.end_s, kind))
+        self.moves.append(TrueMove(piece.start_s, piece.end_s, kind))
 
     def _leave(self, next_position: int | None) -> None:
         """End the hold after a reaction time, if waiting; the last hold does not end, but the plan is finished."""
@@ -380,7 +373,7 @@ class Operator:
         self._agenda.insert(0, self._agenda.pop(place))
         end_s = self._generated_s + self._rng().uniform(*self.settings.reaction_s)
         self._pieces[-1] = replace(last, end_s=end_s)
-        self._stills[-1] = replace(self._stills[-1], end_s=end_s)
+        self.stills[-1] = replace(self.stills[-1], end_s=end_s)
 
 
 def _spins(kind: str | None) -> list[_Visit]:
@@ -394,16 +387,7 @@ def _spins(kind: str | None) -> list[_Visit]:
 
 
 def _rest(start_s: float, end_s: float, quaternion_nb: FloatArray, hand: Hand | None = None) -> Piece:
-    return Piece(
-        start_s=start_s,
-        end_s=end_s,
-        quaternion_nb=quaternion_nb,
-        turn_rad=np.zeros(3),
-        wobble_rad=np.zeros(3),
-        hand=hand,
-        hand_at_start=True,
-        hand_at_end=True,
-    )
+    return Piece(start_s=start_s, end_s=end_s, quaternion_nb=quaternion_nb, hand=hand, hand_at_start=True, hand_at_end=True)
 
 
 def _random_direction(rng: np.random.Generator) -> FloatArray:

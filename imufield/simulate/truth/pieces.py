@@ -13,7 +13,7 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -110,9 +110,9 @@ class Piece:
     end_s: float
     quaternion_nb: FloatArray
     """Attitude at the start, without hand motion."""
-    turn_rad: FloatArray
-    """Rotation made in the piece, body frame; zeros for none."""
-    wobble_rad: FloatArray
+    turn_rad: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """Rotation made in the piece, body frame."""
+    wobble_rad: FloatArray = field(default_factory=lambda: np.zeros(3))
     """Amplitude of the wobble in the middle of a turn."""
     wobble_hz: float = 1.5
     lift_m: float = 0.0

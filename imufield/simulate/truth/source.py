@@ -23,7 +23,6 @@ class SampleSource(Protocol):
 
     def set_rate(self, rate_hz: float) -> None:
         """Go on at another nominal rate, from the next whole sample of it since the beginning."""
-        ...
 
 
 class VirtualImu:

@@ -12,6 +12,9 @@ from imufield.acquire.protocol.can_protocol import TEMPERATURE, CanKind, Column
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, IntArray, Samples, Status
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 DEFAULT_ADDRESS = 0x80
 FRAME_SPACING_S = 0.00025
@@ -39,7 +42,7 @@ class CanEncoder:
 
     def __init__(self, protocol: Protocol, source_address: int = DEFAULT_ADDRESS) -> None:
         if protocol.can is None:
-            raise UsageError(f"protocol {protocol.name} is not one of a CAN bus; choose one that has a DBC file")
+            raise UsageError(sentence("can_frames.no_bus", protocol=protocol.name))
         self._rule = protocol.can
         self._ticks_per_s = protocol.clock.time_ticks_per_s
         self._counter_step = protocol.clock.counter_steps[0]

@@ -14,6 +14,9 @@ from imufield.acquire.protocol.protocol import Protocol
 from imufield.acquire.protocol.toml import Source, Table, near, spell
 from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 DEFAULT_RATE_HZ = 100.0
 
@@ -78,9 +81,7 @@ def choose_form(protocol: Protocol, name: str | None, given: Mapping[str, object
     found = next((form for form in forms if form.name == name), None)
     if found is None:
         names = [form.name for form in forms]
-        raise UsageError(
-            f"{protocol.name} has no form {name!r} to send{near(name, names)}; choose one of {', '.join(names)}", form=name
-        )
+        raise UsageError(sentence("forms.no_form", protocol=protocol.name, form=name, near=near(name, names), forms=names))
     return found
 
 
@@ -115,13 +116,13 @@ def _first_frame(protocol: Protocol) -> WireFrame:
                 return WireFrame(start=form.sync, key=key)
     triads = {*ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS}
     rule = protocol.lines
-    for sentence in rule.sentences if rule and rule.checksums else ():
-        if rule and triads & {column.removeprefix("-") for column in sentence.columns}:
-            cells = [number_template(column, protocol.clock.time_ticks_per_s) for column in sentence.columns]
-            head = f"{rule.markers[0]}{sentence.name},{rule.header_end}"
+    for known in rule.sentences if rule and rule.checksums else ():
+        if rule and triads & {column.removeprefix("-") for column in known.columns}:
+            cells = [number_template(column, protocol.clock.time_ticks_per_s) for column in known.columns]
+            head = f"{rule.markers[0]}{known.name},{rule.header_end}"
             # Two hexadecimal digits for each byte of the checksum.
             return WireFrame(line=f"{head}{','.join(cells)}*{{:0{2 * rule.checksums[0].size}X}}")
-    raise UsageError(f"protocol {protocol.name} does not say what to send; add a table [[emulate]] to its file")
+    raise UsageError(sentence("forms.nothing_to_send", protocol=protocol.name))
 
 
 def _read_form(table: Table) -> WireForm:

@@ -17,7 +17,10 @@ from imufield.acquire.protocol.layout import NUMBER_BYTES, Field
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, IntArray, Samples
+from imufield.sentences import Sentences
 from imufield.simulate.wire.forms import WireFrame
+
+sentence = Sentences(__package__)
 
 Bytes = NDArray[np.uint8]
 Numbers = FloatArray | IntArray
@@ -93,7 +96,7 @@ class FrameEncoder:
         shape = self._form.shape(self._template.tobytes())
         fields = () if shape is None else shape.layout.fields
         if not fields:
-            raise UsageError(f"protocol {protocol.name} has no frame with key {frame.key:#x}; correct its table [[emulate]]")
+            raise UsageError(sentence("frames.no_key", protocol=protocol.name, key=frame.key))
         self._fields: dict[str, Field] = {field.name: field for field in fields}
         self._constant = {name: value for name, value in frame.values.items() if name in self._fields}
         self.has_counter = protocol.clock.counter_field in self._fields
@@ -155,7 +158,7 @@ def _find_form(protocol: Protocol, frame: WireFrame) -> FrameForm:
         common = min(len(form.sync), len(frame.start))
         if form.sync[:common] == frame.start[:common]:
             return form
-    raise UsageError(f"protocol {protocol.name} has no frame that begins with {frame.start.hex(' ')}; correct [[emulate]]")
+    raise UsageError(sentence("frames.no_start", protocol=protocol.name, start=frame.start.hex(" ")))
 
 
 def _template(protocol: Protocol, form: FrameForm, frame: WireFrame) -> bytes:
@@ -171,13 +174,13 @@ def _template(protocol: Protocol, form: FrameForm, frame: WireFrame) -> bytes:
         layout = form.layouts.get(frame.key)
         data = bytearray(0 if layout is None else layout.length)
     if len(data) < form.header + form.tail:
-        raise UsageError(f"protocol {protocol.name} has no frame with key {frame.key:#x}; correct its table [[emulate]]")
+        raise UsageError(sentence("frames.no_key", protocol=protocol.name, key=frame.key))
     data[: len(form.sync)] = form.sync
     data[form.key_at : form.key_at + form.key_size] = frame.key.to_bytes(form.key_size, _order(form.key_big_endian))
     if form.length:
         number, size = len(data) - form.length.add, form.length.size
         if number > form.length.maximum or number >= 1 << 8 * size or number == form.length.extended_when:
-            raise UsageError(f"a frame of {len(data)} bytes is too long to be emulated; leave fields out of [[emulate]]")
+            raise UsageError(sentence("frames.too_long", size_bytes=len(data)))
         data[form.length.at : form.length.header] = number.to_bytes(size, _order(form.length.big_endian))
     data[len(data) - len(form.end) :] = form.end
     return bytes(data)

@@ -1,8 +1,7 @@
-"""Samples to lines of text: by the columns of a protocol, as sentences (``$NAME,number,...*checksum``), or home-made."""
+"""Samples to lines of text: by the columns of a protocol, or as sentences (``$NAME,number,...*checksum``)."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -12,8 +11,11 @@ from imufield.acquire.formats.table_columns import quantity_of
 from imufield.acquire.protocol.protocol import Protocol
 from imufield.errors import UsageError
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, FloatArray, IntArray, Samples
+from imufield.sentences import Sentences
 from imufield.simulate.wire.forms import WireFrame, number_template
 from imufield.simulate.wire.frames import WireClock
+
+sentence = Sentences(__package__)
 
 LINE_END = "\r\n"
 RAW_UNITS = ("count", "pulse")
@@ -71,13 +73,14 @@ class SentenceEncoder:
         separator = rule.header_end or ","
         head, _, numbers = body.partition(separator)
         self._marker, self._head, cells = line[:1].encode(), head + separator, numbers.split(",")
-        sentence = next((known for known in rule.sentences if known.name == self._head.partition(",")[0]), None)
-        if sentence is None or len(cells) != len(sentence.columns):
-            raise UsageError(f"line {line!r} is no sentence of {protocol.name}; correct its table [[emulate]]")
-        self._table = _Table(protocol, clock, sentence.columns, cells)
+        rules = [known for known in rule.sentences if known.name == self._head.partition(",")[0]]
+        if not rules or len(cells) != len(rules[0].columns):
+            raise UsageError(sentence("lines.no_sentence", line=line, protocol=protocol.name))
+        columns = rules[0].columns
+        self._table = _Table(protocol, clock, columns, cells)
         # Two hexadecimal digits for each byte of the checksum.
         self._checksum = next(known for known in rule.checksums if 2 * known.size == len(self._check.format(0)))
-        self.has_counter = "counter" in sentence.columns
+        self.has_counter = "counter" in columns
 
     def encode(self, samples: Samples) -> list[bytes]:
         """Return the lines of a block."""
@@ -123,49 +126,3 @@ class _Table:
             ticks = self.clock.time_s(samples) * rule.time_ticks_per_s
             return ticks % rule.time_modulus if rule.time_modulus else ticks
         return self.clock.counter(samples, 0) if name == "counter" else None
-
-
-TEXT_COLUMNS = ("time", *ACCELEROMETER_COLUMNS, *GYROSCOPE_COLUMNS)
-"""What a line of text holds unless told otherwise; ``counter`` and ``temperature`` may be added."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TextFormat:
-    """Lines of numbers as home-made systems print them.
-
-    Raises
-    ------
-    UsageError
-        If a column has no such name.
-    """
-
-    columns: tuple[str, ...] = TEXT_COLUMNS
-    separator: str = ","
-    prefix: str = ""
-    line_end: str = "\r\n"
-    decimals: int = 9
-    """Places after the point; 0 for counts and pulses."""
-
-    def __post_init__(self) -> None:
-        known = (*TEXT_COLUMNS, "counter", "temperature")
-        unknown = [name for name in self.columns if name not in known]
-        if unknown:
-            raise UsageError(f"there is no column {unknown[0]!r} of text; choose among {', '.join(known)}", column=unknown[0])
-
-
-def encode_text(samples: Samples, settings: TextFormat) -> list[bytes]:
-    """Return the lines of a block, values in the unit of the samples; what is not available is left empty."""
-    values = {
-        "time": samples.time_s,
-        "counter": samples.counter,
-        **dict(zip(ACCELEROMETER_COLUMNS, samples.accelerometer.T, strict=True)),
-        **dict(zip(GYROSCOPE_COLUMNS, samples.gyroscope.T, strict=True)),
-        "temperature": samples.temperature_degc,
-    }
-    places = {"time": 6, "counter": 0, "temperature": 2}
-    columns = []
-    for name in settings.columns:
-        decimals = places.get(name, settings.decimals)
-        columns.append(["" if math.isnan(value) else f"{value:.{decimals}f}" for value in values[name].tolist()])
-    rows = zip(*columns, strict=True)
-    return [(settings.prefix + settings.separator.join(row) + settings.line_end).encode("ascii") for row in rows]

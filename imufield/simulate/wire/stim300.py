@@ -6,25 +6,25 @@ STIM300 normal datagram (datasheet TS1524, section "Normal Mode"), all numbers b
 values and a status byte (gyroscope, accelerometer, inclinometer); clusters of 16-bit temperatures and a status byte; AUX or
 PPS of 24 bits and a status byte; counter u8; latency u16; CRC-32/MPEG-2 over all of it, filled up with zero bytes to a
 multiple of four that are not sent; CR LF if configured.
-
-A CRC is an affine function of its message over GF(2): the CRC of a message is the CRC of the zero message of that length, XOR
-one word for each byte, found in a table of that byte's place. So n frames cost one table look-up of n x length.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from crccheck.crc import Crc32Mpeg2
 from numpy.typing import ArrayLike, NDArray
 
+from imufield.acquire.protocol.checksum import make_checksum
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import UsageError
 from imufield.samples import FloatArray, IntArray, Samples, Status
+from imufield.sentences import Sentences
 from imufield.simulate.wire.frames import Bytes, bytes_of
+
+sentence = Sentences(__package__)
 
 INTERNAL_RATE_HZ = 2000
 """The datagram counter counts samples of this rate, modulo 256."""
@@ -44,6 +44,7 @@ _STATUS_INTEGRITY = 0x80
 _STATUS_START_UP = 0x40
 _STATUS_OVERLOAD = 0x10
 _STATUS_CHANNEL = 0x08
+_CRC = make_checksum("CRC-32/MPEG-2", pad_to=4)
 _INT24 = (-(2**23), 2**23 - 1)
 _INT16 = (-(2**15), 2**15 - 1)
 
@@ -75,80 +76,32 @@ class Stim300Format:
         return round(INTERNAL_RATE_HZ / self.rate_hz)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stim300Raw:
-    """Integers of n datagrams as they go on the wire; None where the datagram has no such cluster.
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """Integers of one cluster of n datagrams as they go on the wire."""
 
-    Values and temperatures have shape (n, 3), ``auxiliary`` (n,); each status has
-    shape (n,) or is one number.
-    """
-
-    counter: IntArray
-    latency_us: ArrayLike
-    gyroscope: IntArray
-    gyroscope_status: ArrayLike = 0
-    accelerometer: IntArray | None = None
-    accelerometer_status: ArrayLike = 0
-    inclinometer: IntArray | None = None
-    inclinometer_status: ArrayLike = 0
-    gyroscope_temperature: IntArray | None = None
-    gyroscope_temperature_status: ArrayLike = 0
-    accelerometer_temperature: IntArray | None = None
-    accelerometer_temperature_status: ArrayLike = 0
-    inclinometer_temperature: IntArray | None = None
-    inclinometer_temperature_status: ArrayLike = 0
-    auxiliary: IntArray | None = None
-    auxiliary_status: ArrayLike = 0
+    values: IntArray
+    """Shape (n, 3); of AUX or PPS (n, 1)."""
+    status: ArrayLike = 0
+    """Shape (n,) or one number."""
+    size: int = 3
+    """Bytes of a value."""
 
 
-def stim300_frames(datagram_id: int, raw: Stim300Raw, *, crlf: bool) -> Bytes:
-    """Return n datagrams, shape (n, length)."""
-    columns = [np.full((len(raw.counter), 1), datagram_id, dtype=np.uint8)]
-    for values, status, width in (
-        (raw.gyroscope, raw.gyroscope_status, 3),
-        (raw.accelerometer, raw.accelerometer_status, 3),
-        (raw.inclinometer, raw.inclinometer_status, 3),
-        (raw.gyroscope_temperature, raw.gyroscope_temperature_status, 2),
-        (raw.accelerometer_temperature, raw.accelerometer_temperature_status, 2),
-        (raw.inclinometer_temperature, raw.inclinometer_temperature_status, 2),
-        (None if raw.auxiliary is None else raw.auxiliary[:, np.newaxis], raw.auxiliary_status, 3),
-    ):
-        if values is not None:
-            columns += [bytes_of(values, width, True), _column(status, len(values))]
-    count = len(raw.counter)
-    latency_us = np.broadcast_to(np.asarray(raw.latency_us, dtype=np.int64), (count,))
-    columns += [_column(raw.counter & 0xFF, count), bytes_of(latency_us[:, np.newaxis], 2, True)]
+def stim300_frames(datagram_id: int, clusters: Iterable[Cluster], counter: IntArray, latency_us: int, *, crlf: bool) -> Bytes:
+    """Return n datagrams of the clusters that they have, shape (n, length)."""
+    count = len(counter)
+    columns = [np.full((count, 1), datagram_id, dtype=np.uint8)]
+    for cluster in clusters:
+        columns += [bytes_of(cluster.values, cluster.size, True), _column(cluster.status, count)]
+    columns += [_column(counter & 0xFF, count), bytes_of(np.full((count, 1), latency_us), 2, True)]
     return close_datagrams(np.concatenate(columns, axis=1), crlf=crlf)
 
 
 def close_datagrams(body: Bytes, *, crlf: bool) -> Bytes:
     """Append CRC (and CR LF) to n datagram bodies, shape (n, length)."""
     end = [np.broadcast_to(np.frombuffer(CRLF, dtype=np.uint8), (len(body), 2))] if crlf else []
-    return np.concatenate([body, bytes_of(crc32_mpeg2(body)[:, np.newaxis].astype(np.int64), 4, True), *end], axis=1)
-
-
-def crc32_mpeg2(messages: Bytes) -> NDArray[np.uint32]:
-    """Return the CRC-32/MPEG-2 of n messages of one length, dummy zero bytes included. Shape (n, length) to (n,)."""
-    tables, offset = _place_tables(messages.shape[1])
-    places = np.arange(messages.shape[1])
-    words: NDArray[np.uint32] = np.bitwise_xor.reduce(tables[places, messages], axis=1)
-    return words ^ offset
-
-
-@lru_cache(maxsize=64)
-def _place_tables(length: int) -> tuple[NDArray[np.uint32], np.uint32]:
-    """Return a table of 256 words for each place of a message, and the CRC of the zero message."""
-    dummy = -length % 4
-    zero = Crc32Mpeg2.calc(bytes(length + dummy))
-    tables = np.zeros((length, 256), dtype=np.uint32)
-    for place in range(length):
-        for bit in range(8):
-            # The CRC is affine: what one bit changes does not depend on the others.
-            message = bytearray(length + dummy)
-            message[place] = 1 << bit
-            with_bit = (np.arange(256) >> bit) & 1 == 1
-            tables[place, with_bit] ^= np.uint32(Crc32Mpeg2.calc(message) ^ zero)
-    return tables, np.uint32(zero)
+    return np.concatenate([body, bytes_of(_CRC.of_rows(body)[:, np.newaxis].astype(np.int64), 4, True), *end], axis=1)
 
 
 class Stim300Encoder:
@@ -165,17 +118,14 @@ class Stim300Encoder:
 
     def __init__(self, settings: Stim300Format) -> None:
         if settings.accelerometer_range_g not in ACCELEROMETER_BITS:
-            raise UsageError(
-                f"accelerometer range {settings.accelerometer_range_g} g is not one of a STIM300's; "
-                f"choose one of {', '.join(map(str, ACCELEROMETER_BITS))} g",
-                accelerometer_range_g=settings.accelerometer_range_g,
-            )
+            found_g, ranges_g = settings.accelerometer_range_g, [*ACCELEROMETER_BITS]
+            raise UsageError(sentence("stim300.range", accelerometer_range_g=found_g, ranges_g=ranges_g))
         self.format = settings
         self.counter_offset = 0  # Added to the counter: where it stood at the first sample, and jumps of a faulty unit.
 
     def encode(self, samples: Samples) -> Bytes:
         """Return the datagrams of a block, shape (n, length)."""
-        use, count, places = self.format, len(samples), ACCELEROMETER_BITS[self.format.accelerometer_range_g]
+        use, places = self.format, ACCELEROMETER_BITS[self.format.accelerometer_range_g]
         rate_m_s2, rate_deg_s = samples.accelerometer_rate(), np.degrees(samples.gyroscope_rate())
         rate_g = rate_m_s2 / STANDARD_GRAVITY_M_S2
         # Binary places of one step (TS1524, table of output units): 2^-14 deg/s or 2^-21 deg; 2^-22 g of the inclinometer,
@@ -189,26 +139,22 @@ class Stim300Encoder:
         else:
             accelerometer = _to_integer(rate_g, places, _INT24)
         inclinometer = _to_integer(np.clip(rate_g, -INCLINOMETER_RANGE_G, INCLINOMETER_RANGE_G), 22, _INT24)
-        three_degc = np.repeat(samples.temperature_degc[:, np.newaxis], 3, axis=1)
-        temperature = _to_integer(three_degc, 8, _INT16) if use.temperature else None
         # An axis counts as saturated from 99.9 % of its range on.
         fast = np.abs(rate_deg_s) >= 0.999 * GYROSCOPE_RANGE_DEG_S
         strong = np.abs(rate_m_s2) >= 0.999 * use.accelerometer_range_g * STANDARD_GRAVITY_M_S2
-        raw = Stim300Raw(
-            counter=samples.counter * use.counter_step + self.counter_offset,
-            latency_us=use.latency_us,
-            gyroscope=gyroscope,
-            gyroscope_status=_status(samples, Status.GYROSCOPE_SATURATED, Status.GYROSCOPE_INVALID, fast),
-            accelerometer=accelerometer if use.accelerometer else None,
-            accelerometer_status=_status(samples, Status.ACCELEROMETER_SATURATED, Status.ACCELEROMETER_INVALID, strong),
-            inclinometer=inclinometer if use.inclinometer else None,
-            inclinometer_status=_start_up(samples),
-            gyroscope_temperature=temperature,
-            accelerometer_temperature=temperature if use.accelerometer else None,
-            inclinometer_temperature=temperature if use.inclinometer else None,
-            auxiliary=None if use.auxiliary == "none" else np.zeros(count, dtype=np.int64),
-        )
-        return stim300_frames(use.datagram_id, raw, crlf=use.crlf)
+        clusters = [Cluster(gyroscope, _status(samples, Status.GYROSCOPE_SATURATED, Status.GYROSCOPE_INVALID, fast))]
+        if use.accelerometer:
+            status = _status(samples, Status.ACCELEROMETER_SATURATED, Status.ACCELEROMETER_INVALID, strong)
+            clusters.append(Cluster(accelerometer, status))
+        if use.inclinometer:
+            clusters.append(Cluster(inclinometer, _start_up(samples)))
+        if use.temperature:
+            three_degc = _to_integer(np.repeat(samples.temperature_degc[:, np.newaxis], 3, axis=1), 8, _INT16)
+            clusters += [Cluster(three_degc, size=2)] * len(clusters)  # Each of the three triads has its thermometers.
+        if use.auxiliary != "none":
+            clusters.append(Cluster(np.zeros((len(samples), 1), dtype=np.int64)))
+        counter = samples.counter * use.counter_step + self.counter_offset
+        return stim300_frames(use.datagram_id, clusters, counter, use.latency_us, crlf=use.crlf)
 
 
 def _status(samples: Samples, saturated: Status, invalid: Status, at_limit: NDArray[np.bool_]) -> Bytes:

@@ -9,7 +9,7 @@ from imufield.guide.stillness.detector import StillnessDetector
 from imufield.guide.stillness.hand_edges import FEWEST, hand_edges
 from imufield.guide.stillness.scale import RoughScale
 from imufield.samples import Samples
-from imufield.simulate.truth.grades import INDUSTRIAL, perfect_instrument
+from imufield.simulate.truth.grades import GRADES, perfect_instrument
 from imufield.simulate.truth.imu import Imu, ImuSettings
 from imufield.simulate.truth.operator import Operator, OperatorSettings, TrueMove
 from tests.guide.guided import cells_of
@@ -24,7 +24,7 @@ def cells_with(rate_rad_s: np.ndarray[Any, Any]) -> Cells:
     n = len(rate_rad_s)
     gyroscope = np.zeros((n, 3))
     gyroscope[:, 0] = rate_rad_s
-    template = Imu(perfect_instrument(INDUSTRIAL), 1, ImuSettings(rate_hz=10.0))
+    template = Imu(perfect_instrument(GRADES["industrial"]), 1, ImuSettings(rate_hz=10.0))
     still = template.feed(Operator([], 1).block(0, n, 0.1))
     samples = Samples(
         time_s=still.time_s,
@@ -129,7 +129,7 @@ def test_edges_of_held_stretches_lie_where_the_turns_begin_and_end(
     )
     directions: list[list[float]] = [[0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, -1], [0, -1, 0], [-1, 0, 0], [0.0, 1, 1]]
     operator = Operator(directions, seed, settings)
-    imu = Imu(perfect_instrument(INDUSTRIAL), seed, ImuSettings(rate_hz=100.0))
+    imu = Imu(perfect_instrument(GRADES["industrial"]), seed, ImuSettings(rate_hz=100.0))
     count = round(operator.plan_all() * 100) - 50
     detector = StillnessDetector(RoughScale.of_units(imu.instrument.grade.units), hand=True)
     blocks = [imu.feed(operator.block(0, count, 0.01))]

@@ -203,10 +203,10 @@ def test_reordered_frames_change_places() -> None:
 
 
 def test_wrong_faults_are_refused() -> None:
-    with refused(UsageError, Reason.USAGE, "1.5", "0 to 1") as caught:
+    with refused(UsageError, Reason.USAGE, "1.5", "0 to 1", key="faults.outside") as caught:
         CanFaults(lost_frame_probability=1.5)
     assert caught.value.values["fault"] == "lost_frame_probability"
-    with refused(UsageError, Reason.USAGE, "speed 0", "0 to 1000"):
+    with refused(UsageError, Reason.USAGE, "speed 0", "0 to 1000", key="core.speed"):
         CanEmulator(load_protocol("j1939_imu"), Ramp(), "virtual:none", EmulatorSettings(speed=0.0))
 
 

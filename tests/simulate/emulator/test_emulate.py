@@ -92,7 +92,7 @@ def test_range_of_the_datagrams_holds_the_grade(grade: str, range_g: int) -> Non
 def test_text_at_any_rate_and_stim300_at_its_own() -> None:
     emulator = make_emulator(replace(OPTIONS, device="text", rate_hz=33.0))
     emulator.stop()
-    with refused(UsageError, Reason.USAGE, "333 Hz", "125, 250, 500, 1000") as caught:
+    with refused(UsageError, Reason.USAGE, "333 Hz", "125, 250, 500, 1000", key="emulate.rate") as caught:
         make_emulator(replace(OPTIONS, rate_hz=333.0))
     assert caught.value.values["rate_hz"] == 333
 

@@ -78,5 +78,5 @@ def test_seed_decides() -> None:
 
 @pytest.mark.parametrize("faults", [{"bit_flip_probability": 1.5}, {"garbage_per_s": -1.0}, {"stall_s": float("nan")}])
 def test_senseless_rates_are_refused(faults: dict[str, float]) -> None:
-    with refused(UsageError, Reason.USAGE, *faults):
+    with refused(UsageError, Reason.USAGE, *faults, key="faults.outside"):
         Faults(**faults)  # type: ignore[arg-type]

@@ -216,13 +216,13 @@ def test_stop_before_a_reader_came() -> None:
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 1e6])
 def test_senseless_speed_is_refused(speed: float) -> None:
-    with refused(UsageError, Reason.USAGE, f"speed {speed:g}", "0 to 1000"):
+    with refused(UsageError, Reason.USAGE, f"speed {speed:g}", "0 to 1000", key="core.speed"):
         Emulator(stim300(), source(), EmulatorSettings(speed=speed))
 
 
 def test_link_never_replaces_a_file(tmp_path: Path) -> None:
     (tmp_path / "notes").write_text("precious")
-    with refused(UsageError, Reason.USAGE, "notes") as caught:
+    with refused(UsageError, Reason.USAGE, "notes", key="port.no_link") as caught:
         PseudoTerminal(tmp_path / "notes")
     assert caught.value.values["path"].endswith("notes")
     assert (tmp_path / "notes").read_text() == "precious"
@@ -230,7 +230,7 @@ def test_link_never_replaces_a_file(tmp_path: Path) -> None:
 
 def test_every_byte_value_passes_both_ways() -> None:
     pty = PseudoTerminal()
-    descriptor = open_port(pty.port)
+    descriptor = open_port(pty.address)
     try:
         everything = bytes(range(256))
         pty.write(everything)

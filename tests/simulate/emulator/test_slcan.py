@@ -23,7 +23,7 @@ LIMIT_S = 60.0
 @pytest.fixture
 def adapter() -> Iterator[tuple[SlcanDevice, int]]:
     device = SlcanDevice()
-    host = os.open(device.port.port, os.O_RDWR | os.O_NOCTTY)
+    host = os.open(device.port.address, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(host)
     os.set_blocking(host, False)
     yield device, host

@@ -180,7 +180,7 @@ def test_form_is_found_by_name_or_by_settings() -> None:
     assert choose_form(protocol, None, {}).name == "uart"
     assert choose_form(protocol, None, {"form": "card"}).name == "card"
     assert choose_form(protocol, "bluetooth", {}).settings == {"form": "bluetooth"}
-    with refused(UsageError, Reason.USAGE, "uart, bluetooth, card") as caught:
+    with refused(UsageError, Reason.USAGE, "uart, bluetooth, card", key="forms.no_form") as caught:
         choose_form(protocol, "usart", {})
     assert caught.value.values["form"] == "usart"
 
@@ -205,16 +205,16 @@ def test_a_users_own_file_is_emulated(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "reason", "fact"),
+    ("before", "after", "reason", "fact", "key"),
     [
-        ('key = "0x55"', 'key = "0x99"', Reason.USAGE, "0x99"),
-        ('key = "0x55"', 'start = "AA"', Reason.USAGE, "aa"),
-        ('key = "0x55"', 'kee = "0x55"', Reason.BAD_PROTOCOL, "emulate.0.frames.0.kee"),
+        ('key = "0x55"', 'key = "0x99"', Reason.USAGE, "0x99", "frames.no_key"),
+        ('key = "0x55"', 'start = "AA"', Reason.USAGE, "aa", "frames.no_start"),
+        ('key = "0x55"', 'kee = "0x55"', Reason.BAD_PROTOCOL, "emulate.0.frames.0.kee", None),
     ],
 )
-def test_a_wrong_table_is_an_error(before: str, after: str, reason: Reason, fact: str) -> None:
+def test_a_wrong_table_is_an_error(before: str, after: str, reason: Reason, fact: str, key: str | None) -> None:
     protocol = parse_protocol(load_protocol("kvh_17xx").text.replace(before, after))
-    with refused(ImufieldError, reason, "kvh_17xx", fact):
+    with refused(ImufieldError, reason, "kvh_17xx", fact, key=key):
         ProtocolDevice(protocol, wire_forms(protocol)[0], 1000.0)
 
 

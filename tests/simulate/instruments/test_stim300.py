@@ -11,8 +11,6 @@ import pytest
 from imufield.samples import SampleUnits, Status, make_samples
 from imufield.simulate.instruments.device import Answer
 from imufield.simulate.instruments.stim300 import Stim300Device, Stim300Identity, utility_message
-from imufield.simulate.instruments.text import TextDevice
-from imufield.simulate.wire.lines import TextFormat
 from imufield.simulate.wire.stim300 import Stim300Format
 
 LENGTHS = {b"N": 20, b"I": 20, b"C": 26, b"T": 40, b"E": 21}
@@ -117,14 +115,3 @@ def test_start_up_shows_full_rate_and_the_bit() -> None:
     assert first[10] == 0x40
     assert second[1:4].tobytes() == bytes(3)
     assert frames.checksum_at.tolist() == [37, 77]
-
-
-def test_text_device_prints_and_is_deaf() -> None:
-    device = TextDevice(TextFormat(columns=("counter", "ax"), decimals=1))
-    samples = make_samples(np.arange(2.0), np.ones((2, 3)), units=SampleUnits(), counter=np.arange(2))
-    device.jump_counter(7)
-    frames = device.encode(samples)
-    assert frames.data.tobytes() == b"7,1.0\r\n8,1.0\r\n"
-    assert frames.data[frames.checksum_at].tobytes() == b"00"
-    assert device.receive(b"N\r") == Answer()
-    assert device.power_on() == b""

@@ -47,6 +47,6 @@ def test_perfect_instrument_has_no_errors() -> None:
 
 
 def test_unknown_grade_names_the_known_ones() -> None:
-    with refused(UsageError, Reason.USAGE, "navigation, tactical") as caught:
+    with refused(UsageError, Reason.USAGE, "navigation, tactical", key="grades.no_grade") as caught:
         find_grade("stellar")
     assert caught.value.values["grade"] == "stellar"

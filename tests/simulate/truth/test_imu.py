@@ -14,7 +14,6 @@ from imufield.errors import Reason, UsageError
 from imufield.samples import SampleUnits, Status
 from imufield.simulate.truth.grades import (
     GRADES,
-    MEMS,
     REFERENCE_TEMPERATURE_DEGC,
     TACTICAL,
     Grade,
@@ -108,7 +107,7 @@ def test_white_noise_has_the_density_at_any_rate(rate_hz: float) -> None:
         assert allan == pytest.approx(density / np.sqrt(0.5), rel=0.06)
 
 
-@pytest.mark.parametrize("grade", [TACTICAL, MEMS], ids=lambda grade: grade.name)
+@pytest.mark.parametrize("grade", [TACTICAL, GRADES["mems"]], ids=lambda grade: grade.name)
 def test_outputs_are_whole_steps(grade: Grade) -> None:
     samples = Imu(drawn(grade.name), 1, ImuSettings()).feed(motion_of(np.full((500, 3), 5.0)))
     for values, triad in ((samples.accelerometer, grade.accelerometer), (samples.gyroscope, grade.gyroscope)):
@@ -120,9 +119,9 @@ def test_outputs_are_whole_steps(grade: Grade) -> None:
 def test_quantisation_error_is_uniform() -> None:
     settings = replace(QUIET, quantise=True)
     force = RNG.uniform(-10, 10, (20000, 3))
-    error = (
-        Imu(perfect_instrument(MEMS), 1, settings).feed(motion_of(force)).accelerometer - force
-    ) / MEMS.accelerometer.lsb_si
+    error = (Imu(perfect_instrument(GRADES["mems"]), 1, settings).feed(motion_of(force)).accelerometer - force) / GRADES[
+        "mems"
+    ].accelerometer.lsb_si
     assert np.abs(error).max() <= 0.5 + 1e-9
     assert error.std() == pytest.approx(1 / np.sqrt(12), rel=0.02)
 
@@ -232,14 +231,14 @@ def test_empty_block() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "delay_s", "fact"),
+    ("settings", "delay_s", "fact", "key"),
     [
-        (ImuSettings(rate_hz=0.0), 0.0, "0 Hz"),
-        (ImuSettings(loss_probability=1.0), 0.0, "0 to 1"),
-        (ImuSettings(), 0.5, "0.5 s"),
+        (ImuSettings(rate_hz=0.0), 0.0, "0 Hz", "imu.rate"),
+        (ImuSettings(loss_probability=1.0), 0.0, "0 to 1", "imu.loss"),
+        (ImuSettings(), 0.5, "0.5 s", "imu.delay"),
     ],
     ids=["rate", "loss", "delay"],
 )
-def test_senseless_settings_are_refused(settings: ImuSettings, delay_s: float, fact: str) -> None:
-    with refused(UsageError, Reason.USAGE, fact):
+def test_senseless_settings_are_refused(settings: ImuSettings, delay_s: float, fact: str, key: str) -> None:
+    with refused(UsageError, Reason.USAGE, fact, key=key):
         Imu(drawn(delay_s=delay_s), 1, settings)

@@ -202,6 +202,6 @@ def test_after_the_plan_it_stays() -> None:
 @pytest.mark.parametrize("direction", [[0, 0, 0], [math.nan, 0, 1]])
 def test_a_direction_must_point_somewhere(direction: list[float]) -> None:
     plan: list[list[float]] = [[0, 0, 1], direction]
-    with refused(UsageError, Reason.USAGE, "direction 1") as caught:
+    with refused(UsageError, Reason.USAGE, "direction 1", key="operator.direction") as caught:
         Operator(plan, 1)
     assert caught.value.values["row"] == 1

@@ -71,5 +71,5 @@ def test_values_stop_at_the_last_that_is_no_code() -> None:
 
 
 def test_other_protocols_have_no_frames() -> None:
-    with refused(UsageError, Reason.USAGE, "stim300", "DBC"):
+    with refused(UsageError, Reason.USAGE, "stim300", "DBC", key="can_frames.no_bus"):
         CanEncoder(load_protocol("stim300"))
