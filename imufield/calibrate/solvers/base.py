@@ -14,6 +14,9 @@ from typing import Protocol
 import numpy as np
 
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Callback = Callable[[int, FloatArray, float], bool]
 """Called as ``callback(iteration, best z, best cost)``; a solver stops with status STOPPED when it returns True."""
@@ -76,7 +79,7 @@ class SolverResult:
 
     def as_polish_of(self, found: SolverResult) -> SolverResult:
         """Return this result of least squares as the last step of a method that found where it started."""
-        message = f"{found.message}; polished by least squares: {self.message}"
+        message = sentence("base.polished", found=found.message, message=self.message)
         return replace(self, message=message, evaluations=found.evaluations + self.evaluations)
 
 
