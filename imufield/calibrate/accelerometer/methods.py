@@ -37,6 +37,9 @@ from imufield.calibrate.solvers.costs import CostName, NormProblem
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.registry import find_method, load_solver
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 GAUGE_FREE_NAMES = tuple(
     f"intrinsic.{kind}.{axis}"
@@ -188,8 +191,7 @@ def solve_with(
         residual_max_m_s2=float(np.abs(residual).max()),
     )
     if not found.converged:
-        sentence = f"the method {method} did not converge, do not use these parameters: {found.message}"
-        quality = quality.lowered("poor", sentence)
+        quality = quality.lowered("poor", sentence("methods.not_converged", method=method, message=found.message))
     sigma = np.concatenate([old.scale_sigma, old.bias_raw_sigma, old.angle_sigma_rad, old.quadratic_sigma])
     return replace(
         calibration,

@@ -42,6 +42,9 @@ from imufield.calibrate.gyroscope.static import (
 )
 from imufield.calibrate.gyroscope.whole_turns import find_stops, whole_stops
 from imufield.errors import CalibrationError, Reason
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
 def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -> GyroscopeResult:
@@ -77,10 +80,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
     rough = rough_inverse(data.slots) if len(data.before) else None
     begin = rough if preset is None else preset
     if begin is None:
-        raise CalibrationError(
-            "nothing says what the scale of the gyroscope is: there are no moves, no preset and no driver; give a preset",
-            Reason.UNOBSERVABLE,
-        )
+        raise CalibrationError(sentence("calibrate.no_scale"), Reason.UNOBSERVABLE)
     if preset is not None and rough is not None:
         refuse_foreign(data, rough, preset)
     elif np.linalg.det(begin) <= 0:
@@ -95,8 +95,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         first = fit_jointly(data, errors, start, observability.free(FULL), earth=earth)
         whole, missed = whole_stops(first.evaluation, data, moves, sigma)
         warnings = tuple(
-            f"the turn against a stop at {given.moves.start_s[moves[k]]:.1f} s was not whole: it misses by "
-            f"{np.degrees(missed[k]):+.2f} deg and is used as a move only; repeat it"
+            sentence("calibrate.not_whole", start_s=given.moves.start_s[moves[k]], missed_deg=np.degrees(missed[k]))
             for k in np.flatnonzero(~whole)
         )
         data = replace(data, stops=moves[whole], stop_sigma_rad=sigma[whole])
@@ -109,7 +108,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         loose = fit_jointly(data, errors, fitted.p, free, earth=EarthKnowledge.at(None), scatter=fitted.scatter)
         place = int(np.flatnonzero(loose.free == VERTICAL)[0])
         sigma_rad_s = float(np.sqrt(loose.covariance[place, place]))
-        warnings += latitude_words(given.latitude_deg, float(loose.p[VERTICAL]), sigma_rad_s)
+        warnings += (latitude_words(given.latitude_deg, float(loose.p[VERTICAL]), sigma_rad_s),)
     solution = JointSolution(
         given=given,
         data=data,
@@ -127,17 +126,12 @@ def _static(given: GyroscopeInput) -> GyroscopeResult:
     preset, observations = given.preset, given.observations
     A = given.preset_inverse()
     if A is not None and given.latitude_deg is not None and sees_earth(observations.gyroscope_covariance_raw, A):
-        rest, force = given.rest_raw, given.force_m_s2
-        up = force / np.linalg.norm(force, axis=1)[:, None]
+        up = given.force_m_s2 / np.linalg.norm(given.force_m_s2, axis=1)[:, None]
         middle_s = observations.start_s + observations.duration_s / 2
-        data = StaticData(observations.gyroscope_mean_raw - rest, observations.gyroscope_covariance_raw, up, middle_s)
-        solution = StaticSolution(
-            given=given,
-            data=data,
-            fitted=fit_static(data, A, given.latitude_deg, given.static_free),
-            rest_raw=rest,
-        )
-        return static_norm_result(solution)
+        rate_raw = observations.gyroscope_mean_raw - given.rest_raw
+        data = StaticData(rate_raw, observations.gyroscope_covariance_raw, up, middle_s)
+        fitted = fit_static(data, A, given.latitude_deg, given.static_free)
+        return static_norm_result(StaticSolution(given=given, data=data, fitted=fitted))
     gyroscope = static_bias(
         observations,
         given.nominal_scale if preset is None else preset.scale,
@@ -145,4 +139,4 @@ def _static(given: GyroscopeInput) -> GyroscopeResult:
         up=given.force_m_s2,
         latitude_deg=given.latitude_deg,
     )
-    return static_bias_result(gyroscope, tuple(move.sentence for move in given.moves.dropped))
+    return static_bias_result(gyroscope, given.moves.dropped)

@@ -17,6 +17,9 @@ from imufield.calibrate.solvers.base import SolverResult, SolverStatus
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray, IntArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _ITERATIONS = 60  # Steps before it says that it did not converge; the scatters settle last.
 _SETTLED = 1e-8  # Sum of squared changes in sigma at which it stops: a ten-thousandth of a sigma.
@@ -201,7 +204,7 @@ def _gauss_newton(
             break
     step = _linear_step(now, parts, scatter, p, free=free, prior=prior)
     settled = status is SolverStatus.CONVERGED
-    message = "changes are below a ten-thousandth of a sigma" if settled else f"it still moves after {_ITERATIONS} steps"
+    message = sentence("fit.settled" if settled else "fit.iteration_limit", iterations=_ITERATIONS)
     solved = SolverResult(x=p[free], cost=step.cost, status=status, message=message, evaluations=count)
     return JointFit(
         p=p,
@@ -237,12 +240,7 @@ def _root(covariance: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError as error:
         spread = float(np.sqrt(np.diagonal(covariance).max()))
-        raise CalibrationError(
-            f"the moves contradict one another: their residuals scatter by {spread:.3g}, far beyond the noise, so "
-            "no gyroscope fits them; repeat the session with slower turns, or give the right raw unit",
-            Reason.NOT_CONVERGED,
-            scatter=spread,
-        ) from error
+        raise CalibrationError(sentence("fit.contradiction", scatter=spread), Reason.NOT_CONVERGED) from error
 
 
 def _linear_step(

@@ -42,6 +42,9 @@ from imufield.calibrate.solvers.base import SolverResult, SolverStatus
 from imufield.calibrate.solvers.costs import CostName
 from imufield.calibrate.solvers.registry import find_method, load_solver
 from imufield.samples import FloatArray, IntArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _REACH = 5.0  # Bounds of the coordinates: the solution is about one unit away, and this leaves room.
 # Of a round, in the problem's unit: the size of the papers' costs, for which the first steps of their swarms are made.
@@ -93,9 +96,9 @@ class SearchedFit:
         """Return the 21 numbers of the instrument and their derivative by ``x``, shape (21, n)."""
         solution, p = self.solution, self.all_parameters(x)
         if isinstance(solution, StaticSolution):
-            values, J = forward(np.concatenate([p[:12], np.zeros(9)]), solution.rest_raw)
+            values, J = forward(np.concatenate([p[:12], np.zeros(9)]), solution.given.rest_raw)
             return values, J[:, self.free]
-        values, J = forward(p[:PARAMETERS], solution.data.rest_raw)
+        values, J = forward(p[:PARAMETERS], solution.given.rest_raw)
         own = self.free < PARAMETERS  # the others are the Earth's rate
         by_free = np.zeros((PARAMETERS, len(own)))
         by_free[:, own] = J[:, self.free[own]]
@@ -249,11 +252,10 @@ def search(
         ended = replace(found, x=x, cost=cost, evaluations=evaluations)
         # A round that came near but not all the way is followed by one with a smaller unit; only the last has to converge.
         if found.status in (SolverStatus.FAILED, SolverStatus.STOPPED) or moved <= _SETTLED_SIGMA * np.sqrt(len(found.x)):
-            return replace(ended, message=f"{found.message} (round {number})")
+            return replace(ended, message=sentence("methods.round", message=found.message, round=number))
         if number == _ROUNDS:
-            return replace(
-                ended, status=SolverStatus.ITERATION_LIMIT, message=f"still moves by {moved:.2g} sigma after {_ROUNDS} rounds"
-            )
+            message = sentence("methods.round_limit", moved_sigma=moved, rounds=_ROUNDS)
+            return replace(ended, status=SolverStatus.ITERATION_LIMIT, message=message)
 
 
 def solve_gyroscope_with(

@@ -18,6 +18,9 @@ from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
 from imufield.calibrate.model.observability import unexplained_lengths
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray, IntArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 WORST_SCALE = 0.05
 """Relative sigma above which an entry of K E counts as not observed: a driver's nominal scale is as good."""
@@ -88,12 +91,9 @@ def observe(p: FloatArray, data: GyroscopeData, errors: ForceErrors, *, known: b
     hidden = tuple(sorted(set(_ORDER) - set(visible)))
     unknown = [entry_name(k) for k in hidden if k % 4 == 0]
     if unknown and not known:
-        raise CalibrationError(
-            f"these moves cannot show {' and '.join(unknown)} and nothing says what it is; add moves that turn about "
-            f"{', '.join(name[-1] for name in unknown)}, or give a preset",
-            Reason.UNOBSERVABLE,
-            names=tuple(unknown),
-        )
+        axes = [name[-1] for name in unknown]
+        hidden_scale = sentence("observability.hidden_scale", scales=" and ".join(unknown), axes=axes)
+        raise CalibrationError(hidden_scale, Reason.UNOBSERVABLE, names=tuple(unknown))
     # Biases are always visible, so `hidden` has entries of A alone.
     sensitivity = all(length[k] > 1 / WORST_SENSITIVITY for k in range(SENSITIVITY.start, SENSITIVITY.stop))
     return Observability(visible, hidden, sensitivity, known)

@@ -41,6 +41,9 @@ from imufield.calibrate.model.result import GyroscopeCalibration, GyroscopeParam
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
 
 GYROSCOPE_BIAS_NAMES = tuple(f"gyroscope.bias.{axis}" for axis in AXES)
 """Names of the static gyroscope parameters in the joint covariance, raw unit."""
@@ -94,18 +97,18 @@ def static_bias(
     earth_known = np.zeros_like(up)
     earth_variance = np.full(3, EARTH_RATE_RAD_S**2 / 3)
     if latitude_deg is None:
-        words = "Earth rate in the sigma, because the latitude is not known"
+        key = "static.bias_no_latitude"
     elif not np.isfinite(up).all():
-        words = "Earth rate in the sigma, because the attitude is not known"
+        key = "static.bias_no_attitude"
     else:
+        key = "static.bias"
         unit = up / np.linalg.norm(up, axis=1)[:, None]
         latitude = math.radians(latitude_deg)
         earth_known = EARTH_RATE_RAD_S * math.sin(latitude) * unit
         # The horizontal part at an unknown heading, mean over positions.
         earth_variance = (EARTH_RATE_RAD_S * math.cos(latitude)) ** 2 * np.mean((1 - unit**2) / 2, axis=0)
-        words = "vertical Earth rate taken off, horizontal part (heading unknown) in the sigma"
     if scale is None:
-        words = "Earth rate not accounted for, because the scale is not known"
+        key = "static.bias_no_scale"
     gain = np.nan_to_num(K)
     values = (observations.gyroscope_mean_raw - gain * (earth_known @ (np.eye(3) + misalignment).T))[measured]
     # The scatter between positions contains g-sensitivity and drift.
@@ -114,7 +117,7 @@ def static_bias(
     return GyroscopeCalibration(
         GyroscopeParameters(K, misalignment, values.mean(axis=0), np.zeros((3, 3))),
         GyroscopeParameters(np.full(3, np.nan), not_estimated, sigma, not_estimated),
-        f"static bias from {m} positions, {words}; scale and misalignment as given, not calibrated",
+        sentence(key, positions=m),
         observations.units.gyroscope_rate_unit,
     )
 
@@ -175,16 +178,12 @@ def observed_latitude_deg(vertical_rad_s: float, sigma_rad_s: float) -> tuple[fl
     return math.degrees(math.asin(sine)), math.degrees(sigma_rad_s / EARTH_RATE_RAD_S / cosine)
 
 
-def latitude_words(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) -> tuple[str, ...]:
+def latitude_words(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) -> Sentence:
     """Return what u . w says about the latitude that was given."""
     observed, latitude_sigma = observed_latitude_deg(vertical_rad_s, sigma_rad_s)
-    if abs(observed - latitude_deg) > CONTRADICTED * latitude_sigma:
-        sentence = (
-            f"the latitude {latitude_deg:g} deg contradicts the gyroscope, which sees {observed:.2f} deg "
-            f"({latitude_sigma:.2f} deg 1 sigma) in the specific force times the Earth's rate: check it"
-        )
-        return (sentence,)
-    return (f"the gyroscope sees latitude {observed:.2f} deg ({latitude_sigma:.2f} deg 1 sigma), given {latitude_deg:g} deg",)
+    contradicted = abs(observed - latitude_deg) > CONTRADICTED * latitude_sigma
+    key = "static.latitude_contradicted" if contradicted else "static.latitude_seen"
+    return sentence(key, latitude_deg=latitude_deg, observed_deg=observed, sigma_deg=latitude_sigma)
 
 
 def sees_earth(covariance_raw: FloatArray, A: FloatArray) -> bool:
