@@ -204,7 +204,7 @@ def _checked_data(
     raw = observations.mean_raw - zero
     require_outputs(raw, observations.name)
     require_space(raw)
-    covariance = observations.covariance_raw if known_covariance(observations.covariance_raw) else None
+    covariance = known_covariance(observations.covariance_raw)
     return FitData(raw=raw, covariance_raw=covariance, gravity_m_s2=gravity.gravity_m_s2, quadratic_axes=axes, loss=loss)
 
 

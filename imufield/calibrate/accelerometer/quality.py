@@ -12,7 +12,7 @@ from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.observability import Observability
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Quality
-from imufield.calibrate.model.uncertainty import Influence, single_positions, student_factor
+from imufield.calibrate.model.uncertainty import Influence, rms, single_positions, student_factor
 from imufield.earth import MEASURED_GRAVITY_SIGMA_M_S2, MILLI_G_M_S2, Gravity, contradiction
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
@@ -74,7 +74,7 @@ class Evidence:
 def judge(evidence: Evidence) -> Quality:
     """Return figures, verdict and reasons."""
     fitted, freedom = evidence.fitted, evidence.fitted.degrees_of_freedom
-    residual_rms, without = _rms(fitted.residual_m_s2), _rms(evidence.leave_one_out_m_s2)
+    residual_rms, without = rms(fitted.residual_m_s2), rms(evidence.leave_one_out_m_s2)
     parameters = len(evidence.chosen.free)
     summary = sentence(
         "quality.summary" if np.isfinite(without) else "quality.summary_none_to_spare",
@@ -138,11 +138,6 @@ def refuse_saturation(raw: FloatArray, residual_m_s2: FloatArray) -> None:
             values = {"worst_mg": worst / MILLI_G_M_S2, "accepted_mg": SATURATION_RESIDUAL_M_S2 / MILLI_G_M_S2}
             clipped = sentence("quality.saturated", axis=AXES[axis], limit=limit, count=count, **values)
             raise CalibrationError(clipped, Reason.SATURATED)
-
-
-def _rms(values: FloatArray) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
 
 
 def poor_sentences(unsettled: str | None, degrees_of_freedom: int, leave_one_out_rms_m_s2: float) -> list[str]:

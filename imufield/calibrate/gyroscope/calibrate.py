@@ -18,8 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.covariance import force_errors
-from imufield.calibrate.gyroscope.fit import EarthKnowledge, fit_jointly
+from imufield.calibrate.gyroscope.fit import fit_jointly
 from imufield.calibrate.gyroscope.input import GyroscopeInput, handedness_error, make_data, refuse_dead, refuse_foreign
 from imufield.calibrate.gyroscope.model_choice import FULL, GyroscopeModel, choose_model
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, rough_inverse
@@ -74,8 +73,6 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         return _static(given)
     data = make_data(given)
     refuse_dead(given, data)
-    errors = force_errors(given.observations, given.calibration, given.rests)
-    earth = EarthKnowledge.at(given.latitude_deg)
     preset = given.preset_inverse()
     rough = rough_inverse(data.slots) if len(data.before) else None
     begin = rough if preset is None else preset
@@ -87,38 +84,31 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         raise handedness_error()
     start = np.zeros(data.parameters)
     start[INVERSE] = begin.ravel()
-    observability = observe(start, data, errors, known=preset is not None)
+    observability = observe(start, data, known=preset is not None)
     warnings: tuple[str, ...] = ()
     if given.stops:
         # A fit without the stops tells which of their turns were whole; the others are used as moves.
         moves, sigma = find_stops(given.stops, given.moves.start_s, given.moves.end_s)
-        first = fit_jointly(data, errors, start, observability.free(FULL), earth=earth)
+        first = fit_jointly(data, start, observability.free(FULL))
         whole, missed = whole_stops(first.evaluation, data, moves, sigma)
         warnings = tuple(
             sentence("calibrate.not_whole", start_s=given.moves.start_s[moves[k]], missed_deg=np.degrees(missed[k]))
             for k in np.flatnonzero(~whole)
         )
         data = replace(data, stops=moves[whole], stop_sigma_rad=sigma[whole])
-    chosen = choose_model(data, errors, start, observability, earth=earth, model=model)
+    chosen = choose_model(data, start, observability, model)
     fitted = chosen.fit
     # With a g-sensitivity fitted the specific force times the Earth's rate says nothing of the latitude: the vertical Earth
     # rate is an exact alias of G = (rate sin(latitude) / g) I.
     if given.latitude_deg is not None and fitted.heading_fitted and not chosen.g_sensitive:
         free = fitted.free[fitted.free < PARAMETERS]
-        loose = fit_jointly(data, errors, fitted.p, free, earth=EarthKnowledge.at(None), scatter=fitted.scatter)
+        loose = fit_jointly(replace(data, latitude_deg=None), fitted.p, free, fitted.scatter)
         place = int(np.flatnonzero(loose.free == VERTICAL)[0])
         sigma_rad_s = float(np.sqrt(loose.covariance[place, place]))
         warnings += (latitude_words(given.latitude_deg, float(loose.p[VERTICAL]), sigma_rad_s),)
-    solution = JointSolution(
-        given=given,
-        data=data,
-        chosen=chosen,
-        start=start,
-        observability=observability,
-        earth=earth,
-        warnings=warnings,
+    return joint_result(
+        JointSolution(given=given, data=data, chosen=chosen, start=start, observability=observability, warnings=warnings)
     )
-    return joint_result(solution)
 
 
 def _static(given: GyroscopeInput) -> GyroscopeResult:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.covariance import accelerometer_force
+from imufield.calibrate.gyroscope.covariance import accelerometer_force, force_errors
 from imufield.calibrate.gyroscope.move_integration import centre
 from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, chains_of
@@ -121,6 +121,8 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
         noise_density_raw=density,
         rest_raw=rest,
         time_s=observations.start_s + observations.duration_s / 2,
+        errors=force_errors(observations, given.calibration, given.rests),
+        latitude_deg=given.latitude_deg,
         table=pair_runs(given.turntable) if given.turntable else no_table(),
     )
 

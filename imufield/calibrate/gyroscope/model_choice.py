@@ -11,8 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.covariance import ForceErrors
-from imufield.calibrate.gyroscope.fit import EarthKnowledge, JointFit, fit_jointly
+from imufield.calibrate.gyroscope.fit import JointFit, fit_jointly
 from imufield.calibrate.gyroscope.move_integration import PARAMETERS, SENSITIVITY
 from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residuals import GyroscopeData
@@ -39,15 +38,7 @@ class ChosenModel:
     sentence: Sentence
 
 
-def choose_model(
-    data: GyroscopeData,
-    errors: ForceErrors,
-    start: FloatArray,
-    observability: Observability,
-    *,
-    earth: EarthKnowledge,
-    model: GyroscopeModel,
-) -> ChosenModel:
+def choose_model(data: GyroscopeData, start: FloatArray, observability: Observability, model: GyroscopeModel) -> ChosenModel:
     """Fit what is asked for, or, with "auto", what is significant.
 
     Raises
@@ -60,9 +51,9 @@ def choose_model(
         if model == "g-sensitive":
             raise CalibrationError(sentence("model_choice.hidden"), Reason.UNOBSERVABLE)
         why = sentence("model_choice.basic_as_asked" if model == "basic" else "model_choice.basic_as_shown")
-        basic = fit_jointly(data, errors, start, observability.free(BASIC), earth=earth)
+        basic = fit_jointly(data, start, observability.free(BASIC))
         return ChosenModel(basic, False, nothing, why)
-    full = fit_jointly(data, errors, start, observability.free(FULL), earth=earth)
+    full = fit_jointly(data, start, observability.free(FULL))
     if model == "g-sensitive":
         return ChosenModel(full, True, nothing, sentence("model_choice.fitted_as_asked"))
     # F statistic of the entries of G against zero.
@@ -73,7 +64,7 @@ def choose_model(
     told = dict(zip(("F", "limit"), told_apart(F, limit), strict=True))
     if limit < F:
         return ChosenModel(full, True, nothing, sentence("model_choice.kept", **told))
-    basic = fit_jointly(data, errors, start, observability.free(BASIC), earth=earth)
+    basic = fit_jointly(data, start, observability.free(BASIC))
     # Of F only what is above 1, the value of pure noise, speaks for a true G.
     hidden_change = np.sqrt(max(0.0, 1 - 1 / F)) * (full.p - basic.p)
     hidden_change[SENSITIVITY] = 0.0

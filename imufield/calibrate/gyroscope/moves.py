@@ -349,15 +349,13 @@ def cut_moves(
     slots: Slots, start_s: FloatArray, duration_s: FloatArray, limits: tuple[FloatArray, FloatArray] | None = None
 ) -> Moves:
     """Cut slots at still intervals; ``limits`` are the smallest and largest output of the session."""
-    if not np.isfinite(start_s).all():
-        # Means that somebody else averaged have no time: nothing is known of what lies between them.
-        return _gather(slots, [], [])
-    order = np.argsort(start_s, kind="stable")
+    # Means that somebody else averaged have no time: nothing is known of what lies between them.
+    order = np.argsort(start_s, kind="stable") if np.isfinite(start_s).all() else np.empty(0, dtype=np.int64)
     # A clock that jumps back must not hide what lies behind the jump; the move with the jump is dropped.
     rising_s = np.maximum.accumulate(slots.start_s)
     stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
     stills = stretch_stills(rising_s, slots.duration_s, slots.turn, slots.force, stills=stills)
-    kept: list[_Cut] = []
+    kept: list[tuple[int, int, float, float, IntArray]] = []  # Stills before and after, begin and end, rows of the slots.
     dropped: list[Sentence] = []
     for k, (before, after) in enumerate(pairwise(order)):
         begin, end = float(stills[k, 1]), float(stills[k + 1, 0])
@@ -367,15 +365,7 @@ def cut_moves(
             kept.append((int(before), int(after), begin, end, np.arange(low, high)))
         else:
             dropped.append(fault)
-    return _gather(slots, kept, dropped)
-
-
-_Cut = tuple[int, int, float, float, IntArray]
-"""A move: stills before and after, begin and end in s, rows of its slots."""
-
-
-def _gather(slots: Slots, cuts: list[_Cut], dropped: list[Sentence]) -> Moves:
-    before, after, begin_s, end_s, rows = zip(*cuts, strict=True) if cuts else ([],) * 5
+    before, after, begin_s, end_s, rows = zip(*kept, strict=True) if kept else ([],) * 5
     length = np.array([len(part) for part in rows], dtype=np.int64)
     return Moves(
         before=np.array(before, dtype=np.int64),
@@ -383,7 +373,7 @@ def _gather(slots: Slots, cuts: list[_Cut], dropped: list[Sentence]) -> Moves:
         start_s=np.array(begin_s, dtype=np.float64),
         end_s=np.array(end_s, dtype=np.float64),
         first=np.cumsum(length) - length,
-        slots=slots[np.concatenate(rows)] if cuts else slots[:0],
+        slots=slots[np.concatenate(rows)] if kept else slots[:0],
         dropped=tuple(dropped),
     )
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.gyroscope.fit import EarthKnowledge
 from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.model_choice import ChosenModel
 from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY
@@ -15,7 +14,7 @@ from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
 from imufield.calibrate.gyroscope.static import GYROSCOPE_BIAS_NAMES, StaticData, StaticFit, latitude_words
 from imufield.calibrate.gyroscope.whole_turns import find_whole_turns
-from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
+from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, unit_diagonal_matrices
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
     GRAVITY_NAME,
@@ -23,7 +22,7 @@ from imufield.calibrate.model.result import (
     GyroscopeCalibration,
     GyroscopeParameters,
 )
-from imufield.calibrate.model.uncertainty import bounded_cross_covariance
+from imufield.calibrate.model.uncertainty import bounded_cross_covariance, rms
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
 
@@ -57,12 +56,12 @@ class MoveReport:
     @property
     def rms_before_deg(self) -> float:
         """Root mean square of ``before_deg``; NaN without moves."""
-        return _rms(self.before_deg)
+        return rms(self.before_deg)
 
     @property
     def rms_after_deg(self) -> float:
         """Root mean square of ``after_deg``; NaN without moves."""
-        return _rms(self.after_deg)
+        return rms(self.after_deg)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,7 +121,6 @@ class JointSolution:
     chosen: ChosenModel
     start: FloatArray
     observability: Observability
-    earth: EarthKnowledge
     warnings: tuple[str, ...]
 
 
@@ -250,8 +248,7 @@ def forward(x: FloatArray, rest_raw: FloatArray) -> tuple[FloatArray, FloatArray
 
 def as_parameters(vector: FloatArray) -> GyroscopeParameters:
     """Return the parameters of a vector in the order of ``GYROSCOPE_NAMES``."""
-    misalignment = np.zeros((3, 3))
-    misalignment[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS] = vector[3:9]
+    misalignment = unit_diagonal_matrices(vector[3:9]) - np.eye(3)
     return GyroscopeParameters(vector[:3].copy(), misalignment, vector[9:12].copy(), vector[12:].reshape(3, 3).copy())
 
 
@@ -264,7 +261,7 @@ def _path(solution: JointSolution, turns: tuple[Sentence, ...]) -> str:
         (len(data.stops), sentence("report.stops", stops=len(data.stops))),
         (len(data.table), sentence("report.table", pairs=len(data.table))),
     )
-    earth = "report.no_latitude" if solution.earth.vertical_sigma_rad_s > 0 else "report.vertical"
+    earth = "report.no_latitude" if solution.given.latitude_deg is None else "report.vertical"
     if solution.chosen.fit.heading_fitted:
         earth = "report.azimuth"
     model = sentence("report.g_sensitivity" if solution.chosen.g_sensitive else "report.no_g_sensitivity")
@@ -298,7 +295,3 @@ def little_gained(report: MoveReport) -> Sentence | None:
     if not after > _HARDLY_BETTER * before:
         return None
     return sentence("report.worse" if after > before * _WORSE else "report.hardly_better")
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

@@ -36,6 +36,34 @@ FIRST_HORIZONTAL = PARAMETERS + 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ForceErrors:
+    """Where errors of the specific force of s stills come from.
+
+    Attributes
+    ----------
+    by_noise : ndarray, shape (s, 3, 3)
+        d force / d raw accelerometer mean.
+    noise : ndarray, shape (s, 3, 3)
+        Covariance of the raw accelerometer mean, scatter between positions included.
+    by_parameters : ndarray, shape (s, 3, 15)
+        d force / d accelerometer parameters.
+    gain : ndarray, shape (s, 15, 3)
+        d accelerometer parameters / d raw mean of each still: the calibration used them.
+    rest : ndarray, shape (15, 15)
+        Covariance of the parameters that does not come from those means (gravity, doubt about the model).
+    with_gravity : ndarray, shape (15,)
+        Covariance of the parameters with gravity.
+    """
+
+    by_noise: FloatArray
+    noise: FloatArray
+    by_parameters: FloatArray
+    gain: FloatArray
+    rest: FloatArray
+    with_gravity: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GyroscopeData:
     """s stills and m moves, ready for fitting.
 
@@ -56,6 +84,9 @@ class GyroscopeData:
     rest_raw : ndarray, shape (3,)
     time_s : ndarray, shape (s,)
         Middle of each still.
+    errors : ForceErrors
+    latitude_deg : float or None
+        Of the site; None where it is not known, or not to be used.
     stops : ndarray of int, shape (c,)
         Moves that are whole turns against a stop.
     stop_sigma_rad : ndarray, shape (c,)
@@ -73,6 +104,8 @@ class GyroscopeData:
     noise_density_raw: FloatArray
     rest_raw: FloatArray
     time_s: FloatArray
+    errors: ForceErrors
+    latitude_deg: float | None
     stops: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     stop_sigma_rad: FloatArray = field(default_factory=lambda: np.empty(0))
     table: TableRows = field(default_factory=no_table)

@@ -39,7 +39,6 @@ from imufield.calibrate.gyroscope.covariance import Covariances, Scatter, next_s
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import GyroscopeCalibration, GyroscopeParameters
 from imufield.earth import EARTH_RATE_RAD_S
-from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
 from imufield.sentences import Sentence, Sentences
 
@@ -62,7 +61,7 @@ def static_bias(
     Parameters
     ----------
     observations : Observations
-        Positions without a gyroscope mean (NaN) are left out.
+        At least two positions, all with a gyroscope mean.
     scale : float or ndarray, shape (3,), optional
         Raw unit per rad/s, from the preset or the driver. None: not known; the bias then has no allowance for the Earth's rate
         and no value in rad/s.
@@ -76,20 +75,8 @@ def static_bias(
     -------
     GyroscopeCalibration
         Sigma of the bias from the scatter between positions; scale and misalignment as given, their sigma NaN.
-
-    Raises
-    ------
-    CalibrationError
-        If fewer than two positions have a gyroscope mean.
     """
-    measured = np.isfinite(observations.gyroscope_mean_raw).all(axis=1)
-    m = int(measured.sum())
-    if m < 2:
-        raise CalibrationError(
-            f"{m} positions have a gyroscope mean and a static bias needs 2; record the gyroscope as well",
-            Reason.TOO_FEW,
-            positions=m,
-        )
+    m = len(observations)
     K = np.full(3, np.nan if scale is None else scale, dtype=np.float64)
     misalignment = np.zeros((3, 3)) if misalignment_rad is None else misalignment_rad
     if up is None:
@@ -110,7 +97,7 @@ def static_bias(
     if scale is None:
         key = "static.bias_no_scale"
     gain = np.nan_to_num(K)
-    values = (observations.gyroscope_mean_raw - gain * (earth_known @ (np.eye(3) + misalignment).T))[measured]
+    values = observations.gyroscope_mean_raw - gain * (earth_known @ (np.eye(3) + misalignment).T)
     # The scatter between positions contains g-sensitivity and drift.
     sigma = np.sqrt(values.var(axis=0, ddof=1) / m + gain**2 * earth_variance)
     not_estimated = np.full((3, 3), np.nan)
@@ -248,6 +235,8 @@ def _fit(data: StaticData, start: FloatArray, columns: list[int]) -> tuple[Float
 
 def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, FloatArray, Covariances]:
     """Return, at A, b and v (13), residuals (2 s), derivatives by A, b and v (2 s, 13), and the parts of their covariance."""
+    from scipy.linalg import block_diag  # slow to load
+
     A, b, v = p[:9].reshape(3, 3), p[9:12], p[12]
     s = len(data.rate_raw)
     w = data.rate_raw @ A.T - b
@@ -260,12 +249,7 @@ def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, Float
     jacobian[:, :, 9:12] = -B
     jacobian[:, 1, 12] = -1.0
     # Norm and invariant share the noise of their still: B C B^T, block by block.
-    spread = np.zeros((2 * s, 3 * s))
-    for k in range(s):
-        spread[2 * k : 2 * k + 2, 3 * k : 3 * k + 3] = B[k]
-    noise = np.zeros((3 * s, 3 * s))
-    for k, block in enumerate(A @ data.covariance_raw @ A.T):
-        noise[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = block
+    spread, noise = block_diag(*B), block_diag(*(A @ data.covariance_raw @ A.T))
     fixed = spread @ noise @ spread.T
     fixed += np.eye(2 * s) * (_AT_POLE * EARTH_RATE_RAD_S) ** 2
     wander = spread @ np.kron(random_walk(data.time_s), np.eye(3)) @ spread.T

@@ -44,6 +44,7 @@ QUADRATIC = slice(12, 15)
 MISALIGNMENT_ROWS = np.array([0, 0, 1, 1, 2, 2])
 MISALIGNMENT_COLUMNS = np.array([1, 2, 0, 2, 0, 1])
 """Row and column of T for the six entries of the vector: xy, xz, yx, yz, zx, zy."""
+_OFF_DIAGONAL = 3 * MISALIGNMENT_ROWS + MISALIGNMENT_COLUMNS  # Their places in a flattened matrix.
 
 # Relative change at which the iteration stops: navigation grade gets there in four or five passes.
 _CONTRACTION_TOLERANCE = 1e-14
@@ -61,13 +62,11 @@ def from_vector(
     vector: FloatArray, raw_zero: FloatArray | None = None, quadratic_axes: QuadraticAxes = "sensing"
 ) -> AccelerometerParameters:
     """Return the parameters of a vector, shape (15,)."""
-    off_diagonal = np.zeros((3, 3))
-    off_diagonal[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS] = vector[MISALIGNMENT]
     zero = np.zeros(3) if raw_zero is None else np.asarray(raw_zero, dtype=np.float64)
     return AccelerometerParameters(
         scale=vector[SCALE].copy(),
         bias_m_s2=vector[BIAS].copy(),
-        misalignment_rad=off_diagonal,
+        misalignment_rad=alignment_matrix(vector) - np.eye(3),
         quadratic=vector[QUADRATIC].copy(),
         raw_zero=zero,
         quadratic_axes=quadratic_axes,
@@ -76,10 +75,15 @@ def from_vector(
 
 def alignment_matrix(vector: FloatArray) -> FloatArray:
     """Return T of one vector or of many, shape (..., 15) -> (..., 3, 3)."""
-    T = np.zeros((*vector.shape[:-1], 3, 3))
-    T[..., (0, 1, 2), (0, 1, 2)] = 1.0
-    T[..., MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS] = vector[..., MISALIGNMENT]
-    return T
+    return unit_diagonal_matrices(vector[..., MISALIGNMENT])
+
+
+def unit_diagonal_matrices(off_diagonal: FloatArray) -> FloatArray:
+    """Return matrices with a unit diagonal from their off-diagonals, shape (..., 6) -> (..., 3, 3)."""
+    flat = np.empty((*off_diagonal.shape[:-1], 9))
+    flat[..., (0, 4, 8)] = 1.0
+    flat[..., _OFF_DIAGONAL] = off_diagonal
+    return flat.reshape(*off_diagonal.shape[:-1], 3, 3)
 
 
 def predict(parameters: AccelerometerParameters, a: FloatArray) -> FloatArray:

@@ -28,9 +28,9 @@ from typing import Literal
 
 import numpy as np
 
-from imufield.calibrate.model.models import BIAS, MISALIGNMENT, QUADRATIC, SCALE, norm_derivatives, recover_vectors
+from imufield.calibrate.model.models import BIAS, QUADRATIC, SCALE, alignment_matrix, norm_derivatives, recover_vectors
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, QuadraticAxes
-from imufield.calibrate.solvers.triad_costs import inverse_matrices, unit_diagonal_matrices
+from imufield.calibrate.solvers.triad_costs import inverse_matrices
 from imufield.samples import FloatArray
 
 CostName = Literal["absolute", "squares", "weighted"]
@@ -41,7 +41,27 @@ _MOVING = 1e-12  # Relative change in the last pass above which a candidate is i
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NormProblem:
+class Coordinates:
+    """The coordinates of a problem: ``parameters = origin + basis z``, each within minus and plus ``reach``."""
+
+    origin: FloatArray
+    basis: FloatArray
+    reach: float = np.inf
+
+    @property
+    def start(self) -> FloatArray:
+        """The origin, shape (n,)."""
+        return np.zeros(self.basis.shape[1])
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Limits of the coordinates, shape (n,) each."""
+        reach = np.full(self.basis.shape[1], self.reach)
+        return -reach, reach
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NormProblem(Coordinates):
     """The norms of m positions as a function of n coordinates (satisfies ``solvers.base.Problem``).
 
     Attributes
@@ -61,22 +81,8 @@ class NormProblem:
     raw: FloatArray
     gravity_m_s2: float
     sigma_m_s2: FloatArray
-    origin: FloatArray
-    basis: FloatArray
     quadratic_axes: QuadraticAxes = "sensing"
     cost_name: CostName = "weighted"
-    reach: float = np.inf
-
-    @property
-    def start(self) -> FloatArray:
-        """The origin, shape (n,)."""
-        return np.zeros(self.basis.shape[1])
-
-    @property
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Limits of the coordinates, shape (n,) each."""
-        reach = np.full(self.basis.shape[1], self.reach)
-        return -reach, reach
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -95,7 +101,7 @@ class NormProblem:
         # In place: a population of 60 at 24 positions is asked for 72 000 times.
         vectors = self.vector(candidates)
         with np.errstate(all="ignore"):
-            inverse = inverse_matrices(unit_diagonal_matrices(vectors[:, MISALIGNMENT]))
+            inverse = inverse_matrices(alignment_matrix(vectors))
             if self.quadratic_axes == "sensing":
                 K, b, K2 = (vectors[:, part, None] for part in (SCALE, BIAS, QUADRATIC))
                 unbiased = self.raw.T - K * b

@@ -68,6 +68,10 @@ class CategoryProblem:
         filled[..., list(self.members)] = z
         return filled
 
+    def tell(self, callback: Callback, before: int, iteration: int, z: FloatArray, cost: float) -> bool:
+        """Call the callback of the whole with its coordinates and its iteration."""
+        return bool(callback(before + iteration, self.fill(z), cost))
+
     def cost(self, candidates: FloatArray) -> FloatArray:
         """Return the cost of a population of members."""
         return self.whole.cost(self.fill(candidates))
@@ -96,18 +100,13 @@ def solve_stages(
     # Section 3.4 of [1]_, steps 1 to 4, each from where the one before ended.
     for members in categories * rounds:
         part = CategoryProblem(problem, x, members)
-        tell = None if callback is None else partial(_tell, callback, part, sum(len(stage.history) for stage in stages))
-        solved = solver(part, rng=rng, callback=tell)
+        before = sum(len(stage.history) for stage in stages)
+        solved = solver(part, rng=rng, callback=None if callback is None else partial(part.tell, callback, before))
         x = part.fill(solved.x)
         stages.append(replace(solved, x=x))
         if solved.status is SolverStatus.STOPPED:
             break
     return tuple(stages)
-
-
-def _tell(callback: Callback, part: CategoryProblem, before: int, iteration: int, x: FloatArray, cost: float) -> bool:
-    """Call the callback of the whole with its coordinates and its iteration."""
-    return bool(callback(before + iteration, part.fill(x), cost))
 
 
 def solve_bsas_staged(
@@ -123,18 +122,7 @@ def solve_bsas_staged(
     swarm = partial(solve_bsas, settings=settings.swarm)
     categories = default_categories(len(problem.start))
     stages = solve_stages(problem, categories, rng=record.rng, callback=callback, rounds=settings.rounds, solver=swarm)
-    return join_stages(record, stages, settings)
-
-
-def default_categories(n: int) -> Categories:
-    """Return the paper's categories for its 15 parameters or the 12 without K2, else groups of three coordinates."""
-    if n in (PARAMETERS, QUADRATIC.start):
-        return tuple(members for members in PAPER_CATEGORIES if members[0] < n)
-    return tuple(tuple(range(first, min(first + _GROUP, n))) for first in range(0, n, _GROUP))
-
-
-def join_stages(record: Record, stages: tuple[SolverResult, ...], settings: StagedSettings) -> SolverResult:
-    """Return one result of all stages; converged only if the last round is, and nothing nearby is better."""
+    # Converged only if the last round is, and nothing nearby is better.
     record.evaluations = sum(stage.evaluations for stage in stages)
     record.history = [float(cost) for stage in stages for cost in stage.history]
     record.offer(stages[-1].x, stages[-1].cost)
@@ -148,3 +136,10 @@ def join_stages(record: Record, stages: tuple[SolverResult, ...], settings: Stag
         counts = {"open": len(open_stages), "categories": len(last_round)}
         message = sentence("staged.open_categories", message=open_stages[0].message, **counts)
     return record.result(settings.swarm.s, message, converged=not open_stages)
+
+
+def default_categories(n: int) -> Categories:
+    """Return the paper's categories for its 15 parameters or the 12 without K2, else groups of three coordinates."""
+    if n in (PARAMETERS, QUADRATIC.start):
+        return tuple(members for members in PAPER_CATEGORIES if members[0] < n)
+    return tuple(tuple(range(first, min(first + _GROUP, n))) for first in range(0, n, _GROUP))

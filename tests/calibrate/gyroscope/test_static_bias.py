@@ -9,6 +9,9 @@ import pytest
 from calibration_truth import GRAVITY, campaign, observe, paper24, random_parameters
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.gyroscope.input import GyroscopeInput
+from imufield.calibrate.gyroscope.moves import cut_moves, no_slots
 from imufield.calibrate.gyroscope.report import static_bias_result
 from imufield.calibrate.gyroscope.static import static_bias
 from imufield.earth import EARTH_RATE_RAD_S, Gravity
@@ -70,8 +73,13 @@ def test_without_scale_or_attitude_it_says_so() -> None:
 
 
 def test_without_a_gyroscope_it_is_refused() -> None:
-    with refused(CalibrationError, Reason.TOO_FEW) as caught:
-        static_bias(observe(paper24()), SCALE)
+    observations = observe(paper24())
+    nothing = cut_moves(no_slots(), observations.start_s, observations.duration_s)
+    calibration = calibrate_accelerometer(
+        observe(400 * GRAVITY * paper24()), Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=1e-4, source="typed")
+    )
+    with refused(CalibrationError, Reason.TOO_FEW, key="input.too_few_stills") as caught:
+        calibrate_gyroscope(GyroscopeInput(observations=observations, moves=nothing, calibration=calibration))
     assert caught.value.values["positions"] == 0
 
 
