@@ -15,11 +15,10 @@ from typing import cast
 
 import numpy as np
 
-from imufield.calibrate.model.models import unit_diagonal_matrices
 from imufield.calibrate.solvers.base import Solver, SolverResult
 from imufield.calibrate.solvers.library import LibrarySettings
 from imufield.calibrate.solvers.registry import load_solver
-from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem
+from imufield.calibrate.solvers.triad_costs import TriadProblem, TurnsProblem, unit_diagonal_matrices
 from imufield.deliver.navigation.drift import Drift
 from imufield.samples import FloatArray
 from imufield.study import figures

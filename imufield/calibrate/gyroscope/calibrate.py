@@ -74,7 +74,7 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
     data = make_data(given)
     refuse_dead(given, data)
     preset = given.preset_inverse()
-    rough = rough_inverse(data.slots) if len(data.before) else None
+    rough = rough_inverse(data.moves) if len(data.moves.before) else None
     begin = rough if preset is None else preset
     if begin is None:
         raise CalibrationError(sentence("calibrate.no_scale"), Reason.UNOBSERVABLE)

@@ -130,7 +130,7 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData) -> C
     # d residual / d specific force of each still, and / d its drift in rad/s: a move has the mean of the biases of its two.
     by_force, drift = np.zeros((rows, s, 3)), np.zeros((rows, 3 * s))
     half_turn = to_tangent @ evaluation.turns.duration / 2
-    for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
+    for k, (i, j) in enumerate(zip(data.moves.before, data.moves.after, strict=True)):
         place = slice(2 * k, 2 * k + 2)
         by_force[place, j] += evaluation.tangent[k] @ to_up[j]
         by_force[place, i] -= evaluation.tangent[k] @ evaluation.carry[k] @ to_up[i]
@@ -150,12 +150,12 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData) -> C
     _add_blocks(fixed, A @ data.rate_covariance @ A.T, 2 * m)
     for row, k, sigma in zip(stops, data.stops, data.stop_sigma_rad, strict=True):
         # A stop shares the noise of its move.
-        to_stop = -data.up[data.after[k]]
+        to_stop = -data.up[data.moves.after[k]]
         shared = to_tangent[k] @ evaluation.turns.spread[k] @ to_stop
         fixed[row, row] += to_stop @ evaluation.turns.spread[k] @ to_stop + sigma**2
         fixed[row, 2 * k : 2 * k + 2] += shared
         fixed[2 * k : 2 * k + 2, row] += shared
-        for still in (data.before[k], data.after[k]):
+        for still in (data.moves.before[k], data.moves.after[k]):
             drift[row, 3 * still : 3 * still + 3] += to_stop @ evaluation.turns.duration[k] / 2
     table = data.table
     _add_blocks(fixed, A @ table.covariance_raw @ A.T + table.rate_covariance, rows - 3 * len(table))

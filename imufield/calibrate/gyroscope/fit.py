@@ -75,9 +75,8 @@ class _Prior:
             size = np.maximum(np.linalg.norm(h, axis=1), 1e-30)
             sigma = _LENGTH_SIGMA * EARTH_RATE_RAD_S
             rows = np.zeros((len(h), len(p)))
-            for k in range(len(h)):
-                column = FIRST_HORIZONTAL + 2 * k
-                rows[k, column : column + 2] = h[k] / size[k] / sigma
+            columns = FIRST_HORIZONTAL + np.arange(h.size).reshape(h.shape)
+            rows[np.arange(len(h))[:, None], columns] = h / size[:, None] / sigma
             residual = np.append(residual, (size - self.length_rad_s) / sigma)
             jacobian = np.vstack([jacobian, rows])
         return residual, jacobian[:, free]

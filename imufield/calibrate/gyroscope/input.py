@@ -114,9 +114,7 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
         rate_raw=observations.gyroscope_mean_raw - rest,
         rate_covariance=covariance,
         force=given.force_m_s2,
-        slots=centre(moves, rest, accelerometer_force(parameters, moves.slots.force / duration)),
-        before=moves.before,
-        after=moves.after,
+        moves=centre(moves, rest, accelerometer_force(parameters, moves.slots.force / duration)),
         chain=chains_of(len(observations), moves.before, moves.after),
         noise_density_raw=density,
         rest_raw=rest,
@@ -132,15 +130,15 @@ def refuse_dead(given: GyroscopeInput, data: GyroscopeData) -> None:
     if not len(given.moves):
         return
     moves = len(given.moves)
-    largest = np.abs(data.slots.turn).max(axis=0, initial=0.0)
+    largest = np.abs(data.moves.slots.turn).max(axis=0, initial=0.0)
     # The same number in all moves and at rest is what no rotating gyroscope gives.
     dead = largest <= _CONSTANT * np.maximum(np.abs(given.rest_raw), np.finfo(float).tiny)
     if dead.any():
         axes = ", ".join(axis for axis, is_dead in zip(AXES, dead, strict=True) if is_dead)
         raise CalibrationError(sentence("input.constant", axes=axes, moves=moves), Reason.UNOBSERVABLE)
-    noise = data.noise_density_raw * np.sqrt(data.slots.duration_s.sum())
-    noisy = np.sqrt(np.sum(data.slots.turn**2, axis=0)) <= _NOISE_ONLY * noise
-    along = np.sum(data.up[data.before] * data.up[data.after], axis=1)
+    noise = data.noise_density_raw * np.sqrt(data.moves.slots.duration_s.sum())
+    noisy = np.sqrt(np.sum(data.moves.slots.turn**2, axis=0)) <= _NOISE_ONLY * noise
+    along = np.sum(data.up[data.moves.before] * data.up[data.moves.after], axis=1)
     if noisy.all() and along.min(initial=1.0) <= _TURNED:
         noisy_moves = sentence("input.only_noise", moves=moves, turned_deg=np.degrees(np.arccos(along.min())))
         raise CalibrationError(noisy_moves, Reason.UNOBSERVABLE, axes=", ".join(AXES))
@@ -148,7 +146,7 @@ def refuse_dead(given: GyroscopeInput, data: GyroscopeData) -> None:
 
 def refuse_foreign(data: GyroscopeData, rough: FloatArray, preset: FloatArray) -> None:
     """Refuse a preset that turns clearly slower, faster or the other way than the accelerometer shows."""
-    expected, shown = data.slots.turn @ preset.T, data.slots.turn @ rough.T
+    expected, shown = data.moves.slots.turn @ preset.T, data.moves.slots.turn @ rough.T
     energy = np.sum(expected**2, axis=0)
     moved = energy > _MOVED * energy.sum()
     ratio = np.sum(expected * shown, axis=0)[moved] / energy[moved]

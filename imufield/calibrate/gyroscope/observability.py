@@ -41,7 +41,6 @@ _ORDER = (0, 4, 8, 9, 10, 11, 1, 2, 3, 5, 6, 7)  # Scales, biases, then misalign
 class Observability:
     """Which of the 21 parameters can be observed."""
 
-    visible: tuple[int, ...]
     hidden: tuple[int, ...]
     """Of A and b, left at the start."""
     sensitivity: bool
@@ -56,7 +55,7 @@ class Observability:
 
     def free(self, columns: IntArray) -> IntArray:
         """Return those of the columns that can be observed."""
-        return np.array([k for k in columns if k in self.visible or (k >= SENSITIVITY.start and self.sensitivity)])
+        return np.array([k for k in columns if (k not in self.hidden if k < SENSITIVITY.start else self.sensitivity)])
 
 
 def observe(p: FloatArray, data: GyroscopeData, *, known: bool) -> Observability:
@@ -84,13 +83,12 @@ def observe(p: FloatArray, data: GyroscopeData, *, known: bool) -> Observability
     whitened = np.linalg.solve(np.linalg.cholesky(S), now.jacobian[:, :PARAMETERS] * scale)
     order = (*_ORDER, *range(SENSITIVITY.start, SENSITIVITY.stop))
     length = dict(zip(order, unexplained_lengths(np.asarray(whitened[:, order], dtype=np.float64)), strict=True))
-    visible = tuple(k for k in _ORDER if length[k] > 1 / WORST_SCALE or k >= INVERSE.stop)
-    hidden = tuple(sorted(set(_ORDER) - set(visible)))
+    # Biases are always visible, so `hidden` has entries of A alone.
+    hidden = tuple(k for k in range(INVERSE.stop) if not length[k] > 1 / WORST_SCALE)
     unknown = [ENTRY_NAMES[k] for k in hidden if k % 4 == 0]
     if unknown and not known:
         axes = [name[-1] for name in unknown]
         hidden_scale = sentence("observability.hidden_scale", scales=" and ".join(unknown), axes=axes)
         raise CalibrationError(hidden_scale, Reason.UNOBSERVABLE, names=tuple(unknown))
-    # Biases are always visible, so `hidden` has entries of A alone.
     sensitivity = all(length[k] > 1 / WORST_SENSITIVITY for k in range(SENSITIVITY.start, SENSITIVITY.stop))
-    return Observability(visible, hidden, sensitivity, known)
+    return Observability(hidden, sensitivity, known)

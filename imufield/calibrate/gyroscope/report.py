@@ -14,7 +14,7 @@ from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
 from imufield.calibrate.gyroscope.static import GYROSCOPE_BIAS_NAMES, StaticData, StaticFit, latitude_words
 from imufield.calibrate.gyroscope.whole_turns import find_whole_turns
-from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, unit_diagonal_matrices
+from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
     GRAVITY_NAME,
@@ -153,7 +153,7 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     turns = find_whole_turns(now, data, before)
     S = fitted.parts.total(fitted.scatter)
     blocks = np.array([S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(m)]).reshape(m, 2, 2)
-    residual, up = now.residual[: 2 * m].reshape(m, 2), data.up[data.after]
+    residual, up = now.residual[: 2 * m].reshape(m, 2), data.up[data.moves.after]
     moves = MoveReport(
         before_deg=np.full(m, np.nan) if before is None else np.degrees(before.angle_error_rad(up)),
         after_deg=np.degrees(now.angle_error_rad(up)),
@@ -248,7 +248,8 @@ def forward(x: FloatArray, rest_raw: FloatArray) -> tuple[FloatArray, FloatArray
 
 def as_parameters(vector: FloatArray) -> GyroscopeParameters:
     """Return the parameters of a vector in the order of ``GYROSCOPE_NAMES``."""
-    misalignment = unit_diagonal_matrices(vector[3:9]) - np.eye(3)
+    misalignment = np.zeros((3, 3))
+    misalignment[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS] = vector[3:9]
     return GyroscopeParameters(vector[:3].copy(), misalignment, vector[9:12].copy(), vector[12:].reshape(3, 3).copy())
 
 
@@ -256,7 +257,7 @@ def _path(solution: JointSolution, turns: tuple[Sentence, ...]) -> str:
     data = solution.data
     rolled = sum(turn.key.startswith("whole_turns.rolled") for turn in turns)
     counts = (
-        (len(data.before), sentence("report.moves", moves=len(data.before), stills=len(data.force))),
+        (len(data.moves.before), sentence("report.moves", moves=len(data.moves.before), stills=len(data.force))),
         (rolled, sentence("report.rolled", turns=rolled)),
         (len(data.stops), sentence("report.stops", stops=len(data.stops))),
         (len(data.table), sentence("report.table", pairs=len(data.table))),

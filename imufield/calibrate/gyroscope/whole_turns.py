@@ -75,7 +75,7 @@ def find_stops(stops: Sequence[Stop], start_s: FloatArray, end_s: FloatArray) ->
 
 def closures(evaluation: Evaluation, data: GyroscopeData) -> FloatArray:
     """Return by how much each move misses returning to its attitude about the vertical, shape (m,), rad within pi."""
-    return np.asarray(np.sum(logarithm(from_matrix(evaluation.carry)) * data.up[data.after], axis=1))
+    return np.asarray(np.sum(logarithm(from_matrix(evaluation.carry)) * data.up[data.moves.after], axis=1))
 
 
 def whole_stops(
@@ -86,7 +86,9 @@ def whole_stops(
     The scale that such a fit finds is good enough to tell a missed stop from a wrong scale.
     """
     missed = closures(evaluation, data)[moves]
-    noise = np.sqrt(np.einsum("mi,mij,mj->m", data.up[data.after], evaluation.turns.spread, data.up[data.after]))[moves]
+    noise = np.sqrt(np.einsum("mi,mij,mj->m", data.up[data.moves.after], evaluation.turns.spread, data.up[data.moves.after]))[
+        moves
+    ]
     # Beyond noise and repeatability, and beyond what a hand can tell.
     allowed = np.maximum(NOT_WHOLE_RAD, NOT_WHOLE_SIGMAS * np.hypot(sigma, noise))
     return np.abs(missed) <= allowed, missed
@@ -95,17 +97,17 @@ def whole_stops(
 def find_whole_turns(evaluation: Evaluation, data: GyroscopeData, before: Evaluation | None = None) -> tuple[Sentence, ...]:
     """Return the whole turns among the moves, with the closure of each; ``before``: with the parameters in force before."""
     net = np.linalg.norm(evaluation.turns.net_rad, axis=1)
-    tilt = np.arccos(np.clip(np.sum(data.up[data.before] * data.up[data.after], axis=1), -1, 1))
+    tilt = np.arccos(np.clip(np.sum(data.up[data.moves.before] * data.up[data.moves.after], axis=1), -1, 1))
     fits = [evaluation] if before is None else [evaluation, before]
     # An upright turn closes at its stop, a rolled one in the direction of gravity.
     upright_rad = [closures(fit, data) for fit in fits]
-    rolled_rad = [fit.angle_error_rad(data.up[data.after]) for fit in fits]
+    rolled_rad = [fit.angle_error_rad(data.up[data.moves.after]) for fit in fits]
     turns = []
     for k in np.flatnonzero((net > LEAST_TURN_RAD) & (tilt < MOST_TILT_RAD)):
         axis = evaluation.turns.net_rad[k] / net[k]
         body = int(np.argmax(np.abs(axis)))
         count = round(net[k] / (2 * np.pi)) * int(np.sign(axis[body]))
-        if abs(float(axis @ data.up[data.after[k]])) > _VERTICAL:
+        if abs(float(axis @ data.up[data.moves.after[k]])) > _VERTICAL:
             keys, closed_rad = ("whole_turns.upright", "whole_turns.upright_and_before"), upright_rad
         else:
             keys, closed_rad = ("whole_turns.rolled", "whole_turns.rolled_and_before"), rolled_rad

@@ -44,7 +44,6 @@ QUADRATIC = slice(12, 15)
 MISALIGNMENT_ROWS = np.array([0, 0, 1, 1, 2, 2])
 MISALIGNMENT_COLUMNS = np.array([1, 2, 0, 2, 0, 1])
 """Row and column of T for the six entries of the vector: xy, xz, yx, yz, zx, zy."""
-_OFF_DIAGONAL = 3 * MISALIGNMENT_ROWS + MISALIGNMENT_COLUMNS  # Their places in a flattened matrix.
 
 # Relative change at which the iteration stops: navigation grade gets there in four or five passes.
 _CONTRACTION_TOLERANCE = 1e-14
@@ -75,15 +74,10 @@ def from_vector(
 
 def alignment_matrix(vector: FloatArray) -> FloatArray:
     """Return T of one vector or of many, shape (..., 15) -> (..., 3, 3)."""
-    return unit_diagonal_matrices(vector[..., MISALIGNMENT])
-
-
-def unit_diagonal_matrices(off_diagonal: FloatArray) -> FloatArray:
-    """Return matrices with a unit diagonal from their off-diagonals, shape (..., 6) -> (..., 3, 3)."""
-    flat = np.empty((*off_diagonal.shape[:-1], 9))
-    flat[..., (0, 4, 8)] = 1.0
-    flat[..., _OFF_DIAGONAL] = off_diagonal
-    return flat.reshape(*off_diagonal.shape[:-1], 3, 3)
+    T = np.zeros((*vector.shape[:-1], 3, 3))
+    T[..., (0, 1, 2), (0, 1, 2)] = 1.0
+    T[..., MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS] = vector[..., MISALIGNMENT]
+    return T
 
 
 def predict(parameters: AccelerometerParameters, a: FloatArray) -> FloatArray:

@@ -63,16 +63,8 @@ class CrossCheck:
     @property
     def sentence(self) -> str:
         """The outcome in words."""
-        told = sentence(
-            "agreement.agree" if self.agree else "agreement.disagree",
-            what=self.what,
-            methods=list(self.found),
-            own_sigma=self.own_costs.sigma,
-            parameter=self.own_costs.parameter,
-            first=self.own_costs.methods[0],
-            second=self.own_costs.methods[1],
-            shared_sigma=self.one_cost.sigma,
-        )
+        key = "agreement.agree" if self.agree else "agreement.disagree"
+        told = sentence(key, what=self.what, methods=list(self.found), own=self.own_costs, shared=self.one_cost)
         return "; ".join([told, *self.not_converged])
 
 

@@ -28,9 +28,9 @@ from typing import Literal
 
 import numpy as np
 
-from imufield.calibrate.model.models import BIAS, QUADRATIC, SCALE, alignment_matrix, norm_derivatives, recover_vectors
+from imufield.calibrate.model.models import BIAS, MISALIGNMENT, QUADRATIC, SCALE, norm_derivatives, recover_vectors
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, QuadraticAxes
-from imufield.calibrate.solvers.triad_costs import inverse_matrices
+from imufield.calibrate.solvers.triad_costs import inverse_matrices, unit_diagonal_matrices
 from imufield.samples import FloatArray
 
 CostName = Literal["absolute", "squares", "weighted"]
@@ -101,7 +101,7 @@ class NormProblem(Coordinates):
         # In place: a population of 60 at 24 positions is asked for 72 000 times.
         vectors = self.vector(candidates)
         with np.errstate(all="ignore"):
-            inverse = inverse_matrices(alignment_matrix(vectors))
+            inverse = inverse_matrices(unit_diagonal_matrices(vectors[:, MISALIGNMENT]))
             if self.quadratic_axes == "sensing":
                 K, b, K2 = (vectors[:, part, None] for part in (SCALE, BIAS, QUADRATIC))
                 unbiased = self.raw.T - K * b

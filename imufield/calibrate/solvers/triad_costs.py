@@ -24,8 +24,18 @@ from typing import Literal
 
 import numpy as np
 
-from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, unit_diagonal_matrices
+from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.samples import FloatArray
+
+_OFF_DIAGONAL = 3 * MISALIGNMENT_ROWS + MISALIGNMENT_COLUMNS  # Places of the off-diagonals in a flattened matrix.
+
+
+def unit_diagonal_matrices(off_diagonal: FloatArray) -> FloatArray:
+    """Return matrices with a unit diagonal from their off-diagonals, shape (c, 6) -> (c, 3, 3)."""
+    flat = np.empty((len(off_diagonal), 9))
+    flat[:, (0, 4, 8)] = 1.0
+    flat[:, _OFF_DIAGONAL] = off_diagonal
+    return flat.reshape(-1, 3, 3)
 
 
 def inverse_matrices(T: FloatArray) -> FloatArray:

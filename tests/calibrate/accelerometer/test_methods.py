@@ -91,17 +91,8 @@ def test_least_squares_is_what_there_is_already() -> None:
 
 def outcome(key: str, checked: CrossCheck) -> str:
     """Return what a check of the accelerometer says of its numbers."""
-    first, second = checked.own_costs.methods
-    return Sentences("imufield.calibrate.solvers")(
-        key,
-        what="accelerometer",
-        methods=list(checked.found),
-        own_sigma=checked.own_costs.sigma,
-        parameter=checked.own_costs.parameter,
-        first=first,
-        second=second,
-        shared_sigma=checked.one_cost.sigma,
-    )
+    told_by = Sentences("imufield.calibrate.solvers")
+    return told_by(key, what="accelerometer", methods=list(checked.found), own=checked.own_costs, shared=checked.one_cost)
 
 
 def test_an_unknown_method_is_refused() -> None:

@@ -331,13 +331,13 @@ def test_xsens_on_the_reference_model(xsens: Samples) -> None:
     still = replace(given.observations, gyroscope_mean_raw=np.tile(first, (len(given.observations), 1)))
     data = make_data(replace(given, observations=still))
     p = np.zeros(data.parameters)
-    p[:9] = rough_inverse(data.slots).ravel()
+    p[:9] = rough_inverse(data.moves).ravel()
     p = fit_turns_only(data, p)
     M = np.linalg.inv(p[:9].reshape(3, 3))
     assert np.linalg.norm(M, axis=1) == pytest.approx([4778.42, 4772.14, 4775.28], rel=1e-3)
     reference = np.array([[0, -0.009676, -0.010574], [-0.005567, 0, 0.032153], [-0.016155, 0.024104, 0]])
     assert M / np.diag(M)[:, None] - np.eye(3) == pytest.approx(reference, abs=2e-3)
-    errors = np.degrees(evaluate(p, data).angle_error_rad(data.up[data.after]))
+    errors = np.degrees(evaluate(p, data).angle_error_rad(data.up[data.moves.after]))
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(0.512, abs=0.02)
 
 

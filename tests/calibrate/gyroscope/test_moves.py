@@ -41,8 +41,8 @@ def session(change: Callable[[Samples], Samples] | None = None) -> Samples:
 
 
 def turn_of(moves: Moves, k: int) -> FloatArray:
-    slots = centre(moves, REST, moves.slots.force / moves.slots.duration_s[:, None])
-    return integrate(np.concatenate([A.ravel(), np.zeros(12)]), slots, np.ones(3)).quaternion[k]
+    centred = centre(moves, REST, moves.slots.force / moves.slots.duration_s[:, None])
+    return integrate(np.concatenate([A.ravel(), np.zeros(12)]), centred, np.ones(3)).quaternion[k]
 
 
 def between(a: FloatArray, b: FloatArray) -> float:
@@ -90,14 +90,14 @@ def test_joined_slots_turn_alike() -> None:
 
 def test_sensitivity_is_the_derivative() -> None:
     moves = collect_moves([session()], START_S, DURATION_S)
-    slots = centre(moves, REST, moves.slots.force / moves.slots.duration_s[:, None])
+    centred = centre(moves, REST, moves.slots.force / moves.slots.duration_s[:, None])
     x = np.concatenate([A.ravel(), [1e-3, -2e-3, 1e-3], 1e-4 * np.arange(9)])
-    turns = integrate(x, slots, np.ones(3))
+    turns = integrate(x, centred, np.ones(3))
     rng = np.random.default_rng(1)
     for _ in range(3):
         step = np.concatenate([1e-9 * rng.standard_normal(9), 1e-6 * rng.standard_normal(12)])
         inverse = turns.quaternion * [1, -1, -1, -1]
-        change = multiply(inverse, integrate(x + step, slots, np.ones(3)).quaternion)
+        change = multiply(inverse, integrate(x + step, centred, np.ones(3)).quaternion)
         assert 2 * change[:, 1:] == pytest.approx((turns.jacobian @ step[:, None])[:, :, 0], rel=2e-3, abs=1e-8)
 
 
@@ -113,8 +113,8 @@ def test_a_scale_is_found_from_nothing() -> None:
         time_s, up, w @ np.linalg.inv(A).T + REST, units=SampleUnits(accelerometer="m/s^2", gyroscope="count")
     )
     moves = collect_moves([samples], START_S, DURATION_S)
-    slots = centre(moves, REST, moves.slots.force / moves.slots.duration_s[:, None])
-    assert rough_inverse(slots) == pytest.approx(A, abs=0.05 * 2e-4)
+    centred = centre(moves, REST, moves.slots.force / moves.slots.duration_s[:, None])
+    assert rough_inverse(centred) == pytest.approx(A, abs=0.05 * 2e-4)
 
 
 def lose(first_s: float, last_s: float) -> Callable[[Samples], Samples]:
