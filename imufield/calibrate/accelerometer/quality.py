@@ -190,11 +190,9 @@ def _unobservable_sentence(evidence: Evidence) -> str:
     hidden = evidence.unobservable
     known_costs = {"misalignment": "quality.misalignment_cost", "quadratic": "quality.quadratic_cost"}
     costs = [sentence(key) for kind, key in known_costs.items() if any(kind in name for name in hidden)]
-    return sentence(
-        "quality.hidden_as_zero" if evidence.scale_ratio is None else "quality.hidden_as_preset",
-        names=[_words(name) for name in hidden],
-        costs="; ".join(costs or [sentence("quality.other_cost")]),
-    )
+    key = "quality.hidden_as_zero" if evidence.scale_ratio is None else "quality.hidden_as_preset"
+    told_costs = "; ".join(costs or [sentence("quality.other_cost")])
+    return sentence(key, names=[_words(name) for name in hidden], costs=told_costs)
 
 
 def _sigma_sentences(evidence: Evidence) -> list[str]:

@@ -32,13 +32,7 @@ from imufield.calibrate.gyroscope.report import (
     static_norm_result,
 )
 from imufield.calibrate.gyroscope.residuals import VERTICAL
-from imufield.calibrate.gyroscope.static import (
-    StaticData,
-    fit_static,
-    latitude_words,
-    sees_earth,
-    static_bias,
-)
+from imufield.calibrate.gyroscope.static import StaticData, fit_static, latitude_words, sees_earth, static_bias
 from imufield.calibrate.gyroscope.whole_turns import find_stops, whole_stops
 from imufield.errors import CalibrationError, Reason
 from imufield.sentences import Sentences

@@ -150,9 +150,6 @@ class RowsProblem(Coordinates):
     residual : ndarray, shape (m,)
         At the start of the round, in units of sigma.
     by_coordinates : ndarray, shape (m, n)
-    origin : ndarray, shape (k,)
-        Parameters at the start of the round.
-    basis : ndarray, shape (k, n)
     cost_name : {"absolute", "squares", "weighted"}
     cost_unit : float
         The mutation factor of differential evolution (eq. 17 of its paper) is not free of units and stays up where costs are

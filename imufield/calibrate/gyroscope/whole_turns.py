@@ -111,14 +111,8 @@ def find_whole_turns(evaluation: Evaluation, data: GyroscopeData, before: Evalua
             keys, closed_rad = ("whole_turns.upright", "whole_turns.upright_and_before"), upright_rad
         else:
             keys, closed_rad = ("whole_turns.rolled", "whole_turns.rolled_and_before"), rolled_rad
-        told = sentence(
-            keys[len(fits) - 1],
-            turns=count,
-            noun="turn" if abs(count) == 1 else "turns",
-            axis=AXES[body],
-            closure_deg=np.degrees(closed_rad[0][k]),
-            before_deg=np.degrees(closed_rad[-1][k]),
-            off_deg=np.degrees(tilt[k]),
-        )
-        turns.append(told)
+        noun = "turn" if abs(count) == 1 else "turns"
+        degrees = np.degrees([closed_rad[0][k], closed_rad[-1][k], tilt[k]])
+        closed = dict(zip(("closure_deg", "before_deg", "off_deg"), degrees, strict=True))
+        turns.append(sentence(keys[len(fits) - 1], turns=count, noun=noun, axis=AXES[body], **closed))
     return tuple(turns)

@@ -105,14 +105,8 @@ def recover(parameters: AccelerometerParameters, raw: FloatArray) -> FloatArray:
             raise CalibrationError(lost_row, Reason.NOT_CONVERGED)
         s = _sensing_input(to_vector(parameters), output - parameters.raw_zero)
         axis = int(np.argmax(np.isnan(s).reshape(3)))
-        beyond = sentence(
-            "models.turning_point",
-            raw=float(output[axis]),
-            axis=AXES[axis],
-            row=int(row),
-            scale=parameters.scale[axis],
-            quadratic=parameters.quadratic[axis],
-        )
+        model = {"scale": parameters.scale[axis], "quadratic": parameters.quadratic[axis]}
+        beyond = sentence("models.turning_point", raw=float(output[axis]), axis=AXES[axis], row=int(row), **model)
         raise CalibrationError(beyond, Reason.BOUNDS)
     return a
 

@@ -42,7 +42,16 @@ _MOVING = 1e-12  # Relative change in the last pass above which a candidate is i
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coordinates:
-    """The coordinates of a problem: ``parameters = origin + basis z``, each within minus and plus ``reach``."""
+    """The coordinates of a problem: ``parameters = origin + basis z``.
+
+    Attributes
+    ----------
+    origin : ndarray, shape (k,)
+        Parameters at the start.
+    basis : ndarray, shape (k, n)
+    reach : float
+        Bounds of every coordinate: minus and plus this.
+    """
 
     origin: FloatArray
     basis: FloatArray
@@ -70,12 +79,8 @@ class NormProblem(Coordinates):
         Zeroed mean outputs.
     gravity_m_s2 : float
     sigma_m_s2 : ndarray, shape (m,)
-    origin : ndarray, shape (15,)
-    basis : ndarray, shape (15, n)
     quadratic_axes : {"sensing", "body"}
     cost_name : {"absolute", "squares", "weighted"}
-    reach : float
-        Bounds of every coordinate: minus and plus this.
     """
 
     raw: FloatArray
