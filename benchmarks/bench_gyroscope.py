@@ -90,7 +90,7 @@ def as_imu_tk(samples: Samples, given: GyroscopeInput) -> FloatArray:
     observations = replace(given.observations, gyroscope_mean_raw=np.tile(first, (len(given.observations), 1)))
     data = make_data(replace(given, observations=observations))
     p = np.zeros(data.parameters)
-    p[:9] = rough_inverse(data.slots).ravel()
+    p[:9] = rough_inverse(data.moves).ravel()
     return np.asarray(np.linalg.inv(fit_turns_only(data, p)[:9].reshape(3, 3)), dtype=np.float64)
 
 

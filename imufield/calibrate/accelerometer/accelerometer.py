@@ -54,7 +54,9 @@ from imufield.calibrate.solvers.least_squares import Loss
 from imufield.earth import Gravity
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
-from imufield.sentences import counted
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 EQUATIONS = {
     "sensing": "N - raw_zero = K (T a + b) + K2 (T a)^2",
@@ -189,25 +191,20 @@ def _checked_data(
 ) -> FitData:
     m = len(observations)
     if m < FEWEST_FOR_SCALE_AND_BIAS:
-        raise CalibrationError(
-            f"{counted(m, 'position')} {'is' if m == 1 else 'are'} too few: scale and bias need {FEWEST_FOR_SCALE_AND_BIAS} "
-            f"(each axis up and down), misalignment "
-            f"{FEWEST_FOR_MISALIGNMENT}, the quadratic term {FEWEST_FOR_QUADRATIC}; take more positions, 24 is a good number",
-            Reason.TOO_FEW,
-            positions=m,
-            needed=FEWEST_FOR_SCALE_AND_BIAS,
-        )
+        needed = {
+            "needed": FEWEST_FOR_SCALE_AND_BIAS,
+            "misalignment": FEWEST_FOR_MISALIGNMENT,
+            "quadratic": FEWEST_FOR_QUADRATIC,
+        }
+        raise CalibrationError(sentence("accelerometer.too_few", positions=m, **needed), Reason.TOO_FEW)
     for row in np.flatnonzero(~np.isfinite(observations.mean_raw).all(axis=1)):
-        raise CalibrationError(
-            f"position {observations.name[row]} (number {row + 1} of {m}) has the mean output "
-            f"{observations.mean_raw[row].tolist()}, which is not finite; remove or retake it",
-            Reason.NOT_FINITE,
-            position=observations.name[row],
-        )
+        position, output = observations.name[row], observations.mean_raw[row].tolist()
+        lost = sentence("accelerometer.not_finite", position=position, number=row + 1, count=m, output=output)
+        raise CalibrationError(lost, Reason.NOT_FINITE)
     raw = observations.mean_raw - zero
     require_outputs(raw, observations.name)
     require_space(raw)
-    covariance = observations.covariance_raw if known_covariance(observations.covariance_raw) else None
+    covariance = known_covariance(observations.covariance_raw)
     return FitData(raw=raw, covariance_raw=covariance, gravity_m_s2=gravity.gravity_m_s2, quadratic_axes=axes, loss=loss)
 
 
@@ -215,16 +212,9 @@ def _checked_preset(preset: AccelerometerParameters) -> FloatArray:
     vector = to_vector(preset)
     K = preset.scale
     if not np.isfinite(vector).all() or np.any(K == 0):
-        raise UsageError(
-            f"the preset has scale {K.tolist()} and is not complete; every entry must be finite and scale not zero"
-        )
+        raise UsageError(sentence("accelerometer.incomplete_preset", scale=K.tolist()))
     if np.prod(np.sign(K)) < 0 and np.any(K > 0):
-        raise CalibrationError(
-            f"the preset is left-handed: one of its scales {K.tolist()} is reversed; reverse that axis in the protocol and "
-            "the preset",
-            Reason.HANDEDNESS,
-            scale=K.tolist(),
-        )
+        raise CalibrationError(sentence("accelerometer.left_handed_preset", scale=K.tolist()), Reason.HANDEDNESS)
     change_gauge(vector, "lower")  # raises where the sensing axes are no right-handed triad
     return vector
 

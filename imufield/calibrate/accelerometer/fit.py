@@ -124,9 +124,7 @@ def _evaluate(data: FitData, problem: NormProblem, solved: SolverResult) -> Fit:
     derivatives = norm_derivatives(vector, data.raw, data.quadratic_axes)
     residual = derivatives.norm - data.gravity_m_s2
     jacobian = derivatives.jacobian @ problem.basis
-    within = np.zeros(len(residual))
-    if data.covariance_raw is not None:
-        within = within_variance(derivatives.raw_gradient, data.covariance_raw)
+    within = within_variance(derivatives.raw_gradient, data.covariance_raw)
     tau = between_position_sigma(residual, jacobian, within)
     sigma = np.sqrt(within + tau**2)
     # Without covariances and without redundancy nothing says how sure a position is; equal weights then.

@@ -30,13 +30,16 @@ from imufield.calibrate.model.models import (
 )
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.calibrate.model.uncertainty import known_covariance, within_variance
+from imufield.calibrate.model.uncertainty import known_covariance, rms, within_variance
 from imufield.calibrate.solvers.agreement import CROSS_CHECKED, LEAST_SQUARES, Attempt, CrossCheck, compare
 from imufield.calibrate.solvers.base import Callback
 from imufield.calibrate.solvers.costs import CostName, NormProblem
 from imufield.calibrate.solvers.least_squares import solve_least_squares
 from imufield.calibrate.solvers.registry import find_method, load_solver
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 GAUGE_FREE_NAMES = tuple(
     f"intrinsic.{kind}.{axis}"
@@ -112,10 +115,8 @@ def restart(observations: Observations, calibration: Calibration, preset: Accele
     if not fits_quadratic:
         start[QUADRATIC] = vector[QUADRATIC]
     # s_i of every position, as the calibration weighted them.
-    within = np.zeros(len(raw))
-    if known_covariance(observations.covariance_raw):
-        gradient = norm_derivatives(vector, raw, used.quadratic_axes).raw_gradient
-        within = within_variance(gradient, observations.covariance_raw)
+    gradient = norm_derivatives(vector, raw, used.quadratic_axes).raw_gradient
+    within = within_variance(gradient, known_covariance(observations.covariance_raw))
     sigma = np.sqrt(within + calibration.quality.between_position_sigma_m_s2**2)
     problem = whitened_problem(
         start,
@@ -184,12 +185,11 @@ def solve_with(
     residual = norm_derivatives(vector, problem.raw, axes).norm - calibration.gravity.gravity_m_s2
     quality = replace(
         calibration.quality,
-        residual_rms_m_s2=float(np.sqrt(np.mean(residual**2))),
+        residual_rms_m_s2=rms(residual),
         residual_max_m_s2=float(np.abs(residual).max()),
     )
     if not found.converged:
-        sentence = f"the method {method} did not converge, do not use these parameters: {found.message}"
-        quality = quality.lowered("poor", sentence)
+        quality = quality.lowered("poor", sentence("methods.not_converged", method=method, message=found.message))
     sigma = np.concatenate([old.scale_sigma, old.bias_raw_sigma, old.angle_sigma_rad, old.quadratic_sigma])
     return replace(
         calibration,

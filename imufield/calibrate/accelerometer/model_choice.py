@@ -24,6 +24,9 @@ from imufield.calibrate.model.result import ACCELEROMETER_NAMES, ModelChoice
 from imufield.calibrate.model.uncertainty import f_limit_95, influence, student_factor, told_apart
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
 
 _FIRST_QUADRATIC = QUADRATIC.start
 _MISALIGNMENT_ENTRIES = range(MISALIGNMENT.start, MISALIGNMENT.stop)
@@ -39,7 +42,7 @@ class ChosenModel:
     quadratic: bool
     hidden_root: FloatArray = field(default_factory=lambda: np.zeros((PARAMETERS, 0)))
     """Root of the covariance that a rejected quadratic term adds, in columns, shape (15, k)."""
-    sentence: str
+    sentence: Sentence
 
 
 def find_origin(
@@ -72,12 +75,8 @@ def find_origin(
     derivatives = norm_derivatives(origin, data.raw, data.quadratic_axes)
     # Outputs so far from what a still accelerometer gives that the model has no inverse there.
     for row in np.flatnonzero(~np.isfinite(derivatives.jacobian).all(axis=1)):
-        raise CalibrationError(
-            f"position {row + 1} of {len(data.raw)} has the output {data.raw[row].tolist()}, which no specific force near "
-            f"{data.gravity_m_s2:g} m/s^2 explains beside the others; retake it, or check columns, raw unit and preset",
-            Reason.BOUNDS,
-            position=int(row) + 1,
-        )
+        values = {"position": int(row) + 1, "count": len(data.raw), "output": data.raw[row].tolist()}
+        raise CalibrationError(sentence("model_choice.unexplained", gravity_m_s2=data.gravity_m_s2, **values), Reason.BOUNDS)
     observability = observe(derivatives, origin, data.gravity_m_s2, quadratic=model != "linear")
     require_scale_and_bias(observability)
     # This number of positions could at best fit these without a single one to spare.
@@ -106,19 +105,17 @@ def choose_model(data: FitData, origin: FloatArray, observability: Observability
     quadratic_free = tuple(k for k in observability.free if k >= _FIRST_QUADRATIC)
     if model == "quadratic" and len(quadratic_free) < 3:
         hidden = tuple(name for name in observability.unobservable if "quadratic" in name)
-        raise CalibrationError(
-            f"{len(data.raw)} positions cannot show {', '.join(hidden)}: that takes at least {FEWEST_FOR_QUADRATIC} with faces "
-            "and edges or corners; add such positions, or use the linear model",
-            Reason.UNOBSERVABLE,
-            unobservable=hidden,
-        )
+        count = len(data.raw)
+        refused = sentence("model_choice.no_quadratic", count=count, unobservable=hidden, fewest=FEWEST_FOR_QUADRATIC)
+        raise CalibrationError(refused, Reason.UNOBSERVABLE)
     if not quadratic_free:
-        reason = "as asked" if model == "linear" else "because the positions do not show more"
-        return _linear(data, origin, observability, f"the model is linear, {reason}")
+        key = "model_choice.linear_as_asked" if model == "linear" else "model_choice.linear_as_shown"
+        return _linear(data, origin, observability, sentence(key))
     quadratic = fit(data, origin, column_basis(origin, observability.free, data.gravity_m_s2))
+    as_asked = sentence("model_choice.quadratic_as_asked")
+    kept = ChosenModel(fit=quadratic, free=observability.free, quadratic=True, sentence=as_asked)
     if model == "quadratic":
-        sentence = "the quadratic term is fitted, as asked"
-        return ChosenModel(fit=quadratic, free=observability.free, quadratic=True, sentence=sentence)
+        return kept
     # Keep the term where it is significant; else add what it may hide to the covariance of the linear model.
     n, entries = len(quadratic_free), list(quadratic_free)
     # The last n coordinates of the fit move the entries of the term.
@@ -129,16 +126,10 @@ def choose_model(data: FitData, origin: FloatArray, observability: Observability
     t = float(np.max(np.abs(change) / np.sqrt(np.diag(C[-n:, -n:]))))
     freedom = quadratic.degrees_of_freedom
     F_limit, t_limit = f_limit_95(n, freedom), student_factor(freedom, of=n)
-    (F_shown, F_most), (t_shown, t_most) = told_apart(F, F_limit), told_apart(t, t_limit)
-    figures = f"F = {F_shown}, 95 % limit {F_most}; largest {t_shown} sigma, limit {t_most}"
+    figures = dict(zip(("F", "F_limit", "t", "t_limit"), (*told_apart(F, F_limit), *told_apart(t, t_limit)), strict=True))
     if F_limit < F or t_limit < t:
-        sentence = f"the quadratic term is kept: it is significant ({figures})"
-        return ChosenModel(fit=quadratic, free=observability.free, quadratic=True, sentence=sentence)
-    sentence = (
-        f"the quadratic term is left out: it is not significant ({figures}); what it may hide in scale and bias is in "
-        "their uncertainty"
-    )
-    linear = _linear(data, origin, observability, sentence)
+        return replace(kept, sentence=sentence("model_choice.quadratic_kept", **figures))
+    linear = _linear(data, origin, observability, sentence("model_choice.quadratic_left_out", **figures))
     # The other coordinates hang on the last n by -C_rl C_ll^-1, so of their covariance C_rl C_ll^-1 C_lr is from those.
     root = np.linalg.solve(np.linalg.cholesky(C[-n:, -n:]), C[-n:, :-n]).T
     hidden_root = np.column_stack([quadratic.vector - linear.fit.vector, quadratic.basis[:, :-n] @ root])
@@ -146,10 +137,10 @@ def choose_model(data: FitData, origin: FloatArray, observability: Observability
     return replace(linear, hidden_root=hidden_root)
 
 
-def _linear(data: FitData, origin: FloatArray, observability: Observability, sentence: str) -> ChosenModel:
+def _linear(data: FitData, origin: FloatArray, observability: Observability, why: Sentence) -> ChosenModel:
     # Zero where the term could be fitted and is not wanted; the preset's value where it cannot be observed.
     plain = origin.copy()
     plain[[k for k in observability.free if k >= _FIRST_QUADRATIC]] = 0.0
     free = tuple(k for k in observability.free if k < _FIRST_QUADRATIC)
     fitted = fit(data, plain, column_basis(plain, free, data.gravity_m_s2))
-    return ChosenModel(fit=fitted, free=free, quadratic=False, sentence=sentence)
+    return ChosenModel(fit=fitted, free=free, quadratic=False, sentence=why)

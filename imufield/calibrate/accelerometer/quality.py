@@ -12,11 +12,13 @@ from imufield.calibrate.model.models import BIAS, SCALE
 from imufield.calibrate.model.observability import Observability
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, Quality
-from imufield.calibrate.model.uncertainty import Influence, single_positions, student_factor
+from imufield.calibrate.model.uncertainty import Influence, rms, single_positions, student_factor
 from imufield.earth import MEASURED_GRAVITY_SIGMA_M_S2, MILLI_G_M_S2, Gravity, contradiction
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import counted
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 POOR_RESIDUAL_M_S2 = 5 * MILLI_G_M_S2
 """Leave-one-out RMS above this: a hold that was touched or a wrong column, not a consumer-grade sensor's noise."""
@@ -38,6 +40,7 @@ TEMPERATURE_SPAN_DEGC = 5.0
 _SATURATED_POSITIONS = 2
 # Share of an axis' span within which two means are the same number: the mean of a constant is that to rounding.
 _SAME_OUTPUT = 1e-9
+_WORTH_TELLING = 1.05  # A sigma that is raised by less is not told.
 _OUTLIER_LEVEL = 0.01  # Chance that one of all positions of a good session is called an outlier (both sides, Bonferroni).
 
 
@@ -71,12 +74,15 @@ class Evidence:
 def judge(evidence: Evidence) -> Quality:
     """Return figures, verdict and reasons."""
     fitted, freedom = evidence.fitted, evidence.fitted.degrees_of_freedom
-    residual_rms, without = _rms(fitted.residual_m_s2), _rms(evidence.leave_one_out_m_s2)
-    positions, parameters = len(evidence.observations), len(evidence.chosen.free)
-    summary = (
-        f"{counted(positions, 'position')}, {counted(parameters, 'parameter')}, {freedom} to spare: "
-        f"residual {residual_rms / MILLI_G_M_S2:.3f} mg RMS"
-        + (f", {without / MILLI_G_M_S2:.3f} mg with each position left out" if np.isfinite(without) else "")
+    residual_rms, without = rms(fitted.residual_m_s2), rms(evidence.leave_one_out_m_s2)
+    parameters = len(evidence.chosen.free)
+    summary = sentence(
+        "quality.summary" if np.isfinite(without) else "quality.summary_none_to_spare",
+        positions=len(evidence.observations),
+        parameters=parameters,
+        spare=freedom,
+        residual_mg=residual_rms / MILLI_G_M_S2,
+        left_out_mg=without / MILLI_G_M_S2,
     )
     poor = poor_sentences(None if fitted.solved.converged else fitted.solved.message, freedom, without)
     cautions = [*_position_sentences(evidence), *_cautions(evidence), *_sigma_sentences(evidence)]
@@ -105,12 +111,7 @@ def common_scale_ratio(scale: FloatArray, preset_scale: FloatArray) -> float:
     """
     ratio = float(np.exp(np.mean(np.log(np.abs(scale / preset_scale)))))
     if not 1 / (1 + SCALE_REFUSED) <= ratio <= 1 + SCALE_REFUSED:
-        raise CalibrationError(
-            f"the common scale is {ratio:.4g} times the preset's (at most {SCALE_REFUSED:.0%} off is accepted); check raw "
-            "unit, range setting and preset",
-            Reason.UNITS,
-            ratio=ratio,
-        )
+        raise CalibrationError(sentence("quality.preset_scale", ratio=ratio, limit=SCALE_REFUSED), Reason.UNITS)
     return ratio
 
 
@@ -134,19 +135,9 @@ def refuse_saturation(raw: FloatArray, residual_m_s2: FloatArray) -> None:
             continue
         limit, count = (float(ordered[0]), low) if low >= _SATURATED_POSITIONS else (float(ordered[-1]), high)
         if count >= _SATURATED_POSITIONS:
-            raise CalibrationError(
-                f"axis {AXES[axis]} stops at {limit:g} in {count} positions while the norm is wrong by up to "
-                f"{worst / MILLI_G_M_S2:.0f} mg (limit {SATURATION_RESIDUAL_M_S2 / MILLI_G_M_S2:.0f} mg): it is saturated; "
-                "choose a larger range and take them again",
-                Reason.SATURATED,
-                axis=AXES[axis],
-                limit=limit,
-            )
-
-
-def _rms(values: FloatArray) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
+            values = {"worst_mg": worst / MILLI_G_M_S2, "accepted_mg": SATURATION_RESIDUAL_M_S2 / MILLI_G_M_S2}
+            clipped = sentence("quality.saturated", axis=AXES[axis], limit=limit, count=count, **values)
+            raise CalibrationError(clipped, Reason.SATURATED)
 
 
 def poor_sentences(unsettled: str | None, degrees_of_freedom: int, leave_one_out_rms_m_s2: float) -> list[str]:
@@ -154,86 +145,68 @@ def poor_sentences(unsettled: str | None, degrees_of_freedom: int, leave_one_out
 
     ``unsettled`` is what a solver says that did not converge, None where it did.
     """
-    reasons = []
+    reasons: list[str] = []
     if unsettled is not None:
-        reasons.append(f"the solver did not converge: {unsettled}")
+        reasons.append(sentence("quality.not_converged", message=unsettled))
     if degrees_of_freedom < 1:
-        reasons.append("no position is left over to check the others: the uncertainty leaves out the scatter between positions")
+        reasons.append(sentence("quality.none_to_spare"))
     if leave_one_out_rms_m_s2 > POOR_RESIDUAL_M_S2:
-        reasons.append(
-            f"positions disagree by {leave_one_out_rms_m_s2 / MILLI_G_M_S2:.1f} mg RMS "
-            f"(limit {POOR_RESIDUAL_M_S2 / MILLI_G_M_S2:.0f} mg): retake the worst, and hold it still"
-        )
+        off_mg, limit_mg = leave_one_out_rms_m_s2 / MILLI_G_M_S2, POOR_RESIDUAL_M_S2 / MILLI_G_M_S2
+        reasons.append(sentence("quality.disagree", off_mg=off_mg, limit_mg=limit_mg))
     return reasons
 
 
 def _cautions(evidence: Evidence) -> list[str]:
     """Return what lowers the verdict beside single positions, outliers and large sigmas."""
-    reasons = []
+    reasons: list[str] = []
     if evidence.unobservable:
         reasons.append(_unobservable_sentence(evidence))
     freedom = evidence.fitted.degrees_of_freedom
     if 0 < freedom < SPARE_POSITIONS:
         factor = student_factor(evidence.fitted.effective_degrees_of_freedom)
-        reasons.append(f"only {counted(freedom, 'position')} to spare: a 95 % interval is {factor:.1f} sigma")
+        reasons.append(sentence("quality.few_to_spare", spare=freedom, factor=factor))
     condition = evidence.observability.condition
     if condition > HIGH_CONDITION:
-        reasons.append(f"the positions are one-sided (condition {condition:.0f}, limit {HIGH_CONDITION:.0f})")
-    if evidence.gravity.source == "assumed":
-        share = evidence.gravity.sigma_m_s2 / evidence.gravity.gravity_m_s2
-        reasons.append(
-            f"gravity is not known and {evidence.gravity.gravity_m_s2:g} m/s^2 was assumed: the common scale is uncertain by "
-            f"{share * 1e6:.0f} ppm; give the latitude or gravity"
-        )
-    if differ := contradiction(evidence.gravity):
+        reasons.append(sentence("quality.one_sided", condition=condition, limit=HIGH_CONDITION))
+    gravity = evidence.gravity
+    if gravity.source == "assumed":
+        share_ppm = gravity.sigma_m_s2 / gravity.gravity_m_s2 * 1e6
+        reasons.append(sentence("quality.assumed_gravity", gravity_m_s2=gravity.gravity_m_s2, share_ppm=share_ppm))
+    if differ := contradiction(gravity):
         reasons.append(differ)
     ratio = evidence.scale_ratio
     if ratio is not None and abs(ratio - 1) > SCALE_CHANGE:
-        reasons.append(
-            f"the common scale is {ratio - 1:+.1%} off the preset's (limit {SCALE_CHANGE:.0%}): check gravity and preset"
-        )
+        reasons.append(sentence("quality.scale_change", change=ratio - 1, limit=SCALE_CHANGE))
     temperature = evidence.observations.temperature_degc
     known = temperature[np.isfinite(temperature)]
     if known.size and np.ptp(known) > TEMPERATURE_SPAN_DEGC:
-        reasons.append(
-            f"the temperature went from {known.min():.1f} to {known.max():.1f} degC over the positions (limit "
-            f"{TEMPERATURE_SPAN_DEGC:g} degC): the parameters are a mean over it, and a chip's bias moves by 0.5 to 1 mg per "
-            "degC; warm it up first, and calibrate at the temperature of use"
-        )
+        span = {"low_degc": known.min(), "high_degc": known.max(), "limit_degc": TEMPERATURE_SPAN_DEGC}
+        reasons.append(sentence("quality.temperature", **span))
     return reasons
 
 
 def _unobservable_sentence(evidence: Evidence) -> str:
     """Return what the positions do not show and what that costs."""
     hidden = evidence.unobservable
-    verb = "is" if len(hidden) == 1 else "are"
-    kept = f"{verb} taken as zero" if evidence.scale_ratio is None else f"{verb} left at the preset's"
-    cost = []
-    if any("misalignment" in name for name in hidden):
-        # Data sheets of Bosch and InvenSense.
-        cost.append(
-            "each mrad of misalignment left is 1 mg of error on an axis across gravity, so 10 to 20 mg for a chip whose data "
-            "sheet gives 1 to 2 % of cross-axis sensitivity"
-        )
-    if any("quadratic" in name for name in hidden):
-        cost.append("each 100 ug/g^2 of quadratic term left is 0.1 mg at 1 g")
-    costs = "; ".join(cost) or "what is wrong there is in every measurement"
-    return f"these positions cannot show {', '.join(map(_words, hidden))}, which {kept}: {costs}; 24 positions show it"
+    known_costs = {"misalignment": "quality.misalignment_cost", "quadratic": "quality.quadratic_cost"}
+    costs = [sentence(key) for kind, key in known_costs.items() if any(kind in name for name in hidden)]
+    key = "quality.hidden_as_zero" if evidence.scale_ratio is None else "quality.hidden_as_preset"
+    told_costs = "; ".join(costs or [sentence("quality.other_cost")])
+    return sentence(key, names=[_words(name) for name in hidden], costs=told_costs)
 
 
 def _sigma_sentences(evidence: Evidence) -> list[str]:
     relative = evidence.sigma[SCALE] / np.abs(evidence.fitted.vector[SCALE])
     bias = evidence.sigma[BIAS]
-    reasons = []
+    reasons: list[str] = []
     # Written so that NaN (no uncertainty at all) counts as too large.
     if not np.all(relative <= USABLE_SCALE_SIGMA) and evidence.gravity.source != "assumed":
-        finite = np.isfinite(relative).all()
-        known = f"is known to {relative.max() * 1e6:.0f} ppm only" if finite else "has no known uncertainty"
-        reasons.append(f"scale {known} (limit {USABLE_SCALE_SIGMA * 1e6:.0f} ppm)")
+        key = "quality.scale_sigma" if np.isfinite(relative).all() else "quality.no_scale_sigma"
+        reasons.append(sentence(key, sigma_ppm=relative.max() * 1e6, limit_ppm=USABLE_SCALE_SIGMA * 1e6))
     if not np.all(bias <= USABLE_BIAS_SIGMA_M_S2):
-        finite = np.isfinite(bias).all()
-        known = f"is known to {bias.max() / MILLI_G_M_S2:.2f} mg only" if finite else "has no known uncertainty"
-        reasons.append(f"bias {known} (limit {USABLE_BIAS_SIGMA_M_S2 / MILLI_G_M_S2:.0f} mg)")
+        key = "quality.bias_sigma" if np.isfinite(bias).all() else "quality.no_bias_sigma"
+        limit_mg = USABLE_BIAS_SIGMA_M_S2 / MILLI_G_M_S2
+        reasons.append(sentence(key, sigma_mg=bias.max() / MILLI_G_M_S2, limit_mg=limit_mg))
     return reasons
 
 
@@ -244,13 +217,11 @@ def _position_sentences(evidence: Evidence) -> list[str]:
     if freedom < 1:
         return sentences
     for single in single_positions(evidence.spread):
-        names = ", ".join(_words(ACCELEROMETER_NAMES[evidence.chosen.free[k]]) for k in single.coordinates)
+        names = [_words(ACCELEROMETER_NAMES[evidence.chosen.free[k]]) for k in single.coordinates]
         raised = float(evidence.factors[list(single.coordinates)].max())
-        effect = f"; uncertainty there is raised up to {raised:.1f} times (jackknife)" if raised > 1.05 else ""
-        sentences.append(
-            f"position {evidence.observations.name[single.position]} carries {names} nearly alone (leverage "
-            f"{single.leverage:.2f}){effect}; repeat it"
-        )
+        key = "quality.carries_raised" if raised > _WORTH_TELLING else "quality.carries"
+        position = evidence.observations.name[single.position]
+        sentences.append(sentence(key, position=position, names=names, leverage=single.leverage, raised=raised))
     if freedom < 3:
         return sentences
     residual = fitted.residual_m_s2 / fitted.sigma_m_s2
@@ -261,32 +232,27 @@ def _position_sentences(evidence: Evidence) -> list[str]:
         without = np.maximum(without, 1.0)
     student = student / np.sqrt(without)
     limit = student_factor(freedom - 1, of=len(student), chance=_OUTLIER_LEVEL)
-    off_mg = evidence.leave_one_out_m_s2 / MILLI_G_M_S2
+    off_mg, sigmas = evidence.leave_one_out_m_s2 / MILLI_G_M_S2, np.abs(student)
+    positions = evidence.observations.name
     return sentences + [
-        f"position {evidence.observations.name[i]} does not fit the others (off by {off_mg[i]:+.2f} mg, "
-        f"{abs(student[i]):.1f} sigma, limit {limit:.1f}): retake or remove it"
-        for i in np.flatnonzero(np.abs(student) > limit)
+        sentence("quality.outlier", position=positions[i], off_mg=off_mg[i], sigmas=sigmas[i], limit=limit)
+        for i in np.flatnonzero(sigmas > limit)
     ]
 
 
 def _notes(evidence: Evidence) -> list[str]:
-    notes = [evidence.chosen.sentence]
+    notes: list[str] = [evidence.chosen.sentence]
     if evidence.data.covariance_raw is None:
-        notes.append("no uncertainty came with the positions: all weigh the same, and sigma is from the residuals")
+        notes.append(sentence("quality.no_covariance"))
     if evidence.sign_source == "assumed":
-        notes.append(
-            "the signs of the axes are assumed positive, their order x, y, z and right-handed: the norm is the "
-            "same for reversed or swapped ones, and neither planned positions nor a preset tell"
-        )
+        notes.append(sentence("quality.assumed_signs"))
     gravity = evidence.gravity
     if gravity.source != "assumed":
         share = gravity.sigma_m_s2 / gravity.gravity_m_s2
-        digits = gravity.source == "typed" and gravity.sigma_m_s2 > MEASURED_GRAVITY_SIGMA_M_S2
-        notes.append(
-            f"the residual cannot check gravity: its sigma of {gravity.sigma_m_s2:.2g} m/s^2 is "
-            f"{share * 1e6:{'.0f' if share >= 1e-5 else '.2g'}} ppm of common scale"
-            + (", which is what its last digit leaves open: give more digits where they are known" if digits else "")
-        )
+        few_digits = gravity.source == "typed" and gravity.sigma_m_s2 > MEASURED_GRAVITY_SIGMA_M_S2
+        key = "quality.few_digits" if few_digits else "quality.unchecked_gravity"
+        share_ppm = f"{share * 1e6:{'.0f' if share >= 1e-5 else '.2g'}}"
+        notes.append(sentence(key, sigma_m_s2=gravity.sigma_m_s2, share_ppm=share_ppm))
     return notes
 
 

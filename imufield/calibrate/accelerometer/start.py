@@ -18,6 +18,9 @@ import numpy as np
 from imufield.calibrate.model.models import MISALIGNMENT, MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS, PARAMETERS
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 FEWEST_FOR_SCALE_AND_BIAS = 6
 FEWEST_FOR_MISALIGNMENT = 9
@@ -63,12 +66,7 @@ def closed_form_start(raw: FloatArray, gravity_m_s2: float, sign: FloatArray, *,
     fits = (_ellipsoid(signed, full=full) for full in order if not full or len(raw) >= FEWEST_FOR_MISALIGNMENT)
     fit = next((fit for fit in fits if fit is not None), None)
     if fit is None:
-        raise CalibrationError(
-            f"the outputs of the {len(raw)} positions do not lie on an ellipsoid, as those of a still accelerometer do; check "
-            "that each was taken at rest, that columns and raw zero are right, and add positions with every axis up and down",
-            Reason.UNOBSERVABLE,
-            positions=len(raw),
-        )
+        raise CalibrationError(sentence("start.no_ellipsoid", positions=len(raw)), Reason.UNOBSERVABLE)
     centre, shape = fit
     M = np.linalg.cholesky(shape) / gravity_m_s2
     K = np.diag(M).copy()
@@ -131,29 +129,13 @@ def find_signs(raw: FloatArray, direction: FloatArray, preset_scale: FloatArray 
     follows = np.argmax(np.abs(slope), axis=1)
     for axis in range(3):
         if follows[axis] != axis:
-            raise CalibrationError(
-                f"output {AXES[axis]} follows body axis {AXES[int(follows[axis])]} of the planned positions: axes are swapped; "
-                "put the columns of the protocol or file into the order x, y, z",
-                Reason.HANDEDNESS,
-                axis=AXES[axis],
-                follows=AXES[int(follows[axis])],
-            )
+            swapped = sentence("start.swapped", axis=AXES[axis], follows=AXES[int(follows[axis])])
+            raise CalibrationError(swapped, Reason.HANDEDNESS)
     sign: FloatArray = np.sign(np.diag(slope))
     # All three reversed is an instrument that reports gravity instead of specific force; one reversed is a left-handed triad.
     if np.prod(sign) < 0 and np.any(sign > 0):
-        odd = int(np.argmax(sign < 0))
-        raise CalibrationError(
-            f"the triad is left-handed: output {AXES[odd]} falls when body axis {AXES[odd]} of the planned positions points up "
-            f"and the others rise; reverse the sign of {AXES[odd]} in the protocol or file",
-            Reason.HANDEDNESS,
-            axis=AXES[odd],
-        )
+        raise CalibrationError(sentence("start.left_handed", axis=AXES[int(np.argmax(sign < 0))]), Reason.HANDEDNESS)
     if preset_scale is not None and np.any(sign != np.sign(preset_scale)):
         opposite = AXES[int(np.argmax(sign != np.sign(preset_scale)))]
-        raise CalibrationError(
-            f"the sign of axis {opposite} in the preset is opposite to what the planned positions show; check the preset, the "
-            "axis signs of the protocol, or which side was up",
-            Reason.HANDEDNESS,
-            axis=opposite,
-        )
+        raise CalibrationError(sentence("start.opposite_preset", axis=opposite), Reason.HANDEDNESS)
     return Signs(sign, "directions")

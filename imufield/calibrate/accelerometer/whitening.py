@@ -21,6 +21,9 @@ from imufield.calibrate.model.result import ACCELEROMETER_NAMES, QuadraticAxes
 from imufield.calibrate.solvers.costs import CostName, NormProblem
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 ALL_FREE = tuple(range(PARAMETERS))
 _WORST_CONDITION = 1e6  # Singular values further apart than this are a direction the positions do not show.
@@ -65,28 +68,16 @@ def observable_basis(
     observed = (norm_derivatives(vector, raw, quadratic_axes).jacobian * scale)[:, columns] @ complement
     m, n = observed.shape
     if m < n:
-        raise CalibrationError(
-            f"{m} positions are fewer than the {n} parameters to be found; take at least {n} positions, or hold "
-            f"{ACCELEROMETER_NAMES[columns[-1]]} and its like",
-            Reason.TOO_FEW,
-            positions=m,
-            needed=n,
-        )
+        few = sentence("whitening.too_few", positions=m, needed=n, last=ACCELEROMETER_NAMES[columns[-1]])
+        raise CalibrationError(few, Reason.TOO_FEW)
     if not np.isfinite(observed).all():
-        raise CalibrationError(
-            "the outputs or the preset hold a value that is not finite; remove that position, or complete the preset",
-            Reason.NOT_FINITE,
-        )
+        raise CalibrationError(sentence("whitening.not_finite"), Reason.NOT_FINITE)
     _, D, Vt = np.linalg.svd(observed, full_matrices=False)
     if D[-1] * _WORST_CONDITION < D[0]:
         weakest = ACCELEROMETER_NAMES[columns[int(np.argmax(np.abs(complement @ Vt[-1])))]]
-        raise CalibrationError(
-            f"the {m} positions do not show {weakest} (singular values from {D[0]:.2g} to {D[-1]:.2g}); add "
-            "positions with every axis up, down and in between, or fit fewer parameters",
-            Reason.UNOBSERVABLE,
-            parameter=weakest,
-            condition=float(D[0] / D[-1]) if D[-1] > 0 else float("inf"),
-        )
+        hidden = sentence("whitening.hidden", count=m, parameter=weakest, largest=D[0], least=D[-1])
+        condition = float(D[0] / D[-1]) if D[-1] > 0 else float("inf")
+        raise CalibrationError(hidden, Reason.UNOBSERVABLE, condition=condition)
     basis = np.zeros((PARAMETERS, complement.shape[1]))
     # S C V D^-1
     basis[columns] = scale[columns, None] * (complement @ (Vt.T / D))
@@ -117,15 +108,8 @@ def whitened_problem(
     norm = norm_derivatives(vector, raw, quadratic_axes).norm
     middle = float(np.median(norm)) if np.isfinite(norm).all() else float("nan")
     if not abs(middle / gravity_m_s2 - 1) <= _WORST_START:
-        raise CalibrationError(
-            f"with the preset the norm of the specific force is {middle:.4g} m/s^2 where gravity is {gravity_m_s2:.6g} m/s^2 "
-            f"(at most {_WORST_START:.0%} off is accepted): accelerometer.scale is in another unit or of another instrument; "
-            "check it",
-            Reason.UNITS,
-            parameter="accelerometer.scale",
-            norm_m_s2=middle,
-            gravity_m_s2=gravity_m_s2,
-        )
+        foreign = sentence("whitening.foreign_preset", norm_m_s2=middle, gravity_m_s2=gravity_m_s2, limit=_WORST_START)
+        raise CalibrationError(foreign, Reason.UNITS, parameter="accelerometer.scale")
     # A preset that is exact already still needs a step of some size.
     unit = max(float(np.linalg.norm(norm - gravity_m_s2)), 1e-9 * gravity_m_s2)
     basis = unit * observable_basis(vector, raw, gravity_m_s2, quadratic_axes, free=free)

@@ -18,8 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.covariance import force_errors
-from imufield.calibrate.gyroscope.fit import EarthKnowledge, fit_jointly
+from imufield.calibrate.gyroscope.fit import fit_jointly
 from imufield.calibrate.gyroscope.input import GyroscopeInput, handedness_error, make_data, refuse_dead, refuse_foreign
 from imufield.calibrate.gyroscope.model_choice import FULL, GyroscopeModel, choose_model
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, rough_inverse
@@ -33,15 +32,12 @@ from imufield.calibrate.gyroscope.report import (
     static_norm_result,
 )
 from imufield.calibrate.gyroscope.residuals import VERTICAL
-from imufield.calibrate.gyroscope.static import (
-    StaticData,
-    fit_static,
-    latitude_words,
-    sees_earth,
-    static_bias,
-)
+from imufield.calibrate.gyroscope.static import StaticData, fit_static, latitude_words, sees_earth, static_bias
 from imufield.calibrate.gyroscope.whole_turns import find_stops, whole_stops
 from imufield.errors import CalibrationError, Reason
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
 def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -> GyroscopeResult:
@@ -71,55 +67,42 @@ def calibrate_gyroscope(given: GyroscopeInput, model: GyroscopeModel = "auto") -
         return _static(given)
     data = make_data(given)
     refuse_dead(given, data)
-    errors = force_errors(given.observations, given.calibration, given.rests)
-    earth = EarthKnowledge.at(given.latitude_deg)
     preset = given.preset_inverse()
-    rough = rough_inverse(data.slots) if len(data.before) else None
+    rough = rough_inverse(data.moves) if len(data.moves.before) else None
     begin = rough if preset is None else preset
     if begin is None:
-        raise CalibrationError(
-            "nothing says what the scale of the gyroscope is: there are no moves, no preset and no driver; give a preset",
-            Reason.UNOBSERVABLE,
-        )
+        raise CalibrationError(sentence("calibrate.no_scale"), Reason.UNOBSERVABLE)
     if preset is not None and rough is not None:
         refuse_foreign(data, rough, preset)
     elif np.linalg.det(begin) <= 0:
         raise handedness_error()
     start = np.zeros(data.parameters)
     start[INVERSE] = begin.ravel()
-    observability = observe(start, data, errors, known=preset is not None)
+    observability = observe(start, data, known=preset is not None)
     warnings: tuple[str, ...] = ()
     if given.stops:
         # A fit without the stops tells which of their turns were whole; the others are used as moves.
         moves, sigma = find_stops(given.stops, given.moves.start_s, given.moves.end_s)
-        first = fit_jointly(data, errors, start, observability.free(FULL), earth=earth)
+        first = fit_jointly(data, start, observability.free(FULL))
         whole, missed = whole_stops(first.evaluation, data, moves, sigma)
         warnings = tuple(
-            f"the turn against a stop at {given.moves.start_s[moves[k]]:.1f} s was not whole: it misses by "
-            f"{np.degrees(missed[k]):+.2f} deg and is used as a move only; repeat it"
+            sentence("calibrate.not_whole", start_s=given.moves.start_s[moves[k]], missed_deg=np.degrees(missed[k]))
             for k in np.flatnonzero(~whole)
         )
         data = replace(data, stops=moves[whole], stop_sigma_rad=sigma[whole])
-    chosen = choose_model(data, errors, start, observability, earth=earth, model=model)
+    chosen = choose_model(data, start, observability, model)
     fitted = chosen.fit
     # With a g-sensitivity fitted the specific force times the Earth's rate says nothing of the latitude: the vertical Earth
     # rate is an exact alias of G = (rate sin(latitude) / g) I.
     if given.latitude_deg is not None and fitted.heading_fitted and not chosen.g_sensitive:
         free = fitted.free[fitted.free < PARAMETERS]
-        loose = fit_jointly(data, errors, fitted.p, free, earth=EarthKnowledge.at(None), scatter=fitted.scatter)
+        loose = fit_jointly(replace(data, latitude_deg=None), fitted.p, free, fitted.scatter)
         place = int(np.flatnonzero(loose.free == VERTICAL)[0])
         sigma_rad_s = float(np.sqrt(loose.covariance[place, place]))
-        warnings += latitude_words(given.latitude_deg, float(loose.p[VERTICAL]), sigma_rad_s)
-    solution = JointSolution(
-        given=given,
-        data=data,
-        chosen=chosen,
-        start=start,
-        observability=observability,
-        earth=earth,
-        warnings=warnings,
+        warnings += (latitude_words(given.latitude_deg, float(loose.p[VERTICAL]), sigma_rad_s),)
+    return joint_result(
+        JointSolution(given=given, data=data, chosen=chosen, start=start, observability=observability, warnings=warnings)
     )
-    return joint_result(solution)
 
 
 def _static(given: GyroscopeInput) -> GyroscopeResult:
@@ -127,17 +110,12 @@ def _static(given: GyroscopeInput) -> GyroscopeResult:
     preset, observations = given.preset, given.observations
     A = given.preset_inverse()
     if A is not None and given.latitude_deg is not None and sees_earth(observations.gyroscope_covariance_raw, A):
-        rest, force = given.rest_raw, given.force_m_s2
-        up = force / np.linalg.norm(force, axis=1)[:, None]
+        up = given.force_m_s2 / np.linalg.norm(given.force_m_s2, axis=1)[:, None]
         middle_s = observations.start_s + observations.duration_s / 2
-        data = StaticData(observations.gyroscope_mean_raw - rest, observations.gyroscope_covariance_raw, up, middle_s)
-        solution = StaticSolution(
-            given=given,
-            data=data,
-            fitted=fit_static(data, A, given.latitude_deg, given.static_free),
-            rest_raw=rest,
-        )
-        return static_norm_result(solution)
+        rate_raw = observations.gyroscope_mean_raw - given.rest_raw
+        data = StaticData(rate_raw, observations.gyroscope_covariance_raw, up, middle_s)
+        fitted = fit_static(data, A, given.latitude_deg, given.static_free)
+        return static_norm_result(StaticSolution(given=given, data=data, fitted=fitted))
     gyroscope = static_bias(
         observations,
         given.nominal_scale if preset is None else preset.scale,
@@ -145,4 +123,4 @@ def _static(given: GyroscopeInput) -> GyroscopeResult:
         up=given.force_m_s2,
         latitude_deg=given.latitude_deg,
     )
-    return static_bias_result(gyroscope, tuple(move.sentence for move in given.moves.dropped))
+    return static_bias_result(gyroscope, given.moves.dropped)

@@ -23,11 +23,12 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from imufield.calibrate.gyroscope.move_integration import INVERSE, SENSITIVITY
-from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData
+from imufield.calibrate.gyroscope.residuals import Evaluation, ForceErrors, GyroscopeData
 from imufield.calibrate.model.models import norm_derivatives, recover_vectors, to_vector
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES, GRAVITY_NAME, AccelerometerParameters, Calibration
@@ -37,34 +38,6 @@ from imufield.samples import FloatArray
 # Relative step for the derivative of the specific force by the accelerometer's parameters; it is nearly linear in them.
 _DIFFERENCE = 1e-6
 _MOST_SCATTER = 1e4  # Times the largest squared residual: no scatter beyond it explains anything, and the numbers stay finite.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ForceErrors:
-    """Where errors of the specific force of s stills come from.
-
-    Attributes
-    ----------
-    by_noise : ndarray, shape (s, 3, 3)
-        d force / d raw accelerometer mean.
-    noise : ndarray, shape (s, 3, 3)
-        Covariance of the raw accelerometer mean, scatter between positions included.
-    by_parameters : ndarray, shape (s, 3, 15)
-        d force / d accelerometer parameters.
-    gain : ndarray, shape (s, 15, 3)
-        d accelerometer parameters / d raw mean of each still: the calibration used them.
-    rest : ndarray, shape (15, 15)
-        Covariance of the parameters that does not come from those means (gravity, doubt about the model).
-    with_gravity : ndarray, shape (15,)
-        Covariance of the parameters with gravity.
-    """
-
-    by_noise: FloatArray
-    noise: FloatArray
-    by_parameters: FloatArray
-    gain: FloatArray
-    rest: FloatArray
-    with_gravity: FloatArray
 
 
 def force_errors(observations: Observations, calibration: Calibration, rests: int = 0) -> ForceErrors:
@@ -118,18 +91,12 @@ def force_errors(observations: Observations, calibration: Calibration, rests: in
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Scatter:
-    """1 sigma of what the residuals show beyond the noise."""
+class Scatter(NamedTuple):
+    """1 sigma of what the residuals show beyond the noise, in the order of the parts of S."""
 
     drift_rad_s: float
     wander_rad_s_per_root_s: float
     turn_rad: float
-
-    @property
-    def sizes(self) -> tuple[float, float, float]:
-        """In the order of the parts of S."""
-        return self.drift_rad_s, self.wander_rad_s_per_root_s, self.turn_rad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,15 +113,15 @@ class Covariances:
     def total(self, scatter: Scatter) -> FloatArray:
         """Return S."""
         S: FloatArray = self.fixed.copy()
-        for size, part in zip(scatter.sizes, (self.drift, self.wander, self.turn), strict=True):
+        for size, part in zip(scatter, (self.drift, self.wander, self.turn), strict=True):
             if size > 0:
                 S += size**2 * part
         return S
 
 
-def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData, errors: ForceErrors) -> Covariances:
+def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData) -> Covariances:
     """Return the parts of S at one evaluation."""
-    m, s, rows = evaluation.moves, len(data.force), len(evaluation.residual)
+    m, s, rows, errors = evaluation.moves, len(data.force), len(evaluation.residual), data.errors
     A, H = x[INVERSE].reshape(3, 3), x[SENSITIVITY].reshape(3, 3)
     stops = range(2 * m + 3 * s, 2 * m + 3 * s + len(data.stops))
     to_tangent = -evaluation.tangent @ skew(evaluation.predicted)
@@ -163,7 +130,7 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData, erro
     # d residual / d specific force of each still, and / d its drift in rad/s: a move has the mean of the biases of its two.
     by_force, drift = np.zeros((rows, s, 3)), np.zeros((rows, 3 * s))
     half_turn = to_tangent @ evaluation.turns.duration / 2
-    for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
+    for k, (i, j) in enumerate(zip(data.moves.before, data.moves.after, strict=True)):
         place = slice(2 * k, 2 * k + 2)
         by_force[place, j] += evaluation.tangent[k] @ to_up[j]
         by_force[place, i] -= evaluation.tangent[k] @ evaluation.carry[k] @ to_up[i]
@@ -183,12 +150,12 @@ def covariances(evaluation: Evaluation, x: FloatArray, data: GyroscopeData, erro
     _add_blocks(fixed, A @ data.rate_covariance @ A.T, 2 * m)
     for row, k, sigma in zip(stops, data.stops, data.stop_sigma_rad, strict=True):
         # A stop shares the noise of its move.
-        to_stop = -data.up[data.after[k]]
+        to_stop = -data.up[data.moves.after[k]]
         shared = to_tangent[k] @ evaluation.turns.spread[k] @ to_stop
         fixed[row, row] += to_stop @ evaluation.turns.spread[k] @ to_stop + sigma**2
         fixed[row, 2 * k : 2 * k + 2] += shared
         fixed[2 * k : 2 * k + 2, row] += shared
-        for still in (data.before[k], data.after[k]):
+        for still in (data.moves.before[k], data.moves.after[k]):
             drift[row, 3 * still : 3 * still + 3] += to_stop @ evaluation.turns.duration[k] / 2
     table = data.table
     _add_blocks(fixed, A @ table.covariance_raw @ A.T + table.rate_covariance, rows - 3 * len(table))
@@ -224,7 +191,7 @@ def next_scatter(scatter: Scatter, residual: FloatArray, jacobian: FloatArray, p
     Pr = P @ residual
     score = np.array([Pr @ V @ Pr - np.trace(PV) for V, PV in zip(components, products, strict=True)])  # 2 s_k
     information = np.array([[np.sum(a * b.T) for b in products] for a in products])  # tr(P V_k P V_l)
-    now = np.array(scatter.sizes) ** 2
+    now = np.array(scatter) ** 2
     # A component at zero that wants to fall stays there.
     free = ~((now <= 0) & (score <= 0)) & (np.diag(information) > 0)
     step = np.zeros(len(now))

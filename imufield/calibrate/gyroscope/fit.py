@@ -10,13 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.covariance import Covariances, ForceErrors, Scatter, covariances, next_scatter
+from imufield.calibrate.gyroscope.covariance import Covariances, Scatter, covariances, next_scatter
 from imufield.calibrate.gyroscope.move_integration import PARAMETERS
 from imufield.calibrate.gyroscope.residuals import FIRST_HORIZONTAL, VERTICAL, Evaluation, GyroscopeData, evaluate
 from imufield.calibrate.solvers.base import SolverResult, SolverStatus
 from imufield.earth import EARTH_RATE_RAD_S
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray, IntArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _ITERATIONS = 60  # Steps before it says that it did not converge; the scatters settle last.
 _SETTLED = 1e-8  # Sum of squared changes in sigma at which it stops: a ten-thousandth of a sigma.
@@ -26,29 +29,6 @@ _SESSION_ROOT_S = 20.0  # Root of the length of a session, sqrt(s), to start fro
 HEADING_SEEN = 0.2
 """Sigma of the horizontal Earth rate over its length below which its length is taken as known and one azimuth is fitted."""
 _LENGTH_SIGMA = 1e-4  # Of the Earth's rate: how strictly the known length is kept.
-
-
-@dataclass(frozen=True, slots=True)
-class EarthKnowledge:
-    """What is known of the Earth's rate before the fit."""
-
-    vertical_rad_s: float
-    vertical_sigma_rad_s: float
-    """0 where the latitude is known."""
-    horizontal_sigma_rad_s: float
-    """Of each horizontal component while the azimuth is unknown."""
-    horizontal_rad_s: float | None
-    """Length of the horizontal part, None where the latitude is not known."""
-
-    @classmethod
-    def at(cls, latitude_deg: float | None) -> EarthKnowledge:
-        """Return what a latitude says."""
-        if latitude_deg is None:
-            anywhere = EARTH_RATE_RAD_S / np.sqrt(3.0)
-            return cls(0.0, float(anywhere), float(anywhere), None)
-        latitude = np.radians(latitude_deg)
-        horizontal_rad_s = float(EARTH_RATE_RAD_S * np.cos(latitude))
-        return cls(float(EARTH_RATE_RAD_S * np.sin(latitude)), 0.0, horizontal_rad_s / np.sqrt(2.0), horizontal_rad_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,61 +75,55 @@ class _Prior:
             size = np.maximum(np.linalg.norm(h, axis=1), 1e-30)
             sigma = _LENGTH_SIGMA * EARTH_RATE_RAD_S
             rows = np.zeros((len(h), len(p)))
-            for k in range(len(h)):
-                column = FIRST_HORIZONTAL + 2 * k
-                rows[k, column : column + 2] = h[k] / size[k] / sigma
+            columns = FIRST_HORIZONTAL + np.arange(h.size).reshape(h.shape)
+            rows[np.arange(len(h))[:, None], columns] = h / size[:, None] / sigma
             residual = np.append(residual, (size - self.length_rad_s) / sigma)
             jacobian = np.vstack([jacobian, rows])
         return residual, jacobian[:, free]
 
 
-def make_prior(data: GyroscopeData, earth: EarthKnowledge, *, heading: bool) -> _Prior:
-    """Return what is known of the Earth's rate; ``heading``: its horizontal length is known and strictly kept."""
+def make_prior(data: GyroscopeData, *, heading: bool) -> _Prior:
+    """Return what the latitude says of the Earth's rate; ``heading``: its horizontal length is strictly kept."""
     mean, sigma = np.zeros(data.parameters), np.full(data.parameters, np.inf)
-    mean[VERTICAL] = earth.vertical_rad_s
-    if earth.vertical_sigma_rad_s > 0:
-        sigma[VERTICAL] = earth.vertical_sigma_rad_s
+    if data.latitude_deg is None:
+        sigma[VERTICAL:] = EARTH_RATE_RAD_S / np.sqrt(3.0)  # It may point anywhere.
+        return _Prior(mean, sigma, None)
+    latitude = np.radians(data.latitude_deg)
+    mean[VERTICAL] = EARTH_RATE_RAD_S * np.sin(latitude)
+    horizontal_rad_s = float(EARTH_RATE_RAD_S * np.cos(latitude))
     if not heading:
-        sigma[FIRST_HORIZONTAL:] = earth.horizontal_sigma_rad_s
-    return _Prior(mean, sigma, earth.horizontal_rad_s if heading else None)
+        sigma[FIRST_HORIZONTAL:] = horizontal_rad_s / np.sqrt(2.0)  # Of each component while the azimuth is unknown.
+    return _Prior(mean, sigma, horizontal_rad_s if heading else None)
 
 
-def fit_jointly(
-    data: GyroscopeData,
-    errors: ForceErrors,
-    start: FloatArray,
-    free: IntArray,
-    *,
-    earth: EarthKnowledge,
-    scatter: Scatter | None = None,
-) -> JointFit:
+def fit_jointly(data: GyroscopeData, start: FloatArray, free: IntArray, scatter: Scatter | None = None) -> JointFit:
     """Fit the parameters ``free`` of ``p``, starting at ``start``; the Earth's horizontal rate is always fitted along.
 
     Parameters
     ----------
     data : GyroscopeData
-    errors : ForceErrors
     start : ndarray, shape (data.parameters,)
     free : ndarray of int
         Which of the 21 instrument parameters to fit.
-    earth : EarthKnowledge
     scatter : Scatter, optional
         To start from.
     """
+    prior = make_prior(data, heading=False)
     p = start.copy()
     # Known where the latitude is; without one it is fitted from zero.
-    p[VERTICAL] = earth.vertical_rad_s
-    nuisance = [] if earth.vertical_sigma_rad_s == 0 else [VERTICAL]
+    p[VERTICAL] = prior.mean[VERTICAL]
+    nuisance = [VERTICAL] if data.latitude_deg is None else []
     columns = np.array([*free, *nuisance, *range(FIRST_HORIZONTAL, data.parameters)], dtype=np.int64)
-    fitted = _gauss_newton(data, errors, p, columns, prior=make_prior(data, earth, heading=False), scatter=scatter)
+    fitted = _gauss_newton(data, p, columns, prior, scatter)
     # One azimuth serves each chain of moves; once every chain knows it, the known length is kept strictly.
     places = np.flatnonzero(fitted.free >= FIRST_HORIZONTAL)
     spread = np.sqrt(np.diag(fitted.covariance)[places].reshape(-1, 2).sum(axis=1))
-    if earth.horizontal_rad_s and np.all(spread < HEADING_SEEN * earth.horizontal_rad_s):
+    prior = make_prior(data, heading=True)
+    if prior.length_rad_s and np.all(spread < HEADING_SEEN * prior.length_rad_s):
         p = fitted.p.copy()
         h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
-        h *= earth.horizontal_rad_s / np.linalg.norm(h, axis=1)[:, None]
-        fitted = _gauss_newton(data, errors, p, columns, prior=make_prior(data, earth, heading=True), scatter=fitted.scatter)
+        h *= prior.length_rad_s / np.linalg.norm(h, axis=1)[:, None]
+        fitted = _gauss_newton(data, p, columns, prior, fitted.scatter)
     return fitted
 
 
@@ -164,19 +138,11 @@ class _Step:
     size: float  # Change in sigma, squared.
 
 
-def _gauss_newton(
-    data: GyroscopeData,
-    errors: ForceErrors,
-    p: FloatArray,
-    free: IntArray,
-    *,
-    prior: _Prior,
-    scatter: Scatter | None,
-) -> JointFit:
+def _gauss_newton(data: GyroscopeData, p: FloatArray, free: IntArray, prior: _Prior, scatter: Scatter | None) -> JointFit:
     now = evaluate(p, data)
     scatter = scatter or first_scatter(now)
     status, count = SolverStatus.ITERATION_LIMIT, 1
-    parts = covariances(now, p[:PARAMETERS], data, errors)
+    parts = covariances(now, p[:PARAMETERS], data)
     for _ in range(_ITERATIONS):
         step = _linear_step(now, parts, scatter, p, free=free, prior=prior)
         # Take the step, or the half of it that first lowers the cost.
@@ -192,16 +158,16 @@ def _gauss_newton(
                 break
             share /= 2
         p = trial
-        parts = covariances(now, p[:PARAMETERS], data, errors)
+        parts = covariances(now, p[:PARAMETERS], data)
         before, scatter = scatter, next_scatter(scatter, now.residual, now.jacobian[:, free], parts)
-        pairs = zip(before.sizes, scatter.sizes, strict=True)
+        pairs = zip(before, scatter, strict=True)
         same_scatter = all(abs(old - new) <= _SCATTER_SETTLED * max(old, 1e-9) for old, new in pairs)
         if step.size < _SETTLED * len(free) and same_scatter:
             status = SolverStatus.CONVERGED
             break
     step = _linear_step(now, parts, scatter, p, free=free, prior=prior)
     settled = status is SolverStatus.CONVERGED
-    message = "changes are below a ten-thousandth of a sigma" if settled else f"it still moves after {_ITERATIONS} steps"
+    message = sentence("fit.settled" if settled else "fit.iteration_limit", iterations=_ITERATIONS)
     solved = SolverResult(x=p[free], cost=step.cost, status=status, message=message, evaluations=count)
     return JointFit(
         p=p,
@@ -237,12 +203,7 @@ def _root(covariance: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError as error:
         spread = float(np.sqrt(np.diagonal(covariance).max()))
-        raise CalibrationError(
-            f"the moves contradict one another: their residuals scatter by {spread:.3g}, far beyond the noise, so "
-            "no gyroscope fits them; repeat the session with slower turns, or give the right raw unit",
-            Reason.NOT_CONVERGED,
-            scatter=spread,
-        ) from error
+        raise CalibrationError(sentence("fit.contradiction", scatter=spread), Reason.NOT_CONVERGED) from error
 
 
 def _linear_step(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.covariance import accelerometer_force
+from imufield.calibrate.gyroscope.covariance import accelerometer_force, force_errors
 from imufield.calibrate.gyroscope.move_integration import centre
 from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, chains_of
@@ -19,7 +19,9 @@ from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import Calibration, GyroscopeParameters
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
-from imufield.sentences import counted
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 FEWEST_STILLS = 2
 """One alone says nothing about its scatter."""
@@ -93,18 +95,11 @@ class GyroscopeInput:
         known = np.isfinite(self.observations.gyroscope_mean_raw).all(axis=1)
         count = int(known.sum())
         if count < FEWEST_STILLS:
-            raise CalibrationError(
-                f"{count} still positions have a gyroscope mean, {FEWEST_STILLS} are needed; record the gyroscope too",
-                Reason.TOO_FEW,
-                positions=count,
-            )
+            few = sentence("input.too_few_stills", positions=count, fewest=FEWEST_STILLS)
+            raise CalibrationError(few, Reason.TOO_FEW)
         if not known.all():
-            raise CalibrationError(
-                f"position {self.observations.name[int(np.flatnonzero(~known)[0])]} has no gyroscope mean although others have "
-                "one; remove or retake it",
-                Reason.NOT_FINITE,
-                positions=int((~known).sum()),
-            )
+            missing = sentence("input.missing_mean", position=self.observations.name[int(np.argmin(known))])
+            raise CalibrationError(missing, Reason.NOT_FINITE, positions=int((~known).sum()))
 
 
 def make_data(given: GyroscopeInput) -> GyroscopeData:
@@ -119,13 +114,13 @@ def make_data(given: GyroscopeInput) -> GyroscopeData:
         rate_raw=observations.gyroscope_mean_raw - rest,
         rate_covariance=covariance,
         force=given.force_m_s2,
-        slots=centre(moves, rest, accelerometer_force(parameters, moves.slots.force / duration)),
-        before=moves.before,
-        after=moves.after,
+        moves=centre(moves, rest, accelerometer_force(parameters, moves.slots.force / duration)),
         chain=chains_of(len(observations), moves.before, moves.after),
         noise_density_raw=density,
         rest_raw=rest,
         time_s=observations.start_s + observations.duration_s / 2,
+        errors=force_errors(observations, given.calibration, given.rests),
+        latitude_deg=given.latitude_deg,
         table=pair_runs(given.turntable) if given.turntable else no_table(),
     )
 
@@ -134,34 +129,24 @@ def refuse_dead(given: GyroscopeInput, data: GyroscopeData) -> None:
     """Refuse outputs that show no rotation: constant, or nothing but noise while gravity shows that the unit was turned."""
     if not len(given.moves):
         return
-    moves = counted(len(given.moves), "move")
-    largest = np.abs(data.slots.turn).max(axis=0, initial=0.0)
+    moves = len(given.moves)
+    largest = np.abs(data.moves.slots.turn).max(axis=0, initial=0.0)
     # The same number in all moves and at rest is what no rotating gyroscope gives.
     dead = largest <= _CONSTANT * np.maximum(np.abs(given.rest_raw), np.finfo(float).tiny)
     if dead.any():
         axes = ", ".join(axis for axis, is_dead in zip(AXES, dead, strict=True) if is_dead)
-        raise CalibrationError(
-            f"the gyroscope shows no rotation on {axes}: its output is the same number at rest and during all {moves}; check "
-            "that it is switched on, and the columns or fields it is read from",
-            Reason.UNOBSERVABLE,
-            axes=axes,
-        )
-    noise = data.noise_density_raw * np.sqrt(data.slots.duration_s.sum())
-    noisy = np.sqrt(np.sum(data.slots.turn**2, axis=0)) <= _NOISE_ONLY * noise
-    along = np.sum(data.up[data.before] * data.up[data.after], axis=1)
+        raise CalibrationError(sentence("input.constant", axes=axes, moves=moves), Reason.UNOBSERVABLE)
+    noise = data.noise_density_raw * np.sqrt(data.moves.slots.duration_s.sum())
+    noisy = np.sqrt(np.sum(data.moves.slots.turn**2, axis=0)) <= _NOISE_ONLY * noise
+    along = np.sum(data.up[data.moves.before] * data.up[data.moves.after], axis=1)
     if noisy.all() and along.min(initial=1.0) <= _TURNED:
-        raise CalibrationError(
-            f"the gyroscope shows no rotation on any axis: during all {moves} it has the noise that it has at rest, although "
-            f"gravity shows that the unit was turned by up to {np.degrees(np.arccos(along.min())):.0f} deg; check the columns "
-            "or fields it is read from",
-            Reason.UNOBSERVABLE,
-            axes="x, y, z",
-        )
+        noisy_moves = sentence("input.only_noise", moves=moves, turned_deg=np.degrees(np.arccos(along.min())))
+        raise CalibrationError(noisy_moves, Reason.UNOBSERVABLE, axes=", ".join(AXES))
 
 
 def refuse_foreign(data: GyroscopeData, rough: FloatArray, preset: FloatArray) -> None:
     """Refuse a preset that turns clearly slower, faster or the other way than the accelerometer shows."""
-    expected, shown = data.slots.turn @ preset.T, data.slots.turn @ rough.T
+    expected, shown = data.moves.slots.turn @ preset.T, data.moves.slots.turn @ rough.T
     energy = np.sum(expected**2, axis=0)
     moved = energy > _MOVED * energy.sum()
     ratio = np.sum(expected * shown, axis=0)[moved] / energy[moved]
@@ -169,19 +154,9 @@ def refuse_foreign(data: GyroscopeData, rough: FloatArray, preset: FloatArray) -
     if np.count_nonzero(ratio < -1 / _WRONG_START) % 2:
         raise handedness_error()
     if np.any(ratio < 1 / _WRONG_START) or np.any(ratio > _WRONG_START):
-        raise CalibrationError(
-            f"during the moves the unit turns {', '.join(f'{value:.3g}' for value in ratio)} times as fast as the gyroscope "
-            f"says with the preset or the driver's scale (1/{_WRONG_START:g} to {_WRONG_START:g} is accepted); check unit, "
-            "range and the order of the axes",
-            Reason.UNITS,
-            ratio=ratio.tolist(),
-        )
+        raise CalibrationError(sentence("input.foreign_scale", ratio=ratio.tolist(), limit=_WRONG_START), Reason.UNITS)
 
 
 def handedness_error() -> CalibrationError:
     """Return the refusal of a gyroscope whose axes turn the other way than the accelerometer's."""
-    return CalibrationError(
-        "gyroscope and accelerometer have different handedness: during the moves an axis of the gyroscope turns the other way; "
-        "reverse one axis of one of them in the protocol",
-        Reason.HANDEDNESS,
-    )
+    return CalibrationError(sentence("input.handedness"), Reason.HANDEDNESS)

@@ -39,9 +39,12 @@ from imufield.calibrate.gyroscope.residuals import evaluate
 from imufield.calibrate.gyroscope.static import linearise_static
 from imufield.calibrate.solvers.agreement import CROSS_CHECKED, LEAST_SQUARES, Attempt, CrossCheck, compare
 from imufield.calibrate.solvers.base import SolverResult, SolverStatus
-from imufield.calibrate.solvers.costs import CostName
+from imufield.calibrate.solvers.costs import Coordinates, CostName
 from imufield.calibrate.solvers.registry import find_method, load_solver
 from imufield.samples import FloatArray, IntArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _REACH = 5.0  # Bounds of the coordinates: the solution is about one unit away, and this leaves room.
 # Of a round, in the problem's unit: the size of the papers' costs, for which the first steps of their swarms are made.
@@ -85,17 +88,15 @@ class SearchedFit:
         rows = np.asarray(np.linalg.solve(self.root, np.column_stack([residual, jacobian[:, self.free]])), dtype=np.float64)
         if not isinstance(solution, JointSolution):
             return rows[:, 0], rows[:, 1:]
-        prior = make_prior(solution.data, solution.earth, heading=solution.chosen.fit.heading_fitted)
+        prior = make_prior(solution.data, heading=solution.chosen.fit.heading_fitted)
         prior_residual, prior_jacobian = prior.rows(p, self.free)
         return np.concatenate([rows[:, 0], prior_residual]), np.vstack([rows[:, 1:], prior_jacobian])
 
     def instrument(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the 21 numbers of the instrument and their derivative by ``x``, shape (21, n)."""
         solution, p = self.solution, self.all_parameters(x)
-        if isinstance(solution, StaticSolution):
-            values, J = forward(np.concatenate([p[:12], np.zeros(9)]), solution.rest_raw)
-            return values, J[:, self.free]
-        values, J = forward(p[:PARAMETERS], solution.data.rest_raw)
+        fitted_all = isinstance(solution, JointSolution)
+        values, J = forward(p[:PARAMETERS] if fitted_all else np.append(p[:12], np.zeros(9)), solution.given.rest_raw)
         own = self.free < PARAMETERS  # the others are the Earth's rate
         by_free = np.zeros((PARAMETERS, len(own)))
         by_free[:, own] = J[:, self.free[own]]
@@ -141,7 +142,7 @@ def rows_cost(residual: FloatArray, cost_name: CostName) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RowsProblem:
+class RowsProblem(Coordinates):
     """One round: linear residuals in whitened coordinates (satisfies ``solvers.base.Problem``).
 
     Attributes
@@ -149,9 +150,6 @@ class RowsProblem:
     residual : ndarray, shape (m,)
         At the start of the round, in units of sigma.
     by_coordinates : ndarray, shape (m, n)
-    origin : ndarray, shape (k,)
-        Parameters at the start of the round.
-    basis : ndarray, shape (k, n)
     cost_name : {"absolute", "squares", "weighted"}
     cost_unit : float
         The mutation factor of differential evolution (eq. 17 of its paper) is not free of units and stays up where costs are
@@ -160,21 +158,8 @@ class RowsProblem:
 
     residual: FloatArray
     by_coordinates: FloatArray
-    origin: FloatArray
-    basis: FloatArray
     cost_name: CostName
     cost_unit: float
-
-    @property
-    def start(self) -> FloatArray:
-        """Where the round starts."""
-        return np.zeros(self.basis.shape[1])
-
-    @property
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Limits of the coordinates."""
-        reach = np.full(self.basis.shape[1], _REACH)
-        return -reach, reach
 
     def vector(self, z: FloatArray) -> FloatArray:
         """Return parameters of coordinates, shape (n,) -> (k,)."""
@@ -207,6 +192,7 @@ def rows_problem(fitted: SearchedFit, x: FloatArray, cost_name: CostName) -> Row
         origin=x,
         basis=unit * (Vt[visible].T / D[visible]) / size[:, None],
         cost_name=cost_name,
+        reach=_REACH,
         cost_unit=max(float(rows_cost(residual, cost_name)), 1.0) / _COST_AT_START,
     )
 
@@ -249,11 +235,10 @@ def search(
         ended = replace(found, x=x, cost=cost, evaluations=evaluations)
         # A round that came near but not all the way is followed by one with a smaller unit; only the last has to converge.
         if found.status in (SolverStatus.FAILED, SolverStatus.STOPPED) or moved <= _SETTLED_SIGMA * np.sqrt(len(found.x)):
-            return replace(ended, message=f"{found.message} (round {number})")
+            return replace(ended, message=sentence("methods.round", message=found.message, round=number))
         if number == _ROUNDS:
-            return replace(
-                ended, status=SolverStatus.ITERATION_LIMIT, message=f"still moves by {moved:.2g} sigma after {_ROUNDS} rounds"
-            )
+            message = sentence("methods.round_limit", moved_sigma=moved, rounds=_ROUNDS)
+            return replace(ended, status=SolverStatus.ITERATION_LIMIT, message=message)
 
 
 def solve_gyroscope_with(

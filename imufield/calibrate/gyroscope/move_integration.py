@@ -14,45 +14,18 @@ Vectors of parameters ``x`` hold A row by row (9), b (3), H row by row (9).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.moves import Moves, Slots
+from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.model.rotation import cross, exponential, matrix, right_jacobian, running_turns
-from imufield.samples import FloatArray, IntArray
+from imufield.samples import FloatArray
 
 PARAMETERS = 21
 INVERSE = slice(0, 9)
 BIAS = slice(9, 12)
 SENSITIVITY = slice(12, 21)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CentredSlots:
-    """The k slots of m moves with the gyroscope's output at rest taken off, and the specific force in SI units.
-
-    Attributes
-    ----------
-    duration_s : ndarray, shape (k,)
-    turn, moment, area : ndarray, shape (k, 3)
-        As ``Slots`` has them, of n instead of N: raw rate times s, times s^2, and squared times s^2.
-    velocity_m_s : ndarray, shape (k, 3)
-        Integral of the specific force.
-    bridge : ndarray, shape (k,)
-        Variance of the turn that bridged losses leave, in squares of raw rate times s.
-    first, length : ndarray of int, shape (m,)
-        First slot of each move, and how many it has.
-    """
-
-    duration_s: FloatArray
-    turn: FloatArray
-    moment: FloatArray
-    area: FloatArray
-    velocity_m_s: FloatArray
-    bridge: FloatArray
-    first: IntArray
-    length: IntArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,8 +52,8 @@ class Turns:
     """Sum of the rotation vectors in the frame at the end, shape (m, 3): 2 pi for a whole turn."""
 
 
-def centre(moves: Moves, rest_raw: FloatArray, force_m_s2: FloatArray) -> CentredSlots:
-    """Take the output at rest off, exactly.
+def centre(moves: Moves, rest_raw: FloatArray, force_m_s2: FloatArray) -> Moves:
+    """Return the moves with the output at rest taken off, exactly: their slots hold integrals of n, and ``force`` in m/s.
 
     Parameters
     ----------
@@ -90,51 +63,50 @@ def centre(moves: Moves, rest_raw: FloatArray, force_m_s2: FloatArray) -> Centre
     force_m_s2 : ndarray, shape (k, 3)
         Mean specific force of each slot.
     """
-    slots: Slots = moves.slots
-    T = slots.duration_s[:, None]
-    return CentredSlots(
-        duration_s=slots.duration_s,
+    slots, T = moves.slots, moves.slots.duration_s[:, None]
+    centred = replace(
+        slots,
         turn=slots.turn - rest_raw * T,
         moment=slots.moment - rest_raw * T**2 / 2,  # a constant over the slot has the moment T^2 / 2
         area=slots.area + cross(T * slots.turn - 2 * slots.moment, rest_raw),
-        velocity_m_s=force_m_s2 * T,
-        bridge=slots.bridge,
-        first=moves.first,
-        length=moves.length,
+        force=force_m_s2 * T,
     )
+    return replace(moves, slots=centred)
 
 
-def integrate(x: FloatArray, slots: CentredSlots, noise_density_raw: FloatArray) -> Turns:
+def integrate(x: FloatArray, moves: Moves, noise_density_raw: FloatArray) -> Turns:
     """Return the turns of all moves at ``x``.
 
     Parameters
     ----------
     x : ndarray, shape (21,)
-    slots : CentredSlots
+    moves : Moves
+        Centred.
     noise_density_raw : ndarray, shape (3,)
         Raw unit per sqrt(Hz), for ``spread``.
     """
     A, b, H = x[INVERSE].reshape(3, 3), x[BIAS], x[SENSITIVITY].reshape(3, 3)
+    slots, first, length = moves.slots, moves.first, moves.length
     T = slots.duration_s[:, None]
     M = np.linalg.inv(A)
     # cof(A) = det(A) A^-T, see moves: A x x A y = cof(A) (x x y)
     cofactor = np.linalg.det(A) * M.T
     coning = slots.area + cross(T * slots.turn - 2 * slots.moment, M @ b)
-    vectors = np.asarray(slots.turn @ A.T - b * T - slots.velocity_m_s @ H.T + 0.5 * coning @ cofactor.T)
-    running = running_turns(exponential(vectors), slots.first)
-    last = slots.first + slots.length - 1
+    vectors = np.asarray(slots.turn @ A.T - b * T - slots.force @ H.T + 0.5 * coning @ cofactor.T)
+    running = running_turns(exponential(vectors), first)
+    last = first + length - 1
     end = running[last]
     C = matrix(running)
     # W_k = (turn from slot k to the end)^T Jr(vector of slot k)
-    to_end = np.swapaxes(np.repeat(C[last], slots.length, axis=0), 1, 2) @ C
+    to_end = np.swapaxes(np.repeat(C[last], length, axis=0), 1, 2) @ C
     W = to_end @ right_jacobian(vectors)
 
     def total(values: FloatArray) -> FloatArray:
-        return np.asarray(np.add.reduceat(values, slots.first, axis=0))
+        return np.asarray(np.add.reduceat(values, first, axis=0))
 
     by_inverse = total((W[:, :, :, None] * slots.turn[:, None, None, :]).reshape(-1, 3, 9))
     duration = total(W * T[:, :, None])
-    by_force = total((W[:, :, :, None] * slots.velocity_m_s[:, None, None, :]).reshape(-1, 3, 9))
+    by_force = total((W[:, :, :, None] * slots.force[:, None, None, :]).reshape(-1, 3, 9))
     # White noise of density n gives each slot the variance n^2 T.
     noise = W @ (A * noise_density_raw)
     spread = noise @ np.swapaxes(noise, 1, 2) * T[:, :, None]
@@ -151,21 +123,22 @@ def integrate(x: FloatArray, slots: CentredSlots, noise_density_raw: FloatArray)
     )
 
 
-def rough_inverse(slots: CentredSlots, window_s: float = 0.1) -> FloatArray:
-    """Return A without knowing anything, from how the specific force turns during moves, shape (3, 3).
+def rough_inverse(moves: Moves, window_s: float = 0.1) -> FloatArray:
+    """Return A without knowing anything, from how the specific force turns during centred moves, shape (3, 3).
 
     A vector fixed in space turns in the body as ``da/dt = a x w``, so ``a_2 - a_1 = a x A turn`` for a short window: linear in
     the nine entries. The acceleration of the hand disturbs it; what comes out is good to 10 or 20 %, signs and order of
     the axes included.
     """
+    slots = moves.slots
     elapsed = np.cumsum(slots.duration_s) - slots.duration_s
-    chain = np.repeat(np.arange(len(slots.first)), slots.length)
-    window = np.floor((elapsed - elapsed[slots.first][chain]) / window_s).astype(np.int64)
+    chain = np.repeat(np.arange(len(moves)), moves.length)
+    window = np.floor((elapsed - elapsed[moves.first][chain]) / window_s).astype(np.int64)
     starts = np.concatenate(([0], np.flatnonzero((np.diff(window) != 0) | (np.diff(chain) != 0)) + 1))
     T = np.add.reduceat(slots.duration_s, starts)
-    force = np.add.reduceat(slots.velocity_m_s, starts) / T[:, None]
+    force = np.add.reduceat(slots.force, starts) / T[:, None]
     turn = np.add.reduceat(slots.turn, starts)
-    between = np.searchsorted(slots.first, starts, side="right")
+    between = np.searchsorted(moves.first, starts, side="right")
     # Three windows in a row must belong to one move.
     same = between[2:] == between[:-2]
     change = (force[2:] - force[:-2])[same]

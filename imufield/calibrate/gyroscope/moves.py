@@ -33,13 +33,15 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from enum import IntFlag
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imufield.calibrate.model.rotation import cross
 from imufield.samples import LARGEST_OUTPUT, FloatArray, IntArray, Samples, SampleUnits, Status, concatenate
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
 
 CELL_S = 0.1
 """The guide's cell."""
@@ -107,8 +109,6 @@ _LOST_INTERVALS = 1.5  # Between one interval, however unsteady the clock, and t
 _PLATEAU = 4  # Equal values in a row at the largest or smallest output of the session that make it a saturated axis.
 _COMPACT_AT = 1_000_000  # Slots before quiet stretches are joined: 83 minutes, 170 MB.
 _SLOT_MARGIN = 1e-6  # Of a slot, or s: rounding may put a time just below the edge it stands on.
-
-DropReason = Literal["saturated", "lost samples", "interrupted", "clock jump", "no samples", "too long", "invalid samples"]
 
 
 class SlotFlag(IntFlag):
@@ -311,16 +311,6 @@ class MoveCollector:
         self._compact_at = max(_COMPACT_AT, 2 * self._count)
 
 
-@dataclass(frozen=True, slots=True)
-class DroppedMove:
-    """A stretch between two stills that cannot be used, and why."""
-
-    start_s: float
-    end_s: float
-    reason: DropReason
-    sentence: str
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moves:
     """m moves between still intervals.
@@ -334,7 +324,8 @@ class Moves:
         Row of the first slot of each move.
     slots : Slots
         Slots of all moves, one after the other.
-    dropped : tuple of DroppedMove
+    dropped : tuple of Sentence
+        Of each stretch between two stills that cannot be used, why.
     """
 
     before: IntArray
@@ -343,7 +334,7 @@ class Moves:
     end_s: FloatArray
     first: IntArray
     slots: Slots
-    dropped: tuple[DroppedMove, ...] = ()
+    dropped: tuple[Sentence, ...] = ()
 
     def __len__(self) -> int:
         return len(self.before)
@@ -353,28 +344,19 @@ class Moves:
         """Slots of each move, shape (m,)."""
         return np.diff(np.append(self.first, len(self.slots)))
 
-    @property
-    def duration_s(self) -> FloatArray:
-        """Shape (m,)."""
-        if not len(self):
-            return np.empty(0)
-        return np.asarray(np.add.reduceat(self.slots.duration_s, self.first))
-
 
 def cut_moves(
     slots: Slots, start_s: FloatArray, duration_s: FloatArray, limits: tuple[FloatArray, FloatArray] | None = None
 ) -> Moves:
     """Cut slots at still intervals; ``limits`` are the smallest and largest output of the session."""
-    if not np.isfinite(start_s).all():
-        # Means that somebody else averaged have no time: nothing is known of what lies between them.
-        return _gather(slots, [], [])
-    order = np.argsort(start_s, kind="stable")
+    # Means that somebody else averaged have no time: nothing is known of what lies between them.
+    order = np.argsort(start_s, kind="stable") if np.isfinite(start_s).all() else np.empty(0, dtype=np.int64)
     # A clock that jumps back must not hide what lies behind the jump; the move with the jump is dropped.
     rising_s = np.maximum.accumulate(slots.start_s)
     stills = np.stack([start_s, start_s + duration_s], axis=1)[order]
     stills = stretch_stills(rising_s, slots.duration_s, slots.turn, slots.force, stills=stills)
-    kept: list[_Cut] = []
-    dropped: list[DroppedMove] = []
+    kept: list[tuple[int, int, float, float, IntArray]] = []  # Stills before and after, begin and end, rows of the slots.
+    dropped: list[Sentence] = []
     for k, (before, after) in enumerate(pairwise(order)):
         begin, end = float(stills[k, 1]), float(stills[k + 1, 0])
         low, high = (int(row) for row in np.searchsorted(rising_s, [begin - _SLOT_MARGIN, end - _SLOT_MARGIN]))
@@ -382,16 +364,8 @@ def cut_moves(
         if fault is None:
             kept.append((int(before), int(after), begin, end, np.arange(low, high)))
         else:
-            dropped.append(DroppedMove(begin, end, *fault))
-    return _gather(slots, kept, dropped)
-
-
-_Cut = tuple[int, int, float, float, IntArray]
-"""A move: stills before and after, begin and end in s, rows of its slots."""
-
-
-def _gather(slots: Slots, cuts: list[_Cut], dropped: list[DroppedMove]) -> Moves:
-    before, after, begin_s, end_s, rows = zip(*cuts, strict=True) if cuts else ([],) * 5
+            dropped.append(fault)
+    before, after, begin_s, end_s, rows = zip(*kept, strict=True) if kept else ([],) * 5
     length = np.array([len(part) for part in rows], dtype=np.int64)
     return Moves(
         before=np.array(before, dtype=np.int64),
@@ -399,42 +373,32 @@ def _gather(slots: Slots, cuts: list[_Cut], dropped: list[DroppedMove]) -> Moves
         start_s=np.array(begin_s, dtype=np.float64),
         end_s=np.array(end_s, dtype=np.float64),
         first=np.cumsum(length) - length,
-        slots=slots[np.concatenate(rows)] if cuts else slots[:0],
+        slots=slots[np.concatenate(rows)] if kept else slots[:0],
         dropped=tuple(dropped),
     )
 
 
-def _fault(
-    slots: Slots, begin: float, end: float, limits: tuple[FloatArray, FloatArray] | None
-) -> tuple[DropReason, str] | None:
+def _fault(slots: Slots, begin: float, end: float, limits: tuple[FloatArray, FloatArray] | None) -> Sentence | None:
     """Return why a move cannot be used, None if it can."""
-    where = f"the move from {begin:.1f} s to {end:.1f} s"
+    span = {"begin_s": begin, "end_s": end}
     if end - begin > LONGEST_MOVE_S:
-        return "too long", f"{where} lasts more than {LONGEST_MOVE_S:g} s and is left out; put the unit down in between"
+        return sentence("moves.too_long", longest_s=LONGEST_MOVE_S, **span)
     if not len(slots):
-        return "no samples", f"{where} has no samples and is left out"
+        return sentence("moves.no_samples", **span)
     flags = int(np.bitwise_or.reduce(slots.flags))
     covered = float(slots.duration_s.sum())
     if flags & SlotFlag.CLOCK_JUMP:
-        return "clock jump", f"the sample clock jumps back in {where}, which is left out"
+        return sentence("moves.clock_jump", **span)
     hole_s = float(slots.duration_s[(slots.flags & np.uint8(SlotFlag.LOST)) != 0].sum())
     if flags & SlotFlag.LOST or covered < end - begin - BRIDGED_S - SLOT_S * QUIET_SLOTS:
-        missing = max(hole_s, end - begin - covered)
-        if missing >= INTERRUPTED_S:
-            return "interrupted", f"the recording was interrupted for {missing:.1f} s in {where}, which is left out"
-        return "lost samples", (
-            f"{where} lost samples for {missing:.3f} s (at most {BRIDGED_S} s are bridged) and is left out; repeat it"
-        )
+        missing_s = max(hole_s, end - begin - covered)
+        key = "moves.interrupted" if missing_s >= INTERRUPTED_S else "moves.lost_samples"
+        return sentence(key, missing_s=missing_s, bridged_s=BRIDGED_S, **span)
     # An output that repeats itself at the end of its range is saturated too.
     stuck = False
     if limits is not None:
         low, high = limits
         stuck = bool(np.any(((slots.plateau == high) | (slots.plateau == low)) & (high > low)))
     if flags & SlotFlag.SATURATED or stuck:
-        return (
-            "saturated",
-            f"the gyroscope is saturated in {where}, which is left out; turn more slowly, or choose a larger range",
-        )
-    if flags & SlotFlag.INVALID:
-        return "invalid samples", f"the gyroscope is flagged invalid in {where}, which is left out; repeat it"
-    return None
+        return sentence("moves.saturated", **span)
+    return sentence("moves.invalid_samples", **span) if flags & SlotFlag.INVALID else None

@@ -11,13 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.covariance import ForceErrors, Scatter, covariances
+from imufield.calibrate.gyroscope.covariance import Scatter, covariances
 from imufield.calibrate.gyroscope.fit import first_scatter
 from imufield.calibrate.gyroscope.move_integration import INVERSE, PARAMETERS, SENSITIVITY
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
 from imufield.calibrate.model.observability import unexplained_lengths
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray, IntArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 WORST_SCALE = 0.05
 """Relative sigma above which an entry of K E counts as not observed: a driver's nominal scale is as good."""
@@ -25,6 +28,12 @@ WORST_SENSITIVITY = 2e-3
 """The same for g-sensitivity, rad/s per m/s^2: 1.1 deg/s per g."""
 # Turns are taken to be as wrong as this, at least and at most: what a start off by a few per cent leaves may be either.
 _TURN_RAD = (0.002, 0.05)
+ENTRY_NAMES = tuple(
+    f"gyroscope.scale.{row}" if row == column else f"gyroscope.misalignment_rad.{row}{column}"
+    for row in AXES
+    for column in AXES
+)
+"""The parameters that the entries of A, row by row, stand for."""
 _ORDER = (0, 4, 8, 9, 10, 11, 1, 2, 3, 5, 6, 7)  # Scales, biases, then misalignment.
 
 
@@ -32,7 +41,6 @@ _ORDER = (0, 4, 8, 9, 10, 11, 1, 2, 3, 5, 6, 7)  # Scales, biases, then misalign
 class Observability:
     """Which of the 21 parameters can be observed."""
 
-    visible: tuple[int, ...]
     hidden: tuple[int, ...]
     """Of A and b, left at the start."""
     sensitivity: bool
@@ -43,22 +51,14 @@ class Observability:
     @property
     def hidden_names(self) -> tuple[str, ...]:
         """Names of the hidden entries of K E."""
-        return tuple(entry_name(k) for k in self.hidden)
+        return tuple(ENTRY_NAMES[k] for k in self.hidden)
 
     def free(self, columns: IntArray) -> IntArray:
         """Return those of the columns that can be observed."""
-        return np.array([k for k in columns if k in self.visible or (k >= SENSITIVITY.start and self.sensitivity)])
+        return np.array([k for k in columns if (k not in self.hidden if k < SENSITIVITY.start else self.sensitivity)])
 
 
-def entry_name(k: int) -> str:
-    """Return the name of the parameter that entry k of A (row by row) stands for."""
-    row, column = divmod(k, 3)
-    if row == column:
-        return f"gyroscope.scale.{AXES[row]}"
-    return f"gyroscope.misalignment_rad.{AXES[row]}{AXES[column]}"
-
-
-def observe(p: FloatArray, data: GyroscopeData, errors: ForceErrors, *, known: bool) -> Observability:
+def observe(p: FloatArray, data: GyroscopeData, *, known: bool) -> Observability:
     """Judge what moves and stills show.
 
     Parameters
@@ -66,7 +66,6 @@ def observe(p: FloatArray, data: GyroscopeData, errors: ForceErrors, *, known: b
     p : ndarray
         Start.
     data : GyroscopeData
-    errors : ForceErrors
     known : bool
         Whether the start comes from a preset or a driver, so that hidden entries have a value to be left at.
 
@@ -78,22 +77,18 @@ def observe(p: FloatArray, data: GyroscopeData, errors: ForceErrors, *, known: b
     now = evaluate(p, data)
     generous = first_scatter(now)
     scatter = Scatter(generous.drift_rad_s, 0.0, float(np.clip(generous.turn_rad, *_TURN_RAD)))
-    S = covariances(now, p[:PARAMETERS], data, errors).total(scatter)
+    S = covariances(now, p[:PARAMETERS], data).total(scatter)
     # Steps that mean the same everywhere: 1 (100 %) for A, 1 rad/s for b, 1 rad/s per m/s^2 for H.
     scale = np.concatenate([np.tile(np.linalg.norm(p[INVERSE].reshape(3, 3), axis=0), 3), np.ones(12)])
     whitened = np.linalg.solve(np.linalg.cholesky(S), now.jacobian[:, :PARAMETERS] * scale)
     order = (*_ORDER, *range(SENSITIVITY.start, SENSITIVITY.stop))
     length = dict(zip(order, unexplained_lengths(np.asarray(whitened[:, order], dtype=np.float64)), strict=True))
-    visible = tuple(k for k in _ORDER if length[k] > 1 / WORST_SCALE or k >= INVERSE.stop)
-    hidden = tuple(sorted(set(_ORDER) - set(visible)))
-    unknown = [entry_name(k) for k in hidden if k % 4 == 0]
-    if unknown and not known:
-        raise CalibrationError(
-            f"these moves cannot show {' and '.join(unknown)} and nothing says what it is; add moves that turn about "
-            f"{', '.join(name[-1] for name in unknown)}, or give a preset",
-            Reason.UNOBSERVABLE,
-            names=tuple(unknown),
-        )
     # Biases are always visible, so `hidden` has entries of A alone.
+    hidden = tuple(k for k in range(INVERSE.stop) if not length[k] > 1 / WORST_SCALE)
+    unknown = [ENTRY_NAMES[k] for k in hidden if k % 4 == 0]
+    if unknown and not known:
+        axes = [name[-1] for name in unknown]
+        hidden_scale = sentence("observability.hidden_scale", scales=" and ".join(unknown), axes=axes)
+        raise CalibrationError(hidden_scale, Reason.UNOBSERVABLE, names=tuple(unknown))
     sensitivity = all(length[k] > 1 / WORST_SENSITIVITY for k in range(SENSITIVITY.start, SENSITIVITY.stop))
-    return Observability(visible, hidden, sensitivity, known)
+    return Observability(hidden, sensitivity, known)

@@ -7,14 +7,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from imufield.calibrate.gyroscope.fit import EarthKnowledge
 from imufield.calibrate.gyroscope.input import GyroscopeInput
 from imufield.calibrate.gyroscope.model_choice import ChosenModel
 from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY
 from imufield.calibrate.gyroscope.observability import Observability
 from imufield.calibrate.gyroscope.residuals import GyroscopeData, evaluate
 from imufield.calibrate.gyroscope.static import GYROSCOPE_BIAS_NAMES, StaticData, StaticFit, latitude_words
-from imufield.calibrate.gyroscope.whole_turns import WholeTurn, find_whole_turns
+from imufield.calibrate.gyroscope.whole_turns import find_whole_turns
 from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.calibrate.model.result import (
     ACCELEROMETER_NAMES,
@@ -23,8 +22,11 @@ from imufield.calibrate.model.result import (
     GyroscopeCalibration,
     GyroscopeParameters,
 )
-from imufield.calibrate.model.uncertainty import bounded_cross_covariance
+from imufield.calibrate.model.uncertainty import bounded_cross_covariance, rms
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
 
 GYROSCOPE_NAMES = (
     *(f"gyroscope.scale.{axis}" for axis in AXES),
@@ -44,8 +46,6 @@ _SUSPICIOUS_SIGMAS = 4.5  # A residual has two components; one good move in 25 0
 class MoveReport:
     """Every move that was used, arrays of shape (m,)."""
 
-    start_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    end_s: FloatArray = field(default_factory=lambda: np.empty(0))
     before_deg: FloatArray = field(default_factory=lambda: np.empty(0))
     """Angle between the measured and the integrated direction of gravity, with the parameters in force before, if any."""
     after_deg: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -56,12 +56,12 @@ class MoveReport:
     @property
     def rms_before_deg(self) -> float:
         """Root mean square of ``before_deg``; NaN without moves."""
-        return _rms(self.before_deg)
+        return rms(self.before_deg)
 
     @property
     def rms_after_deg(self) -> float:
         """Root mean square of ``after_deg``; NaN without moves."""
-        return _rms(self.after_deg)
+        return rms(self.after_deg)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,12 +75,9 @@ class GyroscopeResult:
     with_accelerometer: FloatArray
     """Covariance of ``names`` with the 15 accelerometer parameters and gravity, shape (n, 16)."""
     moves: MoveReport = field(default_factory=MoveReport)
-    turns: tuple[WholeTurn, ...] = ()
-    g_sensitive: bool = False
+    turns: tuple[Sentence, ...] = ()
+    """The whole turns among the moves."""
     unobservable: tuple[str, ...]
-    heading_fitted: bool = False
-    drift_rad_s: float = float("nan")
-    """Scatter of the bias from still to still, beyond noise."""
     reasons: tuple[str, ...]
     """Sentences: every warning, and what the result rests on."""
     cautions: tuple[str, ...] = ()
@@ -124,7 +121,6 @@ class JointSolution:
     chosen: ChosenModel
     start: FloatArray
     observability: Observability
-    earth: EarthKnowledge
     warnings: tuple[str, ...]
 
 
@@ -135,7 +131,6 @@ class StaticSolution:
     given: GyroscopeInput
     data: StaticData
     fitted: StaticFit
-    rest_raw: FloatArray
 
 
 def joint_result(solution: JointSolution) -> GyroscopeResult:
@@ -158,29 +153,21 @@ def joint_result(solution: JointSolution) -> GyroscopeResult:
     turns = find_whole_turns(now, data, before)
     S = fitted.parts.total(fitted.scatter)
     blocks = np.array([S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(m)]).reshape(m, 2, 2)
-    residual, up = now.residual[: 2 * m].reshape(m, 2), data.up[data.after]
+    residual, up = now.residual[: 2 * m].reshape(m, 2), data.up[data.moves.after]
     moves = MoveReport(
-        start_s=solution.given.moves.start_s,
-        end_s=solution.given.moves.end_s,
         before_deg=np.full(m, np.nan) if before is None else np.degrees(before.angle_error_rad(up)),
         after_deg=np.degrees(now.angle_error_rad(up)),
         sigma=np.sqrt(np.einsum("mi,mij,mj->m", residual, np.linalg.inv(blocks), residual)),
     )
-    calibration, covariance, J = _calibration(fitted.p[:PARAMETERS], own, known, solution, path=_path(solution, turns))
-    return GyroscopeResult(
-        calibration=calibration,
-        names=tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
-        covariance=covariance,
-        with_accelerometer=(J @ with_accelerometer)[known],
+    result = _result(solution, fitted.p[:PARAMETERS], own, known, path=_path(solution, turns))
+    return replace(
+        result,
+        with_accelerometer=(forward(fitted.p[:PARAMETERS], data.rest_raw)[1] @ with_accelerometer)[known],
         moves=moves,
         turns=turns,
-        g_sensitive=chosen.g_sensitive,
         unobservable=observability.hidden_names,
-        heading_fitted=fitted.heading_fitted,
-        drift_rad_s=fitted.scatter.drift_rad_s,
         reasons=_reasons(solution, moves, turns),
         cautions=() if fitted.solved.converged else (_unsettled(fitted.solved.message, solution.given.latitude_deg),),
-        basis=solution,
     )
 
 
@@ -203,47 +190,38 @@ def static_norm_result(solution: StaticSolution) -> GyroscopeResult:
     own[:12, :12] = fitted.covariance
     everything = given.static_free == "all"
     known = np.array([name in GYROSCOPE_BIAS_NAMES or (everything and k < 9) for k, name in enumerate(GYROSCOPE_NAMES)])
-    fitted_words = "scale, misalignment and bias" if everything else "bias; scale and misalignment as given, not calibrated"
-    path = f"static norm of the Earth rate at {len(given.observations)} still positions, any heading: {fitted_words}"
-    calibration, covariance, _ = _calibration(np.concatenate([fitted.x, np.zeros(9)]), own, known, solution, path=path)
+    path = sentence("report.norm_all" if everything else "report.norm_bias", stills=len(given.observations))
     latitude = latitude_words(given.latitude_deg or 0.0, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)
-    unsettled = () if fitted.converged else (_unsettled("it still moves after the last step", given.latitude_deg),)
-    return GyroscopeResult(
-        calibration=calibration,
-        names=tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
-        covariance=covariance,
-        with_accelerometer=np.zeros((int(known.sum()), 16)),
+    return replace(
+        _result(solution, np.concatenate([fitted.x, np.zeros(9)]), own, known, path=path),
         unobservable=() if everything else GYROSCOPE_NAMES[:9],
-        heading_fitted=True,
-        drift_rad_s=fitted.scatter.drift_rad_s,
-        reasons=(*latitude, *(move.sentence for move in given.moves.dropped)),
-        cautions=unsettled,
+        reasons=(latitude, *given.moves.dropped),
+        cautions=() if fitted.converged else (_unsettled(sentence("report.static_moves"), given.latitude_deg),),
+    )
+
+
+def _result(
+    solution: JointSolution | StaticSolution, x: FloatArray, own: FloatArray, known: NDArray[np.bool_], *, path: str
+) -> GyroscopeResult:
+    """Return what holds for every fit: the parameters at ``x``, of covariance ``own``, with the sigma of the known ones."""
+    values, J = forward(x, solution.given.rest_raw)
+    covariance = J @ own @ J.T
+    sigma = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
+    unit = solution.given.observations.units.gyroscope_rate_unit
+    return GyroscopeResult(
+        calibration=GyroscopeCalibration(as_parameters(values), as_parameters(sigma), path, unit),
+        names=tuple(name for name, kept in zip(GYROSCOPE_NAMES, known, strict=True) if kept),
+        covariance=covariance[np.ix_(known, known)],
+        with_accelerometer=np.zeros((int(known.sum()), 16)),
+        unobservable=(),
+        reasons=(),
         basis=solution,
     )
 
 
-def _calibration(
-    x: FloatArray, own: FloatArray, known: NDArray[np.bool_], solution: JointSolution | StaticSolution, *, path: str
-) -> tuple[GyroscopeCalibration, FloatArray, FloatArray]:
-    """Return parameters and sigma at ``x`` of covariance ``own``, the covariance of the known ones, and d parameters / d x."""
-    rest_raw = solution.data.rest_raw if isinstance(solution, JointSolution) else solution.rest_raw
-    values, J = forward(x, rest_raw)
-    covariance = J @ own @ J.T
-    sigma = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
-    unit = solution.given.observations.units.gyroscope_rate_unit
-    calibration = GyroscopeCalibration(as_parameters(values), as_parameters(sigma), path, unit)
-    return calibration, covariance[np.ix_(known, known)], J
-
-
-def _unsettled(how: str, latitude_deg: float | None) -> str:
+def _unsettled(how: str, latitude_deg: float | None) -> Sentence:
     """Say that a fit has not ended, and what usually helps."""
-    start = f"the gyroscope fit did not come to an end ({how}), so its parameters and their sigma are not final: "
-    if latitude_deg is None:
-        return start + "repeat the session with longer holds and slower turns"
-    return start + (
-        "most often the data do not show the Earth's rate that the latitude stands for (it was simulated without, or taken "
-        "off before); solve again with --gravity in place of --latitude, and if it stays so, repeat the session"
-    )
+    return sentence("report.unsettled_without_latitude" if latitude_deg is None else "report.unsettled", how=how)
 
 
 def forward(x: FloatArray, rest_raw: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -275,64 +253,46 @@ def as_parameters(vector: FloatArray) -> GyroscopeParameters:
     return GyroscopeParameters(vector[:3].copy(), misalignment, vector[9:12].copy(), vector[12:].reshape(3, 3).copy())
 
 
-def _path(solution: JointSolution, turns: tuple[WholeTurn, ...]) -> str:
-    data, fitted = solution.data, solution.chosen.fit
-    parts = [f"{len(data.before)} moves between {len(data.force)} still positions against gravity"] if len(data.before) else []
-    rolled = sum(turn.about == "horizontal" for turn in turns)
-    if rolled:
-        parts.append(f"{rolled} of them whole turns closed by gravity")
-    if len(data.stops):
-        parts.append(f"{len(data.stops)} whole turns about the vertical against a stop")
-    if len(data.table):
-        parts.append(f"{len(data.table)} pairs of turntable rates")
-    if fitted.heading_fitted:
-        parts.append("Earth rate seen: one azimuth fitted for each unbroken chain of moves")
-    elif solution.earth.vertical_sigma_rad_s > 0:
-        parts.append("Earth rate in the sigma, because the latitude is not known")
-    else:
-        parts.append("vertical Earth rate taken off, horizontal part with unknown azimuth in the sigma")
-    parts.append("g-sensitivity fitted" if solution.chosen.g_sensitive else "no g-sensitivity")
-    return "; ".join(parts)
+def _path(solution: JointSolution, turns: tuple[Sentence, ...]) -> str:
+    data = solution.data
+    rolled = sum(turn.key.startswith("whole_turns.rolled") for turn in turns)
+    counts = (
+        (len(data.moves.before), sentence("report.moves", moves=len(data.moves.before), stills=len(data.force))),
+        (rolled, sentence("report.rolled", turns=rolled)),
+        (len(data.stops), sentence("report.stops", stops=len(data.stops))),
+        (len(data.table), sentence("report.table", pairs=len(data.table))),
+    )
+    earth = "report.no_latitude" if solution.given.latitude_deg is None else "report.vertical"
+    if solution.chosen.fit.heading_fitted:
+        earth = "report.azimuth"
+    model = sentence("report.g_sensitivity" if solution.chosen.g_sensitive else "report.no_g_sensitivity")
+    return "; ".join([*(told for count, told in counts if count), sentence(earth), model])
 
 
-def _reasons(solution: JointSolution, moves: MoveReport, turns: tuple[WholeTurn, ...]) -> tuple[str, ...]:
-    sentences = [solution.chosen.sentence, *solution.warnings]
+def _reasons(solution: JointSolution, moves: MoveReport, turns: tuple[Sentence, ...]) -> tuple[str, ...]:
+    sentences: list[str] = [solution.chosen.sentence, *solution.warnings]
     if len(moves.after_deg):
-        before = f"{moves.rms_before_deg:.3f} deg RMS before, " if np.isfinite(moves.rms_before_deg) else ""
-        sentences.append(
-            f"gyroscope: angle error of {len(moves.after_deg)} moves {before}{moves.rms_after_deg:.3f} deg RMS after"
-            + gain_words(moves)
-        )
+        before_deg, after_deg = moves.rms_before_deg, moves.rms_after_deg
+        key = "report.angle_errors" if np.isfinite(before_deg) else "report.angle_error"
+        told = sentence(key, moves=len(moves.after_deg), before_deg=before_deg, after_deg=after_deg)
+        gained = little_gained(moves)
+        sentences.append(f"{told}: {gained}" if gained else told)
     if solution.observability.hidden:
-        names = ", ".join(solution.observability.hidden_names)
-        sentences.append(f"these moves cannot show {names}; left at the preset's value")
+        sentences.append(sentence("report.hidden", names=solution.observability.hidden_names))
     if solution.data.chains > 1:
-        sentences.append(f"the moves form {solution.data.chains} separate chains, each with an azimuth of its own")
-    sentences += [move.sentence for move in solution.given.moves.dropped]
-    sentences += [turn.sentence for turn in turns]
+        sentences.append(sentence("report.chains", chains=solution.data.chains))
+    sentences += [*solution.given.moves.dropped, *turns]
+    start_s, off_deg = solution.given.moves.start_s, moves.after_deg
     sentences += [
-        f"the move at {moves.start_s[k]:.1f} s does not fit the others ({moves.after_deg[k]:.2f} deg, {moves.sigma[k]:.1f} "
-        "sigma): repeat it"
+        sentence("report.odd_move", start_s=start_s[k], off_deg=off_deg[k], sigmas=moves.sigma[k])
         for k in np.flatnonzero(moves.sigma > _SUSPICIOUS_SIGMAS)
     ]
     return tuple(sentences)
 
 
-def gain_words(report: MoveReport) -> str:
+def little_gained(report: MoveReport) -> Sentence | None:
     """Return what to add where the moves agree hardly better, or worse, than with the parameters in force before."""
     before, after = report.rms_before_deg, report.rms_after_deg
     if not after > _HARDLY_BETTER * before:
-        return ""
-    if after > before * _WORSE:
-        return (
-            ": worse than before, as each move weighs by its own uncertainty; these moves and positions are too few or too "
-            "rough to better the gyroscope, so add to them, or keep the parameters before"
-        )
-    return (
-        ": hardly better than before, so the parameters before were as good, or these moves are too rough to show it; to "
-        "know the gyroscope better put the unit down between the turns"
-    )
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+        return None
+    return sentence("report.worse" if after > before * _WORSE else "report.hardly_better")

@@ -26,13 +26,42 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY, CentredSlots, Turns, integrate
+from imufield.calibrate.gyroscope.move_integration import BIAS, INVERSE, PARAMETERS, SENSITIVITY, Turns, integrate
+from imufield.calibrate.gyroscope.moves import Moves
 from imufield.calibrate.gyroscope.turntable import TableRows, no_table
 from imufield.calibrate.model.rotation import cross, from_matrix, logarithm, matrix, rotation_matrix, skew
 from imufield.samples import FloatArray, IntArray
 
 VERTICAL = PARAMETERS
 FIRST_HORIZONTAL = PARAMETERS + 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceErrors:
+    """Where errors of the specific force of s stills come from.
+
+    Attributes
+    ----------
+    by_noise : ndarray, shape (s, 3, 3)
+        d force / d raw accelerometer mean.
+    noise : ndarray, shape (s, 3, 3)
+        Covariance of the raw accelerometer mean, scatter between positions included.
+    by_parameters : ndarray, shape (s, 3, 15)
+        d force / d accelerometer parameters.
+    gain : ndarray, shape (s, 15, 3)
+        d accelerometer parameters / d raw mean of each still: the calibration used them.
+    rest : ndarray, shape (15, 15)
+        Covariance of the parameters that does not come from those means (gravity, doubt about the model).
+    with_gravity : ndarray, shape (15,)
+        Covariance of the parameters with gravity.
+    """
+
+    by_noise: FloatArray
+    noise: FloatArray
+    by_parameters: FloatArray
+    gain: FloatArray
+    rest: FloatArray
+    with_gravity: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,8 +76,8 @@ class GyroscopeData:
         Of that mean, within the still.
     force : ndarray, shape (s, 3)
         Specific force, m/s^2, body frame.
-    slots : CentredSlots
-    before, after : ndarray of int, shape (m,)
+    moves : Moves
+        Centred (``centre``); their stills are rows of these.
     chain : ndarray of int, shape (s,)
         Number of the chain that each still belongs to.
     noise_density_raw : ndarray, shape (3,)
@@ -56,6 +85,9 @@ class GyroscopeData:
     rest_raw : ndarray, shape (3,)
     time_s : ndarray, shape (s,)
         Middle of each still.
+    errors : ForceErrors
+    latitude_deg : float or None
+        Of the site; None where it is not known, or not to be used.
     stops : ndarray of int, shape (c,)
         Moves that are whole turns against a stop.
     stop_sigma_rad : ndarray, shape (c,)
@@ -66,13 +98,13 @@ class GyroscopeData:
     rate_raw: FloatArray
     rate_covariance: FloatArray
     force: FloatArray
-    slots: CentredSlots
-    before: IntArray
-    after: IntArray
+    moves: Moves
     chain: IntArray
     noise_density_raw: FloatArray
     rest_raw: FloatArray
     time_s: FloatArray
+    errors: ForceErrors
+    latitude_deg: float | None
     stops: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     stop_sigma_rad: FloatArray = field(default_factory=lambda: np.empty(0))
     table: TableRows = field(default_factory=no_table)
@@ -134,22 +166,22 @@ def evaluate(p: FloatArray, data: GyroscopeData) -> Evaluation:
     x, v = p[:PARAMETERS], p[VERTICAL]
     h = p[FIRST_HORIZONTAL:].reshape(-1, 2)
     A, b, H = x[INVERSE].reshape(3, 3), x[BIAS], x[SENSITIVITY].reshape(3, 3)
-    turns = integrate(x, data.slots, data.noise_density_raw)
+    turns = integrate(x, data.moves, data.noise_density_raw)
     up = data.up
     Q, carry = carry_azimuth(data, turns, v, h)
     # move: u_after - R^T exp([w_e T]) u_before, at right angles to u_after
-    m, s, n = len(data.before), len(up), data.parameters
-    predicted = (carry @ up[data.before][:, :, None])[:, :, 0]
-    tangent = _tangent(up[data.after])
-    residual_moves = (tangent @ (up[data.after] - predicted)[:, :, None])[:, :, 0]
+    m, s, n = len(data.moves.before), len(up), data.parameters
+    predicted = (carry @ up[data.moves.before][:, :, None])[:, :, 0]
+    tangent = _tangent(up[data.moves.after])
+    residual_moves = (tangent @ (up[data.moves.after] - predicted)[:, :, None])[:, :, 0]
     move_rows = np.zeros((m, 2, n))
     # u_pred' = exp(-d turn) u_pred, so d u_pred = u_pred x d turn.
     move_rows[:, :, :PARAMETERS] = -tangent @ skew(predicted) @ turns.jacobian
-    duration = np.add.reduceat(data.slots.duration_s, data.slots.first)
+    duration = np.add.reduceat(data.moves.slots.duration_s, data.moves.first)
     # exp([(w_e + d) T]) u = exp([w_e T]) u + T d x u to first order
-    by_earth = tangent @ carry @ skew(up[data.before]) * duration[:, None, None]
-    by_horizontal = by_earth @ Q[data.before]
-    for k, column in enumerate(FIRST_HORIZONTAL + 2 * data.chain[data.before]):
+    by_earth = tangent @ carry @ skew(up[data.moves.before]) * duration[:, None, None]
+    by_horizontal = by_earth @ Q[data.moves.before]
+    for k, column in enumerate(FIRST_HORIZONTAL + 2 * data.chain[data.moves.before]):
         move_rows[k, :, column : column + 2] = by_horizontal[k]
     # still: A n - b - H a - w_e
     earth = v * up + (Q @ h[data.chain][:, :, None])[:, :, 0]
@@ -161,7 +193,7 @@ def evaluate(p: FloatArray, data: GyroscopeData) -> Evaluation:
         still_rows[k, :, column : column + 2] = -Q[k]
     # stop: log(R^T exp([w_e T])) . u_after
     c = data.stops
-    stopped_up = up[data.after[c]]
+    stopped_up = up[data.moves.after[c]]
     residual_stops = np.sum(logarithm(from_matrix(carry[c])) * stopped_up, axis=1)
     stop_rows = np.zeros((len(c), n))
     stop_rows[:, :PARAMETERS] = -(stopped_up[:, None, :] @ turns.jacobian[c])[:, 0, :]
@@ -187,8 +219,8 @@ def carry_azimuth(data: GyroscopeData, turns: Turns, v: float, h: FloatArray) ->
     Q = np.swapaxes(_tangent(up), 1, 2).copy()
     back = np.swapaxes(matrix(turns.quaternion), 1, 2)
     carry = np.empty_like(back)
-    duration = np.add.reduceat(data.slots.duration_s, data.slots.first)
-    for k, (i, j) in enumerate(zip(data.before, data.after, strict=True)):
+    duration = np.add.reduceat(data.moves.slots.duration_s, data.moves.first)
+    for k, (i, j) in enumerate(zip(data.moves.before, data.moves.after, strict=True)):
         earth = v * up[i] + Q[i] @ h[data.chain[i]]
         carry[k] = back[k] @ rotation_matrix(earth * duration[k])
         # The carried axes are made orthonormal again, and at right angles to up.

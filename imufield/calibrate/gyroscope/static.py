@@ -39,8 +39,10 @@ from imufield.calibrate.gyroscope.covariance import Covariances, Scatter, next_s
 from imufield.calibrate.model.observations import Observations
 from imufield.calibrate.model.result import GyroscopeCalibration, GyroscopeParameters
 from imufield.earth import EARTH_RATE_RAD_S
-from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
 
 GYROSCOPE_BIAS_NAMES = tuple(f"gyroscope.bias.{axis}" for axis in AXES)
 """Names of the static gyroscope parameters in the joint covariance, raw unit."""
@@ -59,7 +61,7 @@ def static_bias(
     Parameters
     ----------
     observations : Observations
-        Positions without a gyroscope mean (NaN) are left out.
+        At least two positions, all with a gyroscope mean.
     scale : float or ndarray, shape (3,), optional
         Raw unit per rad/s, from the preset or the driver. None: not known; the bias then has no allowance for the Earth's rate
         and no value in rad/s.
@@ -73,20 +75,8 @@ def static_bias(
     -------
     GyroscopeCalibration
         Sigma of the bias from the scatter between positions; scale and misalignment as given, their sigma NaN.
-
-    Raises
-    ------
-    CalibrationError
-        If fewer than two positions have a gyroscope mean.
     """
-    measured = np.isfinite(observations.gyroscope_mean_raw).all(axis=1)
-    m = int(measured.sum())
-    if m < 2:
-        raise CalibrationError(
-            f"{m} positions have a gyroscope mean and a static bias needs 2; record the gyroscope as well",
-            Reason.TOO_FEW,
-            positions=m,
-        )
+    m = len(observations)
     K = np.full(3, np.nan if scale is None else scale, dtype=np.float64)
     misalignment = np.zeros((3, 3)) if misalignment_rad is None else misalignment_rad
     if up is None:
@@ -94,27 +84,27 @@ def static_bias(
     earth_known = np.zeros_like(up)
     earth_variance = np.full(3, EARTH_RATE_RAD_S**2 / 3)
     if latitude_deg is None:
-        words = "Earth rate in the sigma, because the latitude is not known"
+        key = "static.bias_no_latitude"
     elif not np.isfinite(up).all():
-        words = "Earth rate in the sigma, because the attitude is not known"
+        key = "static.bias_no_attitude"
     else:
+        key = "static.bias"
         unit = up / np.linalg.norm(up, axis=1)[:, None]
         latitude = math.radians(latitude_deg)
         earth_known = EARTH_RATE_RAD_S * math.sin(latitude) * unit
         # The horizontal part at an unknown heading, mean over positions.
         earth_variance = (EARTH_RATE_RAD_S * math.cos(latitude)) ** 2 * np.mean((1 - unit**2) / 2, axis=0)
-        words = "vertical Earth rate taken off, horizontal part (heading unknown) in the sigma"
     if scale is None:
-        words = "Earth rate not accounted for, because the scale is not known"
+        key = "static.bias_no_scale"
     gain = np.nan_to_num(K)
-    values = (observations.gyroscope_mean_raw - gain * (earth_known @ (np.eye(3) + misalignment).T))[measured]
+    values = observations.gyroscope_mean_raw - gain * (earth_known @ (np.eye(3) + misalignment).T)
     # The scatter between positions contains g-sensitivity and drift.
     sigma = np.sqrt(values.var(axis=0, ddof=1) / m + gain**2 * earth_variance)
     not_estimated = np.full((3, 3), np.nan)
     return GyroscopeCalibration(
         GyroscopeParameters(K, misalignment, values.mean(axis=0), np.zeros((3, 3))),
         GyroscopeParameters(np.full(3, np.nan), not_estimated, sigma, not_estimated),
-        f"static bias from {m} positions, {words}; scale and misalignment as given, not calibrated",
+        sentence(key, positions=m),
         observations.units.gyroscope_rate_unit,
     )
 
@@ -175,16 +165,12 @@ def observed_latitude_deg(vertical_rad_s: float, sigma_rad_s: float) -> tuple[fl
     return math.degrees(math.asin(sine)), math.degrees(sigma_rad_s / EARTH_RATE_RAD_S / cosine)
 
 
-def latitude_words(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) -> tuple[str, ...]:
+def latitude_words(latitude_deg: float, vertical_rad_s: float, sigma_rad_s: float) -> Sentence:
     """Return what u . w says about the latitude that was given."""
     observed, latitude_sigma = observed_latitude_deg(vertical_rad_s, sigma_rad_s)
-    if abs(observed - latitude_deg) > CONTRADICTED * latitude_sigma:
-        sentence = (
-            f"the latitude {latitude_deg:g} deg contradicts the gyroscope, which sees {observed:.2f} deg "
-            f"({latitude_sigma:.2f} deg 1 sigma) in the specific force times the Earth's rate: check it"
-        )
-        return (sentence,)
-    return (f"the gyroscope sees latitude {observed:.2f} deg ({latitude_sigma:.2f} deg 1 sigma), given {latitude_deg:g} deg",)
+    contradicted = abs(observed - latitude_deg) > CONTRADICTED * latitude_sigma
+    key = "static.latitude_contradicted" if contradicted else "static.latitude_seen"
+    return sentence(key, latitude_deg=latitude_deg, observed_deg=observed, sigma_deg=latitude_sigma)
 
 
 def sees_earth(covariance_raw: FloatArray, A: FloatArray) -> bool:
@@ -249,6 +235,8 @@ def _fit(data: StaticData, start: FloatArray, columns: list[int]) -> tuple[Float
 
 def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, FloatArray, Covariances]:
     """Return, at A, b and v (13), residuals (2 s), derivatives by A, b and v (2 s, 13), and the parts of their covariance."""
+    from scipy.linalg import block_diag  # slow to load
+
     A, b, v = p[:9].reshape(3, 3), p[9:12], p[12]
     s = len(data.rate_raw)
     w = data.rate_raw @ A.T - b
@@ -261,12 +249,7 @@ def linearise_static(p: FloatArray, data: StaticData) -> tuple[FloatArray, Float
     jacobian[:, :, 9:12] = -B
     jacobian[:, 1, 12] = -1.0
     # Norm and invariant share the noise of their still: B C B^T, block by block.
-    spread = np.zeros((2 * s, 3 * s))
-    for k in range(s):
-        spread[2 * k : 2 * k + 2, 3 * k : 3 * k + 3] = B[k]
-    noise = np.zeros((3 * s, 3 * s))
-    for k, block in enumerate(A @ data.covariance_raw @ A.T):
-        noise[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = block
+    spread, noise = block_diag(*B), block_diag(*(A @ data.covariance_raw @ A.T))
     fixed = spread @ noise @ spread.T
     fixed += np.eye(2 * s) * (_AT_POLE * EARTH_RATE_RAD_S) ** 2
     wander = spread @ np.kron(random_walk(data.time_s), np.eye(3)) @ spread.T

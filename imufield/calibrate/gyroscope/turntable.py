@@ -22,6 +22,9 @@ import numpy as np
 
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _SAME_AXIS = 1 - 1e-3  # Cosine of 2.6 deg.
 _SAME_RATE = 0.05  # Runs whose rates differ by more than this share are no pair.
@@ -91,33 +94,25 @@ def pair_runs(runs: Sequence[TurntableRun]) -> TableRows:
         If a run has no counterpart.
     """
     left = list(runs)
-    pairs: list[tuple[TurntableRun, TurntableRun]] = []
+    rows = []
     while left:
         run = left.pop(0)
-        partner = None
-        for other in left:
-            same_axis = float(run.axis @ other.axis) > _SAME_AXIS
-            if same_axis and abs(run.rate_rad_s + other.rate_rad_s) <= _SAME_RATE * abs(run.rate_rad_s):
-                partner = other
-                break
-        if partner is None:
-            raise CalibrationError(
-                f"the turntable run at {np.degrees(run.rate_rad_s):+.1f} deg/s about {np.round(run.axis, 2).tolist()} has no "
-                "counterpart at the opposite rate about the same axis; record both ways, or leave it out",
-                Reason.TOO_FEW,
-                rate_deg_s=float(np.degrees(run.rate_rad_s)),
-            )
-        left.remove(partner)
-        pairs.append((run, partner) if run.rate_rad_s > 0 else (partner, run))
-    t = len(pairs)
-    half, rate = np.zeros((t, 3)), np.zeros((t, 3))
-    raw_covariance, covariance = np.zeros((t, 3, 3)), np.zeros((t, 3, 3))
-    for k, (plus, minus) in enumerate(pairs):
+        partners = [
+            place
+            for place, other in enumerate(left)
+            if float(run.axis @ other.axis) > _SAME_AXIS
+            and abs(run.rate_rad_s + other.rate_rad_s) <= _SAME_RATE * abs(run.rate_rad_s)
+        ]
+        if not partners:
+            rate_deg_s, axis = float(np.degrees(run.rate_rad_s)), np.round(run.axis, 2).tolist()
+            alone = sentence("turntable.no_counterpart", rate_deg_s=rate_deg_s, axis=axis)
+            raise CalibrationError(alone, Reason.TOO_FEW)
+        minus, plus = sorted((run, left.pop(partners[0])), key=lambda one: one.rate_rad_s)
         w = (plus.rate_rad_s - minus.rate_rad_s) / 2
         u = plus.axis / np.linalg.norm(plus.axis)
-        # (N+ - N-) / 2 = K E w, [1]_ eq. 25
-        half[k], rate[k] = (plus.mean_raw - minus.mean_raw) / 2, w * u
-        raw_covariance[k] = (plus.covariance_raw + minus.covariance_raw) / 4
         along, across = plus.rate_sigma_rad_s**2 / 2, (w * plus.axis_sigma_rad) ** 2
-        covariance[k] = along * np.outer(u, u) + across * (np.eye(3) - np.outer(u, u))
-    return TableRows(half, raw_covariance, rate, covariance)
+        # (N+ - N-) / 2 = K E w, [1]_ eq. 25
+        half_difference = (plus.mean_raw - minus.mean_raw) / 2
+        covariance = along * np.outer(u, u) + across * (np.eye(3) - np.outer(u, u))
+        rows.append((half_difference, (plus.covariance_raw + minus.covariance_raw) / 4, w * u, covariance))
+    return TableRows(*(np.array(column) for column in zip(*rows, strict=True)))

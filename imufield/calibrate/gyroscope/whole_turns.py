@@ -21,6 +21,9 @@ from imufield.calibrate.gyroscope.residuals import Evaluation, GyroscopeData
 from imufield.calibrate.model.rotation import from_matrix, logarithm
 from imufield.errors import UsageError
 from imufield.samples import AXES, FloatArray, IntArray
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
 
 LEAST_TURN_RAD = np.radians(330.0)
 MOST_TILT_RAD = np.radians(20.0)
@@ -51,18 +54,6 @@ def stops_at(times_s: Sequence[float], start_s: FloatArray, end_s: FloatArray) -
     return tuple(Stop(time_s, float(STOP_RAD)) for time_s in times_s if np.any((start_s <= time_s) & (time_s <= end_s)))
 
 
-@dataclass(frozen=True, slots=True)
-class WholeTurn:
-    """A whole turn, with the sentence that says how well it closed."""
-
-    turns: int
-    """Signed: about the body axis ``axis``."""
-    axis: str
-    about: str
-    """"horizontal" or "vertical"."""
-    sentence: str
-
-
 def find_stops(stops: Sequence[Stop], start_s: FloatArray, end_s: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return the moves that stops belong to, and the repeatability of each.
 
@@ -75,20 +66,16 @@ def find_stops(stops: Sequence[Stop], start_s: FloatArray, end_s: FloatArray) ->
     for stop in stops:
         inside = np.flatnonzero((start_s <= stop.time_s) & (stop.time_s <= end_s))
         if not len(inside):
-            raise UsageError(
-                f"no usable move holds {stop.time_s:g} s, where a turn against a stop is said to be; check the time"
-            )
+            raise UsageError(sentence("whole_turns.no_move", time_s=stop.time_s))
         if not 0 < stop.repeatability_rad < 0.1:
-            raise UsageError(
-                f"a stop that repeats to {np.degrees(stop.repeatability_rad):g} deg is outside 0 to 6 deg; give what it does"
-            )
+            raise UsageError(sentence("whole_turns.repeatability", sigma_deg=np.degrees(stop.repeatability_rad)))
         moves.append(int(inside[0]))
     return np.array(moves, dtype=np.int64), np.array([stop.repeatability_rad for stop in stops])
 
 
 def closures(evaluation: Evaluation, data: GyroscopeData) -> FloatArray:
     """Return by how much each move misses returning to its attitude about the vertical, shape (m,), rad within pi."""
-    return np.asarray(np.sum(logarithm(from_matrix(evaluation.carry)) * data.up[data.after], axis=1))
+    return np.asarray(np.sum(logarithm(from_matrix(evaluation.carry)) * data.up[data.moves.after], axis=1))
 
 
 def whole_stops(
@@ -99,39 +86,33 @@ def whole_stops(
     The scale that such a fit finds is good enough to tell a missed stop from a wrong scale.
     """
     missed = closures(evaluation, data)[moves]
-    noise = np.sqrt(np.einsum("mi,mij,mj->m", data.up[data.after], evaluation.turns.spread, data.up[data.after]))[moves]
+    noise = np.sqrt(np.einsum("mi,mij,mj->m", data.up[data.moves.after], evaluation.turns.spread, data.up[data.moves.after]))[
+        moves
+    ]
     # Beyond noise and repeatability, and beyond what a hand can tell.
     allowed = np.maximum(NOT_WHOLE_RAD, NOT_WHOLE_SIGMAS * np.hypot(sigma, noise))
     return np.abs(missed) <= allowed, missed
 
 
-def find_whole_turns(evaluation: Evaluation, data: GyroscopeData, before: Evaluation | None = None) -> tuple[WholeTurn, ...]:
+def find_whole_turns(evaluation: Evaluation, data: GyroscopeData, before: Evaluation | None = None) -> tuple[Sentence, ...]:
     """Return the whole turns among the moves, with the closure of each; ``before``: with the parameters in force before."""
     net = np.linalg.norm(evaluation.turns.net_rad, axis=1)
-    error = evaluation.angle_error_rad(data.up[data.after])
-    missed = closures(evaluation, data)
-    error_before = None if before is None else before.angle_error_rad(data.up[data.after])
-    missed_before = None if before is None else closures(before, data)
-    tilt = np.arccos(np.clip(np.sum(data.up[data.before] * data.up[data.after], axis=1), -1, 1))
+    tilt = np.arccos(np.clip(np.sum(data.up[data.moves.before] * data.up[data.moves.after], axis=1), -1, 1))
+    fits = [evaluation] if before is None else [evaluation, before]
+    # An upright turn closes at its stop, a rolled one in the direction of gravity.
+    upright_rad = [closures(fit, data) for fit in fits]
+    rolled_rad = [fit.angle_error_rad(data.up[data.moves.after]) for fit in fits]
     turns = []
     for k in np.flatnonzero((net > LEAST_TURN_RAD) & (tilt < MOST_TILT_RAD)):
         axis = evaluation.turns.net_rad[k] / net[k]
         body = int(np.argmax(np.abs(axis)))
         count = round(net[k] / (2 * np.pi)) * int(np.sign(axis[body]))
-        upright = abs(float(axis @ data.up[data.after[k]])) > _VERTICAL
-        # An upright turn closes at its stop, a rolled one in the direction of gravity.
-        off = float(missed[k]) if upright else float(tilt[k])
-        closure = float(missed[k]) if upright else float(error[k])
-        earlier = missed_before if upright else error_before
-        closure_before = float("nan") if earlier is None else float(earlier[k])
-        degrees = np.degrees([closure, closure_before, off])
-        before_words = f" ({degrees[1]:.3f} deg with the parameters before)" if np.isfinite(degrees[1]) else ""
-        sentence = f"{count:+d} turn{'s' if abs(count) > 1 else ''} about {AXES[body]}, "
-        if upright:
-            sentence += f"about the vertical: misses its start by {degrees[0]:+.3f} deg{before_words}"
+        if abs(float(axis @ data.up[data.moves.after[k]])) > _VERTICAL:
+            keys, closed_rad = ("whole_turns.upright", "whole_turns.upright_and_before"), upright_rad
         else:
-            sentence += (
-                f"rolled: closes to {degrees[0]:.3f} deg{before_words}, came to rest {degrees[2]:.1f} deg from where it began"
-            )
-        turns.append(WholeTurn(count, AXES[body], "vertical" if upright else "horizontal", sentence))
+            keys, closed_rad = ("whole_turns.rolled", "whole_turns.rolled_and_before"), rolled_rad
+        noun = "turn" if abs(count) == 1 else "turns"
+        degrees = np.degrees([closed_rad[0][k], closed_rad[-1][k], tilt[k]])
+        closed = dict(zip(("closure_deg", "before_deg", "off_deg"), degrees, strict=True))
+        turns.append(sentence(keys[len(fits) - 1], turns=count, noun=noun, axis=AXES[body], **closed))
     return tuple(turns)

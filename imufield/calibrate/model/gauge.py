@@ -41,9 +41,13 @@ from imufield.calibrate.model.observability import generators
 from imufield.calibrate.model.result import AccelerometerParameters, Gauge, GyroscopeParameters, Intrinsic, QuadraticAxes
 from imufield.errors import CalibrationError, Reason, UsageError
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 _UPPER_ENTRIES = (6, 7, 9)
 _LOWER_ENTRIES = (8, 10, 11)
+_LEAST_VOLUME = 0.01  # Of the unit sensing axes: nearer to one plane than any instrument, or left-handed.
 _SYMMETRIC_PASSES = 50  # At most: Newton takes two for misalignments up to 0.05 rad.
 
 
@@ -139,7 +143,7 @@ def constraint_jacobian(vector: FloatArray, gauge: Gauge, preset: FloatArray | N
 
 def _required(preset: FloatArray | None) -> FloatArray:
     if preset is None:
-        raise UsageError("gauge 'preset' needs a preset parameter file; give --preset or choose lower, upper or symmetric")
+        raise UsageError(sentence("gauge.no_preset"))
     return preset
 
 
@@ -151,13 +155,8 @@ def _unit_rows(vector: FloatArray) -> FloatArray:
 def _rotation_to(vector: FloatArray, gauge: Gauge, preset: FloatArray | None) -> FloatArray:
     unit = _unit_rows(vector)
     volume = float(np.linalg.det(unit))
-    if not volume > 0.01:
-        raise CalibrationError(
-            f"the sensing axes span a volume of {volume:.3g} (1 is a right-handed orthogonal triad, 0.01 the least accepted); "
-            "check the order and sign of the axes",
-            Reason.HANDEDNESS,
-            volume=volume,
-        )
+    if not volume > _LEAST_VOLUME:
+        raise CalibrationError(sentence("gauge.left_handed", volume=volume, least_volume=_LEAST_VOLUME), Reason.HANDEDNESS)
     if gauge == "preset":
         return _kabsch(unit, _unit_rows(_required(preset)))
     if gauge == "lower":

@@ -32,6 +32,9 @@ import numpy as np
 from imufield.calibrate.model.result import AccelerometerParameters, GyroscopeParameters, QuadraticAxes
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 PARAMETERS = 15
 SCALE = slice(0, 3)
@@ -58,13 +61,11 @@ def from_vector(
     vector: FloatArray, raw_zero: FloatArray | None = None, quadratic_axes: QuadraticAxes = "sensing"
 ) -> AccelerometerParameters:
     """Return the parameters of a vector, shape (15,)."""
-    off_diagonal = np.zeros((3, 3))
-    off_diagonal[MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS] = vector[MISALIGNMENT]
     zero = np.zeros(3) if raw_zero is None else np.asarray(raw_zero, dtype=np.float64)
     return AccelerometerParameters(
         scale=vector[SCALE].copy(),
         bias_m_s2=vector[BIAS].copy(),
-        misalignment_rad=off_diagonal,
+        misalignment_rad=alignment_matrix(vector) - np.eye(3),
         quadratic=vector[QUADRATIC].copy(),
         raw_zero=zero,
         quadratic_axes=quadratic_axes,
@@ -100,24 +101,13 @@ def recover(parameters: AccelerometerParameters, raw: FloatArray) -> FloatArray:
     for row in np.flatnonzero(lost):
         output = raw.reshape(-1, 3)[row]
         if parameters.quadratic_axes == "body":
-            raise CalibrationError(
-                f"the inverse of the body-axis quadratic model does not converge for output {output.tolist()} (row {row}) "
-                f"within {_CONTRACTION_PASSES} passes; use quadratic axes 'sensing' or check scale and quadratic term",
-                Reason.NOT_CONVERGED,
-                row=int(row),
-                raw=output,
-            )
+            lost_row = sentence("models.no_inverse", raw=output.tolist(), row=int(row), passes=_CONTRACTION_PASSES)
+            raise CalibrationError(lost_row, Reason.NOT_CONVERGED)
         s = _sensing_input(to_vector(parameters), output - parameters.raw_zero)
         axis = int(np.argmax(np.isnan(s).reshape(3)))
-        raise CalibrationError(
-            f"output {output[axis]:g} of axis {AXES[axis]} (row {row}) is beyond the turning point of the quadratic model "
-            f"with scale {parameters.scale[axis]:g} and quadratic term {parameters.quadratic[axis]:g}; check those two and the "
-            "raw unit",
-            Reason.BOUNDS,
-            row=int(row),
-            axis=AXES[axis],
-            raw=float(output[axis]),
-        )
+        model = {"scale": parameters.scale[axis], "quadratic": parameters.quadratic[axis]}
+        beyond = sentence("models.turning_point", raw=float(output[axis]), axis=AXES[axis], row=int(row), **model)
+        raise CalibrationError(beyond, Reason.BOUNDS)
     return a
 
 

@@ -35,6 +35,9 @@ from imufield.calibrate.model.models import (
 from imufield.calibrate.model.result import ACCELEROMETER_NAMES
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import AXES, LARGEST_OUTPUT, FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 LOWER_GAUGE_COLUMNS = (0, 1, 2, 3, 4, 5, 8, 10, 11, 12, 13, 14)
 """The parameters that stay free where T is lower triangular: K, b, T_yx, T_zx, T_zy, K2."""
@@ -155,13 +158,10 @@ def require_scale_and_bias(observability: Observability) -> None:
     """
     missing = sorted({ACCELEROMETER_NAMES[column][-1] for column in range(6) if column not in observability.free})
     if missing:
-        axes = " and ".join(missing)
-        raise CalibrationError(
-            f"these positions cannot tell scale from bias of axis {axes} (less than {WEAKEST_COLUMN} of sight is left); "
-            f"add positions with {', '.join(f'+{axis} up and -{axis} up' for axis in missing)}",
-            Reason.UNOBSERVABLE,
-            axes=tuple(missing),
-        )
+        sides = [f"+{axis} up and -{axis} up" for axis in missing]
+        axis_names = " and ".join(missing)
+        confused = sentence("observability.scale_and_bias", axis_names=axis_names, least_sight=WEAKEST_COLUMN, sides=sides)
+        raise CalibrationError(confused, Reason.UNOBSERVABLE, axes=tuple(missing))
 
 
 def require_outputs(raw: FloatArray, names: tuple[str, ...]) -> None:
@@ -175,20 +175,13 @@ def require_outputs(raw: FloatArray, names: tuple[str, ...]) -> None:
     sizes = np.abs(raw).max(axis=1)
     worst = int(np.argmax(sizes))
     if sizes[worst] > large:
-        raise CalibrationError(
-            f"position {names[worst]} (number {worst + 1} of {len(raw)}) has the output {raw[worst].tolist()}, larger than "
-            f"{large:g}, which no instrument sends; correct or remove it",
-            Reason.BOUNDS,
-            position=names[worst],
-        )
+        number, output = worst + 1, raw[worst].tolist()
+        values = {"position": names[worst], "number": number, "count": len(raw), "output": output, "limit": large}
+        raise CalibrationError(sentence("observability.output_size", **values), Reason.BOUNDS)
     spread = float(np.ptp(raw, axis=0).max())
     if spread < small:
-        raise CalibrationError(
-            f"the outputs of all {len(raw)} positions are the same within {spread:.2g} (limit {small:g}): nothing was turned, "
-            "or the unit is wrong; check the columns, and take each position with another side up",
-            Reason.UNOBSERVABLE,
-            spread=spread,
-        )
+        same = sentence("observability.same_outputs", count=len(raw), spread=spread, limit=small)
+        raise CalibrationError(same, Reason.UNOBSERVABLE)
 
 
 def require_space(raw: FloatArray) -> None:
@@ -201,8 +194,8 @@ def require_space(raw: FloatArray) -> None:
     spread = np.ptp(raw, axis=0)
     widest = float(spread.max())
     # Fewer than three rows have no third direction unless it is asked for.
-    values, directions = np.linalg.svd(raw - raw.mean(axis=0), full_matrices=len(raw) < 3)[1:]
-    flatness = float(values[2] / values[0])
+    sizes, directions = np.linalg.svd(raw - raw.mean(axis=0), full_matrices=len(raw) < 3)[1:]
+    flatness = float(sizes[2] / sizes[0])
     axis = int(np.argmin(spread))
     # Two axes that stay in a vertical plane keep their distance to a centre.
     others = np.delete(raw, axis, axis=1)
@@ -210,17 +203,9 @@ def require_space(raw: FloatArray) -> None:
     distance = np.linalg.norm((others - centre) / np.maximum(np.ptp(others, axis=0), np.finfo(float).tiny), axis=1)
     is_circle = np.ptp(distance) < _ROUND * distance.max()
     if spread[axis] <= _DEAD * widest and not is_circle:
-        raise CalibrationError(
-            f"axis {AXES[axis]} gives {raw[0, axis]:g} at every position (spread {spread[axis]:g}, other axes {widest:g}): it "
-            "is saturated or dead; check range and wiring",
-            Reason.SATURATED,
-            axis=AXES[axis],
-        )
+        dead = {"axis": AXES[axis], "output": raw[0, axis], "spread": spread[axis], "widest": widest}
+        raise CalibrationError(sentence("observability.dead_axis", **dead), Reason.SATURATED)
     if flatness < _FLATTEST:
         missing = AXES[int(np.argmax(np.abs(directions[2])))]
-        raise CalibrationError(
-            f"all {len(raw)} positions lie in one plane (thickness {flatness:.2g} of their spread, at least {_FLATTEST} is "
-            f"needed); add positions with axis {missing} up and down",
-            Reason.UNOBSERVABLE,
-            thickness=flatness,
-        )
+        plane = {"count": len(raw), "thickness": flatness, "least_thickness": _FLATTEST, "axis": missing}
+        raise CalibrationError(sentence("observability.one_plane", **plane), Reason.UNOBSERVABLE)

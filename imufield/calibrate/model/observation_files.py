@@ -19,6 +19,9 @@ from imufield.calibrate.model.observations import Observations
 from imufield.errors import Reason, RecordingError
 from imufield.files import read_small_file
 from imufield.samples import ACCELEROMETER_COLUMNS, GYROSCOPE_COLUMNS, LARGEST_OUTPUT, FloatArray, SampleUnits
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 NAME = "name"
 TEMPERATURE = "temperature_degc"
@@ -86,13 +89,13 @@ def _read_table(path: Path) -> _Table:
     try:
         whole = read_small_file(path).decode("utf-8-sig")
     except OSError as error:
-        what = f"{path} cannot be read ({error.strerror}); check the file name and its permissions"
-        raise RecordingError(what, Reason.NOT_A_RECORDING, path=str(path)) from error
+        unreadable = sentence("observation_files.unreadable", path=str(path), cause=error.strerror)
+        raise RecordingError(unreadable, Reason.NOT_A_RECORDING) from error
     except UnicodeDecodeError as error:
-        raise _refuse(path, None, f"it is no UTF-8 text (byte {error.start}); save the means as CSV") from error
+        raise _refused("observation_files.not_utf8", path, byte=error.start) from error
     numbered = [(k, line) for k, line in enumerate(whole.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]
     if not numbered:
-        raise _refuse(path, None, "it is empty; give a header with ax,ay,az and one row per position")
+        raise _refused("observation_files.empty", path)
     lines = [k for k, _ in numbered]
     separator = next((character for character in _SEPARATORS if character in numbered[0][1]), ",")
     rows = []
@@ -100,14 +103,14 @@ def _read_table(path: Path) -> _Table:
         try:
             rows.append(next(csv.reader([text], delimiter=separator, strict=True)))
         except csv.Error as error:
-            raise _refuse(path, number, f"it is no CSV ({error}); save the means as CSV") from error
+            raise _refused("observation_files.not_csv", path, number, cause=error) from error
     header = tuple(cell.strip() for cell in rows[0])
     _check_header(path, lines[0], header)
     for line, row in zip(lines[1:], rows[1:], strict=True):
         if len(row) != len(header):
             comma = separator == "," and len(row) == 2 * len(header)
-            remedy = "with decimal commas separate the cells by semicolons" if comma else "complete the row"
-            raise _refuse(path, line, f"{len(row)} values where the header has {len(header)} columns; {remedy}")
+            key = "observation_files.decimal_commas" if comma else "observation_files.row_length"
+            raise _refused(key, path, line, values=len(row), columns=len(header))
     if separator != ",":
         rows = [
             [cell if name == NAME else _DECIMAL_COMMA.sub(".", cell) for name, cell in zip(header, row, strict=True)]
@@ -116,25 +119,25 @@ def _read_table(path: Path) -> _Table:
     return _Table(path, header, rows[1:], lines[1:])
 
 
-def _refuse(path: Path, line: int | None, what: str, column: str | None = None) -> RecordingError:
+def _refused(key: str, path: Path, line: int | None = None, column: str | None = None, **values: object) -> RecordingError:
     where = str(path) + (f", line {line}" if line else "") + (f", column {column}" if column else "")
-    return RecordingError(f"{where}: {what}", Reason.BAD_DATA, path=str(path), line=line, column=column)
+    return RecordingError(sentence(key, where=where, **values), Reason.BAD_DATA, path=str(path), line=line, column=column)
 
 
 def _check_header(path: Path, line: int, header: tuple[str, ...]) -> None:
     for column in header:
         if column not in _COLUMNS:
             blanks = len(column.split()) > 1 and all(word in _COLUMNS for word in column.split())
-            hint = "separate the columns by commas, semicolons or tabs" if blanks else f"the columns are {', '.join(_COLUMNS)}"
-            raise _refuse(path, line, f"unknown column {column[:_SHOWN]!r}; {hint}")
+            key = "observation_files.blanks" if blanks else "observation_files.unknown_column"
+            raise _refused(key, path, line, name=column[:_SHOWN], columns=_COLUMNS)
         if header.count(column) > 1:
-            raise _refuse(path, line, f"column {column!r} is there twice; keep one")
+            raise _refused("observation_files.twice", path, line, name=column)
     for triad in _TRIADS:
         present = [column for column in triad if column in header]
         if len(present) < 3 and (present or triad is ACCELEROMETER_COLUMNS):
             missing = [column for column in triad if column not in header]
-            word = "columns" if len(missing) > 1 else "column"
-            raise _refuse(path, line, f"{word} {', '.join(missing)} missing; give all of {', '.join(triad)}")
+            key = "observation_files.missing_columns" if len(missing) > 1 else "observation_files.missing_column"
+            raise _refused(key, path, line, missing=missing, triad=triad)
 
 
 def _triad(table: _Table, columns: tuple[str, ...]) -> FloatArray:
@@ -154,10 +157,9 @@ def _column(table: _Table, column: str) -> FloatArray:
         try:
             values[k] = float(cell)
         except ValueError as error:
-            what = f"{cell[:_SHOWN]!r} is not a number; correct or remove the row"
-            raise _refuse(table.path, line, what, column) from error
+            raise _refused("observation_files.not_a_number", table.path, line, column, cell=cell[:_SHOWN]) from error
         if not least <= values[k] <= LARGEST_OUTPUT:
-            raise _refuse(table.path, line, f"{cell[:_SHOWN]} is no possible value; correct or remove the row", column)
+            raise _refused("observation_files.impossible", table.path, line, column, cell=cell[:_SHOWN])
     return values
 
 

@@ -8,6 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imufield.samples import FloatArray, SampleUnits
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +77,5 @@ def count_repeats_once(observations: Observations) -> tuple[Observations, tuple[
     if new.all():
         return observations, ()
     names = observations.name
-    pairs = ", ".join(f"{names[row]} is {names[original[row]]}" for row in np.flatnonzero(~new))
-    sentence = f"{int((~new).sum())} of {len(new)} rows repeat the numbers of an earlier one and count once: {pairs}"
-    return observations[new], (sentence,)
+    pairs = [f"{names[row]} is {names[original[row]]}" for row in np.flatnonzero(~new)]
+    return observations[new], (sentence("observations.repeated", count=len(pairs), rows=len(new), pairs=pairs),)

@@ -37,16 +37,24 @@ _NO_VARIANCE = 1e-12  # Of a correlation matrix: a direction with less is one th
 _NEWTON_STEPS = 100  # At most; each comes nearer, from below.
 
 
-def known_covariance(covariance_raw: FloatArray) -> bool:
-    """Whether every position has a usable covariance of its mean, shape (m, 3, 3): finite, positive definite."""
+def rms(values: FloatArray) -> float:
+    """Return the root mean square of the finite values; NaN where there are none."""
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
+
+
+def known_covariance(covariance_raw: FloatArray) -> FloatArray | None:
+    """Return the covariances of the means, shape (m, 3, 3); None unless all are usable: finite, positive definite."""
     if not np.isfinite(covariance_raw).all():
-        return False
+        return None
     eigenvalues = np.linalg.eigvalsh((covariance_raw + np.swapaxes(covariance_raw, 1, 2)) / 2)
-    return bool(np.all(eigenvalues[:, 0] > 0))
+    return covariance_raw if np.all(eigenvalues[:, 0] > 0) else None
 
 
-def within_variance(raw_gradient: FloatArray, covariance_raw: FloatArray) -> FloatArray:
-    """Return the variance of each norm from the covariance of its mean output, shape (m,), (m/s^2)^2."""
+def within_variance(raw_gradient: FloatArray, covariance_raw: FloatArray | None) -> FloatArray:
+    """Return the variance of each norm from the covariance of its mean output, shape (m,), (m/s^2)^2; 0 where not known."""
+    if covariance_raw is None:
+        return np.zeros(len(raw_gradient))
     return np.asarray(np.einsum("mi,mij,mj->m", raw_gradient, covariance_raw, raw_gradient))
 
 

@@ -22,6 +22,9 @@ import numpy as np
 
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray, IntArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 BRIDGED_S = 1.0
 """A longer hole ends the stretch."""
@@ -126,7 +129,6 @@ class _Level:
     def __init__(self, columns: int) -> None:
         self.parts: list[FloatArray] = []
         self.rows = 0
-        self.total = 0
         self.square: dict[int, FloatArray] = {}
         self.terms: dict[int, float] = {}
         self.flushed = False
@@ -158,15 +160,12 @@ class AllanStream:
         self._allantools = load_allantools()
         self.interval_s = interval_s
         self.columns = columns
+        self.samples = 0
         self._levels = [_Level(columns) for _ in range(_CHUNKED_LEVELS + 1)]
-
-    @property
-    def samples(self) -> int:
-        """Samples so far."""
-        return self._levels[0].total
 
     def feed(self, values: FloatArray) -> None:
         """Take the next samples, shape (n, c)."""
+        self.samples += len(values)
         self._put(0, values)
 
     def finish(self) -> AllanDeviation:
@@ -175,11 +174,19 @@ class AllanStream:
         most = int(np.log2(max(n // _SMALLEST, 1))) if n >= _SMALLEST else -1
         rest = [level.take() for level in self._levels]
         octaves, deviation = [], []
-        for octave in range(most + 1):
-            variance = self._variance(octave, rest)
-            if variance is not None:
-                octaves.append(octave)
-                deviation.append(np.sqrt(variance))
+        for number, level in enumerate(self._levels):
+            rows = np.concatenate([rest[number], level.take()])
+            # The lowest level that never filled a chunk has all that there is.
+            is_highest = number == _CHUNKED_LEVELS or not level.flushed
+            for octave in range(self._first(number), (most if is_highest else min(self._last(number), most)) + 1):
+                if len(rows):
+                    self._measure(level, number, rows, [octave])
+                if octave in level.terms:
+                    octaves.append(octave)
+                    deviation.append(np.sqrt(level.square[octave] / level.terms[octave]))
+            if is_highest:
+                break
+            self._average(number, rows)  # What is left below goes up.
         factor = np.array([1 << octave for octave in octaves], dtype=np.int64)
         tau_s: FloatArray = np.asarray(factor * self.interval_s, dtype=np.float64)
         return AllanDeviation(tau_s, np.array(deviation).reshape(-1, self.columns), n, factor)
@@ -188,7 +195,6 @@ class AllanStream:
         level = self._levels[number]
         level.parts.append(values)
         level.rows += len(values)
-        level.total += len(values)
         if number < _CHUNKED_LEVELS:
             # At least a chunk stays, so the last one is never short.
             while level.rows >= 2 * CHUNK:
@@ -205,22 +211,6 @@ class AllanStream:
         level.left = joined[whole:]
         if whole:
             self._put(number + 1, joined[:whole].reshape(-1, DECIMATION, self.columns).mean(axis=1))
-
-    def _variance(self, octave: int, rest: list[FloatArray]) -> FloatArray | None:
-        """Return the variance at one octave, from the lowest level that can show it."""
-        for number, level in enumerate(self._levels):
-            if octave <= self._last(number) or number == _CHUNKED_LEVELS or not level.flushed:
-                if octave >= self._first(number) and len(rest[number]):
-                    self._measure(level, number, rest[number], [octave])
-                if octave in level.terms:
-                    return np.asarray(level.square[octave] / level.terms[octave])
-                return None
-            if number + 1 < len(rest) and len(rest[number]):
-                # What was left below goes up once, when the first octave of the next level is asked for.
-                self._average(number, rest[number])
-                rest[number] = np.empty((0, self.columns))
-                rest[number + 1] = np.concatenate([rest[number + 1], self._levels[number + 1].take()])
-        return None
 
     @staticmethod
     def _last(number: int) -> int:
@@ -261,10 +251,7 @@ def load_allantools() -> Any:
     try:
         return importlib.import_module("allantools")
     except ImportError as error:
-        raise UsageError(
-            "the Allan deviation needs the package allantools; install it with `pip install 'imufield[noise]'`",
-            Reason.MISSING_PACKAGE,
-        ) from error
+        raise UsageError(sentence("allan.no_allantools"), Reason.MISSING_PACKAGE) from error
 
 
 def degrees_of_freedom(deviation: AllanDeviation, column: int) -> FloatArray:

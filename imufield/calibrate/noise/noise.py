@@ -24,6 +24,9 @@ from imufield.calibrate.noise.allan import (
 from imufield.calibrate.noise.noise_fit import NoiseFigure, NoiseModel, identify
 from imufield.errors import CalibrationError, Reason, RecordingError
 from imufield.samples import AXES, FloatArray, Samples, SampleUnits
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 MOVED = 0.005
 """Change of the mean output of a second, over the length of the accelerometer's mean: 5 mg. More is a unit that was moved."""
@@ -50,12 +53,12 @@ class AxisNoise:
     name : str
         "accelerometer x".
     unit : str
-    tau_s, deviation, low, high, freedom : ndarray, shape (n,)
-        Overlapped Allan deviation with 95 % limits and equivalent degrees of freedom.
+    tau_s, deviation, low, high : ndarray, shape (n,)
+        Overlapped Allan deviation with 95 % limits.
     model : NoiseModel or None
         None for an axis that never changed, or is too short to say anything.
-    sample_sigma, step : float
-        Scatter of single samples; smallest change of the output.
+    step : float
+        Smallest change of the output.
     quantised : bool
     sentences : tuple of str
     """
@@ -66,9 +69,7 @@ class AxisNoise:
     deviation: FloatArray
     low: FloatArray
     high: FloatArray
-    freedom: FloatArray
     model: NoiseModel | None
-    sample_sigma: float
     step: float
     quantised: bool
     sentences: tuple[str, ...] = ()
@@ -182,30 +183,20 @@ class NoiseStream:
         self._end_run()
         best = self._best
         if best is None or best.stream.samples < LEAST_SAMPLES or best.duration_s < LEAST_S:
-            longest = 0.0 if best is None else best.duration_s
-            raise CalibrationError(
-                f"the longest undisturbed stretch lasts {longest:.0f} s and the noise needs {LEAST_S:.0f} s and "
-                f"{LEAST_SAMPLES} samples at least (an hour says something, six hours more); record with the unit lying still",
-                Reason.TOO_FEW,
-                longest_s=longest,
-            )
+            longest_s = 0.0 if best is None else best.duration_s
+            short = sentence("noise.too_short", longest_s=longest_s, least_s=LEAST_S, least_samples=LEAST_SAMPLES)
+            raise CalibrationError(short, Reason.TOO_FEW)
         allan = best.stream.finish()
-        triads = ("accelerometer", "gyroscope")[: best.stream.columns // 3]
-        units = self._units
-        outputs = {
-            "accelerometer": ("m/s^2", units.accelerometer, units.accelerometer_is_increment),
-            "gyroscope": ("rad/s", units.gyroscope, units.gyroscope_is_increment),
-        }
+        raw = {"accelerometer": self._units.accelerometer_rate_unit, "gyroscope": self._units.gyroscope_rate_unit}
+        si = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
         axes: list[AxisNoise] = []
-        for triad in triads:
-            si, raw, is_increment = outputs[triad]
-            unit = si if self.is_si else f"{raw}/s" if is_increment else raw
+        for triad, unit in list((si if self.is_si else raw).items())[: best.stream.columns // 3]:
             axes += [_axis(f"{triad} {axis}", len(axes) + k, best, allan, unit=unit) for k, axis in enumerate(AXES)]
-        sentences = [f"{why}; the longest stretch without that is used" for why in self._splits[:_SPLITS_NAMED]]
+        sentences = self._splits[:_SPLITS_NAMED]
         if len(self._splits) > _SPLITS_NAMED:
-            sentences.append(f"and {len(self._splits) - _SPLITS_NAMED} more disturbances")
+            sentences.append(sentence("noise.more_disturbances", count=len(self._splits) - _SPLITS_NAMED))
         if best.bridged:
-            sentences.append(f"{best.bridged} lost samples were bridged by a straight line")
+            sentences.append(sentence("noise.bridged", count=best.bridged))
         return NoiseResult(
             axes=tuple(axes),
             start_s=best.start_s,
@@ -221,7 +212,7 @@ class NoiseStream:
         """Take even rows: whole seconds go into the stretch, which ends where the unit was moved; the rest waits."""
         if run.broken:
             self._end_run()
-            self._splits.append(f"samples are missing for more than {BRIDGED_S:g} s before {run.start_s:.1f} s")
+            self._splits.append(sentence("noise.missing_samples", bridged_s=BRIDGED_S, at_s=run.start_s))
         if not self._waiting:
             self._waiting_s = run.start_s
         self._waiting.append(run.rows)
@@ -236,7 +227,7 @@ class NoiseStream:
             at_s = self._waiting_s + k * second * interval_s
             if self._now is not None and self._now.is_moved(mean):
                 self._now.feed(seconds[begin:k].reshape(-1, self._columns))
-                self._splits.append(f"the unit was moved at {at_s:.0f} s")
+                self._splits.append(sentence("noise.moved", at_s=at_s))
                 self._end_stretch()
                 begin = k
             if self._now is None:
@@ -322,7 +313,7 @@ def measure_noise(
         stream = stream or NoiseStream(block.units, accelerometer_scale, gyroscope_scale)
         stream.feed(block)
     if stream is None:
-        raise RecordingError("the recording holds no samples; check that it is the right one", Reason.NOT_A_RECORDING)
+        raise RecordingError(sentence("noise.no_samples"), Reason.NOT_A_RECORDING)
     return stream.finish()
 
 
@@ -339,23 +330,19 @@ def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit
         if quantised:
             limit = max(QUANTISED * step * math.sqrt(best.interval_s), model.density.high)
             model = replace(model, density=NoiseFigure(math.nan, 0.0, limit, False))
-    sentences = []
+    sentences: list[str] = []
     if not math.isfinite(step):
-        sentences.append(f"{name} never changed: a dead axis, or noise far below one step of its output")
-    elif quantised:
-        sentences.append(
-            f"{name} is limited by quantisation (scatter {sigma:.3g}, one step {step:.3g} {unit}): "
-            "its white noise is an upper limit"
-        )
-    if model is None and math.isfinite(step):
-        sentences.append(f"{name} is too short to identify anything; record longer")
-    elif model is not None and math.isfinite(step):
-        for kind, figure, per in (("bias instability", model.instability, ""), ("random walk", model.walk, "/sqrt(s)")):
-            if not figure.observed:
-                sentences.append(
-                    f"{best.duration_s / _HOURS:.2g} h are too short to see the {kind} of {name}: below {figure.high:.3g} "
-                    f"{unit}{per}"
-                )
+        sentences.append(sentence("noise.dead", name=name))
+    else:
+        if quantised:
+            sentences.append(sentence("noise.quantised", name=name, sigma=sigma, step=step, unit=unit))
+        if model is None:
+            sentences.append(sentence("noise.axis_too_short", name=name))
+        else:
+            hours = best.duration_s / _HOURS
+            figures = {"noise.no_instability": model.instability, "noise.no_walk": model.walk}
+            hidden = {key: figure.high for key, figure in figures.items() if not figure.observed}
+            sentences += [sentence(key, hours=hours, name=name, limit=limit, unit=unit) for key, limit in hidden.items()]
     return AxisNoise(
         name=name,
         unit=unit,
@@ -363,9 +350,7 @@ def _axis(name: str, column: int, best: _Stretch, allan: AllanDeviation, *, unit
         deviation=deviation,
         low=low,
         high=high,
-        freedom=freedom,
         model=model,
-        sample_sigma=sigma,
         step=step,
         quantised=quantised,
         sentences=tuple(sentences),

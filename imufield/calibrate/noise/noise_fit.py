@@ -41,7 +41,7 @@ _WIDER = 1.4
 _FALLING = -0.4  # Slope of the deviation on logarithmic axes: white noise has -0.5.
 _PASSES = 6  # Of weighting by the model that the pass before found.
 _TERMS = 5
-_Q, _N, _B, _K, _R = range(_TERMS)
+_N, _B, _K = 1, 2, 3  # Places of the figures that are reported.
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +64,6 @@ class NoiseModel:
     """B."""
     walk: NoiseFigure
     """K, per sqrt(s)."""
-    quantisation: NoiseFigure
-    """Q."""
-    ramp: NoiseFigure
-    """R, per second."""
-    first: int
-    """First point that was used."""
     squares: FloatArray
     """Q^2, N^2, B^2, K^2, R^2."""
 
@@ -111,26 +105,15 @@ def identify(tau_s: FloatArray, deviation: FloatArray, freedom: FloatArray) -> N
         size = np.linalg.norm(A, axis=0)
         squares = np.asarray(nnls(A / size, np.linalg.solve(L, q / (expected * relative)))[0]) / size
         expected = np.maximum(X @ squares, 1e-6 * q)
-    # Of each square, beside the three figures that are reported and whatever else is not zero.
+    # Of the three squares that are reported, beside whatever else is not zero.
     active = squares > 0
     active[[_N, _B, _K]] = True
-    figures = []
-    for k, square in enumerate(squares):
-        columns = np.flatnonzero(active | (np.arange(_TERMS) == k))
-        scale = np.linalg.norm(A[:, columns], axis=0)
-        covariance = np.linalg.pinv((A[:, columns] / scale).T @ (A[:, columns] / scale), hermitian=True)
-        place = int(np.flatnonzero(columns == k)[0])
-        sigma = _WIDER * math.sqrt(max(covariance[place, place], 0.0)) / scale[place]
-        figures.append(_figure(float(square), float(sigma)))
-    return NoiseModel(
-        density=figures[_N],
-        instability=figures[_B],
-        walk=figures[_K],
-        quantisation=figures[_Q],
-        ramp=figures[_R],
-        first=first,
-        squares=squares,
-    )
+    columns = np.flatnonzero(active)
+    scale = np.linalg.norm(A[:, columns], axis=0)
+    covariance = np.linalg.pinv((A[:, columns] / scale).T @ (A[:, columns] / scale), hermitian=True)
+    sigma = _WIDER * np.sqrt(np.maximum(np.diag(covariance), 0.0)) / scale
+    density, instability, walk = (_figure(float(squares[k]), float(sigma[columns == k][0])) for k in (_N, _B, _K))
+    return NoiseModel(density=density, instability=instability, walk=walk, squares=squares)
 
 
 def first_falling(tau_s: FloatArray, deviation: FloatArray) -> int:

@@ -15,6 +15,9 @@ import numpy as np
 from imufield.calibrate.noise.noise import NoiseResult
 from imufield.earth import STANDARD_GRAVITY_M_S2
 from imufield.errors import Reason, UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 NoiseFormat = Literal["kalibr", "openvins", "vins", "ros2"]
 
@@ -28,10 +31,7 @@ def noise_text(result: NoiseResult, form: NoiseFormat, *, topic: str = "/imu0", 
         If the figures are not in SI units, or there is no gyroscope.
     """
     if not result.is_si or not result.triad("gyroscope"):
-        raise UsageError(
-            "the noise is known in raw units or for one triad only; solve a calibration first, so that the scale is known",
-            Reason.UNITS,
-        )
+        raise UsageError(sentence("noise_texts.not_si"), Reason.UNITS)
     source = f"# {result.source}; largest axis of each triad"
     if form == "ros2":
         return _covariances(result)
@@ -95,9 +95,7 @@ def draw_plot(result: NoiseResult, kind: str) -> bytes:
     try:
         figure = importlib.import_module("matplotlib.figure").Figure(figsize=(9.0, 4.5), layout="constrained")
     except ImportError as error:
-        raise UsageError(
-            "a plot needs the package matplotlib; install it with `pip install 'imufield[report]'`", Reason.MISSING_PACKAGE
-        ) from error
+        raise UsageError(sentence("noise_texts.no_matplotlib"), Reason.MISSING_PACKAGE) from error
     for place, triad in enumerate(("accelerometer", "gyroscope")):
         axes = figure.add_subplot(1, 2, place + 1)
         for axis in result.triad(triad):
@@ -114,7 +112,7 @@ def draw_plot(result: NoiseResult, kind: str) -> bytes:
     figure.suptitle(result.source)
     kinds = figure.canvas.get_supported_filetypes()
     if kind not in kinds:
-        raise UsageError(f"a plot cannot be a .{kind} file; end its name in one of .{', .'.join(sorted(kinds))}", kind=kind)
+        raise UsageError(sentence("noise_texts.plot_kind", kind=kind, suffixes=[f".{known}" for known in sorted(kinds)]))
     picture = io.BytesIO()
     figure.savefig(picture, format=kind, dpi=150)
     return picture.getvalue()

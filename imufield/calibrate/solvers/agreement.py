@@ -15,6 +15,9 @@ import numpy as np
 from imufield.calibrate.solvers.costs import CostName
 from imufield.calibrate.solvers.registry import find_method
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 LEAST_SQUARES = "least-squares"
 CROSS_CHECKED = ("bsas", "ide", LEAST_SQUARES)
@@ -60,14 +63,9 @@ class CrossCheck:
     @property
     def sentence(self) -> str:
         """The outcome in words."""
-        own, shared = self.own_costs, self.one_cost
-        verdict = "the methods prove one another" if self.agree else "the methods do NOT prove one another"
-        failed = f"; {'; '.join(self.not_converged)}" if self.not_converged else ""
-        own_words = f"{own.sigma:.2g} sigma ({own.parameter}, {own.methods[0]} against {own.methods[1]})"
-        return (
-            f"cross-check of the {self.what} by {', '.join(self.found)}: {verdict}; largest disagreement {own_words} with the "
-            f"cost of each paper, {shared.sigma:.2g} sigma with one cost{failed}"
-        )
+        key = "agreement.agree" if self.agree else "agreement.disagree"
+        told = sentence(key, what=self.what, methods=list(self.found), own=self.own_costs, shared=self.one_cost)
+        return "; ".join([told, *self.not_converged])
 
 
 def compare(
@@ -104,7 +102,7 @@ def compare(
             # Own cost first, then the cost that all share.
             found_by[method], why = attempt(method, cost_name)
             if why:
-                open_runs.append(f"{method} did not converge ({why})")
+                open_runs.append(sentence("agreement.open_run", method=method, cause=why))
     return CrossCheck(
         what=what,
         own_costs=_largest(own, names, sigma),

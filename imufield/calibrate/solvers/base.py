@@ -14,6 +14,9 @@ from typing import Protocol
 import numpy as np
 
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Callback = Callable[[int, FloatArray, float], bool]
 """Called as ``callback(iteration, best z, best cost)``; a solver stops with status STOPPED when it returns True."""
@@ -35,24 +38,19 @@ class Problem(Protocol):
     @property
     def start(self) -> FloatArray:
         """Coordinates to start from, shape (n,)."""
-        ...
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper limits, shape (n,) each; infinite where there are none."""
-        ...
 
     def cost(self, candidates: FloatArray) -> FloatArray:
         """Cost of a whole population, shape (c, n) -> (c,); inf where the model cannot be inverted."""
-        ...
 
     def residuals(self, z: FloatArray) -> FloatArray:
         """Weighted residuals, shape (n,) -> (m,)."""
-        ...
 
     def jacobian(self, z: FloatArray) -> FloatArray:
         """Return the derivative of ``residuals``, shape (n,) -> (m, n)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +74,7 @@ class SolverResult:
 
     def as_polish_of(self, found: SolverResult) -> SolverResult:
         """Return this result of least squares as the last step of a method that found where it started."""
-        message = f"{found.message}; polished by least squares: {self.message}"
+        message = sentence("base.polished", found=found.message, message=self.message)
         return replace(self, message=message, evaluations=found.evaluations + self.evaluations)
 
 
@@ -87,4 +85,3 @@ class Solver(Protocol):
         self, problem: Problem, /, *, rng: np.random.Generator | None = None, callback: Callback | None = None
     ) -> SolverResult:
         """Solve the problem."""
-        ...

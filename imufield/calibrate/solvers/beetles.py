@@ -23,9 +23,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
-from imufield.calibrate.solvers.population import Record, check_start, into_bounds
+from imufield.calibrate.solvers.base import Callback, Problem, SolverResult
+from imufield.calibrate.solvers.population import Record, into_bounds
 from imufield.samples import FloatArray
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,16 +79,14 @@ def solve_bas(
     settings: BasSettings | None = None,
 ) -> SolverResult:
     """Minimise with one beetle (Algorithm 1)."""
-    check_start(problem)
     settings = settings or BasSettings()
-    rng = rng or np.random.default_rng(0)
-    record = Record(problem, callback)
+    record = Record(problem, callback, rng)
     x = np.asarray(problem.start, dtype=np.float64)
     record.offer(x, float(record.cost(x[None])[0]))
     s, d = settings.s, settings.d
     smelled = np.inf  # nothing yet
     for _ in range(settings.k_max):
-        u = _directions(rng, 1, len(x))
+        u = _directions(record.rng, 1, len(x))
         towards, smelled = _antennae(record, problem, x, u, d=d)
         x = into_bounds(problem, x - s * towards * u)[0]  # eq. 5, minimising
         record.offer(x, float(record.cost(x[None])[0]))
@@ -93,7 +94,7 @@ def solve_bas(
         if record.end_of_iteration():
             return record.stopped()
     finished = smelled <= settings.tolerance * record.best_cost
-    return record.result(*_ending(finished, settings), settings.s, rng)
+    return record.result(settings.s, _ending(finished, settings), converged=finished)
 
 
 def solve_bsas(
@@ -114,35 +115,34 @@ def solve_bsas(
     settings : BsasSettings
         The default is for whitened coordinates; ``BsasSettings()`` is the paper's.
     """
-    check_start(problem)
-    rng = rng or np.random.default_rng(0)
-    record = Record(problem, callback)
+    record = Record(problem, callback, rng)
     x = np.asarray(problem.start, dtype=np.float64)
     f = float(record.cost(x[None])[0])
     record.offer(x, f)
-    s, d, invalid = settings.s, settings.d, 0
+    s, d, invalid, finished = settings.s, settings.d, 0, False
     for _ in range(settings.k_max):
-        u = _directions(rng, settings.m, len(x))
+        u = _directions(record.rng, settings.m, len(x))
         towards, smelled = _antennae(record, problem, x, u, d=d)
         beetles = into_bounds(problem, x - s * towards[:, None] * u)  # eq. 7, minimising
         costs = record.cost(beetles)
         better = np.flatnonzero(costs < f)
         if len(better):  # Algorithm 2, lines 8 to 14
             record.offer_best(beetles, costs)
-            chosen = int(np.argmin(costs)) if rng.random() < settings.p_pos else int(rng.choice(better))
+            chosen = int(np.argmin(costs)) if record.rng.random() < settings.p_pos else int(record.rng.choice(better))
             x, f, invalid = beetles[chosen], float(costs[chosen]), 0
         else:
             invalid += 1
-            if rng.random() < settings.p_st or invalid > settings.n_st:  # Algorithm 2, line 16
+            if record.rng.random() < settings.p_st or invalid > settings.n_st:  # Algorithm 2, line 16
                 s, d = _attenuate(s, d, settings)
                 invalid = 0
         if record.end_of_iteration():
             return record.stopped()
         # The antennae smell no difference, or the step is down at the resolution of eq. 6.
         at_resolution = s <= 1.01 * settings.s_0 / (1 - settings.c_s)
-        if not len(better) and (smelled <= settings.tolerance * f or at_resolution):
-            return record.result(*_ending(True, settings), settings.s, rng)
-    return record.result(*_ending(False, settings), settings.s, rng)
+        finished = not len(better) and (smelled <= settings.tolerance * f or at_resolution)
+        if finished:
+            break
+    return record.result(settings.s, _ending(finished, settings), converged=finished)
 
 
 def _directions(rng: np.random.Generator, beetles: int, n: int) -> FloatArray:
@@ -168,7 +168,7 @@ def _attenuate(s: float, d: float, settings: BasSettings) -> tuple[float, float]
     return settings.c_s * s + settings.s_0, settings.c_d * d + settings.d_0
 
 
-def _ending(finished: bool, settings: BasSettings) -> tuple[SolverStatus, str]:
+def _ending(finished: bool, settings: BasSettings) -> Sentence:
     if finished:
-        return SolverStatus.CONVERGED, f"the antennae smell no difference above {settings.tolerance:g} of the cost"
-    return SolverStatus.ITERATION_LIMIT, f"not converged within {settings.k_max} iterations"
+        return sentence("beetles.smelled", tolerance=settings.tolerance)
+    return sentence("beetles.iteration_limit", iterations=settings.k_max)

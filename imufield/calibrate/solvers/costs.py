@@ -41,30 +41,20 @@ _MOVING = 1e-12  # Relative change in the last pass above which a candidate is i
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NormProblem:
-    """The norms of m positions as a function of n coordinates (satisfies ``solvers.base.Problem``).
+class Coordinates:
+    """The coordinates of a problem: ``parameters = origin + basis z``.
 
     Attributes
     ----------
-    raw : ndarray, shape (m, 3)
-        Zeroed mean outputs.
-    gravity_m_s2 : float
-    sigma_m_s2 : ndarray, shape (m,)
-    origin : ndarray, shape (15,)
-    basis : ndarray, shape (15, n)
-    quadratic_axes : {"sensing", "body"}
-    cost_name : {"absolute", "squares", "weighted"}
+    origin : ndarray, shape (k,)
+        Parameters at the start.
+    basis : ndarray, shape (k, n)
     reach : float
         Bounds of every coordinate: minus and plus this.
     """
 
-    raw: FloatArray
-    gravity_m_s2: float
-    sigma_m_s2: FloatArray
     origin: FloatArray
     basis: FloatArray
-    quadratic_axes: QuadraticAxes = "sensing"
-    cost_name: CostName = "weighted"
     reach: float = np.inf
 
     @property
@@ -77,6 +67,27 @@ class NormProblem:
         """Limits of the coordinates, shape (n,) each."""
         reach = np.full(self.basis.shape[1], self.reach)
         return -reach, reach
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NormProblem(Coordinates):
+    """The norms of m positions as a function of n coordinates (satisfies ``solvers.base.Problem``).
+
+    Attributes
+    ----------
+    raw : ndarray, shape (m, 3)
+        Zeroed mean outputs.
+    gravity_m_s2 : float
+    sigma_m_s2 : ndarray, shape (m,)
+    quadratic_axes : {"sensing", "body"}
+    cost_name : {"absolute", "squares", "weighted"}
+    """
+
+    raw: FloatArray
+    gravity_m_s2: float
+    sigma_m_s2: FloatArray
+    quadratic_axes: QuadraticAxes = "sensing"
+    cost_name: CostName = "weighted"
 
     @property
     def names(self) -> tuple[str, ...]:

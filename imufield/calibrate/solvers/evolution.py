@@ -23,9 +23,12 @@ from typing import Literal
 import numpy as np
 
 from imufield.calibrate.solvers.base import Callback, Problem, SolverResult
-from imufield.calibrate.solvers.population import Record, check_finite_bounds, population_ending, relative_spread
-from imufield.errors import Reason, UsageError
+from imufield.calibrate.solvers.population import Record, check_finite_bounds, relative_spread
+from imufield.errors import UsageError
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Strategy = Literal["rand", "current-to-best", "combined", "adaptive"]
 _FEWEST = 4  # Members a mutant is made from: three distinct ones, and its own parent.
@@ -70,19 +73,18 @@ def evolve(
     UsageError
         If the population is too small.
     """
-    check_finite_bounds(problem)
+    lower, upper = check_finite_bounds(problem)
     settings = settings or DeSettings()
     if settings.NP < _FEWEST:
-        raise UsageError(f"NP = {settings.NP} is too small a population; a mutant takes {_FEWEST} members", Reason.USAGE)
-    rng = rng or np.random.default_rng(0)
-    lower, upper = problem.bounds
-    record = Record(problem, callback)
+        raise UsageError(sentence("evolution.small_population", members=settings.NP, fewest=_FEWEST))
+    record = Record(problem, callback, rng)
+    rng = record.rng
     members = lower + rng.random((settings.NP, len(lower))) * (upper - lower)  # eq. 9
     costs = record.cost(members)
     record.offer_best(members, costs)
     for t in range(settings.EG):
         best = members[int(np.argmin(costs))]
-        mutants = _mutants(strategy, members, best, _Weights.at(t, costs, strategy, settings), rng=rng)
+        mutants = _mutants(strategy, members, best, _weights(t, costs, strategy, settings), rng=rng)
         trials = np.where(rng.random(members.shape) < settings.CR, mutants, members)  # eq. 12
         # Entries outside the bounds are drawn anew within them; the paper does not say what becomes of them.
         outside = (trials < lower) | (trials > upper)
@@ -96,8 +98,7 @@ def evolve(
             return record.stopped()
         if relative_spread(costs) <= settings.interval:
             break
-    ending = population_ending(relative_spread(costs), settings.tolerance, settings.EG)
-    return record.result(*ending, upper - lower, rng)
+    return record.population_result(relative_spread(costs), settings.tolerance, settings.EG)
 
 
 solve_de_rand_1 = partial(evolve, strategy="rand")
@@ -110,30 +111,22 @@ solve_ide = partial(evolve, strategy="adaptive")
 """IDE: the combination with an adaptive mutation factor (eq. 17, 18)."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Weights:
-    """The two numbers that change with the generation."""
-
-    b: float
-    F: float
-
-    @classmethod
-    def at(cls, t: int, costs: FloatArray, strategy: Strategy, settings: DeSettings) -> _Weights:
-        b = 2 * t / settings.EG - (t / settings.EG) ** 2  # eq. 16
-        if strategy != "adaptive":
-            return cls(b, settings.F)
-        # eq. 17 with 1 / f_min - 1 / f_max = L_max - L_min; without a largest cost F stays up
-        finite = costs[np.isfinite(costs)]
-        spread = float(finite.max() - finite.min()) if len(finite) == len(costs) else np.inf
-        damping = 1 + settings.alpha * spread + settings.beta * (1 - t / settings.EG)
-        return cls(b, settings.F_max - (settings.F_max - settings.F_min) / damping)  # eq. 17
+def _weights(t: int, costs: FloatArray, strategy: Strategy, settings: DeSettings) -> tuple[float, float]:
+    """Return b and F, the two numbers that change with the generation."""
+    b = 2 * t / settings.EG - (t / settings.EG) ** 2  # eq. 16
+    if strategy != "adaptive":
+        return b, settings.F
+    # eq. 17 with 1 / f_min - 1 / f_max = L_max - L_min; without a largest cost F stays up
+    spread = float(costs.max() - costs.min()) if np.isfinite(costs).all() else np.inf
+    damping = 1 + settings.alpha * spread + settings.beta * (1 - t / settings.EG)
+    return b, settings.F_max - (settings.F_max - settings.F_min) / damping  # eq. 17
 
 
 def _mutants(
-    strategy: Strategy, members: FloatArray, best: FloatArray, weights: _Weights, *, rng: np.random.Generator
+    strategy: Strategy, members: FloatArray, best: FloatArray, weights: tuple[float, float], *, rng: np.random.Generator
 ) -> FloatArray:
     x, y, z = _three_distinct(len(members), rng)
-    b, F = weights.b, weights.F
+    b, F = weights
     mutants: FloatArray = F * (members[y] - members[z])
     if strategy == "rand":
         mutants += members[x]  # eq. 11

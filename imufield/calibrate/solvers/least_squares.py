@@ -6,6 +6,7 @@ here is wherever the residuals are least.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -13,6 +14,9 @@ import numpy as np
 from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
 from imufield.calibrate.solvers.population import check_start
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
 
@@ -20,11 +24,11 @@ Loss = Literal["linear", "soft_l1", "huber", "cauchy"]
 _TOLERANCE = 1e-14
 # By the status of ``scipy.optimize.least_squares``, whose own words are about the names of its settings.
 _ENDINGS = {
-    0: "the limit of evaluations was reached",
-    1: "no slope was left",
-    2: "the cost fell no further",
-    3: "the parameters moved no further",
-    4: "neither cost nor parameters changed any more",
+    0: "least_squares.evaluation_limit",
+    1: "least_squares.no_slope",
+    2: "least_squares.cost_settled",
+    3: "least_squares.parameters_settled",
+    4: "least_squares.both_settled",
 }
 
 
@@ -65,6 +69,8 @@ def solve_least_squares(
     start = problem.start
     # MINPACK takes neither a robust loss nor fewer residuals than coordinates.
     plain = loss == "linear" and len(problem.residuals(start)) >= len(start)
+    left_domain = sentence("least_squares.left_domain")
+    failed = SolverResult(x=start, cost=np.inf, status=SolverStatus.FAILED, message=left_domain, evaluations=0)
     try:
         fit = scipy.optimize.least_squares(
             problem.residuals,
@@ -79,31 +85,18 @@ def solve_least_squares(
         )
     except (ValueError, np.linalg.LinAlgError) as error:
         # A candidate outside the model's domain has NaN residuals; scipy and LAPACK refuse those.
-        return SolverResult(
-            x=start,
-            cost=np.inf,
-            status=SolverStatus.FAILED,
-            message=f"least squares left the domain of the model: {error}",
-            evaluations=0,
-        )
+        return replace(failed, message=sentence("least_squares.refused_values", cause=error))
     x: FloatArray = fit.x
     cost = float(np.sum(problem.residuals(x) ** 2))
     if not np.isfinite(cost):
-        return SolverResult(
-            x=start,
-            cost=np.inf,
-            status=SolverStatus.FAILED,
-            message="least squares left the domain of the model",
-            evaluations=int(fit.nfev),
-        )
+        return replace(failed, evaluations=int(fit.nfev))
     if callback is not None:
         callback(int(fit.nfev), x, cost)
-    status = SolverStatus(min(int(fit.status), SolverStatus.CONVERGED))  # scipy tells convergence by 1 to 4
     return SolverResult(
         x=x,
         cost=cost,
-        status=status,
-        message=_ENDINGS.get(int(fit.status), str(fit.message)),
+        status=SolverStatus(min(int(fit.status), SolverStatus.CONVERGED)),  # scipy tells convergence by 1 to 4
+        message=sentence(_ENDINGS[int(fit.status)]) if fit.status in _ENDINGS else str(fit.message),
         evaluations=int(fit.nfev) + int(fit.njev or 0),
         history=np.array([cost]),
     )

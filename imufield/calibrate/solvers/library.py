@@ -10,9 +10,12 @@ from types import ModuleType
 import numpy as np
 
 from imufield.calibrate.solvers.base import Callback, Problem, SolverResult
-from imufield.calibrate.solvers.population import Record, check_finite_bounds, population_ending
+from imufield.calibrate.solvers.population import Record, check_finite_bounds
 from imufield.errors import Reason, UsageError
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +32,7 @@ def _pymoo(module: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        raise UsageError(
-            f"the methods ga and pso need the package pymoo, which is not installed ({error}); install imufield[study]",
-            Reason.MISSING_PACKAGE,
-            package="pymoo",
-        ) from error
+        raise UsageError(sentence("library.no_pymoo", cause=error), Reason.MISSING_PACKAGE, package="pymoo") from error
 
 
 def solve_with_pymoo(
@@ -47,10 +46,8 @@ def solve_with_pymoo(
     """Minimise with a class of pymoo's single-objective algorithms."""
     settings = settings or LibrarySettings()
     algorithm = getattr(_pymoo(f"pymoo.algorithms.soo.nonconvex.{name.lower()}"), name)(pop_size=settings.population)
-    check_finite_bounds(problem)
-    rng = rng or np.random.default_rng(0)
-    record = Record(problem, callback)
-    lower, upper = problem.bounds
+    lower, upper = check_finite_bounds(problem)
+    record = Record(problem, callback, rng)
 
     def evaluate(x: FloatArray, out: dict[str, FloatArray]) -> None:
         costs = record.cost(x)
@@ -63,7 +60,7 @@ def solve_with_pymoo(
     algorithm.setup(
         adapted(n_var=len(lower), n_obj=1, xl=lower, xu=upper),
         termination=("n_gen", settings.generations),
-        seed=int(rng.integers(2**31)),  # pymoo has a generator of its own
+        seed=int(record.rng.integers(2**31)),  # pymoo has a generator of its own
         verbose=False,
     )
     while algorithm.has_next():
@@ -72,7 +69,7 @@ def solve_with_pymoo(
             return record.stopped()
     costs = np.asarray(algorithm.pop.get("F"), dtype=np.float64).ravel()
     spread = float((costs.max() - costs.min()) / costs.min()) if costs.min() > 0 else float("inf")
-    return record.result(*population_ending(spread, settings.tolerance, settings.generations), upper - lower, rng)
+    return record.population_result(spread, settings.tolerance, settings.generations)
 
 
 solve_ga = partial(solve_with_pymoo, name="GA")

@@ -13,6 +13,9 @@ import numpy as np
 from imufield.calibrate.solvers.base import Callback, Problem, SolverResult, SolverStatus
 from imufield.errors import CalibrationError, Reason
 from imufield.samples import FloatArray
+from imufield.sentences import Sentence, Sentences
+
+sentence = Sentences(__package__)
 
 _RINGS = 24  # Distances at which a finished swarm is probed.
 _SMALLEST_RING = 1e-12  # Of the largest ring, which is the first step: below that a cost in double precision says nothing.
@@ -28,9 +31,18 @@ class Record:
     ----------
     problem : Problem
     callback : callable, optional
+    rng : Generator, optional
+        Default: one with the seed 0.
+
+    Raises
+    ------
+    CalibrationError
+        If the problem starts outside its bounds.
     """
 
-    def __init__(self, problem: Problem, callback: Callback | None) -> None:
+    def __init__(self, problem: Problem, callback: Callback | None, rng: np.random.Generator | None) -> None:
+        check_start(problem)
+        self.rng = rng or np.random.default_rng(0)
         self.evaluations = 0
         self.best_cost = float("inf")
         self.best = problem.start
@@ -61,33 +73,39 @@ class Record:
 
     def stopped(self) -> SolverResult:
         """Return the result of a run that the callback ended."""
-        return self._result(SolverStatus.STOPPED, f"stopped by the caller after {len(self.history)} iterations")
+        return self._result(SolverStatus.STOPPED, sentence("population.stopped", iterations=len(self.history)))
 
-    def result(self, status: SolverStatus, message: str, reach: float | FloatArray, rng: np.random.Generator) -> SolverResult:
+    def result(self, reach: float | FloatArray, message: Sentence, *, converged: bool) -> SolverResult:
         """Return the result, once a probe around the best point has had its say.
 
         Parameters
         ----------
-        status : SolverStatus
-            What the method itself thinks.
-        message : str
         reach : float or ndarray, shape (n,)
             Radius of the largest ring, in the coordinates.
-        rng : Generator
+        message : Sentence
+        converged : bool
+            What the method itself thinks.
         """
         if not np.isfinite(self.best_cost):
-            return self._result(SolverStatus.STALLED, "no point was found at which the model can be inverted")
-        if status is SolverStatus.CONVERGED:
-            found = lowest_nearby(self._problem, self.best, reach, rng)
-            self.evaluations += found.evaluations
-            # A cost of zero cannot be bettered.
-            gain = 1 - found.cost / self.best_cost if self.best_cost > 0 else 0.0
-            if gain > _CLEARLY_BETTER:
-                status = SolverStatus.STALLED
-                message = f"stalled: {message}, but a point nearby costs {gain:.0%} less"
-        return self._result(status, message)
+            return self._result(SolverStatus.STALLED, sentence("population.no_point"))
+        if not converged:
+            return self._result(SolverStatus.ITERATION_LIMIT, message)
+        cost, evaluations = lowest_nearby(self._problem, self.best, reach, self.rng)
+        self.evaluations += evaluations
+        # A cost of zero cannot be bettered.
+        gain = 1 - cost / self.best_cost if self.best_cost > 0 else 0.0
+        if gain > _CLEARLY_BETTER:
+            return self._result(SolverStatus.STALLED, sentence("population.stalled", message=message, gain=gain))
+        return self._result(SolverStatus.CONVERGED, message)
 
-    def _result(self, status: SolverStatus, message: str) -> SolverResult:
+    def population_result(self, spread: float, tolerance: float, generations: int) -> SolverResult:
+        """Return the result of a population whose costs have this relative spread at its end."""
+        lower, upper = self._problem.bounds
+        agreed = spread <= tolerance
+        key = "population.agreed" if agreed else "population.generation_limit"
+        return self.result(upper - lower, sentence(key, spread=spread, generations=generations), converged=agreed)
+
+    def _result(self, status: SolverStatus, message: Sentence) -> SolverResult:
         return SolverResult(
             x=self.best,
             cost=self.best_cost,
@@ -106,18 +124,8 @@ def relative_spread(costs: FloatArray) -> float:
     return (highest - lowest) / lowest if lowest > 0 else np.inf
 
 
-def population_ending(spread: float, tolerance: float, generations: int) -> tuple[SolverStatus, str]:
-    """Return how a population ended whose costs have this relative spread."""
-    if spread <= tolerance:
-        return SolverStatus.CONVERGED, f"the costs of the population agree to {spread:.1e}"
-    return (
-        SolverStatus.ITERATION_LIMIT,
-        f"not converged within {generations} generations: the costs still spread by {spread:.1e} of the lowest",
-    )
-
-
-def lowest_nearby(problem: Problem, x: FloatArray, reach: float | FloatArray, rng: np.random.Generator) -> SolverResult:
-    """Return the best of a cloud of points around ``x``: along each coordinate and at random, on rings of all sizes."""
+def lowest_nearby(problem: Problem, x: FloatArray, reach: float | FloatArray, rng: np.random.Generator) -> tuple[float, int]:
+    """Return the lowest cost of a cloud of points, and how many: along each coordinate and at random, on rings of all sizes."""
     n = len(x)
     random = rng.standard_normal((_DIRECTIONS_PER_COORDINATE * n, n))
     random /= np.linalg.norm(random, axis=1, keepdims=True)
@@ -125,11 +133,7 @@ def lowest_nearby(problem: Problem, x: FloatArray, reach: float | FloatArray, rn
     directions = np.concatenate([np.eye(n), -np.eye(n), random]) * reach
     rings = np.geomspace(_SMALLEST_RING, 1.0, _RINGS)
     cloud = into_bounds(problem, (x + rings[:, None, None] * directions).reshape(-1, n))
-    cost = problem.cost(cloud)
-    best = int(np.argmin(cost))
-    return SolverResult(
-        x=cloud[best], cost=float(cost[best]), status=SolverStatus.CONVERGED, message="", evaluations=len(cloud)
-    )
+    return float(np.min(problem.cost(cloud))), len(cloud)
 
 
 def into_bounds(problem: Problem, candidates: FloatArray) -> FloatArray:
@@ -154,18 +158,13 @@ def check_start(problem: Problem) -> None:
     """
     start, (lower, upper) = problem.start, problem.bounds
     for index in np.flatnonzero(~((lower <= start) & (start <= upper))):
-        name = coordinate_name(problem, int(index))
-        raise CalibrationError(
-            f"{name} starts at {start[index]:g}, outside its bounds {lower[index]:g} to {upper[index]:g}; widen the bounds or "
-            "change the preset",
-            Reason.NOT_FINITE if np.isnan([start[index], lower[index], upper[index]]).any() else Reason.BOUNDS,
-            parameter=name,
-            start=float(start[index]),
-        )
+        values = {"start": float(start[index]), "lower": lower[index], "upper": upper[index]}
+        reason = Reason.NOT_FINITE if np.isnan(list(values.values())).any() else Reason.BOUNDS
+        raise CalibrationError(sentence("population.start", parameter=coordinate_name(problem, int(index)), **values), reason)
 
 
-def check_finite_bounds(problem: Problem) -> None:
-    """Refuse bounds within which no population can be drawn.
+def check_finite_bounds(problem: Problem) -> tuple[FloatArray, FloatArray]:
+    """Return the bounds; refuse those within which no population can be drawn.
 
     Raises
     ------
@@ -176,9 +175,6 @@ def check_finite_bounds(problem: Problem) -> None:
     lower, upper = problem.bounds
     for index in np.flatnonzero(~np.isfinite(upper - lower)):
         name = coordinate_name(problem, int(index))
-        raise CalibrationError(
-            f"{name} has no finite bounds ({lower[index]:g} to {upper[index]:g}), and this method draws its first population "
-            "within them; give bounds, or use bsas or least-squares",
-            Reason.BOUNDS,
-            parameter=name,
-        )
+        endless = sentence("population.endless_bounds", parameter=name, lower=lower[index], upper=upper[index])
+        raise CalibrationError(endless, Reason.BOUNDS)
+    return lower, upper

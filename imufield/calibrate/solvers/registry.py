@@ -1,16 +1,21 @@
-"""Every solver by name. Listing imports nothing; loading imports one module."""
+"""Every solver by name, as ``methods.toml`` lists them. Listing imports no solver; loading imports one module."""
 
 from __future__ import annotations
 
 import importlib
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import cast
 
 from imufield.calibrate.solvers.base import Solver
 from imufield.calibrate.solvers.costs import CostName
-from imufield.errors import Reason, UsageError
+from imufield.errors import UsageError
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,28 +27,10 @@ class Method:
     module: str
     function: str
     cost_name: CostName
-    """The cost its paper gives it: eq. 13 for beetles, eq. 7 for evolution, chi squared for least squares."""
 
 
-# Name, title, module, function and cost of each method.
-_TABLE: tuple[tuple[str, str, str, str, CostName], ...] = (
-    ("least-squares", "Levenberg-Marquardt, weighted", "least_squares", "solve_least_squares", "weighted"),
-    ("bsas", "beetle swarm, all parameters at once in whitened coordinates", "beetles", "solve_bsas", "absolute"),
-    ("bsas-staged", "beetle swarm, four categories in turn, as printed", "staged", "solve_bsas_staged", "absolute"),
-    ("bas", "one beetle", "beetles", "solve_bas", "absolute"),
-    ("ide", "differential evolution, combined strategy with adaptive factor", "evolution", "solve_ide", "squares"),
-    ("de-combined", "differential evolution, combined strategy", "evolution", "solve_de_combined", "squares"),
-    ("de-rand-1", "differential evolution, rand/1", "evolution", "solve_de_rand_1", "squares"),
-    ("de-current-to-best-1", "differential evolution, current-to-best/1", "evolution", "solve_de_current_to_best_1", "squares"),
-    ("ga", "genetic algorithm (pymoo, for comparison)", "library", "solve_ga", "squares"),
-    ("pso", "particle swarm (pymoo, for comparison)", "library", "solve_pso", "squares"),
-)
-METHODS: Mapping[str, Method] = MappingProxyType(
-    {
-        name: Method(name=name, title=title, module=module, function=function, cost_name=cost_name)
-        for name, title, module, function, cost_name in _TABLE
-    }
-)
+_LISTED = tomllib.loads(Path(__file__).with_name("methods.toml").read_text(encoding="utf-8"))
+METHODS: Mapping[str, Method] = MappingProxyType({name: Method(name=name, **row) for name, row in _LISTED.items()})
 
 
 def find_method(name: str) -> Method:
@@ -55,7 +42,7 @@ def find_method(name: str) -> Method:
         If there is none.
     """
     if name not in METHODS:
-        raise UsageError(f"there is no method {name!r}; use one of {', '.join(METHODS)}", Reason.USAGE, method=name)
+        raise UsageError(sentence("registry.unknown", method=name, known=list(METHODS)))
     return METHODS[name]
 
 

@@ -21,8 +21,11 @@ import numpy as np
 from imufield.calibrate.model.models import BIAS, MISALIGNMENT, PARAMETERS, QUADRATIC, SCALE
 from imufield.calibrate.solvers.base import Callback, Problem, Solver, SolverResult, SolverStatus
 from imufield.calibrate.solvers.beetles import BsasSettings, solve_bsas
-from imufield.calibrate.solvers.population import Record, check_start
+from imufield.calibrate.solvers.population import Record
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 Categories = tuple[tuple[int, ...], ...]
 
@@ -65,6 +68,10 @@ class CategoryProblem:
         filled[..., list(self.members)] = z
         return filled
 
+    def tell(self, callback: Callback, before: int, iteration: int, z: FloatArray, cost: float) -> bool:
+        """Call the callback of the whole with its coordinates and its iteration."""
+        return bool(callback(before + iteration, self.fill(z), cost))
+
     def cost(self, candidates: FloatArray) -> FloatArray:
         """Return the cost of a population of members."""
         return self.whole.cost(self.fill(candidates))
@@ -93,18 +100,13 @@ def solve_stages(
     # Section 3.4 of [1]_, steps 1 to 4, each from where the one before ended.
     for members in categories * rounds:
         part = CategoryProblem(problem, x, members)
-        tell = None if callback is None else partial(_tell, callback, part, sum(len(stage.history) for stage in stages))
-        solved = solver(part, rng=rng, callback=tell)
+        before = sum(len(stage.history) for stage in stages)
+        solved = solver(part, rng=rng, callback=None if callback is None else partial(part.tell, callback, before))
         x = part.fill(solved.x)
         stages.append(replace(solved, x=x))
         if solved.status is SolverStatus.STOPPED:
             break
     return tuple(stages)
-
-
-def _tell(callback: Callback, part: CategoryProblem, before: int, iteration: int, x: FloatArray, cost: float) -> bool:
-    """Call the callback of the whole with its coordinates and its iteration."""
-    return bool(callback(before + iteration, part.fill(x), cost))
 
 
 def solve_bsas_staged(
@@ -115,28 +117,12 @@ def solve_bsas_staged(
     settings: StagedSettings | None = None,
 ) -> SolverResult:
     """Minimise category by category (section 3.4 of [1]_)."""
-    check_start(problem)
     settings = settings or StagedSettings()
-    rng = rng or np.random.default_rng(0)
-
+    record = Record(problem, callback, rng)
     swarm = partial(solve_bsas, settings=settings.swarm)
     categories = default_categories(len(problem.start))
-    stages = solve_stages(problem, categories, rng=rng, callback=callback, rounds=settings.rounds, solver=swarm)
-    return join_stages(problem, stages, settings, rng)
-
-
-def default_categories(n: int) -> Categories:
-    """Return the paper's categories for its 15 parameters or the 12 without K2, else groups of three coordinates."""
-    if n in (PARAMETERS, QUADRATIC.start):
-        return tuple(members for members in PAPER_CATEGORIES if members[0] < n)
-    return tuple(tuple(range(first, min(first + _GROUP, n))) for first in range(0, n, _GROUP))
-
-
-def join_stages(
-    problem: Problem, stages: tuple[SolverResult, ...], settings: StagedSettings, rng: np.random.Generator
-) -> SolverResult:
-    """Return one result of all stages; converged only if the last round is, and nothing nearby is better."""
-    record = Record(problem, None)
+    stages = solve_stages(problem, categories, rng=record.rng, callback=callback, rounds=settings.rounds, solver=swarm)
+    # Converged only if the last round is, and nothing nearby is better.
     record.evaluations = sum(stage.evaluations for stage in stages)
     record.history = [float(cost) for stage in stages for cost in stage.history]
     record.offer(stages[-1].x, stages[-1].cost)
@@ -145,7 +131,15 @@ def join_stages(
     # Earlier rounds may stop early: only the last has to converge.
     last_round = stages[-(len(stages) // settings.rounds) :]
     open_stages = [stage for stage in last_round if not stage.converged]
+    message = sentence("staged.converged", round=settings.rounds)
     if open_stages:
-        message = f"{len(open_stages)} of {len(last_round)} categories did not converge: {open_stages[0].message}"
-        return record.result(SolverStatus.ITERATION_LIMIT, message, settings.swarm.s, rng)
-    return record.result(SolverStatus.CONVERGED, f"all categories converged in round {settings.rounds}", settings.swarm.s, rng)
+        counts = {"open": len(open_stages), "categories": len(last_round)}
+        message = sentence("staged.open_categories", message=open_stages[0].message, **counts)
+    return record.result(settings.swarm.s, message, converged=not open_stages)
+
+
+def default_categories(n: int) -> Categories:
+    """Return the paper's categories for its 15 parameters or the 12 without K2, else groups of three coordinates."""
+    if n in (PARAMETERS, QUADRATIC.start):
+        return tuple(members for members in PAPER_CATEGORIES if members[0] < n)
+    return tuple(tuple(range(first, min(first + _GROUP, n))) for first in range(0, n, _GROUP))

@@ -24,9 +24,10 @@ from typing import Literal
 
 import numpy as np
 
+from imufield.calibrate.model.models import MISALIGNMENT_COLUMNS, MISALIGNMENT_ROWS
 from imufield.samples import FloatArray
 
-_OFF_DIAGONAL = np.array([1, 2, 3, 5, 6, 7])  # Places of T_xy, T_xz, T_yx, T_yz, T_zx, T_zy in a flattened 3 x 3 matrix.
+_OFF_DIAGONAL = 3 * MISALIGNMENT_ROWS + MISALIGNMENT_COLUMNS  # Places of the off-diagonals in a flattened matrix.
 
 
 def unit_diagonal_matrices(off_diagonal: FloatArray) -> FloatArray:
@@ -117,7 +118,7 @@ class TriadProblem(_Bounded):
         w = self.inputs(z[None])[0].T
         KE = z[:3, None] * unit_diagonal_matrices(z[None, 3:9])[0]
         v = w @ np.linalg.inv(KE)  # d |w|^2 / dN = 2 w^T (K E)^-1
-        rows, columns = np.divmod(_OFF_DIAGONAL, 3)
+        rows, columns = MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS
         # d (K E w) / dK is E w, d (K E w) / dE_ij is K_i w_j
         scale = v * (w @ KE.T / z[:3])
         jacobian = -2 * np.hstack([scale, v[:, rows] * z[rows] * w[:, columns], v])
@@ -171,7 +172,7 @@ class TurnsProblem(_Bounded):
         """Return the derivative of ``residuals``, shape (J or 3 J, 9)."""
         J = len(self.rate)
         turned = self.rate @ unit_diagonal_matrices(z[None, 3:])[0].T
-        rows, columns = np.divmod(_OFF_DIAGONAL, 3)
+        rows, columns = MISALIGNMENT_ROWS, MISALIGNMENT_COLUMNS
         derivative = np.zeros((J, 3, 9))  # of K E w
         derivative[:, range(3), range(3)] = turned  # by K
         derivative[:, rows, range(3, 9)] = z[rows] * self.rate[:, columns]  # by E

@@ -215,7 +215,7 @@ def closure(
     if calibration.gyroscope is None or not parameters.gyroscope_is_complete or not len(moves) or not there:
         return None
     data = make_data(GyroscopeInput(observations=observations, moves=moves, calibration=calibration))
-    up, rest = data.up[data.after], data.rest_raw
+    up, rest = data.up[moves.after], data.rest_raw
     # Without a latitude the Earth's rate is left out: 15 deg/h over a move of seconds is below what is drawn.
     vertical = EARTH_RATE_RAD_S * np.sin(np.radians(calibration.gravity.latitude_deg or 0.0))
     before = preset if preset is not None and np.isfinite(preset.scale).all() else None

@@ -326,8 +326,7 @@ def _residual_of(parameters: AccelerometerParameters | None, observations: Obser
 
 def _within(at: NormDerivatives, observations: Observations) -> FloatArray:
     """Return the variance of each mean's norm from the noise within its hold, shape (m,)."""
-    known = known_covariance(observations.covariance_raw)
-    return within_variance(at.raw_gradient, observations.covariance_raw) if known else np.zeros(len(observations))
+    return within_variance(at.raw_gradient, known_covariance(observations.covariance_raw))
 
 
 def _residual(calibration: Calibration, observations: Observations, gravity: Gravity) -> tuple[FloatArray, FloatArray]:

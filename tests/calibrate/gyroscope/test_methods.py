@@ -17,7 +17,10 @@ from imufield.calibrate.gyroscope.turntable import TurntableRun
 from imufield.calibrate.model.models import recover
 from imufield.calibrate.model.result import GyroscopeParameters
 from imufield.errors import Reason, UsageError
+from imufield.sentences import Sentences
 from tests.refused import refused
+
+sentence = Sentences("imufield.calibrate.gyroscope")
 
 
 def values(result: GyroscopeResult) -> np.ndarray:
@@ -65,7 +68,8 @@ def test_methods_prove_one_another_on_moves(result: GyroscopeResult) -> None:
     check = cross_check_gyroscope(result, rng=np.random.default_rng(0))
     assert check is not None
     assert check.agree, check.sentence
-    assert check.what in check.sentence
+    assert check.what == "gyroscope"
+    assert "bsas, ide, least-squares" in check.sentence
     assert 0.0 < check.own_costs.sigma < 3.0
     assert check.one_cost.sigma < 0.02
     assert check.own_costs.parameter.startswith("gyroscope.")
@@ -78,7 +82,7 @@ def test_a_polished_method_ends_where_the_fit_does(result: GyroscopeResult, meth
     assert solved.converged, solved.message
     assert np.all(np.abs(values(found) - values(result)) <= 0.01 * sigmas(result))
     assert found.moves.rms_after_deg == pytest.approx(result.moves.rms_after_deg, rel=1e-3)
-    assert "least squares" in solved.message
+    assert solved.message.key == "base.polished"
 
 
 def test_without_polish_the_swarm_keeps_the_minimum_of_its_own_cost(result: GyroscopeResult) -> None:
@@ -101,7 +105,7 @@ def test_a_method_that_stops_short_says_so(result: GyroscopeResult) -> None:
     _, solved = solve_gyroscope_with("bas", result, rng=np.random.default_rng(0))
     assert solved is not None
     assert not solved.converged
-    with refused(UsageError, Reason.USAGE, "least-squares, bsas") as caught:
+    with refused(UsageError, Reason.USAGE, "least-squares, bsas", key="registry.unknown") as caught:
         solve_gyroscope_with("magic", result, rng=np.random.default_rng(0))
     assert caught.value.values["method"] == "magic"
 
@@ -109,7 +113,7 @@ def test_a_method_that_stops_short_says_so(result: GyroscopeResult) -> None:
 @pytest.mark.parametrize("free", ["bias", "all"])
 def test_methods_prove_one_another_on_the_norm_of_the_earth_rate(still: GyroscopeInput, free: str) -> None:
     found = calibrate_gyroscope(replace(still, static_free=free))  # type: ignore[arg-type]
-    assert found.calibration.path.startswith("static norm")
+    assert found.calibration.path.key == f"report.norm_{free}"
     check = cross_check_gyroscope(found, rng=np.random.default_rng(0))
     assert check is not None
     assert check.agree, check.sentence
@@ -133,7 +137,7 @@ def test_turntable_rates_are_searched_in_the_vector_form(session: Session) -> No
         for way in (1.0, -1.0)
     ]
     with_table = calibrate_gyroscope(replace(session.given, turntable=runs))
-    assert "9 pairs" in with_table.calibration.path
+    assert sentence("report.table", pairs=9) in with_table.calibration.path
     check = cross_check_gyroscope(with_table, rng=np.random.default_rng(0))
     assert check is not None
     assert check.agree, check.sentence

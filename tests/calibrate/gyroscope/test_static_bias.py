@@ -9,6 +9,9 @@ import pytest
 from calibration_truth import GRAVITY, campaign, observe, paper24, random_parameters
 
 from imufield.calibrate.accelerometer.accelerometer import calibrate_accelerometer
+from imufield.calibrate.gyroscope.calibrate import calibrate_gyroscope
+from imufield.calibrate.gyroscope.input import GyroscopeInput
+from imufield.calibrate.gyroscope.moves import cut_moves, no_slots
 from imufield.calibrate.gyroscope.report import static_bias_result
 from imufield.calibrate.gyroscope.static import static_bias
 from imufield.earth import EARTH_RATE_RAD_S, Gravity
@@ -47,8 +50,7 @@ def test_at_the_pole_the_earth_is_taken_off_exactly() -> None:
     assert known.parameters.bias == pytest.approx(BIAS, abs=1e-12)
     assert known.sigma.bias == pytest.approx(np.zeros(3), abs=1e-12)
     assert np.abs(unknown.parameters.bias - BIAS).max() > 0.01
-    assert "vertical Earth rate" in known.path
-    assert "latitude" in unknown.path
+    assert (known.path.key, unknown.path.key) == ("static.bias", "static.bias_no_latitude")
     assert np.isnan(known.sigma.scale).all()
 
 
@@ -65,14 +67,19 @@ def test_sigma_covers_the_error_and_holds_the_unknown_heading() -> None:
 
 def test_without_scale_or_attitude_it_says_so() -> None:
     observations = observe(paper24(), gyroscope=still_gyroscope(np.random.default_rng(0), 45.0))
-    assert "scale" in static_bias(observations, None).path
-    assert "attitude" in static_bias(observations, SCALE, latitude_deg=45.0).path
+    assert static_bias(observations, None).path.key == "static.bias_no_scale"
+    assert static_bias(observations, SCALE, latitude_deg=45.0).path.key == "static.bias_no_attitude"
     assert np.isnan(static_bias(observations, None).parameters.scale).all()
 
 
 def test_without_a_gyroscope_it_is_refused() -> None:
-    with refused(CalibrationError, Reason.TOO_FEW) as caught:
-        static_bias(observe(paper24()), SCALE)
+    observations = observe(paper24())
+    nothing = cut_moves(no_slots(), observations.start_s, observations.duration_s)
+    calibration = calibrate_accelerometer(
+        observe(400 * GRAVITY * paper24()), Gravity(gravity_m_s2=GRAVITY, sigma_m_s2=1e-4, source="typed")
+    )
+    with refused(CalibrationError, Reason.TOO_FEW, key="input.too_few_stills") as caught:
+        calibrate_gyroscope(GyroscopeInput(observations=observations, moves=nothing, calibration=calibration))
     assert caught.value.values["positions"] == 0
 
 

@@ -77,8 +77,8 @@ def test_a_wrong_latitude_is_seen() -> None:
         fitted = fit_static(data, np.asarray(np.linalg.inv(M)), 45.5)
         latitude, sigma = observed_latitude_deg(fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)
         assert latitude == pytest.approx(45.0, abs=4 * sigma)
-        assert "contradicts" in latitude_words(45.5, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)[0]
-        assert "contradicts" not in latitude_words(45.0, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s)[0]
+        found = [latitude_words(deg, fitted.vertical_rad_s, fitted.vertical_sigma_rad_s).key for deg in (45.5, 45.0)]
+        assert found == ["static.latitude_contradicted", "static.latitude_seen"]
 
 
 def test_only_fine_instruments_see_the_earth() -> None:

@@ -43,8 +43,15 @@ def test_pairs_are_free_of_bias_and_centripetal_force() -> None:
     assert np.linalg.eigvalsh(table.rate_covariance).min() > 0
 
 
+def test_the_order_of_the_runs_does_not_matter() -> None:
+    both_ways = runs(np.eye(3))
+    table = pair_runs([*both_ways[::2], *both_ways[:0:-2]])
+    assert len(table) == 9
+    assert matrix_from_pairs(table) == pytest.approx(M, abs=1e-12)
+
+
 def test_a_run_without_counterpart_is_refused() -> None:
-    with refused(CalibrationError, Reason.TOO_FEW, "+10.0 deg/s") as caught:
+    with refused(CalibrationError, Reason.TOO_FEW, "+10.0 deg/s", key="turntable.no_counterpart") as caught:
         pair_runs(runs(np.eye(3))[:1])
     assert caught.value.values["rate_deg_s"] == 10
 

@@ -147,12 +147,12 @@ def test_left_handed_axes_are_refused() -> None:
     vector = np.zeros(15)
     vector[:3] = 1
     vector[6:12] = (5, 0, 5, 0, 0, 0)  # x and y sensing axes nearly exchanged
-    with refused(CalibrationError, Reason.HANDEDNESS) as caught:
+    with refused(CalibrationError, Reason.HANDEDNESS, key="gauge.left_handed") as caught:
         change_gauge(vector, "lower")
     assert caught.value.values["volume"] < 0
     assert caught.value.reason is Reason.HANDEDNESS
 
 
 def test_preset_gauge_needs_a_preset(vector: FloatArray) -> None:
-    with refused(UsageError, Reason.USAGE, "--preset"):
+    with refused(UsageError, Reason.USAGE, "--preset", key="gauge.no_preset"):
         change_gauge(vector, "preset")

@@ -90,7 +90,7 @@ def test_no_real_root_is_a_typed_error() -> None:
     bent = AccelerometerParameters(
         scale=np.full(3, 100.0), bias_m_s2=np.zeros(3), misalignment_rad=np.zeros((3, 3)), quadratic=np.array([0.0, -10.0, 0.0])
     )
-    with refused(CalibrationError, Reason.BOUNDS, "5000") as caught:
+    with refused(CalibrationError, Reason.BOUNDS, "5000", key="models.turning_point") as caught:
         recover(bent, np.array([[0.0, 0.0, 0.0], [0.0, 5000.0, 0.0]]))
     assert caught.value.values["axis"] == "y"
     assert caught.value.values["row"] == 1
@@ -105,7 +105,7 @@ def test_no_contraction_is_a_typed_error() -> None:
         quadratic=np.full(3, 30.0),
         quadratic_axes="body",
     )
-    with refused(CalibrationError, Reason.NOT_CONVERGED, "2000.0") as caught:
+    with refused(CalibrationError, Reason.NOT_CONVERGED, "2000.0", key="models.no_inverse") as caught:
         recover(wild, np.full((1, 3), 2000.0))
     assert caught.value.reason is Reason.NOT_CONVERGED
 

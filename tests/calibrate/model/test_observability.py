@@ -62,15 +62,16 @@ def test_a_large_quadratic_term_on_body_axes_does_not_hide_the_turns() -> None:
 def test_one_side_of_an_axis_is_refused_by_name() -> None:
     up = np.vstack([paper24(), tilted(paper24(), np.random.default_rng(0), 0.3)])
     seen = seen_from(up[up[:, 2] > 0.9])
-    with refused(CalibrationError, Reason.UNOBSERVABLE, "scale", "bias") as caught:
+    with refused(CalibrationError, Reason.UNOBSERVABLE, key="observability.scale_and_bias") as caught:
         require_scale_and_bias(seen)
+    assert caught.value.values["axes"] == ("x", "y", "z")
     assert caught.value.reason is Reason.UNOBSERVABLE
 
 
 def test_positions_in_one_plane_are_refused() -> None:
     angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     circle = np.column_stack([np.cos(angle), np.sin(angle), 0.3 * np.cos(angle)])
-    with refused(CalibrationError, Reason.UNOBSERVABLE, "24 positions") as caught:
+    with refused(CalibrationError, Reason.UNOBSERVABLE, "24 positions", key="observability.one_plane") as caught:
         require_space(400 * GRAVITY * circle)
     assert caught.value.values["thickness"] < 0.1
 
@@ -78,7 +79,7 @@ def test_positions_in_one_plane_are_refused() -> None:
 def test_a_dead_axis_is_refused() -> None:
     raw = 400 * GRAVITY * paper24()
     raw[:, 1] = 32767
-    with refused(CalibrationError, Reason.SATURATED, "32767") as caught:
+    with refused(CalibrationError, Reason.SATURATED, "32767", key="observability.dead_axis") as caught:
         require_space(raw)
     assert caught.value.values["axis"] == "y"
     assert caught.value.reason is Reason.SATURATED

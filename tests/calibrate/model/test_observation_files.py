@@ -64,31 +64,34 @@ def test_unit_is_seen_in_the_size_or_given(tmp_path: Path, one_g: float, unit: s
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "column", "facts"),
+    ("text", "line", "column", "key", "facts"),
     [
-        ("", None, None, ("ax,ay,az",)),
-        ("ax,ay\n1,2\n", 1, None, ("az",)),
-        ("ax,ay,az,gx\n1,2,3,4\n", 1, None, ("gy, gz",)),
-        ("ax,ay,az,foo\n1,2,3,4\n", 1, None, ("'foo'",)),
-        ("ax,ay,az,ax\n1,2,3,4\n", 1, None, ("'ax'",)),
-        ("ax,ay,az\n1,2\n", 2, None, ("2 values", "3 columns")),
-        ("ax,ay,az\n\n1,2,x\n", 3, "az", ("'x'",)),
-        ("ax,ay,az\n1,,3\n", 2, "ay", ("''",)),
-        ("ax,ay,az\n1,nan,3\n", 2, "ay", ("nan",)),
-        ("ax,ay,az,sigma_ax,sigma_ay,sigma_az\n1,2,3,1,-1,1\n", 2, "sigma_ay", ("-1",)),
+        ("", None, None, "empty", ("ax,ay,az",)),
+        ("ax,ay\n1,2\n", 1, None, "missing_column", ("az",)),
+        ("ax,ay,az,gx\n1,2,3,4\n", 1, None, "missing_columns", ("gy, gz",)),
+        ("ax,ay,az,foo\n1,2,3,4\n", 1, None, "unknown_column", ("'foo'",)),
+        ("ax,ay,az,ax\n1,2,3,4\n", 1, None, "twice", ("'ax'",)),
+        ("ax,ay,az\n1,2\n", 2, None, "row_length", ("2 values", "3 columns")),
+        ("ax,ay,az\n\n1,2,x\n", 3, "az", "not_a_number", ("'x'",)),
+        ("ax,ay,az\n1,,3\n", 2, "ay", "not_a_number", ("''",)),
+        ("ax,ay,az\n1,nan,3\n", 2, "ay", "impossible", ("nan",)),
+        ("ax,ay,az,sigma_ax,sigma_ay,sigma_az\n1,2,3,1,-1,1\n", 2, "sigma_ay", "impossible", ("-1",)),
         (
             "ax,ay,az\n1,5,2,5,9,81\n",
             2,
             None,
+            "decimal_commas",
             ("6 values", "3 columns", "semicolons"),
         ),
-        ("ax ay az\n1 2 3\n", 1, None, ("'ax ay az'", "commas", "semicolons", "tabs")),
-        ("ax;ay;az\n1,5;2;1,234,5\n", 2, "az", ("'1.234.5'",)),
-        ('ax,ay,az\n1,2,"3\n4"\n', 2, None, ("CSV",)),
+        ("ax ay az\n1 2 3\n", 1, None, "blanks", ("'ax ay az'", "commas", "semicolons", "tabs")),
+        ("ax;ay;az\n1,5;2;1,234,5\n", 2, "az", "not_a_number", ("'1.234.5'",)),
+        ('ax,ay,az\n1,2,"3\n4"\n', 2, None, "not_csv", ("CSV",)),
     ],
 )
-def test_mistakes_are_named(tmp_path: Path, text: str, line: int | None, column: str | None, facts: tuple[str, ...]) -> None:
-    with refused(RecordingError, Reason.BAD_DATA, "means.csv", *facts) as caught:
+def test_mistakes_are_named(
+    tmp_path: Path, text: str, line: int | None, column: str | None, key: str, facts: tuple[str, ...]
+) -> None:
+    with refused(RecordingError, Reason.BAD_DATA, "means.csv", *facts, key=f"observation_files.{key}") as caught:
         read_observations(write(tmp_path, text))
     assert caught.value.values["line"] == line
     assert caught.value.values["column"] == column
@@ -96,9 +99,9 @@ def test_mistakes_are_named(tmp_path: Path, text: str, line: int | None, column:
 
 
 def test_unreadable_files(tmp_path: Path) -> None:
-    with refused(RecordingError, Reason.NOT_A_RECORDING, "nowhere.csv"):
+    with refused(RecordingError, Reason.NOT_A_RECORDING, "nowhere.csv", key="observation_files.unreadable"):
         read_observations(tmp_path / "nowhere.csv")
     binary = tmp_path / "binary.csv"
     binary.write_bytes(b"ax,ay,az\n\xff\xfe\n")
-    with refused(RecordingError, Reason.BAD_DATA, "UTF-8"):
+    with refused(RecordingError, Reason.BAD_DATA, key="observation_files.not_utf8"):
         read_observations(binary)

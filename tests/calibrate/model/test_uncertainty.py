@@ -117,11 +117,11 @@ def test_gravity_sensitivity_against_scaled_parameters() -> None:
 
 def test_known_covariance() -> None:
     good = np.broadcast_to(np.eye(3), (4, 3, 3)).copy()
-    assert known_covariance(good)
+    assert known_covariance(good) is good
     for bad in (0.0, -1.0, np.nan):
         damaged = good.copy()
         damaged[2] *= bad
-        assert not known_covariance(damaged)
+        assert known_covariance(damaged) is None
 
 
 def test_a_covariance_that_is_not_known_is_left_as_it_is() -> None:

@@ -19,6 +19,7 @@ from imufield.calibrate.noise.noise_fit import FLICKER, identify, terms
 from imufield.calibrate.noise.noise_texts import draw_plot, noise_text
 from imufield.errors import CalibrationError, Reason, RecordingError, UsageError
 from imufield.samples import FloatArray, Samples, SampleUnits, make_samples
+from tests.calibrate.told import told
 from tests.refused import refused
 
 pytest.importorskip("allantools")
@@ -103,16 +104,16 @@ def test_limits_of_the_deviation() -> None:
 
 def test_too_short_is_said() -> None:
     result = measure_noise(standstill(0.1))
-    said = " ".join(sentence for axis in result.axes for sentence in axis.sentences)
-    assert "random walk of gyroscope x" in said
-    assert "bias instability of accelerometer z" in said
+    said = [sentence for axis in result.axes for sentence in axis.sentences]
+    assert "gyroscope x" in [one.values["name"] for one in told(said, "noise.no_walk")]
+    assert "accelerometer z" in [one.values["name"] for one in told(said, "noise.no_instability")]
     assert np.isnan(result.values("gyroscope", "walk")).all()
     assert np.all(result.upper_limits("gyroscope", "walk") > 0)
-    with refused(CalibrationError, Reason.TOO_FEW, "60 s") as caught:
+    with refused(CalibrationError, Reason.TOO_FEW, "60 s", key="noise.too_short") as caught:
         measure_noise(standstill(0.01))
     assert caught.value.values["longest_s"] < 60
     assert caught.value.reason is Reason.TOO_FEW
-    with refused(RecordingError, Reason.NOT_A_RECORDING):
+    with refused(RecordingError, Reason.NOT_A_RECORDING, key="noise.no_samples"):
         measure_noise([])
 
 
@@ -120,11 +121,11 @@ def test_quantisation_is_said() -> None:
     result = measure_noise(standstill(0.2, step=0.014, walk=0 * WALK))
     quantised = [axis for axis in result.axes if axis.quantised]
     assert {axis.name[0] for axis in quantised} == {"a"}
-    assert "quantisation" in quantised[0].sentences[0]
+    assert told(quantised[0].sentences[:1], "noise.quantised")
     assert not quantised[0].density.observed
     assert quantised[0].density.high > DENSITY[0]
     dead = [axis for axis in result.axes if not np.isfinite(axis.step)]
-    assert all("never changed" in axis.sentences[0] for axis in dead)
+    assert all(told(axis.sentences[:1], "noise.dead") for axis in dead)
     assert len(dead) == 3
 
 
@@ -136,6 +137,7 @@ def test_moved_units_are_cut_and_the_longest_stretch_is_used() -> None:
         blocks.append(block)
     result = measure_noise(blocks)
     assert result.duration_s == pytest.approx(1500, abs=2)
+    assert told(result.sentences[:1], "noise.moved")
     assert "1500 s" in result.sentences[0]
     assert result.triad("accelerometer")[2].density.value == pytest.approx(1e-3, rel=0.05)
 
@@ -149,8 +151,8 @@ def test_losses_are_bridged_or_cut() -> None:
     result = measure_noise(lossy())
     assert result.start_s == pytest.approx(103, abs=1)
     assert result.bridged > 10
-    assert "missing" in result.sentences[0]
-    assert "bridged" in result.sentences[-1]
+    assert told(result.sentences[:1], "noise.missing_samples")
+    assert told(result.sentences[-1:], "noise.bridged")
     assert result.values("gyroscope", "density") == pytest.approx(DENSITY[3:], rel=0.05)
 
 
@@ -170,7 +172,7 @@ def test_an_accelerometer_alone() -> None:
     result = measure_noise(blocks)
     assert len(result.axes) == 3
     assert np.isnan(result.values("gyroscope", "density")).all()
-    with refused(UsageError, Reason.UNITS):
+    with refused(UsageError, Reason.UNITS, key="noise_texts.not_si"):
         noise_text(result, "kalibr")
 
 
@@ -181,7 +183,7 @@ def test_raw_units_need_a_scale() -> None:
     assert raw.axes[0].unit == "count"
     assert not raw.is_si
     assert scaled.values("gyroscope", "density") == pytest.approx(DENSITY[3:], rel=0.05)
-    with refused(UsageError, Reason.UNITS):
+    with refused(UsageError, Reason.UNITS, key="noise_texts.not_si"):
         noise_text(raw, "vins")
 
 
@@ -215,7 +217,7 @@ def test_missing_allantools_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> No
         raise ImportError(name)
 
     monkeypatch.setattr(importlib, "import_module", refuse)
-    with refused(UsageError, Reason.MISSING_PACKAGE, "imufield[noise]"):
+    with refused(UsageError, Reason.MISSING_PACKAGE, "imufield[noise]", key="allan.no_allantools"):
         load_allantools()
 
 

@@ -78,7 +78,7 @@ def test_one_beetle_stalls_there_and_says_so() -> None:
     problem, rng = _table_3_problem(0)
     found = solve_bas(problem, rng=rng)
     assert found.status is SolverStatus.STALLED
-    assert "stalled" in found.message
+    assert found.message.key == "population.stalled"
     assert found.cost > 10 * exact_absolute_minimum(problem)[0]
 
 

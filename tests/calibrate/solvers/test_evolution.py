@@ -32,6 +32,7 @@ def test_the_order_of_the_strategies_is_the_papers() -> None:
 def test_what_has_not_converged_says_so() -> None:
     found = solve_de_rand_1(ide_problem(np.random.default_rng(0)), rng=np.random.default_rng(0))
     assert not found.converged
+    assert found.message.key == "population.generation_limit"
     assert "1200 generations" in found.message
 
 
@@ -48,14 +49,14 @@ def test_three_indices_are_distinct_and_uniform() -> None:
 
 def test_weights_follow_equations_16_and_17() -> None:
     settings = DeSettings()
-    start = evolution._Weights.at(0, np.array([1.0, 3.0]), "adaptive", settings)
-    assert start.b == 0
-    assert pytest.approx(1.2 - 0.85 / (1 + 0.1 * 2 + 0.15)) == start.F
-    end = evolution._Weights.at(settings.EG, np.array([1.0, 1.0]), "adaptive", settings)
-    assert end.b == 1
-    assert pytest.approx(settings.F_min) == end.F
+    b, F = evolution._weights(0, np.array([1.0, 3.0]), "adaptive", settings)
+    assert b == 0
+    assert pytest.approx(1.2 - 0.85 / (1 + 0.1 * 2 + 0.15)) == F
+    b, F = evolution._weights(settings.EG, np.array([1.0, 1.0]), "adaptive", settings)
+    assert b == 1
+    assert pytest.approx(settings.F_min) == F
 
 
 def test_a_population_too_small_for_a_mutant_is_refused() -> None:
-    with refused(UsageError, Reason.USAGE, "NP = 3"):
+    with refused(UsageError, Reason.USAGE, "NP = 3", key="evolution.small_population"):
         solve_ide(ide_problem(np.random.default_rng(0)), settings=DeSettings(NP=3))
