@@ -88,9 +88,6 @@ class ImufieldError(Exception):
 class UsageError(ImufieldError, ValueError):
     """An option, a file name or a value typed by the user makes no sense."""
 
-    exit_code = 2
-    default_reason = Reason.USAGE
-
 
 class LinkError(ImufieldError, ConnectionError):
     """The port, bus or network link does not do what was asked."""

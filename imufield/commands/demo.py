@@ -24,7 +24,7 @@ from imufield.acquire.link.host_clock import ScaledClock
 from imufield.calibrate.model.gauge import intrinsic
 from imufield.calibrate.model.models import to_vector
 from imufield.calibrate.model.result import AccelerometerParameters, Calibration
-from imufield.commands.options.acquire import CaptureOptions, DemoOptions
+from imufield.commands.options.commands import CaptureOptions, DemoOptions
 from imufield.commands.terminal.connection import say_assumed
 from imufield.commands.terminal.guided import Captured, guided_session, new_session
 from imufield.commands.terminal.output import before_recording
@@ -35,7 +35,10 @@ from imufield.pipeline.calibration import SolveSettings
 from imufield.pipeline.site import SiteOptions
 from imufield.pipeline.solving import solve_session
 from imufield.samples import FloatArray
+from imufield.sentences import Sentences
 from imufield.simulate.truth.motion import Site
+
+sentence = Sentences(__package__)
 
 RATE_HZ = 500.0  # Below the 2000 Hz the instrument can, so that a small machine keeps up with eight times real time.
 HOLD_S = 5.0  # Shorter than a real session needs, so that the whole takes minutes.
@@ -128,23 +131,19 @@ def _emulator(seed: int, speed: float, truth: Path) -> Iterator[str]:
         try:
             line = process.stdout.readline() if process.stdout is not None else ""
             if not line:
-                raise LinkError("the emulator did not start; run `imufield emulate stim300` to see why", Reason.PORT_NOT_FOUND)
+                raise LinkError(sentence("demo.no_emulator"), Reason.PORT_NOT_FOUND)
             yield str(json.loads(line)["port"])
         finally:
             process.terminate()
 
 
-def true_parameters(truth: dict[str, Any]) -> AccelerometerParameters:
-    """Return the simulator's accelerometer from its truth file; its bias with what the slow drift added on average."""
-    table = truth["accelerometer"]
-    values = {name: np.array(table[name]) for name in ("scale", "bias_m_s2", "misalignment_rad", "quadratic", "raw_zero")}
-    values["bias_m_s2"] = values["bias_m_s2"] + np.array(table["mean_drift_m_s2"])
-    return AccelerometerParameters(**values, quadratic_axes=table["quadratic_axes"])
-
-
 def compare(calibration: Calibration, truth: dict[str, Any]) -> FloatArray:
     """Return the gauge-free errors in units of their sigma, shape (12,)."""
-    true, _ = intrinsic(to_vector(true_parameters(truth)))
+    table = truth["accelerometer"]
+    given = {name: np.array(table[name]) for name in ("scale", "bias_m_s2", "misalignment_rad", "quadratic", "raw_zero")}
+    # The bias with what the slow drift added on average.
+    given["bias_m_s2"] = given["bias_m_s2"] + np.array(table["mean_drift_m_s2"])
+    true, _ = intrinsic(to_vector(AccelerometerParameters(**given, quadratic_axes=table["quadratic_axes"])))
     found = calibration.intrinsic
     values = np.concatenate([found.scale, found.bias_raw, found.angle_rad, found.quadratic])
     sigma = np.concatenate([found.scale_sigma, found.bias_raw_sigma, found.angle_sigma_rad, found.quadratic_sigma])

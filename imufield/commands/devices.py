@@ -10,7 +10,7 @@ import typer
 
 from imufield.acquire.link.ports import can_channels, serial_ports
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.commands.options.acquire import DevicesOptions
+from imufield.commands.options.commands import DevicesOptions
 from imufield.deliver.parameters.numbers import hanging
 from imufield.errors import ProtocolError
 

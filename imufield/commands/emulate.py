@@ -6,22 +6,26 @@ import json
 import math
 import shlex
 from dataclasses import fields
-from typing import Any
+from typing import Any, get_args
 
 import typer
 
 from imufield.acquire.protocol.toml import spell
 from imufield.acquire.registry import driver_names, load_driver
-from imufield.commands.options.acquire import EmulateOptions
+from imufield.commands.options.commands import EmulateOptions
 from imufield.commands.terminal.output import replace_only
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import UsageError
 from imufield.guide.positions import scheme
+from imufield.pipeline.calibration import one_of
 from imufield.pipeline.chain import REVISIT_FROM, ROTATIONS
+from imufield.sentences import Sentences
 from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
 from imufield.simulate.emulator.emulate import TRUTH_FORMAT, Emulation, WireChoice, choose_wire, emulate
 from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
-from imufield.simulate.truth.operator import OperatorSettings
+from imufield.simulate.truth.operator import OperatorSettings, StillKind
+
+sentence = Sentences(__package__)
 
 STANDS_STILL = "none"
 INITIAL_STILL_S = 6.0
@@ -33,8 +37,7 @@ ROUNDS = 20
 def run_emulate(options: EmulateOptions) -> None:
     """Emulate until the time is over or the user interrupts, telling the port first."""
     if options.truth is not None:
-        what = f"--truth {options.truth} holds something else than the truth of an emulation"
-        replace_only(options.truth, TRUTH_FORMAT, what)
+        replace_only(options.truth, TRUTH_FORMAT, "--truth", "the truth of an emulation")
     emulation = make_emulation(options)
     emulator = emulate(emulation, on_start=lambda running: _announce(options, emulation, running))
     if not options.as_json:
@@ -50,10 +53,9 @@ def make_emulation(options: EmulateOptions) -> Emulation:
         If one is not known.
     """
     on_bus = _is_on_bus(options)
-    if options.style not in ("placed", "held"):
-        raise UsageError(f"--style {options.style!r} is neither placed nor held")
-    if options.rotations not in (None, *ROTATIONS):
-        raise UsageError(f"--rotations {options.rotations!r} is unknown; choose one of {', '.join(ROTATIONS)}")
+    style: StillKind = one_of("style", options.style, get_args(StillKind))
+    if options.rotations is not None:
+        one_of("rotations", options.rotations, tuple(ROTATIONS))
     positions = None if options.positions == STANDS_STILL else scheme(options.positions)
     rounds = options.rounds or (ROUNDS if options.rotations is None else 1)
     # A long session ends with the first position again, as ``capture`` asks for it.
@@ -66,10 +68,10 @@ def make_emulation(options: EmulateOptions) -> Emulation:
         day=options.day,
         directions=directions,
         operator=OperatorSettings(
-            style=options.style,  # type: ignore[arg-type]  # checked above
+            style=style,
             hold_s=options.hold_s,
             initial_still_s=INITIAL_STILL_S,
-            begins_in_first_position=options.style == "placed",
+            begins_in_first_position=style == "placed",
             rotations=options.rotations,  # type: ignore[arg-type]  # checked above
         ),
         faults=parse_faults(options.faults or [], CanFaults if on_bus else Faults),
@@ -88,9 +90,7 @@ def _is_on_bus(options: EmulateOptions) -> bool:
         return options.bus is not None
     names = driver_names()
     if options.driver not in names:
-        raise UsageError(
-            f"there is no emulator for {options.driver!r}; choose one of {', '.join(names)}, or give a protocol file (.toml)"
-        )
+        raise UsageError(sentence("emulate.no_emulator", driver=options.driver, names=names))
     return load_driver(options.driver).wire == "can"
 
 
@@ -116,7 +116,7 @@ def parse_faults(texts: list[str], kind: type[WireFaults] = Faults) -> WireFault
             # Refused below together with inf and nan, which float would take.
             number = math.nan
         if name not in known or not math.isfinite(number):
-            raise UsageError(f"--fault {text!r} is not of the form NAME=NUMBER with a name of {', '.join(sorted(known))}")
+            raise UsageError(sentence("emulate.fault", text=text, known=sorted(known)))
         # A cable can be pulled several times; of every other fault the last one typed stands.
         values[name] = (*values.get(name, ()), number) if name == "disconnect_at_s" else number
     return kind(**values)

@@ -16,12 +16,15 @@ from imufield.acquire.link.reconnect import PatientLink
 from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.recorder import Recorder
 from imufield.acquire.recording.session import Session, create_session
-from imufield.commands.options.acquire import RecordOptions
+from imufield.commands.options.commands import RecordOptions
 from imufield.commands.terminal.connection import host_clock, say_assumed
 from imufield.commands.terminal.output import say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import LinkError, RecordingError
 from imufield.pipeline.chain import part_metadata
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 TELL_EVERY_S = 1.0  # A count that changes faster cannot be read.
 
@@ -86,7 +89,7 @@ def _record(connected: Connected, decoder: Decoder, recorder: Recorder, clock: H
 def _tell_link(lost: LinkError | None, *, was_lost: bool) -> bool:
     """Say when the link goes and when it is back; return whether it is lost."""
     if lost is not None and not was_lost:
-        say(f"{lost.message}; waiting until it is back (Ctrl-C ends the recording)", err=True)
+        say(sentence("record.waiting", lost=lost.message), err=True)
     elif was_lost and lost is None:
         say("the link is back", err=True)
     return lost is not None
@@ -118,5 +121,5 @@ def _tell_end(session: Session, decoder: Decoder, as_json: bool) -> None:
     if sys.stdout.isatty():
         typer.echo()
     typer.echo(beside(f"{counts.samples} samples, {counts.lost} lost, session", session.folder))
-    for sentence in remarks([counts]):
-        say(sentence)
+    for remark in remarks([counts]):
+        say(remark)

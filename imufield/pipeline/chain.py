@@ -29,6 +29,9 @@ from imufield.guide.positions import scheme
 from imufield.guide.stillness.scale import RoughScale
 from imufield.pipeline.damage import require_samples
 from imufield.samples import FloatArray, Samples
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 MARK = "mark"
 """Name of a recorded event: what the operator said, to be said again on replay."""
@@ -38,7 +41,6 @@ ROTATIONS = {"rolled": HORIZONTAL, "table": VERTICAL}
 """Kinds of whole turns, as ``--rotations`` names them, and the axis they are about."""
 SCHEME_FILE = "positions.toml"
 """Copy, in the session's folder, of positions that are not shipped: the session must be solved again without their file."""
-PART_BEGINS = "the session goes on after a pause; everything measured so far is kept"
 PART_GAP_S = 1.0
 """Least time between the samples of two parts, whatever the clocks of the host say of them."""
 
@@ -117,18 +119,17 @@ class Chain:
             If its samples have other units than those of the parts before.
         """
         if self.protocol is not None and protocol.units != self.protocol.units:
-            raise ProtocolError(
-                f"the parts of this session have different units ({self.protocol.units.accelerometer} and "
-                f"{protocol.units.accelerometer}); import or solve them one by one",
-                Reason.UNITS,
-            )
+            units = [self.protocol.units.accelerometer, protocol.units.accelerometer]
+            raise ProtocolError(sentence("chain.units", units=units), Reason.UNITS)
         self.protocol = protocol
         # Not before the first part: the judge needs the units and the rough scale, which its protocol tells.
         if self._judging and self.guide is None and self.finder is None:
             self._make_judge(protocol)
         events = self._start_decoder(protocol)
         # Whoever stopped and goes on wanted the pause: to call it a lost link would alarm for nothing.
-        return [replace(event, words=PART_BEGINS) if isinstance(event, LinkLost) else event for event in events]
+        return [
+            replace(event, words=sentence("chain.part_begins")) if isinstance(event, LinkLost) else event for event in events
+        ]
 
     def feed_block(self, block: RecordedBlock) -> list[Event]:
         """Take many recorded reads at once, as if they came one by one."""
@@ -140,7 +141,7 @@ class Chain:
 
     def _started(self) -> Decoder:
         if self.decoder is None:
-            raise RecordingError("bytes stand before the start of a part; the recording is damaged", Reason.DAMAGED)
+            raise RecordingError(sentence("chain.no_part"), Reason.DAMAGED)
         return self.decoder
 
     def _take(self, samples: Samples, utc_ns: int) -> list[Event]:
@@ -261,11 +262,10 @@ def recorded_protocol(metadata: Mapping[str, object], session: Session) -> Proto
     # The part goes first: session.toml can be edited, and the bytes are what their part says.
     text = metadata.get("protocol_text") or session.record.protocol.text
     if not isinstance(text, str) or not text:
-        raise RecordingError(f"{session.folder} does not hold the protocol it was recorded with; restore session.toml")
+        raise RecordingError(sentence("chain.no_protocol", folder=session.folder))
     try:
-        return parse_protocol(
-            text, _recorded_settings(metadata) or session.record.setting_values, label=f"protocol of {session.name}"
-        )
+        settings = _recorded_settings(metadata) or session.record.setting_values
+        return parse_protocol(text, settings, label=f"protocol of {session.name}")
     except SettingError as error:
         # Nobody typed it: it stands in the recording.
         raise ProtocolError(error.message, error.reason, **error.values) from error
@@ -282,8 +282,7 @@ def _edited_settings(part: PartStart, session: Session) -> list[str]:
     # With an edited range every sample would have another scale, and nothing in the result would show it.
     recorded = _recorded_settings(part.metadata)
     return [
-        f"session.toml says {name} = {value}, but {part.path.name} was recorded with {recorded[name]}, which is used: what is "
-        "edited there changes nothing"
+        sentence("chain.edited", name=name, value=value, part=part.path.name, recorded=recorded[name])
         for name, value in session.record.setting_values.items()
         if name in recorded and recorded[name] != value
     ]

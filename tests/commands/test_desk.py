@@ -18,7 +18,7 @@ from imufield.acquire.link.serial import Chunk
 from imufield.acquire.recording.reader import read_session
 from imufield.acquire.recording.session import Session
 from imufield.commands.emulate import make_emulation
-from imufield.commands.options.acquire import EmulateOptions
+from imufield.commands.options.commands import EmulateOptions
 from imufield.guide.positions import scheme
 from imufield.pipeline.chain import Chain, ReadingPlan, replay_into, session_samples
 from imufield.samples import AXES, SAMPLE_COLUMNS, concatenate

@@ -12,7 +12,7 @@ import tomli_w
 
 from imufield.acquire.recording.session_record import SiteRecord
 from imufield.cli.run import run
-from imufield.commands.options.deliver import VerifyOptions
+from imufield.commands.options.commands import VerifyOptions
 from imufield.commands.verify import _task
 from imufield.errors import Reason
 from imufield.pipeline.site import SiteOptions

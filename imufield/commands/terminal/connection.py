@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.commands.terminal.output import say
+from imufield.sentences import Sentences
+
+sentence = Sentences(__package__)
 
 
-def say_assumed(sentence: str) -> None:
+def say_assumed(assumption: str) -> None:
     """Tell what was found or assumed while connecting, beside the result of the command."""
-    say(sentence, err=True, indent=2)
+    say(assumption, err=True, indent=2)
 
 
 def host_clock(speed: float) -> HostClock:
@@ -16,5 +19,5 @@ def host_clock(speed: float) -> HostClock:
     if speed == 1.0:
         return SystemClock()
     # Said each time: with a real instrument every rate would come out wrong by this factor.
-    say(f"the clock of the host runs {speed:g} times fast: only an emulated instrument can be read like this", err=True)
+    say(sentence("connection.fast_clock", speed=speed), err=True)
     return ScaledClock(speed)
