@@ -42,10 +42,22 @@ def default_map() -> dict[str, dict[str, object]]:
 
     # The file in the working folder comes last, as what is set last stands.
     for path in (platformdirs.user_config_path("imufield") / FILE_NAME, Path(FILE_NAME)):
-        if path.is_file():
-            for key, value in _read(path).items():
-                for command in KEYS[key]:
-                    commands.setdefault(command, {})[key] = _settings_list(key, value) if key in _TABLES else value
+        if not path.is_file():
+            continue
+        try:
+            content = tomllib.loads(read_small_file(path).decode())
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+            raise UsageError(sentence("configuration.no_toml", path=str(path), error=str(error))) from error
+        for key, value in sorted(content.items()):
+            if key not in KEYS:
+                unknown = sentence("configuration.unknown_key", path=str(path), unknown=key, known=[*KEYS])
+                raise UsageError(unknown, Reason.UNKNOWN_KEY, key=key)
+            if key in _TABLES and not isinstance(value, dict):
+                raise UsageError(sentence("configuration.no_table", name=key, file=FILE_NAME, example=_TABLES[key]))
+            # A table as it is typed: an option for each row.
+            default = [f"{name}={entry}" for name, entry in value.items()] if key in _TABLES else value
+            for command in KEYS[key]:
+                commands.setdefault(command, {})[key] = default
     return commands
 
 
@@ -83,21 +95,3 @@ def parse_zero(text: str | None) -> list[float] | None:
     if len(values) not in (1, 3) or not all(math.isfinite(value) for value in values):
         raise UsageError(sentence("configuration.zero", zero=text))
     return values * 3 if len(values) == 1 else values
-
-
-def _read(path: Path) -> dict[str, object]:
-    try:
-        content = tomllib.loads(read_small_file(path).decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise UsageError(sentence("configuration.no_toml", path=str(path), error=str(error))) from error
-    unknown = sorted(set(content) - set(KEYS))
-    if unknown:
-        message = sentence("configuration.unknown_key", path=str(path), unknown=unknown[0], known=[*KEYS])
-        raise UsageError(message, Reason.UNKNOWN_KEY, key=unknown[0])
-    return content
-
-
-def _settings_list(key: str, table: object) -> list[str]:
-    if not isinstance(table, dict):
-        raise UsageError(sentence("configuration.no_table", name=key, file=FILE_NAME, example=_TABLES[key]))
-    return [f"{name}={value}" for name, value in table.items()]

@@ -21,7 +21,7 @@ from imufield.pipeline.calibration import one_of
 from imufield.pipeline.chain import REVISIT_FROM, ROTATIONS
 from imufield.sentences import Sentences
 from imufield.simulate.emulator.core import EmulatorCore, EmulatorSettings
-from imufield.simulate.emulator.emulate import TRUTH_FORMAT, Emulation, WireChoice, choose_wire, emulate
+from imufield.simulate.emulator.emulate import TRUTH_FORMAT, Emulation, choose_wire, emulate
 from imufield.simulate.emulator.faults import CanFaults, Faults, WireFaults
 from imufield.simulate.truth.operator import OperatorSettings, StillKind
 
@@ -52,21 +52,26 @@ def make_emulation(options: EmulateOptions) -> Emulation:
     UsageError
         If one is not known.
     """
-    on_bus = _is_on_bus(options)
+    on_bus = options.bus is not None
+    if not options.driver.endswith(".toml"):
+        names = driver_names()
+        if options.driver not in names:
+            raise UsageError(sentence("emulate.no_emulator", driver=options.driver, names=names))
+        on_bus = load_driver(options.driver).wire == "can"
     style: StillKind = one_of("style", options.style, get_args(StillKind))
     if options.rotations is not None:
         one_of("rotations", options.rotations, tuple(ROTATIONS))
     positions = None if options.positions == STANDS_STILL else scheme(options.positions)
     rounds = options.rounds or (ROUNDS if options.rotations is None else 1)
     # A long session ends with the first position again, as ``capture`` asks for it.
-    directions = () if positions is None else positions.directions()[_order(len(positions), rounds)]
+    order = [] if positions is None else [*range(len(positions))] * rounds + [0] * (len(positions) >= REVISIT_FROM)
     return Emulation(
         device=options.driver,
         rate_hz=options.rate_hz,
         grade=options.grade,
         seed=options.seed,
         day=options.day,
-        directions=directions,
+        directions=() if positions is None else positions.directions()[order],
         operator=OperatorSettings(
             style=style,
             hold_s=options.hold_s,
@@ -83,19 +88,6 @@ def make_emulation(options: EmulateOptions) -> Emulation:
         settings=dict(options.settings),
         bus=options.bus,
     )
-
-
-def _is_on_bus(options: EmulateOptions) -> bool:
-    if options.driver.endswith(".toml"):
-        return options.bus is not None
-    names = driver_names()
-    if options.driver not in names:
-        raise UsageError(sentence("emulate.no_emulator", driver=options.driver, names=names))
-    return load_driver(options.driver).wire == "can"
-
-
-def _order(count: int, rounds: int) -> list[int]:
-    return [*range(count)] * rounds + ([0] if count >= REVISIT_FROM else [])
 
 
 def parse_faults(texts: list[str], kind: type[WireFaults] = Faults) -> WireFaults:
@@ -137,15 +129,10 @@ def _announce(options: EmulateOptions, emulation: Emulation, emulator: EmulatorC
     clock = "" if options.speed == 1 else f"IMUFIELD_CLOCK_SPEED={max(options.speed, 1):g} "
     # The right latitude matters: the scale of the accelerometer is as good as the gravity it is given.
     latitude = f"--latitude {emulation.site.latitude_deg:g}"
+    # A protocol file of the user's own is no driver that another command knows by name.
+    which = f"{'--driver' if wire.driver else '--protocol'} {options.driver}"
+    told = "".join(f"--set {name}={spell(value)} " for name, value in wire.settings.items())
     typer.echo("read it with:")
-    typer.echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {_reader(options, wire)}{latitude}")
+    typer.echo(f"  {clock}imufield capture --{kind} {shlex.quote(address)} {which} {told}{latitude}")
     waits = "it begins when a program opens the port; " if options.waits_for_reader and kind == "port" else ""
     typer.echo(f"{waits}Ctrl-C ends it")
-
-
-def _reader(options: EmulateOptions, wire: WireChoice) -> str:
-    """Return the options that tell another command what the wire does not."""
-    # A protocol file of the user's own is no driver that another command knows by name.
-    which = "--driver" if wire.driver else "--protocol"
-    told = "".join(f"--set {name}={spell(value)} " for name, value in wire.settings.items())
-    return f"{which} {options.driver} {told}"

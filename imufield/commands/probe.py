@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
 
 import typer
@@ -15,8 +16,7 @@ from imufield.acquire.instrument.recognise import Candidate, Finding, Listener
 from imufield.acquire.link.host_clock import HostClock
 from imufield.acquire.link.ports import serial_ports
 from imufield.commands.options.commands import ProbeOptions
-from imufield.commands.terminal.connection import host_clock
-from imufield.commands.terminal.output import say
+from imufield.commands.terminal.output import host_clock, say
 from imufield.deliver.parameters.numbers import beside
 from imufield.errors import ImufieldError, LinkError, Reason
 from imufield.sentences import Sentences
@@ -145,23 +145,14 @@ def probe_port(
         result = search(port, candidates, bauds, clock)
     except ImufieldError as error:
         return Probed(port=port, error=error)
-    try:
+    with closing(result.link):
         others, listener = _others(result), result.recognised
         if listener is None:
             return Probed(port=port, others=others, error=nothing_recognised(port, result))
         # A rate of 9600 in the command for a USB port would look as if it mattered.
         rate = None if has_no_baud(port) and baud is None else result.last.baud
-        identity = _identity(result, listener, clock, ask=ask)
-        return Probed(
-            port=port,
-            found=listener.finding(),
-            baud=rate,
-            command=_command(port, listener, rate),
-            identity=identity,
-            others=others,
-        )
-    finally:
-        result.link.close()
+        command, identity = _command(port, listener, rate), _identity(result, listener, clock, ask=ask)
+        return Probed(port=port, found=listener.finding(), baud=rate, command=command, identity=identity, others=others)
 
 
 def _identity(result: Search, listener: Listener, clock: HostClock, *, ask: bool) -> dict[str, str]:

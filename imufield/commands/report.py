@@ -14,7 +14,6 @@ import typer
 
 from imufield.acquire.recording.reader import Damage
 from imufield.acquire.recording.session import Session, open_or_newest
-from imufield.acquire.recording.session_record import SettingRecord
 from imufield.commands.options.commands import ReportOptions
 from imufield.commands.terminal.output import write_output
 from imufield.deliver.parameters.document import VERSION
@@ -137,13 +136,6 @@ def _replay(
     return trace.finish(), closed, damage
 
 
-def _setting(name: str, setting: SettingRecord) -> str:
-    """Return a setting and where it came from; a rate of zero stands for one that only the recording tells."""
-    if name == "rate_hz" and setting.value == 0:
-        return "rate_hz measured on the recording"
-    return f"{name} = {setting.value} ({setting.origin})"
-
-
 def _provenance(path: Path, parameters: Parameters, session: Session | None) -> Iterator[tuple[str, str]]:
     converted = "" if parameters.version == VERSION else f", converted from version {parameters.version}"
     yield "Parameter file", f"{path}{converted}"
@@ -151,7 +143,11 @@ def _provenance(path: Path, parameters: Parameters, session: Session | None) -> 
         record = session.record
         yield "Protocol", f"{record.protocol.name}, SHA-256 {record.protocol.sha256}"
         if record.settings:
-            yield "Settings", "; ".join(_setting(name, entry) for name, entry in record.settings.items())
+            settings = {name: f"{name} = {setting.value} ({setting.origin})" for name, setting in record.settings.items()}
+            # A rate of zero stands for one that only the recording tells.
+            if "rate_hz" in settings and record.settings["rate_hz"].value == 0:
+                settings["rate_hz"] = "rate_hz measured on the recording"
+            yield "Settings", "; ".join(settings.values())
         yield "Recorded by", record.software
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "matplotlib", "jinja2"))
     yield "Report by", f"imufield {__version__}, Python {platform.python_version()}, {packages}"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -55,10 +56,8 @@ def run_solve(options: SolveOptions) -> int:
         session = Session.open(sessions[0]) if sessions else Session.newest()
         path = options.output or session.folder / PARAMETER_FILE
         refuse_overwriting(path, session.parts)
-        with ProgressLine("reading") as progress:
-            solved = solve_session(
-                session, settings, options.site, listener=progress.feed, on_read=lambda: progress.say("solving")
-            )
+        with closing(ProgressLine("reading")) as line:
+            solved = solve_session(session, settings, options.site, listener=line.feed, on_read=lambda: line.say("solving"))
     # Asked before the file that stands there is replaced.
     better = better_gravity(path, solved.parameters.calibration.gravity)
     kept = write_document(path, solved.parameters.document, advice=sentence("solve.elsewhere"))

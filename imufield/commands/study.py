@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import typer
 
@@ -29,32 +28,27 @@ def run_study_command(options: StudyOptions) -> None:
     LinkError
         If the scheduler does not answer.
     """
-    output, document = options.output, options.document
-    _check_places(output, document)
-    context = StudyContext(
-        seed=options.seed, quick=options.quick, workers=options.workers, scheduler=options.scheduler, progress=_tell
-    )
-    reports: list[StudyReport] = []
-    for report in run_study(options.name, context, folder=output):
-        typer.echo(as_text(report), nl=False)
-        reports.append(report)
-    if document is not None:
-        write_document(reports, document, context)
-        typer.echo(f"written: {document}")
-
-
-def _check_places(folder: Path | None, document: Path | None) -> None:
-    """Refuse before hours of computing what would be refused after them."""
+    folder, document = options.output, options.document
+    # Refused before hours of computing what would be refused after them.
     if folder is not None and folder.exists() and not folder.is_dir():
         raise UsageError(sentence("study.no_folder", folder=folder))
     if folder is not None:
         with typed_write_errors(folder, UsageError):
             folder.mkdir(parents=True, exist_ok=True)
-    if document is None:
-        return
-    if document.is_dir() or not document.parent.is_dir():
-        raise UsageError(sentence("study.no_place", document=document))
-    replace_only(document, TITLE, "--document", "the results of a study")
+    if document is not None:
+        if document.is_dir() or not document.parent.is_dir():
+            raise UsageError(sentence("study.no_place", document=document))
+        replace_only(document, TITLE, "--document", "the results of a study")
+    context = StudyContext(
+        seed=options.seed, quick=options.quick, workers=options.workers, scheduler=options.scheduler, progress=_tell
+    )
+    reports: list[StudyReport] = []
+    for report in run_study(options.name, context, folder=folder):
+        typer.echo(as_text(report), nl=False)
+        reports.append(report)
+    if document is not None:
+        write_document(reports, document, context)
+        typer.echo(f"written: {document}")
 
 
 def _tell(done: int, total: int) -> None:

@@ -99,7 +99,14 @@ def run_verify(options: VerifyOptions) -> Verification:
     else:
         text, console = verification_text(found), Console()
         console.out(to_ascii(text) if console.options.ascii_only else text, end="", highlight=False)
-    _refuse_failed(found)
+    # An objection goes first: parameters that contradict the data are refused whatever the limits.
+    if found.objections:
+        raise VerificationError(sentence("verify.objection", objection=found.objections[0]))
+    for failed in found.requirements:
+        if not failed.passed:
+            key = "verify.not_measured" if np.isnan(failed.measured) else "verify.not_met"
+            values = {"requirement": failed.name, "limit": failed.limit, "measured": failed.measured}
+            raise VerificationError(sentence(key, **values))
     return found
 
 
@@ -285,14 +292,3 @@ def _nominal(task: _Task) -> Apply | None:
         return Corrected(samples.time_s, force, correct_gyroscope(plain, samples.gyroscope_rate()))
 
     return apply
-
-
-def _refuse_failed(found: Verification) -> None:
-    # An objection goes first: parameters that contradict the data are refused whatever the limits.
-    if found.objections:
-        raise VerificationError(sentence("verify.objection", objection=found.objections[0]))
-    for failed in found.requirements:
-        if not failed.passed:
-            key = "verify.not_measured" if np.isnan(failed.measured) else "verify.not_met"
-            values = {"requirement": failed.name, "limit": failed.limit, "measured": failed.measured}
-            raise VerificationError(sentence(key, **values))

@@ -7,7 +7,8 @@ session. It reads no clock: arrival times come with the bytes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from imufield.acquire.decoder import Decoder
 from imufield.acquire.protocol.protocol import Protocol, parse_protocol
 from imufield.acquire.recording.reader import Damage, PartStart, RecordedBlock, RecordedEvent, read_blocks
 from imufield.acquire.recording.session import Session
-from imufield.acquire.recording.session_record import SessionRecord
 from imufield.calibrate.model.observations import Observations
 from imufield.earth import choose_gravity
 from imufield.errors import ProtocolError, Reason, RecordingError, SettingError
@@ -59,27 +59,12 @@ class ReadingPlan:
     @classmethod
     def of(cls, session: Session) -> ReadingPlan:
         """Return the plan written in ``session.toml``; positions of the user's own stand beside it."""
-        record = session.record
-        name = record.scheme or None
-        return cls(
-            str(session.folder / SCHEME_FILE) if name == SCHEME_FILE else name, guide_settings(record), record.nominal.raw_zero
-        )
-
-
-def guide_settings(record: SessionRecord) -> GuideSettings:
-    """Return the settings of the guide written in ``session.toml``."""
-    guide, site = record.guide, record.site
-    gravity = choose_gravity(site.gravity_m_s2, site.latitude_deg, site.height_m)
-    return GuideSettings(
-        hold_s=guide.hold_s,
-        target_bias_ug=guide.target_bias_ug,
-        target_scale_ppm=guide.target_scale_ppm,
-        revisit_first=bool(guide.revisit_first),
-        rotations=guide.rotations,
-        gravity_m_s2=gravity.gravity_m_s2,
-        earlier_scale_raw=guide.earlier_scale_raw,
-        earlier_scale_sigma=guide.earlier_scale_sigma or 0.0,
-    )
+        record, site = session.record, session.record.site
+        scheme = str(session.folder / SCHEME_FILE) if record.scheme == SCHEME_FILE else record.scheme or None
+        gravity = choose_gravity(site.gravity_m_s2, site.latitude_deg, site.height_m)
+        # The settings have the names that they have in the file; what it does not state keeps its default.
+        stated: dict[str, Any] = {name: value for name, value in asdict(record.guide).items() if value is not None}
+        return cls(scheme, GuideSettings(gravity_m_s2=gravity.gravity_m_s2, **stated), record.nominal.raw_zero)
 
 
 class Chain:
@@ -124,7 +109,12 @@ class Chain:
         self.protocol = protocol
         # Not before the first part: the judge needs the units and the rough scale, which its protocol tells.
         if self._judging and self.guide is None and self.finder is None:
-            self._make_judge(protocol)
+            nominal = protocol.nominal
+            scale = RoughScale(nominal.accelerometer_scale, nominal.gyroscope_scale, self.raw_zero(protocol))
+            if self.plan.scheme is None:
+                self.finder = StillIntervalFinder(protocol.units, scale)
+            else:
+                self.guide = Guide(scheme(self.plan.scheme), protocol.units, scale=scale, settings=self.plan.guide)
         events = self._start_decoder(protocol)
         # Whoever stopped and goes on wanted the pause: to call it a lost link would alarm for nothing.
         return [
@@ -221,14 +211,6 @@ class Chain:
 
     def _flush_decoder(self) -> list[Event]:
         return [] if self.decoder is None else self._take(self.decoder.flush(), self._last_utc_ns)
-
-    def _make_judge(self, protocol: Protocol) -> None:
-        nominal = protocol.nominal
-        scale = RoughScale(nominal.accelerometer_scale, nominal.gyroscope_scale, self.raw_zero(protocol))
-        if self.plan.scheme is None:
-            self.finder = StillIntervalFinder(protocol.units, scale)
-            return
-        self.guide = Guide(scheme(self.plan.scheme), protocol.units, scale=scale, settings=self.plan.guide)
 
     def _on_session_clock(self, samples: Samples, utc_ns: int) -> Samples:
         """Shift the samples of a later part behind those of the parts before, as far as the host's clock says."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from imufield.errors import CalibrationError, ImufieldError, Reason
 from imufield.guide.cross_checks.axes import AxesCheck
 from imufield.guide.events import Event, RefusalCode, Rejected
 from imufield.guide.lead.guide import Guide
+from imufield.guide.refusals import Refusal
 from imufield.pipeline.calibration import FEWEST_POSITIONS, Measured, MoveListener, SolveSettings, calibrate
 from imufield.pipeline.chain import Chain, ReadingPlan, SamplesListener, replay_into
 from imufield.pipeline.damage import naming_damage, without_end_under_way
@@ -45,16 +46,9 @@ class Solved:
     """Sentences about the recording that are not about the numbers."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Usable:
-    """What a session holds to be calibrated from."""
-
-    observations: Observations
-    axes: AxesCheck
-    notes: tuple[str, ...]
-    """Sentences beside the numbers."""
-    saturated: str
-    """The sentence for the verdict about what was left out because an axis was clipped; empty where none was."""
+# What a session holds to be calibrated from, its axes, sentences beside the numbers, and the one for the verdict about what was
+# left out because an axis was clipped, empty where none was.
+_Usable = tuple[Observations, AxesCheck, tuple[str, ...], str]
 
 
 def solve_session(
@@ -101,17 +95,18 @@ def solve_session(
         on_read()
     with naming_damage(session, damage):
         usable = _unguided(chain) if chain.guide is None else _guided(chain, chain.guide, refusals)
-        if usable.axes.error is not None:
-            raise usable.axes.error
+        observations, axes, notes, saturated = usable
+        if axes.error is not None:
+            raise axes.error
         lost = _loss_sentences(chain, damage, is_import=session.record.kind == "import")
-        reasons = (usable.axes.words, *filter(None, (usable.saturated,)), *chain.notes, *lost)
+        reasons = (axes.words, *filter(None, (saturated,)), *chain.notes, *lost)
         rates = [statistics.rate_hz for statistics in chain.statistics if statistics.rate_hz]
         true_rate_hz = float(np.median(rates)) if rates else math.nan
         rests = chain.turn_rests()
-        between = moves.between(usable.observations, rests)
+        between = moves.between(observations, rests)
         protocol = chain.protocol
         measured = Measured(
-            observations=usable.observations,
+            observations=observations,
             gravity=(site or SiteOptions()).gravity(session.record.site),
             context=Context(
                 instrument=InstrumentFacts(**asdict(session.record.instrument)),
@@ -125,12 +120,12 @@ def solve_session(
             reasons=reasons,
         )
         try:
-            return Solved(calibrate(measured, settings), usable.notes)
+            return Solved(calibrate(measured, settings), notes)
         except CalibrationError as error:
-            if not usable.saturated:
+            if not saturated:
                 raise
             # Clipped outputs are the cause where what is left cannot be calibrated from.
-            why = sentence("solving.rest", saturated=usable.saturated.removesuffix("."), error=error.message)
+            why = sentence("solving.rest", saturated=saturated.removesuffix("."), error=error.message)
             raise CalibrationError(why, Reason.SATURATED, **error.values) from error
 
 
@@ -146,31 +141,27 @@ def _guided(chain: Chain, guide: Guide, refusals: list[Rejected]) -> _Usable:
     """Return the accepted positions of a guided session."""
     observations = chain.observations()
     spoilt = [event for event in refusals if event.position or event.reason in _SPOIL_DATA]
-    _check_count(len(observations), [(event.reason, event.words, event.remedy) for event in spoilt])
+    _check_count(len(observations), spoilt)
     missing = guide.plan.missing()
     # A position that was taken again lacks nothing.
     clipped = [
         event for event in refusals if event.reason in _AT_LIMIT and missing and (event.position or missing[0]) in missing
     ]
-    return _Usable(
-        observations=observations,
-        axes=guide.check_axes(),
-        notes=_missing_sentences(guide, refusals),
-        saturated=_saturation_sentence([(event.time_s, event.words) for event in clipped]),
-    )
+    saturated = _saturation_sentence([(event.time_s, event.words) for event in clipped])
+    return observations, guide.check_axes(), _missing_sentences(guide, refusals), saturated
 
 
 def _unguided(chain: Chain) -> _Usable:
     """Return the still intervals of a session that nobody guided."""
     found = chain.still_intervals()
-    _check_count(len(found.observations), [(refusal.reason, refusal.words, refusal.remedy) for _, refusal in found.refused])
+    _check_count(len(found.observations), [refusal for _, refusal in found.refused])
     clipped = [(start_s, refusal.words) for start_s, refusal in found.refused if refusal.reason in _AT_LIMIT]
     notes = tuple(
         sentence("solving.left_out", start_s=start_s, words=refusal.words)
         for start_s, refusal in found.refused
         if refusal.reason not in _AT_LIMIT
     )
-    return _Usable(observations=found.observations, axes=found.axes, notes=notes, saturated=_saturation_sentence(clipped))
+    return found.observations, found.axes, notes, _saturation_sentence(clipped)
 
 
 def _saturation_sentence(clipped: list[tuple[float, str]]) -> str:
@@ -181,7 +172,7 @@ def _saturation_sentence(clipped: list[tuple[float, str]]) -> str:
     return sentence("solving.clipped", count=len(clipped), shown=shown, words=clipped[-1][1])
 
 
-def _check_count(count: int, refusals: list[tuple[RefusalCode, str, str]]) -> None:
+def _check_count(count: int, refusals: Sequence[Rejected | Refusal]) -> None:
     """Say what stood in the way where holds were refused and too few are left; without refusals the solver says it.
 
     Raises
@@ -191,8 +182,8 @@ def _check_count(count: int, refusals: list[tuple[RefusalCode, str, str]]) -> No
     """
     if count >= FEWEST_POSITIONS or not refusals:
         return
-    (code, _), *_ = Counter(code for code, _, _ in refusals).most_common(1)
-    words, remedy = next((words, remedy) for its_code, words, remedy in reversed(refusals) if its_code is code)
+    ((code, _),) = Counter(refusal.reason for refusal in refusals).most_common(1)
+    last = next(refusal for refusal in reversed(refusals) if refusal.reason is code)
     too_few = sentence(
         "solving.too_few",
         positions=count,
@@ -200,8 +191,8 @@ def _check_count(count: int, refusals: list[tuple[RefusalCode, str, str]]) -> No
         limit=FEWEST_POSITIONS,
         refused=len(refusals),
         were="was" if len(refusals) == 1 else "were",
-        words=words,
-        remedy=remedy,
+        words=last.words,
+        remedy=last.remedy,
     )
     raise CalibrationError(too_few, Reason.SATURATED if code in _AT_LIMIT else Reason.TOO_FEW)
 

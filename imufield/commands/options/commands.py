@@ -10,7 +10,6 @@ from imufield.commands.options.shared import (
     AsJson,
     ClockSpeed,
     ConnectionOptions,
-    Converted,
     DriverName,
     EventsAsJson,
     Group,
@@ -43,14 +42,7 @@ ParameterFile = Annotated[Path, argument(help="Parameter file.")]
 SIDES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
-def parse_side(text: str | None) -> str | None:
-    """Return the side of the unit that an option names.
-
-    Raises
-    ------
-    UsageError
-        If it is none of the six.
-    """
+def _check_side(text: str | None) -> str | None:
     if text is not None and text not in SIDES:
         raise UsageError(sentence("commands.cable", text=text, sides=SIDES))
     return text
@@ -106,22 +98,6 @@ def _view_name(lines: _Lines, _typed: frozenset[str]) -> ViewName:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ViewOptions:
-    """How the views of a capture behave."""
-
-    quiet: Annotated[bool, option("--quiet", help="No sound.")] = False
-    speak: Annotated[bool, option("--speak", help="Say it aloud, where a speech program is installed.")] = False
-    big: Annotated[bool, option("--big", help="Big letters, to be read from three metres.")] = False
-    cable: Annotated[
-        str | None,
-        Converted(
-            Annotated[str | None, option(help="Side of the unit where the cable leaves, for the pictures: +x ... -z.")],
-            parse_side,
-        ),
-    ] = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureOptions:
     """Record a guided session: the screen leads you through 24 positions, hands-free.
 
@@ -144,7 +120,12 @@ class CaptureOptions:
     rotations: Annotated[
         str | None, option(help="Whole turns for the gyroscope: rolled (edge over edge) or table (against a stop).")
     ] = None
-    view_options: Annotated[ViewOptions, Group(ViewOptions)] = ViewOptions()
+    quiet: Annotated[bool, option("--quiet", help="No sound.")] = False
+    speak: Annotated[bool, option("--speak", help="Say it aloud, where a speech program is installed.")] = False
+    big: Annotated[bool, option("--big", help="Big letters, to be read from three metres.")] = False
+    cable: Annotated[
+        str | None, option(help="Side of the unit where the cable leaves, for the pictures: +x ... -z.", check=_check_side)
+    ] = None
     clock_speed: ClockSpeed = 1.0
     root: Path = DEFAULT_ROOT
 

@@ -48,16 +48,18 @@ class Group:
     """
 
     arguments: type
-    build: Callable[[Any, frozenset[str]], object] = lambda arguments, _typed: arguments
+    build: Callable[[Any, frozenset[str]], object]
 
 
-def option(*names: str, low: float | None = None, high: float = math.inf, **more: Any) -> Any:
-    """Return ``typer.Option``; the value of a number is checked against its limits.
+def option(
+    *names: str, low: float | None = None, high: float = math.inf, check: Callable[[Any], Any] | None = None, **more: Any
+) -> Any:
+    """Return ``typer.Option``; the value of a number is checked against its limits, another by ``check``, which returns it.
 
     The limits of typer itself are printed in every help, where those of a seed leave no room for words.
     """
     # Files are opened by the commands, which say what is wrong with one and how to go on.
-    return typer.Option(*names, callback=None if low is None else _within(low, high), readable=False, **more)
+    return typer.Option(*names, callback=check if low is None else _within(low, high), readable=False, **more)
 
 
 def argument(**more: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What a command gives away: files beside the parameter file (pages, tables, plots), and sentences for a person."""
+"""What a command gives away: files beside the parameter file, sentences for a person, and the clock that is told of."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import typer
 
+from imufield.acquire.link.host_clock import HostClock, ScaledClock, SystemClock
 from imufield.errors import UsageError
 from imufield.files import refuse_overwriting, typed_write_errors, write_atomically
 from imufield.sentences import Sentences
@@ -93,3 +94,17 @@ def say(line: str, *, err: bool = False, indent: int = 0, color: str | None = No
             break_on_hyphens=False,
         )
     typer.echo(line if color is None else typer.style(line, fg=color), err=err)
+
+
+def say_assumed(assumption: str) -> None:
+    """Tell what was found or assumed while connecting, beside the result of the command."""
+    say(assumption, err=True, indent=2)
+
+
+def host_clock(speed: float) -> HostClock:
+    """Return the clock to read an instrument with that runs ``speed`` times faster than real time, as emulated ones may."""
+    if speed == 1.0:
+        return SystemClock()
+    # Said each time: with a real instrument every rate would come out wrong by this factor.
+    say(sentence("output.fast_clock", speed=speed), err=True)
+    return ScaledClock(speed)

@@ -71,7 +71,6 @@ def make_view(options: CaptureOptions, session: Path, positions: Scheme, origin_
 
     Sound goes with every view that a person reads; ``origin_s`` is what plain lines count their time from.
     """
-    how = options.view_options
     with ExitStack() as stack:
         if options.view == "json":
             # The version first: a reader must know it before it reads anything else.
@@ -83,10 +82,10 @@ def make_view(options: CaptureOptions, session: Path, positions: Scheme, origin_
         else:
             from imufield.guide.view.terminal import TerminalView
 
-            view = View(pictures=stack.enter_context(TerminalView(positions, big=how.big, cable=how.cable)))
+            view = View(pictures=stack.enter_context(TerminalView(positions, big=options.big, cable=options.cable)))
         # A program that reads JSON may run where nobody wants a beep.
-        if options.view != "json" and not how.quiet:
+        if options.view != "json" and not options.quiet:
             from imufield.guide.view.sound import open_sound
 
-            view.sound = stack.enter_context(open_sound(speak=how.speak))
+            view.sound = stack.enter_context(open_sound(speak=options.speak))
         yield view
