@@ -82,7 +82,7 @@ def _capture(port: str, options: DemoOptions) -> Captured:
         connect=ConnectOptions(port=port, driver="stim300"),
         hold_s=HOLD_S,
         site=SiteOptions(gravity_m_s2=site.gravity_m_s2, latitude_deg=site.latitude_deg),
-        view="plain" if options.plain else "auto",
+        plain=options.plain,
         root=options.root,
     )
     with before_recording():

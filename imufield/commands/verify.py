@@ -73,6 +73,17 @@ class _Task:
         self.gravity = options.site.gravity(recorded) if is_typed or recorded != SiteRecord() else own
         latitudes = (self.gravity.latitude_deg, options.site.latitude_deg, own.latitude_deg)
         self.latitude_deg = next((latitude for latitude in latitudes if latitude is not None), None)
+        self._refuse_ignored()
+
+    def _refuse_ignored(self) -> None:
+        """Refuse options that would change nothing; raises ``UsageError``."""
+        options, own, here = self.options, self.parameters.calibration.gravity, self.gravity.gravity_m_s2
+        if options.hold_out is not None and not self.is_its_own:
+            raise UsageError(sentence("verify.hold_out", hold_out=options.hold_out, session=self.session.name))
+        # Navigation needs the place even of the parameters' own session, so there the options change something.
+        typed = options.site.is_known and not options.site.is_default and not self.wants_navigation
+        if typed and self.is_its_own and abs(here - own.gravity_m_s2) > SAME_M_S2:
+            raise UsageError(sentence("verify.gravity_ignored", typed=here, solved=own.gravity_m_s2, source=own.source))
 
 
 def run_verify(options: VerifyOptions) -> Verification:
@@ -86,7 +97,6 @@ def run_verify(options: VerifyOptions) -> Verification:
         If a file or the session cannot be used.
     """
     task = _Task(options)
-    _refuse_ignored(task)
     parameters = task.parameters.path or options.parameters
     output = options.output or verification_path(parameters)
     # Before the replay: hours of navigation should not end at a file that is not to be written.
@@ -135,18 +145,6 @@ def _verify(task: _Task) -> Verification:
         requirements=judge(task.limits, left_out, navigated),
         notes=(*filter(None, about_file), *chain.notes, *found, *read),
     )
-
-
-def _refuse_ignored(task: _Task) -> None:
-    """Refuse options that would change nothing; raises ``UsageError``."""
-    options, own = task.options, task.parameters.calibration.gravity
-    if options.hold_out is not None and not task.is_its_own:
-        raise UsageError(sentence("verify.hold_out", hold_out=options.hold_out, session=task.session.name))
-    here = task.gravity.gravity_m_s2
-    typed = options.site.is_known and not options.site.is_default and not task.wants_navigation
-    # Navigation needs the place even then, so there the options change something.
-    if typed and task.is_its_own and abs(here - own.gravity_m_s2) > SAME_M_S2:
-        raise UsageError(sentence("verify.gravity_ignored", typed=here, solved=own.gravity_m_s2, source=own.source))
 
 
 def _left_out(task: _Task, chain: Chain, problems: list[ImufieldError]) -> LeftOutPositions | None:

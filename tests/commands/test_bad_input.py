@@ -322,7 +322,7 @@ def test_interrupted(program: Program, command: str, number: signal.Signals) -> 
     process.send_signal(number)
     output, error = process.communicate(timeout=900)
     assert process.returncode == INTERRUPTED
-    assert one_sentence(error) == f"{_interrupted_words([command])}."
+    assert one_sentence(error) == f"{_interrupted_words([command], KeyboardInterrupt())}."
     session = only_session(program.folder)
     assert bytes_on_disk(session) > 125 * 38
     assert session.finished == (command == "record")

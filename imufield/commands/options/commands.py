@@ -12,7 +12,6 @@ from imufield.commands.options.shared import (
     ConnectionOptions,
     DriverName,
     EventsAsJson,
-    Group,
     NewestSession,
     PlaceOptions,
     Plain,
@@ -88,16 +87,6 @@ class ProbeOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Lines:
-    plain: Plain = False
-    as_json: EventsAsJson = False
-
-
-def _view_name(lines: _Lines, _typed: frozenset[str]) -> ViewName:
-    return "json" if lines.as_json else "plain" if lines.plain else "auto"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureOptions:
     """Record a guided session: the screen leads you through 24 positions, hands-free.
 
@@ -111,7 +100,8 @@ class CaptureOptions:
     session: SessionFolder = None
     resume: Annotated[bool, option("--resume", help="Go on with an unfinished session.")] = False
     site: PlaceOptions = field(default_factory=unknown_site)
-    view: Annotated[ViewName, Group(_Lines, _view_name)] = "auto"
+    plain: Plain = False
+    as_json: EventsAsJson = False
     target_bias_ug: Annotated[
         float | None, option("--target-bias-ug", help="Hold and go on until biases are known so well, 1 sigma.", low=0.1)
     ] = None
@@ -128,6 +118,11 @@ class CaptureOptions:
     ] = None
     clock_speed: ClockSpeed = 1.0
     root: Path = DEFAULT_ROOT
+
+    @property
+    def view(self) -> ViewName:
+        """What shows the events; "auto" is pictures where there is a terminal."""
+        return "json" if self.as_json else "plain" if self.plain else "auto"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -48,7 +48,7 @@ def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactiv
     RecordingError
         If ``folder`` holds an unfinished session and nobody said that it should go on, or one that cannot be read.
     UsageError
-        If there is nothing to resume.
+        If there is nothing to resume, or ``folder`` is finished and nothing left to measure.
     """
     if folder is None:
         return _newest_unfinished(root) if resume else None
@@ -58,7 +58,10 @@ def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactiv
         return None
     session = Session.open(folder)
     if session.finished:
-        _check_finished(session, resume=resume)
+        early = _finished_early(session)
+        if not (early and resume):
+            key = "resume.finished_early" if early else "resume.finished"
+            raise UsageError(sentence(key, folder=session.folder, quoted=shlex.quote(str(session.folder))))
         return session
     if not session.record.scheme:
         raise UsageError(sentence("resume.no_guide", folder=session.folder))
@@ -67,24 +70,13 @@ def find_unfinished(folder: Path | None, root: Path, *, resume: bool, interactiv
     return session
 
 
-def _check_finished(session: Session, *, resume: bool) -> None:
-    """Refuse a finished session, but one that was finished early where it is to go on.
-
-    Raises
-    ------
-    UsageError
-        If nothing is left to measure, or nobody said that it should go on.
-    """
-    early = False
-    if session.record.scheme is not None:
-        # Only a replay tells whether something is left that was asked for.
-        chain = Chain(ReadingPlan.of(session))
-        replay_into(chain, session, [])
-        early = chain.guide is not None and chain.guide.finished_early
-    if early and resume:
-        return
-    key = "resume.finished_early" if early else "resume.finished"
-    raise UsageError(sentence(key, folder=session.folder, quoted=shlex.quote(str(session.folder))))
+def _finished_early(session: Session) -> bool:
+    """Return whether something is left that was asked for, which only a replay tells."""
+    if session.record.scheme is None:
+        return False
+    chain = Chain(ReadingPlan.of(session))
+    replay_into(chain, session, [])
+    return chain.guide is not None and chain.guide.finished_early
 
 
 def _newest_unfinished(root: Path) -> Session:
